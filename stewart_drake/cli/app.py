@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stewart_drake.cli import robot_commands, run_commands, study_commands, train_commands  # noqa: F401 - fill `cli`
+from stewart_drake.cli import robot_commands, run_commands, study_commands  # noqa: F401 - fill `cli`
 from stewart_drake.cli.options import EXIT_BAD_INPUT, EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_RUN_FAILED, cli
 from stewart_drake.cli.terminal import drop_output, say
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 TRACEBACK = "STEWART_DRAKE_TRACEBACK"
 """Environment variable: where it is set, an error that nobody expected is shown with its traceback."""
-_AGAIN = 0.05
-"""[s] after which an interrupt that was dropped is raised again."""
+_AGAIN = 0.05  # [s] after which an interrupt that was dropped is raised again.
 
 
 def main() -> None:

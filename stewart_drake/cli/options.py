@@ -41,7 +41,6 @@ class OutPath(click.Path):
         super().__init__(path_type=Path, **details)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """As `click.Path`."""
         if value == "":
             self.fail("expected a path, got an empty text", param, ctx)
         return super().convert(value, param, ctx)
@@ -60,27 +59,21 @@ sized_option = click.option(
 
 
 def out_folder(default: str | None = None) -> Callable[[Any], Any]:
-    """`--out DIR`."""
-    if default is None:
-        return click.option("--out", type=OutPath(), help="Folder for the results [default: runs/NAME].")
-    return click.option("--out", type=OutPath(), default=default, help="Folder for the results.")
+    words = "" if default else " [default: runs/NAME]"
+    return click.option("--out", type=OutPath(), default=default, help=f"Folder for the results{words}.")
 
 
 def out_file(default: str) -> Callable[[Any], Any]:
-    """`--out FILE`."""
     return click.option("--out", type=OUT_FILE, default=default, help="File to write.")
 
 
 def overrides(example: str = "duration=2") -> Callable[[Any], Any]:
-    """`--set KEY=VALUE`."""
     return click.option(
         "--set", "overrides", multiple=True, metavar="KEY=VALUE", help=f"Change a key, e.g. --set {example}."
     )
 
 
 def trust_flag(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`--trust-code`."""
-
     @click.option(
         "--trust-code",
         is_flag=True,

@@ -4,24 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
 from stewart_drake.calibration.model import FRAMES, NAMES, FrameName, Name
-from stewart_drake.cli.options import (
-    IN_FILE,
-    OUT_FILE,
-    OUT_FOLDER,
-    cli,
-    guess_option,
-    out_file,
-    overrides,
-    quiet_flag,
-    trust_flag,
-    write_text,
-)
+from stewart_drake.cli import options as opt
+from stewart_drake.cli.options import cli
 from stewart_drake.cli.terminal import print_table, progress_bar
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import write_atomically
@@ -32,22 +23,20 @@ from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names
 from stewart_drake.runs.outputs import prepare_file
 from stewart_drake.scenario import Scenario, load_scenario
 
-_PASSES = 16
-"""Pictures under different lights that are averaged."""
+_PASSES = 16  # Pictures under different lights that are averaged.
 _OWN = ("platform_mass", "rod_mass", "crank_mass", "rotor_inertia", "effort_limit")
 """What no table says and no robot shares with another."""
 
 robot_option = click.option("--robot", help="Name or YAML file [default: that of the scenario].")
 scenario_option = click.option("--scenario", default="hold", help="Take robot and plant of this scenario.")
-report_option = click.option("--report", "report_folder", type=OUT_FOLDER, help="Folder for a page, tables, a picture.")
+report_option = click.option(
+    "--report", "report_folder", type=opt.OUT_FOLDER, help="Folder for a page, tables, a picture."
+)
 hold_option = click.option("--hold", multiple=True, type=click.Choice(KINDS), help="Keep these parameters as they are.")
 
 
-# --- files of robots ----------------------------------------------------------------------------------------------
-
-
 @cli.group(invoke_without_command=True)
-@click.option("--out", type=OUT_FOLDER, help="Folder for a picture of each, NAME.png.")
+@click.option("--out", type=opt.OUT_FOLDER, help="Folder for a picture of each, NAME.png.")
 @click.pass_context
 def robots(context: click.Context, out: Path | None) -> None:
     """List the robots that a scenario can name, `robot: NAME`; with --out a picture of each."""
@@ -65,7 +54,7 @@ def robots(context: click.Context, out: Path | None) -> None:
 
 @robots.command("show")
 @click.argument("robot")
-@click.option("--picture", type=OUT_FILE, help="Draw it at home to this PNG.")
+@click.option("--picture", type=opt.OUT_FILE, help="Draw it at home to this PNG.")
 def show(robot: str, picture: Path | None) -> None:
     """Print the numbers of ROBOT with their units: a name, or a YAML file; with what follows from them at home."""
     from stewart_drake.planning.robot_sheet import robot_sheets
@@ -87,16 +76,16 @@ def _draw(name: str, path: Path) -> str:
 
 
 @robots.command("from-table")
-@click.argument("table", type=IN_FILE)
+@click.argument("table", type=opt.IN_FILE)
 @click.option("--unit", default="m", help="Of all lengths, in the table and after --set: m or mm.")
 @click.option(
     "--cranks",
     default="outwards",
     help="Where level cranks point, if the table does not say: outwards, towards the partner, away from it.",
 )
-@overrides("crank_length=0.025")
+@opt.overrides("crank_length=0.025")
 @click.option("--about", default="", help="One line on the robot.")
-@out_file("robot.yaml")
+@opt.out_file("robot.yaml")
 def from_table(table: Path, unit: Any, cranks: Any, overrides: tuple[str, ...], about: str, out: Path) -> None:
     """Make a robot's YAML file from TABLE, a CSV file with a row a leg: shaft_x, shaft_y, shaft_z, joint_x, ..."""
     parameters = {}
@@ -115,8 +104,8 @@ def from_table(table: Path, unit: Any, cranks: Any, overrides: tuple[str, ...], 
 
 @robots.command("table")
 @click.argument("names", nargs=-1)
-@out_file("robots.md")
-@quiet_flag
+@opt.out_file("robots.md")
+@opt.quiet_flag
 def table(names: tuple[str, ...], out: Path, quiet: bool) -> None:
     """Compare robots in a table: workspace, conditioning, tracking, torque; Markdown. NAMES or files [default: all]."""
     from stewart_drake.studies.robots import HEADER, robot_rows, robots_page
@@ -136,11 +125,11 @@ def _loaded(scenario: str, robot: str | None, overrides: tuple[str, ...]) -> Sce
 
 
 @cli.command("write-sdf")
-@click.argument("out", type=OUT_FILE)
+@click.argument("out", type=opt.OUT_FILE)
 @robot_option
 @scenario_option
-@overrides("robot.rod_length=0.42")
-@trust_flag
+@opt.overrides("robot.rod_length=0.42")
+@opt.trust_flag
 @click.option("--collision/--no-collision", default=True, help="With collision geometry.")
 def write_sdf_command(out: Path, robot: str | None, scenario: str, overrides: tuple[str, ...], collision: bool) -> None:
     """Write a robot, with the scenario's plant.rod_joint, as an SDF file."""
@@ -151,11 +140,11 @@ def write_sdf_command(out: Path, robot: str | None, scenario: str, overrides: tu
 
 
 @cli.command("write-mjcf")
-@click.argument("out", type=OUT_FILE)
+@click.argument("out", type=opt.OUT_FILE)
 @robot_option
 @scenario_option
-@overrides("plant.motor_damping=0.01")
-@trust_flag
+@opt.overrides("plant.motor_damping=0.01")
+@opt.trust_flag
 def write_mjcf_command(out: Path, robot: str | None, scenario: str, overrides: tuple[str, ...]) -> None:
     """Write a robot as an MJCF file for MuJoCo, with the scenario's time step, gravity and friction of the motors."""
     from stewart_drake.mujoco_model import mjcf_text
@@ -164,13 +153,12 @@ def write_mjcf_command(out: Path, robot: str | None, scenario: str, overrides: t
     write_atomically(out, mjcf_text(loaded.robot, loaded.gravity, loaded.plant).encode())
 
 
-# --- robots from measurements ---------------------------------------------------------------------------------------
-
-
 @cli.command()
-@click.argument("poses", required=False, type=IN_FILE)
-@guess_option
-@click.option("--out", type=OUT_FILE, help="File to write [default: runs/calibrated.yaml; with --plan runs/poses.csv].")
+@click.argument("poses", required=False, type=opt.IN_FILE)
+@opt.guess_option
+@click.option(
+    "--out", type=opt.OUT_FILE, help="File to write [default: runs/calibrated.yaml; with --plan runs/poses.csv]."
+)
 @report_option
 @click.option("--plan", type=int, metavar="N", help="Write N poses that tell most; needs no POSES.")
 @click.option("--position-noise", type=float, default=2e-5, help="Of the tracker [m].")
@@ -185,9 +173,9 @@ def write_mjcf_command(out: Path, robot: str | None, scenario: str, overrides: t
     help="The tracker measures in B (base), or the pose of P itself (platform).",
 )
 @click.option("--hold", multiple=True, type=click.Choice(NAMES), help="Keep these parameters as they are.")
-@overrides("limits.clearance=0.01")
-@trust_flag
-@quiet_flag
+@opt.overrides("limits.clearance=0.01")
+@opt.trust_flag
+@opt.quiet_flag
 def calibrate(
     poses: Path | None,
     robot: str,
@@ -225,59 +213,62 @@ def calibrate(
         raise click.UsageError("--set changes limits of the poses to plan: it goes with --plan")
     if plan is not None and report_folder is not None:
         raise click.UsageError("--report goes with POSES")
-    if encoder_noise is None:
-        encoder_noise = 2.0 * math.pi / 2**encoder_bits / math.sqrt(12.0)
-    noise = MeasurementNoise(position=position_noise, rotation=rotation_noise, encoder=encoder_noise)
+    of_bits = 2.0 * math.pi / 2**encoder_bits / math.sqrt(12.0)
+    encoder = of_bits if encoder_noise is None else encoder_noise
+    noise = MeasurementNoise(position=position_noise, rotation=rotation_noise, encoder=encoder)
     guess = load_robot(robot)
     if plan is not None:
         limits = load_scenario("paper_fig7", [f"robot={json.dumps(robot)}", *overrides]).limits
         planned = plan_poses(guess, plan, limits, noise, known_frames, hold)
-        write_text(out or Path("runs/poses.csv"), planned.targets.to_csv())
+        opt.write_text(out or Path("runs/poses.csv"), planned.targets.to_csv())
         header, rows = planned.table()
         title = f"largest 95 % interval of any leg to expect of {plan} poses, +-"
     elif poses is not None:
         found = fit(guess, poses, noise, known_frames, hold)
         out = out or Path("runs/calibrated.yaml")
-        write_text(out, found.robot_file())
-        if report_folder is not None:
-            write_text(report_folder / "parameters.csv", found.to_csv())
-            write_text(report_folder / "residuals.csv", found.residuals_csv())
-            plot_calibration(found, report_folder / "calibration.png")
-            write_text(report_folder / "report.md", found.to_markdown("calibration.png"))
+        more = {"residuals.csv": found.residuals_csv}
+        facts = _write_found(found, out, report_folder, "calibration.png", plot_calibration, more)
         if not quiet:
-            print_table(f"{poses}", [*found.summary(), *_places(out, report_folder)])
+            print_table(f"{poses}", facts)
         header, rows = found.table()
         title = "change against the guess, 95 % interval"
     if not quiet:
         print_table(title, rows, header)
 
 
-def _places(out: Path, report_folder: Path | None) -> list[tuple[str, str]]:
-    return [("robot in", str(out)), *([("report in", str(report_folder))] if report_folder else [])]
+def _write_found(
+    found: Any,
+    out: Path,
+    folder: Path | None,
+    picture: str,
+    plot: Callable[..., Any],
+    more: dict[str, Callable[[], str]],
+) -> list[tuple[str, str]]:
+    """Writes the robot's file and the report; the summary, and where they are."""
+    opt.write_text(out, found.robot_file())
+    facts = [*found.summary(), ("robot in", str(out))]
+    if folder is not None:
+        for name, text in {"parameters.csv": found.to_csv, **more}.items():
+            opt.write_text(folder / name, text())
+        plot(found, folder / picture)
+        opt.write_text(folder / "report.md", found.to_markdown(picture))
+        facts.append(("report in", str(folder)))
+    return facts
 
 
 @cli.command()
-@click.argument("logs", nargs=-1, required=True, type=IN_FILE)
-@guess_option
-@out_file("runs/identified.yaml")
+@click.argument("logs", nargs=-1, required=True, type=opt.IN_FILE)
+@opt.guess_option
+@opt.out_file("runs/identified.yaml")
 @report_option
-@click.option("--validate", multiple=True, type=IN_FILE, help="A log that is only predicted.")
+@click.option("--validate", multiple=True, type=opt.IN_FILE, help="A log that is only predicted.")
 @hold_option
 @click.option("--ask", multiple=True, type=click.Choice(KINDS), help="Refuse logs that do not tell these.")
 @click.option("--bandwidth", type=float, help="Of the filter [Hz] [default: a twelfth of the rows' rate, at most 15].")
-@click.option("--torque-lag", type=float, default=0.0, help="Of a CSV file's torques [s].")
-@quiet_flag
+@click.option("--torque-lag", "lag", type=float, default=0.0, help="Of a CSV file's torques [s].")
+@opt.quiet_flag
 def identify(
-    logs: tuple[Path, ...],
-    robot: str,
-    out: Path,
-    report_folder: Path | None,
-    validate: tuple[Path, ...],
-    hold: tuple[Kind, ...],
-    ask: tuple[Kind, ...],
-    bandwidth: float | None,
-    torque_lag: float,
-    quiet: bool,
+    logs: tuple[Path, ...], robot: str, out: Path, report_folder: Path | None, quiet: bool, **options: Any
 ) -> None:
     """Masses, inertias, friction and torque constants of a robot from LOGS of its crank angles and torques.
 
@@ -291,28 +282,24 @@ def identify(
     from stewart_drake.identification.identified import identify as fit
     from stewart_drake.plotting.model_plots import plot_identification
 
-    found = fit(load_robot(robot), logs, hold, ask or ASKED, validate, bandwidth, torque_lag)
-    write_text(out, found.robot_file())
-    if report_folder is not None:
-        write_text(report_folder / "parameters.csv", found.to_csv())
-        write_text(report_folder / "friction.yaml", found.friction_file())
-        plot_identification(found, report_folder / "identification.png")
-        write_text(report_folder / "report.md", found.to_markdown("identification.png"))
+    found = fit(load_robot(robot), logs, **options | {"ask": options["ask"] or ASKED})
+    more = {"friction.yaml": found.friction_file}
+    facts = _write_found(found, out, report_folder, "identification.png", plot_identification, more)
     if not quiet:
-        print_table(", ".join(map(str, logs)), [*found.summary(), *_places(out, report_folder)])
+        print_table(", ".join(map(str, logs)), facts)
         header, rows = found.table()
         print_table("parameters, 95 % intervals", rows, header, (1, 2))
 
 
 @cli.command()
-@guess_option
-@out_file("runs/excitation.yaml")
+@opt.guess_option
+@opt.out_file("runs/excitation.yaml")
 @click.option("--duration", type=click.FloatRange(min=5.0), default=60.0, help="Of the run [s].")
 @hold_option
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="Of the random motions.")
-@overrides("limits.crank_speed=5")
-@trust_flag
-@quiet_flag
+@opt.overrides("limits.crank_speed=5")
+@opt.trust_flag
+@opt.quiet_flag
 def excite(
     robot: str, out: Path, duration: float, hold: tuple[Kind, ...], seed: int, overrides: tuple[str, ...], quiet: bool
 ) -> None:
@@ -332,7 +319,9 @@ def excite(
     scenario = load_scenario("exact_breathing", (*own, *overrides))
     found = design(guess, scenario.limits, hold, gravity=scenario.gravity, seed=seed)
     check_reference(guess, scenario.limits, found.reference, duration, scenario.gravity).raise_if_infeasible()
-    write_text(out, to_yaml(scenario.replace({"name": "excitation", "reference": found.reference.to_dict()}).to_dict()))
+    opt.write_text(
+        out, to_yaml(scenario.replace({"name": "excitation", "reference": found.reference.to_dict()}).to_dict())
+    )
     if not quiet:
         rows = [
             ("condition number", f"{found.condition:.4g}"),

@@ -10,17 +10,8 @@ from typing import Any
 
 import click
 
-from stewart_drake.cli.options import (
-    EXIT_INTERRUPTED,
-    EXIT_RUN_FAILED,
-    OUT_FILE,
-    OutPath,
-    cli,
-    out_folder,
-    overrides,
-    quiet_flag,
-    trust_flag,
-)
+from stewart_drake.cli import options as opt
+from stewart_drake.cli.options import cli
 from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.families import user_parts
@@ -37,12 +28,12 @@ EXIT_DIFFERENT = 1
 
 @cli.command()
 @click.argument("scenario")
-@click.option("--out", type=OutPath(), help="Folder for the results [default: runs/NAME, or runs/NAME-2, ...].")
-@overrides()
+@click.option("--out", type=opt.OutPath(), help="Folder for the results [default: runs/NAME, or runs/NAME-2, ...].")
+@opt.overrides()
 @click.option("--force", is_flag=True, help="Replace the results of another scenario in the folder.")
-@trust_flag
+@opt.trust_flag
 @click.option("--meshcat", is_flag=True, help="Show the run live in a browser.")
-@quiet_flag
+@opt.quiet_flag
 def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool, meshcat: bool, quiet: bool) -> None:
     """Simulate SCENARIO: a YAML file, or the name of a shipped one such as paper_fig7.
 
@@ -77,7 +68,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     if log.status != "completed":
         why = (log.message or "").removeprefix(f"{log.reason}: ")
         say(f"{told(log.status, log.reason, log.outcome_time)}: {why}")
-        sys.exit(EXIT_INTERRUPTED if log.status == "interrupted" else EXIT_RUN_FAILED)
+        sys.exit(opt.EXIT_INTERRUPTED if log.status == "interrupted" else opt.EXIT_RUN_FAILED)
 
 
 def _print_run(log: SimulationLog, results: Results) -> None:
@@ -98,11 +89,13 @@ def _print_run(log: SimulationLog, results: Results) -> None:
 
 @cli.command()
 @click.argument("scenario")
-@overrides()
+@opt.overrides()
 @click.option("--scale", is_flag=True, help="If it cannot be done, find how much smaller it can.")
 @click.option("--retime", is_flag=True, help="If it cannot be done, find how much slower it can.")
 @click.option(
-    "--out", type=OUT_FILE, help="Write the scenario with the motion so made feasible; with one of --scale, --retime."
+    "--out",
+    type=opt.OUT_FILE,
+    help="Write the scenario with the motion so made feasible; with one of --scale, --retime.",
 )
 def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None) -> None:
     """Check the motion of SCENARIO against its limits, over the whole run, and name its code; nothing is run.
@@ -159,7 +152,7 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
 
 
 @cli.command()
-@click.option("--out", type=OUT_FILE, help="File to write [default: standard output].")
+@click.option("--out", type=opt.OUT_FILE, help="File to write [default: standard output].")
 def schema(out: Path | None) -> None:
     """JSON schema of scenario files, for editors."""
     text = json.dumps(scenario_schema(), indent=2) + "\n"
@@ -171,12 +164,12 @@ def schema(out: Path | None) -> None:
 
 @cli.command()
 @click.argument("scenario", default="exact_breathing")
-@out_folder("runs/margins")
+@opt.out_folder("runs/margins")
 @click.option("--poses", type=click.IntRange(1, 100_000), default=1000, help="Drawn from the near box.")
 @click.option("--seed", type=click.IntRange(0), default=0, help="Of the poses.")
-@overrides("estimator.kind=observer")
-@trust_flag
-@quiet_flag
+@opt.overrides("estimator.kind=observer")
+@opt.trust_flag
+@opt.quiet_flag
 def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[str, ...], quiet: bool) -> None:
     """Stability margins of the linear loop of SCENARIO, a file or a shipped name [default: exact_breathing].
 
@@ -214,7 +207,7 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
 
 
 @cli.command()
-@out_folder("runs/workspace")
+@opt.out_folder("runs/workspace")
 @click.option(
     "--samples", type=click.IntRange(1_000, 10_000_000), default=1_000_000, help="Poses in each of the two workspaces."
 )
@@ -225,14 +218,10 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
     metavar="ROLL PITCH YAW X Y Z",
     help="Fixed orientation [rad] and fixed position [m] [default: home].",
 )
-@click.option(
-    "--scenario",
-    default="paper_fig7",
-    help="Take robot, limits and controller of this scenario.",
-)
-@overrides("limits.clearance=0.01")
-@trust_flag
-@quiet_flag
+@click.option("--scenario", default="paper_fig7", help="Take robot, limits and controller of this scenario.")
+@opt.overrides("limits.clearance=0.01")
+@opt.trust_flag
+@opt.quiet_flag
 def workspace(
     out: Path, samples: int, pose: tuple[float, ...] | None, scenario: str, overrides: tuple[str, ...], quiet: bool
 ) -> None:
@@ -294,8 +283,8 @@ def workspace(
 
 @cli.command()
 @click.option("--quick", is_flag=True, help="Smaller sizes, a minute or two.")
-@click.option("--out", type=OutPath(), help="Folder for numbers.json and figures/ [default: none is written].")
-@quiet_flag
+@click.option("--out", type=opt.OutPath(), help="Folder for numbers.json and figures/ [default: none is written].")
+@opt.quiet_flag
 def reproduce(quick: bool, out: Path | None, quiet: bool) -> None:
     """Test the paper claim by claim: a table of claim, paper, ours, verdict.
 

@@ -1,16 +1,20 @@
-"""Commands of many runs, whose rows are kept as they come: `sweep`, `compare`, `tune`, `faults` and `tuner judge`."""
+"""Commands of many runs: `sweep`, `compare`, `tune`, `faults`, `tuner`, `collect` and `train`."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from stewart_drake.cli.options import IN_FILE, cli, out_folder, overrides, sized_option, study_options, under_way
-from stewart_drake.cli.terminal import console, print_table, say
+from stewart_drake.cli import options as opt
+from stewart_drake.cli.options import cli
+from stewart_drake.cli.terminal import console, print_table, progress_bar, say
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.runs.outputs import prepare_file
+from stewart_drake.studies.workers import Workers
 
 if TYPE_CHECKING:
     from stewart_drake.studies.study import Sheet
@@ -18,9 +22,9 @@ if TYPE_CHECKING:
 
 @cli.command()
 @click.argument("sweep")
-@out_folder()
+@opt.out_folder()
 @click.option("--runs", type=click.IntRange(1), help="In place of the number in the file; run i stays the same.")
-@study_options
+@opt.study_options
 def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
     """Run SWEEP many times over: a YAML file, or the name of a shipped one such as initial_offset.
 
@@ -34,7 +38,7 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
     from stewart_drake.studies.sweep import load_sweep, summary
 
     loaded = load_sweep(sweep, runs)
-    with under_way(loaded.name, loaded.runs, **options) as (folder, where, progress):
+    with opt.under_way(loaded.name, loaded.runs, **options) as (folder, where, progress):
         made = run_study(loaded, folder, where, progress, restart)
     if not options["quiet"]:
         print_table(loaded.name, [*summary(made.rows["sweep"]), ("table in", str(folder / "sweep.parquet"))])
@@ -44,10 +48,10 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
 
 @cli.command()
 @click.argument("comparison", default="tracking")
-@out_folder()
+@opt.out_folder()
 @click.option("--quick", is_flag=True, help="Short runs and few bands: figures to look at, not to quote.")
-@sized_option
-@study_options
+@opt.sized_option
+@opt.study_options
 def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **options: Any) -> None:
     """Compare controllers: COMPARISON is a YAML file or one of tracking, controllers, fair, observer.
 
@@ -62,7 +66,7 @@ def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **op
     from stewart_drake.studies.study import run_study
 
     loaded, ending = load_comparison(comparison, quick, robot), "-quick" if quick else ""
-    with under_way(f"{loaded.name}{ending}", loaded.runs, **options) as (folder, where, progress):
+    with opt.under_way(f"{loaded.name}{ending}", loaded.runs, **options) as (folder, where, progress):
         result = run_study(loaded, folder, where, progress, restart)
         for line in write_pictures(loaded, result):
             say(line)
@@ -76,11 +80,11 @@ def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **op
 
 @cli.command()
 @click.argument("comparison")
-@out_folder()
+@opt.out_folder()
 @click.option("--controller", "controllers", multiple=True, metavar="NAME", help="Of those to search [default: all].")
 @click.option("--budget", type=click.IntRange(1), help="Evaluations of each controller, in place of those in the file.")
 @click.option("--quick", is_flag=True, help="Short runs and two generations: to see that all is well.")
-@study_options
+@opt.study_options
 def tune(
     comparison: str, controllers: tuple[str, ...], budget: int | None, quick: bool, restart: bool, **options: Any
 ) -> None:
@@ -96,7 +100,7 @@ def tune(
     from stewart_drake.studies.tune import load_tuning, run_tuning, write_picture
 
     loaded, ending = load_tuning(comparison, controllers, budget, quick), "-tune-quick" if quick else "-tune"
-    with under_way(f"{loaded.name}{ending}", loaded.runs, **options) as (folder, where, progress):
+    with opt.under_way(f"{loaded.name}{ending}", loaded.runs, **options) as (folder, where, progress):
         result = run_tuning(loaded, folder, where, progress, restart)
         line = write_picture(result, folder)
         if line is not None:
@@ -108,11 +112,11 @@ def tune(
 
 
 @cli.command()
-@out_folder("runs/faults")
+@opt.out_folder("runs/faults")
 @click.option("--quick", is_flag=True, help="The held platform alone, a third of the runs.")
-@sized_option
-@overrides("estimator.kind=observer")
-@study_options
+@opt.sized_option
+@opt.overrides("estimator.kind=observer")
+@opt.study_options
 def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], restart: bool, **options: Any) -> None:
     """Inject every fault into a running loop and write what the safety layer makes of it: faults.parquet, .csv and .md.
 
@@ -124,7 +128,7 @@ def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], restart: 
     from stewart_drake.studies.study import run_study
 
     plan = fault_study(quick, robot, overrides)
-    with under_way(plan.name, plan.runs, **options) as (folder, where, progress):
+    with opt.under_way(plan.name, plan.runs, **options) as (folder, where, progress):
         rows = run_study(plan, folder, where, progress, restart).rows["faults"]
     if options["quiet"]:
         return
@@ -148,7 +152,7 @@ def tuner() -> None:
 
 
 @tuner.command("show")
-@click.argument("file", required=False, type=IN_FILE)
+@click.argument("file", required=False, type=opt.IN_FILE)
 def show(file: Path | None) -> None:
     """Print the card of a policy: its box, what it hears, and where it comes from. FILE [default: the shipped one].
 
@@ -163,8 +167,8 @@ def show(file: Path | None) -> None:
 
 
 @tuner.command()
-@click.argument("file", required=False, type=IN_FILE)
-@out_folder("runs/tuner-verdict")
+@click.argument("file", required=False, type=opt.IN_FILE)
+@opt.out_folder("runs/tuner-verdict")
 @click.option("--seeds", type=click.IntRange(2), default=14, help="Of each kind of each robot.")
 @click.option(
     "--engine",
@@ -172,7 +176,7 @@ def show(file: Path | None) -> None:
     default="drake",
     help="The plant: Drake's, or the closed form of the robot, several times faster.",
 )
-@study_options
+@opt.study_options
 def judge(file: Path | None, seeds: int, engine: Any, restart: bool, **options: Any) -> None:
     """Assess a trained policy against settings that stay and other tuners, in situations that none of them has seen.
 
@@ -189,10 +193,103 @@ def judge(file: Path | None, seeds: int, engine: Any, restart: bool, **options: 
     policy = {"kind": "policy", **({} if file is None else {"weights_file": str(file)})}
     entered = candidates(baselines, {"policy": {"tuner": policy}, "schedule": {"tuner": baselines.schedule}})
     runs = len(entered) * len(cells_for()) * seeds
-    with under_way("tuner verdict", runs, **options) as (folder, where, progress):
+    with opt.under_way("tuner verdict", runs, **options) as (folder, where, progress):
         verdict = assess(entered, folder, seeds, engine, where, progress, restart)
         line = write_picture(verdict, folder)
         if line is not None:
             say(line)
     if not options["quiet"]:
         click.echo((folder / "verdict.md").read_text(), nl=False)
+
+
+@cli.command()
+@opt.out_file("runs/dataset.parquet")
+@opt.quiet_flag
+def collect(out: Path, quiet: bool) -> None:
+    """Run the paper's nine experiments and write the tuner's training data (14,400 samples).
+
+    Exit status: 0 done, 2 bad input, 3 an experiment broke, 130 interrupted.
+    """
+    from stewart_drake.training.collect import collect_dataset
+
+    prepare_file(out)
+    with progress_bar("nine experiments", 9.0, quiet, unit="runs") as advance:
+        dataset = collect_dataset(progress=advance, workers=Workers())
+    dataset.save(out)
+    click.echo(f"{len(dataset.inputs)} samples in {out}")
+
+
+@cli.command()
+@click.argument("dataset", type=opt.IN_FILE, required=False)
+@opt.out_file("runs/tuner.json")
+@click.option(
+    "--tuner",
+    type=click.Choice(["paper", "policy"]),
+    default="paper",
+    help="paper: the network of the paper, on DATASET. policy: by evolution on the fast engine, an hour on two cores.",
+)
+@click.option("--seed", type=click.IntRange(0), default=0, help="Of everything that is drawn.")
+@click.option("--epochs", type=click.IntRange(1), help="Of the paper's: passes over the data [default: 2000].")
+@click.option(
+    "--split",
+    type=click.Choice(["samples", "runs"]),
+    help="Of the paper's: what is held back for validation, samples at random, which leak between runs [default], or "
+    "whole runs.",
+)
+@click.option("--generations", type=click.IntRange(1), help="Of the policy: steps of evolution [default: 150].")
+@opt.quiet_flag
+def train(
+    dataset: Path | None, out: Path, tuner: str, seed: int, epochs: int | None, split: Any, generations: int | None,
+    quiet: bool,
+) -> None:  # fmt: skip
+    """Train a tuner and write its file.
+
+    The paper's: the 12-10-2 network on DATASET [default: runs/dataset.parquet] by back-propagation. The policy: in the
+    loop, on situations of two robots, on all cores; interrupted, the same command goes on from its last generation.
+
+    Exit status: 0 done, 2 bad input, 3 no workers are left, 130 interrupted.
+    """
+    foreign: dict[str, object] = {"--generations": generations}
+    if tuner == "policy":
+        foreign = {"DATASET": dataset, "--split": split, "--epochs": epochs}
+    for option, given in foreign.items():
+        if given is not None:
+            allowed = f"nothing: it goes with --tuner {'paper' if tuner == 'policy' else 'policy'}"
+            raise ConfigurationError(option, str(given), allowed)
+    if tuner == "policy":
+        title, rows = _train_policy(out, seed, generations or 150, quiet)
+    else:
+        title, rows = _train_paper(dataset or Path("runs/dataset.parquet"), out, seed, epochs or 2000, split, quiet)
+    if not quiet:
+        print_table(title, rows)
+
+
+def _train_policy(out: Path, seed: int, generations: int, quiet: bool) -> tuple[str, list[tuple[str, str]]]:
+    from stewart_drake.training.policy_training import PolicyOptions, train_policy
+
+    prepare_file(out)
+    options, state = PolicyOptions(seed=seed, generations=generations), out.with_name(f"{out.name}.state")
+    with progress_bar("policy", float(generations), quiet, unit="generations") as advance:
+        policy = train_policy(options, state, lambda done, word: advance(done, f"policy: {word}"))
+    policy.save(out)
+    card = policy.provenance
+    ratios = {"all kinds": card["J_over_best_fixed"], **card["J_over_best_fixed_by_kind"]}
+    title = f"J over that of the best fixed setting on validation, policy in {out}"
+    return title, [(name, f"{value:.3f}") for name, value in ratios.items()]
+
+
+def _train_paper(
+    dataset: Path, out: Path, seed: int, epochs: int, split: Literal["samples", "runs"] | None, quiet: bool
+) -> tuple[str, list[tuple[str, str]]]:
+    from stewart_drake.training.collect import load_dataset
+
+    data = load_dataset(dataset)
+
+    from stewart_drake.training.train import TrainingOptions, train_network
+
+    options = TrainingOptions(seed=seed, epochs=epochs, split=split or "samples")
+    prepare_file(out)
+    with progress_bar("training", float(epochs), quiet, unit="epochs") as advance:
+        result = train_network(data, options, progress=advance)
+    result.network.save(out)
+    return f"tuner in {out}", [(name, f"{value:.4g}") for name, value in result.scores.items()]

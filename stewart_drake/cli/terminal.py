@@ -93,10 +93,7 @@ def drop_output(stream: IO[str]) -> None:
 
 
 def print_table(
-    title: str,
-    rows: Iterable[Sequence[str]],
-    header: Sequence[str] = ("", ""),
-    numbers: Collection[int] | None = None,
+    title: str, rows: Iterable[Sequence[str]], header: Sequence[str] = ("", ""), numbers: Collection[int] | None = None
 ) -> None:
     """A table on standard output, without empty headers; columns `numbers` stand right, None for all but the first."""
     from rich.markup import escape

@@ -1,7 +1,4 @@
-"""Wrenches from outside on the platform, as functions of time: exact, vectorised, seeded.
-
-A wrench is [moment, force] in B, the moment about P: (6,) [N m, N], in the order of a twist [w, v].
-"""
+"""Wrenches [moment, force] about P in B, (6,) [N m, N], from outside on the platform, as functions of time."""
 
 from __future__ import annotations
 
@@ -17,8 +14,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import UserMade
 from stewart_drake.registry import DISTURBANCES
 
-_SINES = 64
-"""Enough that the sum passes for noise: near-normal, and it repeats after hours. Assumed."""
+_SINES = 64  # Enough that the sum passes for noise: near-normal, and it repeats after hours. Assumed.
 
 
 class ConstantWrench(Section, key="disturbances"):
@@ -29,7 +25,6 @@ class ConstantWrench(Section, key="disturbances"):
     kind: Literal["constant"] = "constant"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        """Wrench (..., 6) at times (...) [s]."""
         return _shares(time)[..., None] * np.array(self.wrench)
 
 
@@ -45,12 +40,10 @@ class StepWrench(Section, key="disturbances"):
     kind: Literal["step"] = "step"
 
     def rules(self) -> None:
-        """The interval is one."""
         if self.until is not None and not self.until > self.time:
             raise ConfigurationError("until", self.until, f"a time after {self.time:g} s, or null")
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        """Wrench (..., 6) at times (...) [s]."""
         until = math.inf if self.until is None else self.until
         return _shares(time, self.time, until)[..., None] * np.array(self.wrench)
 
@@ -70,7 +63,6 @@ class ImpulseWrench(Section, key="disturbances"):
     kind: Literal["impulse"] = "impulse"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        """Wrench (..., 6) at times (...) [s]."""
         during = _shares(time, self.time, self.time + self.duration)
         return during[..., None] * (np.array(self.impulse) / self.duration)
 
@@ -87,16 +79,12 @@ class SineWrench(Section, key="disturbances"):
     kind: Literal["sine"] = "sine"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        """Wrench (..., 6) at times (...) [s]."""
         angle = 2.0 * math.pi * self.frequency * np.asarray(time, dtype=float)[..., None] + self.phase
         return np.sin(angle) * np.array(self.wrench)
 
 
 class NoiseWrench(Section, key="disturbances"):
-    """Noise of a flat spectrum between two frequencies, independent on each axis: a seeded sum of sines.
-
-    One sine in each of 64 equal parts of the band, at a random place in it and of random phase.
-    """
+    """Noise of a flat spectrum in a band, independent on each axis: a seeded sine in each 64th of the band."""
 
     rms: tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
     """[N m, N] of each axis: moment about P and force, in B."""
@@ -109,12 +97,10 @@ class NoiseWrench(Section, key="disturbances"):
     kind: Literal["noise"] = "noise"
 
     def rules(self) -> None:
-        """The interval is one."""
         if not self.high > self.low:
             raise ConfigurationError("high", self.high, f"above low, {self.low:g} Hz")
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        """Wrench (..., 6) at times (...) [s]."""
         frequency, phase = self._sines
         angle = 2.0 * math.pi * frequency * np.asarray(time, dtype=float)[..., None, None] + phase
         return np.sqrt(2.0 / _SINES) * np.array(self.rms) * np.sin(angle).sum(axis=-1)
@@ -140,7 +126,6 @@ class UserDisturbance(UserMade, key="disturbances"):
     asked = "evaluate(t) returns a wrench (6,)"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        """Wrench (..., 6) at times (...) [s]; a ConfigurationError where the class answers something else."""
         times = np.asarray(time, dtype=float)
         answers = [self.numbers(self.made.evaluate(float(each))) for each in times.ravel()]
         wrong = [each.shape for each in answers if each.shape != (6,)]
@@ -160,5 +145,5 @@ AnyDisturbance = Annotated[Disturbance, DISTURBANCES]
 
 
 def total_wrench(disturbances: Sequence[Disturbance], time: float | np.ndarray) -> np.ndarray:
-    """Sum of disturbances (..., 6) [N m, N], moment about P and force, in B, at times (...) [s]."""
+    """Sum of disturbances (..., 6) [N m, N] at times (...) [s]."""
     return sum((one.evaluate(time) for one in disturbances), np.zeros((*np.shape(time), 6)))

@@ -8,15 +8,8 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from stewart_drake import errors
 from stewart_drake.config import Section
-from stewart_drake.errors import (
-    AssemblyModeError,
-    ForwardKinematicsError,
-    RunFailure,
-    SingularPoseError,
-    UnreachablePoseError,
-    pose_text,
-)
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
@@ -26,14 +19,11 @@ from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
 
-TOLERANCE = 1e-12
-"""[m] rod-length error at which Newton's method stops."""
-ITERATIONS = 12
-"""Newton steps at most; a warm start needs two."""
+TOLERANCE = 1e-12  # [m] rod-length error at which Newton's method stops.
+ITERATIONS = 12  # Newton steps at most; a warm start needs two.
 SAME_BRANCH = 1.0 - 1e-6
 """Cosine between a crank and the inverse kinematics of the pose found from it; below, it is the other branch's."""
-TOO_FAST, OTHER_MODE = 10, 11
-"""How a tick may end beside the statuses of `kinematics_laws`."""
+TOO_FAST, OTHER_MODE = 10, 11  # How a tick may end beside the statuses of `kinematics_laws`.
 
 
 class EstimatorOptions(Section, key="estimator"):
@@ -45,11 +35,11 @@ class EstimatorOptions(Section, key="estimator"):
 
     @property
     def expected(self) -> float:
-        """[rad/s^2 per sqrt(s)] that an observer expects unless a tuner says otherwise; 0 for no observer."""
+        """[rad/s^2 per sqrt(s)] that an observer expects unless a tuner says otherwise; 0 for none."""
         return 0.0
 
     def ahead(self, delay: int) -> int:
-        """[ticks] from a command to its torque, as believed, of those that it takes."""
+        """[ticks] from a command to its torque, as believed."""
         return delay
 
     def innovation_scale(self, setup: Setup) -> tuple[float, float]:  # noqa: ARG002 - there are none
@@ -68,7 +58,6 @@ class DifferenceOptions(EstimatorOptions):
     kind: Literal["difference"] = "difference"
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
-        """See `EstimatorOptions`."""
         if setup.reading == 12:
             return ()
         return (difference_part(setup.robot, setup.sensors, setup.period, setup.pose, setup.pose_rate),)
@@ -86,15 +75,13 @@ need not have been believed."""
 def _difference(robots: Any, setups: Any, angles: Any, leg_records: Any, states: Any) -> Any:
     """One tick: forward kinematics from the last pose, and the pose's rate from the difference of the angles (6,).
 
-    Two readings one tick apart belong to the middle of the tick, so that the rate lags by half a period. The first tick
-    has one reading; it repeats the crank rates that the state has. A pose is believed if no angle has jumped, Newton's
-    method converges near the last pose, and the rods' lines have not changed orientation: between two assembly modes
-    lies a parallel singularity, where their determinant changes sign. The cranks must stand on the robot's branch of
-    the inverse kinematics, which ends at their dead centres.
+    Two readings belong to the middle of their tick: the rate lags by half a period. The first repeats the crank rates
+    of the state. A pose is believed if no angle has jumped, Newton's method converges near the last pose, and the rods'
+    lines have not changed orientation: between two assembly modes lies a parallel singularity, where their determinant
+    changes sign. The cranks must stand on the robot's branch of the inverse kinematics, which ends at their dead
+    centres.
 
-    Returns:
-        Status, leg or -1, margin; of NO_CONVERGENCE the steps taken and the error [m] in place of these. Where the
-        status is not OK only `candidate` changes.
+    Returns status, leg or -1, margin; of NO_CONVERGENCE steps taken and error [m]. If not OK only `candidate` changes.
     """
     robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
     pose, last = state.candidate[:], state.measurement
@@ -144,8 +131,8 @@ def difference_part(
 ) -> Part:
     """`reading` (6,) [rad] of encoders -> `measurement` (12,), pose [rad, m] and its rate; see `_difference`.
 
-    `pose` is roughly where the platform stands at first, which picks the assembly mode; `pose_rate` of a robot that is
-    in motion at the start. Up to `hold_ticks` failures in a row are bridged by the last good pose and rate.
+    `pose` is roughly where the platform stands at first, which picks the assembly mode. Up to `hold_ticks` failures in
+    a row are bridged by the last good pose and rate.
     """
     cutoff = options.rate_cutoff
     setup = new_record(
@@ -159,7 +146,7 @@ def difference_part(
     initial, own, legs = new_record(_STATE, health=WELL), laws.robot_record(robot), np.empty(1, laws.LEGS)
     initial["measurement"][0, :6] = pose
     # A robot that cannot stand there: the first tick says so, with a log.
-    with contextlib.suppress(UnreachablePoseError), np.errstate(all="ignore"):
+    with contextlib.suppress(errors.UnreachablePoseError), np.errstate(all="ignore"):
         rates = crank_rates(robot, leg_geometry(robot, pose), pose, np.array(pose_rate))
         initial["crank_rate"] = rates if np.isfinite(rates).all() else 0.0
 
@@ -174,22 +161,22 @@ def difference_part(
     return Part("estimator", {"reading": 6}, ("measurement",), initial, tick)
 
 
-def singular_pose(status: int, leg: int, margin: float, pose: np.ndarray) -> SingularPoseError:
-    """The error of a pose that ends a tick as SERIAL, a crank carried slightly across its dead centre, or PARALLEL."""
+def singular_pose(status: int, leg: int, margin: float, pose: np.ndarray) -> errors.SingularPoseError:
+    """The error of a pose that ends a tick as SERIAL, a crank carried across its dead centre, or PARALLEL."""
     if status == SERIAL:
-        return SingularPoseError("serial", pose, margin, 0.0, leg)
-    return SingularPoseError("parallel", pose, 0.0, 0.0)
+        return errors.SingularPoseError("serial", pose, margin, 0.0, leg)
+    return errors.SingularPoseError("parallel", pose, 0.0, 0.0)
 
 
 def _error(
     status: int, leg: int, margin: float, angles: np.ndarray, options: EncoderOptions, state: np.ndarray
-) -> RunFailure:
+) -> errors.RunFailure:
     pose = state["candidate"][0].copy()
     if status == NO_CONVERGENCE:
-        return ForwardKinematicsError(margin, leg)
+        return errors.ForwardKinematicsError(margin, leg)
     if status in (SERIAL, PARALLEL):
         return singular_pose(status, leg, margin, pose)
     if status == OTHER_MODE:
-        return AssemblyModeError(pose, state["measurement"][0, :6].copy())
+        return errors.AssemblyModeError(pose, state["measurement"][0, :6].copy())
     what = "not finite" if status == NOT_FINITE else f"changed faster than {options.max_speed:g} rad/s"
-    return RunFailure(f"encoder readings {pose_text(angles)}: {what}", reason="encoder")
+    return errors.RunFailure(f"encoder readings {errors.pose_text(angles)}: {what}", reason="encoder")

@@ -1,7 +1,4 @@
-"""How sensors, commands and motors fail: on a leg, or on all, from a time on, for a while; and chance, tick by tick.
-
-What a kind of fault does is one function of the fault and of the signal that it spoils, and a line in the registry.
-"""
+"""How sensors, commands and motors fail for a while: each kind a function, a line in the registry."""
 
 from __future__ import annotations
 
@@ -23,10 +20,7 @@ _BLOCK = 1024
 
 
 def tick_numbers(seed: int, stream: int, tick: int, size: int, normal: bool) -> np.ndarray:
-    """Random numbers (size,) of a tick, standard normal or in [0, 1): the same whenever and as often as it is asked.
-
-    Different streams of one seed are independent.
-    """
+    """Random numbers (size,) of a tick, normal or in [0, 1): the same whenever asked, independent by stream."""
     return _block(seed, stream, tick // _BLOCK, size, normal)[tick % _BLOCK]
 
 
@@ -41,35 +35,22 @@ def _block(seed: int, stream: int, block: int, size: int, normal: bool) -> np.nd
 
 @dataclass
 class Signal:
-    """What a fault finds, and spoils in place.
+    """What a fault finds, and spoils in place."""
 
-    Attributes:
-        says: (n,) readings or torques, as the faults before have left them.
-        time: [s].
-        tick: Of the controller.
-        good: (n,) the last readings before one of the faults that keep them; of sensors.
-        late: (n,) true readings of as many ticks ago as the fault says; of sensors.
-    """
-
-    says: np.ndarray
-    time: float = 0.0
-    tick: int = 0
-    good: Any = None
-    late: Any = None
+    says: np.ndarray  # (n,) readings or torques, as the faults before have left them.
+    time: float = 0.0  # [s].
+    tick: int = 0  # Of the controller.
+    good: Any = None  # (n,) the last readings before one of the faults that keep them; of sensors.
+    late: Any = None  # (n,) true readings of as many ticks ago as the fault says; of sensors.
 
 
 class FaultKind(NamedTuple):
-    """What a kind of fault does.
+    """What a kind of fault does."""
 
-    Attributes:
-        spoil: Called with the section of the fault and with a `Signal`, whose `says` it changes in place.
-        needs: Key that this kind must have, and that is null for kinds that do not need it; empty for none.
-        keeps: Whether it goes on from the last good reading, which is then kept; of sensors.
-    """
-
+    # Called with the section of the fault and with a `Signal`, whose `says` it changes in place.
     spoil: Callable[[Any, Any], None]
-    needs: str = ""
-    keeps: bool = False
+    needs: str = ""  # Key that this kind must have, and that is null for kinds that do not need it; empty for none.
+    keeps: bool = False  # Whether it goes on from the last good reading, which is then kept; of sensors.
 
 
 def _kind(value: Callable[[Any, Signal, Any], Any], needs: str = "", keeps: bool = False) -> FaultKind:
@@ -118,16 +99,14 @@ class Fault(Section):
 
     @property
     def channels(self) -> slice:
-        """Entries that it spoils: of its leg, or all."""
         leg = self._key("leg")
         return slice(None) if leg is None else slice(leg, leg + 1)
 
     def ticks_late(self, period: float) -> int:
-        """Whole ticks of a period [s] by which it delays a reading; 0 for a kind that does not."""
+        """Whole ticks of a period [s] by which it delays a reading."""
         return math.ceil((self._key("delay") or 0.0) / period - 1e-6)
 
     def rules(self) -> None:
-        """The keys that the kind needs, and no others."""
         leg, other = self._key("leg"), self._key("other")
         for key, words in (("delay", "a positive number"), ("other", "a leg from 0 to 5")):
             kinds, value = [name for name in self.kinds.names if self.kinds[name].needs == key], self._key(key)
@@ -138,8 +117,7 @@ class Fault(Section):
             raise ConfigurationError(key, given, f"a leg from 0 to 5, other than {apart}")
 
 
-Delay = Annotated[Positive, Field(le=1.0)]
-"""[s] by which a reading may be late; so many readings are kept."""
+Delay = Annotated[Positive, Field(le=1.0)]  # [s] by which a reading may be late; so many readings are kept.
 
 
 class EncoderFault(Fault, key="sensors.faults"):

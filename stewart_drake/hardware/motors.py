@@ -20,8 +20,7 @@ from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import SMALLEST, FrictionOptions
 
-_STREAM = 3
-"""Of random numbers, see `faults.tick_numbers`."""
+_STREAM = 3  # Of random numbers, see `faults.tick_numbers`.
 
 
 class LinkOptions(Section, key="link"):
@@ -50,12 +49,10 @@ class LinkOptions(Section, key="link"):
 
     @cached_property
     def perfect(self) -> bool:
-        """Whether every command arrives at once, as it was sent."""
         chance = self.drop_probability or self.late_probability or self.dropped or self.late or self.faults
         return not chance and self.stop_time is None
 
     def fate(self, tick: int, time: float) -> Literal["arrives", "dropped", "late"]:
-        """What becomes of the command of a tick."""
         drop, late = tick_numbers(self.seed, _STREAM, tick, 2, normal=False)
         stopped = self.stop_time is not None and time >= self.stop_time
         if stopped or tick in self.dropped or drop < self.drop_probability:
@@ -112,9 +109,6 @@ def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: float) ->
     return np.zeros(6)
 
 
-# --- motors ----------------------------------------------------------------------------------------------------------
-
-
 class DeadMotor(Section, key="motors.dead"):
     """A motor without torque from some time on; its crank turns freely."""
 
@@ -139,13 +133,11 @@ class MotorOptions(Section, key="motors"):
     """Motors wired wrong, in order, between amplifier and motor."""
 
     def rules(self) -> None:
-        """In steps yet smaller every torque is infinitely many."""
         if 0.0 < self.resolution < SMALLEST:
             raise ConfigurationError("resolution", self.resolution, f"0, or at least {SMALLEST:g} N m")
 
     @cached_property
     def perfect(self) -> bool:
-        """Whether the torque asked for is the torque."""
         return self.ripple == 0.0 and self.resolution == 0.0 and self.dead is None and not self.faults
 
     def torque(self, wanted: np.ndarray, crank_angles: np.ndarray, time: float) -> np.ndarray:
@@ -172,9 +164,6 @@ def motor_part(options: MotorOptions) -> Part:
     return Part("motors", inputs, ("torque",), new_record(fields(torque=6)), tick, every_step=True)
 
 
-# --- against friction -------------------------------------------------------------------------------------------------
-
-
 class FrictionCompensation(FrictionOptions, key="friction_compensation"):
     """Friction of the motors as the controller believes it; its torque along the reference is added to the command.
 
@@ -192,10 +181,7 @@ _BELIEVED = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, width=()
 
 @njit
 def _against_friction(robots: Any, believed: Any, reference: Any, leg_records: Any, out: Any) -> None:
-    """Torques (6,) g(rate) tanh(rate / width) + viscous rate of cranks that follow a reference (18,).
-
-    Zeros where the reference is out of reach, or a crank at its dead centre.
-    """
+    """Torques (6,) g(rate) tanh(rate / width) + viscous rate along a reference (18,); zeros out of reach."""
     robot, friction, legs = record(robots), record(believed), record(leg_records)
     twist, rates = np.empty(6), np.empty(6)
     out[:] = 0.0

@@ -1,15 +1,9 @@
 """An observer of the platform's motion: pose, rate and what no model explains, from readings of the cranks' angles.
 
-Between two ticks the exact model says what the known torques do. What else happens is one more acceleration of each
-crank, which nobody knows and which wanders. A reading then corrects all three, by the steady Kalman filter of
-
-    theta' = rate,  rate' = model + disturbance + white noise,  disturbance' = white noise,
-    reading = theta + white noise,
-
-the same for each crank. In the cranks' coordinates noise is alike in all directions and the gains are three numbers,
-however the robot stands. Source of the filter's closed form: the spectral factorisation of its Riccati equation, see
-`kalman_gains`; of a disturbance as a further state: C. Johnson, "Accommodation of external disturbances in linear
-regulator and servomechanism problems" (IEEE Trans. Autom. Control 16, 1971).
+Between ticks the exact model predicts; what no model explains is one acceleration of each crank that wanders. A reading
+corrects all three by the steady Kalman filter of theta' = rate, rate' = model + disturbance + white noise,
+disturbance' = white noise, reading = theta + white noise, the same for each crank: noise is alike in all directions
+there. Of a disturbance as a state: C. Johnson, IEEE Trans. Autom. Control 16, 1971.
 
 A motor that sticks makes such a state hunt: it grows until the crank breaks away and jumps too far. So for motors with
 friction it stays as it is while the reference rests and all cranks stand where it wants them, as far as readings tell.
@@ -36,26 +30,17 @@ from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve, s
 from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
 
-SMALLEST_NOISE = 1e-5
-"""[rad] that readings have at least for the observer: finer than that no model is."""
-ARRIVED = 6.0
-"""Standard deviations of a reading within which a crank stands where it is wanted, whatever its friction."""
-SLIP = 4.0
-"""[-] the same in units of break_away / (inertia bandwidth^2): about half of what a crank that hunts jumps by."""
-NOISE_AT_MOST = 8.0
-"""Standard deviations of a reading that an innovation of noise and counts alone has at most."""
+SMALLEST_NOISE = 1e-5  # [rad] that readings have at least for the observer: finer than that no model is.
+ARRIVED = 6.0  # Standard deviations of a reading within which a crank stands where it is wanted, whatever its friction.
+SLIP = 4.0  # [-] the same in break_away / (inertia bandwidth^2): about half of what a crank that hunts jumps by.
+NOISE_AT_MOST = 8.0  # Standard deviations of a reading that an innovation of noise and counts alone has at most.
+# [-] white noise of an acceleration, in units of the disturbance over the bandwidth. It damps the filter's poles: the
+# disk margin of the loop with it is 0.49, without some 0.37.
 WHITE_SHARE = 1.5
-"""[-] white noise of an acceleration, in units of the disturbance over the bandwidth. It damps the filter's poles: with
-none the loop that feeds the disturbance back has a disk margin of some 0.37 in place of 0.49 (`stewart-drake
-margins`)."""
-RESTS = 1e-4
-"""[rad/s] a crank that is to turn more slowly is to rest."""
-LONGEST_DELAY = 100
-"""[ticks] of a command that may be under way; the state has place for so many, whatever the delay is."""
-FARTHEST = 0.3
-"""[s] beyond which a prediction says nothing any more; assumed."""
-MISSING = 20
-"""How a tick may end beside the statuses of `kinematics_laws`."""
+RESTS = 1e-4  # [rad/s] a crank that is to turn more slowly is to rest.
+LONGEST_DELAY = 100  # [ticks] of a command that may be under way; the state has place for so many.
+FARTHEST = 0.3  # [s] beyond which a prediction says nothing any more; assumed.
+MISSING = 20  # How a tick may end beside the statuses of `kinematics_laws`.
 
 
 class ObserverOptions(EstimatorOptions):
@@ -75,21 +60,17 @@ class ObserverOptions(EstimatorOptions):
 
     @property
     def expected(self) -> float:
-        """Its own, unless a tuner says otherwise."""
         return self.disturbance
 
     def ahead(self, delay: int) -> int:
-        """[ticks] of its own, or those of the commands."""
         return delay if self.delay is None else self.delay
 
     def innovation_scale(self, setup: Setup) -> tuple[float, float]:
-        """See `EstimatorOptions`."""
         noise = max(setup.noise, SMALLEST_NOISE)
         turn = bandwidth(noise, self.disturbance * setup.levels[1], setup.period)
         return NOISE_AT_MOST * noise, 1.0 / turn**2 + setup.period**2
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
-        """See `EstimatorOptions`."""
         fixed = setup.robot, self, setup.gravity, setup.period, setup.noise, setup.pose, setup.pose_rate, setup.still
         part = observer_part(*fixed, command_delay=setup.delay, friction=setup.friction, size=setup.reading)
         return (part._replace(reads={"disturbance": np.array([self.disturbance])}),)
@@ -118,20 +99,12 @@ def bandwidth(noise: float, disturbance: float, period: float) -> float:
 
 @njit
 def kalman_gains(noise: float, disturbance: float, period: float) -> tuple[float, float, float]:
-    """Gains of the steady Kalman filter of one crank, in closed form.
+    """Gains of the steady Kalman filter of one crank, in closed form: of angle [-], rate [1/s], disturbance [1/s^2].
 
     With g = disturbance^2 h^5 / noise^2 and a = white^2 h^3 / noise^2 for a white acceleration, the spectrum of the
     readings is proportional to u^3 + (a/4 + g/16) u^2 + (a + g/2) u + g, see `spectral_factor`: disturbance and
     acceleration reach the angle through h^2 (z + 1) / 2 d^3 and h^2 (z + 1) / 2 d^2, d = z - 1. Its factor has the
     filter's poles.
-
-    Args:
-        noise: [rad] standard deviation of a reading.
-        disturbance: [rad/s^2 per sqrt(s)], see `ObserverOptions`.
-        period: h [s].
-
-    Returns:
-        What an innovation of 1 rad adds to the crank's angle [-], rate [1/s] and disturbance [1/s^2].
     """
     turn = bandwidth(noise, disturbance, period) * period
     wandering, white = turn**6, WHITE_SHARE**2 * turn**4
@@ -141,10 +114,7 @@ def kalman_gains(noise: float, disturbance: float, period: float) -> tuple[float
 
 @njit
 def predict(robot: Any, setup: Any, torque: Any, disturbance: Any, pose: Any, rate: Any, legs: Any) -> Any:
-    """Moves pose and rate (6,) by a period, by the exact model, in place; status, leg and margin as `_observe`.
-
-    The torque (6,) [N m] is constant meanwhile; the disturbance (6,) [rad/s^2] is added to the cranks' accelerations.
-    """
+    """Moves pose and rate (6,) by a period under torque (6,) [N m], in place; status, leg, margin as `_observe`."""
     acceleration, h = np.empty(6), setup.period
     bad = legs_at(robot, pose, legs)
     if bad >= 0:
@@ -161,11 +131,7 @@ def predict(robot: Any, setup: Any, torque: Any, disturbance: Any, pose: Any, ra
 def _observe(
     robots: Any, setups: Any, reading: Any, sent: Any, reference: Any, expected: float, leg_records: Any, states: Any
 ) -> Any:
-    """One tick: predicts, corrects by what is believed of the readings, and looks ahead; inputs as of `observer_part`.
-
-    Returns:
-        Status, leg or -1, margin. SERIAL and PARALLEL are said of the pose in the state.
-    """
+    """One tick: predicts, corrects by what is believed of the readings, looks ahead; status, leg or -1, margin."""
     robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
     cosine, sine = np.empty(6), np.empty(6)
     for i in range(6):
@@ -311,16 +277,10 @@ def observer_part(
     """The observer, for a robot as the controller believes it to be; its outputs are the first fields of `_STATE`.
 
     Inputs: reading (6,) [rad] of the cranks, NaN for one that is missing, or (12,) pose [rad, m] and its rate; sent
-    (6,) [N m] the last command, of the tick before, less what of it the friction takes; reference (18,) wanted now;
-    disturbance (1,) [rad/s^2 per sqrt(s)] to expect, see `ObserverOptions`.
-
-    Args: noise [rad], standard deviation of a reading; pose (6,) [rad, m] roughly where the platform stands at first,
-    which picks the assembly mode, and its rate; still (6,) [N m] at the motors until the first command arrives;
-    command_delay [ticks], of which `options.delay` may say otherwise; friction [N m], the largest break-away torque
-    that the motors are believed to have; size of a reading.
-
-    Raises:
-        ConfigurationError: A delay that is too long.
+    (6,) [N m] the last command, less what of it the friction takes; reference (18,) wanted now; disturbance (1,)
+    [rad/s^2 per sqrt(s)] to expect. `noise` [rad] of a reading; `pose` and its rate roughly at first, which picks the
+    assembly mode; `still` (6,) [N m] at the motors until the first command arrives; `command_delay` [ticks], of which
+    `options.delay` may say otherwise; `friction` [N m], the largest break-away torque believed; `size` of a reading.
     """
     delay, noise = options.ahead(command_delay), max(noise, SMALLEST_NOISE)
     if delay * period > FARTHEST:

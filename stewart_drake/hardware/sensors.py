@@ -17,8 +17,7 @@ from stewart_drake.part import Part, Setup
 from stewart_drake.robot.leg import LARGEST
 from stewart_drake.robot.robot_scale import LENGTH
 
-_STREAM = 1
-"""Of random numbers, see `faults.tick_numbers`."""
+_STREAM = 1  # Of random numbers, see `faults.tick_numbers`.
 
 
 class SensorOptions(Section, key="sensors"):
@@ -47,7 +46,7 @@ class SensorOptions(Section, key="sensors"):
         return 0.0
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:  # noqa: ARG002 - exact readings need none
-        """What makes of `plant_pose` or `crank_state` the signal `reading`; none where that is `plant_pose` itself."""
+        """What makes of `plant_pose` or `crank_state` the signal `reading`; none where it is `plant_pose`."""
         return ()
 
 
@@ -60,11 +59,9 @@ class IdealSensors(SensorOptions):
 
     @property
     def exact(self) -> bool:
-        """See `SensorOptions`."""
         return not self.faults
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
-        """See `SensorOptions`."""
         if not self.faults:
             return ()
         return (faulty_sensor_part(self.faults, 12, setup.period)._replace(reads={"reading": "plant_pose"}),)
@@ -97,16 +94,14 @@ class EncoderOptions(SensorOptions):
 
     @cached_property
     def quantum(self) -> float:
-        """[rad] of one count; 0 for none."""
         return 2.0 * math.pi / 2.0**self.resolution_bits if self.resolution_bits else 0.0
 
     @property
     def reading_noise(self) -> float:
-        """[rad] standard deviation of a reading: noise, and rounding to counts as noise."""
+        """Noise, and rounding to counts as noise."""
         return math.hypot(self.noise, self.quantum / math.sqrt(12.0))
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
-        """See `SensorOptions`."""
         if not self.faults:
             return (encoder_part(self),)
         true = encoder_part(self)._replace(says={"reading": "true_reading"})
@@ -118,10 +113,8 @@ class EncoderOptions(SensorOptions):
         return np.rint(angles / self.quantum) * self.quantum if self.quantum > 0.0 else angles
 
 
-_ENCODERS = fields(offset=6, noise=(), quantum=())
-"""[rad] each."""
-_ENCODER_STATE = fields(reading=6, ticks=())
-"""[rad], and ticks done, of which each has its own noise."""
+_ENCODERS = fields(offset=6, noise=(), quantum=())  # [rad] each.
+_ENCODER_STATE = fields(reading=6, ticks=())  # [rad], and ticks done, of which each has its own noise.
 
 
 @njit
@@ -135,7 +128,7 @@ def _read(setups: Any, crank_state: Any, drawn: Any, states: Any) -> None:
 
 
 def encoder_part(options: EncoderOptions) -> Part:
-    """Encoders, while none fails: `crank_state` (12,), angles [rad] and rates, -> `reading` (6,) [rad]."""
+    """Encoders without faults: `crank_state` (12,), angles [rad] and rates, -> `reading` (6,) [rad]."""
     setup, noisy, nothing = new_record(_ENCODERS, options), options.noise > 0.0, np.zeros(6)
 
     def tick(crank_state: np.ndarray, state: np.ndarray) -> None:
@@ -148,10 +141,7 @@ def encoder_part(options: EncoderOptions) -> Part:
 
 
 def faulty_sensor_part(faults: Sequence[Fault], size: int, period: float) -> Part:
-    """A sensor that may fail: its true `reading` (n,) and the `time` (1,) [s] -> what it says, `reading` (n,).
-
-    Each fault acts on what those before it have made of the reading.
-    """
+    """A sensor that may fail: true `reading` (n,) and `time` (1,) [s] -> `reading` (n,), fault after fault."""
     late = [fault.ticks_late(period) for fault in faults]
     # good: for each channel the last reading before it froze or began to count backwards. before: the true readings of
     # now and of the ticks before, newest first.

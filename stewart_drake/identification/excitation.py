@@ -17,8 +17,7 @@ from stewart_drake.identification.samples import samples_of_motion
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.planning.feasibility import bisect
 from stewart_drake.planning.limits import Limits, limit_margins
-from stewart_drake.references.basic import SineReference
-from stewart_drake.references.combined import AdjustedReference, SumReference
+from stewart_drake.references.motions import AdjustedReference, SineReference, SumReference
 from stewart_drake.robot import RobotParameters
 
 HARMONICS = (2, 3, 5, 8, 13, 21, 31)

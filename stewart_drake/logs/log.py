@@ -12,16 +12,7 @@ import numpy as np
 
 from stewart_drake.control.policy import NAMES
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.tables import (
-    column_name,
-    need_pandas,
-    parquet_about,
-    quantity_of,
-    read_columns,
-    to_csv,
-    to_parquet,
-    with_about,
-)
+from stewart_drake.files import tables
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.outcomes import Status, told
 from stewart_drake.scenario import Scenario
@@ -35,8 +26,7 @@ MAX_ROWS = 2_000_000
 """Of a run: all of them are in memory, 140 numbers each, 2.2 GB. At steps of 1 ms they are 33 minutes."""
 
 _VERSION = 3
-_LARGEST = 10**10
-"""[byte] of a file."""
+_LARGEST = 10**10  # [byte] of a file.
 
 
 class SignalSpec(NamedTuple):
@@ -100,7 +90,7 @@ innovation with an observer. `plant_state` has one column per entry of the plant
 
 
 def _columns(name: str, state_names: tuple[str, ...]) -> list[tuple[str, str, str, str]]:
-    """Name without its unit, unit, frame and explanation of each column of a signal."""
+    """Name without its unit, unit, frame and text of each column of a signal."""
     spec = SIGNALS[name]
     if name == "plant_state":
         return [(f"{name}_{entry}", *_state_entry(entry)) for entry in state_names]
@@ -109,7 +99,7 @@ def _columns(name: str, state_names: tuple[str, ...]) -> list[tuple[str, str, st
 
 
 def _state_entry(name: str) -> tuple[str, str, str]:
-    """Unit, frame and explanation of an entry of the plant's state, from the name that Drake gives it."""
+    """Unit, frame and text of an entry of the plant's state, from the name that Drake gives it."""
     joint, _, quantity = name.rpartition("_")
     if joint == "platform":
         unit = "1" if quantity[0] == "q" else {"w": "rad/s", "v": "m/s"}.get(quantity[0], "m")
@@ -128,17 +118,13 @@ class SimulationLog(Mapping[str, np.ndarray]):
         scenario: As run.
         signals: Name -> array, (n,) for time and (n, k) for the rest, see `SIGNALS`.
         state_names: Names of the columns of `plant_state`.
-        status: See `outcomes.Status`.
-        reason: Stable name of what happened, or None.
-        message: One line on it, or None; where a user's code raised, its traceback follows.
-        outcome_time: [s] when that was decided, or None.
-        end_time: [s] simulated time reached.
+        status, reason, message: See `outcomes.Status`; stable name of what happened, and one line on it, or None.
+        outcome_time, end_time: [s] when that was decided, or None; simulated time reached.
         leg: Leg 0..5 to which it belongs, or None.
         warnings: See `outcomes.find_warnings`.
         safety: monitor, level, time [s], leg, cause of the first trip of the safety layer, and worst level; or None.
         wall_time: [s] spent in the simulation.
-        versions: Versions of what ran.
-        files: Path of each file that the scenario names -> sha256 of its content, None where it could not be read.
+        versions, files: Of what ran; path of each file that the scenario names -> sha256, None if unreadable.
         figures: The metrics, from every tick and step of the run, whatever rows the log has; None where nobody took
             them. Those that are not finite are None and named in `not_finite`.
     """
@@ -169,7 +155,6 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return len(self.signals)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Signal `name`."""
         try:
             return self.signals[name]
         except KeyError:
@@ -182,7 +167,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
 
     @property
     def time(self) -> np.ndarray:
-        """(n,) [s] simulated time of each row."""
+        """(n,) [s] of each row."""
         return self.signals["time"]
 
     def outcome(self) -> dict[str, Any]:
@@ -190,7 +175,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return {name: getattr(self, name) for name in _OUTCOME} | {"warnings": list(self.warnings)}
 
     def table(self) -> pa.Table:
-        """The signals as an Arrow table: a column per component, unit, frame and text in each field's metadata."""
+        """The signals as an Arrow table, with unit, frame and text in each field's metadata."""
         import pyarrow as pa
 
         arrays, named = [], []
@@ -199,11 +184,10 @@ class SimulationLog(Mapping[str, np.ndarray]):
             for column, (name, unit, frame, text) in zip(np.atleast_2d(values.T), columns, strict=True):
                 about = {"unit": unit, "frame": frame, "text": text}
                 arrays.append(pa.array(column))
-                named.append(pa.field(column_name(name, unit), pa.float64(), nullable=False, metadata=about))
+                named.append(pa.field(tables.column_name(name, unit), pa.float64(), nullable=False, metadata=about))
         return pa.Table.from_arrays(arrays, schema=pa.schema(named))
 
     def __repr__(self) -> str:
-        """Whose run it is, how it ended and what is in it, in some lines."""
         tick, time = self.scenario.controller.period, self.signals.get("time", np.empty(0))
         row = f", every {np.median(np.diff(time)):.4g} s" if len(time) > 1 else ""
         when = self.end_time if self.outcome_time is None else self.outcome_time
@@ -219,17 +203,16 @@ class SimulationLog(Mapping[str, np.ndarray]):
 
     def to_pandas(self) -> Any:
         """The signals as a pandas.DataFrame, a column per component."""
-        need_pandas("table() gives the same as an Arrow table")
+        tables.need_pandas("table() gives the same as an Arrow table")
         return self.table().to_pandas()
 
     def to_parquet(self) -> bytes:
-        """The log as a Parquet file."""
         about = {"version": _VERSION, "scenario": self.scenario.to_dict(), "outcome": self.outcome()}
-        return to_parquet(with_about(self.table(), "run", about))
+        return tables.to_parquet(tables.with_about(self.table(), "run", about))
 
     def to_csv(self) -> bytes:
-        """The signals as a CSV file; of scenario and outcome it says nothing."""
-        return to_csv(self.table())
+        """The signals alone."""
+        return tables.to_csv(self.table())
 
     def save(self, path: str | Path) -> None:
         """Writes the log to a file, in the format that the end of its name says: .parquet or .csv.
@@ -249,14 +232,12 @@ _OUTCOME = tuple(each.name for each in fields(SimulationLog) if each.name not in
 
 
 def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLog:
-    """Reads a log written by `SimulationLog.save` or by the command `run`.
-
-    Args:
-        path: The file, or a results folder.
-        scenario: Of a CSV file, which says nothing of it; None for the default one, as long as the file.
+    """Reads a log, or results folder, written by `SimulationLog.save` or by the command `run`.
 
     Raises:
-        ConfigurationError: Missing file, not a log of this package, or not as it was written.
+        ConfigurationError: Missing file, not a log of this package, or not as it was written; a CSV file says nothing
+        of
+            its `scenario`, the default one where None is given.
     """
     # Unlike `Path.is_dir` this never raises.
     path = Path(path) / "log.parquet" if os.path.isdir(path) else Path(path)  # noqa: PTH112
@@ -269,7 +250,7 @@ def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLo
             message += ", nor which scenario it was: the default one is taken"
             scenario = Scenario(name=path.stem, duration=end or 1.0)
         return SimulationLog(scenario, signals, state_names, status="unknown", message=message, end_time=end)
-    about = parquet_about(path, key, "run", _LARGEST, "this package")
+    about = tables.parquet_about(path, key, "run", _LARGEST, "this package")
     if about.get("version") != _VERSION:
         raise ConfigurationError(key, f"version {about.get('version')}", f"version {_VERSION}")
     try:
@@ -288,9 +269,9 @@ def _read_signals(path: Path, key: str) -> tuple[dict[str, np.ndarray], tuple[st
     """Signals of a table by name, and the names of the plant's states."""
 
     def choose(names: list[str]) -> dict[str, tuple[str, float]]:
-        return {quantity: (name, factor) for name in names for quantity, factor in [quantity_of(name)]}
+        return {quantity: (name, factor) for name in names for quantity, factor in [tables.quantity_of(name)]}
 
-    columns = read_columns(path, key, choose, _LARGEST, MAX_ROWS + 1)
+    columns = tables.read_columns(path, key, choose, _LARGEST, MAX_ROWS + 1)
     state_names = tuple(name.removeprefix("plant_state_") for name in columns if name.startswith("plant_state_"))
     signals: dict[str, np.ndarray] = {}
     for signal in SIGNALS:

@@ -1,7 +1,4 @@
-"""Numbers of a run: one table of metrics, each a name, a unit, a text and a function of the run's rows.
-
-`metrics.json`, the terminal and the tables of sweeps, comparisons and faults draw from it.
-"""
+"""Numbers of a run: one table of metrics, each a name, a unit, a text and a function of the run's rows."""
 
 from __future__ import annotations
 
@@ -25,10 +22,8 @@ if TYPE_CHECKING:
 
 ValueKind = Literal["number", "whole", "flag", "text", "json"]
 Over = Literal["steps", "ticks", "late_steps", "late_ticks"]
-INTEGRAL_TIME = 5.0
-"""[s] when the paper looks at the integral states."""
-FAILED = 1000.0
-"""Cost of a run that was not completed; no other costs more."""
+INTEGRAL_TIME = 5.0  # [s] when the paper looks at the integral states.
+FAILED = 1000.0  # Cost of a run that was not completed; no other costs more.
 _TYPES: dict[ValueKind, tuple[type, ...]] = {
     "number": (float, int), "whole": (int,), "flag": (bool,), "text": (str,), "json": (dict, list)
 }  # fmt: skip
@@ -36,19 +31,12 @@ _TYPES: dict[ValueKind, tuple[type, ...]] = {
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table.
+    """A column of a table."""
 
-    Attributes:
-        name: Of the column.
-        unit: 1 for a ratio, empty for what has none.
-        text: What it says.
-        kind: What its values are; `json` for values that are lists, written as text.
-    """
-
-    name: str
-    unit: str
-    text: str
-    kind: ValueKind = "number"
+    name: str  # Of the column.
+    unit: str  # 1 for a ratio, empty for what has none.
+    text: str  # What it says.
+    kind: ValueKind = "number"  # What its values are; `json` for values that are lists, written as text.
 
 
 class MetricError(StewartDrakeError):
@@ -103,7 +91,6 @@ class Metric:
         return found
 
     def columns(self) -> tuple[Column, ...]:
-        """Its columns in a table."""
         half = ", second half of the planned duration" if self.over.startswith("late") else ""
         if not self.parts:
             return (Column(self.name, self.unit, self.text + half, self.kind),)
@@ -115,7 +102,7 @@ class Metric:
         )
 
     def shown(self, value: Any) -> str:
-        """A value of the metric as text, with its unit."""
+        """A value as text, with its unit."""
         values = value if isinstance(value, list) else [value]
         if value is None or not values:
             return "-"
@@ -278,12 +265,10 @@ class UserMetric(UserMade, key="metrics"):
     asked = "of(rows) returns plain values"
 
     def rules(self) -> None:
-        """Refuses arguments."""
         if self.arguments:
             raise ConfigurationError("arguments", self.arguments, "nothing, for a metric")
 
     def load(self) -> Metric:
-        """The metric."""
         found = self.code.load(self.code_key)
         if not isinstance(found, Metric):
             allowed = f"the path of a Metric(name, unit, text, function), not of a {type(found).__name__}"
@@ -294,11 +279,7 @@ class UserMetric(UserMade, key="metrics"):
 
 
 def metrics_of(*scenarios: Scenario) -> list[Metric]:
-    """The metrics of runs of these scenarios: those of every run, and their own.
-
-    Raises:
-        ConfigurationError: The name of one, or a column of it, means something already.
-    """
+    """The metrics of every run, and the scenarios' own; a ConfigurationError for a name with a meaning."""
     found = list(METRICS)
     for metric in (own.made for scenario in scenarios for own in scenario.metrics):
         if metric not in found:
@@ -317,7 +298,6 @@ def _columns(metrics: Iterable[Metric]) -> tuple[Column, ...]:
 
 
 def columns(*scenarios: Scenario) -> tuple[Column, ...]:
-    """All that is told of runs in a table: how they ended, and their metrics."""
     return _columns(metrics_of(*scenarios))
 
 
@@ -339,14 +319,13 @@ def figures_of(rows: RunRows) -> dict[str, Any]:
 
 
 def run_metrics(log: SimulationLog) -> dict[str, Any]:
-    """Figures of a run, ready for JSON. Every key is always there.
+    """Figures of a run, ready for JSON; every key is always there.
 
     Of a log that `run` made they come from every control tick, and peaks from every step of the plant, whatever rows
     the log has; of another from its rows.
 
     Returns:
-        status, reason, message, outcome_time [s], end_time [s], leg, warnings; safety: first trip of the safety layer,
-        see `SimulationLog`; rmse_deg to finite, see `METRICS`; not_finite: names of the figures that were NaN or
+        How it ended, see `SimulationLog`; rmse_deg to finite, see `METRICS`; not_finite: figures that were NaN or
         infinite, and are None; real_time_factor; git_revision; versions; files: sha256 of each file that the scenario
         names.
     """
@@ -383,7 +362,7 @@ def second_half(log: SimulationLog) -> np.ndarray:
 
 
 def run_cost(figures: Mapping[str, Any], status: str, period: float, scales: CostScales) -> float:
-    """`cost` of a run with ticks of `period` [s] from its metrics by name, at most `FAILED`; that if not completed."""
+    """`cost` of a run with ticks of `period` [s] from its metrics, at most `FAILED`; that if not completed."""
     parts = [figures.get(name) for name in ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")]
     if status != "completed" or None in parts:
         return FAILED
@@ -392,8 +371,5 @@ def run_cost(figures: Mapping[str, Any], status: str, period: float, scales: Cos
 
 
 def mean_cost(costs: Iterable[float]) -> float:
-    """Mean of the costs of some runs: where errors are large they count for more.
-
-    Not the geometric one, in which a loop that is quiet wherever nothing happens, and gives way to every push, is best.
-    """
+    """Mean of the costs of some runs: where errors are large they count for more."""
     return fmean(costs)

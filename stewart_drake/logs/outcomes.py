@@ -22,23 +22,13 @@ Status = Literal["completed", "stopped", "lost", "failed", "interrupted", "unkno
 robot at the end. lost: the controller was in charge, but the motion was not followed, see `Bounds`. failed: the run
 broke midway. interrupted: the user ended it. unknown: of a log from a file that does not say."""
 
-SETTLING, SETTLING_SHARE = 3.0, 0.6
-"""[s], and share of the run; the shorter of the two is left out at the start. It takes the best of the paper's weights
-3 s to make up for a payload of 0.3 kg that nobody told it of."""
-SHORTEST = 0.5
-"""[s] of a run whose errors are compared with its motion: a loop that follows well settles in 0.1 s, a third of what is
-then left out."""
-WINDOW = 2.0
-"""[s] over which an error is averaged, at least: half a slow breath. In less of a sine its peak would count."""
-LEAST_MOTION = 0.003
-"""Of the robot's characteristic length, 0.33 mm for the paper's: a smaller motion says nothing about an error. A load
-moves a robot that follows well by that much: 0.3 kg that a PD does not know of by 0.23 mm, 5 N by up to 0.74 mm."""
-MUCH_SATURATION = 0.01
-"""Share of torques at the limit above which there is a warning."""
-POORLY_FOLLOWED = 0.5
-"""Error over motion above which a run that was completed has a warning."""
-LARGE_GAP = 0.1
-"""Share of the position's RMSE above which the loop gap is a warning: errors are then known no better than that."""
+SETTLING, SETTLING_SHARE = 3.0, 0.6  # [s], share of the run; the shorter is left out at the start.
+SHORTEST = 0.5  # [s] of a run whose errors are compared with its motion.
+WINDOW = 2.0  # [s] over which an error is averaged, at least: half a slow breath. In less a sine's peak would count.
+LEAST_MOTION = 0.003  # Of the characteristic length, 0.33 mm for the paper's; a load moves a robot by that much.
+MUCH_SATURATION = 0.01  # Share of torques at the limit above which there is a warning.
+POORLY_FOLLOWED = 0.5  # Error over motion above which a run that was completed has a warning.
+LARGE_GAP = 0.1  # Share of the position's RMSE above which the loop gap is a warning: errors are known no better.
 
 
 def pose_distance(pose: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -50,15 +40,8 @@ def pose_distance(pose: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.n
 class RunRows:
     """Signals of a run, `rows["pose"]` and so on, with masks over them; errors are true pose minus reference.
 
-    Attributes:
-        scenario: As run.
-        time: (n,) [s].
-        tick: (n,) whether the controller ticked; `tick_number` (n,) of the latest one.
-        late: (n,) whether in the second half of the planned duration.
-        late_tick: (n,) both.
-        steps, ticks, late_steps, late_ticks: How many rows there are of each.
-        in_charge: (n,) whether the controller was, and not the safety layer.
-        error: (n, 6) [rad, m].
+    time (n,) [s]; masks (n,) tick, late (second half of the planned duration), late_tick, in_charge (the controller);
+    counts steps, ticks, late_steps, late_ticks; tick_number (n,) of the latest tick; error (n, 6) [rad, m].
     """
 
     def __init__(self, scenario: Scenario, signals: Mapping[str, np.ndarray]) -> None:
@@ -76,22 +59,21 @@ class RunRows:
         self._scale = np.array([scenario.robot.characteristic_length] * 3 + [1.0] * 3)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """A signal."""
         return self.signals[name]
 
     @property
     def late_rms(self) -> np.ndarray:
-        """(6,) [rad, m] root mean square error of the second half."""
+        """(6,) [rad, m] RMS error of the second half."""
         return np.sqrt(np.mean(self.error[self.late_tick] ** 2, axis=0))
 
     @property
     def late_rms_norms(self) -> np.ndarray:
-        """(2,) [rad, m] root mean square length of the rotational and of the translational error likewise."""
+        """(2,) [rad, m] RMS length of the rotational and of the translational error likewise."""
         return np.linalg.norm(self.late_rms.reshape(2, 3), axis=1)
 
     @cached_property
     def sizes(self) -> dict[str, np.ndarray]:
-        """Angle and distance from the reference and largest loop gap (n,) [rad, m, m], by the bounds on them."""
+        """Angle and distance from the reference and largest loop gap (n,) [rad, m, m]."""
         rotation, position = pose_distance(self["pose"], self["reference"])
         return {"rotation": rotation, "position": position, "loop_gap": self["loop_gap"].max(axis=1)}
 
@@ -111,10 +93,10 @@ class RunRows:
 
     @cached_property
     def motion_sizes(self) -> tuple[float, float]:
-        """[m] size of the reference's and of the platform's motion; a reference that moves by less than counts has 0.
+        """[m] size of the reference's motion, 0 where it is too small to count, and of the platform's.
 
-        The largest RMS about the mean in any window of `WINDOW` or a little more; rest beside a motion does not make it
-        smaller. Rotations count times the characteristic length.
+        The largest RMS about the mean in any window of `WINDOW` or a little more; rotations times the characteristic
+        length.
         """
         counts = self.tick & self.in_charge
         if not counts.any():
@@ -126,7 +108,7 @@ class RunRows:
 
     @property
     def motion_ratio(self) -> float | None:
-        """Size of the platform's motion over that of its reference; None for a motion that is small."""
+        """None for a motion that is small."""
         wanted, made = self.motion_sizes
         return made / wanted if wanted else None
 
@@ -134,8 +116,8 @@ class RunRows:
     def worst_window(self) -> tuple[float, float, float] | None:
         """RMS error over motion where that is worst, and begin and end [s]; None for a small motion or a run too short.
 
-        Each window after `SETTLING` is compared with the size of the motion; the whole run, settling included, with its
-        own RMS motion and the error at its start.
+        Each window after `SETTLING` is compared with the size of the motion; the whole run with its own RMS motion and
+        the error at its start.
         """
         size, counts, duration = self.motion_sizes[0], self.tick & self.in_charge, self.scenario.duration
         settled = min(SETTLING, SETTLING_SHARE * duration)
@@ -155,16 +137,15 @@ class RunRows:
 
     @property
     def error_ratio(self) -> float | None:
-        """RMS error over motion where that is worst, see `worst_window`."""
         return None if self.worst_window is None else self.worst_window[0]
 
     def _about_mean(self, name: str, counts: np.ndarray) -> np.ndarray:
-        """(n, 6) [m] poses less their mean."""
+        """(n, 6) [m]."""
         values = self._scale * (self[name][counts] - self["reference"][0])
         return values - values.mean(axis=0)
 
     def _window_rms(self, counts: np.ndarray, begin: float, values: np.ndarray) -> np.ndarray:
-        """RMS length of values (n, 6) at the rows that count, in each equal window from a time [s] to the run's end."""
+        """RMS length of values (n, 6) at rows that count, in each equal window from a time [s] to the end."""
         count = max(1, int((self.scenario.duration - begin) / WINDOW + 1e-9))
         length = (self.scenario.duration - begin) / count
         window = np.minimum(((self.time[counts] - begin) / length + 1e-9).astype(np.int64), count - 1)
@@ -172,10 +153,7 @@ class RunRows:
         return np.sqrt(sums / np.maximum(1, np.bincount(window, minlength=count)))
 
     def left(self) -> dict[str, tuple[float, int | None]]:
-        """Bounds that were left while the controller was in charge -> when [s] and at which leg, or None.
-
-        A run that starts outside has to come inside once; one that never did left at its start.
-        """
+        """Bounds left, once inside, by the controller in charge -> when [s] and leg or None; 0 s for never inside."""
         found: dict[str, tuple[float, int | None]] = {}
         for name, size in self.sizes.items() if self.steps else ():
             bound = getattr(self.scenario.bounds, name)
@@ -205,7 +183,7 @@ class RunRows:
 
 
 class Outcome(NamedTuple):
-    """How a run ended, see the attributes of `SimulationLog`."""
+    """How a run ended; fields as of `SimulationLog`."""
 
     status: Status
     reason: str | None = None
@@ -223,14 +201,7 @@ def told(status: str, reason: str | None, time: float | None = None) -> str:
 def assess(
     rows: RunRows, trip: Mapping[str, Any] | None, end_time: float, ended_by: RunFailure | KeyboardInterrupt | None
 ) -> Outcome:
-    """How a run ended, by what happened in it and not by the clock.
-
-    Args:
-        rows: Of every step of the plant.
-        trip: First trip of the safety layer, see `safety.first_trip`, or None.
-        end_time: [s] simulated time reached.
-        ended_by: What ended the run before its time, or None.
-    """
+    """How a run ended, by what happened in it, not by the clock; `trip`: the first of the safety layer or None."""
     if isinstance(ended_by, KeyboardInterrupt):
         return Outcome("interrupted", "interrupted", "stopped by the user", end_time)
     held = isinstance(ended_by, SafetyStop) and trip is not None and trip["last"] != "end"
@@ -268,13 +239,7 @@ def _error_over_motion(rows: RunRows) -> str:
 
 
 def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None) -> tuple[dict[str, Any], ...]:
-    """What a reader of a run should know beside its outcome.
-
-    Returns:
-        name, time [s], number and text of each. safety_intervention: the safety layer took over and gave back, so many
-        times. saturation: share of torques at the limit. loop_gap: largest gap over the RMSE of the position.
-        poorly_followed: error over motion of a run that was completed all the same.
-    """
+    """What a reader should know beside the outcome: name, time [s], number and text of each."""
     found: list[tuple[str, float, float, str]] = []
     if trip is not None and trip["last"] == "none":
         text = f"{trip['monitor']}, {trip['worst']}"

@@ -11,14 +11,14 @@ from stewart_drake.files.whole import PACKAGE
 
 
 def collect_versions() -> dict[str, str | None]:
-    """Versions of Python, of this package and of what it computes with; the git revision where run from a checkout."""
+    """Versions of Python, this package and what it computes with; the git revision of a checkout."""
     versions: dict[str, str | None] = {"python": platform.python_version(), "platform": platform.platform()}
     versions |= {name: package_version(name) for name in ("stewart-drake", "drake", "numpy", "scipy")}
     return {**versions, "git_revision": git_revision(), "source": source_digest()}
 
 
 def package_version(name: str) -> str | None:
-    """Version of an installed distribution; None where it is not installed."""
+    """None where it is not installed."""
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
@@ -26,7 +26,7 @@ def package_version(name: str) -> str | None:
 
 
 def source_digest() -> str:
-    """Digest of this package's Python files: tells changed code from unchanged where there is no git."""
+    """Digest of this package's Python files, for where there is no git."""
     content = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*.py")):
         content.update(str(path.relative_to(PACKAGE)).encode() + b"\0" + path.read_bytes())
@@ -34,7 +34,7 @@ def source_digest() -> str:
 
 
 def git_revision() -> str | None:
-    """Revision of the checkout that this package runs from, with `-dirty` for changed files; None outside of one."""
+    """Revision of this package's checkout, with `-dirty` for changed files; None outside of one."""
     root = PACKAGE.parent
     if not (root / ".git").exists():
         return None

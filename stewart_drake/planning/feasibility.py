@@ -14,65 +14,47 @@ from stewart_drake.planning.limits import PLACES, RULES, Limits, limit_bounds, l
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
 
-SEARCH_RTOL = 1e-4
-"""Relative width at which the searches for the largest amplitude and scale stop."""
+SEARCH_RTOL = 1e-4  # Relative width at which the searches for the largest amplitude and scale stop.
 _HALF_PERIOD_SAMPLES = 257
 _SCALE_STEPS = 16
-_WHOLE_TURN = 1e-3
-"""[rad] within which an angle counts as a number of whole turns."""
+_WHOLE_TURN = 1e-3  # [rad] within which an angle counts as a number of whole turns.
 
 
 @dataclass(frozen=True)
 class LimitMargin:
-    """The margin to one limit at one instant and place.
+    """The margin to one limit at one instant and place."""
 
-    Attributes:
-        limit: Name of the limit, one of `limits.RULES`.
-        bound: The limit's value in `unit`.
-        margin: Signed distance to it in `unit`; negative is outside, -inf where the quantity itself is infinite.
-        time: [s].
-        leg: Leg 0..5, for `clearance` the first of the two; None where the limit belongs to the platform.
-        where: The place in words, such as `rod 1 to rod 2`.
-    """
-
-    limit: str
-    bound: float
-    margin: float
-    time: float
-    leg: int | None
-    where: str
+    limit: str  # Name of the limit, one of `limits.RULES`.
+    bound: float  # The limit's value in `unit`.
+    margin: float  # Signed distance to it in `unit`; negative is outside, -inf where the quantity itself is infinite.
+    time: float  # [s].
+    leg: int | None  # Leg 0..5, for `clearance` the first of the two; None where the limit belongs to the platform.
+    where: str  # The place in words, such as `rod 1 to rod 2`.
 
     @property
     def unit(self) -> str:
-        """Unit of `bound` and `margin`."""
         return RULES[self.limit][0]
 
     @property
     def allowed(self) -> str:
-        """The limit in words."""
         return f"{RULES[self.limit][1].format(self.bound)} ({self.where})"
 
 
 @dataclass(frozen=True)
 class FeasibilityReport:
-    """What `check_motion` found.
+    """What `check_motion` found."""
 
-    Attributes:
-        smallest: The smallest margin to each limit that was checked, in the order of `limits.RULES`. Limits that need
-            crank angles are checked where all legs reach; one that could be checked nowhere is absent.
-        first_violation: The earliest broken limit, with the worst place at that instant; None if feasible.
-    """
-
+    # The smallest margin to each limit that was checked, in the order of `limits.RULES`. Limits that need crank
+    # angles are checked where all legs reach; one that could be checked nowhere is absent.
     smallest: dict[str, LimitMargin]
+    # The earliest broken limit, with the worst place at that instant; None if feasible.
     first_violation: LimitMargin | None
 
     @property
     def feasible(self) -> bool:
-        """Whether no limit is broken."""
         return self.first_violation is None
 
     def raise_if_infeasible(self) -> None:
-        """Raises an InfeasibleReferenceError for the first violation, if there is one."""
         v = self.first_violation
         if v is not None:
             raise InfeasibleReferenceError(v.limit, v.time, v.leg, v.margin, v.allowed)
@@ -87,12 +69,7 @@ def check_motion(
     pose_acceleration: np.ndarray,
     gravity: float,
 ) -> FeasibilityReport:
-    """Margins to all limits along a sampled motion: times (n,) [s], poses (n, 6), their rates and accelerations.
-
-    That no crank changes its branch follows from `reach` and `transmission`: the two branches of a leg meet at its dead
-    centre alone, where both margins end; that the platform stays in its assembly follows from `conditioning`. A pose
-    out of reach does not raise: it breaks `reach`, and the samples after it are checked all the same.
-    """
+    """Margins to all limits along a motion: times (n,) [s], poses (n, 6), rates and accelerations; out of reach too."""
     for name, values in (("pose", pose), ("pose_rate", pose_rate), ("pose_acceleration", pose_acceleration)):
         if values.shape != (len(time), 6) or not np.isfinite(values).all():
             raise ConfigurationError(name, values, f"finite numbers of shape ({len(time)}, 6)")
@@ -151,9 +128,6 @@ def check_reference(
         duration: [s] > 0.
         gravity: [m/s^2] along -z of B.
         samples_per_second: [1/s] at least; at the default a peak of a 5 Hz signal is met to 5e-4, of 12 Hz to 3e-3.
-
-    Raises:
-        ConfigurationError: A duration or rate that is not positive; as in `check_motion`.
     """
     for name, value in (("duration", duration), ("samples_per_second", samples_per_second)):
         if not 0.0 < value < math.inf:
@@ -165,11 +139,10 @@ def check_reference(
 def largest_amplitude(robot: RobotParameters, limits: Limits, axis: int, frequency_hz: float, gravity: float) -> float:
     """Largest A [rad] or [m] for which home + a sin(2 pi f t) along one axis (0..5) is feasible for every a <= A.
 
-    Whether all amplitudes up to A are feasible can be told from A alone. At an offset x the acceleration is
-    -(2 pi f)^2 x whatever the amplitude, and the squared speed runs from 0 (a = |x|) to (2 pi f)^2 (A^2 - x^2). Crank
-    speeds grow with it and motor torques are linear in it, so its two ends decide, and bisection finds A, feasible and
-    below the largest by a relative 1e-4 at most. Angles end at pi. Zero where home itself is not feasible; a frequency
-    of zero asks for the range at rest.
+    At an offset x the acceleration is -(2 pi f)^2 x whatever the amplitude, and the squared speed runs from 0 to (2 pi
+    f)^2 (A^2 - x^2). Crank speeds grow with it and motor torques are linear in it: its two ends decide, and bisection
+    finds A to a relative 1e-4. Angles end at pi. Zero where home itself is not feasible; frequency zero is the range at
+    rest.
     """
     omega = 2.0 * math.pi * frequency_hz
     # The speeds' sign changes no margin, so trough to peak stands for the whole period; then the same offsets at rest.
@@ -192,7 +165,7 @@ def largest_amplitude(robot: RobotParameters, limits: Limits, axis: int, frequen
 
 
 def amplitude_table(robot: RobotParameters, limits: Limits, frequencies: Iterable[float], gravity: float) -> np.ndarray:
-    """`largest_amplitude` of every axis at every frequency [Hz]; (n, 6) [rad, m]."""
+    """`largest_amplitude` (n, 6) [rad, m] of every axis at every frequency [Hz]."""
     return np.array([[largest_amplitude(robot, limits, axis, f, gravity) for axis in range(6)] for f in frequencies])
 
 
@@ -204,11 +177,7 @@ def largest_scale(
     gravity: float,
     samples_per_second: float = 500.0,
 ) -> float:
-    """Largest scale in [0, 1] for which the scaled reference, and each smaller one tried, is feasible; to 1e-4.
-
-    In general a larger scale may be feasible where a smaller one is not; 16 equal steps look for that before bisection.
-    Zero where scale 0 is not feasible.
-    """
+    """Largest scale in [0, 1] for which it, and each smaller one of 16 steps, is feasible; to 1e-4."""
 
     def feasible(scale: float) -> bool:
         return check_reference(robot, limits, make_reference(scale), duration, gravity, samples_per_second).feasible
@@ -221,7 +190,7 @@ def largest_scale(
 
 
 def bisect(feasible: Callable[[float], bool], low: float, high: float) -> float:
-    """The last feasible value met on the way to the boundary between `low`, feasible, and `high`, not feasible."""
+    """The last feasible value met on the way to the boundary between `low`, feasible, and `high`, not."""
     smallest = SEARCH_RTOL**2 * high
     while high - low > SEARCH_RTOL * high and high > smallest:
         middle = 0.5 * (low + high)

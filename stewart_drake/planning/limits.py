@@ -1,13 +1,8 @@
 """What a motion must keep to, and how far a pose or a motion is from each limit: one compiled law, on all cores.
 
-A margin is positive inside, zero at the limit and negative outside, in the limit's own unit. A motion is checked at its
-samples only; between them nothing is known but one thing: a sign change of the rods' determinant, a parallel
-singularity jumped over, counts as broken `conditioning`.
-
-Serial and parallel singularities are told apart by two measures. `transmission` |e_l . e_N| is zero where a crank is at
-its dead centre (serial): the motor moves, the platform does not; `reach` is zero there too. `conditioning` is zero
-where the rods' lines lose rank (parallel): the platform moves, the motors do not. The sign of the lines' determinant
-tells a pose beyond a parallel singularity from one before it.
+A margin is positive inside, in the limit's own unit. A motion is checked at its samples; beyond them, a sign change of
+the rods' determinant, a parallel singularity jumped over, counts as broken `conditioning`. `transmission` |e_l . e_N|
+is zero where a crank is at its dead centre (serial), `conditioning` where the rods' lines lose rank (parallel).
 """
 
 from __future__ import annotations
@@ -132,11 +127,7 @@ def limit_margins(
     pose_acceleration: np.ndarray,
     gravity: float,
 ) -> dict[str, np.ndarray]:
-    """Margins of a sampled motion (n, 6) to each limit that is on, in the order of `RULES`.
-
-    (n, k) for each limit, a column for each of its `PLACES`. It never raises for a pose out of reach: NaN where a rod
-    cannot span, -inf where the quantity itself is infinite. `reach` and `euler_pitch` are known everywhere.
-    """
+    """Margins (n, k) of a motion (n, 6) to each limit that is on, by `PLACES`; NaN where a rod cannot span."""
     m = measure(robot, pose, pose_rate, pose_acceleration, gravity)
     reached = m["side"][~np.isnan(m["side"])]
     margins: dict[str, Callable[[float], np.ndarray]] = {
@@ -185,10 +176,7 @@ def measure(
     gravity: float,
     torque_limit: float | None = None,
 ) -> np.ndarray:
-    """`MEASURES` records (n,) of a sampled motion: poses, rates and accelerations (n, 6).
-
-    `torque_limit` [N m] stands in place of the robot's `effort_limit`; each motor keeps its share of it.
-    """
+    """`MEASURES` records (n,) of a motion (n, 6); `torque_limit` [N m] stands in place of `effort_limit`."""
     motion = [np.array(each, dtype=float, order="C") for each in (pose, pose_rate, pose_acceleration)]
     made = np.full((len(motion[0]), MEASURES.itemsize // 8), np.nan).view(MEASURES)[:, 0]
     limit = (robot.effort_limit if torque_limit is None else torque_limit) * np.array(robot.effort_shares)
@@ -197,10 +185,7 @@ def measure(
 
 
 def measure_poses(
-    robot: RobotParameters,
-    pose: np.ndarray,
-    gravity: float = STANDARD_GRAVITY,
-    torque_limit: float | None = None,
+    robot: RobotParameters, pose: np.ndarray, gravity: float = STANDARD_GRAVITY, torque_limit: float | None = None
 ) -> np.recarray:
     """`POSE_MEASURES` records (n,) at poses (n, 6) [rad, m]."""
     pose = np.asarray(pose, dtype=float)
@@ -248,7 +233,6 @@ def _stroke(robot: RobotParameters, measures: np.ndarray) -> tuple[np.ndarray, n
 
 @njit
 def _rod_directions(legs: Any, made: Any) -> None:
-    """Fills `MEASURES.rod`."""
     lateral, to_platform = np.empty(3), np.ascontiguousarray(legs.rotation.T)
     for i in range(6):
         turned(to_platform, legs.e_l[i], made[i])
@@ -259,10 +243,7 @@ def _rod_directions(legs: Any, made: Any) -> None:
 
 @njit
 def segment_distance(start: Any, way: Any, other_start: Any, other_way: Any) -> float:
-    """Shortest distance between two line segments, of start and way (3,) [m], also parallel, crossing or of no length.
-
-    C. Ericson, Real-Time Collision Detection (2005), 5.1.9: the optimum of each line's parameter, clamped in turn.
-    """
+    """Distance [m] between segments of start and way (3,): Ericson, Real-Time Collision Detection (2005), 5.1.9."""
     uu, uv, vv, ur, vr = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(3):
         u, v, r = way[k], other_way[k], start[k] - other_start[k]
@@ -286,7 +267,7 @@ def segment_distance(start: Any, way: Any, other_start: Any, other_way: Any) -> 
 
 @njit
 def _link_distances(robot: Any, legs: Any, apart: float, made: Any) -> None:
-    """Fills `MEASURES.distance`: cranks 0 to 5, then rods 0 to 5, in pairs; `apart` [m] is taken off each."""
+    """Fills `MEASURES.distance`: cranks, then rods, in pairs, less `apart` [m]."""
     start, way = np.empty((12, 3)), np.empty((12, 3))
     for i in range(6):
         for k in range(3):

@@ -14,8 +14,7 @@ from stewart_drake.planning.limits import Limits, limit_margins
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import PAPER
 
-_DRAWN, _MOST = 4096, 500
-"""Poses at a time, and times at most."""
+_DRAWN, _MOST = 4096, 500  # Poses at a time, and times at most.
 
 
 class Region(NamedTuple):
@@ -26,7 +25,7 @@ class Region(NamedTuple):
     words: str
 
     def around(self, robot: RobotParameters) -> Region:
-        """The box of a robot, whose shifts grow with its size; the paper's own is as it stands."""
+        """The box of a robot, whose shifts grow with its size."""
         size = robot.characteristic_length / PAPER.characteristic_length
         if size == 1.0:
             return self
@@ -59,11 +58,7 @@ def sample_poses(
     limits: Limits | None = None,
     gravity: float = STANDARD_GRAVITY,
 ) -> PoseSample:
-    """`count` poses uniform over a box, out-of-reach ones left out; fewer where hardly any can be reached.
-
-    Poses whose `kinematics.reach_margin` is below `least_margin` count as outside, and, where `limits` are given, those
-    that break one at rest.
-    """
+    """`count` poses uniform over a box, in reach by `least_margin` and within `limits`; fewer where hardly any are."""
     kept, drawn = np.empty((0, 6)), 0
     while len(kept) < count and drawn < _MOST * _DRAWN:
         poses = robot.home_pose + rng.uniform(-1.0, 1.0, (_DRAWN, 6)) * region.half_width

@@ -11,8 +11,7 @@ from stewart_drake.mechanics.kinematics import leg_geometry
 from stewart_drake.planning.limits import measure_poses
 from stewart_drake.robot import RobotParameters
 
-Sheet = tuple[str, Sequence[str], Sequence[Sequence[str]]]
-"""Title, header and rows of texts."""
+Sheet = tuple[str, Sequence[str], Sequence[Sequence[str]]]  # Title, header and rows of texts.
 _BODIES = (
     *("home_height", "characteristic_length", "link_radius", "effort_limit", "rotor_inertia"),
     *("platform_mass", "platform_center_of_mass", "platform_inertia", "platform_products"),
@@ -46,11 +45,7 @@ def robot_sheets(robot: RobotParameters) -> list[Sheet]:
         ("conditioning of the rods' lines", f"{measures.conditioning:.3f}", "-"),
         ("smallest gap between links of two legs", f"{1e3 * measures.clearance:.2f}", "mm"),
         ("inertia felt in heave, motors and rods included", f"{task_inertia(robot, robot.home_pose)[5, 5]:.4g}", "kg"),
-        (
-            "largest torque at rest, of the effort limit",
-            f"{share:.1f}",
-            "%",
-        ),
+        ("largest torque at rest, of the effort limit", f"{share:.1f}", "%"),
     ]
     of_leg = ("leg", "shaft in B [mm]", "crank at 0", "crank at pi/2", "joint in P [mm]", "crank, rod [mm]")
     there = ("leg", "branch", "angle [deg]", "stops [deg]", "transmission [-]", "torque at rest, limit [N m]")

@@ -1,8 +1,6 @@
 """Regions of poses over a grid: how much of space, or of all orientations, each limit leaves; and the ways out of them.
 
-A position workspace is the set of positions at a fixed orientation, an orientation workspace that of orientations at a
-fixed position. What a pose takes up of a limit is its utilisation: 1 at the limit, above 1 outside. It makes limits of
-different units comparable; for a quantity x with a lower bound b it is b / x.
+What a pose takes up of a limit is its utilisation: 1 at the limit, above 1 outside; b / x for a lower bound b.
 """
 
 from __future__ import annotations
@@ -54,11 +52,7 @@ _STEPS, _BISECTIONS = 64, 16
 def utilisation(
     robot: RobotParameters, limits: Limits, pose: np.ndarray, measures: np.recarray
 ) -> dict[str, np.ndarray]:
-    """Part (n,) [-] of each limit that is on which poses (n, 6) at rest take up, by their `POSE_MEASURES` records.
-
-    NaN where a rod cannot span, but for `reach` and `euler_pitch`; infinite beyond a parallel singularity and where
-    links overlap.
-    """
+    """Part (n,) [-] of each limit that is on which poses (n, 6) at rest take up; NaN where a rod cannot span."""
     bounds = limit_bounds(robot, limits)
     if "joint_swing" in bounds:
         bounds["ball_swing"] = bounds["universal_swing"] = bounds["joint_swing"]
@@ -78,10 +72,7 @@ def utilisation(
 
 
 def governing_limit(use: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """The largest utilisation (n,) [-] and the index (n,) of its limit in `LIMIT_NAMES`.
-
-    Where a rod cannot span, that is what governs, whatever else is known of the pose.
-    """
+    """The largest utilisation (n,) [-] and its place in `LIMIT_NAMES`; reach, where a rod cannot span."""
     stack = np.stack(list(use.values()))
     unknown = np.isnan(stack).any(axis=0)
     stack[1:, unknown] = -np.inf
@@ -91,10 +82,7 @@ def governing_limit(use: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Cells of a box in three coordinates of the pose, from corner `low` to `high` (3,); without a length, a slice.
-
-    The other coordinates are those of `center` (6,) [rad, m].
-    """
+    """Cells of a box in three coordinates of the pose, `low` to `high` (3,); the others as in `center` (6,)."""
 
     coordinates: list[int]
     center: np.ndarray
@@ -104,12 +92,11 @@ class Grid:
 
     @property
     def width(self) -> np.ndarray:
-        """(3,) [rad] or [m] of a cell."""
+        """(3,) [rad] or [m]."""
         return (self.high - self.low) / self.counts
 
     @cached_property
     def axes(self) -> tuple[np.ndarray, ...]:
-        """Centres of the cells along each side."""
         sides = zip(self.low, self.width, self.counts, strict=True)
         return tuple(low + width * (np.arange(n) + 0.5) for low, width, n in sides)
 
@@ -122,10 +109,7 @@ class Grid:
 
     @cached_property
     def cell_size(self) -> np.ndarray:
-        """(n,) size of each cell: product of its sides; of an orientation workspace, the share [-] of all orientations.
-
-        A random orientation has roll and yaw uniform and pitch of density cos(pitch): 8 pi^2 in all.
-        """
+        """(n,) product of a cell's sides; of orientations the share of all, 8 pi^2 with pitch of density cos(pitch)."""
         if self.coordinates != COORDINATES["orientation"]:
             return np.full(math.prod(self.counts), float(np.prod(self.width)))
         roll, pitch, yaw = self.width
@@ -135,11 +119,7 @@ class Grid:
 
 
 def spanning_grid(robot: RobotParameters, kind: Kind, center: np.ndarray, samples: int) -> Grid:
-    """A grid of about `samples` nearly cubic cells over the poses around a centre (6,) at which all rods can span.
-
-    A coarse grid over `outer_box`, or over all orientations, is cut down to what can be reached and a cell more on each
-    side.
-    """
+    """A grid of about `samples` nearly cubic cells over the poses around a centre (6,) at which all rods can span."""
     center = np.asarray(center, dtype=float)
     check_center(robot, center)
     if samples < 8:
@@ -166,8 +146,8 @@ def check_center(robot: RobotParameters, center: np.ndarray) -> None:
 def outer_box(robot: RobotParameters, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper corner (3,) [m] of a box around the positions in reach at the orientation of a `center` in reach.
 
-    No joint is further from its shaft than crank and rod together. Of these positions those on the centre's side of the
-    motors' shafts, where it is above or below them all: the other side belongs to another assembly.
+    Of these those on the centre's side of the shafts, where it is above or below them all: the rest is another
+    assembly.
     """
     about = robot.shaft_positions - robot.platform_joints @ rotation_matrix(center[:3]).T
     reach = (robot.crank_lengths + robot.rod_lengths)[:, None]
@@ -196,12 +176,10 @@ class Survey:
 
     @property
     def spanning(self) -> np.ndarray:
-        """(n,) bool, all rods can span."""
         return self.measures.reach >= 0.0
 
     @cached_property
     def feasible(self) -> np.ndarray:
-        """(n,) bool, within every limit."""
         return np.all([u <= 1.0 for u in self.use.values()], axis=0)
 
     @cached_property
@@ -225,11 +203,10 @@ class Survey:
         return ((pieces == pieces[cell]) & (pieces > 0) & inside).ravel()
 
     def size(self, mask: np.ndarray) -> float:
-        """Size of the cells of a mask, see `Grid.cell_size`."""
         return float(self.grid.cell_size[mask].sum())
 
     def bounding_box(self, mask: np.ndarray) -> np.ndarray | None:
-        """(2, 3) [rad] or [m] lower and upper corner around the cells of a mask; None where it is empty."""
+        """(2, 3) [rad] or [m] corners around the cells of a mask; None for none."""
         if not mask.any():
             return None
         point = self.grid.poses[mask][:, self.grid.coordinates]
@@ -238,7 +215,7 @@ class Survey:
 
 
 def survey(robot: RobotParameters, limits: Limits, grid: Grid, gravity: float = STANDARD_GRAVITY) -> Survey:
-    """Measures every cell of a grid; force and moment keep to the limit of the torque, where it is on."""
+    """Measures every cell of a grid."""
     measures = measure_poses(robot, grid.poses, gravity, limit_bounds(robot, limits).get("torque"))
     return Survey(grid, measures, utilisation(robot, limits, grid.poses, measures))
 
@@ -253,11 +230,7 @@ def way_out(
     most: float = 1.0,
     bisections: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How far (m,) along straight ways (m, 6) from a pose no limit is taken up by more than `most`; which one then is.
-
-    Looked at in steps (k,), then by bisections; a gap between two steps is not seen. The limit (m,) is an index in
-    `LIMIT_NAMES`, -1 where none ends the way.
-    """
+    """How far (m,) along ways (m, 6) no limit is taken up by more than `most`; which one (m,) then is, or -1."""
     torque = limit_bounds(robot, limits).get("torque")
     inner, outer = np.zeros(len(ways)), np.full(len(ways), steps[-1])
     limit = np.full(len(ways), -1)
@@ -302,10 +275,7 @@ def boundary(
     directions: np.ndarray,
     gravity: float = STANDARD_GRAVITY,
 ) -> Boundary:
-    """Ways from a centre (6,) to the first broken limit, along unit vectors (m, 3) of space, or of roll, pitch, yaw.
-
-    64 steps to the far end, pi or all that can be in reach, and bisection to a 65,000th of a step.
-    """
+    """Ways from a centre (6,) to the first broken limit, along unit vectors (m, 3): 64 steps, then bisection."""
     center = np.asarray(center, dtype=float)
     check_center(robot, center)
     longest = math.pi
@@ -318,7 +288,7 @@ def boundary(
 
 
 def slices(robot: RobotParameters, limits: Limits, gravity: float, found: Survey, pixels: int) -> list[Survey]:
-    """Five slices across the third coordinate of a survey and one along it, all through what the limits leave."""
+    """Five slices across the third coordinate of a survey and one along it, through what the limits leave."""
     grid, middle = found.grid, found.grid.center[found.grid.coordinates]
     box = found.bounding_box(found.connected)
     if box is None:
@@ -351,8 +321,7 @@ def study_poses(
 ) -> tuple[dict[str, Any], dict[Kind, Survey]]:
     """What the poses around a centre (6,) [rad, m] allow: plain numbers, and a survey of each of both workspaces.
 
-    Of grids of `samples` poses and so many ways out; around other centres of a twentieth of the samples. Sizes are in
-    m^3, or shares of all orientations; None of a centre that cannot be reached.
+    Sizes are in m^3, or shares of all orientations; None of a centre that cannot be reached.
     """
     center = np.asarray(center, dtype=float)
 

@@ -1,7 +1,6 @@
 """The robot in the six coordinates of its platform: the exact closed chain, stepped as the `MultibodyPlant` is.
 
-Semi-implicit Euler, of first order like SAP: accelerations at the step's beginning, the pose by the velocity at its
-end, friction by what it is at the end. Loops are closed in every step, rods do not spin.
+Semi-implicit Euler, of first order like SAP: accelerations at the step's beginning, friction and pose at its end.
 """
 
 from __future__ import annotations
@@ -26,8 +25,7 @@ CHAIN_STATE = fields(pose=6, pose_rate=6, twist=6, angles=6, crank_rate=6, ancho
 """What there is to know of the robot at an instant. pose: [rad, m], pitch in [-pi/2, pi/2]. pose_rate: Euler rates and
 velocity [rad/s, m/s]. twist: in B [rad/s, m/s]. angles: of the cranks [rad], not wrapped. crank_rate: theirs [rad/s].
 anchor: of the bristles [rad]. slip: speed of the anchors in the step before [rad/s]."""
-SETUP = fields(gravity=(), step=())
-"""[m/s^2], [s]."""
+SETUP = fields(gravity=(), step=())  # [m/s^2], [s].
 
 
 def loaded(robot: RobotParameters, options: PlantOptions) -> np.ndarray:
@@ -36,8 +34,6 @@ def loaded(robot: RobotParameters, options: PlantOptions) -> np.ndarray:
 
 
 class ClosedChain:
-    """The closed chain of a robot, with the options that `engine: reduced` can have."""
-
     def __init__(self, robot: RobotParameters, options: PlantOptions, gravity: float) -> None:
         self._robot, self._home = robot, home_frames(robot)
         setup = new_record(SETUP, gravity=gravity, step=on_grid(options.time_step))
@@ -53,11 +49,7 @@ class ClosedChain:
         return new_record(CHAIN_STATE, **moving, anchor=angles)
 
     def step(self, torque: np.ndarray, wrench: np.ndarray, state: np.ndarray) -> None:
-        """A step under torques (6,) [N m] asked of the motors and a wrench (6,) [N m, N] on the platform, about P in B.
-
-        Raises:
-            SingularPoseError: A crank comes to its dead centre, where this description ends.
-        """
+        """A step under torques (6,) [N m] and a wrench (6,) [N m, N] about P; SingularPoseError at a dead centre."""
         leg, margin = _step(*self._fixed, torque, wrench, state)
         if leg >= 0:
             raise SingularPoseError("serial", state["pose"][0].copy(), margin, 0.0, leg)
@@ -130,10 +122,7 @@ def _rub(friction: Any, jacobian: Any, pushed: Any, step: float, state: Any, twi
 
 @njit
 def _turn(axis: Any, omega: Any, step: float, out: Any) -> None:
-    """An axis (3,) of P after a step of a quaternion along its rate, made of length one again.
-
-    v + 2 q x (v + q x v) / (1 + q q) with q = h w / 2: a turn by 2 atan(h w / 2).
-    """
+    """An axis (3,) of P after a step of a quaternion along its rate, of length one: a turn by 2 atan(h w / 2)."""
     half, inner, outer = 0.5 * step * omega, np.empty(3), np.empty(3)
     scale = 2.0 / (1.0 + half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
     laws.cross(half, axis, inner)

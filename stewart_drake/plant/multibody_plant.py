@@ -3,11 +3,9 @@
 Drake holds the loops closed by six ball constraints. Their gap grows with the square of the step, about 6e-7 m at 1 ms;
 the motion itself is first order in the step. Report `StewartPlant.loop_gap` with every run.
 
-Friction that sticks, which Drake's joints lack, is servos on the anchors of bristles: a second actuator on each motor
-pulls its crank towards the anchor. SAP takes such a servo implicitly and cuts it at the actuator's effort limit,
-break-away. That limit is settled before `Finalize`, and the level in sliding lies below it: the rest of the way,
-`relief`, is added as a plain force and taken off the servo before the cut, so that in the direction of the slip the two
-together pull as the bristle does, down to the level and no further.
+Friction that sticks is servos on the anchors of bristles: a second actuator on each motor pulls its crank towards the
+anchor, implicitly, cut at its effort limit, break-away. The level in sliding lies below that: the rest, `relief`, is
+added as a plain force and taken off the servo before the cut, so that the two together pull as the bristle does.
 """
 
 from __future__ import annotations
@@ -56,12 +54,9 @@ class StewartPlant(StateMap):
     """A finalised plant in a Diagram, its two ports, and the maps to and from its state; made by `add_plant`.
 
     Attributes:
-        plant: The multibody plant: nq 25 and nv 24, or 31 and 30 with ball joints on the cranks.
-        scene_graph: Where the geometry is registered, or None.
-        torque_input_port: (6,) [N m] motor torques, clipped to the effort limit, whatever friction needs inside.
-        state_output_port: (nq + nv,) the state.
-        state_names: Drake's names of the state's entries, (nq + nv).
-        indices: Where things are in the state.
+        plant, scene_graph: The multibody plant (nq 25, nv 24, or 31 and 30 with ball joints); the SceneGraph, or None.
+        torque_input_port: (6,) [N m] motor torques, clipped to the effort limit; it must be connected or fixed.
+        state_output_port, state_names, indices: (nq + nv,) the state, Drake's names of its entries, where things are.
     """
 
     def __init__(
@@ -84,10 +79,7 @@ class StewartPlant(StateMap):
         self.state_names: tuple[str, ...] = tuple(plant.GetStateNames(add_model_instance_prefix=False))
 
     def break_rod(self, context: Context, leg: int) -> None:
-        """Takes a rod off the platform, from the next step on; between two advances of a Simulator, not inside one.
-
-        `context` is that of the whole Diagram, not the plant's own in it; another one is a DrakeCheckError.
-        """
+        """Takes a rod off the platform, from the next step on, between two advances; `context` of the Diagram."""
         check_value("leg", leg, LegNumber)
         with drake_guard("breaking a rod"):
             mine = self.plant.GetMyMutableContextFromRoot(context)
@@ -112,8 +104,7 @@ def add_plant(
 ) -> StewartPlant:
     """Adds the robot's plant to a Diagram under construction; its default state is the home pose at rest.
 
-    Like Drake's `AddMultibodyPlantSceneGraph` it wires what belongs to the plant alone: the SceneGraph, and
-    what friction needs. Where neither pictures nor collision are asked for there is no SceneGraph.
+    It wires what belongs to the plant alone: what friction needs, and a SceneGraph for pictures or collision.
 
     Args:
         builder: Receives the system `plant`, and as needed `scene_graph`, `friction` and its `friction_...`.
@@ -122,12 +113,8 @@ def add_plant(
         gravity: [m/s^2] magnitude, along -z.
         visuals: Register the geometry with a SceneGraph even where nothing collides, for visualisers and cameras.
 
-    Returns:
-        The plant and its ports. The torque port must be connected or fixed.
-
     Raises:
-        ConfigurationError: Gravity is negative or not finite, or the platform's joints are damped more than the time
-            step bears.
+        ConfigurationError: Gravity, or damping of the platform's joints, that the plant cannot have.
         DrakeCheckError: Drake refuses the model.
     """
     options = PlantOptions() if options is None else options
@@ -160,7 +147,11 @@ def add_plant(
         _add_damping(plant, robot, options, law["viscous"][0])
         _add_servos(plant, law)
         if options.payload_mass > 0.0:
-            _add_payload(plant, options)
+            # A body of its own, welded on: the robot's numbers stay those of `RobotParameters` and the SDF.
+            point = SpatialInertia(options.payload_mass, np.zeros(3), UnitInertia(0.0, 0.0, 0.0))
+            payload = plant.AddRigidBody("payload", plant.GetModelInstanceByName("stewart"), point)
+            at = RigidTransform(np.array(options.payload_position))
+            plant.WeldFrames(plant.GetFrameByName("platform"), payload.body_frame(), at)
         plant.Finalize()
         torque_input_port, relax = plant.get_actuation_input_port(), None
         if law["break_away"].any():
@@ -188,8 +179,7 @@ def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: PlantOp
     """Damping in the tree's joints, which SAP takes implicitly, and in the loop closures, which are no joints.
 
     There a bushing without stiffness resists the rates of the platform's roll, pitch, yaw in the rod, zero at home.
-    Drake takes its torque from the state before the step, and Euler rates are singular at a pitch of 90 deg.
-    Its energy is not implemented: `MultibodyPlant.CalcPotentialEnergy` raises on such a plant.
+    Drake takes its torque from the state before the step; `MultibodyPlant.CalcPotentialEnergy` raises on such a plant.
     """
     for leg in range(LEGS):
         for name, damping in (("motor", viscous[leg]), (options.rod_joint, options.universal_damping)):
@@ -205,14 +195,6 @@ def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: PlantOp
         rod_end = plant.AddFrame(FixedOffsetFrame(f"rod_end_{leg}", rod, at_end))
         seat = plant.AddFrame(FixedOffsetFrame(f"platform_joint_{leg}", platform, RigidTransform(joint)))
         plant.AddForceElement(LinearBushingRollPitchYaw(rod_end, seat, zero, resistance, zero, zero))
-
-
-def _add_payload(plant: MultibodyPlant, options: PlantOptions) -> None:
-    """A body of its own, welded on: the robot's numbers stay those of `RobotParameters` and the SDF."""
-    point = SpatialInertia(options.payload_mass, np.zeros(3), UnitInertia(0.0, 0.0, 0.0))
-    body = plant.AddRigidBody("payload", plant.GetModelInstanceByName("stewart"), point)
-    at = RigidTransform(np.array(options.payload_position))
-    plant.WeldFrames(plant.GetFrameByName("platform"), body.body_frame(), at)
 
 
 def _state_indices(plant: MultibodyPlant, rod_joint: RodJoint) -> StateIndices:
@@ -232,17 +214,11 @@ def _state_indices(plant: MultibodyPlant, rod_joint: RodJoint) -> StateIndices:
     )
 
 
-# --- friction --------------------------------------------------------------------------------------------------------
-
-
 class MotorFriction(LeafSystem):
     """What friction asks of the servos, see `mechanics.friction`; what it remembers comes in from outside.
 
-    Ports:
-        plant_state: in (nq + nv,), state of the MultibodyPlant.
-        bristles: in (12,), anchors [rad] and their speeds [rad/s] at the beginning of the plant's last step.
-        pull: out (18,), anchors [rad], their speeds [rad/s] and relief [N m], until the plant's next step.
-
+    Ports: in `plant_state`, `bristles` (12,), anchors [rad] and speeds [rad/s] before the last step; out `pull` (18,),
+    anchors, speeds and relief [N m] until the next.
     """
 
     def __init__(self, plant: MultibodyPlant, friction: np.ndarray) -> None:
@@ -262,10 +238,7 @@ class MotorFriction(LeafSystem):
 
 @njit
 def _pull(frictions: Any, before: Any, state: Any, cranks: Any, step: float, out: Any) -> None:
-    """Anchors, slips and relief (18,) of those before (12,) and the state after a step.
-
-    Relief is the torques that take friction's from break-away to its level, along the slips.
-    """
+    """Anchors, slips and relief (18,), from break-away to the level, of those before (12,) and the state now."""
     friction = record(frictions)
     copy_to(out[:12], before)
     drag_anchors(friction, state[cranks], step, out[:6], out[6:12])
@@ -275,8 +248,8 @@ def _pull(frictions: Any, before: Any, state: Any, cranks: Any, step: float, out
 
 
 def _add_servos(plant: MultibodyPlant, law: np.ndarray) -> None:
-    """Adds the servos, before the plant is finalised; of motors without dry friction none."""
-    for leg in _with_friction(law):
+    """Of motors without dry friction none; before the plant is finalised."""
+    for leg in np.flatnonzero(law["break_away"][0]).tolist():
         joint = plant.GetJointByName(f"motor_{leg}")
         actuator = plant.AddJointActuator(f"friction_{leg}", joint, law["break_away"][0, leg])
         # Drake takes the rotor of a joint from its last actuator alone.
@@ -297,14 +270,14 @@ def _wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: np.ndarr
     builder.Connect(memory.get_output_port(), friction.bristles)
     builder.Connect(friction.pull, memory.get_input_port())
     home = plant.GetPositionsAndVelocities(plant.CreateDefaultContext())
-    memory.configure_default_state(_at_rest(home[friction.cranks]))
+    memory.configure_default_state(np.append(home[friction.cranks], np.zeros(LEGS)))
     actuators = plant.num_actuators()
     torque, desired = np.zeros((actuators, 4 * LEGS)), np.zeros((2 * actuators, 3 * LEGS))
     force = np.zeros((plant.num_velocities(), 3 * LEGS))
     for leg in range(LEGS):
         torque[plant.GetJointActuatorByName(f"motor_{leg}").input_start(), leg] = 1.0
         force[plant.GetJointByName(f"motor_{leg}").velocity_start(), 2 * LEGS + leg] = 1.0
-    for leg in _with_friction(law):
+    for leg in np.flatnonzero(law["break_away"][0]).tolist():
         servo = plant.GetJointActuatorByName(f"friction_{leg}").input_start()
         torque[servo, 3 * LEGS + leg], desired[servo, leg] = -1.0, 1.0
     both = builder.AddNamedSystem("friction_inputs", Multiplexer([LEGS, 3 * LEGS]))
@@ -321,16 +294,8 @@ def _wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: np.ndarr
         builder.Connect(gain.get_output_port(), target)
 
     def relax(context: Context, state: np.ndarray) -> None:
-        memory.GetMyMutableContextFromRoot(context).SetDiscreteState(_at_rest(state[friction.cranks]))
+        # Anchors and slips without tension.
+        memory.GetMyMutableContextFromRoot(context).SetDiscreteState(np.append(state[friction.cranks], np.zeros(LEGS)))
 
     port: InputPort = both.get_input_port(0)
     return port, relax
-
-
-def _with_friction(law: np.ndarray) -> list[int]:
-    return [leg for leg in range(LEGS) if law["break_away"][0, leg] > 0.0]
-
-
-def _at_rest(angles: np.ndarray) -> np.ndarray:
-    """Anchors and slips (12,) without tension at crank angles (6,) [rad]."""
-    return np.concatenate([angles, np.zeros(LEGS)])

@@ -14,8 +14,7 @@ from stewart_drake.plant.sdf_model import RodJoint
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST, FrictionOptions, Moderate
 
-MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.1
-"""[s] finer steps drown in rounding; coarser ones follow nothing."""
+MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.1  # [s] finer steps drown in rounding; coarser ones follow nothing.
 
 Place = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
 
@@ -64,7 +63,6 @@ class PlantOptions(Section, key="plant"):
     """A rod that breaks midway, see `simulation.run`; null for none."""
 
     def rules(self) -> None:
-        """See `Section.rules`."""
         for name in _OF_DRAKE if self.engine == "reduced" else ():
             if getattr(self, name) != self.__pydantic_fields__[name].default:
                 raise ConfigurationError("engine", "reduced", f"drake, where {name} is given")
@@ -73,7 +71,7 @@ class PlantOptions(Section, key="plant"):
                 raise ConfigurationError(name, getattr(self, name), "0 where `friction` is given, which has this value")
 
     def friction_law(self, robot: RobotParameters) -> np.ndarray:
-        """`FRICTION` record of the motors of a robot, with the bristles that the time step carries."""
+        """`FRICTION` record of a robot's motors."""
         said = self.friction
         if said is None:
             said = FrictionOptions.from_dict({"coulomb": self.motor_friction, "viscous": self.motor_damping})
@@ -83,9 +81,9 @@ class PlantOptions(Section, key="plant"):
 def platform_damping_limit(robot: RobotParameters, options: PlantOptions) -> float:
     """Largest `platform_joint_damping` d [N m s/rad] that its explicit integration bears.
 
-    A ball that turns at w takes the power d w^2, and w^2 <= 2 (w_rod^2 + w_platform^2). Against the rods' and the
-    platform's own inertia alone, no motion decays faster than d max(2 / I_rod, 12 / I_platform); the limit makes that
-    1 / time_step, half of what is stable. A rod between two balls may spin about its thin axis: I_rod is small then.
+    A ball that turns at w takes the power d w^2, and w^2 <= 2 (w_rod^2 + w_platform^2): no motion decays faster than d
+    max(2 / I_rod, 12 / I_platform). The limit makes that 1 / time_step, half of what is stable. I_rod is small about
+    the axis of a rod that may spin between two balls.
     """
     rod_inertia = min(robot.rod_inertia) if options.rod_joint == "ball" else robot.rod_inertia[0]
     fastest = max(2.0 / rod_inertia, 12.0 / robot.smallest_platform_inertia)

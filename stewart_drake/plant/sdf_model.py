@@ -1,10 +1,6 @@
 """The robot as SDF: links, joints and loop closures of Fig. 1 at the assembled home pose; and the state of its plant.
 
-Every link pose in the file is that of the home pose, so a freshly parsed plant is closed and all joint angles are zero
-there. `sdf/stewart.sdf` is this text for the default robot; `sdf/README.md` says where each number comes from.
-
-A state of the plant is Drake's [positions; velocities]. The maps are vectorised over leading axes, for logs as well as
-for an instant. Angles of cranks are theta, not Drake's motor angle, which is zero at home.
+All joint angles are zero at home, Drake's motor angle too; theta of a crank is not. `sdf/stewart.sdf` is the default.
 """
 
 from __future__ import annotations
@@ -31,27 +27,19 @@ if TYPE_CHECKING:
 RodJoint = Literal["universal", "ball"]
 """Joint between crank and rod. `ball` is the paper's topology; each rod then spins freely about its own axis."""
 
-_HOUSING_RADIUS = 3.6
-"""Of a motor, in multiples of the link radius: decoration."""
+_HOUSING_RADIUS = 3.6  # Of a motor, in multiples of the link radius: decoration.
 
 
 @dataclass(frozen=True)
 class HomeFrames:
-    """Frames of cranks C_i and rods R_i at the home pose; at any other pose they turn with their links.
+    """Frames of cranks C_i and rods R_i at the home pose; at any other pose they turn with their links."""
 
-    Attributes:
-        crank_angles: (6,) [rad] theta_i at home.
-        crank_rotation: (6, 3, 3) [-] R_BC: x along the crank, z along which its tip moves, so the motor axis is -y.
-        crank_tips: (6, 3) [m] origins of the rod frames in B.
-        rod_rotation: (6, 3, 3) [-] R_BR: z along the rod, x the motor axis projected square to the rod.
-        stops: (6, 2) [rad] of the motors, from home, in the turn that holds it; infinite where there is none.
-    """
-
-    crank_angles: np.ndarray
+    crank_angles: np.ndarray  # (6,) [rad] theta_i at home.
+    # (6, 3, 3) [-] R_BC: x along the crank, z along which its tip moves, so the motor axis is -y.
     crank_rotation: np.ndarray
-    crank_tips: np.ndarray
-    rod_rotation: np.ndarray
-    stops: np.ndarray
+    crank_tips: np.ndarray  # (6, 3) [m] origins of the rod frames in B.
+    rod_rotation: np.ndarray  # (6, 3, 3) [-] R_BR: z along the rod, x the motor axis projected square to the rod.
+    stops: np.ndarray  # (6, 2) [rad] of the motors, from home, in the turn that holds it; infinite where there is none.
 
     @property
     def rod_in_crank(self) -> np.ndarray:
@@ -66,12 +54,11 @@ class HomeFrames:
 
 
 def crank_lateral(robot: RobotParameters) -> np.ndarray:
-    """Lateral axes y of the cranks, opposite to the motor axes; (6, 3) [-], the same at every pose."""
+    """Lateral axes y (6, 3) [-] of the cranks, opposite to the motor axes, the same at every pose."""
     return cross(robot.crank_quarter_directions, robot.crank_zero_directions)
 
 
 def home_frames(robot: RobotParameters) -> HomeFrames:
-    """Frames of cranks and rods at the home pose."""
     legs = leg_geometry(robot, robot.home_pose)
     lateral = crank_lateral(robot)
     # The shortest rotation that a universal joint leaves to the rod: its first axis as near to the motor's as can be.
@@ -92,25 +79,11 @@ def _middles(ranges: np.ndarray) -> np.ndarray:
     return np.clip(ranges, -LARGEST, LARGEST).mean(axis=-1)
 
 
-# --- text ------------------------------------------------------------------------------------------------------------
-
-
 def sdf_text(robot: RobotParameters, *, rod_joint: RodJoint = "universal", collision: bool = True) -> str:
-    """The robot as an SDF model named `stewart` for Drake's parser.
+    """The robot as an SDF model named `stewart` for Drake's parser; pictures are written always.
 
     Links `base` (welded to the world), `crank_0..5`, `rod_0..5`, `platform`; joints `motor_0..5` and `universal_0..5`
     or `ball_0..5`; six `drake:ball_constraint` close the loops.
-
-    Args:
-        robot: Geometry, masses, effort limit.
-        rod_joint: Joint between crank and rod.
-        collision: Write collision geometry and its filter group; pictures are written always.
-
-    Returns:
-        The text; the same robot always gives the same text.
-
-    Raises:
-        ConfigurationError: Unknown `rod_joint`.
     """
     check_value("rod_joint", rod_joint, RodJoint)
     frames, radius = home_frames(robot), robot.link_radius
@@ -149,11 +122,7 @@ def write_sdf(
 
 
 def sdf_path() -> Path:
-    """The file `stewart.sdf` of the default robot, in an installed package or a checkout; `package.xml` lies beside it.
-
-    Raises:
-        ConfigurationError: Neither place has it.
-    """
+    """The file `stewart.sdf` of the default robot, installed or in a checkout; `package.xml` lies beside it."""
     for folder in (PACKAGE / "sdf", PACKAGE.parent / "sdf"):
         if (folder / "stewart.sdf").is_file():
             return folder / "stewart.sdf"
@@ -166,10 +135,7 @@ def _upright(robot: RobotParameters, leg: int) -> bool:
 
 
 def _housing(robot: RobotParameters, frames: HomeFrames, leg: int) -> dict[str, Any]:
-    """A motor's housing, on its axis and beside its crank: centre (3,) [m], length [m], turn of z into the axis.
-
-    Coaxial motors of a pair stand back to back between their cranks; any other behind its crank, seen from outside.
-    """
+    """A motor's housing on its axis: centre (3,) [m], length [m], turn of z; those of a pair stand back to back."""
     r, axis, shaft = robot.link_radius, frames.crank_rotation[leg, :, 1], robot.shaft_positions[leg]
     partner = robot.shaft_positions[leg ^ 1] - shaft
     apart = float(partner @ axis)
@@ -195,12 +161,8 @@ def render(template: str, **values: Any) -> str:
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    made = Environment(
-        loader=PackageLoader("stewart_drake.plant"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
+    form: Any = {"trim_blocks": True, "keep_trailing_newline": True}
+    made = Environment(loader=PackageLoader("stewart_drake.plant"), undefined=StrictUndefined, **form)
     made.globals |= {"exact": _exact, "short": _short, "zip": zip, "pi": math.pi, "cos": math.cos, "sin": math.sin}
     made.globals["inf"] = math.inf
     return made
@@ -217,39 +179,25 @@ def _short(*parts: Any) -> str:
     return _exact([float(f"{value:.7g}") for part in parts for value in np.ravel(part)])
 
 
-# --- state -----------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class StateIndices:
-    """Where things are in a state [positions; velocities] of the plant.
+    """Where things are in a state [positions; velocities] of the plant."""
 
-    Attributes:
-        crank: (6,) motor angles, zero at home.
-        rod: (6, 2 or 3) angles of the joints between crank and rod.
-        quaternion: (4,) w, x, y, z of the platform.
-        position: (3,) X, Y, Z of the platform.
-        crank_rate: (6,) motor speeds.
-        rod_rate: (6, 2 or 3) velocities of the joints between crank and rod.
-        twist: (6,) w_BP, v_BP of the platform, both in B.
-    """
-
-    crank: np.ndarray
-    rod: np.ndarray
-    quaternion: np.ndarray
-    position: np.ndarray
-    crank_rate: np.ndarray
-    rod_rate: np.ndarray
-    twist: np.ndarray
+    crank: np.ndarray  # (6,) motor angles, zero at home.
+    rod: np.ndarray  # (6, 2 or 3) angles of the joints between crank and rod.
+    quaternion: np.ndarray  # (4,) w, x, y, z of the platform.
+    position: np.ndarray  # (3,) X, Y, Z of the platform.
+    crank_rate: np.ndarray  # (6,) motor speeds.
+    rod_rate: np.ndarray  # (6, 2 or 3) velocities of the joints between crank and rod.
+    twist: np.ndarray  # (6,) w_BP, v_BP of the platform, both in B.
 
     @property
     def size(self) -> int:
-        """Length nq + nv of the state; the indices cover all of it."""
         return sum(array.size for array in vars(self).values())
 
 
 class StateMap:
-    """The state of one robot, read and composed."""
+    """The state of one robot, read and composed; vectorised over leading axes."""
 
     def __init__(self, robot: RobotParameters, rod_joint: RodJoint, indices: StateIndices) -> None:
         self.robot, self.rod_joint, self.indices = robot, rod_joint, indices
@@ -257,19 +205,11 @@ class StateMap:
         self._lateral = crank_lateral(robot)
 
     def assemble(self, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> np.ndarray:
-        """State of the closed robot with the platform at a pose, moving; in closed form, rods not spinning.
-
-        Args:
-            pose: (..., 6) [rad, m] of P in B.
-            pose_rate: (..., 6) [rad/s, m/s] Euler rates and velocity; None is rest.
-
-        Returns:
-            (..., nq + nv) the state; its loops are closed to rounding.
+        """State (..., nq + nv) of the closed robot at a pose [rad, m], moving, rods not spinning; in closed form.
 
         Raises:
             UnreachablePoseError: A rod cannot span.
-            SingularPoseError: A crank at its dead centre, whose speed is not defined; a rod turned by 90 deg in its
-                joint at the crank, whose angles are not.
+            SingularPoseError: A crank at its dead centre; a rod turned by 90 deg in its joint at the crank.
             ConfigurationError: Not finite, or not (..., 6).
         """
         pose = np.asarray(pose, dtype=float)
@@ -288,13 +228,16 @@ class StateMap:
         crank_rotation = np.stack(np.broadcast_arrays(legs.crank, self._lateral, legs.e_n), axis=-1)
         to_joint = np.swapaxes(crank_rotation @ self._home.rod_in_crank, -1, -2)
         direction = _times(to_joint, legs.e_l)
-        _refuse_small("rod_joint", np.hypot(direction[..., 1], direction[..., 2]), pose)
-        angles = _universal_angles(direction)
+        x, y, z = np.moveaxis(direction, -1, 0)
+        across = np.hypot(y, z)
+        _refuse_small("rod_joint", across, pose)
+        # Rx(a) Ry(b) z = [sin b, -sin a cos b, cos a cos b] is the direction.
+        angles = np.stack([np.arctan2(-y, z), np.arctan2(x, across)], axis=-1)
+        (sa, sb), (ca, cb) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
         if self.rod_joint == "universal":
-            rates = _universal_rates(angles, _times(to_joint, e_l_rate - cross(w_crank, legs.e_l)))
+            x, y, z = np.moveaxis(_times(to_joint, e_l_rate - cross(w_crank, legs.e_l)), -1, 0)
+            rates = np.stack([-(ca * y + sa * z) / cb, cb * x + sb * (sa * y - ca * z)], axis=-1)
         else:
-            # Of Rx(a) Ry(b).
-            (sa, sb), (ca, cb) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
             angles = np.stack([np.arctan2(sa, ca * cb), np.arcsin(ca * sb), np.arctan2(sa * sb, cb)], axis=-1)
             rates = _times(to_joint, cross(legs.e_l, e_l_rate) - w_crank)
 
@@ -363,19 +306,6 @@ def _refuse_small(kind: Literal["serial", "rod_joint"], margins: np.ndarray, pos
 
 def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return (matrix @ vector[..., None])[..., 0]
-
-
-def _universal_angles(direction: np.ndarray) -> np.ndarray:
-    """(..., 2) [rad] a, b for which Rx(a) Ry(b) z is `direction`: [sin b, -sin a cos b, cos a cos b]."""
-    x, y, z = np.moveaxis(direction, -1, 0)
-    return np.stack([np.arctan2(-y, z), np.arctan2(x, np.hypot(y, z))], axis=-1)
-
-
-def _universal_rates(angles: np.ndarray, direction_rate: np.ndarray) -> np.ndarray:
-    """(..., 2) [rad/s] rates of a, b from the time derivative of the direction, both in the joint's frame F."""
-    x, y, z = np.moveaxis(direction_rate, -1, 0)
-    (sa, sb), (ca, cb) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
-    return np.stack([-(ca * y + sa * z) / cb, cb * x + sb * (sa * y - ca * z)], axis=-1)
 
 
 def _quaternion(rpy: np.ndarray) -> np.ndarray:

@@ -64,11 +64,7 @@ class RecordedReference(Section, key="reference"):
 
 
 def load_recording(path: str | Path) -> np.ndarray:
-    """A recorded motion (n, 7) [s, rad, rad, rad, m, m, m] of a .csv or .parquet file with `QUANTITIES`, checked.
-
-    Angles without jumps by whole turns, the first within half a turn; one that is ever beyond a turn is no wrapped
-    angle, and stays as it is.
-    """
+    """A recorded motion (n, 7) [s, rad, m] of a file with `QUANTITIES`, checked; wrapped angles without jumps."""
     path = Path(path)
     key = f"recorded motion {path}"
     if path.suffix.lower() not in (".csv", ".parquet"):
@@ -86,10 +82,7 @@ def load_recording(path: str | Path) -> np.ndarray:
 
 
 class UserReference(UserMade, key="reference"):
-    """What a class of the user's own says with `evaluate(time)`: pose, rate and acceleration, as in `Reference`.
-
-    It may take an array of times (n,) and return three of (n, 6), or one time and three of (6,).
-    """
+    """What a class of the user's own says with `evaluate(time)`, as in `Reference`; times (n,) or one."""
 
     asked = "evaluate(t) returns pose, rate and acceleration, (6,) each"
 

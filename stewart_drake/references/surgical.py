@@ -12,7 +12,7 @@ from pydantic import Field
 
 from stewart_drake.config import Count, NotNegative, Positive, Real, Section, Seed, Share, SixNumbers, Vector6
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.references.basic import HOME, bump
+from stewart_drake.references.motions import HOME, bump
 from stewart_drake.robot.robot_scale import HOME_POSE
 
 _SLOW_BAND = (0.04, 0.15)
@@ -25,10 +25,9 @@ _TREMOR_SINES = 24
 class BreathingReference(Section, key="reference"):
     """center + excursion cos^(2 order)(pi frequency t - phase) on each axis: long at end-exhale, short at end-inhale.
 
-    The waveform is z0 - b cos^(2n)(pi t / tau - phi) of A. E. Lujan et al., Med. Phys. 26 (1999) 715, with center = z0,
-    excursion = -b, order = n, 1 / frequency = tau. The default size is that of lower lung lobes, 12 mm cranio-caudal
-    and 2 mm across (Y. Seppenwoolde et al., Int. J. Radiat. Oncol. Biol. Phys. 53 (2002) 822). 0.2-0.3 Hz is usual for
-    breathing at rest; 0.25 Hz, order 2 and which axis takes which size are assumed.
+    A. E. Lujan et al., Med. Phys. 26 (1999) 715, with z0 = center, b = -excursion; default size of lower lung lobes, 12
+    mm cranio-caudal and 2 mm across: Y. Seppenwoolde et al., Int. J. Radiat. Oncol. Biol. Phys. 53 (2002) 822; axes
+    assumed.
     """
 
     kind: Literal["breathing"] = "breathing"
@@ -56,16 +55,13 @@ class BreathingReference(Section, key="reference"):
 class HeartbeatReference(Section, key="reference"):
     """A periodic wave of several harmonics, run through at a heart's varying rate, with early beats where asked for.
 
-    On each axis center + excursion w(2 pi beats(t) - phase), w(x) = sum a_k cos(k x - p_k) scaled to 1 from end to end.
-    So R. Ginhoux et al., IEEE Trans. Robot. 21 (2005) 67, and O. Bebek, M. C. Cavusoglu, IEEE Trans. Robot. 23 (2007)
-    468, describe a beating heart's surface; the default harmonics, sizes and phases of the axes are assumed.
+    On each axis center + excursion w(2 pi beats(t) - phase), w(x) = sum a_k cos(k x - p_k) scaled to 1 from end to end:
+    R. Ginhoux et al., IEEE Trans. Robot. 21 (2005) 67; the default harmonics, sizes and phases of the axes are assumed.
 
     The rate is rate (1 + respiratory_variation sin(2 pi respiratory_frequency t) + slow part), the slow part a seeded
-    sum of sines in the low-frequency band 0.04-0.15 Hz. Its sizes give the model of P. E. McSharry et al., IEEE Trans.
-    Biomed. Eng. 50 (2003) 289: 1/min of 60/min standard deviation at a ratio of 0.5 of low- to high-frequency power.
-
-    A premature beat k begins `prematurity` of a beat early and the next one on time, the full compensatory pause of a
-    ventricular extrasystole; 0.4 is K.-M. Park et al., Korean Circ. J. 45 (2015) 294: 49 to 60 % of the sinus cycle.
+    sum of sines at 0.04-0.15 Hz, of sizes by P. E. McSharry et al., IEEE Trans. Biomed. Eng. 50 (2003) 289. A premature
+    beat begins `prematurity` of a beat early and the next one on time: K.-M. Park et al., Korean Circ. J. 45 (2015)
+    294.
     """
 
     kind: Literal["heartbeat"] = "heartbeat"
@@ -117,10 +113,7 @@ class HeartbeatReference(Section, key="reference"):
         return np.array(self.center) + size * wave, size * slope * speed, size * (curvature * speed**2 + slope * change)
 
     def beats(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Beats so far (...) [-], at whole numbers a beat begins; the count's first and second derivative.
-
-        A premature one comes ahead smoothly from the beat before, and that is made up for until the next.
-        """
+        """Beats so far (...) [-], its first and second derivative; a premature one comes ahead smoothly."""
         t = np.asarray(time, dtype=float)
         omega, share, start = self._variation
         angle = omega * t[..., None] + start
@@ -144,10 +137,7 @@ class HeartbeatReference(Section, key="reference"):
 
     @cached_property
     def _weights(self) -> np.ndarray:
-        """Harmonics (k,), scaled so that the wave measures 1 from end to end.
-
-        On z = exp(i x) the wave's slope is a polynomial over z^k, so that its roots hold every place of an extremum.
-        """
+        """Harmonics (k,), for a wave of 1 from end to end; extrema by roots of a polynomial in exp(i x)."""
         weights = np.array(self.harmonics) / np.abs(self.harmonics).max()
         order, lag = np.arange(1, len(weights) + 1), np.array(self.harmonic_phase)
         # Next to the rest of the wave what is smaller would only overflow.
@@ -161,10 +151,8 @@ class HeartbeatReference(Section, key="reference"):
 class TremorReference(Section, key="reference"):
     """Physiological tremor of a hand: on each axis a seeded sum of sines spread over a band of frequencies.
 
-    T. S. Wells et al., Comparison of baseline tremor under various microsurgical conditions, IEEE SMC (2013), saw a
-    peak at 6-12 Hz and errors of 0.14 to 0.29 mm RMS over three axes; the default is 0.1 mm on each, 0.17 mm in all.
-    C. N. Riviere, R. S. Rader, N. V. Thakor, IEEE Trans. Biomed. Eng. 45 (1998) 839, model it as a modulated sine. That
-    the axes are independent, and the spectrum flat within the band, is assumed.
+    A peak at 6-12 Hz, errors of 0.14 to 0.29 mm RMS over three axes: T. S. Wells et al., IEEE SMC (2013). That the axes
+    are independent, and the spectrum flat within the band, is assumed.
     """
 
     kind: Literal["tremor"] = "tremor"

@@ -14,14 +14,7 @@ from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePose
 from stewart_drake.families import user_parts
 from stewart_drake.files.code import ControllerError, file_digests
 from stewart_drake.logs.log import MAX_ROWS
-from stewart_drake.planning.feasibility import (
-    SEARCH_RTOL,
-    FeasibilityReport,
-    bisect,
-    check_reference,
-    largest_scale,
-    refuse_turns,
-)
+from stewart_drake.planning import feasibility
 from stewart_drake.planning.limits import Limits
 from stewart_drake.references import AdjustedReference, Reference
 from stewart_drake.robot import RobotParameters
@@ -30,8 +23,7 @@ from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sam
 from stewart_drake.scenario import Scenario
 
 _NUDGES = 100
-_PASSED: set[Any] = set()
-"""Motions that have passed: a search runs the same one a thousand times."""
+_PASSED: set[Any] = set()  # Motions that have passed: a search runs the same one a thousand times.
 
 
 def refuse_unrunnable(scenario: Scenario) -> None:
@@ -45,13 +37,7 @@ def refuse_unrunnable(scenario: Scenario) -> None:
 
 
 def check_scenario(scenario: Scenario) -> None:
-    """Checks that the reference keeps to the limits over the whole run, and that the robot can stand at its start.
-
-    Raises:
-        InfeasibleReferenceError: Names limit, time, leg and margin.
-        ConfigurationError: The start pose is out of reach or singular; the reference grows beyond all numbers, or a
-            pose is beyond half a turn; a recording cannot be read; the motion or its start would trip the safety layer.
-    """
+    """Refuses a run whose reference leaves the limits, or at whose start the robot cannot stand."""
     told = (scenario.robot, scenario.model_robot, scenario.limits, scenario.safety, scenario.gravity)
     moves = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
     subject = (*told, *moves, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
@@ -65,7 +51,7 @@ def check_scenario(scenario: Scenario) -> None:
             _PASSED.add(subject)
     with quiet():
         start = scenario.start()[0]
-        refuse_turns("initial_offset", start[None], np.zeros(1))
+        feasibility.refuse_turns("initial_offset", start[None], np.zeros(1))
         try:
             checked_legs(scenario.robot, scenario.controller.near_singularity, start)
         except RunFailure as failure:
@@ -75,13 +61,12 @@ def check_scenario(scenario: Scenario) -> None:
             raise ConfigurationError(key, value, f"a start where the robot can stand ({failure})") from None
 
 
-def motion_report(scenario: Scenario) -> FeasibilityReport:
-    """`check_reference` of a scenario's whole run."""
+def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:
     motion = (scenario.robot, scenario.limits, scenario.reference, scenario.duration, scenario.gravity)
     try:
         # Where numbers overflow a limit is broken, or the check names the signal.
         with user_code(scenario), quiet():
-            return check_reference(*motion)
+            return feasibility.check_reference(*motion)
     except ControllerError as error:
         raise ConfigurationError("reference", scenario.reference, f"a motion that does not raise ({error})") from None
     except ConfigurationError as error:
@@ -110,44 +95,35 @@ def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
 def fit_amplitude(
     robot: RobotParameters, limits: Limits, reference: Reference, duration: float, gravity: float
 ) -> tuple[Reference, float]:
-    """The motion made smaller about its centre (`references.center_of`) until it is feasible, and its size [-].
-
-    To a relative 1e-4, as `largest_scale` finds it, so that each smaller size tried is feasible too; the motion itself
-    and 1 if it is feasible. Arguments as in `check_reference`.
-    """
-    if check_reference(robot, limits, reference, duration, gravity).feasible:
+    """The motion made smaller about its centre until it is feasible, and its size [-], to a relative 1e-4."""
+    if feasibility.check_reference(robot, limits, reference, duration, gravity).feasible:
         return reference, 1.0
-    check_reference(robot, limits, adjusted(reference, scale=0.0), duration, gravity).raise_if_infeasible()
-    scale = largest_scale(robot, limits, lambda scale: adjusted(reference, scale=scale), duration, gravity)
+    feasibility.check_reference(robot, limits, adjusted(reference, scale=0.0), duration, gravity).raise_if_infeasible()
+    scale = feasibility.largest_scale(robot, limits, lambda scale: adjusted(reference, scale=scale), duration, gravity)
     return adjusted(reference, scale=scale), scale
 
 
 def fit_speed(
     robot: RobotParameters, limits: Limits, reference: Reference, duration: float, gravity: float
 ) -> tuple[Reference, float]:
-    """The motion made slower until it is feasible.
+    """The motion made slower until it is feasible, and its slowdown >= 1 [-], to a relative 1e-4.
 
     Slowed by k a crank's speed is 1/k, and its motor's torque static + (torque - static) / k^2, of what it was at the
-    same pose. Where standing still is feasible, every k above the smallest feasible one is therefore feasible too, and
-    bisection finds it. Limits of the poses alone do not depend on k.
-
-    Returns:
-        The motion that is feasible over slowdown * duration, and its slowdown >= 1 [-], to a relative 1e-4; the motion
-        itself and 1 if it is feasible.
+    same pose: where standing still is feasible, so is every k above the smallest feasible one, and bisection finds it.
     """
     samples_per_second = 500.0
 
     def feasible(slowdown: float, rate: float = samples_per_second) -> bool:
         slower = adjusted(reference, slowdown=slowdown)
-        return check_reference(robot, limits, slower, slowdown * duration, gravity, rate).feasible
+        return feasibility.check_reference(robot, limits, slower, slowdown * duration, gravity, rate).feasible
 
     if feasible(1.0):
         return reference, 1.0
-    check_reference(robot, limits, _Still(reference), duration, gravity).raise_if_infeasible()
+    feasibility.check_reference(robot, limits, _Still(reference), duration, gravity).raise_if_infeasible()
     # On the way, at the same poses whatever the slowdown; in the end at the full rate.
-    speed = bisect(lambda speed: feasible(1.0 / speed, samples_per_second * speed), 0.0, 1.0)
+    speed = feasibility.bisect(lambda speed: feasible(1.0 / speed, samples_per_second * speed), 0.0, 1.0)
     if speed > 0.0:
-        for slowdown in (1.0 + SEARCH_RTOL * np.arange(_NUDGES)) / speed:
+        for slowdown in (1.0 + feasibility.SEARCH_RTOL * np.arange(_NUDGES)) / speed:
             if feasible(float(slowdown)):
                 return adjusted(reference, slowdown=float(slowdown)), float(slowdown)
     raise ConfigurationError("reference", reference, "a motion that is feasible at some speed above zero")
@@ -163,7 +139,7 @@ def adjusted(reference: Reference, scale: float = 1.0, slowdown: float = 1.0) ->
 
 @dataclasses.dataclass(frozen=True)
 class _Still:
-    """A motion's poses, at each of them standing still."""
+    """A motion's poses, at rest."""
 
     reference: Reference
 

@@ -10,7 +10,7 @@ import numpy as np
 from pydrake.systems.analysis import Simulator, SimulatorStatus
 
 from stewart_drake.errors import RunFailure, StewartDrakeError, drake_guard
-from stewart_drake.runs.engine import Engine, quiet, signals_of
+from stewart_drake.runs.engine import quiet, signals_of
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario
 from stewart_drake.systems.diagram import ClosedLoop
@@ -18,12 +18,11 @@ from stewart_drake.systems.diagram import ClosedLoop
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
-SUBSTEPS = 10
-"""Parts of the plant's step in which continuous state of a user's controller is integrated."""
+SUBSTEPS = 10  # Parts of the plant's step in which continuous state of a user's controller is integrated.
 _PEERS = "_pydrake_internal_ref_cycle_peers"
 
 
-class DrakeRun(Engine):
+class DrakeRun:
     """The loop of a scenario as a Diagram; peaks and bounds need every step of the plant, whatever the log keeps."""
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None) -> None:
@@ -31,12 +30,10 @@ class DrakeRun(Engine):
         self._step, self._now = on_grid(scenario.plant.time_step), -1
         self.state_names = self._loop.plant.state_names
         rod = scenario.plant.broken_rod
-        # It breaks at the first step that begins at its time or later.
-        self._breaks = (
-            {}
-            if rod is None or rod.time > scenario.duration
-            else {math.ceil(rod.time / scenario.plant.time_step - 1e-6): rod.leg}
-        )
+        self._breaks: dict[int, int] = {}
+        if rod is not None and rod.time <= scenario.duration:
+            # It breaks at the first step that begins at its time or later.
+            self._breaks[math.ceil(rod.time / scenario.plant.time_step - 1e-6)] = rod.leg
 
     def prepare(self) -> None:
         loop = self._loop
@@ -87,15 +84,14 @@ class DrakeRun(Engine):
     def safety_state(self) -> Any:
         return self._loop.systems["safety"].state(self._context)
 
-    def graph(self) -> str | None:
+    def graph(self) -> str:
         return self._loop.graph()
 
     def close(self) -> None:
         """Lets go of the Diagram, which Python's garbage collector would keep for ever.
 
-        pydrake ties systems, ports and diagrams together in cycles. Where a system is written in Python, CPython visits
-        the dictionary of its attributes twice, once for each base, and takes the cycle for one that is held from
-        outside: each run would leave its diagram, some megabytes, behind.
+        pydrake ties systems, ports and diagrams together in cycles, which CPython takes for held from outside: it
+        visits the attributes of a system that is written in Python twice, once for each base.
         """
         waiting: list[Any] = [self._loop]
         while waiting:

@@ -1,10 +1,9 @@
-"""What runs a scenario: the base of both engines, and the fast one, on the closed form of the robot."""
+"""The fast engine, on the closed form of the robot, and what both engines have in common."""
 
 from __future__ import annotations
 
 import sys
 import warnings
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
@@ -23,42 +22,6 @@ if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
 
-class Engine(ABC):
-    """A scenario on its way, a row of signals for each step of the plant, both ends included."""
-
-    scenario: Scenario
-    state_names: tuple[str, ...] = ()
-    """Of the columns of `plant_state`; none where there is no such signal."""
-
-    @abstractmethod
-    def prepare(self) -> None:
-        """What is no part of a run's cost, such as compiling; then the state at the start."""
-
-    @abstractmethod
-    def advance(self, step: int) -> None:
-        """Goes on to a step of the plant, and its row; raises RunFailure where the run is over."""
-
-    @property
-    @abstractmethod
-    def time(self) -> float:
-        """[s] reached, as Drake has it, see `sampling.on_grid`."""
-
-    @abstractmethod
-    def signals(self) -> dict[str, np.ndarray]:
-        """All complete rows so far, see `signals_of`."""
-
-    @abstractmethod
-    def safety_state(self) -> Any:
-        """Of the safety layer, where there is one."""
-
-    def graph(self) -> str | None:
-        """Graphviz text of the Diagram; None where there is none."""
-        return None
-
-    def close(self) -> None:  # noqa: B027 - nothing to do where nothing is held
-        """Lets go of it all."""
-
-
 def quiet() -> np.errstate:
     """Numbers near the largest overflow on the way to an end with a name; numpy need not say so as well."""
     return np.errstate(all="ignore")
@@ -74,14 +37,7 @@ def quiet_libraries() -> Iterator[None]:
 
 
 def signals_of(scenario: Scenario, steps: np.ndarray, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Signals by their names in a log.
-
-    Args:
-        scenario: As run.
-        steps: (n,) of the plant.
-        values: As they were in the loop: measurement (n, 12), reference (n, 18), weights (n, 2 or 4), `torque_applied`
-            where it is another than `torque`, and the others as they are called in a log.
-    """
+    """Signals by their names in a log, at steps (n,) of the plant, of values by their names in the loop."""
     limit = scenario.robot.effort_limits
     reference, measurement = values["reference"], values["measurement"]
     signals = {
@@ -100,21 +56,13 @@ def signals_of(scenario: Scenario, steps: np.ndarray, values: dict[str, np.ndarr
     return {name: signals[name] for name in SIGNALS if name in signals}
 
 
-def _place(field: str) -> slice:
-    """Where twelve numbers begin in the plant's state, which comes first in all values."""
-    start = CHAIN_STATE.fields[field][1] // 8  # type: ignore[index]
-    return slice(start, start + 12)
+_POSE, _CRANKS = (slice(at, at + 12) for at in (CHAIN_STATE.fields[name][1] // 8 for name in ("pose", "angles")))  # type: ignore[index]
 
 
-_POSE, _CRANKS = _place("pose"), _place("angles")
+class FastRun:
+    """The parts of a scenario called in order, on the closed form of the robot; late ones before the plant steps."""
 
-
-class FastRun(Engine):
-    """The parts of a scenario called in order, on the closed form of the robot.
-
-    At a step of the plant sensors read the state of that instant; at a tick the parts answer within it, in order; the
-    row is complete; late parts tick; the plant steps.
-    """
+    state_names: tuple[str, ...] = ()
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
         if meshcat is not None:
@@ -165,7 +113,6 @@ class FastRun(Engine):
             self._row()
 
     def _row(self) -> None:
-        """What happens at a step of the plant before the plant itself moves."""
         running, now = self._running, self._now
         running.time[0] = now * self._step
         for signal, table in self._sources:
@@ -183,18 +130,20 @@ class FastRun(Engine):
 
     def signals(self) -> dict[str, np.ndarray]:
         rows = self._rows[: self._count]
-        values = {
-            name: rows[:, self._running.places[signal]].copy()
-            if isinstance(signal, str)
-            else np.tile(signal, (len(rows), 1))
-            for name, signal in self._loop.logged.items()
-        }
-        pose, cranks = rows[:, _POSE], rows[:, _CRANKS]
-        values["pose"], values["pose_rate"], values["crank_angle"] = (
-            each.copy() for each in (pose[:, :6], pose[:, 6:], cranks[:, :6])
-        )
-        values["loop_gap"] = np.zeros((len(rows), 6))
+        values = {"loop_gap": np.zeros((len(rows), 6)), "crank_angle": rows[:, _CRANKS][:, :6].copy()}
+        values["pose"], values["pose_rate"] = (each.copy() for each in np.hsplit(rows[:, _POSE], 2))
+        for name, signal in self._loop.logged.items():
+            places = self._running.places
+            values[name] = (
+                rows[:, places[signal]].copy() if isinstance(signal, str) else np.tile(signal, (len(rows), 1))
+            )
         return signals_of(self.scenario, np.arange(len(rows)), values)
 
     def safety_state(self) -> Any:
         return self._running.state("safety")
+
+    def graph(self) -> None:
+        """There is no Diagram."""
+
+    def close(self) -> None:
+        """There is nothing to let go of."""

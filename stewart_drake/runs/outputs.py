@@ -6,7 +6,6 @@ import itertools
 import json
 import os
 import shutil
-import stat
 import subprocess
 import tempfile
 from contextlib import suppress
@@ -24,8 +23,7 @@ from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.scenario import Scenario
 
 _AS_RUN = "# As run by stewart-drake: every key, defaults included.\n"
-_CODE = "code"
-"""Folder with the files of the user's classes."""
+_CODE = "code"  # Folder with the files of the user's classes.
 _FILES = (
     *("log.parquet", "metrics.json", "scenario.yaml", _CODE, "diagram.dot", "diagram.svg"),
     *("states.png", "torques.png", "replay.html"),
@@ -42,7 +40,7 @@ class Results(NamedTuple):
 
 
 def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
-    """Makes a folder, and sure that it can be written to; `named` is what the user called it, for messages."""
+    """Makes a folder, and sure that it can be written to; `named` is what the user called it."""
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -58,24 +56,12 @@ def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
 def prepare_file(path: Path) -> None:
     """Makes sure, before anything is computed, that a file can be written afterwards; its folder is made."""
     prepare_folder(path.parent, path)
-    try:
-        folder = stat.S_ISDIR(path.stat().st_mode)
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        raise ConfigurationError("--out", str(path), f"a file that can be written ({error.strerror})") from None
-    if folder:
+    if os.path.isdir(path):  # noqa: PTH112 - never raises, unlike `Path.is_dir`
         raise ConfigurationError("--out", str(path), "a file, not a folder")
 
 
 def results_place(scenario: Scenario, out: str | Path | None = None, force: bool = False) -> Path:
-    """Where the results of a run go: `out`, or the first of runs/NAME, runs/NAME-2 and so on that is free.
-
-    Args:
-        scenario: Whose results.
-        out: What the user says; what a link points to is meant.
-        force: Replace the results of another scenario.
-    """
+    """`out`, or the first of runs/NAME, runs/NAME-2 and so on that is free; `force` replaces another scenario's."""
     if out is None:
         names = itertools.chain([scenario.name], (f"{scenario.name}-{number}" for number in itertools.count(2)))
         return next(place for name in names if not os.path.lexists(place := Path("runs") / name))
@@ -105,18 +91,8 @@ def write_run(
 ) -> Results:
     """Writes everything about a run into a folder, which appears as a whole; an interrupt costs pictures alone.
 
-    Files: metrics.json (strict JSON), log.parquet, scenario.yaml, states.png, torques.png, replay.html, diagram.dot;
-    with classes of the user's from files code/, so that scenario.yaml can be run again.
-
-    Args:
-        log: The run.
-        out: Where to, see `results_place`.
-        graph: Graphviz text of the diagram, or None to leave it out. An SVG beside it where graphviz is installed.
-        pictures: Write the plots and the replay too.
-        force: Replace the results of another scenario.
-
-    Raises:
-        ConfigurationError: See `results_place`; the disk is full, or the like.
+    Files: metrics.json (strict JSON), log.parquet, scenario.yaml, states.png, torques.png, replay.html, diagram.dot and
+    .svg; with classes of the user's from files code/, so that scenario.yaml can be run again.
     """
     place = results_place(log.scenario, out, force)
     metrics = run_metrics(log)
@@ -129,8 +105,15 @@ def write_run(
             "log.parquet": log.to_parquet(),
             "metrics.json": (json.dumps(metrics, indent=2, allow_nan=False) + "\n").encode(),
             **_own_files(log.scenario),
-            **({} if graph is None else _graph_files(graph)),
         }
+        if graph is not None:
+            files["diagram.dot"], dot = graph.encode(), shutil.which("dot")
+            with suppress(OSError, subprocess.SubprocessError):
+                if dot is not None:
+                    done = subprocess.run(
+                        [dot, "-Tsvg"], input=graph.encode(), capture_output=True, timeout=60, check=True
+                    )
+                    files["diagram.svg"] = done.stdout
         for name, content in files.items():
             (part / name).parent.mkdir(exist_ok=True)
             write_atomically(part / name, content)
@@ -151,7 +134,7 @@ def write_run(
 
 
 def _put(part: Path, scenario: Scenario, out: str | Path | None, force: bool) -> Path:
-    """Renames a folder to its place, or its files into one that is there; other results may be there by now."""
+    """Renames a folder to its place, or its files into one that is there."""
     while True:
         place = results_place(scenario, out, force)
         if out is not None and place.exists():
@@ -198,13 +181,3 @@ def _own_files(scenario: Scenario) -> dict[str, bytes]:
             here[str(code)] += f":{code.name}"
     data = with_texts(scenario.to_dict(), lambda _, text: here.get(text, text))
     return {"scenario.yaml": (_AS_RUN + to_yaml(data)).encode(), **files}
-
-
-def _graph_files(graph: str) -> dict[str, bytes]:
-    """The diagram, and a picture of it where graphviz is installed."""
-    files, dot = {"diagram.dot": graph.encode()}, shutil.which("dot")
-    with suppress(OSError, subprocess.SubprocessError):
-        if dot is not None:
-            done = subprocess.run([dot, "-Tsvg"], input=graph.encode(), capture_output=True, timeout=60, check=True)
-            files["diagram.svg"] = done.stdout
-    return files

@@ -11,12 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stewart_drake.control.user_controller import user_code
-from stewart_drake.errors import (
-    RunFailure,
-    SafetyStop,
-    drake_guard,
-    raised_at,
-)
+from stewart_drake.errors import RunFailure, SafetyStop, drake_guard, raised_at
 from stewart_drake.files.code import file_digests
 from stewart_drake.files.whole import plain_json
 from stewart_drake.logs.log import SimulationLog
@@ -24,7 +19,7 @@ from stewart_drake.logs.metrics import figures_of
 from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.runs.checks import check_scenario, refuse_unrunnable
-from stewart_drake.runs.engine import Engine, FastRun, quiet
+from stewart_drake.runs.engine import FastRun, quiet
 from stewart_drake.safety import first_trip
 from stewart_drake.sampling import steps_per, times_of
 from stewart_drake.scenario import Scenario, require_scenario
@@ -32,12 +27,15 @@ from stewart_drake.scenario import Scenario, require_scenario
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
-CHUNK = 0.05
-"""[s] simulated time between two calls of `progress`."""
+    from stewart_drake.runs.drake_run import DrakeRun
+
+    Engine = FastRun | DrakeRun
+
+CHUNK = 0.05  # [s] simulated time between two calls of `progress`.
 
 
 def engine_of(scenario: Scenario, meshcat: Meshcat | None) -> Engine:
-    """The engine that a scenario asks for, see `PlantOptions.engine`."""
+    """The engine that `plant.engine` asks for."""
     if scenario.plant.engine == "reduced":
         return FastRun(scenario, meshcat)
     # The closed form needs no Drake, which takes seconds to import.
@@ -63,14 +61,11 @@ def run(
             which ends the run as Ctrl-C does.
         meshcat: Shows the run while it happens.
         check: Check the reference against `scenario.limits` first.
-        engine: What `engine_of` has made of the scenario, with its own `meshcat`; it is closed afterwards. None makes
-            one.
+        engine: What `engine_of` has made of the scenario, closed afterwards; None makes one.
 
     Raises:
-        ConfigurationError: Found before the run: see `check_scenario`; options that the plant cannot have; weights file
-            that cannot be used; a user's controller that cannot; too many rows for memory.
+        ConfigurationError: Found before the run: what is no run, or none that the robot can do.
         UnreachablePoseError: The start pose is out of reach, with `check` off.
-        TypeError: Something else than a Scenario.
     """
     require_scenario(scenario)
     refuse_unrunnable(scenario)
@@ -93,7 +88,6 @@ def run(
 def _run_engine(
     engine: Engine, scenario: Scenario, files: Mapping[str, str | None], progress: Callable[[float], None] | None
 ) -> SimulationLog:
-    """Runs an engine from its start; see `run`."""
     guard, time_step = user_code(scenario), scenario.plant.time_step
     with drake_guard("preparing the simulator"), guard:
         engine.prepare()

@@ -1,11 +1,8 @@
 """What stands between any controller and the motors: monitors, and a reaction in levels.
 
-Levels, each entered from the one before: `hold` repeats the last good command for as long as its budget lasts; `ramp`
-leads to the torque that carries the robot's weight where it stands, with damping; `safe_hold` stays there; then the run
-ends with the monitor's name. Only `hold` is left again by itself. What can be known beforehand is refused before the
-start, see `refuse_motion`.
-
-Torque and torque-rate limits with a named stop are libfranka's habit (`limitRate`, `controller_torque_discontinuity`).
+Levels: `hold` repeats the last good command for as long as its budget lasts, and alone is left again by itself; `ramp`
+leads to the torque that carries the robot's weight where it stands, damped; `safe_hold` stays there; then the run ends.
+Torque and torque-rate limits with a named stop are libfranka's habit (`limitRate`).
 """
 
 from stewart_drake.safety.layer import HOLD, LEVELS, NONE, NOT_THERE, RAMP, SAFE_HOLD, first_trip, safety_part

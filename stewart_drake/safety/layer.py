@@ -1,8 +1,4 @@
-"""A tick of the safety layer, compiled: its monitors, its levels and reactions, and the part of a loop.
-
-Where what is measured breaks a limit the robot is taken from its controller; where a message is wrong the last good
-command is held.
-"""
+"""A tick of the safety layer, compiled: its monitors, its levels and reactions, and the part of a loop."""
 
 from __future__ import annotations
 
@@ -39,12 +35,10 @@ from stewart_drake.safety.safety_options import MEANINGS, MONITORS, SafetyInputs
 LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
 FROZEN = failure_code("frozen")
-ABSURD = 10.0
-"""A command of so many times the limit is an error of the controller and no wish for torque."""
-REFILL = 0.05
-"""Ticks by which the budget of holding recovers in a good tick, so that a fault that flickers uses it up too."""
+ABSURD = 10.0  # A command of so many times the limit is an error of the controller and no wish for torque.
+REFILL = 0.05  # Ticks of the budget of holding that a good tick gives back: a fault that flickers uses it up too.
+# Nearer to a singularity the weight's torque is not trusted any more, and the last one stays.
 USABLE_TRANSMISSION, USABLE_CONDITIONING = 0.02, 0.01
-"""Nearer to a singularity the weight's torque is not trusted any more, and the last one stays."""
 _ROUNDING = 1e-9
 
 _STATE = fields(
@@ -59,8 +53,7 @@ of ramp and safe hold. side: sign of the rods' determinant at the start, 0 befor
 monitor, level, leg, tick and cause in `FAILURES` of the first trip, zeros before. worst: highest level so far. command:
 that of the last tick, if it was finite [N m]. readings, anchors, encoders: see `_frozen`."""
 
-GOES_ON, BLIND, RUNAWAY, HELD = range(4)
-"""How a tick ends: the run goes on, or is over: blind, with a robot that runs away, or held for long enough."""
+GOES_ON, BLIND, RUNAWAY, HELD = range(4)  # How a tick ends: in the last three the run is over.
 
 NOT_THERE = {
     "age": np.zeros(1),
@@ -71,9 +64,6 @@ NOT_THERE = {
     "pose_reading": np.full(12, np.nan),
 }
 """What stands at a port for which a loop has no signal."""
-
-
-# --- messages ---------------------------------------------------------------------------------------------------------
 
 
 @njit
@@ -118,13 +108,9 @@ _NOTHING_FROZEN = -2
 def _frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, state: Any, legs: Any) -> int:
     """Looks for a reading that stays the same while things move: its leg, -1 for a pose, or `_NOTHING_FROZEN`.
 
-    Its sensor is frozen, or friction holds the crank, or the platform, that it reads: six encoders measure six degrees
-    of freedom, so they can never contradict each other and nobody can tell which. Nor can anybody tell while the robot
-    stands still. A crank that friction holds where it turns back does not count: it stands about where it is wanted.
-
-    Readings are angles (6,) [rad] of encoders, NaN from the start where there are none, or else the pose (6,). The
-    state has `readings` (6,) of the tick before; for each of them in `anchors` (6, 6) what it is compared with as it
-    was when the reading changed; and whether there are `encoders`.
+    Its sensor is frozen, or friction holds what it reads: nobody can tell which, nor while the robot stands still. A
+    crank that friction holds where it turns back does not count: it stands about where it is wanted. The state has the
+    `readings` (6,) before; for each what it is compared with as it was when the reading changed, in `anchors` (6, 6).
     """
     if state.encoders == 0.0 and np.isfinite(angles).any():
         state.encoders = 1.0
@@ -154,19 +140,12 @@ def _frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, stat
     return leg
 
 
-# --- a tick -----------------------------------------------------------------------------------------------------------
-
-
 @njit
 def _tick(
     robots: Any, setups: Any, command: Any, measurement: Any, reference: Any, age: Any, sensor: Any, controller: Any,
     angles: Any, innovation: Any, pose_reading: Any, own: Any, leg_records: Any, seens: Any, states: Any,
 ) -> Any:  # fmt: skip
-    """One tick; ports as of `systems.SafetyLayer`, `own` (2,) a monitor of the user's own that trips, and its leg.
-
-    Returns:
-        GOES_ON, BLIND, RUNAWAY or HELD, and the fastest crank [rad/s].
-    """
+    """One tick; `own` (2,): a user's monitor that trips, its leg. GOES_ON, BLIND, RUNAWAY or HELD; fastest crank."""
     robot, setup, legs, seen, state = (
         record(robots), record(setups), record(leg_records), record(seens), record(states),
     )  # fmt: skip
@@ -256,7 +235,7 @@ def _pass_on(setup: Any, command: Any, innovation: Any, state: Any) -> tuple[int
 
 @njit
 def _largest_change(setup: Any, state: Any) -> float:
-    """[N m] from one tick to the next; the first command has nothing before it."""
+    """[N m] from one tick to the next."""
     return np.inf if state.ticks <= 1.0 else setup.torque_change
 
 
@@ -296,9 +275,6 @@ def _stop(setup: Any, is_seen: bool, seen: Any, state: Any) -> Any:
     return GOES_ON, 0.0
 
 
-# --- the part ---------------------------------------------------------------------------------------------------------
-
-
 def safety_part(
     robot: RobotParameters,
     options: SafetyOptions,
@@ -308,11 +284,10 @@ def safety_part(
     quantum: float = 0.0,
     innovation_scale: tuple[float, float] = (0.0, 1.0),
 ) -> Part:
-    """The safety layer, see `systems.SafetyLayer` for its ports.
+    """The safety layer; ports for which a loop may have no signal read `NOT_THERE`, unless `reads` is replaced.
 
-    Its ports for which a loop may have no signal read `NOT_THERE`, unless `reads` is replaced. `initial` (6,) [N m] are
-    held where the very first command is bad; `quantum` [rad] is a count of the encoders; for `innovation_scale` see
-    `EstimatorOptions.innovation_scale`.
+    `initial` (6,) [N m] are held where the very first command is bad; `quantum` [rad] is a count of the encoders; for
+    `innovation_scale` see `EstimatorOptions.innovation_scale`.
     """
     setup, none = setup_of(robot, options, gravity, period, quantum, innovation_scale), np.full((6, 6), np.nan)
     held = dict.fromkeys(("torque", "good", "weight", "command"), initial)
@@ -339,7 +314,6 @@ def safety_part(
 
 
 def _stopped(options: SafetyOptions, period: float, status: int, fastest: float, state: np.ndarray) -> SafetyStop:
-    """The end of the run."""
     names, (_, monitor, leg) = options.monitor_names, state["safety"][0]
     name = names[int(monitor)]
     what = {
@@ -356,10 +330,8 @@ def _stopped(options: SafetyOptions, period: float, status: int, fastest: float,
 def first_trip(state: np.ndarray, period: float, names: Sequence[str] = MONITORS) -> dict[str, Any] | None:
     """What the layer's last state has to tell of a run of ticks of a period [s]; None where no monitor tripped.
 
-    Returns:
-        monitor, level, time [s], leg (or None) and cause (or None) of the first trip; worst, the highest level; last,
-        the level now; stopped, monitor, time and leg (or None) of the trip for which the robot was taken from its
-        controller for good, or None.
+    monitor, level, time [s], leg, cause of the first trip; worst, the highest level; last, the level now; stopped, the
+    trip for which the robot was taken from its controller for good, or None.
     """
     now: Any = state[0]
     monitor, level, leg, tick, cause = now["first"]

@@ -32,8 +32,7 @@ LIMITS = (
 the order in which they are asked: what the first see explains the others."""
 _OF_ROW = np.array([(monitor, of_legs) for monitor, _, of_legs in LIMITS])
 
-SMALLEST = 1e-9
-"""Transmission at a dead centre, for the speed of that crank."""
+SMALLEST = 1e-9  # Transmission at a dead centre, for the speed of that crank.
 
 SETUP = fields(
     period=(), gravity=(), horizon=(), home=6,
@@ -61,7 +60,7 @@ def setup_of(
     quantum: float = 0.0,
     innovation_scale: tuple[float, float] = (0.0, 1.0),
 ) -> np.ndarray:
-    """`SETUP` record, see `safety_part` for the arguments."""
+    """`SETUP` record, see `safety_part`."""
     pose, rate, share = options.frozen_pose, options.torque_rate, options.torque_limit
     fastest = 15.0 if options.crank_speed is None else options.crank_speed
     return new_record(
@@ -84,9 +83,6 @@ def setup_of(
         most_torque=(1.0 if share is None else share) * robot.effort_limits,
         most_speed=options.runaway * fastest,
     )
-
-
-# --- in a tick ------------------------------------------------------------------------------------------------------
 
 
 @njit
@@ -181,9 +177,6 @@ def broken(seen: Any) -> tuple[int, int]:
     return QUIET, -1
 
 
-# --- before a run ---------------------------------------------------------------------------------------------------
-
-
 def sample_times(duration: float, period: float) -> np.ndarray:
     """Times (n,) [s] at which a motion is looked at before the start: ticks, or some thousand evenly spread."""
     return np.linspace(0.0, duration, min(4000, max(2, round(duration / period) + 1)))
@@ -196,14 +189,7 @@ def refuse_motion(
     time: np.ndarray,
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
-    """Refuses a motion that, followed without error, would trip a monitor.
-
-    Args: robot as believed, gravity [m/s^2], times (n,) [s], and poses (n, 6) [rad, m] with their two derivatives.
-
-    Raises:
-        ConfigurationError: Names the limit, its time and leg.
-        UnreachablePoseError: A pose out of reach.
-    """
+    """Refuses a motion (n, 6) with two derivatives that, followed without error, would trip a monitor."""
     pose, rate, _ = motion
     inverse_kinematics(robot, pose)
     _, start = _margins(robot, options, 0.0, (pose[:1], rate[:1], pose[:1]))
@@ -237,10 +223,7 @@ def refuse_motion(
 def _refuse_for_long(
     key: str, options: SafetyOptions, size: np.ndarray, limit: Any, time: np.ndarray, step: np.ndarray, unit: str
 ) -> None:
-    """Refuses a limit above which sizes (n, 6) are for longer than is allowed, counted as the layer does it.
-
-    Samples of `step` (n,) [s] with a motor beyond add to a sum, others take away from it, down to zero.
-    """
+    """Refuses a limit above which sizes (n, 6) are for longer than is allowed, counted as the layer does it."""
     beyond = size > limit
     any_beyond = beyond.any(axis=1)
     total = np.cumsum(np.where(any_beyond, step, -step))
@@ -258,13 +241,7 @@ def refuse_start(
     pose_rate: np.ndarray,
     reference: np.ndarray,
 ) -> None:
-    """Refuses a start at which a monitor would trip in the very first tick, or where the motors cannot hold the robot.
-
-    Args are as of `refuse_motion`, at the start: pose and rate of the robot, and the pose that is wanted.
-
-    Raises:
-        ConfigurationError: Names the monitor.
-    """
+    """Refuses a start at which a monitor would trip in the very first tick, or where the robot cannot be held."""
     by, _ = _margins(robot, options, options.horizon, (pose[None], pose_rate[None], reference[None]))
     trips = [MONITORS[limit[0]] for limit, margin in zip(LIMITS, by[0], strict=True) if not margin.min() >= 0.0]
     if trips:

@@ -17,22 +17,10 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, TORQUE
 
 MONITORS = (
-    "none",
-    "measurement_not_finite",
-    "sensor_failed",
-    "controller_failed",
-    "command_not_finite",
-    "deadline",
-    "workspace",
-    "serial_singularity",
-    "parallel_singularity",
-    "crank_speed",
-    "following_error",
-    "torque_limit",
-    "torque_rate",
-    "innovation",
-    "reading_stuck",
-)
+    "none", "measurement_not_finite", "sensor_failed", "controller_failed", "command_not_finite", "deadline",
+    "workspace", "serial_singularity", "parallel_singularity", "crank_speed", "following_error", "torque_limit",
+    "torque_rate", "innovation", "reading_stuck",
+)  # fmt: skip
 """Stable names of the monitors, by their number in the log: new ones come last."""
 MEANINGS = {"reading_stuck": "a sensor repeats itself, or friction holds what it reads"}
 """What a name leaves open, for the message of a run that the monitor ends."""
@@ -102,15 +90,11 @@ class SafetyOptions(Section, key="safety"):
 
     @property
     def monitor_names(self) -> tuple[str, ...]:
-        """Names by the number in the log, those of `monitors` last."""
+        """By the number in the log, those of `monitors` last."""
         return (*MONITORS, *(getattr(each, "name", each.kind) for each in self.monitors))
 
     def check_against(self, robot: RobotParameters, period: float) -> None:
-        """Rules between these options, the robot as believed and the control period [s].
-
-        Raises:
-            ConfigurationError: Damping that the cranks cannot bear; a hold that is shorter than any tick.
-        """
+        """Refuses damping that the cranks cannot bear at a control period [s], and a hold shorter than it."""
         largest = self.largest_damping(robot, period)
         if self.damping is not None and self.damping > largest:
             allowed = f"at most {largest:.3g} N m s/rad at this control period"
@@ -137,25 +121,16 @@ class SafetyOptions(Section, key="safety"):
 
 
 class SafetyInputs(NamedTuple):
-    """What a monitor of the user's own gets.
+    """What a monitor of the user's own gets."""
 
-    Attributes:
-        command: (6,) [N m].
-        pose: (6,) [rad, m] measured.
-        pose_rate: (6,) [rad/s, m/s] measured.
-        reference: (6,) [rad, m] pose that is wanted.
-        age: [ticks] of the command.
-        sensor: What is wrong with the estimator, see `errors.FAILURES`, and its leg or -1.
-        controller: What is wrong with the controller, likewise.
-    """
-
-    command: np.ndarray
-    pose: np.ndarray
-    pose_rate: np.ndarray
-    reference: np.ndarray
-    age: float = 0.0
+    command: np.ndarray  # (6,) [N m].
+    pose: np.ndarray  # (6,) [rad, m] measured.
+    pose_rate: np.ndarray  # (6,) [rad/s, m/s] measured.
+    reference: np.ndarray  # (6,) [rad, m] pose that is wanted.
+    age: float = 0.0  # [ticks] of the command.
+    # What is wrong with the estimator, see `errors.FAILURES`, and its leg or -1.
     sensor: tuple[float, float] = (0.0, -1.0)
-    controller: tuple[float, float] = (0.0, -1.0)
+    controller: tuple[float, float] = (0.0, -1.0)  # What is wrong with the controller, likewise.
 
 
 class UserMonitor(UserMade, key="safety.monitors"):
@@ -170,15 +145,9 @@ class UserMonitor(UserMade, key="safety.monitors"):
 
     @property
     def name(self) -> str:
-        """Stable name, for the log."""
         return self.code.name
 
     def look(self, inputs: SafetyInputs) -> int | None:
-        """Leg, -1, or None.
-
-        Raises:
-            ConfigurationError: The class cannot be used, or answers something else.
-        """
         leg = self.made.look(inputs)
         if leg is None:
             return None

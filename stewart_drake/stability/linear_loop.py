@@ -1,9 +1,6 @@
-"""The sampled loop around poses at rest as matrices: x+ = A x + B u, y = C x, broken at the six motors' torques.
+"""The sampled loop around poses at rest, broken at the six motors' torques: x+ = A x + B u, y = C x; u = y closes it.
 
-u is what the motors give beyond holding still, y what they are told to: u = y closes the loop. The robot is the exact
-model without friction under torques held over a control period, discretised exactly; estimator and controller are the
-parts that a run has, linearised by central differences at the point where the loop stands still. Saturation, counts of
-encoders and friction are not in it; weights stay as the tuner has them at the start.
+The exact robot without friction, estimator and controller of a run by central differences; weights as at the start.
 """
 
 from __future__ import annotations
@@ -28,35 +25,24 @@ from stewart_drake.plant.closed_chain import loaded
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario import Scenario
 
-_STEP = 1e-5
-"""Of differences, in SI units: poses bend over a tenth of a metre, torques have sixteen digits."""
-_STILL = 1e-7
-"""In SI units, by which a state may move in a tick where the loop stands still."""
+_STEP = 1e-5  # Of differences, in SI units: poses bend over a tenth of a metre, torques have sixteen digits.
+_STILL = 1e-7  # In SI units, by which a state may move in a tick where the loop stands still.
 _NEWTON_STEPS = 8
 
 
 class LinearLoops(NamedTuple):
-    """Loops at m poses, see the text of this file.
+    """Loops at m poses."""
 
-    Attributes:
-        a: (m, n, n).
-        b: (m, n, 6) per N m.
-        c: (m, 6, n) [N m].
-        period: [s].
-        poses: (m, 6) [rad, m].
-        left_out: What kept other poses out, a sentence each.
-    """
-
-    a: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
-    period: float
-    poses: np.ndarray
-    left_out: tuple[str, ...]
+    a: np.ndarray  # (m, n, n).
+    b: np.ndarray  # (m, n, 6) per N m.
+    c: np.ndarray  # (m, 6, n) [N m].
+    period: float  # [s].
+    poses: np.ndarray  # (m, 6) [rad, m].
+    left_out: tuple[str, ...]  # What kept other poses out, a sentence each.
 
     @property
     def closed(self) -> np.ndarray:
-        """(m, n, n) of the closed loop."""
+        """(m, n, n)."""
         return self.a + self.b @ self.c
 
 
@@ -68,14 +54,7 @@ def poses_to_stand_at(scenario: Scenario, count: int, seed: int) -> np.ndarray:
 
 
 def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
-    """The loop of a scenario at poses (m, 6) [rad, m]; where a part of it refuses a pose, that is left out.
-
-    Robot, sensors, estimator, controller, weights and delay are the scenario's; its motion says nothing here.
-
-    Raises:
-        ConfigurationError: A kind of part that has no linear loop; no pose is left.
-        UnreachablePoseError: A pose is out of reach.
-    """
+    """The loops of a scenario at poses (m, 6) [rad, m]; a pose that a part of it refuses is left out."""
     period, results, kept, left_out = scenario.controller.period, [], [], []
     setup = setup_of(scenario, split=True)._replace(pose_rate=np.zeros(6), friction=0.0)
     sensed = _sensed(scenario.sensors.kind, scenario.robot, poses)
@@ -99,14 +78,8 @@ def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
     )
 
 
-# --- the robot -------------------------------------------------------------------------------------------------------
-
-
 class PlantAt(NamedTuple):
-    """The robot near poses at rest; its state is pose and rate less those of the point.
-
-    A is (m, 12, 12), B (m, 12, 6) per N m, and the torques (m, 6) [N m] hold it there.
-    """
+    """The robot near poses at rest, of state pose and rate less those of the point."""
 
     a: np.ndarray
     b: np.ndarray
@@ -149,7 +122,7 @@ def _plant(robots: Any, pose: Any, gravity: float, leg_records: Any, torque: Any
 
 
 def _sensed(kind: str, robot: RobotParameters, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What exact sensors say at poses (m, 6), and its derivative (m, k, 12) by pose and pose rate."""
+    """What exact sensors say at poses (m, 6), and its derivative (m, k, 12) by pose and rate."""
     if kind == "ideal":
         rest = np.concatenate([poses, np.zeros_like(poses)], axis=-1)
         return rest, np.broadcast_to(np.eye(12), (len(poses), 12, 12))
@@ -158,8 +131,6 @@ def _sensed(kind: str, robot: RobotParameters, poses: np.ndarray) -> tuple[np.nd
         return inverse_kinematics(robot, poses), np.concatenate([turned, np.zeros_like(turned)], axis=-1)
     raise ConfigurationError("sensors.kind", kind, "ideal or encoders, for a linear loop")
 
-
-# --- estimator and controller ----------------------------------------------------------------------------------------
 
 _LINEAR = {
     "estimator": {
@@ -174,12 +145,11 @@ _LINEAR = {
 }
 """Section -> kind -> fields of its part's state that it says, and those on which its next tick depends."""
 
-
 _Tick = Callable[[np.ndarray, Mapping[str, np.ndarray]], tuple[np.ndarray, np.ndarray]]
 
 
 def _ticking(section: str, options: Any, setup: Setup, ports: Mapping[str, np.ndarray]) -> tuple[_Tick, np.ndarray]:
-    """A section's part near a standstill: what it kept and its ports -> what it says and keeps; what it keeps first."""
+    """A section's part near a standstill: kept, ports -> says, keeps; and what it keeps first."""
     table = _LINEAR[section]
     if options.kind not in table:
         *most, last = table
@@ -215,10 +185,7 @@ def _ticking(section: str, options: Any, setup: Setup, ports: Mapping[str, np.nd
 def _controllers_side(
     scenario: Scenario, setup: Setup, reading: np.ndarray
 ) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
-    """Estimator and controller at a pose as one function of reading and memory; gives the memory after a tick.
-
-    Memory is what estimator and controller keep, and the last command. Also the memory at first.
-    """
+    """Estimator and controller as one function of reading and memory, which ends with the command; memory at first."""
     expected = scenario.estimator.expected * scenario.tuner.levels[0]
     ports = {
         # Without friction the reference says nothing to an observer.
@@ -242,21 +209,18 @@ def _controllers_side(
     return side, np.concatenate([estimated, integral])
 
 
-# --- the loop --------------------------------------------------------------------------------------------------------
-
-
 def _loop(
     robot: PlantAt,
     reading: np.ndarray,
     by_state: np.ndarray,
-    side: Callable[[np.ndarray], np.ndarray],
+    side: Any,
     memory: np.ndarray,
     delay: int,
     pose: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, C where the loop stands still, found by Newton's method; a RunFailure where it does not.
+    """A, B, C where the loop stands still, by Newton's method; a RunFailure where it does not.
 
-    The state is the plant's, the controller's side's with the last command at its end, older commands.
+    The state: the plant's, the controller's side's with the last command at its end, older commands.
     """
     x = np.concatenate([np.zeros(12), memory, np.tile(robot.torque, max(1, delay))])
     n, end = len(x), 18 + len(memory)
@@ -288,11 +252,10 @@ def _loop(
 
 
 def _derivatives(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Value (m,) and derivative (m, n) of a function of (n,), by central differences."""
+    """Value (m,) and derivative (m, n), by central differences."""
     columns = []
-    for k in range(len(at)):
-        ahead, behind = at.copy(), at.copy()
-        ahead[k], behind[k] = ahead[k] + _STEP, behind[k] - _STEP
+    for k, way in enumerate(_STEP * np.eye(len(at))):
+        ahead, behind = at + way, at - way
         columns.append((function(ahead) - function(behind)) / (ahead[k] - behind[k]))
     return function(at), np.stack(columns, axis=-1)
 

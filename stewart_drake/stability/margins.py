@@ -1,13 +1,8 @@
 """Margins of linear loops, broken at the six motors' torques: one motor at a time, and all at once.
 
-S = (I + L)^-1 and T = I - S, L from a motor's torque round the loop. A motor i that gives f_i times what it is told to
-leaves the loop stable for every f_i = (1 + d_i / 2) / (1 - d_i / 2) with complex |d_i| < alpha, the disk margin: alone
-alpha = 1 / max|(S_ii - T_ii) / 2|, all at once alpha = 1 / max mu((S - T) / 2), mu for diagonal perturbations. Source:
-P. Seiler, A. Packard, P. Gahinet, "An introduction to disk margins" (IEEE Control Systems 40(5), 2020), skew 0.
-
-mu(M) = 1 / min{|Delta| : det(I - M Delta) = 0, Delta diagonal}. Above it lies sigma_max(D M D^-1) for every positive
-diagonal D, below it the spectral radius of Q M for every diagonal unitary Q. The upper bound is convex in log D.
-Source: A. Packard, J. Doyle, "The complex structured singular value" (Automatica 29, 1993).
+S = (I + L)^-1 and T = I - S. A motor i that gives f_i times what it is told to leaves the loop stable for every f_i =
+(1 + d_i / 2) / (1 - d_i / 2) with complex |d_i| < alpha = 1 / max mu((S - T) / 2), the disk margin. Sources: Seiler,
+Packard, Gahinet, IEEE Control Systems 40(5), 2020, skew 0; for mu Packard, Doyle, Automatica 29, 1993.
 """
 
 from __future__ import annotations
@@ -24,54 +19,35 @@ from stewart_drake.stability.linear_loop import LinearLoops
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_SLOWEST = 0.1
-"""Of the slowest closed-loop pole's frequency, where the grid of frequencies begins; it ends at Nyquist's."""
+_SLOWEST = 0.1  # Of the slowest closed-loop pole's frequency, where the grid begins; it ends at Nyquist's.
 _SWEEPS = 5
-_POWER = 32.0
-"""Of the singular values whose sum stands for the largest one: that alone has corners."""
+_POWER = 32.0  # Of the singular values whose sum stands for the largest one: that alone has corners.
 HEADER = ("", "one motor: least", "5 %", "median", "all at once: least", "5 %", "median")
 _POSE = ("roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m")
 
 
 class Margins(NamedTuple):
-    """Margins at m poses; each (m,), or (m, 6) for the motors one at a time; 0, and gains 1, where a loop is unstable.
+    """Margins at m poses; each (m,), or (m, 6) for the motors one at a time; 0, gains 1, where a loop is unstable."""
 
-    Attributes:
-        disk: [-] alpha.
-        gain_low: [-] factor down to which a motor's gain may fall.
-        gain_high: [-] factor up to which it may grow.
-        phase: [rad].
-        delay: [s] more than the loop has already.
-    """
-
-    disk: np.ndarray
-    gain_low: np.ndarray
-    gain_high: np.ndarray
-    phase: np.ndarray
-    delay: np.ndarray
+    disk: np.ndarray  # [-] alpha.
+    gain_low: np.ndarray  # [-] factor down to which a motor's gain may fall.
+    gain_high: np.ndarray  # [-] factor up to which it may grow.
+    phase: np.ndarray  # [rad].
+    delay: np.ndarray  # [s] more than the loop has already.
 
 
 class LoopMargins(NamedTuple):
-    """What is known of m loops.
+    """What is known of m loops."""
 
-    Attributes:
-        radius: (m,) spectral radius of the closed loop; stable below 1.
-        single: One motor at a time, the others as they should be; gain, phase and delay are the classical ones.
-        all_at_once: The motors differ at will, each within the margin; all follow from the disk.
-        not_above: (m,) [-] what the disk margin all at once is certainly not above; where it meets that of
-            `all_at_once`, both are exact but for the grid.
-        frequency: (m,) [rad/s] at which all at once is smallest.
-        frequencies: (f,) [rad/s] of the grid.
-        curves: (m, f) [-] disk margin all at once at each frequency.
-    """
-
-    radius: np.ndarray
-    single: Margins
-    all_at_once: Margins
+    radius: np.ndarray  # (m,) spectral radius of the closed loop; stable below 1.
+    single: Margins  # One motor at a time, the others as they should be; gain, phase and delay are the classical ones.
+    all_at_once: Margins  # The motors differ at will, each within the margin; all follow from the disk.
+    # (m,) [-] what the disk margin all at once is certainly not above; where it meets that of `all_at_once`, both are
+    # exact but for the grid.
     not_above: np.ndarray
-    frequency: np.ndarray
-    frequencies: np.ndarray
-    curves: np.ndarray
+    frequency: np.ndarray  # (m,) [rad/s] at which all at once is smallest.
+    frequencies: np.ndarray  # (f,) [rad/s] of the grid.
+    curves: np.ndarray  # (m, f) [-] disk margin all at once at each frequency.
 
 
 def loop_margins(loops: LinearLoops, count: int = 300) -> LoopMargins:
@@ -98,7 +74,7 @@ def gain_of_disk(disk: np.ndarray) -> np.ndarray:
 
 
 def _of_loop(sensitivity: np.ndarray, frequencies: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, int, np.ndarray]:
-    """Fields of `Margins` (5, 6) one at a time, (5,) all at once, and of that `not_above`, place of peak, and curve."""
+    """Fields of `Margins` (5, 6) one at a time, (5,) all at once, and of that `not_above`, peak and curve."""
     matrices = sensitivity - 0.5 * np.eye(6)
     curve, logs, peak = _disks(matrices)
     disk, high = curve[peak], gain_of_disk(curve[peak])
@@ -154,10 +130,7 @@ def _classical(own: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
 
 
 def _disks(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """Disk margin (f,) of matrices (f, 6, 6), log D (f, 6), and where on the grid it is smallest.
-
-    The upper bound of mu is refined at its peak, and again wherever that makes another frequency the peak.
-    """
+    """Disk margin (f,), log D (f, 6), and the place of the peak of mu's upper bound, which is refined there."""
     logs = balanced(matrices)
     bound = upper_bound(matrices, logs)
     done = np.zeros(len(bound), dtype=bool)
@@ -168,9 +141,8 @@ def _disks(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
 
 
 def _lag(disks: np.ndarray, complementary: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    """Lag (f,) [rad] that all motors together bear at each frequency, each up to that.
+    """Lag (f,) [rad] that all motors together bear, each up to that: of the disk, or of 1 + d with |d| < 1 / mu(T).
 
-    The larger of two bounds: of the disk, and of 1 + d with |d| < 1 / mu(T). Where mu(T) < 1/2, no lag is too much.
     S, T and their difference have the same elements off the diagonal, so one log D balances them all.
     """
     size = upper_bound(complementary, logs)
@@ -178,14 +150,8 @@ def _lag(disks: np.ndarray, complementary: np.ndarray, logs: np.ndarray) -> np.n
     return np.where(size < 0.5, np.inf, 2.0 * np.maximum(chord, np.arctan(0.5 * disks)))
 
 
-# --- structured singular value ---------------------------------------------------------------------------------------
-
-
 def balanced(matrices: np.ndarray) -> np.ndarray:
-    """The log D (..., n) that makes the Frobenius norm of D M D^-1 small, nearly the best for sigma_max too.
-
-    E. Osborne, "On pre-conditioning of matrices" (J. ACM 7, 1960), row by row.
-    """
+    """Osborne's log D (..., n) (J. ACM 7, 1960), which makes the Frobenius norm of D M D^-1 small."""
     n = matrices.shape[-1]
     squares = np.abs(matrices) ** 2 * (1.0 - np.eye(n)) + np.finfo(float).tiny
     logs = np.zeros(squares.shape[:-1])
@@ -199,7 +165,7 @@ def balanced(matrices: np.ndarray) -> np.ndarray:
 
 
 def refined(matrix: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    """The log D (n,) at which `upper_bound` of one matrix (n, n) is smallest, from one near it; never worse."""
+    """The log D (n,) at which `upper_bound` of one matrix is smallest, from one near it; never worse."""
 
     def smooth(d: np.ndarray) -> tuple[float, np.ndarray]:
         """log(sum sigma^2p) / 2p of D M D^-1, and its derivative by log D."""
@@ -214,16 +180,12 @@ def refined(matrix: np.ndarray, logs: np.ndarray) -> np.ndarray:
 
 
 def upper_bound(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    """sigma_max(D M D^-1) (...) of matrices (..., n, n) for log D (..., n); no mu is above it, whatever D."""
+    """sigma_max(D M D^-1) (...) of matrices (..., n, n) for log D (..., n); no mu is above it."""
     return np.linalg.svd(_scaled(matrices, logs), compute_uv=False)[..., 0]
 
 
 def lower_bound(matrix: np.ndarray, logs: np.ndarray) -> float:
-    """Spectral radius of Q M (n, n), the larger of two unitary Q; mu is not below it.
-
-    One Q is the identity, the other turns the left singular vector of D M D^-1 onto the right one, element by element:
-    where the largest singular value is simple at the best D, that gives mu itself.
-    """
+    """Spectral radius of Q M (n, n), the larger of two unitary Q: identity, and left singular vector onto right."""
     left, _, right = np.linalg.svd(_scaled(matrix, logs))
     turn = np.exp(-1j * np.angle(right[0] * left[:, 0]))
     return float(max(np.abs(np.linalg.eigvals(each)).max() for each in (matrix, turn[:, None] * matrix)))
@@ -231,9 +193,6 @@ def lower_bound(matrix: np.ndarray, logs: np.ndarray) -> float:
 
 def _scaled(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
     return np.exp(logs[..., :, None] - logs[..., None, :]) * matrices
-
-
-# --- what the margins of many poses leave ----------------------------------------------------------------------------
 
 
 def quantities(found: LoopMargins, period: float) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
@@ -258,18 +217,15 @@ def spread(values: np.ndarray, most: bool) -> tuple[float, float, float]:
 
 
 def table(found: LoopMargins, period: float) -> list[tuple[str, ...]]:
-    """Rows of texts under `HEADER`."""
     rows = []
     for key, name, alone, together in quantities(found, period):
-        numbers = [each for values in (alone, together) for each in spread(values, key == "gain_low")]
-        if key == "delay_s":
-            name, numbers = "delay [ms]", [1e3 * each for each in numbers]
-        rows.append((name, *(f"{each:.3g}" for each in numbers)))
+        scale, name = (1e3, "delay [ms]") if key == "delay_s" else (1.0, name)
+        numbers = (*spread(alone, key == "gain_low"), *spread(together, key == "gain_low"))
+        rows.append((name, *(f"{scale * each:.3g}" for each in numbers)))
     return rows
 
 
 def facts(loops: LinearLoops, found: LoopMargins) -> list[tuple[str, str]]:
-    """What else there is to say, as rows of two texts."""
     stable, worst = found.radius < 1.0, int(found.all_at_once.disk.argmin())
     pose = ", ".join(f"{each:.4g}" for each in loops.poses[worst])
     grid = found.frequencies
@@ -291,7 +247,7 @@ def gap(found: LoopMargins) -> float:
 
 
 def document(loops: LinearLoops, found: LoopMargins) -> dict[str, Any]:
-    """All that `table` and `facts` say, as plain values; no margin without end has a number."""
+    """All that `table` and `facts` say, as plain values; None for a margin without end."""
 
     def plain(values: np.ndarray, most: bool) -> list[float | None]:
         return [each if np.isfinite(each) else None for each in spread(values, most)]

@@ -31,25 +31,18 @@ class ClosedLoop(Diagram):
     Output ports: plant_state (nq + nv,) [rad, rad/s], measurement (12,) pose [rad, m] and pose rate [rad/s, m/s],
     reference (18,) pose, pose rate and pose acceleration [rad/s^2, m/s^2], torque (6,) [N m], error (6,) [rad, m],
     integral (6,) [rad s, m s]; for controllers that take weights weights (2,) or (4,) [-], density (12,) [-]; with an
-    observer innovation (6,) [rad]; where something stands between controller and motors (delay, link, safety layer,
-    imperfect motors) torque_applied (6,) [N m], what the motors are given; with disturbances disturbance (6,) [N m, N]
-    about P; with a safety layer safety (3,): numbers of level and monitor, leg or -1.
+    observer innovation (6,) [rad]; where something stands between controller and motors torque_applied (6,) [N m];
+    with disturbances disturbance (6,) [N m, N] about P; with a safety layer safety (3,): level, monitor, leg or -1.
 
     Args:
         scenario: The run to build.
         meshcat: A Meshcat to show the run in while it happens, or None.
         log_period: [s] between two rows of the sinks; None takes that of the scenario.
 
-    Raises:
-        ConfigurationError: The tuner's weights file is missing or corrupt; a user's controller that cannot be used.
-        TypeError: Something else than a Scenario.
-
     Attributes:
-        scenario: What it was built from.
-        loop: Its parts.
+        scenario, loop: What it was built from, and its parts.
         plant: The MultibodyPlant with its indices and `assemble`.
-        systems: Name of a part -> the System that runs it.
-        sinks: Signal name -> VectorLogSink.
+        systems, sinks: The System of each part, and the VectorLogSink of each signal, by name.
     """
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None, log_period: float | None = None) -> None:
@@ -78,11 +71,7 @@ class ClosedLoop(Diagram):
         self.systems = wiring.systems
 
     def create_start_context(self) -> Context:
-        """A Context assembled at the scenario's start, in motion; a default Context stands at the home pose, at rest.
-
-        Raises:
-            UnreachablePoseError: The start pose cannot be assembled.
-        """
+        """A Context at the scenario's start, in motion; a default one stands at home, at rest."""
         context = self.CreateDefaultContext()
         self.plant.set_state(context, *self.scenario.start())
         return context
@@ -116,7 +105,6 @@ class _Wiring:
         return cast(_System, self.builder.AddNamedSystem(name, system))
 
     def add_source(self, signal: str) -> None:
-        """Adds a signal of time alone."""
         scenario, step = self.scenario, self.scenario.plant.time_step
         if signal == "wrench":
             push = self.add("push", PlatformWrench(self.plant, scenario.disturbances))
@@ -150,7 +138,6 @@ class _Wiring:
                 self.builder.Connect(signal, self.systems[part.name].GetInputPort(port))
 
     def port(self, name: str, source: str | np.ndarray) -> OutputPort:
-        """The port of a signal, or of an array that stays."""
         if isinstance(source, str):
             return self.signals[source]
         return self.add(name, ConstantVectorSource(source)).get_output_port()

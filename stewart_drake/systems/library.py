@@ -16,16 +16,9 @@ from stewart_drake.control.joint_pid import PidOptions, pid_part
 from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.control.network import DensityKind, TunerNetwork, density_part, network_part
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.hardware import motors
 from stewart_drake.hardware.disturbances import Disturbance, total_wrench
 from stewart_drake.hardware.estimator import difference_part
-from stewart_drake.hardware.motors import (
-    FrictionCompensation,
-    LinkOptions,
-    MotorOptions,
-    friction_part,
-    link_part,
-    motor_part,
-)
 from stewart_drake.hardware.observer import ObserverOptions, observer_part
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
 from stewart_drake.plant.multibody_plant import StewartPlant
@@ -38,15 +31,7 @@ from stewart_drake.systems.part_system import PartSystem
 class LqiController(PartSystem, ports="measurement reference weights -> torque error integral"):
     """Linear quadratic integral regulator, (19)-(34): a new gain at every tick, from that tick's pose and weights.
 
-    The torque answers within the tick (no added delay), within the motors' limits where `saturation` says so, and is
-    held until the next; see `PartSystem`. z, and what bridges a failed tick, live in the Context. The gain comes from
-    Drake's `DiscreteAlgebraicRiccatiEquation`, or with `solver: split` from the compiled split solution.
-
-    Args:
-        robot: As the controller believes it to be.
-        options: See `LqiOptions`.
-        gravity: [m/s^2].
-        weights: Size of the port: 2, or 4 for block weights.
+    Answers within the tick; `weights` is the size of its port, 2, or 4 for block weights; gravity in [m/s^2].
     """
 
     def __init__(self, robot: RobotParameters, options: LqiOptions, gravity: float, weights: int = 2) -> None:
@@ -56,14 +41,14 @@ class LqiController(PartSystem, ports="measurement reference weights -> torque e
 
 
 class JointPid(PartSystem, ports="measurement reference -> torque error integral"):
-    """PID in the space of the cranks, see `joint_pid`."""
+    """PID in the space of the cranks."""
 
     def __init__(self, robot: RobotParameters, options: PidOptions, gravity: float) -> None:
         super().__init__(pid_part(options, robot, gravity), options.period)
 
 
 class ComputedTorque(PartSystem, ports="measurement reference -> torque error integral"):
-    """Computed torque in the space of the platform, see `computed_torque`."""
+    """Computed torque in the space of the platform."""
 
     def __init__(self, robot: RobotParameters, options: ComputedTorqueOptions, gravity: float) -> None:
         super().__init__(computed_torque_part(options, robot, gravity), options.period)
@@ -85,19 +70,9 @@ class DensityFeatures(PartSystem, ports="error torque -> density"):
 
 
 class AnnTuner(PartSystem, ports="density -> weights"):
-    """omega_Q and omega_R from the densities, Fig. 5.
+    """omega_Q and omega_R from the densities, Fig. 5; `initial` until the first inference.
 
-    `stewart_drake.AnnTuner` is the section of a scenario that asks for it. The weights found at a tick act from the
-    next one on: the densities of a tick need its torque, which needs the weights. Until the first inference they are
-    `initial`; they are never zero and never outside the range that the network was trained on.
-
-    Args:
-        network: Trained.
-        period: [s] tick period.
-        initial: omega_Q, omega_R before the first inference.
-
-    Raises:
-        ConfigurationError: `initial` is not two finite numbers.
+    The weights found at a tick act from the next one on: the densities of a tick need its torque, which needs them.
     """
 
     def __init__(self, network: TunerNetwork, period: float, initial: Sequence[float] = (1.0, 1.0)) -> None:
@@ -105,22 +80,14 @@ class AnnTuner(PartSystem, ports="density -> weights"):
 
 
 class MotorEncoders(PartSystem, ports="crank_state -> reading"):
-    """Crank angles as the encoders read them; faults of `EncoderOptions` are another part. A noise number a tick."""
+    """Crank angles as the encoders read them, without faults."""
 
     def __init__(self, options: EncoderOptions, period: float) -> None:
         super().__init__(encoder_part(options), period)
 
 
 class PoseEstimator(PartSystem, ports="reading -> measurement"):
-    """Forward kinematics of the encoder readings, and their differences; answers within the tick.
-
-    Args:
-        robot: As the controller believes it to be.
-        options: See `EncoderOptions`.
-        period: [s] tick period.
-        start: Pose (6,) [rad, m] roughly where the platform stands at first, which picks the assembly mode; and as it
-            may be its rate (6,) [rad/s, m/s], of a robot that is in motion at the start.
-    """
+    """Forward kinematics of the readings, and their differences; `start` as of `difference_part`: pose, rate."""
 
     def __init__(self, robot: RobotParameters, options: EncoderOptions, period: float, *start: np.ndarray) -> None:
         super().__init__(difference_part(robot, options, period, *start), period)
@@ -129,10 +96,7 @@ class PoseEstimator(PartSystem, ports="reading -> measurement"):
 class PlatformObserver(
     PartSystem, ports="reading sent reference disturbance -> measurement ahead compensation innovation"
 ):
-    """State of the platform from readings and the commands that were sent, see `hardware.observer`.
-
-    Args: As of `observer.observer_part`: noise, pose, pose_rate, still; as keywords command_delay, friction and size.
-    """
+    """State of the platform from readings and sent commands; start and more as of `observer_part`."""
 
     def __init__(
         self, robot: RobotParameters, options: ObserverOptions, gravity: float, period: float, *start: Any, **more: Any
@@ -143,29 +107,22 @@ class PlatformObserver(
 class FrictionFeedforward(PartSystem, ports="reference -> against_friction"):
     """Torque against the motors' friction along the reference."""
 
-    def __init__(self, robot: RobotParameters, options: FrictionCompensation, period: float) -> None:
-        super().__init__(friction_part(robot, options), period)
+    def __init__(self, robot: RobotParameters, options: motors.FrictionCompensation, period: float) -> None:
+        super().__init__(motors.friction_part(robot, options), period)
 
 
 class CommandLink(PartSystem, ports="torque -> torque age"):
-    """Passes a controller's commands on, or loses, delays and spoils them; at every step of the plant.
+    """Passes a controller's commands on, or loses, delays and spoils them, at every step [s]; `initial` (6,) [N m]."""
 
-    Args:
-        options: See `LinkOptions`.
-        time_step: [s] of the plant.
-        steps_per_tick: Steps of the plant in a control period.
-        initial: (6,) [N m] command before the first one arrives.
-    """
-
-    def __init__(self, options: LinkOptions, time_step: float, steps_per_tick: int, initial: np.ndarray) -> None:
-        super().__init__(link_part(options, steps_per_tick, initial), time_step)
+    def __init__(self, options: motors.LinkOptions, time_step: float, steps_per_tick: int, initial: np.ndarray) -> None:
+        super().__init__(motors.link_part(options, steps_per_tick, initial), time_step)
 
 
 class MotorDrive(PartSystem, ports="torque crank_state -> torque"):
-    """Torque of imperfect motors for the torque asked for, see `MotorOptions`; at every step of the plant."""
+    """Torque of imperfect motors for the torque asked for, at every step [s] of the plant."""
 
-    def __init__(self, options: MotorOptions, time_step: float) -> None:
-        super().__init__(motor_part(options), time_step)
+    def __init__(self, options: motors.MotorOptions, time_step: float) -> None:
+        super().__init__(motors.motor_part(options), time_step)
 
 
 class SafetyLayer(
@@ -175,10 +132,8 @@ class SafetyLayer(
 ):
     """Watches commands and measurements, and passes on what may go to the motors; answers within the tick.
 
-    Any controller with a torque port runs behind it. A port for which there is no signal may be left alone, and takes
-    its array of `safety.NOT_THERE`.
-
-    Args: As of `safety.safety_part`: initial, and as it may be quantum and innovation_scale.
+    A port for which there is no signal may be left alone, and takes its array of `safety.NOT_THERE`. More arguments as
+    of `safety.safety_part`.
     """
 
     def __init__(
@@ -187,17 +142,8 @@ class SafetyLayer(
         super().__init__(safety_part(robot, options, gravity, period, *more, **named), period)
 
 
-# --- what has no tick -------------------------------------------------------------------------------------------------
-
-
 class ReferenceSource(LeafSystem):
-    """A reference motion as a signal.
-
-    Args:
-        reference: The motion.
-        period: [s] at whose multiples the signal is mostly asked for; they are evaluated some hundred at a time, which
-            costs a tenth. Other times are answered too.
-        ahead: [s] by which it is ahead of its time.
+    """A reference motion as a signal, `ahead` [s] of its time; many multiples of `period` [s] are evaluated at once.
 
     Ports:
         reference: out (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].

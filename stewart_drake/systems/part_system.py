@@ -43,31 +43,19 @@ _AHEAD = 1.0 + 4e-10
 
 
 class PartSystem(LeafSystem):
-    """Runs a part at its ticks; its state is in the Context.
+    """Runs a part at its ticks, at multiples of `period` [s]; its state is in the Context.
 
     What a part says at a tick is computed from the inputs of that very instant, as soon as somebody asks for it, and
     the discrete update then stores it: a torque in discrete state alone would reach the plant one plant step late. A
-    part that is `late` ticks in the update.
+    part that is `late` ticks in the update. The plant must step in a discrete update too, as `plant.add_plant` makes
+    it.
 
-    The plant must step in a discrete update too, as `plant.add_plant` makes it: a `MultibodyPlant` with sampled outputs
-    (Drake's default) steps before all discrete updates of its instant, and what is stored would see it one step late.
-
-    Args:
-        part: What it does.
-        period: [s] tick period; ticks at 0, period, 2 period, ...
-
-    Attributes:
-        part: See above.
-        period: [s] as Drake has it, see `sampling.on_grid`; the period for a log of every tick.
-        result: Port: the part's state, and the number of ticks done. A port for each output costs a call of Python
-            where it is asked for; a Demultiplexer on this one does not.
-
-    Ports: those of the part and `result`, by name and as attributes; an output with the name of an input is the
-    attribute `NAME_out`. An input whose part has an array for it may be left alone.
+    Ports: those of the part by name and as attributes, and `result`, its state and the number of ticks done; an output
+    with the name of an input is the attribute `NAME_out`. An input whose part has an array for it may be left alone.
     """
 
     def __init_subclass__(cls, ports: str = "") -> None:
-        """Adds to the text of a class its ports, `inputs -> outputs` by name, as `SIGNALS` has them."""
+        """Adds to the text of a class its ports, `inputs -> outputs`, as `SIGNALS` has them."""
         super().__init_subclass__()
         if ports:
             lines = ["result: out, the part's whole state and the number of ticks done"]
@@ -110,11 +98,7 @@ class PartSystem(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(period_sec=self.period, offset_sec=0.0, update=self._store)
 
     def state(self, context: Context) -> np.ndarray:
-        """The part's record (1,) as it is now; of the tick that has been asked for, though nothing has stored it.
-
-        Args:
-            context: Of the whole Diagram.
-        """
+        """The part's record (1,), of the tick asked for, though nothing has stored it; `context` of the Diagram."""
         mine = self.GetMyContextFromRoot(context)
         if not self.part.late:
             entry = self.get_output_port(self.result.get_index()).cache_entry()
@@ -123,7 +107,7 @@ class PartSystem(LeafSystem):
         return np.array(mine.get_discrete_state(0).value()[:-1]).view(self._kind)
 
     def split(self) -> tuple[list[int], list[int]]:
-        """How a Demultiplexer splits `result`: sizes in order, and at which of them each output of the part is."""
+        """How a Demultiplexer splits `result`: sizes, and at which of them each output of the part is."""
         names = self._kind.names or ()
         return [*(self.part.size(name) for name in names), 1], [names.index(name) for name in self.part.outputs]
 

@@ -4,8 +4,7 @@ import numpy as np
 from simulated_identification import deviating, recorded
 
 from stewart_drake.hardware.sensors import EncoderOptions
-from stewart_drake.references.basic import SineReference
-from stewart_drake.references.combined import SumReference
+from stewart_drake.references.motions import SineReference, SumReference
 
 EXACT = EncoderOptions(resolution_bits=0)
 FINE = EncoderOptions(resolution_bits=17, noise=2e-5)

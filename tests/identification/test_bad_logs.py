@@ -12,7 +12,7 @@ from stewart_drake import Scenario, load_robot, run
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.identification.identified import identify
 from stewart_drake.identification.samples import load_recording, of_log
-from stewart_drake.references.basic import HoldReference
+from stewart_drake.references.motions import HoldReference
 
 LOG = recording(ROBOT, truth_of(ROBOT), rate=100.0)
 
