@@ -62,11 +62,15 @@ def test_weights_never_leave_the_trained_range_whatever_comes_in(densities, gain
     assert np.all((answer >= network.omega_min) & (answer <= network.omega_max))
 
 
-def test_a_saved_network_comes_back_whole(tmp_path, network):
-    network.save(tmp_path / "net.json")
-    twin = load_network(tmp_path / "net.json")
-    assert twin.to_bytes() == network.to_bytes() == (tmp_path / "net.json").read_bytes()
+def test_a_saved_network_comes_back_whole_or_is_refused(tmp_path, network):
+    path = tmp_path / "net.json"
+    network.save(path)
+    twin = load_network(path)
+    assert twin.to_bytes() == network.to_bytes() == path.read_bytes()
     assert (twin.density, twin.window, twin.provenance) == (network.density, network.window, network.provenance)
+    path.write_text(json.dumps(json.loads(network.to_bytes()) | {"window": 48}))
+    with pytest.raises(ConfigurationError, match="checksum"):
+        load_network(path)
 
 
 @pytest.mark.parametrize("content", [b"", b'{"format": "stewart-drake tuner", "ver', b"[1, 2]", None])

@@ -1,9 +1,5 @@
 import numpy as np
 import pytest
-import scipy.linalg
-from hypothesis import given
-from hypothesis import strategies as st
-from strategies import ROBOT, poses
 
 from stewart_drake.control.state_space import (
     INTEGRAL,
@@ -11,12 +7,10 @@ from stewart_drake.control.state_space import (
     hautus_detectability,
     hautus_stabilisability,
     input_matrix,
-    mass_diagonal,
     output_matrix,
     state_matrix,
 )
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics.force_map import force_map
 
 A, C = state_matrix(), output_matrix()
 NUMBERED = 10.0 * np.arange(1, 7)[:, None] + np.arange(1, 7)
@@ -36,16 +30,6 @@ def test_a_b_and_c_are_21_to_24_entry_by_entry_in_the_order_of_the_paper():
     maps = np.stack([NUMBERED, -NUMBERED])
     np.testing.assert_allclose(input_matrix(maps) @ torque, [forces, -forces])
     np.testing.assert_array_equal(C @ state, state[[0, 2, 4, 6, 8, 10]] + state[12:])
-
-
-@pytest.mark.slow
-@given(pose=poses(), period=st.floats(1e-4, 0.1))
-def test_exact_discretisation_is_the_matrix_exponential(pose, period):
-    b = input_matrix(force_map(ROBOT, pose) / mass_diagonal(ROBOT)[:, None])
-    block = scipy.linalg.expm(period * np.block([[A, b], [np.zeros((6, 24))]]))
-    a_d, b_d = discretize(A, b, period)
-    np.testing.assert_allclose(a_d, block[:18, :18], rtol=1e-13, atol=1e-16)
-    np.testing.assert_allclose(b_d, block[:18, 18:], rtol=1e-12, atol=1e-14)
 
 
 def test_euler_discretisation_is_the_first_order_step():

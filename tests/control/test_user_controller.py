@@ -80,7 +80,7 @@ BAD = [
     ("class Other: pass\n", "mine.py defines"),
     ("class Mine: pass\n", "a LeafSystem of pydrake"),
     (GOOD.replace("self.scale = scale", "raise ZeroDivisionError('no')"), "ZeroDivisionError: no"),
-    (GOOD.replace("scale=1.0", "needed"), "missing a required argument"),
+    (GOOD.replace("scale=1.0", "needed"), "missing 1 required positional argument"),
     (GOOD.replace('"torque", 6', '"torque", 3'), "output port torque (6,)"),
 ]
 
@@ -105,18 +105,6 @@ def test_whatever_it_raises_keeps_the_log_and_is_shown_with_its_line(written, er
     assert first.endswith(f" (mine.py, line {line}, in calc)")
     assert trace[0] == "Traceback (most recent call last):"
     assert trace[1].endswith(f'mine.py", line {line}, in calc')
-
-
-def test_a_run_that_it_ends_before_its_time_is_not_completed(written):
-    stop = "lambda c: EventStatus.ReachedTermination(self, 'enough')"
-    text = GOOD.replace("import LeafSystem", "import EventStatus, LeafSystem").replace(
-        "        self.scale = scale\n",
-        f"        self.scale = scale\n        self.DeclarePeriodicPublishEvent(0.001, 0.05, {stop})\n",
-    )
-    log = run(scenario(written(text)))
-    assert (log.status, log.reason) == ("failed", "controller_stopped")
-    assert "enough" in log.message
-    assert 0.04 < log.end_time < 0.06
 
 
 POSE, RATE = ROBOT.home_pose + 0.01, np.full(6, 0.2)

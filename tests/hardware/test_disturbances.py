@@ -62,8 +62,14 @@ def test_noise_has_its_size_and_its_band_and_independent_axes():
     assert np.abs(np.corrcoef(values.T) - np.eye(6)).max() < 0.1
 
 
-def test_a_bad_value_is_named():
-    for key, kind, values in (("until", StepWrench, {"time": 1.0, "until": 1.0}), ("high", NoiseWrench, {"low": 20.0})):
-        with pytest.raises(ConfigurationError) as caught:
-            kind(**values)
-        assert field_of(caught.value) == f"disturbances.{key}"
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: StepWrench(wrench=WRENCH, time=1.0, until=1.0), "until"),
+        (lambda: NoiseWrench(rms=(1.0,) * 6, low=10.0, high=10.0), "high"),
+    ],
+)
+def test_a_bad_value_is_named(make, key):
+    with pytest.raises(ConfigurationError) as caught:
+        make()
+    assert field_of(caught.value) == f"disturbances.{key}"

@@ -5,13 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
-from hypothesis import strategies as st
 from recordings import FINE, motion, recording, truth_of
 from simulated_identification import Setting, coverage, run_trial, with_payload
 from strategies import ROBOT, ROBOTS, UNEQUAL, vectors
 
 from stewart_drake import load_robot
-from stewart_drake.identification.estimate import consistent, estimate, is_consistent, pseudo_inertia
+from stewart_drake.identification.estimate import consistent, estimate, is_consistent
 from stewart_drake.identification.excitation import ROOM, excite
 from stewart_drake.identification.identified import identify
 from stewart_drake.identification.parameters import (
@@ -116,14 +115,6 @@ def test_intervals_hold_the_truth(robot, payload):
     assert max(trial.predicted for trial in trials) < 0.03
     assert np.median([trial.payload for trial in trials]) < payload
     assert np.median([max(trial.coulomb, trial.viscous) for trial in trials]) < 0.05
-
-
-@given(points=st.lists(vectors(4), min_size=1, max_size=6))
-def test_masses_of_any_distribution_have_a_pseudo_inertia_that_is_positive(points):
-    values = 0.0 * of_robot(ROBOT)
-    for point in points:
-        values = with_payload(values, abs(point[3]), point[:3])
-    assert np.linalg.eigvalsh(pseudo_inertia(ROBOT, values)).min() > -1e-7 * max(1.0, values[0])
 
 
 @settings(max_examples=10)

@@ -6,7 +6,6 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.force_map import force_map
 from stewart_drake.mechanics.kinematics import leg_geometry, line_conditioning, reach_margin, rod_lines
-from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.planning.limits import Limits, limit_margins, measure_poses
 from stewart_drake.planning.workspace import (
     COORDINATES,
@@ -115,15 +114,6 @@ def test_rays_end_where_the_named_limit_is_met(kind):
     beyond, cause = use_at(radius + 1e-5)
     assert (beyond > 1.0).all()
     np.testing.assert_array_equal(cause, ends.limit)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("axis", range(6))
-def test_ranges_along_an_axis_agree_with_the_largest_amplitude_at_rest(axis):
-    kind = "orientation" if axis < 3 else "position"
-    along = np.eye(3)[axis % 3]
-    ends = boundary(ROBOT, LIMITS, kind, HOME, np.stack([along, -along]))
-    assert ends.radius.min() == pytest.approx(largest_amplitude(ROBOT, LIMITS, axis, 0.0, 9.81), rel=3e-4)
 
 
 def test_directions_stand_for_equal_parts_of_the_sphere_and_ways_and_grid_agree_on_the_volume():

@@ -81,17 +81,6 @@ def test_fourteen_bodies_have_the_masses_of_table_1():
         np.testing.assert_allclose(about_centre.get_products(), 0.0, atol=1e-15)
 
 
-@pytest.mark.parametrize(("rod_joint", "positions", "velocities"), [("universal", 25, 24), ("ball", 31, 30)])
-def test_sizes_and_limits(rod_joint, positions, velocities):
-    _, stewart = built(rod_joint, gravity=1.62)
-    plant = stewart.plant
-    assert (plant.num_positions(), plant.num_velocities(), plant.num_actuators()) == (positions, velocities, 6)
-    assert plant.time_step() == pytest.approx(0.001, abs=1e-12)
-    np.testing.assert_array_equal(plant.GetEffortUpperLimits(), np.full(6, 5.0))
-    assert len(stewart.state_names) == positions + velocities
-    np.testing.assert_array_equal(plant.gravity_field().gravity_vector(), [0.0, 0.0, -1.62])
-
-
 @universal_or_ball
 @settings(max_examples=25, deadline=None)
 @given(pose=poses(), rate=vectors(6, 3.0))

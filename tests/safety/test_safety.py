@@ -82,6 +82,7 @@ def at(**offsets):
 
 
 FAST = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.5])
+# Monitor, what trips it in the tick after a good one, the level that it asks for, its switch.
 TRIPS = [
     ("measurement_not_finite", inputs(pose=np.full(6, np.nan), reference=HOME), HOLD, "finite"),
     ("sensor_failed", inputs(sensor=(failure_code("encoder"), 2.0)), HOLD, "failures"),
@@ -251,7 +252,7 @@ def test_what_is_told_names_the_trip_that_stopped_the_robot_and_not_only_the_fir
         "monitor": "command_not_finite",
         "level": "hold",
         "time": 0.001,
-        "leg": None,
+        "leg": 0,
         "cause": None,
         "worst": "safe_hold",
         "last": "safe_hold",

@@ -11,6 +11,7 @@ from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.systems.diagram import ClosedLoop
 
+WEIGHTS = ("q_pose", "q_rate", "q_integral")
 ENCODERS = {"kind": "encoders", "rate_cutoff": 150.0}
 
 
@@ -137,7 +138,7 @@ def test_an_ideal_sensor_that_fails_is_bridged_by_the_controller_and_then_ends_t
 @pytest.mark.parametrize(
     ("changes", "reasons"),
     [
-        ({"tuner": {"kind": "block", "q_pose": 1e-300, "r": 1e300}}, {"riccati", "not_finite"}),
+        ({"tuner": {"kind": "block", **dict.fromkeys(WEIGHTS, 1e-300), "r": 1e300}}, {"riccati", "not_finite"}),
         # A believed robot that cannot stand at the start.
         ({"model_robot": {"home_height": 0.2, "rod_length": 0.2}}, {"unreachable_pose"}),
     ],

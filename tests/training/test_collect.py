@@ -1,4 +1,3 @@
-import itertools
 import json
 
 import numpy as np
@@ -17,7 +16,6 @@ from stewart_drake.training.collect import (
     BURST,
     COLUMNS,
     FREQUENCIES,
-    OMEGAS,
     SHARE,
     collect_dataset,
     dataset_from_logs,
@@ -33,7 +31,6 @@ SMALL = SineBurstsReference(
     phase=tuple(np.pi / 3.0 * np.arange(6)),
     burst_duration=BURST,
 )
-PAIRS = list(itertools.product(OMEGAS, OMEGAS))
 
 
 def base():

@@ -77,16 +77,3 @@ def test_a_side_without_samples_is_refused():
     with pytest.raises(ConfigurationError) as caught:
         train_network(made_up(1, 1), options())
     assert caught.value.key == "training.training_share"
-
-
-@pytest.mark.parametrize(("split", "share"), [("runs", 0.7), ("samples", 0.05)])
-def test_a_split_that_leaves_a_weight_without_training_samples_is_refused_before_training(split, share):
-    dataset, masks, errors = made_up(10), [], []
-    for seed in range(500):
-        try:
-            masks.append(split_samples(dataset, options(seed=seed, split=split, training_share=share)))
-        except ConfigurationError as error:
-            errors.append(error)
-    assert masks
-    assert all(len(np.unique(column)) == 3 for mask in masks for column in dataset.outputs[mask].T)
-    assert {error.key for error in errors} == {"training.seed"}
