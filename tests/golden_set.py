@@ -43,8 +43,8 @@ HOMES = {
         leg_geometry line_conditioning pose_jacobian pose_rate_to_twist reach_margin rod_lines roll_pitch_yaw
         rotation_angle rotation_matrix twist_jacobian twist_to_pose_rate""",
     "stewart_drake.mechanics.dynamics": """
-        forward_dynamics inverse_dynamics pose_acceleration_map static_torque task_bias task_inertia""",
-    "stewart_drake.mechanics.force_map": "crank_map force_map force_map_of_legs rod_map",
+        crank_map force_map force_map_of_legs forward_dynamics inverse_dynamics pose_acceleration_map rod_map
+        static_torque task_bias task_inertia""",
     "stewart_drake.mechanics.friction": "drag_anchors friction_law implicit_torque",
     "stewart_drake.planning.feasibility": "amplitude_table largest_scale",
     "stewart_drake.planning.workspace": "measure_poses",

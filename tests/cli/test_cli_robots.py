@@ -58,7 +58,7 @@ def test_a_robot_from_a_table_is_kept_and_comes_back(call, tmp_path):
     assert (tmp_path / "mine.yaml").read_text().startswith("about: mine\n")
     (tmp_path / "points.csv").write_text("\n".join([header, *rows[:4]]))
     status, _, error = call("robots", *arguments, "--set", "rod_length=180")
-    assert (status, error.count("\n"), "table: expected 6 rows, one a leg" in error) == (2, 1, True)
+    assert (status, error.count("\n"), "expected 6 rows, one a leg" in error) == (2, 1, True)
 
 
 @pytest.mark.parametrize("name", ["paper", "reachy_mini", "servo_hexapod"])

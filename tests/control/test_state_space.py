@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake.control.state_space import (
+from stewart_drake.control.riccati import (
     INTEGRAL,
     discretize,
     hautus_detectability,

@@ -7,7 +7,7 @@ import pytest
 from strategies import ROBOT
 
 from stewart_drake.errors import ConfigurationError, UnreachablePoseError
-from stewart_drake.mechanics import batch, dynamics, kinematics
+from stewart_drake.mechanics import dynamics, kinematics
 from stewart_drake.mechanics.kinematics_laws import robot_record, with_payload
 
 SIZE = [0.2, 0.2, 0.2, 0.03, 0.03, 0.01]
@@ -18,11 +18,11 @@ def some_poses(*shape, seed=0):
 
 
 @pytest.mark.parametrize("function", [kinematics.inverse_kinematics, dynamics.static_torque])
-@pytest.mark.parametrize("chunk", [batch.CHUNK, 2])
+@pytest.mark.parametrize("chunk", [kinematics.CHUNK, 2])
 def test_leading_axes_stay_and_values_are_those_of_each_pose_alone(function, chunk, monkeypatch):
     pose = some_poses(2, 3)
-    monkeypatch.setattr(batch, "CHUNK", chunk)
-    monkeypatch.setattr(batch.os, "cpu_count", lambda: 4)
+    monkeypatch.setattr(kinematics, "CHUNK", chunk)
+    monkeypatch.setattr(kinematics.os, "cpu_count", lambda: 4)
     found = function(ROBOT, pose)
     for at in itertools.product(range(2), range(3)):
         np.testing.assert_array_equal(found[at], function(ROBOT, pose[at]))
@@ -40,7 +40,7 @@ def test_poses_rates_and_accelerations_broadcast():
 
 
 def test_of_all_chunks_the_worst_leg_is_named(monkeypatch):
-    monkeypatch.setattr(batch, "CHUNK", 5)
+    monkeypatch.setattr(kinematics, "CHUNK", 5)
     pose = some_poses(40)
     pose[3, 5], pose[33, 5] = 0.5, 0.6
     with pytest.raises(UnreachablePoseError) as caught:

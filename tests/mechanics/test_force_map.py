@@ -7,7 +7,7 @@ import pytest
 from strategies import ROBOT
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics.force_map import crank_map, force_map, force_map_of_legs
+from stewart_drake.mechanics.dynamics import crank_map, force_map, force_map_of_legs
 from stewart_drake.mechanics.kinematics import leg_geometry
 
 CASES = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["cases"]
