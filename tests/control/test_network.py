@@ -16,14 +16,6 @@ from stewart_drake.errors import ConfigurationError, NotFiniteError
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
-def written(network, path):
-    network.save(path)
-    return json.loads(path.read_text())
-
-
-# --- forward -------------------------------------------------------------------------------------------------------
-
-
 @given(vectors(12, 50.0), st.integers(0, 20))
 def test_the_answer_is_ten_to_the_output_of_two_layers(densities, seed):
     network = make_network(seed)
@@ -70,22 +62,18 @@ def test_weights_never_leave_the_trained_range_whatever_comes_in(densities, gain
     assert np.all((answer >= network.omega_min) & (answer <= network.omega_max))
 
 
-# --- file ----------------------------------------------------------------------------------------------------------
-
-
-def test_a_saved_network_comes_back_whole(tmp_path, network):
-    network.save(tmp_path / "net.json")
-    twin = load_network(tmp_path / "net.json")
-    assert twin.to_bytes() == network.to_bytes() == (tmp_path / "net.json").read_bytes()
+def test_a_saved_network_comes_back_whole_or_is_refused(tmp_path, network):
+    path = tmp_path / "net.json"
+    network.save(path)
+    twin = load_network(path)
+    assert twin.to_bytes() == network.to_bytes() == path.read_bytes()
     assert (twin.density, twin.window, twin.provenance) == (network.density, network.window, network.provenance)
+    path.write_text(json.dumps(json.loads(network.to_bytes()) | {"window": 48}))
+    with pytest.raises(ConfigurationError, match="checksum"):
+        load_network(path)
 
 
-@pytest.mark.parametrize(
-    "content",
-    [b"", b'{"format": "stewart-drake tuner", "ver', b'{"format": "\xff"}', b"[" * 100_000, b"[" + b"9" * 5000 + b"]"]
-    + [b"[1, 2]", b'"tuner"', b"null", b'{"format": "onnx"}', None],
-    ids=lambda content: str(content)[:20],
-)
+@pytest.mark.parametrize("content", [b"", b'{"format": "stewart-drake tuner", "ver', b"[1, 2]", None])
 def test_a_file_that_is_no_tuner_is_refused_by_name(tmp_path, content):
     path = tmp_path / "net.json"
     if content is not None:
@@ -96,60 +84,27 @@ def test_a_file_that_is_no_tuner_is_refused_by_name(tmp_path, content):
 
 
 BAD = [
-    *(("version", value) for value in ("2", None)),
-    *(("density", value) for value in ("relative", None, ["magnitude"])),
-    *(("window", value) for value in (0, 49.0, True, "49", None)),
-    *(("provenance", value) for value in (["a", "list"], None)),
-    *(("input_scale", [value] + [1.0] * 11) for value in (0.0, -1.0, 1e-200)),
-    *(("omega_min", value) for value in ([0.0, 0.1], [-0.1, 0.1], [0.1, 10.5])),
-    *(("hidden_bias", value) for value in ([0.0] * 9, ["a"] * 10)),
+    ("version", "2"),
+    ("density", "relative"),
+    ("window", 0),
+    ("provenance", None),
+    ("input_scale", [0.0] + [1.0] * 11),
+    ("omega_min", [0.1, 10.5]),
+    ("hidden_bias", [0.0] * 9),
+    ("output_weights", [[1e101] * 10] * 2),
 ]
 
 
 @pytest.mark.parametrize(("name", "value"), BAD)
 def test_a_wrong_value_is_refused_under_its_key_in_a_file_and_in_python(tmp_path, network, name, value):
     path = tmp_path / "net.json"
-    path.write_bytes(resealed(written(network, path) | {name: value}))
+    path.write_bytes(resealed(json.loads(network.to_bytes()) | {name: value}))
     with pytest.raises(ConfigurationError) as caught:
         load_network(path)
     assert caught.value.key.endswith(name)
     if name not in ("version", "provenance"):
         with pytest.raises(ConfigurationError, match=name):
             replace(network, **{name: value})
-
-
-CORRUPTIONS = {
-    "missing": lambda _: None,
-    "too short": lambda a: a[:-1],
-    "nested": lambda a: [a],
-    "ragged": lambda a: [a[0], [a[1]], *a[2:]],
-    "infinite": lambda a: _set(a, float("inf")),
-    "beyond 1e100": lambda a: _set(a, 1e101),
-    "text": lambda a: _set(a, "1.0"),
-    "null inside": lambda a: _set(a, None),
-    "beyond 64 bits": lambda a: _set(a, 10**400),
-    "truth values": lambda a: np.ones(np.shape(a), dtype=bool).tolist(),
-}
-
-
-def _set(values, value):
-    return [_set(values[0], value) if isinstance(values[0], list) else value, *values[1:]]
-
-
-@pytest.mark.parametrize("corruption", CORRUPTIONS)
-@pytest.mark.parametrize("name", ["input_scale", "output_weights"])
-def test_an_array_is_checked_for_shape_kind_and_finiteness(tmp_path, network, corruption, name):
-    path = tmp_path / "net.json"
-    document = written(network, path)
-    path.write_bytes(resealed(document | {name: CORRUPTIONS[corruption](document[name])}))
-    with pytest.raises(ConfigurationError) as caught:
-        load_network(path)
-    assert caught.value.key.endswith(name) or corruption == "infinite"
-
-
-def test_a_score_that_is_no_number_can_be_saved(tmp_path, network):
-    replace(network, provenance={"scores": {"r": float("nan")}}).save(tmp_path / "net.json")
-    assert load_network(tmp_path / "net.json").provenance == {"scores": {"r": None}, "not_finite": {"scores.r": "nan"}}
 
 
 def test_the_package_carries_a_tuner_and_says_where_it_comes_from():

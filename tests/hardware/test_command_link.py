@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from stewart_drake.hardware.faults import CommandFault
-from stewart_drake.hardware.motors import LinkOptions, delay_part, link_part
+from stewart_drake.hardware.motors import LinkOptions, link_part
 
 STEPS = 4
 
@@ -25,22 +25,18 @@ def test_a_dropped_tick_leaves_the_last_command_and_its_age_grows():
     np.testing.assert_array_equal(arrivals(LinkOptions(stop_time=0.012))[:, 0, 0], [1, 2, 3, 3, 3, 3, 3, 3])
 
 
-@pytest.mark.parametrize("late_steps", [1, 3])
-def test_a_late_command_acts_so_many_steps_later(late_steps):
-    told = arrivals(LinkOptions(late=(2,), late_steps=late_steps))
-    np.testing.assert_array_equal(told[2, :, 0], [2.0] * late_steps + [3.0] * (STEPS - late_steps))
-    np.testing.assert_array_equal(told[2, :, 1], [1.0] * late_steps + [0.0] * (STEPS - late_steps))
+def test_a_late_command_acts_so_many_steps_later():
+    told = arrivals(LinkOptions(late=(2,), late_steps=3))
+    np.testing.assert_array_equal(told[2], [[2.0, 1.0]] * 3 + [[3.0, 0.0]])
     np.testing.assert_array_equal(told[3, :, 0], 4.0)
 
 
 def test_chance_drops_its_share_by_the_seed_alone_and_by_the_tick():
-    options = LinkOptions(drop_probability=0.2, late_probability=0.3, seed=4)
+    options, again, other = (LinkOptions(drop_probability=0.2, late_probability=0.3, seed=seed) for seed in (4, 4, 5))
     fates = [options.fate(tick, 0.0) for tick in range(20_000)]
     assert abs(fates.count("dropped") / 20_000 - 0.2) < 0.01
     assert abs(fates.count("late") / 20_000 - 0.8 * 0.3) < 0.01
-    again = LinkOptions(drop_probability=0.2, late_probability=0.3, seed=4)
     assert [again.fate(tick, 0.0) for tick in (19_999, 3, 1024)] == [fates[19_999], fates[3], fates[1024]]
-    other = LinkOptions(drop_probability=0.2, late_probability=0.3, seed=5)
     assert [other.fate(tick, 0.0) for tick in range(100)] != fates[:100]
 
 
@@ -48,7 +44,6 @@ def test_chance_drops_its_share_by_the_seed_alone_and_by_the_tick():
     ("fault", "expected"),
     [
         (CommandFault(kind="nan", leg=2), [0, 1, np.nan, 3, 4, 5]),
-        (CommandFault(kind="inf"), [np.inf] * 6),
         (CommandFault(kind="offset", leg=0, size=-3.0), [-3, 1, 2, 3, 4, 5]),
         (CommandFault(kind="chatter", leg=1, size=2.0), [0, -1, 2, 3, 4, 5]),
         (CommandFault(kind="nan", time=0.2), [0, 1, 2, 3, 4, 5]),
@@ -62,12 +57,3 @@ def test_commands_are_spoilt_as_told_and_the_controllers_own_are_left_alone(faul
         part.tick(command, time, state)
     np.testing.assert_array_equal(state["torque"][0], expected)
     np.testing.assert_array_equal(command, np.arange(6.0))
-
-
-def test_a_constant_delay_says_what_was_so_many_ticks_ago():
-    part = delay_part(3, np.full(6, -1.0))
-    state, said = part.initial.copy(), []
-    for tick in range(6):
-        part.tick(np.full(6, float(tick)), state)
-        said.append(state["torque"][0, 5])
-    assert said == [-1.0, -1.0, -1.0, 0.0, 1.0, 2.0]

@@ -38,8 +38,7 @@ def test_a_step_begins_and_ends_when_it_says():
     np.testing.assert_array_equal(StepWrench(wrench=WRENCH, time=0.3).evaluate(1e6), WRENCH)
 
 
-@pytest.mark.parametrize("step", [0.001, 0.0005, 0.005])
-@pytest.mark.parametrize("time", [0.0, 0.3, 0.625, 7.1])
+@pytest.mark.parametrize(("step", "time"), [(0.001, 0.0), (0.0005, 0.625), (0.005, 7.1)])
 def test_the_plants_steps_take_an_impulse_in_full(step, time):
     blow = ImpulseWrench(impulse=WRENCH, time=time, duration=0.01)
     samples = np.arange(round(10.0 / step)) * on_grid(step)
@@ -67,7 +66,6 @@ def test_noise_has_its_size_and_its_band_and_independent_axes():
     ("make", "key"),
     [
         (lambda: StepWrench(wrench=WRENCH, time=1.0, until=1.0), "until"),
-        (lambda: NoiseWrench(rms=(-1.0,) * 6), "rms"),
         (lambda: NoiseWrench(rms=(1.0,) * 6, low=10.0, high=10.0), "high"),
     ],
 )

@@ -1,11 +1,8 @@
 import numpy as np
-import pytest
-from conftest import field_of
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.faults import MotorFault
 from stewart_drake.hardware.motors import (
     DeadMotor,
@@ -32,31 +29,11 @@ def test_steps_ripple_and_a_dead_motor():
 def test_motors_wired_wrong_give_the_torques_asked_for_elsewhere_or_with_the_other_sign():
     faults = (MotorFault(kind="reversed", leg=3, time=0.5), MotorFault(kind="swapped", leg=3, other=1, time=0.6))
     motor = MotorOptions(faults=faults)
-    assert not motor.perfect
     signs = np.array([1.0, 1.0, 1.0, -1.0, 1.0, 1.0])
     np.testing.assert_array_equal(motor.torque(WANTED, ANGLES, 0.4999), WANTED)
     np.testing.assert_array_equal(motor.torque(WANTED, ANGLES, 0.5), signs * WANTED)
     np.testing.assert_array_equal(motor.torque(WANTED, ANGLES, 0.6), (signs * WANTED)[[0, 3, 2, 1, 4, 5]])
-    # Ripple is the motor's own, whatever torque it is sent.
-    ripple = MotorOptions(faults=faults, ripple=0.02).torque(WANTED, ANGLES, 0.6) - motor.torque(WANTED, ANGLES, 0.6)
-    np.testing.assert_allclose(ripple, 0.02 * np.sin(12 * ANGLES), atol=1e-12)
 
-
-@pytest.mark.parametrize(
-    ("make", "key"),
-    [
-        (lambda: MotorOptions(resolution=5e-324), "motors.resolution"),
-        (lambda: MotorFault(kind="reversed", leg=0, other=1), "motors.faults.other"),
-        (lambda: MotorFault(kind="swapped", leg=0, other=0), "motors.faults.other"),
-    ],
-)
-def test_a_bad_value_is_named(make, key):
-    with pytest.raises(ConfigurationError) as caught:
-        make()
-    assert field_of(caught.value) == key
-
-
-# --- against friction ------------------------------------------------------------------------------------------------
 
 SIX = np.array([0.01, 0.02, 0.03, 0.04, 0.05, 0.06])
 

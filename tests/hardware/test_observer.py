@@ -6,27 +6,22 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.errors import ConfigurationError, RunFailure, SingularPoseError
+from stewart_drake.errors import RunFailure, SingularPoseError
 from stewart_drake.hardware.observer import (
-    SETUP,
     WHITE_SHARE,
     ObserverOptions,
     bandwidth,
     kalman_gains,
     observer_part,
-    predict,
 )
-from stewart_drake.jit import new_record, record
 from stewart_drake.mechanics.dynamics import forward_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
-from stewart_drake.mechanics.kinematics_laws import LEGS, robot_record
 
 GRAVITY, PERIOD, NOISE = 9.81, 0.001, 2.5e-5
 HOME, STILL = ROBOT.home_pose, np.zeros(6)
 OPTIONS = ObserverOptions(disturbance=20.0)
 EXPECTED = np.array([ObserverOptions().disturbance])
 AWAY = np.concatenate([HOME + 0.01, np.zeros(12)])
-few = settings(max_examples=25, deadline=None)
 
 
 def begun(pose=HOME, rate=STILL, delay=0, torque=None, **more):
@@ -46,24 +41,12 @@ def begun(pose=HOME, rate=STILL, delay=0, torque=None, **more):
 
 
 def moved(pose, rate, torque, seconds):
-    """Pose and rate of the exact model under constant torques, by an integrator of its own."""
-
+    # The exact model under constant torques, by an integrator of its own.
     def change(_, state):
         return np.concatenate([state[6:], forward_dynamics(ROBOT, state[:6], state[6:], torque, GRAVITY)])
 
     found = solve_ivp(change, (0.0, seconds), np.concatenate([pose, rate]), rtol=1e-11, atol=1e-13).y[:, -1]
     return found[:6], found[6:]
-
-
-def predicted(pose, rate, torque, disturbance, period=PERIOD):
-    setup = new_record(SETUP, period=period, gravity=GRAVITY)
-    pose, rate, legs = pose.copy(), rate.copy(), np.zeros(1, LEGS)
-    status, _, _ = predict(record(robot_record(ROBOT)), record(setup), torque, disturbance, pose, rate, record(legs))
-    assert status == 0
-    return pose, rate
-
-
-# --- the filter ------------------------------------------------------------------------------------------------------
 
 
 @given(
@@ -84,24 +67,7 @@ def test_the_gains_are_those_of_the_riccati_equation(noise, disturbance, period)
     np.testing.assert_allclose(kalman_gains(noise, disturbance, period), expected, rtol=1e-6)
 
 
-# --- prediction ------------------------------------------------------------------------------------------------------
-
-
-@few
-@given(poses(0.5), vectors(6, 0.3), vectors(6, 0.5))
-def test_a_step_is_the_exact_model_to_second_order(pose, rate, push):
-    torque = static_torque(ROBOT, pose, GRAVITY) + push
-    errors = []
-    for period in (4e-3, 5e-4):
-        result = predicted(pose, rate, torque, STILL, period)
-        errors.append([np.abs(a - b).max() for a, b in zip(result, moved(pose, rate, torque, period), strict=True)])
-    (pose_error, rate_error), (finer_pose, finer_rate) = errors
-    # An eighth of the step: 512 and 64 times less where no terms of the long one cancel.
-    assert finer_pose < pose_error / 20.0 + 1e-11
-    assert finer_rate < rate_error / 5.0 + 1e-9
-
-
-@few
+@settings(max_examples=25, deadline=None)
 @given(poses(0.3), vectors(6, 0.2), st.integers(0, 4), st.sampled_from([6, 12]))
 def test_it_sees_where_the_robot_will_be_when_the_command_acts(pose, rate, delay, size):
     torque = static_torque(ROBOT, pose, GRAVITY) + 0.2
@@ -112,14 +78,6 @@ def test_it_sees_where_the_robot_will_be_when_the_command_acts(pose, rate, delay
     np.testing.assert_allclose(seen["measurement"][:6], now[0], atol=1e-7)
     np.testing.assert_allclose(seen["ahead"][:6], ahead[0], atol=1e-6)
     np.testing.assert_allclose(seen["ahead"][6:], ahead[1], atol=2e-3)
-
-
-def test_a_prediction_beyond_what_it_can_say_is_refused():
-    with pytest.raises(ConfigurationError, match=r"command_delay: expected at most 60 ticks"):
-        observer_part(ROBOT, OPTIONS, GRAVITY, 0.005, NOISE, HOME, STILL, STILL, command_delay=61)
-
-
-# --- correction ------------------------------------------------------------------------------------------------------
 
 
 def test_a_load_that_nobody_knows_is_found_and_made_up_for():
@@ -164,9 +122,6 @@ def test_missing_readings_are_bridged_by_the_model_and_then_end_the_run():
 
 
 def test_a_singularity_has_a_name():
-    angles, (tick, seen) = inverse_kinematics(ROBOT, HOME), begun()
+    tick, seen = begun()
     with pytest.raises(SingularPoseError, match="parallel"):
-        tick(angles, side=-seen["side"])
-    tick, _ = begun()
-    with pytest.raises(SingularPoseError, match="dead centre"):
-        tick(angles, measurement=np.concatenate([HOME, [0.0, 0.0, 0.0, 0.0, 0.0, 400.0]]))
+        tick(inverse_kinematics(ROBOT, HOME), side=-seen["side"])

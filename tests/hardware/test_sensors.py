@@ -1,15 +1,11 @@
 import numpy as np
 import pytest
-from conftest import field_of
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import vectors
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.faults import EncoderFault, PoseFault, tick_numbers
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part, faulty_sensor_part
-
-# --- encoders that do not fail, and chance ---------------------------------------------------------------------------
 
 
 def read(options, angles, ticks=1):
@@ -42,13 +38,7 @@ def test_noise_is_normal_and_that_of_its_tick_whenever_it_is_asked():
     assert (abs(noise.mean()), noise.std()) == (pytest.approx(0.0, abs=0.02), pytest.approx(1.0, abs=0.02))
     assert abs(np.mean(noise[1:] * noise[:-1])) < 0.02
     assert np.abs(np.corrcoef(noise.T) - np.eye(6)).max() < 0.06
-    cases = [(s, t, k, n) for s in (0, 1) for t in (0, 1) for k in (0, 1, 1024) for n in (False, True)]
-    assert len({tuple(tick_numbers(seed, stream, k, 3, normal)) for seed, stream, k, normal in cases}) == len(cases)
-    with pytest.raises(ValueError, match="read-only"):
-        tick_numbers(0, 0, 0, 6, True)[0] = 1.0
 
-
-# --- faults ----------------------------------------------------------------------------------------------------------
 
 READINGS = np.arange(60.0).reshape(10, 6)
 PERIOD = 0.001
@@ -68,21 +58,12 @@ ALL = slice(None)
 FAULTS = [
     (EncoderFault(kind="freeze", leg=2, time=0.003, duration=0.004), slice(3, 7), 2, READINGS[2, 2]),
     (EncoderFault(kind="freeze", leg=0), ALL, 0, READINGS[0, 0]),
-    (EncoderFault(kind="reversed", leg=5), ALL, 5, 2.0 * READINGS[0, 5] - READINGS[:, 5]),
-    (
-        EncoderFault(kind="reversed", leg=5, time=0.003, duration=0.004),
-        *(slice(3, 7), 5, 2.0 * READINGS[2, 5] - READINGS[3:7, 5]),
-    ),
-    (EncoderFault(kind="inverted", leg=0, time=0.002), slice(2, None), 0, -READINGS[2:, 0]),
+    (EncoderFault(kind="reversed", leg=5, time=0.003), slice(3, 10), 5, 2.0 * READINGS[2, 5] - READINGS[3:, 5]),
+    (EncoderFault(kind="inverted", leg=0, time=0.002), slice(2, 10), 0, -READINGS[2:, 0]),
     (EncoderFault(kind="swapped", leg=1, other=4), ALL, [1, 4], READINGS[:, [4, 1]]),
-    (
-        EncoderFault(kind="drift", leg=3, size=2.0, time=0.004),
-        slice(4, None),
-        3,
-        READINGS[4:, 3] + 0.002 * np.arange(6),
-    ),
+    (EncoderFault(kind="drift", leg=3, size=2.0), ALL, 3, READINGS[:, 3] + 0.002 * np.arange(10)),
     (PoseFault(kind="freeze", time=0.002, duration=0.002), slice(2, 4), ALL, READINGS[1]),
-    (PoseFault(kind="nan", time=0.006), slice(6, None), ALL, np.nan),
+    (PoseFault(kind="nan", time=0.006), slice(6, 10), ALL, np.nan),
 ]
 
 
@@ -105,21 +86,3 @@ def test_a_late_encoder_says_what_it_read_before(leg, delay, first):
         # So is a pose, as a whole; part of a tick late is a tick late.
         told = says(PoseFault(kind="late", delay=PERIOD * (delay - 0.6), time=PERIOD * first))
         np.testing.assert_array_equal(told, expected)
-
-
-@pytest.mark.parametrize(
-    ("make", "key"),
-    [
-        (lambda: EncoderFault(kind="late", leg=0), "delay"),
-        (lambda: EncoderFault(kind="drift", leg=0, delay=0.1), "delay"),
-        (lambda: PoseFault(kind="late", delay=0.0), "delay"),
-        (lambda: EncoderFault(kind="swapped", leg=0), "other"),
-        (lambda: EncoderFault(kind="swapped", leg=3, other=3), "other"),
-        (lambda: EncoderFault(kind="swapped", leg=None, other=3), "leg"),
-        (lambda: EncoderFault(kind="freeze", leg=0, other=3), "other"),
-    ],
-)
-def test_a_bad_value_is_named(make, key):
-    with pytest.raises(ConfigurationError) as caught:
-        make()
-    assert field_of(caught.value) == f"sensors.faults.{key}"

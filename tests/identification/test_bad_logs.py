@@ -51,36 +51,26 @@ def test_angles_that_wrap_or_were_homed_a_turn_away_are_the_same_log():
         np.testing.assert_allclose(changed(angles=angles).angles, LOG.angles, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("columns", "said"),
-    [
-        (slice(0, 7), "column of torque_0: expected "),
-        (slice(0, 12), "column of torque_5"),
-        (slice(1, 13), "column of time"),
-    ],
-)
-def test_a_file_without_a_column(tmp_path, columns, said):
-    rows = [",".join(line.split(",")[columns]) for line in LOG.to_csv().splitlines()]
+def test_a_file_without_a_column(tmp_path):
+    rows = [",".join(line.split(",")[:12]) for line in LOG.to_csv().splitlines()]
     (tmp_path / "log.csv").write_text("\n".join(rows))
-    assert said in refused(tmp_path / "log.csv")
+    assert "column of torque_5: expected " in refused(tmp_path / "log.csv")
     assert "readable" in refused(tmp_path / "none.csv")
-    assert "log" in refused(tmp_path / "none.parquet")
 
 
 @pytest.mark.parametrize(
     ("change", "wanted"),
     [
-        (lambda: {"torque": LOG.torque * [1, 1, 0, 1, 1, 1]}, "torque_2: expected "),
-        (lambda: {"time": LOG.time + 0.3 * (LOG.time > LOG.time[0])}, "row 2'"),
-        (lambda: {"time": LOG.time + 0.3 * (LOG.time > LOG.time[700])}, "row 702'"),
-        (lambda: {"time": LOG.time[::-1]}, "even rate"),
-        (lambda: {"angles": LOG.angles + np.where(np.arange(len(LOG.time)) == 41, np.nan, 0.0)[:, None]}, "row 42"),
-        (lambda: {"angles": np.degrees(LOG.angles)}, "radians within"),
+        ({"torque": LOG.torque * [1, 1, 0, 1, 1, 1]}, "torque_2: expected "),
+        ({"time": LOG.time + 0.3 * (LOG.time > LOG.time[700])}, "row 702'"),
+        ({"angles": LOG.angles + np.where(np.arange(len(LOG.time)) == 41, np.nan, 0.0)[:, None]}, "row 42"),
+        ({"angles": np.degrees(LOG.angles)}, "radians within"),
     ],
+    ids=["still", "gap", "nan", "degrees"],
 )
 def test_readings_that_cannot_be_right(change, wanted):
     with pytest.raises(ConfigurationError, match=wanted):
-        changed(**change())
+        changed(**change)
 
 
 def test_readings_and_torques_that_are_not_those_of_the_robot():
@@ -89,20 +79,14 @@ def test_readings_and_torques_that_are_not_those_of_the_robot():
     other = recording(ROBOT, truth_of(ROBOT), motion(ROBOT, seed=9), rate=100.0)
     assert "no parameters explain" in refused(changed(torque=other.torque))
     assert "s of motion" in refused(recording(ROBOT, truth_of(ROBOT), seconds=1.0, rate=100.0))
-    assert "bandwidth: expected above 0, at most 20 Hz" in refused(LOG, bandwidth=40.0)
     assert "hold: expected " in refused(LOG, hold=["mass"])
-    with pytest.raises(ConfigurationError, match="at least one log"):
-        identify(ROBOT, [])
 
 
 def test_a_motion_that_does_not_tell_what_is_asked():
     line = refused(recording(ROBOT, truth_of(ROBOT), HoldReference(pose=tuple(ROBOT.home_pose)), rate=100.0))
-    assert "coulomb motor 0" in line or "platform_mass" in line
     assert "excite" in line
     slow = recording(ROBOT, truth_of(ROBOT), motion(ROBOT, size=0.02), rate=100.0, noise=0.02)
-    line = refused(slow, ask=["platform_inertia"])
-    assert "platform_inertia" in line
-    assert "times its size" in line
+    assert "platform_inertia" in refused(slow, ask=["platform_inertia"])
 
 
 def test_a_log_of_another_robot_or_with_a_pose_that_was_not_read():

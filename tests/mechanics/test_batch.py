@@ -1,7 +1,6 @@
 """Leading axes, chunks for threads, records in place of robots, and which pose of many is named."""
 
 import itertools
-import multiprocessing
 
 import numpy as np
 import pytest
@@ -18,12 +17,12 @@ def some_poses(*shape, seed=0):
     return ROBOT.home_pose + np.random.default_rng(seed).uniform(-1.0, 1.0, (*shape, 6)) * SIZE
 
 
-@pytest.mark.parametrize(
-    "function",
-    [kinematics.inverse_kinematics, kinematics.twist_jacobian, kinematics.conditioning, dynamics.static_torque],
-)
-def test_leading_axes_stay_and_values_are_those_of_each_pose_alone(function):
+@pytest.mark.parametrize("function", [kinematics.inverse_kinematics, dynamics.static_torque])
+@pytest.mark.parametrize("chunk", [kinematics.CHUNK, 2])
+def test_leading_axes_stay_and_values_are_those_of_each_pose_alone(function, chunk, monkeypatch):
     pose = some_poses(2, 3)
+    monkeypatch.setattr(kinematics, "CHUNK", chunk)
+    monkeypatch.setattr(kinematics.os, "cpu_count", lambda: 4)
     found = function(ROBOT, pose)
     for at in itertools.product(range(2), range(3)):
         np.testing.assert_array_equal(found[at], function(ROBOT, pose[at]))
@@ -40,14 +39,6 @@ def test_poses_rates_and_accelerations_broadcast():
         dynamics.inverse_dynamics(ROBOT, pose, rate[:, :5], acceleration)
 
 
-def test_chunks_of_threads_give_what_one_loop_gives(monkeypatch):
-    pose, rate = some_poses(50), some_poses(50, seed=2)
-    alone = dynamics.forward_dynamics(ROBOT, pose, rate, rate)
-    monkeypatch.setattr(kinematics, "CHUNK", 7)
-    monkeypatch.setattr(kinematics.os, "cpu_count", lambda: 4)
-    np.testing.assert_array_equal(dynamics.forward_dynamics(ROBOT, pose, rate, rate), alone)
-
-
 def test_of_all_chunks_the_worst_leg_is_named(monkeypatch):
     monkeypatch.setattr(kinematics, "CHUNK", 5)
     pose = some_poses(40)
@@ -59,26 +50,12 @@ def test_of_all_chunks_the_worst_leg_is_named(monkeypatch):
     assert (caught.value.leg, caught.value.margin) == (margins.argmin(), margins.min())
 
 
-def _in_a_fork(pose):
-    return kinematics.inverse_kinematics(ROBOT, pose)
-
-
-def test_threads_run_again_in_a_forked_process(monkeypatch):
-    monkeypatch.setattr(kinematics, "CHUNK", 5)
-    pose = some_poses(40)
-    here = kinematics.inverse_kinematics(ROBOT, pose)
-    with multiprocessing.get_context("fork").Pool(1) as pool:
-        np.testing.assert_array_equal(pool.apply_async(_in_a_fork, (pose,)).get(timeout=60.0), here)
-
-
-def test_a_record_stands_for_a_robot():
-    pose, rate, acceleration = some_poses(5), 0.3 * np.ones(6), np.ones(6)
-    motion = pose, rate, acceleration
+def test_a_record_stands_for_a_robot_and_a_payload_adds_its_weight_and_inertia():
+    pose, motion = some_poses(5), (0.3 * np.ones(6), np.ones(6))
     longer = robot_record(ROBOT).copy()
     longer["rod_length"] = 0.41
-    expected = dynamics.inverse_dynamics(ROBOT.replace(rod_length=0.41), *motion)
-    np.testing.assert_array_equal(dynamics.inverse_dynamics(longer, *motion), expected)
-    # A point that moves with the platform adds its own weight and inertia.
+    expected = dynamics.inverse_dynamics(ROBOT.replace(rod_length=0.41), pose, *motion)
+    np.testing.assert_array_equal(dynamics.inverse_dynamics(longer, pose, *motion), expected)
     mass, place = 0.4, np.array([0.02, -0.03, 0.05])
     loaded = dynamics.task_inertia(with_payload(robot_record(ROBOT), mass, place), pose[0])
     twist = np.array([0.3, -0.2, 0.5, 0.1, 0.2, -0.4])

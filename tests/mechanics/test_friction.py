@@ -57,10 +57,6 @@ def implicit(law, anchor, slip, angles, rates, mobility=MOBILITY, step=STEP, swe
     return out
 
 
-def drag(law, anchor, slip, angles, step):
-    friction.drag_anchors(record(law), angles, step, anchor, slip)
-
-
 def driven(law, step, moves, tension=0.0):
     """Torques (n, 6) at the ends of the steps of a given motion, its increments, and anchors and slips at its end."""
     k = of(law)
@@ -70,7 +66,7 @@ def driven(law, step, moves, tension=0.0):
         increments.append(scale * k.break_away[0] / k.stiffness[0] * direction)
         angles = angles + increments[-1]
         torques.append(explicit(law, anchor, slip, angles, increments[-1] / step))
-        drag(law, anchor, slip, angles, step)
+        friction.drag_anchors(record(law), angles, step, anchor, slip)
     return np.array(torques), np.array(increments), anchor, slip
 
 

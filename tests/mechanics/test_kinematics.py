@@ -3,14 +3,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.math import RollPitchYaw
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from strategies import ROBOT, poses, robots_and_poses, vectors
 
-from stewart_drake.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
+from stewart_drake.errors import ConfigurationError, ForwardKinematicsError
 from stewart_drake.mechanics.kinematics import (
     conditioning,
     crank_rates,
@@ -21,7 +21,6 @@ from stewart_drake.mechanics.kinematics import (
     leg_geometry,
     pose_jacobian,
     pose_rate_to_twist,
-    reach_margin,
     rod_lines,
     roll_pitch_yaw,
     rotation_matrix,
@@ -51,10 +50,6 @@ def platform_joints(pose):
     rotation = RollPitchYaw(pose[:3]).ToRotationMatrix().matrix()
     at = [np.radians(120.0 * (leg // 2) + (-52.0 if leg % 2 == 0 else 52.0)) for leg in range(6)]
     return np.array([rotation @ [0.11 * np.cos(a), 0.11 * np.sin(a), 0.0] + pose[3:] for a in at])
-
-
-def central_difference(function, x, step=1e-6):
-    return np.stack([(function(x + step * e) - function(x - step * e)) / (2.0 * step) for e in np.eye(x.size)], axis=-1)
 
 
 @given(rpy=angles)
@@ -91,15 +86,6 @@ def test_crank_angles_of_an_independent_implementation(case):
     np.testing.assert_allclose(inverse_kinematics(ROBOT, case["pose"]), case["crank_angles_rad"], atol=1e-13)
 
 
-@settings(max_examples=200)
-@given(pose=poses())
-def test_forward_kinematics_from_home_inverts_inverse_kinematics(pose):
-    theta = inverse_kinematics(ROBOT, pose)
-    found = forward_kinematics(ROBOT, theta)
-    np.testing.assert_allclose(found, pose, atol=1e-10)
-    np.testing.assert_allclose(inverse_kinematics(ROBOT, found), theta, atol=1e-10)
-
-
 def test_forward_kinematics_says_when_the_angles_cannot_be_assembled():
     # Shafts so far out that no rod comes back to the platform, once the cranks point outwards.
     wide = ROBOT.replace(shaft_circle_radius=0.48, home_height=0.02, branch=1)
@@ -113,9 +99,8 @@ def test_forward_kinematics_says_when_the_angles_cannot_be_assembled():
 def test_pose_jacobian_against_central_differences_and_what_follows_from_it(at, rate):
     robot, pose = at
     theta = inverse_kinematics(robot, pose)
-    numerical = central_difference(
-        lambda x: np.remainder(inverse_kinematics(robot, x) - theta + np.pi, 2.0 * np.pi), pose
-    )
+    turned = [inverse_kinematics(robot, pose + step * AXES) - theta for step in (1e-6, -1e-6)]
+    numerical = np.angle(np.exp(1j * (turned[0] - turned[1]))).T / 2e-6
     jacobian, twist = pose_jacobian(robot, pose), pose_rate_to_twist(pose, rate)
     np.testing.assert_allclose(jacobian, numerical, atol=1e-6, rtol=1e-6)
     np.testing.assert_allclose(twist_jacobian(robot, pose) @ twist, jacobian @ rate, rtol=1e-9, atol=1e-9)
@@ -138,18 +123,6 @@ def test_leg_vectors_are_unit_and_close_the_loop_of_any_robot(at):
     np.testing.assert_allclose(found, pose, atol=1e-9)
 
 
-def test_an_unreachable_pose_among_many_is_named_with_leg_and_margin():
-    many = np.tile(ROBOT.home_pose, (4, 1))
-    many[2, 3] = 0.5
-    margins = reach_margin(ROBOT, many)
-    with pytest.raises(UnreachablePoseError) as caught:
-        inverse_kinematics(ROBOT, many)
-    np.testing.assert_array_equal(caught.value.pose, many[2])
-    assert caught.value.leg == margins[2].argmin()
-    assert caught.value.margin == pytest.approx(margins[2].min(), rel=1e-12)
-    assert caught.value.margin < 0.0
-
-
 @pytest.mark.parametrize(("axis", "beyond"), [(0, 1.4), (1, -1.3), (2, 1.56)])
 def test_conditioning_vanishes_exactly_where_the_rods_lines_lose_rank(axis, beyond):
     def determinant(angle):
@@ -166,10 +139,8 @@ def test_conditioning_vanishes_exactly_where_the_rods_lines_lose_rank(axis, beyo
     ("call", "words"),
     [
         (lambda: inverse_kinematics(ROBOT, np.zeros(5)), "pose"),
-        (lambda: inverse_kinematics(ROBOT, [0, 0, 0, 0, 0, np.nan]), "pose"),
         (lambda: inverse_kinematics(ROBOT, ROBOT.home_pose, 0), "branch"),
         (lambda: forward_kinematics(ROBOT, np.full(6, np.nan)), "crank_angles"),
-        (lambda: forward_kinematics(ROBOT, np.zeros(6), guess=np.full(6, np.inf)), "guess"),
         (lambda: forward_kinematics(ROBOT, np.zeros(6), guess=np.tile(ROBOT.home_pose, (3, 1))), r"guess.*\(6,\)"),
     ],
 )

@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,11 +22,6 @@ def test_solve_is_numpys_and_tells_the_determinants_sign(seed, n, columns, log_c
     sign = solve(matrix.copy(), right)
     np.testing.assert_allclose(right, wanted, atol=1e-13 * 10.0**log_condition)
     assert sign == np.linalg.slogdet(matrix)[0]
-
-
-@pytest.mark.parametrize("bad", [np.zeros((3, 3)), np.diag([1.0, 0.0, 1.0]), np.full((3, 3), np.nan)])
-def test_solve_says_so_of_what_has_no_solution(bad):
-    assert solve(bad.copy(), np.ones((3, 1))) == 0.0
 
 
 @settings(max_examples=60)

@@ -3,13 +3,12 @@ import pytest
 
 from stewart_drake.control.riccati import mass_diagonal
 from stewart_drake.mechanics.dynamics import force_map, task_inertia
-from stewart_drake.mechanics.kinematics import euler_rate_matrix, leg_geometry, rotation_matrix, twist_jacobian
+from stewart_drake.mechanics.kinematics import leg_geometry, rotation_matrix, twist_jacobian
 from stewart_drake.paper.force_map import (
     light_legs,
     measured,
     predicted,
     relative_error,
-    rod_force_per_torque,
     rod_map_11,
     to_euler,
 )
@@ -29,13 +28,6 @@ def exact(robot, poses=POSES):
 def test_drake_accelerates_as_the_exact_model_says(scale, tolerance):
     robot = light_legs(ROBOT, scale)
     assert relative_error(robot, measured(robot, POSES, 9.81), exact(robot)).max() < tolerance
-
-
-def test_euler_map_gives_second_derivatives_of_the_pose():
-    rate = np.random.default_rng(0).normal(size=(4, 6, 6))
-    euler = to_euler(POSES, rate)
-    np.testing.assert_allclose(euler_rate_matrix(POSES[:, :3]) @ euler[:, :3], rate[:, :3], atol=1e-12)
-    np.testing.assert_array_equal(euler[:, 3:], rate[:, 3:])
 
 
 def test_the_last_model_is_the_massless_limit_of_the_exact_one():
@@ -59,22 +51,7 @@ def test_the_other_models_mend_one_thing_each():
 
 
 def test_the_rod_map_of_11_leaves_the_platform_joints_unrotated():
-    for pose, same in ((POSES[0], True), (POSES[1], False)):
-        legs = leg_geometry(ROBOT, pose)
-        printed = rod_map_11(ROBOT, legs)
-        for leg in range(6):
-            np.testing.assert_allclose(printed[:3, leg], np.cross(ROBOT.platform_joints[leg], legs.e_l[leg]))
-            assert np.allclose(printed[:3, leg], np.cross(legs.arm[leg], legs.e_l[leg])) is same
-
-
-def test_the_rods_force_is_read_off_the_acceleration():
-    light = light_legs(ROBOT, 1e-7)
-    force = rod_force_per_torque(light, POSES, exact(light))
-    np.testing.assert_allclose(force * leg_geometry(ROBOT, POSES).transmission, 1.0, rtol=1e-5)
-
-
-def test_relative_error_weighs_angles_by_the_characteristic_length():
-    truth = np.eye(6)[None]
-    off = truth.copy()
-    off[0, 0, 0] += 1.0
-    assert relative_error(ROBOT, off, truth)[0] == pytest.approx(0.11 / np.sqrt(3.0 * 0.11**2 + 3.0))
+    legs = leg_geometry(ROBOT, POSES[1])
+    printed = rod_map_11(ROBOT, legs)
+    np.testing.assert_allclose(printed[:3].T, np.cross(ROBOT.platform_joints, legs.e_l))
+    assert not np.allclose(printed[:3].T, np.cross(legs.arm, legs.e_l))

@@ -72,59 +72,26 @@ def test_out_of_reach_breaks_reach_whatever_the_limits_and_leaves_out_what_canno
         report = at_rest([[0, 0, 0, 0, 0, 0.6]], limits)
         assert list(report.smallest) == known
         assert (report.first_violation.limit, report.first_violation.bound) == ("reach", bound)
-        with pytest.raises(InfeasibleReferenceError, match="reach"):
-            report.raise_if_infeasible()
     # The samples within reach are judged on.
     report = check_reference(ROBOT, ALL, sine(5, 0.2, 0.05), 20.0, GRAVITY)
     first = report.first_violation
-    with pytest.raises(InfeasibleReferenceError, match=rf"{first.limit} at t = {first.time:.3f} s") as caught:
+    with pytest.raises(InfeasibleReferenceError, match=rf"{first.limit} at t = {first.time:.3f} s"):
         report.raise_if_infeasible()
-    assert (caught.value.leg, caught.value.margin) == (first.leg, first.margin)
-    assert report.first_violation.time < report.smallest["reach"].time
-    assert report.smallest["torque"].margin > -math.inf
+    assert first.time < report.smallest["reach"].time
 
 
 def test_the_earliest_violation_wins_and_of_simultaneous_ones_the_first_in_order():
-    poses = np.tile(ROBOT.home_pose, (4, 1))
-    poses[1, 4] = 0.19
-    poses[2, 1] = 1.49
-    time = np.array([0.0, 0.1, 0.2, 0.3])
-    rates = np.zeros((4, 6))
-    rates[3, 5] = 5.0
+    poses, rates = np.tile(ROBOT.home_pose, (4, 1)), np.zeros((4, 6))
+    poses[1, 4], poses[2, 1], rates[3, 5] = 0.19, 1.49, 5.0
 
-    def first(limits):
-        return check_motion(ROBOT, limits, time, poses, rates, 0.0 * poses, GRAVITY).first_violation
+    def first(**limits):
+        motion = poses, rates, 0.0 * poses
+        found = check_motion(ROBOT, only(**limits), [0.0, 0.1, 0.2, 0.3], *motion, GRAVITY).first_violation
+        return found.limit, found.time
 
-    assert (first(only(transmission=0.5)).limit, first(only(transmission=0.5)).time) == ("transmission", 0.1)
-    assert first(only(euler_pitch=1.4)).time == 0.2
-    assert first(only(crank_speed=10.0)).time == 0.3
-    assert first(only(transmission=0.5, crank_speed=10.0, euler_pitch=1.4)).limit == "transmission"
-    both = first(only(transmission=0.5, reach=0.7))
-    assert (both.limit, both.time) == ("reach", 0.1)
-
-
-@pytest.mark.parametrize(
-    ("limit", "limits", "pose", "rate", "legs"),
-    [
-        ("reach", {"reach": 0.98}, 0.2045 * AXES[3], 0.0, {2, 5}),
-        ("euler_pitch", {"euler_pitch": 1.48}, 1.4845 * AXES[1], 0.0, {None}),
-        ("conditioning", {"conditioning": 0.05}, 1.46 * AXES[2], 0.0, {None}),
-        ("transmission", {"transmission": 0.2}, 0.2015 * AXES[4], 0.0, {1, 4}),
-        ("joint_swing", {"joint_swing": 1.0}, 0.11 * AXES[5], 0.0, set(range(6))),
-        ("clearance", {"clearance": 0.03}, 0.0, 0.0, {0, 1, 3}),
-        ("crank_speed", {"crank_speed": 10.0}, 0.0, 1.5, set(range(6))),
-        ("torque", {"torque_fraction": 0.05}, 0.0, 0.0, set(range(6))),
-    ],
-)
-def test_each_limit_is_found_and_none_switches_it_off(limit, limits, pose, rate, legs):
-    motion = (ROBOT.home_pose + pose)[None], rate * AXES[5:], np.zeros((1, 6))
-    found = check_motion(ROBOT, only(**limits), [0.5], *motion, GRAVITY).first_violation
-    assert (found.limit, found.time) == (limit, 0.5)
-    assert found.margin < 0.0
-    # Of legs that are equal by symmetry rounding picks one.
-    assert found.leg in legs
-    assert found.where in found.allowed
-    assert check_motion(ROBOT, NONE, [0.5], *motion, GRAVITY).feasible
+    assert first(crank_speed=10.0) == ("crank_speed", 0.3)
+    assert first(transmission=0.5, crank_speed=10.0, euler_pitch=1.4) == ("transmission", 0.1)
+    assert first(transmission=0.5, reach=0.7) == ("reach", 0.1)
 
 
 @pytest.mark.parametrize("axis", range(6))
@@ -149,10 +116,6 @@ def test_the_largest_amplitude_is_feasible_and_a_little_more_is_not(limits, freq
 
 
 def test_the_largest_scale_is_the_first_at_which_a_limit_breaks():
-    amplitude = largest_amplitude(ROBOT, ALL, 5, 4.0, GRAVITY)
-    scale = largest_scale(ROBOT, ALL, lambda s: sine(5, s * 3.0 * amplitude, 4.0), 0.25, GRAVITY, 1000.0)
-    assert scale == pytest.approx(1.0 / 3.0, rel=1e-3)
-
     def hold(scale):
         # A larger scale that is feasible again is not taken.
         return HoldReference(pose=(0.0, 0.0, 0.0, 0.0, 0.0, 0.6 if 0.3 < scale < 0.5 else 0.3))
@@ -162,19 +125,8 @@ def test_the_largest_scale_is_the_first_at_which_a_limit_breaks():
     assert largest_scale(ROBOT, only(torque_fraction=0.01), lambda _: HoldReference(), 0.1, GRAVITY) == 0.0
 
 
-ONE = np.zeros((1, 6))
-
-
-@pytest.mark.parametrize(
-    ("key", "call"),
-    [
-        ("pose_rate", lambda: check_motion(ROBOT, ALL, [0.0], ONE, ONE[:, :5], ONE, GRAVITY)),
-        ("pose_acceleration", lambda: check_motion(ROBOT, ALL, [0.0], ONE, ONE, math.nan * ONE, GRAVITY)),
-        ("duration", lambda: check_reference(ROBOT, ALL, HoldReference(), math.inf, GRAVITY)),
-        ("samples_per_second", lambda: check_reference(ROBOT, ALL, HoldReference(), 1.0, GRAVITY, -1.0)),
-    ],
-)
-def test_unusable_arguments_are_refused_by_name(key, call):
-    with pytest.raises(ConfigurationError) as caught:
-        call()
-    assert caught.value.key == key
+def test_unusable_arguments_are_refused_by_name():
+    with pytest.raises(ConfigurationError, match="pose_rate"):
+        check_motion(ROBOT, ALL, [0.0], np.zeros((1, 6)), np.zeros((1, 5)), np.zeros((1, 6)), GRAVITY)
+    with pytest.raises(ConfigurationError, match="duration"):
+        check_reference(ROBOT, ALL, HoldReference(), math.inf, GRAVITY)

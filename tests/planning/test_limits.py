@@ -57,17 +57,14 @@ def test_segment_distance_is_the_minimum_over_both_segments_parallel_touching_or
     assert segment_distance(a, b, c, d) == pytest.approx(brute_distance(a, b, c, d), abs=1e-6)
 
 
-def test_a_crank_keeps_within_its_stops_and_one_without_them_anywhere():
-    theta = inverse_kinematics(ROBOT, ROBOT.home_pose + [0.0, 0.0, 0.0, 0.0, 0.0, 0.02])
-    free = ROBOT.replace(legs=[{"crank_angle_range": (-0.5, 0.6)}] + [{}] * 5)
-    pose = np.array([ROBOT.home_pose + [0.0, 0.0, 0.0, 0.0, 0.0, 0.02]])
-    found = limit_margins(free, NONE, pose, 0.0 * pose, 0.0 * pose, GRAVITY)["crank_range"][0]
+@pytest.mark.parametrize("turn", [0.0, -2.0 * np.pi])
+def test_a_crank_keeps_within_its_stops_and_one_without_them_anywhere(turn):
+    pose = ROBOT.home_pose + [0.0, 0.0, 0.0, 0.0, 0.0, 0.02]
+    theta = inverse_kinematics(ROBOT, pose)
+    robot = ROBOT.replace(legs=[{"crank_angle_range": (-0.5 + turn, 0.6 + turn)}] + [{}] * 5)
+    found = margins_at(pose, within=NONE, robot=robot)["crank_range"]
     assert found[0] == pytest.approx(min(theta[0] + 0.5, 0.6 - theta[0]))
     assert (found[1:] >= np.pi).all()
-    turned = ROBOT.replace(legs=[{"crank_angle_range": (-0.5 - 2.0 * np.pi, 0.6 - 2.0 * np.pi)}] + [{}] * 5)
-    assert limit_margins(turned, NONE, pose, 0.0 * pose, 0.0 * pose, GRAVITY)["crank_range"][0, 0] == pytest.approx(
-        found[0]
-    )
 
 
 @given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 20.0))
@@ -86,19 +83,12 @@ def test_margins_are_the_limits_minus_what_kinematics_and_dynamics_give(pose, ra
 @given(pose=poses())
 def test_joint_swing_is_the_angle_of_the_rod_seen_by_its_two_neighbours(pose):
     def rods(at):
-        legs = leg_geometry(ROBOT, at)
-        platform = RollPitchYaw(at[:3]).ToRotationMatrix().matrix()
-        ball, universal = [], []
-        for leg in range(6):
-            h = ROBOT.crank_zero_directions[leg]
-            z = np.array([0.0, 0.0, 1.0])
-            theta = legs.crank_angles[leg]
-            crank = np.stack(
-                [np.cos(theta) * h + np.sin(theta) * z, np.cross(z, h), -np.sin(theta) * h + np.cos(theta) * z]
-            )
-            ball.append(platform.T @ legs.e_l[leg])
-            universal.append(crank @ legs.e_l[leg])
-        return np.array(ball + universal)
+        legs, z = leg_geometry(ROBOT, at), np.array([0.0, 0.0, 1.0])
+        ball, universal = legs.e_l @ RollPitchYaw(at[:3]).ToRotationMatrix().matrix(), []
+        for h, theta, rod in zip(ROBOT.crank_zero_directions, legs.crank_angles, legs.e_l, strict=True):
+            along, across = np.cos(theta) * h + np.sin(theta) * z, -np.sin(theta) * h + np.cos(theta) * z
+            universal.append(np.array([along, np.cross(z, h), across]) @ rod)
+        return np.concatenate([ball, universal])
 
     cosine = np.sum(rods(pose) * rods(ROBOT.home_pose), axis=-1)
     swing = ALL.joint_swing - margins_at(pose)["joint_swing"]

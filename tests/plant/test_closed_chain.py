@@ -20,7 +20,6 @@ OFF = RobotParameters(
     platform_inertia=(0.003, 0.004, 0.006),
     platform_products=(1e-4, -2e-4, 1e-4),
 )
-RUBBING = {"coulomb": 0.02, "break_away": 0.03, "viscous": 0.002}
 STILL, NO_PUSH = np.zeros(6), np.zeros(6)
 MOVING = np.array([0.3, -0.2, 0.4, 0.03, -0.02, 0.05])
 
@@ -78,7 +77,7 @@ def energy(robot, state):
 
 @pytest.mark.parametrize("robot", [HEAVY, OFF], ids=["heavy legs", "centre off"])
 def test_energy_changes_by_the_work_of_motors_and_pushes(robot):
-    """Up to the order of the method: a step of a tenth leaves a tenth."""
+    # Up to the order of the method: a step of a tenth leaves a tenth.
     torque, left, push = static_torque(robot, robot.home_pose) * 1.05, [], np.array([0.1, -0.05, 0.08, 1.0, -2.0, 1.5])
     for step in (1e-3, 1e-4):
         payload = {"payload_mass": PAYLOAD, "payload_position": list(PLACE)}

@@ -15,7 +15,7 @@ SMALL = load_robot("reachy_mini")
 
 
 def test_the_rotors_keep_their_inertia_beside_friction():
-    """Drake takes the rotor of a joint from one of its actuators."""
+    # Drake takes the rotor of a joint from one of its actuators.
     masses = []
     for options in ({}, {"motor_friction": 0.1}, {"friction": FrictionOptions(coulomb=(0.1, 0.0) * 3)}):
         plant = Run(robot=UNEQUAL, **options).stewart.plant
@@ -24,34 +24,25 @@ def test_the_rotors_keep_their_inertia_beside_friction():
         np.testing.assert_allclose(other, masses[0], rtol=1e-12, atol=1e-15)
 
 
-@pytest.mark.parametrize("ratio", [0.5, 0.98])
 @pytest.mark.parametrize("share", [1.0, 0.5], ids=["coulomb", "stribeck"])
 @pytest.mark.parametrize(
-    ("robot", "break_away", "viscous"),
-    [(ROBOT, 0.5, 0.0), (UNEQUAL, 0.3, 0.0), (SMALL, 0.058, 0.095)],
-    ids=["strong", "unequal", "small"],
+    ("robot", "break_away", "viscous"), [(UNEQUAL, 0.3, 0.0), (SMALL, 0.058, 0.095)], ids=["unequal", "small"]
 )
-def test_below_break_away_a_motor_yields_5e_6_rad_at_most_and_then_rests(robot, break_away, viscous, share, ratio):
+def test_below_break_away_a_motor_yields_5e_6_rad_at_most_and_then_rests(robot, break_away, viscous, share):
     said = FrictionOptions(coulomb=share * break_away, break_away=break_away, stribeck_velocity=0.02, viscous=viscous)
     run = Run(robot=robot, friction=said)
     # The closed loops of the plant stand a little off: what is left of the load beside friction is known to 1e-3.
-    run.hold(static_torque(robot, robot.home_pose) + ratio * break_away * SIGNS)
-    start, yielded = run.angles, 0.0
-    for step in range(1, 11):
-        yielded = max(yielded, np.abs(run.to(0.01 * step).angles - start).max())
-    assert yielded <= 5e-6
+    run.hold(static_torque(robot, robot.home_pose) + 0.98 * break_away * SIGNS)
+    angles = [run.angles, *(run.to(0.01 * step).angles for step in range(1, 21))]
+    assert np.abs(np.array(angles) - angles[0]).max() <= 5e-6
+    assert np.abs(np.diff(angles[10:], axis=0)).max() < 1e-9
     assert np.abs(run.rates).max() < 1e-8
-    rested = run.angles
-    for step in range(1, 11):
-        run.to(0.1 + 0.01 * step)
-        assert np.abs(run.rates).max() < 1e-8
-    assert np.abs(run.angles - rested).max() / 0.1 < 1e-8
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", [ROBOT, SMALL], ids=["paper", "small"])
 def test_the_closed_chain_with_the_same_friction_sticks_and_slips_alike(robot):
-    """Back and forth over break-away; the two differ to first order in the step."""
+    # Back and forth over break-away; the two differ to first order in the step.
     hold = static_torque(robot, robot.home_pose)
     said = FrictionOptions(coulomb=0.04, break_away=0.06, stribeck_velocity=0.05, viscous=0.02)
     errors = []
@@ -73,14 +64,8 @@ def test_the_closed_chain_with_the_same_friction_sticks_and_slips_alike(robot):
     assert errors[1] < 0.6 * errors[0]
 
 
-@pytest.mark.parametrize(
-    ("plant", "line"),
-    [
-        ({"friction": {"coulomb": 0.1, "break_away": 0.05}}, "plant.friction.break_away: expected at least"),
-        ({"friction": {}, "motor_friction": 0.1}, "plant.motor_friction: expected 0 where `friction`"),
-        ({"friction": {"stribeck": 0.1}}, "plant.friction.stribeck: .*did you mean stribeck_velocity"),
-    ],
-)
-def test_bad_friction_is_refused_in_a_line(plant, line):
-    with pytest.raises(ConfigurationError, match=line):
-        PlantOptions.from_dict(plant)
+def test_bad_friction_is_refused_in_a_line():
+    with pytest.raises(ConfigurationError, match=r"plant\.friction\.break_away: expected at least"):
+        PlantOptions.from_dict({"friction": {"coulomb": 0.1, "break_away": 0.05}})
+    with pytest.raises(ConfigurationError, match=r"plant\.motor_friction: expected 0 where `friction`"):
+        PlantOptions.from_dict({"friction": {}, "motor_friction": 0.1})

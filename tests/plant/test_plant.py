@@ -7,20 +7,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plant_runs import Run, built
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.multibody.tree import JacobianWrtVariable, WeldJoint
+from pydrake.multibody.tree import JacobianWrtVariable
 from scipy.optimize import brentq
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.errors import ConfigurationError, DrakeCheckError, SingularPoseError, UnreachablePoseError
+from stewart_drake.errors import ConfigurationError, SingularPoseError, UnreachablePoseError
 from stewart_drake.mechanics.kinematics import (
     inverse_kinematics,
     pose_jacobian,
     pose_rate_to_twist,
     reach_margin,
 )
-from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions, platform_damping_limit
-from stewart_drake.robot import RobotParameters
 
 FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]
 HOME = ROBOT.home_pose
@@ -62,10 +60,7 @@ def gap_jacobian(stewart, context):
     return ends - np.concatenate([jacobian("platform", joint) for joint in robot.platform_joints])
 
 
-# --- what the plant is -----------------------------------------------------------------------------------------------
-
-
-def test_fourteen_bodies_with_the_masses_of_table_1_on_a_base_at_the_origin_of_the_world():
+def test_fourteen_bodies_have_the_masses_of_table_1():
     plant = built()[1].plant
     table = {
         "base": (7.0, [0.0, 0.0, -0.07], [0.027, 0.027, 0.054]),
@@ -76,7 +71,6 @@ def test_fourteen_bodies_with_the_masses_of_table_1_on_a_base_at_the_origin_of_t
         table[f"rod_{leg}"] = (0.08, [0.0, 0.0, 0.202], [0.0016, 0.0016, 1e-6])
     bodies = [plant.get_body(index) for index in plant.GetBodyIndices(plant.GetModelInstanceByName("stewart"))]
     assert {body.name() for body in bodies} == set(table)
-    assert plant.num_bodies() == 15  # and the world
     for body in bodies:
         mass, centre, moments = table[body.name()]
         inertia = body.default_spatial_inertia()
@@ -85,30 +79,6 @@ def test_fourteen_bodies_with_the_masses_of_table_1_on_a_base_at_the_origin_of_t
         about_centre = inertia.Shift(inertia.get_com()).CalcRotationalInertia()
         np.testing.assert_allclose(about_centre.get_moments(), moments, atol=1e-15)
         np.testing.assert_allclose(about_centre.get_products(), 0.0, atol=1e-15)
-    assert isinstance(plant.GetJointByName("base_weld"), WeldJoint)
-    base = plant.CalcRelativeTransform(plant.CreateDefaultContext(), plant.world_frame(), plant.GetFrameByName("base"))
-    assert base.IsExactlyEqualTo(RigidTransform())
-
-
-@pytest.mark.parametrize(("rod_joint", "positions", "velocities"), [("universal", 25, 24), ("ball", 31, 30)])
-def test_sizes_and_limits(rod_joint, positions, velocities):
-    _, stewart = built(rod_joint)
-    plant = stewart.plant
-    assert (plant.num_positions(), plant.num_velocities(), plant.num_actuators()) == (positions, velocities, 6)
-    assert plant.num_constraints() == 6
-    assert plant.time_step() == pytest.approx(0.001, abs=1e-12)
-    np.testing.assert_array_equal(plant.GetEffortUpperLimits(), np.full(6, 5.0))
-    np.testing.assert_array_equal(plant.GetEffortLowerLimits(), np.full(6, -5.0))
-    assert stewart.indices.size == len(stewart.state_names) == positions + velocities
-    assert stewart.torque_input_port.size() == 6
-    assert stewart.state_output_port.size() == positions + velocities
-    context = in_drake(stewart, stewart.assemble(HOME))
-    assert np.linalg.matrix_rank(gap_jacobian(stewart, context), tol=1e-6) == 18
-    other = built(rod_joint, gravity=1.62)[1].plant
-    np.testing.assert_array_equal(other.gravity_field().gravity_vector(), [0.0, 0.0, -1.62])
-
-
-# --- the maps to and from the state ----------------------------------------------------------------------------------
 
 
 @universal_or_ball
@@ -161,24 +131,13 @@ def test_what_cannot_be_assembled_is_refused():
     diagram, stewart = built()
     edge = brentq(lambda z: reach_margin(ROBOT, np.array([0.0, 0.0, 0.0, 0.0, 0.0, z])).min(), 0.3, 0.6, xtol=1e-15)
     for height, kind in ((edge - 1e-14, SingularPoseError), (0.6, UnreachablePoseError)):
-        with pytest.raises(kind, match="dead centre" if kind is SingularPoseError else None):
+        with pytest.raises(kind):
             stewart.assemble(np.array([0.0, 0.0, 0.0, 0.0, 0.0, height]))
-    for rate in (np.zeros(5), np.full(6, np.nan)):
-        with pytest.raises(ConfigurationError, match="pose_rate"):
-            stewart.assemble(HOME, rate)
     with pytest.raises(ConfigurationError, match="pose"):
         stewart.set_state(diagram.CreateDefaultContext(), np.full(6, np.nan))
-    with pytest.raises(ConfigurationError, match="a leg from 0 to 5"):
-        stewart.break_rod(diagram.CreateDefaultContext(), 6)
     limit = platform_damping_limit(ROBOT, PlantOptions())
     with pytest.raises(ConfigurationError, match=r"plant\.platform_joint_damping: expected at most"):
         built(platform_joint_damping=1.01 * limit)
-    other, _ = built("ball")
-    with pytest.raises(DrakeCheckError, match="setting the plant's state"):
-        stewart.set_state(other.CreateDefaultContext(), HOME)
-
-
-# --- motion ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -203,16 +162,6 @@ def test_a_crank_comes_to_rest_at_its_stop():
     run.to(0.5)
     theta = run.stewart.crank_angles(run.state)
     np.testing.assert_allclose(theta, 0.5, atol=5e-3)
-
-
-def test_torques_saturate_at_the_effort_limit():
-    asked = np.array([100.0, -100.0, 1.0, 1.0, -1.0, 1.0])
-    states = [Run(torque=torque).to(0.02).state for torque in (asked, np.clip(asked, -5.0, 5.0), np.clip(asked, -4, 4))]
-    np.testing.assert_array_equal(states[0], states[1])
-    assert np.abs(states[0] - states[2]).max() > 1e-3
-
-
-# --- damping ------------------------------------------------------------------------------------------------------
 
 
 RATE = np.array([0.5, -0.3, 1.0, 0.1, 0.1, 0.05])
@@ -253,9 +202,6 @@ def test_damping_takes_its_energy_on_every_axis(name, rod_joint):
     assert lost == pytest.approx(dissipated, rel=0.02)
 
 
-# --- collision -------------------------------------------------------------------------------------------------------
-
-
 def test_rods_that_cross_are_reported_and_pushed_apart():
     crossed = Run(CROSSED, gravity=0.0, collision=True).to(0.002)
     assert crossed.contacts == {frozenset({f"rod_{leg}", f"rod_{leg + 1}"}) for leg in (0, 2, 4)}
@@ -263,23 +209,3 @@ def test_rods_that_cross_are_reported_and_pushed_apart():
     assert through.contacts == set()
     np.testing.assert_allclose(through.pose, CROSSED, atol=1e-12)
     assert np.abs(crossed.pose - CROSSED).max() > 1e-6
-
-
-# --- pictures, options -----------------------------------------------------------------------------------------------
-
-
-def test_bad_gravity_is_refused_by_name():
-    with pytest.raises(ConfigurationError, match=r"gravity: expected .*got "):
-        build_plant(ROBOT, gravity=-9.81)
-
-
-def test_a_rod_square_in_its_joint_has_no_speeds_and_is_refused():
-    # Found by search: of this robot's rods the first lies along the outer axis of its joint here.
-    robot = RobotParameters(platform_half_angle=0.3, platform_joint_radius=0.25)
-    pose = [-1.1747681053505588, -0.05054989784175512, 0.3356745796337486]
-    pose += [-0.12058669683233691, 0.32300351505576586, -0.09887963902251204]
-    _, plant = build_plant(robot)
-    with pytest.raises(SingularPoseError, match="rod of leg 0"):
-        plant.assemble(pose, np.ones(6))
-    beside = np.array(pose) + 1e-3
-    assert np.abs(plant.loop_gap(plant.assemble(beside, np.ones(6)))).max() < 1e-12

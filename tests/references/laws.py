@@ -36,17 +36,6 @@ def check_derivatives(reference, time, h=1e-4, rtol=1e-7):
     np.testing.assert_allclose(by_differences[1], acceleration, atol=1e-10 + rtol * np.abs(accelerations).max())
 
 
-def check_means(reference, time, width=1e-4):
-    """The mean slope over a short time lies between the least and the largest derivative in it; ends of pieces too."""
-    pose, rate, acceleration = reference.evaluate(time + width * np.linspace(0.0, 1.0, 21))
-    for values, slopes in ((pose, rate), (rate, acceleration)):
-        mean = (values[-1] - values[0]) / width
-        # Between two of the samples a slope may turn.
-        slack = 1e-9 + np.abs(np.diff(slopes, axis=0)).max(axis=0)
-        assert np.all(mean >= slopes.min(axis=0) - slack)
-        assert np.all(mean <= slopes.max(axis=0) + slack)
-
-
 def check_smooth(reference, times, jerk):
     """Pose, rate and acceleration do not jump at these times."""
     step = 1e-7
@@ -54,22 +43,6 @@ def check_smooth(reference, times, jerk):
     for earlier, later in zip(before, after, strict=True):
         np.testing.assert_allclose(later, earlier, atol=4.0 * step * jerk + 1e-12)
 
-
-def check_shapes(reference, times):
-    """Many times at once give what each gives alone, and a caller may write into what it gets."""
-    together = reference.evaluate(np.array([times, times]))
-    for index, time in enumerate(times):
-        for values, one in zip(together, reference.evaluate(time), strict=True):
-            assert values.shape == (2, len(times), 6)
-            np.testing.assert_allclose(values[1, index], one, rtol=1e-9, atol=1e-9)
-    kept = [values.copy() for values in together]
-    for values in together:
-        values += 1.0
-    for values, again in zip(kept, reference.evaluate(np.array([times, times])), strict=True):
-        np.testing.assert_array_equal(values, again)
-
-
-# --- motions of every kind -----------------------------------------------------------------------------------------
 
 six = vectors(6).map(tuple)
 lasts = st.floats(0.3, 3.0)
@@ -150,7 +123,7 @@ adjusted = st.builds(
 )
 KINDS = {
     **{"hold": holds, "sine": sines, "bursts": bursts, "moves": moves, "spline": splines, "breathing": breathings},
-    **{"steady heart": heartbeats(premature=()), "heart": heartbeats(), "tremor": tremors},
+    **{"heart": heartbeats(premature=()), "tremor": tremors},
     **{"sum": sums, "adjusted": adjusted, "faded in": adjusted.filter(lambda reference: reference.fade_in)},
 }
 

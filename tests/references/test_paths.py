@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from references.laws import bursts, check_smooth, ends, moves, splines
 
-from stewart_drake.references import MinimumJerkReference, SplineReference
+from stewart_drake.references import MinimumJerkReference
 
 
 @given(bursts | moves | splines)
@@ -45,23 +45,7 @@ def test_moves_start_and_end_at_rest_in_their_poses_and_go_straight(reference):
         np.testing.assert_allclose(rates[[0, 2]], 0.0, atol=1e-9)
 
 
-def test_dwell_is_the_rest_before_a_move():
-    poses = ((0.0,) * 6, (1.0,) * 6, (0.0,) * 6)
-    reference = MinimumJerkReference(poses=poses, durations=(1.0, 2.0), dwell=(0.5, 0.25))
-    moving = np.abs(reference.evaluate(np.array([0.2, 0.49, 1.0, 1.6, 2.0, 3.7, 3.8]))[1]).max(axis=-1) > 0.0
-    assert moving.tolist() == [False, False, True, False, True, True, False]
-
-
 @given(splines)
 @settings(max_examples=50)
 def test_a_spline_goes_through_its_poses(reference):
     np.testing.assert_allclose(reference.evaluate(np.array(reference.times))[0], reference.poses, atol=1e-8)
-
-
-def test_a_spline_of_two_poses_is_the_minimum_jerk_move():
-    poses = ((0.0,) * 6, (0.3, -0.2, 0.1, 0.05, 0.0, 0.31))
-    times = np.linspace(-0.5, 3.0, 60)
-    spline = SplineReference(times=(0.0, 2.0), poses=poses).evaluate(times)
-    move = MinimumJerkReference(poses=poses, durations=(2.0,)).evaluate(times)
-    for one, other in zip(spline, move, strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-12)

@@ -5,7 +5,7 @@ import pytest
 from conftest import field_of
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from references.laws import KINDS, bursts, check_derivatives, check_means, check_shapes, ends
+from references.laws import KINDS, bursts, check_derivatives, ends
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references import (
@@ -27,15 +27,8 @@ def test_rates_and_accelerations_are_the_derivatives_of_the_pose(motions, data, 
     reference = data.draw(motions)
     end = ends(reference).max()
     time = share * (end if 0.0 < end < math.inf else 20.0)
-    check_means(reference, time)
-    if not getattr(reference, "premature_beats", ()):
-        assume(np.abs(ends(reference) - time).min() > 3e-4)
-        check_derivatives(reference, time)
-
-
-@given(st.one_of(*KINDS.values()), st.lists(st.floats(-1.0, 20.0), min_size=1, max_size=4))
-def test_many_times_give_what_each_gives_alone(reference, times):
-    check_shapes(reference, times)
+    assume(np.abs(ends(reference) - time).min() > 3e-4)
+    check_derivatives(reference, time)
 
 
 @given(st.floats(0.0, 20.0))
@@ -69,13 +62,9 @@ REFUSED = [
     (SineBurstsReference, BURSTS | {"frequency": (1.0,)}, "amplitude"),
     (SineBurstsReference, BURSTS | {"fade": 0.81}, "burst_duration"),
     (MinimumJerkReference, {"poses": TWO, "durations": (1.0, 1.0)}, "durations"),
-    (MinimumJerkReference, {"poses": TWO, "durations": (1.0,), "dwell": (1.0, 1.0)}, "dwell"),
-    (SplineReference, {"poses": TWO, "times": (0.0,)}, "times"),
     (SplineReference, {"poses": TWO, "times": (0.0, 0.0)}, "times"),
-    (HeartbeatReference, {"harmonics": (0.0, 0.0)}, "harmonics"),
     (HeartbeatReference, {"harmonics": (1.0, 0.5)}, "harmonic_phase"),
     (HeartbeatReference, {"slow_variation": 0.5, "respiratory_variation": 0.5}, "slow_variation"),
-    (HeartbeatReference, {"premature_beats": (3, 4)}, "premature_beats"),
     (TremorReference, {"high": 6.0}, "high"),
 ]
 

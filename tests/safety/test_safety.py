@@ -81,36 +81,22 @@ def at(**offsets):
     return pose
 
 
-SINKING = at(z=-0.1110)
-TILTED = at(pitch=-1.10)
 FAST = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.5])
-# Monitor, what trips it within two ticks after a good one, the level that it asks for, its switch.
+# Monitor, what trips it in the tick after a good one, the level that it asks for, its switch.
 TRIPS = [
     ("measurement_not_finite", inputs(pose=np.full(6, np.nan), reference=HOME), HOLD, "finite"),
-    ("measurement_not_finite", inputs(rate=np.full(6, np.inf)), HOLD, "finite"),
     ("sensor_failed", inputs(sensor=(failure_code("encoder"), 2.0)), HOLD, "failures"),
     ("controller_failed", inputs(controller=(failure_code("riccati"), -1.0)), HOLD, "failures"),
     ("command_not_finite", inputs(command=[0, 0, 0, np.nan, 0, 0]), HOLD, "finite"),
-    ("command_not_finite", inputs(command=[0, 0, 0, -np.inf, 0, 0]), HOLD, "finite"),
     ("deadline", inputs(age=3.0), HOLD, "deadline"),
-    ("torque_limit", inputs(command=[0, 0, 0, 0, 1e6, 0]), HOLD, "torque_limit"),
     ("workspace", inputs(pose=at(x=0.13)), RAMP, "workspace"),
     ("workspace", inputs(pose=at(yaw=1.25)), RAMP, "workspace"),
-    ("serial_singularity", inputs(pose=SINKING), RAMP, "transmission"),
-    ("serial_singularity", inputs(pose=at(z=-0.119)), RAMP, "transmission"),
-    ("parallel_singularity", inputs(pose=TILTED), RAMP, "conditioning"),
+    ("serial_singularity", inputs(pose=at(z=-0.1110)), RAMP, "transmission"),
+    ("parallel_singularity", inputs(pose=at(pitch=-1.10)), RAMP, "conditioning"),
     ("crank_speed", inputs(rate=FAST), RAMP, "crank_speed"),
     ("following_error", inputs(pose=at(y=1e-9), reference=at(x=0.021)), RAMP, "following_error"),
     ("following_error", inputs(pose=at(y=1e-9), reference=at(roll=0.11)), RAMP, "following_error"),
-    ("following_error", inputs(reference=np.full(6, np.nan)), RAMP, "following_error"),
 ]
-
-
-def off(switch):
-    return SafetyOptions(**{switch: False if switch in ("finite", "failures") else None})
-
-
-# --- monitors -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("monitor", "bad", "level", "switch"), TRIPS, ids=[f"{t[0]}-{i}" for i, t in enumerate(TRIPS)])
@@ -119,9 +105,19 @@ def test_a_monitor_trips_by_name_and_level_and_not_where_it_is_off(monitor, bad,
     assert (MONITORS[int(done[-1].monitor)], done[-1].level) == (monitor, level)
     told = dict.fromkeys(("level", "worst"), LEVELS[level]) | {"monitor": monitor, "time": 0.001}
     assert told.items() <= done[-1].trip.items()
-    if switch != "torque_limit" and not np.isnan(bad.reference).any():
-        without, _ = run([GOOD, bad], off(switch))
-        assert without[-1].monitor != MONITORS.index(monitor)
+    without, _ = run([GOOD, bad], SafetyOptions(**{switch: False if switch in ("finite", "failures") else None}))
+    assert without[-1].monitor != MONITORS.index(monitor)
+
+
+def test_a_torque_beyond_all_measure_and_a_reference_that_is_none_trip_too():
+    for name, level, bad in (
+        ("torque_limit", HOLD, inputs(command=[0, 0, 0, 0, 1e6, 0])),
+        ("following_error", RAMP, inputs(reference=np.full(6, np.nan))),
+        ("deadline", HOLD, inputs(age=np.nan)),
+        ("sensor_failed", HOLD, inputs(sensor=(np.nan, np.nan))),
+    ):
+        done, _ = run([GOOD, bad])
+        assert (MONITORS[int(done[-1].monitor)], done[-1].level) == (name, level)
 
 
 def test_innovations_may_be_large_for_a_blow_and_no_longer():
@@ -175,25 +171,17 @@ def test_crossing_a_parallel_singularity_between_two_ticks_is_seen():
     assert MONITORS[int(done[1].monitor)] == "parallel_singularity"
 
 
-# --- torque limits --------------------------------------------------------------------------------------------------
-
-
 def test_torques_are_cut_at_the_limit_and_trip_when_they_stay_there():
     # 120 ticks, of which the 101st is too many.
-    rising = [inputs(command=WEIGHT + min(1.0, k / 5.0) * 6.0) for k in range(126)]
-    done, _ = run([GOOD, *rising])
-    assert max(np.abs(m.torque).max() for m in done) <= ROBOT.effort_limit
+    done, _ = run([GOOD, *[inputs(command=WEIGHT + min(1.0, k / 5.0) * 6.0) for k in range(126)]])
+    assert max(np.abs(m.torque).max() for m in done) == ROBOT.effort_limit
     tripped = [MONITORS[int(m.monitor)] == "torque_limit" for m in done]
     assert not any(tripped[:100])
     assert any(tripped)
-    half = SafetyOptions(torque_limit=0.5)
-    done, _ = run([GOOD, *rising[:20]], half)
-    assert max(np.abs(m.torque).max() for m in done) == 0.5 * ROBOT.effort_limit
     # Short visits to the limit are forgiven.
     full, well = inputs(command=np.full(6, 5.0)), inputs(command=np.full(6, 4.9))
     done, stop = run([GOOD, *[full, full, well, well] * 100])
-    assert stop is None
-    assert done[-1].trip is None
+    assert (stop, done[-1].trip) == (None, None)
 
 
 def test_a_jump_is_held_for_a_tick_and_then_led_after_at_the_rate():
@@ -205,16 +193,10 @@ def test_a_jump_is_held_for_a_tick_and_then_led_after_at_the_rate():
 
 
 def test_a_command_that_chatters_trips_and_leaves_no_mean_torque():
-    chatter = [inputs(command=WEIGHT + 4.5 * (-1.0) ** k) for k in range(20)]
-    done, _ = run([GOOD, GOOD, *chatter])
+    done, _ = run([GOOD, GOOD, *[inputs(command=WEIGHT + 4.5 * (-1.0) ** k) for k in range(20)]])
     assert MONITORS[int(done[-1].monitor)] == "torque_rate"
     np.testing.assert_allclose([m.torque for m in done], np.tile(WEIGHT, (len(done), 1)), atol=1e-12)
-    without, stop = run([GOOD, GOOD, *chatter], SafetyOptions(torque_rate=None))
-    assert stop is None
-    assert without[-1].trip is None
 
-
-# --- levels ---------------------------------------------------------------------------------------------------------
 
 BAD = inputs(command=np.full(6, np.nan))
 
@@ -224,14 +206,11 @@ BAD = inputs(command=np.full(6, np.nan))
     [
         (OPTIONS, 0.001, 20),
         (OPTIONS, 0.005, 6),
-        (OPTIONS, 0.002, 15),
-        (SafetyOptions(hold_ticks=3), 0.001, 3),
         (SafetyOptions(hold_time=0.002), 0.001, 2),
         (SafetyOptions(hold_ticks=0), 0.001, 0),
     ],
 )
 def test_the_last_good_command_is_held_for_twenty_ticks_and_thirty_milliseconds_at_most(options, period, budget):
-    assert options.budget(period) == budget
     command = WEIGHT + 0.1
     done, _ = run([inputs(command=command), *[BAD] * (budget + 1)], options, period)
     for held in done[1:-1]:
@@ -253,62 +232,35 @@ def test_a_hold_ends_by_itself_and_a_fault_that_flickers_uses_the_budget_up():
 def test_a_ramp_leads_to_the_weights_torque_within_its_time_and_ends_the_run_with_the_monitors_name():
     command, pose = WEIGHT + np.array([1, -1, 2, 0, 0, 0.5]), at(x=0.13)
     options = SafetyOptions(ramp_time=0.05, safe_hold_time=0.1)
-    trip = inputs(pose=pose)
-    done, stop = run([inputs(command=command), *[trip] * 200], options)
+    done, stop = run([inputs(command=command), *[inputs(pose=pose)] * 200], options)
     ramp = [m for m in done if m.level == RAMP]
     safe = [m for m in done if m.level == SAFE_HOLD]
     assert (len(ramp), len(safe)) == (49, 101)
     weight = static_torque(ROBOT, pose)
-    for k, memory in enumerate(ramp):
-        share = (k + 1) / 50
-        np.testing.assert_allclose(memory.torque, (1 - share) * command + share * weight, atol=1e-9)
+    share = np.arange(1, 50)[:, None] / 50
+    np.testing.assert_allclose([m.torque for m in ramp], (1 - share) * command + share * weight, atol=1e-9)
     np.testing.assert_allclose(safe[-1].torque, weight, atol=1e-12)
     assert (stop.reason, stop.leg) == ("workspace", None)
-    assert stop.trip == {
-        "monitor": "workspace",
-        "level": "ramp",
-        "time": 0.001,
-        "leg": None,
-        "cause": None,
-        "worst": "safe_hold",
-        "last": "safe_hold",
-        "stopped": {"monitor": "workspace", "time": 0.001, "leg": None},
-    }
 
 
 def test_what_is_told_names_the_trip_that_stopped_the_robot_and_not_only_the_first():
     # Held through once, long before; then the robot leaves the workspace, and the run ends while it is held there.
     done, _ = run([GOOD, BAD, *[GOOD] * 50, *[inputs(pose=at(x=0.13))] * 30], SafetyOptions(safe_hold_time=1e9))
-    told = [memory.trip for memory in done]
-    assert told[0] is None
-    assert [t["last"] for t in told[1:3]] == ["hold", "none"]
-    assert [t["stopped"] for t in told[1:3]] == [None, None]
-    assert (told[-1]["monitor"], told[-1]["time"], told[-1]["last"]) == ("command_not_finite", 0.001, "safe_hold")
-    assert {str(t["stopped"]) for t in told[52:]} == {"{'monitor': 'workspace', 'time': 0.052, 'leg': None}"}
+    assert [each.trip["last"] for each in done[1:3]] == ["hold", "none"]
+    assert done[2].trip["stopped"] is None
+    assert done[-1].trip == {
+        "monitor": "command_not_finite",
+        "level": "hold",
+        "time": 0.001,
+        "leg": 0,
+        "cause": None,
+        "worst": "safe_hold",
+        "last": "safe_hold",
+        "stopped": {"monitor": "workspace", "time": 0.052, "leg": None},
+    }
     # A robot that runs away all the same is given up, and the run says so too.
     done, stop = run([GOOD, BAD, GOOD, inputs(rate=FAST), inputs(rate=2.0 * FAST)])
     assert (len(done), stop.reason, stop.trip["worst"], stop.trip["last"]) == (4, "crank_speed", "end", "end")
-
-
-def test_without_the_guard_other_failures_blind_nobody():
-    unguarded, failed = SafetyOptions(failures=False), (failure_code("encoder"), 2.0)
-    done, _ = run([GOOD, inputs(pose=at(x=0.13), sensor=failed)], unguarded)
-    assert MONITORS[int(done[-1].monitor)] == "workspace"
-    told = run([GOOD, inputs(sensor=failed)])[0][-1].trip
-    assert (told["cause"], told["leg"]) == ("encoder", 2)
-
-
-@pytest.mark.parametrize(
-    ("bad", "monitor"),
-    [
-        ({"age": np.nan}, "deadline"),
-        ({"sensor": (np.nan, np.nan)}, "sensor_failed"),
-        ({"controller": (np.nan, 0.0)}, "controller_failed"),
-    ],
-)
-def test_a_message_that_is_not_a_number_is_no_good_one(bad, monitor):
-    (said,), _ = run([inputs(**bad)])
-    assert (MONITORS[int(said.monitor)], said.level) == (monitor, HOLD)
 
 
 @settings(max_examples=15)
@@ -359,77 +311,65 @@ def test_whatever_comes_in_torques_are_finite_and_within_the_limit(sequence):
         assert after.worst >= before.worst
 
 
-# --- frozen sensors -------------------------------------------------------------------------------------------------
-
-
-def frozen(readings, reference=None, options=OPTIONS, quantum=0.0, wanted=None):
-    """Leg that is said to be frozen in the end; with a reference readings are poses, else `wanted` are poses."""
-    # Of the other monitors none may see anything.
+def frozen(ticks, options=OPTIONS, quantum=0.0):
+    # Leg that is said to be frozen in the end, -1 for a pose; of the other monitors none may see anything.
     names = ("workspace", "transmission", "conditioning", "crank_speed", "following_error")
     options = dataclasses.replace(options, **dict.fromkeys(names), safe_hold_time=10.0)
-    ticks = []
-    for k, reading in enumerate(readings):
-        if reference is None:
-            ticks.append(inputs(reference=wanted[k], angles=reading))
-        else:
-            ticks.append(inputs(reference=reference[k], pose_reading=reading))
     done, _ = run(ticks, options, quantum=quantum)
-    trips = [each for each in done if each.trip is not None]
+    trips = [each.trip for each in done if each.trip is not None]
     if not trips:
         return None
-    assert (trips[0].trip["monitor"], trips[0].trip["cause"]) == ("reading_stuck", None)
-    return -1 if trips[0].trip["leg"] is None else trips[0].trip["leg"]
+    assert trips[0]["monitor"] == "reading_stuck"
+    return -1 if trips[0]["leg"] is None else trips[0]["leg"]
+
+
+def readings(angles, wanted):
+    return [inputs(reference=each, angles=reading) for each, reading in zip(wanted, angles, strict=True)]
 
 
 def test_an_encoder_that_stands_while_others_turn_is_named():
     wanted = HOME + np.arange(100)[:, None] * 2e-4 * np.eye(6)[5]
     turning = inverse_kinematics(ROBOT, wanted)
-    jump = np.tile(turning[0], (100, 1))
-    jump[50:, 2] += 0.3
-    for well, where in ((turning, wanted), (np.tile(turning[0], (100, 1)), wanted), (jump, 0.0 * wanted + HOME)):
-        assert frozen(well, wanted=where) is None
+    assert frozen(readings(turning, wanted)) is None
+    assert frozen(readings(np.tile(turning[0], (100, 1)), wanted)) is None
     stuck = turning.copy()
     stuck[20:, 4] = stuck[20, 4]
     # The others have turned by 0.04 rad after this many ticks.
     late = int(np.searchsorted(turning[:, 0], turning[20, 0] + OPTIONS.frozen_encoder))
+    ticks = readings(stuck, wanted)
     assert late < 90
-    assert frozen(stuck[: late - 1], wanted=wanted) is None
-    assert frozen(stuck[: late + 2], wanted=wanted) == 4
-    assert frozen(stuck, wanted=wanted, options=SafetyOptions(frozen_encoder=None)) is None
+    assert frozen(ticks[: late - 1]) is None
+    assert frozen(ticks[: late + 2]) == 4
+    assert frozen(ticks, SafetyOptions(frozen_encoder=None)) is None
     # Coarse encoders stand still for longer.
-    assert frozen(stuck[: late + 2], wanted=wanted, quantum=0.001) is None
+    assert frozen(ticks[: late + 2], quantum=0.001) is None
     # Nobody can say where a crank is wanted for a pose that is out of reach.
-    assert frozen(stuck, wanted=wanted + 1.0) == 4
+    assert frozen(readings(stuck, wanted + 1.0)) == 4
 
 
 def test_a_crank_that_friction_holds_where_it_turns_back_is_not_frozen():
     # Crank 4 goes up and down by 0.008 rad while the others turn by 0.1 rad, and sticks all the while.
     time = np.linspace(0.0, np.pi, 200)[:, None]
     angles = inverse_kinematics(ROBOT, HOME) + np.where(np.arange(6) == 4, 0.008 * np.sin(time), 0.1 * time / np.pi)
-    wanted, pose = [], HOME
+    wanted = [HOME]
     for each in angles:
-        pose = forward_kinematics(ROBOT, each, guess=pose)
-        wanted.append(pose)
+        wanted.append(forward_kinematics(ROBOT, each, guess=wanted[-1]))
     angles[:, 4] = angles[0, 4]
-    assert frozen(angles, wanted=wanted) is None
+    assert frozen(readings(angles, wanted[1:])) is None
     # Wanted elsewhere, the same readings are those of a frozen encoder.
     away = inverse_kinematics(ROBOT, HOME) + np.array([0.0, 0, 0, 0, 0.05, 0])
-    assert frozen(angles, wanted=np.tile(forward_kinematics(ROBOT, away, guess=HOME), (200, 1))) == 4
+    assert frozen(readings(angles, np.tile(forward_kinematics(ROBOT, away, guess=HOME), (200, 1)))) == 4
 
 
 def test_a_pose_that_stands_while_the_reference_moves_is_frozen():
-    moving = HOME + np.arange(100)[:, None] * 1e-4 * np.eye(6)[5]
-    still = np.tile(HOME, (100, 1))
-    assert frozen(still, moving) == -1
-    assert frozen(moving, moving) is None
-    assert frozen(still, still) is None
-    assert frozen(still, moving, SafetyOptions(frozen_pose=None)) is None
+    def of(poses, wanted):
+        return frozen([inputs(reference=w, pose_reading=p) for p, w in zip(poses, wanted, strict=True)])
+
+    moving, still = HOME + np.arange(100)[:, None] * 1e-4 * np.eye(6)[5], np.tile(HOME, (100, 1))
+    assert (of(still, moving), of(moving, moving), of(still, still)) == (-1, None, None)
     # One last bit of one axis is a sign of life.
     alive = still + np.spacing(0.3) * (np.arange(100) % 2)[:, None] * np.eye(6)[5]
-    assert frozen(alive, moving) is None
-
-
-# --- before the start -----------------------------------------------------------------------------------------------
+    assert of(alive, moving) is None
 
 
 @pytest.mark.parametrize(
@@ -465,23 +405,19 @@ def test_a_start_that_would_trip_is_refused():
         refuse_start(ROBOT, SafetyOptions(torque_limit=0.999 * weak), STANDARD_GRAVITY, HOME, STILL, HOME)
 
 
-def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wider_ones_are_not():
+@pytest.mark.parametrize("name", ["torque_limit", "torque_rate"])
+def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wider_ones_are_not(name):
     # Two periods along Z.
     time, omega, along = np.arange(0.0, 0.8, PERIOD), 2.0 * np.pi * 2.5, np.eye(6)[5]
     sine, cosine = (0.003 * wave(omega * time[:, None]) * along for wave in (np.sin, np.cos))
     motion = HOME + sine, omega * cosine, -(omega**2) * sine
     torque = inverse_dynamics(ROBOT, *motion)
-    share = np.abs(torque).max() / ROBOT.effort_limit
     steepest = np.abs(np.diff(torque, axis=0)).max() / PERIOD
-    for factor, refused in ((1.001, ()), (0.999, ("torque_limit", "torque_rate"))):
-        for name, value in (("torque_limit", share), ("torque_rate", steepest)):
-            options = SafetyOptions(**{name: factor * value}, torque_rate_time=0.0, torque_limit_time=0.0)
-            if name in refused:
-                with pytest.raises(ConfigurationError, match=rf"safety\.{name}: .* leg \d") as caught:
-                    refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
-                assert "\n" not in str(caught.value)
-            else:
-                refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
+    needed = {"torque_limit": np.abs(torque).max() / ROBOT.effort_limit, "torque_rate": steepest}[name]
+    strict = SafetyOptions(torque_rate_time=0.0, torque_limit_time=0.0)
+    refuse_motion(ROBOT, dataclasses.replace(strict, **{name: 1.001 * needed}), STANDARD_GRAVITY, time, motion)
+    with pytest.raises(ConfigurationError, match=rf"safety\.{name}: .* leg \d"):
+        refuse_motion(ROBOT, dataclasses.replace(strict, **{name: 0.999 * needed}), STANDARD_GRAVITY, time, motion)
 
 
 def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_refused():
@@ -491,24 +427,3 @@ def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_r
     motion = HOME + time[:, None] * end, np.tile(end, (101, 1)), np.zeros((101, 6))
     with pytest.raises(ConfigurationError, match=r"safety\.horizon: .*t = 0\.[89]"):
         refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
-    short = dataclasses.replace(options, horizon=0.0)
-    refuse_motion(ROBOT, short, STANDARD_GRAVITY, time, motion)
-
-
-class TooHigh:
-    def look(self, inputs):
-        return 3 if inputs.pose[5] > HOME[5] + 0.01 else None
-
-
-def test_a_monitor_of_the_users_own_is_asked_where_all_others_are_content():
-    options = SafetyOptions(monitors=(TooHigh,))
-    high = inputs(pose=at(z=0.011))
-    done, _ = run([GOOD, high, GOOD], options)
-    assert [each.level for each in done] == [NONE, RAMP, RAMP]
-    assert done[-1].trip["monitor"] == options.monitor_names[-1] == "TooHigh"
-    assert (done[-1].trip["leg"], done[-1].trip["time"]) == (3, 0.001)
-    done, _ = run([GOOD, inputs(pose=at(z=0.011), command=np.full(6, np.nan))], options)
-    assert done[-1].trip["monitor"] == "command_not_finite"
-    motion = np.tile(high.pose, (3, 1)), np.zeros((3, 6)), np.zeros((3, 6))
-    with pytest.raises(ConfigurationError, match=r"safety\.monitors\.0.*TooHigh"):
-        refuse_motion(ROBOT, options, STANDARD_GRAVITY, np.arange(3) * PERIOD, motion)

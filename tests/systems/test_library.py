@@ -14,7 +14,6 @@ from stewart_drake import systems
 from stewart_drake.control.computed_torque import ComputedTorqueOptions
 from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.control.lqi import LqiOptions
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.motors import FrictionCompensation, LinkOptions, MotorOptions
 from stewart_drake.hardware.observer import ObserverOptions
 from stewart_drake.hardware.sensors import EncoderOptions
@@ -49,11 +48,6 @@ PLAIN = [PlatformWrench(PLANT, ()), systems.ReferenceSource(paper_reference()), 
 """Those without a part."""
 
 
-def test_every_system_is_looked_at():
-    exported = {getattr(systems, name) for name in vars(systems) if name[0].isupper()}
-    assert {type(system) for system in EVERY + PLAIN} == exported - {systems.PartSystem} | {PlatformWrench}
-
-
 @pytest.mark.parametrize("system", EVERY + PLAIN, ids=lambda system: type(system).__name__)
 def test_ports_are_those_of_the_docstring(system):
     text = inspect.getdoc(type(system)).partition("Ports:")[2]
@@ -73,15 +67,6 @@ def test_ports_are_those_of_the_docstring(system):
     for (way, name), port in ports.items():
         attribute = f"{name}_out" if way == "out" and ("in", name) in ports else name
         assert getattr(system, attribute).get_index() == port.get_index()
-
-
-@pytest.mark.parametrize("weights", [0, 1, 3])
-def test_a_regulator_of_another_number_of_weights_is_refused(weights):
-    with pytest.raises(ConfigurationError, match=r"weights.*2 or 4"):
-        systems.LqiController(ROBOT, LqiOptions(), GRAVITY, weights)
-
-
-# --- what has no tick ----------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=30)

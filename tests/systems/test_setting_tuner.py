@@ -1,9 +1,8 @@
 """Tuners of settings in the closed loop."""
 
 import numpy as np
-import pytest
 
-from stewart_drake import ConfigurationError, load_scenario, run
+from stewart_drake import load_scenario, run
 from stewart_drake.control.policy import disturbance_of, weights_of
 
 SETTING = (0.15, -0.2, -0.4, -0.8)
@@ -30,8 +29,3 @@ def test_a_schedule_of_one_setting_is_that_setting():
         np.testing.assert_allclose(tuned[signal], held[signal], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(tuned["setting"][:, :4], np.tile(SETTING, (len(tuned.time), 1)))
     assert "setting" not in held.signals
-
-
-def test_it_needs_an_observer():
-    with pytest.raises(ConfigurationError, match=r"estimator\.kind: .*observer, for tuner\.kind schedule"):
-        loop(tuner={"kind": "schedule"}, estimator={"kind": "difference"})

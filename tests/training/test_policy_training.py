@@ -31,24 +31,11 @@ CENTRE = np.array(Baselines.load().best)
 SMALL = PolicyOptions(generations=2, situations=1, pool=2, validation=1, robots=("reachy_mini",))
 
 
-def state_of(training, rng=None):
-    """A state without a run; the centre costs 1 everywhere."""
+def state_of(training):
+    # Without a run; the centre costs 1 everywhere.
     pool, validation = (np.zeros(len(cases)) for cases in (training.pool, training.validation))
-    weights = np.zeros(WEIGHTS) if rng is None else rng.normal(size=WEIGHTS)
+    weights = np.zeros(WEIGHTS)
     return State(pool, validation, np.zeros(13), np.ones(13), weights, np.zeros((2, WEIGHTS)), weights)
-
-
-@pytest.fixture
-def bowl(monkeypatch):
-    """Training in which a case costs the squared distance of its weights from `bowl`, and its taste."""
-    target = np.random.default_rng(3).normal(size=WEIGHTS) * 0.05
-
-    def cost(policy, case):
-        away = np.concatenate([np.ravel(each) for each in policy.layers[2:6]]) - target
-        return float(away @ away) + case.kappa
-
-    monkeypatch.setattr(policy_training, "episode_cost", cost)
-    return target
 
 
 def test_weights_of_zero_stay_at_the_centre_and_any_others_in_the_box():
@@ -92,15 +79,21 @@ def test_each_kind_counts_alike_but_more_where_the_policy_is_behind():
     assert behind[fast] == pytest.approx(share[fast])
 
 
-def test_evolution_goes_down_and_keeps_its_best_generation(bowl, monkeypatch):
+def test_evolution_goes_down_and_keeps_its_best_generation(monkeypatch):
+    bowl = np.random.default_rng(3).normal(size=WEIGHTS) * 0.05
+
+    def cost(policy, case):
+        away = np.concatenate([np.ravel(each) for each in policy.layers[2:6]]) - bowl
+        return float(away @ away) + case.kappa
+
+    monkeypatch.setattr(policy_training, "episode_cost", cost)
     monkeypatch.setattr(policy_training, "VALIDATED", 1)
     training = Training(PolicyOptions(generations=60, situations=4, pool=4, robots=("reachy_mini",)), Workers(0))
     state = state_of(training)
     state.validated += bowl @ bowl
     while state.generation < 60:
         state = training.step(state)
-    values = state.history[:, 1]
-    assert state.least == values.min()
+    assert state.least == state.history[:, 1].min()
     assert state.least < -0.5 * bowl @ bowl
     assert np.sum((state.best - bowl) ** 2) - bowl @ bowl == pytest.approx(state.least)
 
@@ -117,23 +110,17 @@ def test_interrupted_or_on_more_processes_it_comes_to_the_same_policy(tmp_path, 
 
     with pytest.raises(KeyboardInterrupt):
         train_policy(SMALL, file, stop, Workers(0))
-    assert file.exists()
     again = train_policy(SMALL, file, workers=Workers(2))
     assert not file.exists()
     for one, other in zip(whole.layers, again.layers, strict=True):
         np.testing.assert_array_equal(one, other)
-    assert again.provenance["options"]["generations"] == 2
-    assert again.provenance["J_over_best_fixed_by_generation"][0][0] == 2
 
 
-def test_the_state_of_another_training_or_no_state_is_refused(tmp_path):
+def test_the_state_of_another_training_is_refused(tmp_path):
     file = tmp_path / "policy.state"
     state_of(Training(SMALL, Workers(0))).save(file, "its own")
     assert State.load(file, "its own").generation == 0
     with pytest.raises(ConfigurationError, match="of other options"):
-        train_policy(SMALL, file, workers=Workers(0))
-    file.write_bytes(b"no state")
-    with pytest.raises(ConfigurationError, match="as training left it"):
         train_policy(SMALL, file, workers=Workers(0))
 
 
