@@ -16,6 +16,7 @@ from stewart_drake.cli.check_command import check
 from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, overrides, quiet_flag, trust_flag
 from stewart_drake.cli.identify_command import excite, identify
 from stewart_drake.cli.interrupts import interruptible
+from stewart_drake.cli.live_command import live
 from stewart_drake.cli.margins_command import margins
 from stewart_drake.cli.reproduce_command import reproduce
 from stewart_drake.cli.robots_command import robots, write_mjcf_command, write_sdf_command
@@ -139,6 +140,7 @@ cli.add_command(check)
 cli.add_command(compare)
 cli.add_command(excite)
 cli.add_command(faults)
+cli.add_command(live)
 cli.add_command(margins)
 cli.add_command(identify)
 cli.add_command(reproduce)

@@ -25,7 +25,7 @@ def _place(field: str) -> slice:
     return slice(start, start + 12)
 
 
-_POSE, _CRANKS = _place("pose"), _place("angles")
+POSE, CRANKS = _place("pose"), _place("angles")
 
 
 class FastRun(Engine):
@@ -47,7 +47,7 @@ class FastRun(Engine):
         self._chain = ClosedChain(scenario.robot, scenario.plant, scenario.gravity)
         outside = {"plant": CHAIN_STATE.itemsize // 8, "wrench": 6}
         outside |= {source.signal: source.size for source in self._loop.sources}
-        self._running = Running(self._loop.parts, outside, {"plant_pose": _POSE, "crank_state": _CRANKS})
+        self._running = Running(self._loop.parts, outside, {"plant_pose": POSE, "crank_state": CRANKS})
         self._sources = [
             (self._running.signal(each.signal), InBlocks(each.evaluate, time_step)) for each in self._loop.sources
         ]
@@ -115,9 +115,9 @@ class FastRun(Engine):
                 values[name] = rows[:, self._running.places[signal]].copy()
             else:
                 values[name] = np.tile(signal, (len(rows), 1))
-        for name, place in (("pose", _POSE), ("crank_angle", _CRANKS)):
+        for name, place in (("pose", POSE), ("crank_angle", CRANKS)):
             values[name] = rows[:, place][:, :6].copy()
-        values["pose_rate"], values["loop_gap"] = rows[:, _POSE][:, 6:].copy(), np.zeros((len(rows), 6))
+        values["pose_rate"], values["loop_gap"] = rows[:, POSE][:, 6:].copy(), np.zeros((len(rows), 6))
         return signals_of(self.scenario, np.arange(len(rows)), values)
 
     def safety_state(self) -> Any:

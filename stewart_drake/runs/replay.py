@@ -98,7 +98,7 @@ def _record(log: SimulationLog, frames: np.ndarray, rows: np.ndarray, rate: floa
         meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     finally:
         drake_log.setLevel(level)
-    _furnish(meshcat, robot)
+    furnish(meshcat, robot)
     builder = DiagramBuilder()
     stewart = add_plant(builder, robot, PlantOptions(rod_joint=log.scenario.plant.rod_joint), visuals=True)
     MeshcatVisualizer.AddToBuilder(builder, stewart.scene_graph, meshcat, MeshcatVisualizerParams(prefix="robot"))
@@ -122,7 +122,7 @@ def _record(log: SimulationLog, frames: np.ndarray, rows: np.ndarray, rate: floa
     return str(meshcat.StaticHtml())
 
 
-def _furnish(meshcat: Meshcat, robot: RobotParameters) -> None:
+def furnish(meshcat: Meshcat, robot: RobotParameters) -> None:
     """Camera, background and the disc of the reference."""
     camera, target = viewpoint(robot)
     meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=_LENS_ANGLE))
