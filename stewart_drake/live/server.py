@@ -47,15 +47,10 @@ class LiveServer:
 def _first_free(handler: type[BaseHTTPRequestHandler]) -> ThreadingHTTPServer:
     for port in PORTS:
         try:
-            return _Server(("127.0.0.1", port), handler)
+            return ThreadingHTTPServer(("127.0.0.1", port), handler)
         except OSError:
             continue
     raise StewartDrakeError(f"no port from {PORTS[0]} to {PORTS[-1]} is free: close another live session")
-
-
-class _Server(ThreadingHTTPServer):
-    # Two sessions at once take two ports, also where the system would share one.
-    allow_reuse_address = False
 
 
 class _Handler(BaseHTTPRequestHandler):
