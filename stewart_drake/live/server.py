@@ -59,13 +59,13 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """The page and its files, what it shows, and the rows as server-sent events."""
-        name = self.path.lstrip("/") or "index.html"
+        name = self.path.lstrip("/") or "live.html"
         if name == "events":
             self._stream()
         elif name == "about":
             self._answer(json.dumps(self.about).encode(), "application/json")
         else:
-            page = files("stewart_drake.live") / "page" / name
+            page = files("stewart_drake") / "pages" / name
             if "/" in name or not page.is_file():
                 self.send_error(HTTPStatus.NOT_FOUND)
                 return
