@@ -1,6 +1,6 @@
 # make demo   the main job on a bare clone: makes .venv, installs, runs diagrams/scenarios/paper_fig7.yaml
-# make test   the same set-up, then all tests: some eight minutes on two cores
-# make check  the fast part of them, a quarter of the random examples, for daily work: about a minute
+# make test   the same set-up, then the tests: some six minutes on two cores
+# make check  the fast part of them, a quarter of the random examples, for daily work: less than a minute
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test check golden lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety format clean
+.PHONY: demo install test test-all check golden results lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -21,12 +21,23 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $@
 
-test: install
-	$(ONE_THREAD) $(BIN)/pytest -n auto --dist loadgroup --ignore=tests/benchmarks
+PYTEST := $(ONE_THREAD) $(BIN)/pytest -n auto --dist loadgroup --ignore=tests/benchmarks
 
-# All but those marked slow: no study, no long run, no other process.
+# All but those marked long.
+test: install
+	$(PYTEST) -m "not long"
+
+# What continuous integration runs.
+test-all: install
+	$(PYTEST)
+
+# All but those marked slow or long: no study, no long run, no other process.
 check: install
-	$(ONE_THREAD) $(BIN)/pytest -q -n auto -m "not slow" --hypothesis-profile=check --ignore=tests/benchmarks --ignore=tests/paper
+	$(PYTEST) -q -m "not slow and not long" --hypothesis-profile=check --ignore=tests/paper
+
+# Some numbers of each page of docs/results, computed anew and compared with the page: a minute or two.
+results: install
+	$(PYTEST) -q tests/test_results_pages.py
 
 # The contract: whether everything computes what is recorded in tests/golden; some minutes. See tests/golden_set.py.
 golden: install

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 from simulated_calibration import aligned, deviating, measured
 
-from stewart_drake.calibration.frames import Frame, exponential
-from stewart_drake.calibration.measurements import MeasurementNoise
-from stewart_drake.calibration.pose_plan import plan_poses
+from stewart_drake.calibration.model import exponential, transform
+from stewart_drake.calibration.poses import MeasurementNoise, plan_poses
 from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.scenario import load_scenario
@@ -27,8 +26,8 @@ def main():
     noise = MeasurementNoise(encoder=2.0 * math.pi / 2**14 / math.sqrt(12.0))
     limits = load_scenario("paper_fig7", [f"robot={ROBOT}"]).limits
     truth = deviating(guess, rng)
-    base = Frame(exponential(np.array([0.1, -0.2, 2.0])), np.array([0.8, 0.3, -0.4]))
-    marker = Frame(exponential(np.array([0.1, 0.2, 0.5])), np.array([0.01, 0.02, 0.05]))
+    base = transform(exponential(np.array([0.1, -0.2, 2.0])), np.array([0.8, 0.3, -0.4]))
+    marker = transform(exponential(np.array([0.1, 0.2, 0.5])), np.array([0.01, 0.02, 0.05]))
     poses = measured(truth, plan_poses(guess, POSES, limits, noise).targets, noise, rng, base, marker)
     (FOLDER / "poses.csv").write_text(poses.to_csv())
     about = "the robot of which poses.csv is; shafts and joints laid on those of servo_hexapod"

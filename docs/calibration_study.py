@@ -3,23 +3,20 @@
 For each setting: robots that are off in every parameter, 60 measured poses, other poses to judge by.
 """
 
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 from simulated_calibration import coverage, gains, run_trial
 
-from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
-from stewart_drake.calibration.parameters import FRAMES, PER_LEG
-from stewart_drake.calibration.pose_plan import candidate_poses, plan_poses
-from stewart_drake.calibration.result import IN_THOUSANDTHS
+from stewart_drake.calibration.model import FRAMES, IN_THOUSANDTHS, PER_LEG
+from stewart_drake.calibration.poses import MeasurementNoise, Measurements, candidate_poses, plan_poses
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.scenario import load_scenario
 
 OUT = Path(__file__).parent / "results" / "calibration.md"
-ROBOTS = int(sys.argv[1]) if len(sys.argv) > 1 else 100
+ROBOTS = 100
 POSES = UNSEEN = 60
 SETTINGS = (
     ("paper", "planned", ()),
@@ -89,6 +86,8 @@ def main():
         f"| | {' | '.join(columns)} |",
         "|---|" + "---|" * len(columns),
         *widths_table,
+        "",
+        "`make results` recomputes some of these numbers.",
         "",
     ]
     OUT.write_text("\n".join(lines))

@@ -1,20 +1,18 @@
 """Margins of the linear loop over the near box, and docs/results/margins.md: `make margins`."""
 
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 
 from stewart_drake.planning.pose_box import NEAR
-from stewart_drake.plotting.margin_plots import plot_margins
+from stewart_drake.plotting.model_plots import plot_margins
 from stewart_drake.scenario import load_scenario
 from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
-from stewart_drake.stability.margin_report import HEADER, facts, quantities, spread, table
-from stewart_drake.stability.margins import loop_margins
+from stewart_drake.stability.margins import HEADER, facts, loop_margins, quantities, spread, table
 
 OUT = Path(__file__).parent / "results"
-POSES = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
+POSES = 1000
 BLOCK = "tuner={kind: block}"
 OBSERVER = "estimator.kind=observer"
 WEIGHTS = "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
@@ -67,6 +65,8 @@ The bounds of mu are apart by at most {gap:.1g} %; {left_out}
 {facts}
 
 ![Disk margin by frequency, and its distribution over the poses](../images/margins.png)
+
+`make results` recomputes some of these numbers.
 """
 
 

@@ -9,9 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stewart_drake.calibration.fit import calibrate, located
-from stewart_drake.calibration.frames import STILL, Frame, exponential
-from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
-from stewart_drake.calibration.parameters import (
+from stewart_drake.calibration.model import (
     CRANK,
     HOMING,
     JOINT,
@@ -21,10 +19,16 @@ from stewart_drake.calibration.parameters import (
     ROD,
     SHAFT,
     SIZE,
+    STILL,
     FrameName,
     as_robot,
+    difference,
+    exponential,
+    transform,
+    transform_of,
 )
-from stewart_drake.mechanics.kinematics import cross, forward_kinematics, roll_pitch_yaw, rotation_matrix
+from stewart_drake.calibration.poses import MeasurementNoise, Measurements
+from stewart_drake.mechanics.kinematics import cross, forward_kinematics, roll_pitch_yaw
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
@@ -48,8 +52,8 @@ def measured(
     targets: Measurements,
     noise: MeasurementNoise,
     rng: np.random.Generator,
-    base: Frame = STILL,
-    marker: Frame = STILL,
+    base: np.ndarray = STILL,
+    marker: np.ndarray = STILL,
 ) -> Measurements:
     """What tracker and encoders say of a robot whose cranks were brought to the angles of planned poses.
 
@@ -60,9 +64,9 @@ def measured(
     """
     pose = forward_kinematics(robot, targets.angles, targets.pose)
     step = noise.encoder * math.sqrt(12.0)
-    seen = base.after(Frame(rotation_matrix(pose[:, :3]), pose[:, 3:])).after(marker)
-    turn = exponential(noise.rotation * rng.standard_normal((len(pose), 3))) @ seen.turn
-    place = seen.shift + noise.position * rng.standard_normal((len(pose), 3))
+    seen = base @ transform_of(pose) @ marker
+    turn = exponential(noise.rotation * rng.standard_normal((len(pose), 3))) @ seen[:, :3, :3]
+    place = seen[:, :3, 3] + noise.position * rng.standard_normal((len(pose), 3))
     angles = np.rint(targets.angles / step) * step
     return Measurements(np.concatenate([roll_pitch_yaw(turn), place], axis=-1), angles, "simulated poses")
 
@@ -82,10 +86,10 @@ def aligned(robot: RobotParameters, guess: RobotParameters, known: Collection[Fr
         platform = _onto(robot.platform_joints, guess.platform_joints)
     legs: list[dict[str, Any]] = [
         {
-            "shaft_position": base.turn @ robot.shaft_positions[leg] + base.shift,
-            "crank_zero_direction": base.turn @ robot.crank_zero_directions[leg],
-            "crank_quarter_direction": base.turn @ robot.crank_quarter_directions[leg],
-            "platform_joint": platform.turn @ robot.platform_joints[leg] + platform.shift,
+            "shaft_position": base[:3, :3] @ robot.shaft_positions[leg] + base[:3, 3],
+            "crank_zero_direction": base[:3, :3] @ robot.crank_zero_directions[leg],
+            "crank_quarter_direction": base[:3, :3] @ robot.crank_quarter_directions[leg],
+            "platform_joint": platform[:3, :3] @ robot.platform_joints[leg] + platform[:3, 3],
             "crank_length": robot.crank_lengths[leg],
             "rod_length": robot.rod_lengths[leg],
             "branch": int(robot.branches[leg]),
@@ -95,11 +99,11 @@ def aligned(robot: RobotParameters, guess: RobotParameters, known: Collection[Fr
     return robot.replace(legs=legs)
 
 
-def _onto(points: np.ndarray, others: np.ndarray) -> Frame:
+def _onto(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     """The motion that brings points nearest to others."""
     middle, goal = points.mean(axis=0), others.mean(axis=0)
     turn = Rotation.align_vectors(others - goal, points - middle)[0].as_matrix()
-    return Frame(turn, goal - turn @ middle)
+    return transform(turn, goal - turn @ middle)
 
 
 def change_to(guess: RobotParameters, robot: RobotParameters) -> np.ndarray:
@@ -164,8 +168,8 @@ def run_trial(
     """
     rng = np.random.default_rng(seed)
     truth = deviating(guess, rng)
-    base = Frame(exponential(rng.uniform(-2.0, 2.0, 3)), rng.uniform(-3.0, 3.0, 3))
-    marker = Frame(exponential(rng.uniform(-1.0, 1.0, 3)), rng.uniform(-0.05, 0.05, 3))
+    base = transform(exponential(rng.uniform(-2.0, 2.0, 3)), rng.uniform(-3.0, 3.0, 3))
+    marker = transform(exponential(rng.uniform(-1.0, 1.0, 3)), rng.uniform(-0.05, 0.05, 3))
     base, marker = (STILL if "base" in known_frames else base), (STILL if "platform" in known_frames else marker)
     seen = measured(truth, targets, noise, rng, base, marker)
     found = calibrate(guess, seen, noise, known_frames)
@@ -197,10 +201,10 @@ def gains(trials: Collection[Trial]) -> np.ndarray:
 
 
 def _error(
-    robot: RobotParameters, base: Frame, marker: Frame, right: Measurements, near: Measurements
+    robot: RobotParameters, base: np.ndarray, marker: np.ndarray, right: Measurements, near: Measurements
 ) -> tuple[float, float]:
     """RMS [m, rad] of the marker's predicted poses at readings."""
     pose = forward_kinematics(robot, right.angles, near.pose)
-    there = base.after(Frame(rotation_matrix(pose[:, :3]), pose[:, 3:])).after(marker)
-    turn, place = np.split(np.linalg.norm(right.marker.minus(there).reshape(-1, 2, 3), axis=-1), 2, axis=-1)
+    there = base @ transform_of(pose) @ marker
+    turn, place = np.split(np.linalg.norm(difference(right.marker, there).reshape(-1, 2, 3), axis=-1), 2, axis=-1)
     return float(np.sqrt(np.mean(place**2))), float(np.sqrt(np.mean(turn**2)))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stewart_drake.hardware.sensors import EncoderOptions
-from stewart_drake.identification.identify import identify
+from stewart_drake.identification.identified import identify
 from stewart_drake.identification.parameters import (
     COULOMB,
     ENTRIES,
@@ -21,7 +21,7 @@ from stewart_drake.identification.parameters import (
     as_robot,
     of_robot,
 )
-from stewart_drake.identification.recording import Recording
+from stewart_drake.identification.samples import Recording
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry
 from stewart_drake.references import Reference

@@ -7,12 +7,11 @@ CMA-ES on situations that are trained on, on the reduced engine; what has been r
 
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
+from stewart_drake.cli.terminal import progress_bar
 from stewart_drake.files.yaml_files import to_yaml
-from stewart_drake.runs.terminal import ProgressBar
 from stewart_drake.studies.tune import minimise
 from stewart_drake.training.benchmark import (
     DIGITS,
@@ -46,12 +45,10 @@ LOWEST, HIGHEST = np.append(np.tile(LOW, 2), [0.1, -2.0]), np.append(np.tile(HIG
 """The same for a schedule: two settings, decades of its threshold and of its time."""
 
 
-class Generations(NamedTuple):
-    """Of the searches: over all kinds, of the schedule, for one robot or kind."""
-
-    best: int = 6
-    schedule: int = 11
-    few: int = 3
+GENERATIONS, GENERATIONS_OF_SCHEDULE, FEW = 6, 11, 3
+"""Of the searches: over all kinds, of the schedule, for one robot or kind."""
+SEEDS = 3
+"""Situations of each kind."""
 
 
 def schedule_of(numbers):
@@ -81,15 +78,15 @@ def best_pair(benchmark, cells, seeds, setting):
     return PAIRS[int(np.argmin(mean_over_cells(costs, cases)))]
 
 
-def find(benchmark, generations=Generations(), seeds=3):  # noqa: B008 - it cannot be changed
+def find(benchmark):
     """The baselines."""
-    run_on, few = TRAINING[:seeds], generations.few
+    run_on = TRAINING[:SEEDS]
     trained = cells_for(trained=True)
-    best = search(benchmark, trained, run_on, START, generations.best)
-    of_kind = {cell: search(benchmark, [cell], run_on, best, few) for cell in cells_for()}
-    of_robot = {each: search(benchmark, cells_for(each, True), run_on, best, few) for each in ROBOTS}
+    best = search(benchmark, trained, run_on, START, GENERATIONS)
+    of_kind = {cell: search(benchmark, [cell], run_on, best, FEW) for cell in cells_for()}
+    of_robot = {each: search(benchmark, cells_for(each, True), run_on, best, FEW) for each in ROBOTS}
     numbers = search(
-        benchmark, trained, run_on, SCHEDULE, generations.schedule, lambda x: always({"tuner": schedule_of(x)})
+        benchmark, trained, run_on, SCHEDULE, GENERATIONS_OF_SCHEDULE, lambda x: always({"tuner": schedule_of(x)})
     )
     schedule = schedule_of(numbers)
     pairs = {each: best_pair(benchmark, cells_for(each, True), run_on, best) for each in ROBOTS}
@@ -116,10 +113,10 @@ def find(benchmark, generations=Generations(), seeds=3):  # noqa: B008 - it cann
             "schedule": schedule,
             "costs": costs,
             "evaluations": {
-                "each": EARLIER + 1 + generations.best * POPULATION,
-                "schedule": EARLIER_SCHEDULE + 1 + generations.schedule * POPULATION,
-                "few": 1 + few * POPULATION,
-                "seeds": seeds,
+                "each": EARLIER + 1 + GENERATIONS * POPULATION,
+                "schedule": EARLIER_SCHEDULE + 1 + GENERATIONS_OF_SCHEDULE * POPULATION,
+                "few": 1 + FEW * POPULATION,
+                "seeds": SEEDS,
             },
         }
     )
@@ -128,7 +125,7 @@ def find(benchmark, generations=Generations(), seeds=3):  # noqa: B008 - it cann
 def main(folder: Path) -> None:
     """Writes the file."""
     with (
-        ProgressBar("baselines", 13_000.0, quiet=False, unit="runs") as advance,
+        progress_bar("baselines", 13_000.0, quiet=False, unit="runs") as advance,
         Benchmark(folder, "reduced", tell=advance) as benchmark,
     ):
         found = find(benchmark)

@@ -1,57 +1,43 @@
 """Whether a tuner of settings can make the loop unstable, and docs/results/tuner_safety.md: `make tuner_safety`."""
 
 import itertools
-import sys
 import time
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from stewart_drake.control.policy import NAMES, STEP, disturbance_of, load_policy, weights_of
-from stewart_drake.plotting import panels as look
+from stewart_drake.plotting import save_figure
+from stewart_drake.plotting import style as look
 from stewart_drake.scenario import load_scenario
 from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 from stewart_drake.stability.margins import loop_margins
 
 HERE = Path(__file__).parent
-POSES = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-FEW = max(2, POSES // 100)
-"""Poses at which all settings have their margins looked at."""
+POSES, FEW = 1000, 10
+"""Poses; and of them those at which all settings have their margins looked at."""
 FREQUENCIES = 120
 
 
-class Box(NamedTuple):
-    """Settings from `lowest` on for `width` (4,), around a centre (4,)."""
-
-    lowest: np.ndarray
-    width: np.ndarray
-    centre: np.ndarray
-
-    def at(self, places):
-        """Settings (..., 4) of places of the unit box."""
-        return self.lowest + self.width * places
-
-
-def shipped_box():
-    """The box of the policy that is shipped."""
-    policy = load_policy()
-    return Box(policy.lowest, policy.width, policy.centre)
-
-
-BOX = shipped_box()
+POLICY = load_policy()
+"""Its box are the settings from `lowest` on for `width` (4,), around `centre`."""
 BASE = ["tuner=block", "estimator=observer"]
 LOOPS = {
     **{f"paper's robot, 1 kHz, {ticks} ticks": ("exact_breathing", f"command_delay={ticks}") for ticks in range(5)},
     "Reachy Mini, 100 Hz, 1 tick": ("reachy_nod", "command_delay=1"),
 }
 PICTURED = ("paper's robot, 1 kHz, 1 ticks", "Reachy Mini, 100 Hz, 1 tick")
-CENTRE = ((BOX.centre - BOX.lowest) / BOX.width)[None]
+CENTRE = ((POLICY.centre - POLICY.lowest) / POLICY.width)[None]
 CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=4)))
 FACES = np.concatenate([np.where(np.eye(4) > 0.0, end, CENTRE) for end in (0.0, 1.0)])
 _RNG = np.random.default_rng(0)
 RANDOM = np.concatenate([np.repeat(_RNG.uniform(size=(8, 3)), 2, 0), np.tile(_RNG.uniform(size=(2, 1)), (8, 1))], 1)
 PLACES = np.concatenate([CENTRE, CORNERS, FACES, RANDOM])
+
+
+def at_places(places):
+    """Settings (..., 4) of places of the unit box."""
+    return POLICY.lowest + POLICY.width * places
 
 
 def named(setting):
@@ -69,16 +55,16 @@ def setting_loops(scenario, poses, settings):
         yield linear_loops(scenario.replace({"tuner": tuner, "estimator.disturbance": level}), poses)
 
 
-def frozen(name, places=PLACES):
+def frozen(name):
     """Radius (m, s) of all settings at all poses, and the least disk margin of some of them."""
     scenario = load_scenario(LOOPS[name][0], [*BASE, LOOPS[name][1]])
     poses = poses_to_stand_at(scenario, POSES, seed=0)
-    loops = setting_loops(scenario, poses, BOX.at(places))
+    loops = setting_loops(scenario, poses, at_places(PLACES))
     radius = np.stack([np.abs(np.linalg.eigvals(each.closed)).max(axis=-1) for each in loops], axis=-1)
     # All settings at a few poses, and those that are worst there at all poses.
-    few = np.stack([margin_of(each) for each in setting_loops(scenario, poses[:FEW], BOX.at(places))], axis=-1)
+    few = np.stack([margin_of(each) for each in setting_loops(scenario, poses[:FEW], at_places(PLACES))], axis=-1)
     order = np.argsort(few.min(axis=0))[:3]
-    worst = np.stack([margin_of(each) for each in setting_loops(scenario, poses, BOX.at(places[order]))], axis=-1)
+    worst = np.stack([margin_of(each) for each in setting_loops(scenario, poses, at_places(PLACES[order]))], axis=-1)
     return scenario, radius, few, worst, order
 
 
@@ -97,16 +83,16 @@ def frozen_row(name):
     tight = order[np.unravel_index(worst.argmin(), worst.shape)[1]]
     line = (
         f"| {name} | {(radius < 1.0).sum()} of {radius.size} | {radius.max():.5f} | {decay.min():.2f} | "
-        f"{named(BOX.at(PLACES[place]))} | {np.median(decay[:, 0]):.2f} | {disk:.3f} | {np.median(few[:, 0]):.3f} | "
-        f"{named(BOX.at(PLACES[tight]))} |"
+        f"{named(at_places(PLACES[place]))} | {np.median(decay[:, 0]):.2f} | {disk:.3f} | {np.median(few[:, 0]):.3f} | "
+        f"{named(at_places(PLACES[tight]))} |"
     )
     return line, decay
 
 
 TEXT = """# Whether a tuner of settings can make the loop unstable
 
-`make tuner_safety` (this page: `python docs/tuner_safety_study.py {poses}`). A setting is four decades
-({names}), see `control/settings.py`. The box: {box};
+`make tuner_safety` writes this page. A setting is four decades
+({names}), see `control/policy.py`. The box: {box};
 a setting moves by {step:g} % of it in a tick. Base: the default weights of `tuner: block` for each robot, and the
 observer's own disturbance of 16. Loops: those of [margins](margins.md), with observer, encoders, delay and the exact
 model in the LQI; no friction, no saturation, no counts.
@@ -129,9 +115,12 @@ at the rate limit decayed at 3.73 1/s and more for the paper's robot with one ti
 Reachy Mini; with jumps instead, Reachy Mini's loop can grow.
 
 ![Decay of frozen settings](../images/tuner_safety.png)
+
+`make results` recomputes some of these numbers.
 """
 
 
+@look.styled
 def picture(decays):
     """Decay over poses and settings."""
     figure, ((panel,),) = look.panels(1, 1, 4.6)
@@ -139,9 +128,10 @@ def picture(decays):
         ordered = np.sort(values.ravel())
         panel.plot(ordered, 100.0 * np.arange(1, len(ordered) + 1) / len(ordered), color=color, label=name)
     look.logarithmic(panel, "x")
-    look.label(panel, "Settings that stay: how many decay more slowly", "decay [1/s]", "of settings and poses [%]")
-    look.legend(panel, loc="upper center", bbox_to_anchor=(0.5, -0.18))
-    figure.savefig(HERE / "images" / "tuner_safety.png", dpi=130)
+    title = "Settings that stay: how many decay more slowly"
+    panel.set(title=title, xlabel="decay [1/s]", ylabel="of settings and poses [%]")
+    panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18))
+    save_figure(figure, HERE / "images" / "tuner_safety.png")
 
 
 def main():
@@ -154,7 +144,7 @@ def main():
         if name in PICTURED:
             decays[name] = decay
     picture(decays)
-    ends = zip(NAMES, BOX.lowest, BOX.lowest + BOX.width, strict=True)
+    ends = zip(NAMES, POLICY.lowest, POLICY.lowest + POLICY.width, strict=True)
     text = TEXT.format(
         names=", ".join(NAMES),
         box=", ".join(f"{key} {low:+.2f} to {high:+.2f}" for key, low, high in ends),

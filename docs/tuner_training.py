@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stewart_drake.runs.terminal import ProgressBar
+from stewart_drake.cli.terminal import progress_bar
 from stewart_drake.studies.study import markdown
 from stewart_drake.training.benchmark import Baselines, Benchmark, always, cases_of, cells_for, cells_of, with_setting
 from stewart_drake.training.situations import ROBOTS, VALIDATION
@@ -26,7 +26,7 @@ def main(files: list[str], folder: Path = Path("runs/tuner-training")) -> None:
     policies = policies or {"shipped": {"kind": "policy"}}
     entered = [with_setting(Baselines.load().best), *(always({"tuner": policy}) for policy in policies.values())]
     with (
-        ProgressBar("policies", float(len(entered) * len(cases)), quiet=False, unit="runs") as advance,
+        progress_bar("policies", float(len(entered) * len(cases)), quiet=False, unit="runs") as advance,
         Benchmark(folder, "reduced", tell=advance) as benchmark,
     ):
         fixed, *others = benchmark.log_costs(entered, cases)

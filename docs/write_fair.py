@@ -10,12 +10,12 @@ from pathlib import Path
 
 from stewart_drake.files.whole import checksum
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping
-from stewart_drake.logs.cost import mean_cost
+from stewart_drake.logs.metrics import mean_cost
 from stewart_drake.scenario import Scenario
 from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 from stewart_drake.stability.margins import loop_margins
 from stewart_drake.studies.comparison import Comparison
-from stewart_drake.studies.comparison_table import Sheet, number, run_comparison
+from stewart_drake.studies.study import Sheet, number, run_study
 from stewart_drake.studies.tune import SEARCHED, START, TUNED, load_tuning
 
 POSES = 100
@@ -44,7 +44,9 @@ own controller the linear loop is not known): {margins}. So none of these settin
 
 ## The verdict, before and after
 
-{verdict}"""
+{verdict}
+`make results` recomputes some of these numbers.
+"""
 
 
 def main(searched: Path | None) -> None:
@@ -62,7 +64,7 @@ def main(searched: Path | None) -> None:
         sys.exit(f"{kept}: {', '.join(tuned)}; the whole search has {', '.join(tuning.ranges)}")
     # Where the search has its verdict too, so that nothing is run twice.
     folder = (searched or Path("runs/fair-tune")) / f"verdict-{checksum(tuned)[:8]}"
-    table = run_comparison(tuning.verdict(tuned), folder).rows
+    table = run_study(tuning.verdict(tuned), folder).rows["comparison"]
     page = TEXT.format(
         poses=POSES,
         margins=margins(),
@@ -84,7 +86,7 @@ def settings(table: list[dict], tuned: dict[str, dict[str, float]]) -> str:
         shown = ", ".join(f"{key.rpartition('.')[2]} {value:g}" for key, value in found.items())
         rows.append((name, *map(number, means), shown))
     title = "Cost of the verdict, mean of the runs, at the start of the search and tuned"
-    return Sheet(title, ("controller", START, TUNED, SEARCHED, "setting"), tuple(rows), (0, 1, 2, 3, 4)).markdown()
+    return Sheet(title, ("controller", START, TUNED, SEARCHED, "setting"), rows).markdown()
 
 
 def margins() -> str:
@@ -94,7 +96,7 @@ def margins() -> str:
     before, after = (Comparison.from_dict({**data, **each}, folder) for each in ({"tuned": None}, {}))
     for name in dict.fromkeys(cell.controller for cell in after.cells):
         place = next(place for place, cell in enumerate(after.cells) if cell.controller == name)
-        if after.scenario(place).controller.kind != "python":
+        if after.scenario(place).controller.code is None:
             least = [least_disk(each.scenario(place)) for each in (before, after)]
             said.append(f"{name} {least[0]:.2f} at the start of the search, {least[1]:.2f} tuned")
     return "; ".join(said)

@@ -23,6 +23,9 @@ and the numbers with which the command compares.
 """
 
 
+TAIL = "\n\n`make results` recomputes some of these numbers.\n"
+
+
 def main() -> None:
     """Runs both sizes and writes the table and the page; how far a number may move stays as it was."""
     found = {size: [c for result in reproduce(size == "quick").values() for c in result.claims] for size in SIZES}
@@ -34,7 +37,7 @@ def main() -> None:
         for quick, full in zip(found["quick"], found["full"], strict=True):
             default = f"{1e-3 * max(abs(quick.ours), abs(full.ours)):.1g}"
             table.writerow((full.name, f"{quick.ours:.6g}", f"{full.ours:.6g}", within.get(full.name, default)))
-    PAGE.write_text(HEAD + markdown(("claim", "paper", "ours", "verdict"), rows(found["full"])) + "\n")
+    PAGE.write_text(HEAD + markdown(("claim", "paper", "ours", "verdict"), rows(found["full"])) + TAIL)
 
 
 if __name__ == "__main__":

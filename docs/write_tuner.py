@@ -33,6 +33,8 @@ for one that failed: that was not completed. An error larger than its motion is 
 
 {verdict}
 ![Cost by kind](../images/tuner_verdict.png)
+
+`make results` recomputes some of these numbers.
 """
 
 

@@ -1,8 +1,8 @@
 """What the package exports, and where it is: `__init__.py` reads this file, and so do type checkers."""
 
 from stewart_drake.calibration.fit import calibrate as calibrate
-from stewart_drake.calibration.measurements import MeasurementNoise as MeasurementNoise
-from stewart_drake.calibration.pose_plan import plan_poses as plan_poses
+from stewart_drake.calibration.poses import MeasurementNoise as MeasurementNoise
+from stewart_drake.calibration.poses import plan_poses as plan_poses
 from stewart_drake.calibration.result import Calibration as Calibration
 from stewart_drake.control.base import Measurement as Measurement
 from stewart_drake.control.base import Setpoint as Setpoint
@@ -11,15 +11,14 @@ from stewart_drake.control.network import load_network as load_network
 from stewart_drake.controller import Controller as Controller
 from stewart_drake.errors import ConfigurationError as ConfigurationError
 from stewart_drake.errors import StewartDrakeError as StewartDrakeError
-from stewart_drake.files.code_trust import trusting_code as trusting_code
+from stewart_drake.files.code import trusting_code as trusting_code
 from stewart_drake.identification.excitation import excite as excite
 from stewart_drake.identification.identified import Identification as Identification
-from stewart_drake.identification.identify import identify as identify
-from stewart_drake.identification.recording import Recording as Recording
+from stewart_drake.identification.identified import identify as identify
+from stewart_drake.identification.samples import Recording as Recording
 from stewart_drake.logs.log import SimulationLog as SimulationLog
 from stewart_drake.logs.log import load_log as load_log
-from stewart_drake.logs.metric_table import Metric as Metric
-from stewart_drake.logs.metric_table import add_metric as add_metric
+from stewart_drake.logs.metrics import Metric as Metric
 from stewart_drake.logs.metrics import run_metrics as run_metrics
 from stewart_drake.mechanics.dynamics import forward_dynamics as forward_dynamics
 from stewart_drake.mechanics.dynamics import inverse_dynamics as inverse_dynamics

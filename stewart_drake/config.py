@@ -18,7 +18,15 @@ from functools import lru_cache, wraps
 from typing import Annotated, Any, ClassVar, Self, dataclass_transform
 
 import numpy as np
-from pydantic import Field, GetJsonSchemaHandler, Strict, TypeAdapter, ValidationError, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    GetJsonSchemaHandler,
+    Strict,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
 from pydantic.dataclasses import dataclass as checked_dataclass
 from pydantic.errors import PydanticInvalidForJsonSchema
 from pydantic_core import ArgsKwargs, CoreSchema, InitErrorDetails, PydanticCustomError
@@ -30,14 +38,9 @@ TINY = float(np.finfo(float).tiny)
 MAX_SEED = 2**63 - 1
 
 
-class Words:
+def words(text: str) -> Any:
     """In `Annotated`: what a type is called in messages, where its bounds do not say it."""
-
-    def __init__(self, text: str) -> None:
-        self.text = text
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        return {**handler(schema), "$comment": self.text}
+    return Field(json_schema_extra={"$comment": text})
 
 
 Real = Annotated[float, Strict()]
@@ -47,7 +50,7 @@ Positive = Annotated[float, Strict(), Field(ge=TINY)]
 NotNegative = Annotated[float, Strict(), Field(ge=0.0)]
 Fraction = Annotated[float, Strict(), Field(gt=0.0, lt=1.0)]
 Share = Annotated[float, Strict(), Field(ge=0.0, le=1.0)]
-LegNumber = Annotated[int, Strict(), Field(ge=0, le=5), Words("a leg from 0 to 5")]
+LegNumber = Annotated[int, Strict(), Field(ge=0, le=5), words("a leg from 0 to 5")]
 Natural = Annotated[int, Strict(), Field(ge=0)]
 Seed = Annotated[int, Strict(), Field(ge=0, le=MAX_SEED)]
 Window = Annotated[int, Strict(), Field(ge=1)]
@@ -55,12 +58,31 @@ Window = Annotated[int, Strict(), Field(ge=1)]
 Flag = Annotated[bool, Strict()]
 Text = Annotated[str, Strict()]
 NAME = r"^\w[\w .+-]*$"
-NAME_WORDS = Words("letters, digits and _, and after the first of them space and . + - too")
+NAME_WORDS = words("letters, digits and _, and after the first of them space and . + - too")
 """Of a name that can be a folder's."""
 Vector3 = tuple[Real, Real, Real]
 Vector6 = tuple[Real, Real, Real, Real, Real, Real]
 """roll, pitch, yaw, X, Y, Z."""
 PositivePair = tuple[Positive, Positive]
+
+
+def one_for_six(number: Any) -> BeforeValidator:
+    """In `Annotated` of six numbers of a type, which have one unit: a single number stands for all six."""
+
+    def spread(given: Any) -> Any:
+        if not isinstance(given, (int, float)):
+            return given
+        try:
+            check_value("", given, number)
+        except ConfigurationError as error:
+            raise as_problem(ConfigurationError("", given, f"{error.allowed}, or six of them")) from None
+        return (given,) * 6
+
+    return BeforeValidator(spread, json_schema_input_type=number | tuple[(number,) * 6])  # type: ignore[misc]
+
+
+SixNumbers = Annotated[Vector6, one_for_six(Real)]
+"""Of one unit, in the same order; one number stands for all."""
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(dataclasses.field, Field))
@@ -77,6 +99,8 @@ class Section:
     section_key: ClassVar[str] = ""
     own_keys: ClassVar[frozenset[str]] = frozenset()
     """Of sections with a `kind`: keys that mean something else in each kind, which a change of kind drops."""
+    kinds_with: ClassVar[Callable[[str], list[str]]] = staticmethod(lambda _: [])
+    """Of those: which kinds of the family have a key, for messages."""
     __pydantic_validator__: ClassVar[Any]
     __pydantic_fields__: ClassVar[Mapping[str, Any]]
     __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
@@ -90,13 +114,13 @@ class Section:
         cls._text = inspect.cleandoc(cls.__dict__.get("__doc__") or "")
         config: Any = {"extra": "forbid", "allow_inf_nan": False, "use_attribute_docstrings": True}
         checked_dataclass(frozen=True, kw_only=True, config=config)(cls)
-        texts = []
+        texts = [f"{cls._text}\n\nKeys:"]
         for name, field in cls.__pydantic_fields__.items():
             # Pydantic looks for the texts of the class itself alone.
             inherited = (getattr(base, "__pydantic_fields__", {}).get(name) for base in cls.__mro__)
             field.description = next((each.description for each in inherited if each and each.description), None)
             texts.append(f"    {name}: {' '.join((field.description or '').split())}".rstrip(": "))
-        cls.__doc__ = "\n".join([f"{cls._text}\n\nKeys:", *texts])
+        cls.__doc__ = "\n".join(texts)
         if any(field.annotation == dict[str, Any] for field in cls.__pydantic_fields__.values()):
             cls.__hash__ = lambda self: hash(repr(self))  # type: ignore[method-assign]
 
@@ -142,7 +166,7 @@ class Section:
             error.key = error.key.removeprefix(f"{cls.section_key}.")
             raise as_problem(error) from None
         except ValidationError as error:
-            raise _in_words(error, schema_of(cls)) from None  # type: ignore[arg-type]
+            raise _in_words(error, schema_of(cls), cls.kinds_with) from None  # type: ignore[arg-type]
 
     @classmethod
     def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
@@ -189,17 +213,17 @@ def plain(value: Any) -> Any:
     return value
 
 
-def to_plain(value: Any) -> Any:
-    """A value of a section in what JSON and YAML have."""
+def to_plain(value: Any, kept: type | tuple[()] = ()) -> Any:
+    """A value of a section in what JSON and YAML have; what is of the type `kept` stays as it is."""
+    if isinstance(value, kept):
+        return value
     if isinstance(value, (str, os.PathLike)):
         return str(value)
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: to_plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if isinstance(value, (list, tuple)):
-        return [to_plain(each) for each in value]
-    if isinstance(value, Mapping):
-        return {key: to_plain(each) for key, each in value.items()}
-    return value
+        return [to_plain(each, kept) for each in value]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    return {key: to_plain(each, kept) for key, each in value.items()} if isinstance(value, Mapping) else value
 
 
 def is_finite(value: Any) -> bool:
@@ -226,21 +250,23 @@ def check_value(key: str, value: Any, kind: Any) -> None:
         raise _told(_in_words(error, schema_of(kind)), key) from None
 
 
-def keys_of(section: Any) -> list[str]:
-    """Keys of a section, given its class."""
-    return list(getattr(section, "__pydantic_fields__", None) or getattr(section, "__dataclass_fields__", {}))
+# --- what is wrong, in words ---
 
-
-# --- what is wrong, in words ------------------------------------------------------------------------------------------
-
-_SHOWN_KEY = 60
-_TYPES = {"boolean": "true or false", "string": "a text", "number": "a number", "integer": "a whole number"}
+_NOUNS = {"boolean": "true or false", "string": "a text", "number": "a number", "integer": "a whole number"}
+_BOUNDS = {
+    "exclusiveMinimum": "above {:g}",
+    "minimum": "at least {:g}",
+    "exclusiveMaximum": "below {:g}",
+    "maximum": "at most {:g}",
+    "minLength": "at least {} characters",
+    "maxLength": "at most {} characters",
+}
 
 
 def shown(key: str) -> str:
     """A key as one short line, whatever is in it."""
     key = key if key and key.isprintable() else repr(key)
-    return key if len(key) <= _SHOWN_KEY else f"{key[: _SHOWN_KEY - 3]}..."
+    return key if len(key) <= 60 else f"{key[:57]}..."
 
 
 def either(words: Sequence[str]) -> str:
@@ -262,6 +288,12 @@ def chosen(given: Any, choices: Sequence[str]) -> str:
     return either(choices) + meant(given, choices)
 
 
+def unknown(key: Any, keys: Sequence[str]) -> str:
+    """What is said of a key that is none of those that are there."""
+    guess = meant(key, keys)
+    return f"no such key{guess}{' The' if guess else '; the'} keys here are {', '.join(keys)}"
+
+
 def as_problem(error: ConfigurationError) -> PydanticCustomError:
     """An error with a key of its own section as pydantic passes it on to the sections around it."""
     context = {"key": error.key, "got": error.value, "allowed": error.allowed, "reason": error.reason}
@@ -280,33 +312,28 @@ def _told(error: ValidationError, section: str) -> ConfigurationError:
     first, *others = sorted(
         found.values(), key=lambda each: (each.reason != UNTRUSTED_CODE, not each.allowed.startswith("no such"))
     )
-    return first.with_others(others)
+    first.others = tuple(others)
+    return first
 
 
-def _in_words(error: ValidationError, schema: Mapping[str, Any]) -> ValidationError:
+def _in_words(
+    error: ValidationError, schema: Mapping[str, Any], kinds_with: Callable[[str], list[str]] = lambda _: []
+) -> ValidationError:
     """Pydantic's report on a section, or on one value, with what its JSON schema says."""
-    reports = error.errors(include_url=False)
-    places = [report["loc"] for report in reports]
     lines: list[InitErrorDetails] = []
-    guessed = {""}
     order = {key: place for place, key in enumerate(_options(schema, schema)[0].get("properties", {}))}
-    # By field, unknown keys before them: a mistyped key that is required shows up twice.
-    for report in sorted(reports, key=lambda each: order.get(str((*each["loc"], "")[0]), -1)):
+    for report in sorted(error.errors(include_url=False), key=lambda each: order.get(str((*each["loc"], "")[0]), -1)):
         kind, location, value = report["type"], report["loc"], report["input"]
-        # Of a list with bad entries pydantic says too that there are too few.
-        if any(len(at) > len(location) and at[: len(location)] == location for at in places):
-            continue
         if kind == "rule":
             problem = PydanticCustomError("rule", "expected {allowed}", report["ctx"])
         else:
-            if kind.startswith("missing") and isinstance(location[-1], int):
-                kind, location = "too_short", location[:-1]
-            required = kind.startswith("missing")
-            if required and location[-1] in guessed:
-                continue
+            required = kind.startswith("missing") and isinstance(location[-1], str)
+            if kind.startswith("missing") and not required:  # of a list that is too short
+                location = location[:-1]
             value = None if required else value
             allowed = _allowed(kind, location, value, schema) + "; this key is required" * required
-            guessed.add(allowed.partition("did you mean ")[2].partition("?")[0])
+            kinds = kinds_with(str(location[0])) if allowed.startswith("no such") and len(location) == 1 else []
+            allowed += f". It is a key of kind {either(kinds)}" if kinds else ""
             problem = as_problem(ConfigurationError("", value, allowed))
         lines.append(InitErrorDetails(type=problem, loc=location, input=value))
     return ValidationError.from_exception_data("section", lines)
@@ -318,17 +345,14 @@ def _allowed(kind: str, location: tuple[int | str, ...], value: Any, schema: Map
         return "keys that are texts"
     if kind == "unexpected_keyword_argument":
         section, _ = _at(schema, location[:-1])
-        keys = list(_options(schema, section)[0].get("properties", {}))
-        guess = meant(location[-1], keys)
-        return f"no such key{guess}{' The' if guess else '; the'} keys here are {', '.join(keys)}"
+        return unknown(location[-1], list(_options(schema, section)[0].get("properties", {})))
     part, unit = _at(schema, location)
-    words = in_words(part, unit, schema)
+    expected = in_words(part, unit, schema)
     if kind == "finite_number":
-        return words.replace("number", "finite number", 1)
-    choices = [str(each) for option in _options(schema, part) for each in _choices(option)]
-    if isinstance(value, str) and "number" in words and re.fullmatch(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*", value):
-        return f"{words}; write it without quotes"
-    return words + meant(value, choices)
+        return expected.replace("number", "finite number", 1)
+    if isinstance(value, str) and "number" in expected and re.fullmatch(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*", value):
+        return f"{expected}; write it without quotes"
+    return expected + meant(value, [str(each) for option in _options(schema, part) for each in _choices(option)])
 
 
 def _at(schema: Mapping[str, Any], location: Sequence[int | str]) -> tuple[Mapping[str, Any], str]:
@@ -341,8 +365,8 @@ def _at(schema: Mapping[str, Any], location: Sequence[int | str]) -> tuple[Mappi
                 fixed = option.get("prefixItems", ())
                 inside = inside or (fixed[part] if part < len(fixed) else option.get("items"))
                 units = unit[1:-1].split(", ")
-                if fixed and len(units) > 1:
-                    unit = f"[{units[part * len(units) // len(fixed)]}]" if part < len(fixed) else ""
+                if len(units) > 1 and part < len(fixed):
+                    unit = f"[{units[part * len(units) // len(fixed)]}]"
             else:
                 inside = inside or option.get("properties", {}).get(part) or option.get("additionalProperties")
         here = inside if isinstance(inside, Mapping) else {}
@@ -364,73 +388,42 @@ def _choices(schema: Mapping[str, Any]) -> list[Any]:
     return list(schema.get("enum", [schema["const"]] if "const" in schema else []))
 
 
-def describe(kind: Any, unit: str = "") -> str:
+def describe(kind: Any) -> str:
     """A type in words, with its bounds, and whether null will do."""
-    schema = schema_of(kind)
-    return in_words(schema, unit, schema)
+    return in_words(schema_of(kind))
 
 
 def in_words(schema: Mapping[str, Any], unit: str = "", root: Mapping[str, Any] | None = None) -> str:
     """A part of a JSON schema in words: a positive number [s]; red or blue; a list of 6 numbers, or null."""
     options = _options(root or schema, schema)
     found = [_one_in_words(each, unit, root or schema) for each in options if each.get("type") != "null"]
-    null = ", or null" if len(found) < len(options) else ""
-    return " or ".join(found) + null
+    return " or ".join(found) + ", or null" * (len(found) < len(options))
 
 
 def _one_in_words(schema: Mapping[str, Any], unit: str, root: Mapping[str, Any]) -> str:
-    kind, unit = schema.get("type"), f" {unit}" if unit else ""
+    kind, unit = str(schema.get("type")), f" {unit}" if unit else ""
+    noun = schema.get("$comment", _NOUNS.get(kind, "another value"))
     if _choices(schema):
         return either([str(each) for each in _choices(schema)])
-    words = schema.get("$comment", _TYPES.get(str(kind), "another value"))
-    if kind == "string":
-        return words + _size(schema, "Length", ", {} characters")
-    if "$comment" in schema or kind == "boolean":
-        return str(words)
-    if kind == "object":
+    if kind == "object" and "$comment" not in schema:
         keys = list(schema.get("properties", {}))
         return f"a section, with keys such as {', '.join(keys[:3])}" if keys else "a section"
     if kind == "array":
         fixed = schema.get("prefixItems")
-        size = f"{len(fixed)} " if fixed else _size(schema, "Items", "{} ")
+        least = f"at least {schema['minItems']} " if schema.get("minItems") else ""
         inner = in_words(fixed[0] if fixed else schema.get("items", {}), "", root)
-        inner = inner.removeprefix("a ").partition(", with")[0]
-        return (
-            f"a list of {size}"
-            + re.sub(r"^((positive |whole )*(number|text|list|section|value))", r"\1s", inner)
-            + unit
-        )
-    return f"{_with_bounds(schema, words)}{unit}" if kind in ("number", "integer") else str(words)
+        inner = re.sub(r"^a |, (with|at least|at most|above|below) .*", "", inner)
+        inner = re.sub(r"^((positive |whole )*(number|text|list|section|value))", r"\1s", inner)
+        return f"a list of {f'{len(fixed)} ' if fixed else least}{inner}{unit}"
+    if schema.get("minimum") == TINY:
+        noun, schema = noun.replace("a ", "a positive ", 1), {**schema, "minimum": None}
+    limits = [text.format(schema[key]) for key, text in _BOUNDS.items() if schema.get(key) is not None]
+    if "$comment" in schema and kind != "string":
+        return str(noun)
+    return f"{noun}{unit if kind in ('number', 'integer') else ''}{', ' if limits else ''}{' and '.join(limits)}"
 
 
-def _size(schema: Mapping[str, Any], what: str, form: str) -> str:
-    sizes = [
-        f"at {word} {size}" for word, key in (("least", "min"), ("most", "max")) if (size := schema.get(key + what))
-    ]
-    return form.format(" and ".join(sizes)) if sizes else ""
-
-
-def _with_bounds(schema: Mapping[str, Any], noun: str) -> str:
-    """Such as: a positive number; a whole number from 1 to 10."""
-    above, below = schema.get("exclusiveMinimum"), schema.get("exclusiveMaximum")
-    low, high = schema.get("minimum"), schema.get("maximum")
-    if low == TINY:
-        above, low = 0.0, None
-    ends = [f"{end:d}" if isinstance(end, int) else f"{end:g}" for end in (low, high) if end is not None]
-    if above == 0.0 and high is None and below is None:
-        return noun.replace("a ", "a positive ", 1)
-    if low == 0.0 and high is None and below is None:
-        return f"{noun}, zero or positive"
-    if len(ends) == 2:
-        return f"{noun} from {ends[0]} to {ends[1]}"
-    if above is not None and below is not None:
-        return f"{noun} between {above:g} and {below:g}"
-    limits = {"above": above, "at least": low, "below": below, "at most": high}
-    words = [f"{word} {limit:g}" for word, limit in limits.items() if limit is not None]
-    return " ".join([noun, ", ".join(words)]).rstrip()
-
-
-# --- JSON schema ------------------------------------------------------------------------------------------------------
+# --- JSON schema ---
 
 
 @lru_cache(maxsize=256)

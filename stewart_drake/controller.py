@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.part import Running
 from stewart_drake.parts import loop_of
-from stewart_drake.running import Running
 from stewart_drake.safety import LEVELS
 from stewart_drake.sampling import InBlocks
 from stewart_drake.scenario import Scenario

@@ -6,35 +6,19 @@ Two families matter to a caller. `ConfigurationError` is bad input, found before
 
 from __future__ import annotations
 
-import reprlib
+import copyreg
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-
-class _Short(reprlib.Repr):
-    """A value in a few words, whatever its type; where it cannot be shown, what it is."""
-
-    def repr1(self, x: Any, level: int) -> str:
-        try:
-            return super().repr1(x, level)
-        except Exception:  # whatever the value's own __repr__, __len__ or the like may raise
-            return f"<{type(x).__name__}>"
-
-    def repr_int(self, x: int, level: int) -> str:
-        # Python refuses to write out thousands of digits.
-        return super().repr_int(x, level) if x.bit_length() < 2000 else f"<a whole number of {x.bit_length()} bits>"
-
-
 UNTRUSTED_CODE = "untrusted_code"
 """`reason` of a `ConfigurationError` about code that may not run."""
-
-_SHORT = _Short()
-_SHORT.maxother = _SHORT.maxstring = 120
+_MOST = 20
+"""Further problems that a message shows."""
 
 
 class StewartDrakeError(Exception):
@@ -44,7 +28,7 @@ class StewartDrakeError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The constructors take data, not the message; by default an error could not come back from a worker process.
-        return _restore, (type(self), self.args, self.__dict__)
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 class ConfigurationError(StewartDrakeError):
@@ -61,33 +45,23 @@ class ConfigurationError(StewartDrakeError):
 
     reason = "configuration"
 
-    def __init__(self, key: str, value: Any, allowed: str) -> None:
-        self.key, self.value, self.allowed = key, value, allowed
-        self.others: tuple[ConfigurationError, ...] = ()
-        self._left_out = 0
-        shown = " ".join(_SHORT.repr(value).split())
-        if len(shown) > 120:
-            shown = shown[:117] + "..."
+    def __init__(self, key: str, value: Any, allowed: str, *, others: tuple[ConfigurationError, ...] = ()) -> None:
+        self.key, self.value, self.allowed, self.others = key, value, allowed, others
         expected, semicolon, hint = allowed.partition("; ")
-        text = allowed if allowed.startswith("no such") else f"expected {expected}, got {shown}{semicolon}{hint}"
-        super().__init__(f"{key}: {text}")
+        expected = expected if expected.startswith("no such") else f"expected {expected}"
+        super().__init__(" ".join(f"{key}: {expected}, got {_shown(value)}{semicolon}{hint}".split()))
 
     def __str__(self) -> str:
-        own = " ".join(super().__str__().split())
-        rest = [f"and {self._left_out} more problems"] if self._left_out > 0 else []
-        return "\n".join([own, *map(str, self.others), *rest])
-
-    def with_others(self, others: Sequence[ConfigurationError], most: int = 20) -> ConfigurationError:
-        """The same error with further problems, of which so many are shown."""
-        self.others, self._left_out = tuple(others[:most]), len(others) - most
-        return self
+        left_out = len(self.others) - _MOST
+        more = [f"and {left_out} more problems"] if left_out > 0 else []
+        return "\n".join([super().__str__(), *map(str, self.others[:_MOST]), *more])
 
     def within(self, place: str) -> ConfigurationError:
         """The same problems, with the place where they were found before each key."""
-        made = ConfigurationError(f"{place}{self.key}", self.value, self.allowed)
-        made.others, made._left_out = tuple(each.within(place) for each in self.others), self._left_out
-        made.reason = self.reason
-        return made
+        others = tuple(each.within(place) for each in self.others)
+        error = ConfigurationError(f"{place}{self.key}", self.value, self.allowed, others=others)
+        error.reason = self.reason
+        return error
 
 
 class InfeasibleReferenceError(ConfigurationError):
@@ -139,33 +113,25 @@ class UnreachablePoseError(RunFailure):
 
     def __init__(self, pose: np.ndarray, leg: int, margin: float) -> None:
         self.pose, self.margin = pose, margin
-        super().__init__(
-            f"pose {pose_text(pose)} is out of reach of leg {leg} (margin {margin:.4g}; reachable: margin >= 0)",
-            leg,
-        )
+        super().__init__(f"pose {pose_text(pose)} is out of reach of leg {leg} (margin {margin:.4g}, less than 0)", leg)
 
 
 class SingularPoseError(RunFailure):
-    """A pose at which a map loses rank.
+    """A pose at which a map loses rank; `margin` is the measure that fell below its limit [-].
 
     `kind` is `serial` (a crank at its dead centre), `parallel` (the rods' lines) or `rod_joint` (a rod turned by 90 deg
-    in its joint at the crank, whose angles mean nothing there); `margin` is the measure that fell below its limit [-].
+    in its joint at the crank, whose angles mean nothing there).
     """
 
     def __init__(self, kind: str, pose: np.ndarray, margin: float, limit: float, leg: int | None = None) -> None:
         self.kind, self.pose, self.margin = kind, pose, margin
-        self.reason, what = {
-            "serial": (
-                "crank_dead_centre",
-                f"crank of leg {leg} at its dead centre: transmission |e_l . e_N| = {margin:.4g}",
-            ),
-            "parallel": ("parallel_singularity", f"parallel singularity: sigma_min / sigma_max = {margin:.4g}"),
-            "rod_joint": (
-                "rod_joint",
-                f"rod of leg {leg} turned by 90 deg in its joint on the crank: cos = {margin:.3g}",
-            ),
+        reason, what = {
+            "serial": ("crank_dead_centre", f"crank of leg {leg} at its dead centre: transmission |e_l . e_N|"),
+            "parallel": ("parallel_singularity", "parallel singularity: sigma_min / sigma_max"),
+            "rod_joint": ("rod_joint", f"rod of leg {leg} turned by 90 deg in its joint on the crank: cos"),
         }[kind]
-        super().__init__(f"{what} at pose {pose_text(pose)} (allowed: >= {limit:g})", leg)
+        text = f"{what} = {margin:.4g} at pose {pose_text(pose)} (allowed: >= {limit:g})"
+        super().__init__(text, leg, reason)
 
 
 class ForwardKinematicsError(RunFailure):
@@ -267,12 +233,15 @@ def drake_guard(doing: str) -> Iterator[None]:
         raise DrakeCheckError(f"{doing}: {' '.join(text.split())}") from error
 
 
-def _restore(kind: type[StewartDrakeError], args: tuple[Any, ...], state: dict[str, Any]) -> StewartDrakeError:
-    error = kind.__new__(kind, *args)
-    error.__dict__.update(state)
-    return error
-
-
 def pose_text(pose: np.ndarray) -> str:
     """Six numbers in a few digits each."""
     return "[" + ", ".join(f"{x:.4g}" for x in np.ravel(pose)) + "]"
+
+
+def _shown(value: Any) -> str:
+    """A value in one short line, whatever it is."""
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # whatever its own __repr__ may raise; Python refuses to write out thousands of digits
+        text = f"<{type(value).__name__}>"
+    return text if len(text) <= 120 else f"{text[:117]}..."

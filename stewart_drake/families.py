@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
 from operator import attrgetter
@@ -12,11 +12,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field, GetJsonSchemaHandler
-from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, ValidationError, core_schema
+from pydantic_core import CoreSchema, core_schema
 
 from stewart_drake.config import Section, as_problem, check_plain, chosen, either, schema_of, to_plain
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.code_path import CLASS_PATH, CodePath, UserCodePath, path_of, source_of
+from stewart_drake.files.code import CLASS_PATH, CodePath, path_of, source_of
 
 _PACKAGE = __name__.partition(".")[0]
 OWN = "module:Class"
@@ -45,10 +45,13 @@ class Table:
 
     def add(self, name: str, made: Any) -> None:
         """Adds an object; a `ConfigurationError` where the name means something already."""
-        if name in self._lines:
-            raise ConfigurationError("kind", name, f"a name that no kind has, unlike {either(self.names)}")
+        self._refuse_known(name)
         self._lines[name] = made
         schema_of.cache_clear()
+
+    def _refuse_known(self, name: str, key: str = "kind") -> None:
+        if name in self._lines:
+            raise ConfigurationError(key, name, f"a name that no kind has, unlike {either(self.names)}")
 
     def added_code(self) -> dict[str, str]:
         """Kind -> source of what was added from outside of the package, and of the modules that it stands in.
@@ -57,8 +60,8 @@ class Table:
         """
         found: dict[str, str] = {}
         for kind, line in self._lines.items():
-            parts = line if isinstance(line, tuple) else (line,)
-            for part, module in ((part, getattr(part, "__module__", _PACKAGE)) for part in parts):
+            for part in line if isinstance(line, tuple) else (line,):
+                module = getattr(part, "__module__", _PACKAGE)
                 if module.partition(".")[0] != _PACKAGE:
                     found[kind] = f"{found.get(kind, '')}{source_of(part)}{source_of(sys.modules.get(module))}"
         return found
@@ -126,8 +129,8 @@ class Family(Table):
         kind, key = getattr(field, "default", None), f"{section.__name__}.kind"
         if not isinstance(kind, str):
             raise ConfigurationError(key, None, 'a name as its default, such as kind: str = "own"')
-        if path_of(self[kind] if kind in self._lines else section) != path_of(section):
-            raise ConfigurationError(key, kind, f"a name that no kind has, unlike {either(self.kinds)}")
+        if kind in self._lines and path_of(self[kind]) != path_of(section):
+            self._refuse_known(kind, key)
         missing = sorted(getattr(section, "__abstractmethods__", ()))
         if missing:
             raise ConfigurationError(section.__name__, None, f"a section with {', '.join(missing)}")
@@ -138,27 +141,25 @@ class Family(Table):
         """Lets a name stand for the import path of a user's own class, `module:Class`, wherever a kind does."""
         if self._own is None or ":" not in path:
             raise ConfigurationError(name, path, "module:Class, of a part that may be a class of your own")
-        if name in self._lines:
-            raise ConfigurationError("kind", name, f"a name that no kind has, unlike {either(self.kinds)}")
+        self._refuse_known(name)
         self._paths[name] = path
         schema_of.cache_clear()
-
-    def section(self, kind: Any) -> Any:
-        """Class of a kind's section; None for no such kind."""
-        return self[kind] if isinstance(kind, str) and kind in self._lines and kind not in self._without else None
 
     def spelled(self, data: Any) -> Any:
         """A section as written, in full: a text that is a kind stands for a section of it; anything else as it is."""
         if isinstance(data, str) and (self._is_own(data) or data in self.kinds):
             data = {"kind": data}
         kind = data.get("kind") if isinstance(data, Mapping) else None
+        if kind == "python" and self._own is not None and "system" in data:
+            # Another way to write a path.
+            return {"kind": data["system"], **{key: data[key] for key in data if key not in ("kind", "system")}}
         return {**data, "kind": self._paths[kind]} if isinstance(kind, str) and kind in self._paths else data
 
     def section_of(self, data: Any) -> Any:
         """Class of a section that is written, or made; None where it is not one of these."""
         data = self.spelled(data)
         kind = data.get("kind", self.default) if isinstance(data, Mapping) else getattr(data, "kind", None)
-        found = self._own_section if self._is_own(kind) else self.section(kind)
+        found = self._own_section if self._is_own(kind) else self[kind] if kind in self.kinds else None
         return found if isinstance(data, Mapping) or (found is not None and isinstance(data, found)) else None
 
     @property
@@ -179,19 +180,14 @@ class Family(Table):
         elif not isinstance(value, (Mapping, Section, str)) and self._is_own(value):
             value = {"kind": value}
         value = self.spelled(value)
-        section = self.section_of(value)
+        section, kind = self.section_of(value), value.get("kind") if isinstance(value, Mapping) else None
         if isinstance(value, Mapping) and section is not None:
-            if self._is_own(value.get("kind")):
-                rest = {key: each for key, each in value.items() if key != "kind"}
-                value = {section.path_key: CodePath.of(value["kind"]), **rest}
-            try:
-                return section.__pydantic_validator__.validate_python(value)
-            except ValidationError as error:
-                raise self._told(error) from None
+            section.kinds_with = self._kinds_with
+            own = {"kind": CodePath.of(kind)} if self._is_own(kind) else {}
+            return section.__pydantic_validator__.validate_python({**value, **own})
         if isinstance(value, Mapping):
-            missing = "kind" not in value
-            allowed = f"{either(self.words)}; this key is required" if missing else chosen(value["kind"], self.words)
-            raise as_problem(ConfigurationError("kind", value.get("kind"), allowed))
+            required = "" if "kind" in value else "; this key is required"
+            raise as_problem(ConfigurationError("kind", kind, f"{chosen(kind, self.words)}{required}"))
         if section is not None:
             return value
         if isinstance(value, Section):
@@ -199,36 +195,26 @@ class Family(Table):
         allowed = chosen(value, self.words) if isinstance(value, str) else self._text
         raise as_problem(ConfigurationError("", value, allowed))
 
-    def _told(self, error: ValidationError) -> ValidationError:
-        """The same problems; of a key that this kind does not have, which kinds have it."""
-        lines: list[InitErrorDetails] = []
-        for report in error.errors(include_url=False):
-            (key, *deeper), context = report["loc"] or ("",), report["ctx"]
-            kinds = [kind for kind in self.kinds if key in self[kind].__pydantic_fields__]
-            if kinds and not deeper and context["allowed"].startswith("no such key"):
-                context = {**context, "allowed": f"{context['allowed']}. It is a key of kind {either(kinds)}"}
-            problem = PydanticCustomError("rule", "expected {allowed}", context)
-            lines.append(InitErrorDetails(type=problem, loc=report["loc"], input=report["input"]))
-        return ValidationError.from_exception_data("section", lines)
+    def _kinds_with(self, key: str) -> list[str]:
+        return [kind for kind in self.kinds if key in self[kind].__pydantic_fields__]
 
     @property
     def _text(self) -> str:
         return f"a section, with kind: {either(self.words)}, or a kind by itself"
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        # Pydantic makes references only of what it has made itself; `json_schema` does.
+        # Messages need no more, and import no kind for it; `json_schema` puts the kinds in.
         return {"$comment": self._text, "family": self}
 
-    def ways(self, reference: Callable[..., dict[str, Any]]) -> list[dict[str, Any]]:
+    def ways(self, reference: Callable[[Any], dict[str, Any]]) -> list[dict[str, Any]]:
         """What a JSON schema takes, given how it refers to a section."""
-        needed = [] if self.default is None else [self.default]
-        found = [{**reference(self[kind]), **({} if kind in needed else {"required": ["kind"]})} for kind in self.kinds]
+        needed = {kind: {} if kind == self.default else {"required": ["kind"]} for kind in self.kinds}
+        found = [{**reference(self[kind]), **needed[kind]} for kind in self.kinds]
         fields = {kind: self[kind].__pydantic_fields__.values() for kind in self.kinds}
         alone = [kind for kind in self.kinds if not any(field.is_required() for field in fields[kind])]
         found += [{"enum": [*alone, *self._paths]}] if alone or self._paths else []
         if self._own is not None:
-            found.append(reference(self._own_section, by_path=self._own_section.path_key != "kind"))
-            found.append({"type": "string", "pattern": CLASS_PATH})
+            found += [reference(self._own_section), {"type": "string", "pattern": CLASS_PATH}]
         return found
 
 
@@ -241,30 +227,21 @@ def json_schema(root: Any) -> dict[str, Any]:
             return [complete(each) for each in part]
         if not isinstance(part, dict):
             return part
+        for name, each in part.get("$defs", {}).items():
+            define(name, each)
         found = {key: complete(each) for key, each in part.items() if key not in ("$defs", "family")}
         return found | {"anyOf": part["family"].ways(reference)} if "family" in part else found
 
-    def whole(kind: Any) -> Any:
-        made = schema_of(kind)
-        for name, each in made.get("$defs", {}).items():
-            if name not in definitions:
-                definitions[name] = {}
-                definitions[name] = complete(each)
-        return complete(made)
-
-    def reference(section: Any, by_path: bool = False) -> dict[str, Any]:
-        """By path: the section of a user's class whose path stands under `kind`, not under a key of its own."""
-        name = section.__name__ + "ByPath" * by_path
+    def define(name: str, schema: dict[str, Any]) -> None:
         if name not in definitions:
             definitions[name] = {}
-            definitions[name] = whole(section)
-            if by_path:
-                properties = definitions[name]["properties"]
-                properties["kind"] = properties.pop(section.path_key)
-                definitions[name]["required"] = ["kind"]
-        return {"$ref": f"#/$defs/{name}"}
+            definitions[name] = complete(schema)
 
-    return {**whole(root), "$defs": definitions}
+    def reference(section: Any) -> dict[str, Any]:
+        define(section.__name__, schema_of(section))
+        return {"$ref": f"#/$defs/{section.__name__}"}
+
+    return {**complete(schema_of(root)), "$defs": definitions}
 
 
 class UserMade(Section):
@@ -274,12 +251,10 @@ class UserMade(Section):
     place of the whole section.
     """
 
-    path_key: ClassVar[str] = "kind"
-    """Key under which the path of the class is kept."""
     asked: ClassVar[str]
     """What an object of the class does, such as `evaluate(t) returns ...`; begins with its method."""
 
-    kind: UserCodePath
+    kind: CodePath
     """path/to/file.py:Class, from the folder of the file that names it, or module:Class. Its code is run."""
     arguments: dict[str, Any] = Field(default_factory=dict)
     """Keyword arguments of the constructor, plain values."""
@@ -291,13 +266,12 @@ class UserMade(Section):
     @property
     def code(self) -> CodePath:
         """Where the class comes from."""
-        found: CodePath = getattr(self, self.path_key)
-        return found
+        return self.kind
 
     @property
     def code_key(self) -> str:
         """Key of the scenario that has it, for messages."""
-        return f"{vars(self).get('place', self.section_key)}.{self.path_key}"
+        return f"{vars(self).get('place', self.section_key)}.kind"
 
     def load(self) -> Any:
         """The class, not called; a `ConfigurationError` where it is none, or cannot be loaded."""
@@ -311,13 +285,10 @@ class UserMade(Section):
         kind, given = self.load(), self.code.given
         if given is not None and not isinstance(given, type):
             return given
-        keywords = dict(self.arguments)
         place = self.code_key.rpartition(".")[0]
         with self.code.blamed(self.code_key, f"a constructor that takes {place}.arguments and does not raise"):
-            for name, parameter in inspect.signature(kind).parameters.items():
-                if name in offered and parameter.kind is not inspect.Parameter.VAR_KEYWORD:
-                    keywords.setdefault(name, offered[name])
-            return kind(**keywords)
+            parameters = inspect.signature(kind).parameters
+            return kind(**{name: value for name, value in offered.items() if name in parameters} | self.arguments)
 
     @cached_property
     def made(self) -> Any:
@@ -342,11 +313,7 @@ class UserMade(Section):
 
 def given_again(section: Any) -> Any:
     """A section in plain values, except for its code, which need not be trusted anew."""
-    if isinstance(section, (list, tuple)):
-        return [given_again(each) for each in section]
-    if isinstance(section, Section):
-        return {name: given_again(getattr(section, name)) for name in section.__pydantic_fields__}
-    return section if isinstance(section, CodePath) else to_plain(section)
+    return to_plain(section, CodePath)
 
 
 def refuse_given(section: Any) -> None:
@@ -358,19 +325,22 @@ def refuse_given(section: Any) -> None:
 
 def user_parts(section: Any) -> list[UserMade]:
     """Every part of the user's own in a section, and in those inside."""
-    found = [section] if isinstance(section, UserMade) else []
-    inside = vars(section).values() if isinstance(section, Section) else section if isinstance(section, tuple) else ()
-    return found + [each for part in inside for each in user_parts(part)]
+    return [part for _, part in _placed(section)]
 
 
-def place_users(section: Any, place: str = "") -> None:
+def place_users(section: Any) -> None:
     """Tells the sections of a user's classes where they stand, for messages."""
+    for place, part in list(_placed(section)):
+        vars(part)["place"] = place
+
+
+def _placed(section: Any, place: str = "") -> Iterator[tuple[str, UserMade]]:
     if isinstance(section, UserMade):
-        vars(section)["place"] = place
+        yield place, section
     if isinstance(section, (Section, tuple)):
         named = vars(section).items() if isinstance(section, Section) else enumerate(section)
-        for name, part in list(named):
-            place_users(part, f"{place}.{name}" if place else str(name))
+        for name, part in named:
+            yield from _placed(part, f"{place}.{name}" if place else str(name))
 
 
 def _import(place: str) -> Any:

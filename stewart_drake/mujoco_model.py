@@ -19,7 +19,7 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
 if TYPE_CHECKING:
-    from stewart_drake.plant.state_map import StateMap
+    from stewart_drake.plant.sdf_model import StateMap
 
 Integrator = Literal["Euler", "implicit", "implicitfast", "RK4"]
 
@@ -40,15 +40,8 @@ def mjcf_text(
     Motors `motor_0..5` take torques [N m] within the effort limit; their joints are zero at home. Links are drawn, but
     do not collide.
 
-    Args:
-        robot: Geometry, masses, stops, effort limit.
-        gravity: [m/s^2] along -z.
-        options: Of them count `time_step`, `universal_damping` and the motors' friction, of which MuJoCo has no
-            break-away level; None takes the defaults.
-        integrator: MuJoCo's.
-
-    Returns:
-        The text; the same robot always gives the same text.
+    Of the options count `time_step`, `universal_damping` and the motors' friction, of which MuJoCo has no break-away
+    level. Gravity is in m/s^2 along -z.
     """
     options = PlantOptions() if options is None else options
     frames, friction = home_frames(robot), options.friction

@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stewart_drake.errors import NotFiniteError
-from stewart_drake.hardware.command_link import delay_part, link_part, standing_torque
 from stewart_drake.hardware.disturbances import total_wrench
-from stewart_drake.hardware.motors import friction_part, motor_part
+from stewart_drake.hardware.motors import delay_part, friction_part, link_part, motor_part, standing_torque
 from stewart_drake.hardware.observer import SMALLEST_NOISE
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.part import Part, Setup, guarded
@@ -247,7 +246,7 @@ def _reading(part: Part, **sources: str | np.ndarray) -> Part:
     return part._replace(reads={**part.reads, **{port: sources[port] for port in sources if port in part.inputs}})
 
 
-# --- parts that no room has ------------------------------------------------------------------------------------------
+# --- parts that no room has ---
 
 
 @njit

@@ -2,7 +2,7 @@
 
 A kind is one line here: its section, which also makes its part of the loop, see `part.Setup`; for faults one object.
 Names are texts, imported when a kind is asked for: to read a scenario takes neither Drake nor what the scenario does
-not name. `Family.add` and `Table.add` take a kind from outside of the package. Metrics stand in `logs.metric_table`.
+not name. `Family.add` and `Table.add` take a kind from outside of the package. Metrics stand in `logs.metrics`.
 """
 
 from stewart_drake.families import Family, Table
@@ -22,7 +22,7 @@ REFERENCES = Family(
         "adjusted": "references.combined:AdjustedReference",
     },
     default="sine",
-    own="references.user_reference:UserReference",
+    own="references.recorded:UserReference",
     methods=("evaluate",),
 )
 CONTROLLERS = Family(
@@ -30,7 +30,6 @@ CONTROLLERS = Family(
         "lqi": "control.lqi:LqiOptions",
         "pid": "control.joint_pid:PidOptions",
         "computed_torque": "control.computed_torque:ComputedTorqueOptions",
-        "python": "control.user_controller:PythonOptions",
     },
     default="lqi",
     own="control.user_controller:PythonOptions",
@@ -55,8 +54,8 @@ ESTIMATORS = Family(
 )
 OWN_MONITORS = Family({}, own="safety.safety_options:UserMonitor", methods=("look",))
 """Those of the user's own, under `safety.monitors`; the others stand in `safety.safety_options`."""
-OWN_METRICS = Family({}, own="logs.metric_table:UserMetric", methods=("of",))
-"""Those of the user's own, under `metrics`; the others stand in `logs.metric_table`."""
+OWN_METRICS = Family({}, own="logs.metrics:UserMetric", methods=("of",))
+"""Those of the user's own, under `metrics`; the others stand in `logs.metrics`."""
 DISTURBANCES = Family(
     {
         "constant": "hardware.disturbances:ConstantWrench",

@@ -22,15 +22,12 @@ _TOLERANCE = 1e-11
 def on_grid(seconds: float) -> float:
     """Sample time for `seconds`, of which multiples are exact: that of n x is n times that of x, to the last bit.
 
-    Drake fires a periodic event at k * period. With decimal periods that drift apart by rounding (10 k * 0.0001 s and
-    k * 0.001 s differ for 384 of the first 2001 k) a controller ticks just before or just after the plant, and in the
-    second case sees it one step too late. Here a period (up to 5 s, and any round one beyond) is a whole number of
-    units of so few bits that their product is exact. Then (10 k) * 0.0001 s and k * 0.001 s are the same real number
-    before Drake rounds it, so events coincide always. A period grows by 1.4e-10 of itself; it never shrinks, so that
-    an event at a decimal time still comes before the plant's step of that time, as it should.
-
-    A time that is no whole number of units (such as 1/7000 s) is rounded up a little further. Its multiples do not all
-    coincide then, but ticks still come before the plant's step and never after it.
+    Drake fires a periodic event at k * period. Decimal periods drift apart by rounding (10 k * 0.0001 s and
+    k * 0.001 s differ for 384 of the first 2001 k), and a controller that ticks just after the plant sees it one step
+    too late. Here a period (up to 5 s, and any round one beyond) is a whole number of units of so few bits that
+    products are exact, and events coincide always. It grows by 1.4e-10 of itself and never shrinks, so that an event at
+    a decimal time still comes before the plant's step of that time. One that is no whole number of units (1/7000 s) is
+    rounded up a little further: not all its multiples coincide, but ticks never come after the plant's step.
 
     Raises:
         ConfigurationError: `seconds` is not finite or not positive; Drake would fire once and never again.
@@ -71,16 +68,9 @@ def steps_per(key: str, period: float, time_step: float) -> int:
 
 
 class InBlocks:
-    """A function of time at multiples of a period, some hundred at once, which costs a tenth.
+    """A function of time, (n,) [s] -> (n, k), at multiples of a period [s], some hundred at once, which costs a tenth.
 
-    What was computed last is a memory of a pure function; several runs may share it.
-
-    Args:
-        function: Times (n,) [s] -> values (n, k).
-        period: [s].
-
-    Attributes:
-        period: [s] as Drake has it, see `on_grid`.
+    What was computed last is a memory of a pure function; several runs may share it. `period` is as Drake has it.
     """
 
     _ROWS = 256

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,8 +21,8 @@ from stewart_drake.config import (
     Vector6,
     by_default,
     is_finite,
-    keys_of,
     shown,
+    unknown,
 )
 from stewart_drake.control.base import ControllerOptions
 from stewart_drake.control.lqi import LqiOptions
@@ -30,15 +30,12 @@ from stewart_drake.control.network import TunerNetwork
 from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import Family, given_again, json_schema, place_users
-from stewart_drake.files.code_trust import trusting_code
-from stewart_drake.files.named_files import ROBOT_KEYS, anchored
+from stewart_drake.files.code import ROBOT_KEYS, anchored, trusting_code
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
-from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.estimator import DifferenceOptions, EstimatorOptions
-from stewart_drake.hardware.motors import FrictionCompensation, MotorOptions
+from stewart_drake.hardware.motors import FrictionCompensation, LinkOptions, MotorOptions
 from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
-from stewart_drake.keys import set_component
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.planning.limits import Bounds, Limits
 from stewart_drake.plant.plant_options import PlantOptions
@@ -112,18 +109,14 @@ class Scenario(Section):
     @classmethod
     def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
         """With those defaults that come from the robot."""
-        for key, section in (("compiled", data), ("controller.compiled", data.get("controller"))):
-            if isinstance(section, Mapping) and "compiled" in section:
-                raise ConfigurationError(key, section["compiled"], "no such key: everything is compiled, remove it")
-        data = _spelled(data)
+        data = {key: _FAMILIES[key].spelled(value) if key in _FAMILIES else value for key, value in data.items()}
         try:
-            robot, believed = (_ROBOT.validate_python(data.get(key)) for key in ("robot", "model_robot"))
+            robot, believed = (_ROBOT.validate_python(data.get(key)) for key in ROBOT_KEYS)
         except (ValidationError, ConfigurationError):
             # The checks will say what is wrong with it.
             return data
         data = data if robot is None else {**data, "robot": robot}
-        robot = robot or PAPER
-        return _with_defaults(data, robot, believed or robot, _latency(data))
+        return _with_defaults(data, robot or PAPER, believed or robot or PAPER)
 
     @classmethod
     def from_dict(cls, data: Any, key: str | None = None, trust_code: bool = False) -> Scenario:
@@ -144,24 +137,16 @@ class Scenario(Section):
         Raises:
             ConfigurationError: As for the class.
         """
-        data: dict[str, Any] = {name: getattr(self, name) for name in keys_of(self)}
-        components = {key: value for key, value in changes.items() if "[" in key}
-        for name in _OF_ROBOT:
-            if data[name] is not None:
-                data[name] = given_again(data[name])
-                if any(key in changes for key in (*ROBOT_KEYS, *_OF_LATENCY)):
+        data: dict[str, Any] = {name: getattr(self, name) for name in self.__pydantic_fields__}
+        # Plain values count as given, what a section has by default does not.
+        data |= {name: given_again(data[name]) for name in _OF_ROBOT}
+        if any(key in changes for key in (*ROBOT_KEYS, *_OF_LATENCY)):
+            latency = _latency(data)
+            for name in _OF_ROBOT:
+                if data[name] is not None:
                     robot = self.believed_robot if name in _BELIEVED else self.robot
-                    data[name] = without_own(getattr(self, name), data[name], robot, _latency(data))
-        for key, value in changes.items():
-            if key not in components:
-                _assign(data, key, value)
-        made = Scenario.from_dict(data)
-        if not components:
-            return made
-        data, full = given_again(made), made.in_full()
-        for key, value in components.items():
-            set_component(data, full, key, value)
-        return Scenario.from_dict(data)
+                    data[name] = without_own(getattr(self, name), data[name], robot, latency)
+        return _changed(data, changes)
 
     def __repr__(self) -> str:
         """What it is about, in ten lines; `to_yaml` has every key."""
@@ -269,26 +254,14 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = (), trust_code: b
     """
     path = find_file("scenario", path)
     data = anchored(read_mapping("scenario", path, 100), path.parent)
-    # Before the overrides: they count, whichever of two names they use, and change keys of sections that are a text.
-    data = _spelled(data)
-    components: dict[str, Any] = {}
+    changes: dict[str, Any] = {}
     for text in overrides:
-        key, separator, value = text.partition("=")
-        if not separator or not key.strip():
+        key, separator, value = (part.strip() for part in text.partition("="))
+        if not separator or not key:
             raise ConfigurationError("--set", text, "key=value, such as controller.period=0.002")
-        change = anchored({key.strip(): parse_yaml(value, f"--set {shown(key.strip())}")}, Path())
-        if "[" in key:
-            components |= change
-        else:
-            _assign(data, key.strip(), change[key.strip()])
+        changes |= anchored({key: parse_yaml(value, f"--set {shown(key)}")}, Path())
     with trusting_code(trust_code):
-        made = Scenario.from_dict(data)
-        return made.replace(components) if components else made
-
-
-def _spelled(data: dict[str, Any]) -> dict[str, Any]:
-    """A scenario with sections of a family in full, see `Family.spelled`."""
-    return {key: _FAMILIES[key].spelled(value) if key in _FAMILIES else value for key, value in data.items()}
+        return _changed(data, changes)
 
 
 def require_scenario(value: object) -> None:
@@ -311,11 +284,18 @@ _FAMILIES: Mapping[str, Family] = {
     if isinstance(each, Family)
 }
 
+# --- defaults that come from the robot ---
 
 _ROBOT: TypeAdapter[RobotParameters | None] = TypeAdapter(AnyRobot | None)
 _BELIEVED = {"controller", "tuner", "sensors", "safety"}
 """Sections that go by the robot as believed."""
 _OF_LATENCY = ("command_delay", "controller", "controller.period", "estimator", "estimator.kind", "estimator.delay")
+_OF_NO_FAMILY: Mapping[str, type[Section]] = {"safety": SafetyOptions, "bounds": Bounds, "limits": Limits}
+_OF_ROBOT: Mapping[str, Section | None] = {
+    name: Scenario.__pydantic_fields__[name].get_default(call_default_factory=True)
+    for name in ("reference", "controller", "tuner", "sensors", *_OF_NO_FAMILY)
+}
+"""Sections with defaults that come from the robot, as they are where they are absent."""
 
 
 def _latency(data: Mapping[str, Any]) -> float:
@@ -331,58 +311,92 @@ def _latency(data: Mapping[str, Any]) -> float:
     return period * (1 + delay) if is_finite(period) and is_finite(delay) else 0.0
 
 
-def _with_defaults(
-    data: dict[str, Any], robot: RobotParameters, believed: RobotParameters, latency: float
-) -> dict[str, Any]:
+def _with_defaults(data: dict[str, Any], robot: RobotParameters, believed: RobotParameters) -> dict[str, Any]:
     """The keys of a scenario with those defaults that another robot than the paper's has, or a slower one."""
-    found = {}
+    latency, parts = _latency(data), {"parts": REFERENCES, "motion": REFERENCES}
+    found = dict(data)
     for name, absent in _OF_ROBOT.items():
         given = data.get(name, absent)
         section = _FAMILIES[name].section_of(given) if name in _FAMILIES else _OF_NO_FAMILY[name]
-        made = fill(section, given, believed if name in _BELIEVED else robot, _PARTS, latency)
-        if made is not given:
-            found[name] = made
-    return {**data, **found}
+        filled = fill(section, given, believed if name in _BELIEVED else robot, parts, latency)
+        if filled is not given:
+            found[name] = filled
+    return found
 
 
-_OF_NO_FAMILY: Mapping[str, type[Section]] = {"safety": SafetyOptions, "bounds": Bounds, "limits": Limits}
-_OF_ROBOT: Mapping[str, Section | None] = {
-    name: Scenario.__pydantic_fields__[name].get_default(call_default_factory=True)
-    for name in ("reference", "controller", "tuner", "sensors", *_OF_NO_FAMILY)
-}
-"""Sections with defaults that come from the robot, as they are where they are absent."""
-_PARTS = {"parts": REFERENCES, "motion": REFERENCES}
+# --- keys ---
+
+_KEY = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*|\[(?:0|[1-9]\d{0,5})\])*")
 
 
-def _assign(data: dict[str, Any], key: str, value: Any) -> None:
-    *parents, last = key.split(".")
-    if not parents:
-        data.update(_own(_spelled({key: value})))
-        return
-    section: Any = data
+def split_key(key: str) -> tuple[str | int, ...]:
+    """Names and indices in a key such as `robot.rod_length` or `initial_offset[0]`; else a `ConfigurationError`."""
+    if _KEY.fullmatch(key) is None:
+        raise ConfigurationError(shown(key), key, "a key such as robot.rod_length or initial_offset[0]")
+    return tuple(int(index) if index else name for name, index in re.findall(r"([A-Za-z_]\w*)|\[(\d+)\]", key))
+
+
+def value_at(data: Mapping[str, Any], key: str) -> Any:
+    """Value of a key in a scenario, given in plain values; a `ConfigurationError` where it has no such key."""
+    here: Any = data
+    inside = "the scenario"
+    for part in split_key(key):
+        if isinstance(part, str) and isinstance(here, dict) and part not in here:
+            raise ConfigurationError(shown(key), part, unknown(part, list(here)))
+        _refuse_part(key, here, part, inside)
+        here, inside = here[part], str(part)
+    return here
+
+
+def _refuse_part(key: str, here: Any, part: str | int, inside: str) -> None:
+    """Raises a `ConfigurationError` where what a key goes into is no section, or no list that is long enough."""
+    if isinstance(part, str) and not isinstance(here, dict):
+        hint = "; `mismatch: true` fills it" if inside == "model_robot" and here is None else ""
+        raise ConfigurationError(key, here, f"a key in a section, which {inside} is not{hint}")
+    if isinstance(part, int) and not (isinstance(here, list) and part < len(here)):
+        has = f"components from 0 to {len(here) - 1}" if isinstance(here, list) else "no components"
+        raise ConfigurationError(key, here, f"a key that is there: {inside} has {has}")
+
+
+def _changed(data: dict[str, Any], changes: Mapping[str, Any]) -> Scenario:
+    """The scenario of plain values with some keys changed."""
+    components = {key: value for key, value in changes.items() if "[" in key}
+    for key, value in changes.items():
+        if key not in components:
+            _assign(data, key, value, {})
+    scenario = Scenario.from_dict(data)
+    if not components:
+        return scenario
+    # Components are those of lists in full, defaults included.
+    data, full = given_again(scenario), scenario.in_full()
+    for key, value in components.items():
+        _assign(data, key, value, full)
+    return Scenario.from_dict(data)
+
+
+def _assign(data: dict[str, Any], key: str, value: Any, full: Any) -> None:
+    """Sets a key in plain values; what is changed in them is a copy, and what is null is filled from `full`."""
+    *parents, last = path = split_key(key)
+    here: Any = data
     for depth, part in enumerate(parents):
-        if section.get(part) is None:
-            section[part] = {}
-        elif depth == 0 and part in ROBOT_KEYS and isinstance(section[part], str):
-            section[part] = robot_section(section[part])
-        elif dataclasses.is_dataclass(section[part]):
-            section[part] = given_again(section[part])
-        section = section[part]
-        if not isinstance(section, dict):
-            name = ".".join(map(shown, parents[: depth + 1]))
-            raise ConfigurationError(name, section, f"a section, to set {shown(key)} in it")
+        at = isinstance(full, list) and isinstance(part, int)
+        full = full.get(part) if isinstance(full, dict) else full[part] if at else None
+        inside = here.get(part) if isinstance(here, dict) else here[part]
+        if depth == 0 and part in ROBOT_KEYS and isinstance(inside, str):
+            inside = robot_section(inside)
+        elif depth == 0 and part in _FAMILIES:
+            inside = _FAMILIES[str(part)].spelled(inside)
+        inside = given_again(inside)
+        if inside is None:
+            inside = [{} if isinstance(each, dict) else each for each in full] if isinstance(full, list) else {}
+        inside = inside.copy() if isinstance(inside, (dict, list)) else inside
+        _refuse_part(key, inside, path[depth + 1], str(part))
+        here[part] = inside
+        here = inside
     if last == "kind" and len(parents) == 1 and parents[0] in _FAMILIES:
-        family = _FAMILIES[parents[0]]
-        value = family.spelled({last: value})[last]
-        old, new = family.section_of(section), family.section(value)
+        family = _FAMILIES[str(parents[0])]
+        old, new = family.section_of(here), family.section_of({"kind": value})
         if old is not None and new is not None:
-            for name in set(keys_of(old)) - (set(keys_of(new)) - new.own_keys):
-                section.pop(name, None)
-    section[last] = _own(value)
-
-
-def _own(value: Any) -> Any:
-    """A copy of plain values: a later key may change what is in them, and they are the caller's."""
-    if isinstance(value, dict):
-        return {key: _own(each) for key, each in value.items()}
-    return [_own(each) for each in value] if isinstance(value, list) else value
+            for name in set(old.__pydantic_fields__) - (set(new.__pydantic_fields__) - new.own_keys):
+                here.pop(name, None)
+    here[last] = value

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import settings
 
 from stewart_drake.control.network import TunerNetwork
-from stewart_drake.files import code_trust
+from stewart_drake.files import code
 from stewart_drake.files.whole import seal
 from stewart_drake.logs import versions
 from stewart_drake.studies import workers
@@ -60,8 +60,8 @@ def nobody_has_trusted_code(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def no_code_trusted_before():
     """Each test begins with none."""
-    code_trust._TRUSTED.clear()
-    code_trust.store().unlink(missing_ok=True)
+    code._TRUSTED.clear()
+    code.store().unlink(missing_ok=True)
 
 
 COMMAND = "from stewart_drake.cli.app import main; main()"

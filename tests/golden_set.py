@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
+from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 
@@ -88,6 +89,7 @@ def named(name):
 # --- what is recorded ---
 
 
+@lru_cache
 def cases():
     """The document cases.yaml."""
     return yaml.safe_load((GOLDEN / "cases.yaml").read_text())
@@ -294,18 +296,18 @@ def command(arguments, writes):
 
 def read(path):
     """A JSON document, or the rows of a CSV file."""
+
+    def as_number(text):
+        try:
+            return float(text)
+        except ValueError:
+            return text
+
     if path.suffix == ".json":
         document = json.loads(path.read_text())
         return document.get("numbers", document)
     with path.open(newline="") as stream:
         return [{key: as_number(cell) for key, cell in row.items()} for row in csv.DictReader(stream)]
-
-
-def as_number(text):
-    try:
-        return float(text)
-    except ValueError:
-        return text
 
 
 def jobs():
@@ -415,26 +417,27 @@ def difference(key, old, new):
     return [(times, key, f"{size:.2e} > {tolerance:.2e}")] if size > tolerance else []
 
 
-def outside(key, new, low, high):
-    """The same where a value is not within a range."""
-    value = np.array(new, dtype=float)
-    inside = value.shape == np.shape(low) and bool(((low <= value) & (value <= high)).all())
-    return [] if inside else [(math.inf, key, f"{new} is not from {low} to {high}")]
+def differences(before, after):
+    """[(how many times its tolerance a value differs, its name, in what words)] of two recordings, the worst first."""
+    own, found = cases(), []
+    for key in before.keys() | after.keys():
+        chaos = any(fnmatch.fnmatchcase(key, pattern) for pattern in own["chaotic"])
+        if key not in before or key not in after:
+            found.append((math.inf, key, f"only in the {'new' if key in after else 'old'} one"))
+        elif key in own["ranges"]:
+            low, high = own["ranges"][key]
+            value = np.array(after[key], dtype=float)
+            if value.shape != np.shape(low) or not ((low <= value) & (value <= high)).all():
+                found.append((math.inf, key, f"{after[key]} is not from {low} to {high}"))
+        elif not chaos or isinstance(before[key], str):
+            found += difference(key, before[key], after[key])
+    return sorted(found, key=lambda each: (-each[0], each[1]))
 
 
 def compare(old, new, report=False):
     """Prints what differs, the worst first; returns 1 if anything does."""
-    before, after, own = recorded(old, report), recorded(new, report), cases()
-    differ = []
-    for key in before.keys() | after.keys():
-        chaos = any(fnmatch.fnmatchcase(key, pattern) for pattern in own["chaotic"])
-        if key not in before or key not in after:
-            differ.append((math.inf, key, f"only in {new if key in after else old}"))
-        elif key in own["ranges"]:
-            differ += outside(key, after[key], *own["ranges"][key])
-        elif not chaos or isinstance(before[key], str):
-            differ += difference(key, before[key], after[key])
-    for _, key, words in sorted(differ, key=lambda each: (-each[0], each[1])):
+    differ = differences(recorded(old, report), recorded(new, report))
+    for _, key, words in differ:
         print(f"{key}: {words}")
     return 1 if differ else 0
 

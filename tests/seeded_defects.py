@@ -1,7 +1,6 @@
 """Seeded defects: small changes of the package, drawn with a seed, and which tests notice each of them.
 
-    pip install "cosmic-ray>=8.3"        # in whatever environment runs this; --python names that of the tests
-    python tests/seeded_defects.py [--python PYTHON] [--count 40] [--seed 19] [--only 3 --only 7] [-- PYTEST OPTIONS]
+    python tests/seeded_defects.py [--count 40] [--seed 19] [--only 3 --only 7] [--list] [--whole] [-- PYTEST OPTIONS]
 
 Each defect is put into a copy of the checkout, and the fast tests of its room run there: those in the folder of tests
 that has the room's name, for a module outside of rooms those beside the folders. `--whole` runs all fast tests, those
@@ -12,6 +11,7 @@ catches nothing.
 
 import argparse
 import ast
+import copy
 import json
 import os
 import random
@@ -25,81 +25,114 @@ from collections import Counter
 from pathlib import Path
 from xml.etree import ElementTree
 
-from cosmic_ray.ast import ast_nodes, get_ast
-from cosmic_ray.mutating import mutate_code
-from cosmic_ray.plugins import get_operator, operator_names
-
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "tests" / "seeded_defects.jsonl"
-LEFT_OUT = ("NoOp", "Variable", "Bit", "Shift")
-"""Parts of operators' names: those that need a name of ours, and those that no float takes."""
-TESTS = ["-m", "not slow", "--hypothesis-profile=check", "--ignore=tests/benchmarks", "--ignore=tests/paper"]
+TESTS = [
+    "-m",
+    "not slow and not long",
+    "--hypothesis-profile=check",
+    "--ignore=tests/benchmarks",
+    "--ignore=tests/paper",
+]
 ALWAYS = ["-q", "-n", "auto", "--hypothesis-seed=0", "--continue-on-collection-errors", "-o", "junit_family=xunit1"]
 LIMIT = 1200.0
 """[s] for the tests of one defect; one that takes longer is caught."""
+BINARY = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.FloorDiv, ast.Mod, ast.Pow)
+ORDERED = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)
+OPPOSITE = {ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In}
+NOTHING = ast.List(elts=[], ctx=ast.Load())
 
 
-def possible(path):
-    """Line and column -> operators that can change a file there, each with the number of its occurrence."""
-    source = path.read_text()
-    lines, notes, nodes = source.splitlines(), list(annotated(source)), list(ast_nodes(get_ast(source)))
-    found = {}
-    for name in sorted(name for name in operator_names() if not any(word in name for word in LEFT_OUT)):
-        operator = get_operator(name)()
-        spans = (span for node in nodes for span in operator.mutation_positions(node))
-        for occurrence, (place, _) in enumerate(spans):
-            if "TYPE_CHECKING" not in lines[place[0] - 1] and not any(a <= place < b for a, b in notes):
-                found.setdefault(place, []).append((name, occurrence))
-    return found
+def variants(node):
+    """What could stand in the place of an expression; [] for most."""
+    match node:
+        case ast.BinOp(op=op) if isinstance(op, BINARY):
+            return [changed(node, op=other()) for other in BINARY if not isinstance(op, other)]
+        case ast.Compare(ops=[op]) if isinstance(op, ORDERED):
+            return [changed(node, ops=[other()]) for other in ORDERED if not isinstance(op, other)]
+        case ast.Compare(ops=[op]):
+            return [changed(node, ops=[OPPOSITE[type(op)]()])]
+        case ast.BoolOp(op=ast.And()):
+            return [changed(node, op=ast.Or())]
+        case ast.BoolOp():
+            return [changed(node, op=ast.And())]
+        case ast.UnaryOp(op=ast.Not() | ast.USub(), operand=operand):
+            return [operand]
+        case ast.Constant(value=bool()):
+            return [ast.Constant(not node.value)]
+        case ast.Constant(value=int() | float()):
+            return [ast.Constant(node.value + 1), ast.Constant(node.value - 1)]
+    return []
 
 
-def annotated(source):
-    """Line and column where each type annotation begins and ends."""
-    for node in ast.walk(ast.parse(source)):
-        note = getattr(node, "returns", None) or getattr(node, "annotation", None)
-        if note is not None:
-            yield (note.lineno, note.col_offset), (note.end_lineno, note.end_col_offset)
+def changed(node, **parts):
+    """A copy of a node with some parts others."""
+    other = copy.copy(node)
+    vars(other).update(parts)
+    return other
+
+
+def places(tree):
+    """(node, what could stand there) all over a module, but for annotations, strings and code for type checkers."""
+    if isinstance(tree, ast.If) and "TYPE_CHECKING" in ast.unparse(tree.test):
+        return
+    for field, value in ast.iter_fields(tree):
+        for node in value if isinstance(value, list) else [value]:
+            if not isinstance(node, ast.AST) or field in ("annotation", "returns", "format_spec"):
+                continue
+            if isinstance(node, ast.JoinedStr):
+                continue  # its parts have no places of their own before Python 3.12
+            options = variants(node)
+            if field == "test":
+                options.append(ast.UnaryOp(ast.Not(), node))
+            if field == "iter":
+                options.append(NOTHING)
+            if field == "decorator_list":
+                options.append(None)
+            if options:
+                yield node, options
+            yield from places(node)
 
 
 def draw(count, seed):
-    """So many defects: a file, the longer the likelier, a place in it, and what to change there."""
+    """So many defects: a file, the longer the likelier, and a place in it; of each a row, and the changed source."""
     files = [path for path in sorted((ROOT / "stewart_drake").rglob("*.py")) if path.name != "__init__.py"]
     files = [path for path in files if "paper" not in path.parts]
-    lengths = [len(path.read_text().splitlines()) for path in files]
-    generator, places = random.Random(seed), {}
-    for number in range(1, count + 1):
-        (path,) = generator.choices(files, lengths)
-        if path not in places:
-            places[path] = possible(path)
-        place = generator.choice(sorted(places[path]))
-        name, occurrence = generator.choice(places[path].pop(place))
-        source = path.read_text()
-        changed = mutate_code(source, get_operator(name)(), occurrence)
-        before, after = differing(source.splitlines(), changed.splitlines())
-        row = {"id": number, "file": str(path.relative_to(ROOT)), "line": place[0], "operator": name}
-        yield {**row, "before": before, "after": after}, changed
+    sources = [path.read_bytes() for path in files]
+    generator, drawn = random.Random(seed), set()
+    while len(drawn) < count:
+        ((path, source),) = generator.choices(list(zip(files, sources, strict=True)), list(map(len, sources)))
+        found = list(places(ast.parse(source)))
+        node, options = generator.choice(found) if found else (None, [])
+        if node is None or (path, node.lineno, node.col_offset) in drawn:
+            continue
+        drawn.add((path, node.lineno, node.col_offset))
+        after = generator.choice(options)
+        row = {"id": len(drawn), "file": str(path.relative_to(ROOT)), "line": node.lineno}
+        text = "" if after is None else f"({ast.unparse(after)})"
+        yield {**row, "before": ast.unparse(node), "after": text}, replaced(source, node, text)
 
 
-def differing(one, other):
-    """The lines that two texts do not share."""
-    head = next((i for i, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
-    tail = 0
-    while tail < min(len(one), len(other)) - head and one[-1 - tail] == other[-1 - tail]:
-        tail += 1
-    return tuple(" ".join(" ".join(part[head : len(part) - tail]).split()) for part in (one, other))
+def replaced(source, node, text):
+    """A module's source with a text in the place of a node; of a decorator with nothing, its @ included."""
+    starts = [0]
+    for line in source.splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+    begin, end = starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset
+    return source[: begin - (not text)] + text.encode() + source[end:]
 
 
-def tested(copy, python, options):
+def tested(checkout, options):
     """Names of the tests that fail in a copy, by file; and whether they ran to the end."""
-    results = copy.parent / "results.xml"
+    results = checkout.parent / "results.xml"
     results.unlink(missing_ok=True)
-    call = [python, "-m", "pytest", *ALWAYS, f"--junitxml={results}", *options]
+    call = [sys.executable, "-m", "pytest", *ALWAYS, f"--junitxml={results}", *options]
     # numba keeps machine code by the path and the sources' digest: this copy's for the next defect.
-    own = {"PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(copy.parent / "numba")}
+    own = {"PYTHONPATH": str(checkout), "NUMBA_CACHE_DIR": str(checkout.parent / "numba")}
     own |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    with (copy.parent / "output.txt").open("w") as output:
+    with (checkout.parent / "output.txt").open("w") as output:
         process = subprocess.Popen(
-            call, cwd=copy, env={**os.environ, **own}, stdout=output, stderr=output, start_new_session=True
+            call, cwd=checkout, env={**os.environ, **own}, stdout=output, stderr=output, start_new_session=True
         )
         try:
             ended = process.wait(LIMIT) in (0, 1)
@@ -130,17 +163,15 @@ def of_room(file):
     return [str(path.relative_to(ROOT)) for path in sorted((ROOT / "tests").glob("test_*.py"))]
 
 
-def measure(row, copy, python, options, already):
+def measure(row, checkout, options, already):
     """A row with which tests caught its defect."""
     start = time.monotonic()
-    failed, ended = tested(copy, python, options)
+    failed, ended = tested(checkout, options)
     caught = [each for each in failed if each not in already]
-    counts = Counter(name for name, _ in caught)
     return {
         **row,
         "caught": bool(caught) or not ended,
-        "ended": ended,
-        "files": dict(counts.most_common()),
+        "files": dict(Counter(name for name, _ in caught).most_common()),
         "tests": caught if row["id"] == 0 else [f"{name}::{test}" for name, test in caught[:5]],
         "seconds": round(time.monotonic() - start),
     }
@@ -149,12 +180,11 @@ def measure(row, copy, python, options, already):
 def page(rows):
     """The table in Markdown."""
     rows = [row for row in rows if row["id"]]
-    missed = sum(not row["caught"] for row in rows)
     lines = [
         "# Seeded defects",
         "",
         f"{len(rows)} defects drawn by `python tests/seeded_defects.py`; the fast tests of their rooms catch "
-        f"{len(rows) - missed}.",
+        f"{sum(row['caught'] for row in rows)}.",
         "",
         "| | where | before | after | caught by |",
         "|---|---|---|---|---|",
@@ -169,7 +199,6 @@ def page(rows):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--python", type=os.path.abspath, default=sys.executable, help="that runs the tests")
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--seed", type=int, default=19)
     parser.add_argument("--only", type=int, action="append", help="defects of these numbers")
@@ -184,21 +213,19 @@ def main():
         return
     rows = {row["id"]: row for row in map(json.loads, TABLE.read_text().splitlines())} if TABLE.exists() else {}
     with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / "copy"
-        shutil.copytree(ROOT, copy, ignore=left_behind)
-        for row, changed in [({"id": 0}, None), *defects]:
+        checkout = Path(folder) / "copy"
+        shutil.copytree(ROOT, checkout, ignore=left_behind)
+        for row, source in [({"id": 0}, None), *defects]:
             wanted = not row["id"] or not given.only or row["id"] in given.only
             if not wanted or all(rows.get(row["id"], {}).get(key) == row[key] for key in row):
                 continue
-            if changed is not None:
-                (copy / row["file"]).write_text(changed)
+            if source is not None:
+                (checkout / row["file"]).write_bytes(source)
             where = [] if given.whole or not row["id"] else of_room(row["file"])
-            rows[row["id"]] = measure(
-                row, copy, given.python, [*given.options, *where], rows.get(0, {}).get("tests", [])
-            )
-            if changed is not None:
+            rows[row["id"]] = measure(row, checkout, [*given.options, *where], rows.get(0, {}).get("tests", []))
+            if source is not None:
                 # With its own time: Python and numba know a file by that.
-                shutil.copy2(ROOT / row["file"], copy / row["file"])
+                shutil.copy2(ROOT / row["file"], checkout / row["file"])
             TABLE.write_text("".join(f"{json.dumps(rows[number])}\n" for number in sorted(rows)))
             TABLE.with_suffix(".md").write_text(page([rows[number] for number in sorted(rows)]))
             print(json.dumps(rows[row["id"]]), flush=True)

@@ -18,7 +18,7 @@ def _unequal() -> RobotParameters:
     rng, legs = np.random.default_rng(3), []
     for leg in range(6):
         (yaw, tilt), shaft, joint = rng.uniform(-0.5, 0.5, 2), *rng.uniform(-0.012, 0.012, (2, 3))
-        yaw += ROBOT.pair_angles[leg]
+        yaw += leg // 2 * (2.0 * np.pi / 3.0)
         h = np.array([math.cos(yaw), math.sin(yaw), 0.0])
         legs.append(
             {

@@ -1,4 +1,4 @@
-"""All works for the three shipped robots; mechanics, SDF, MuJoCo and a run for twenty with legs of any kind."""
+"""All works for the three shipped robots; mechanics, SDF, MuJoCo and a run for ten with legs of any kind."""
 
 import mujoco
 import numpy as np
@@ -26,15 +26,15 @@ from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, reach_margin
 from stewart_drake.mujoco_model import MujocoRobot
 from stewart_drake.plant.sdf_model import sdf_text
+from stewart_drake.runs.checks import check_scenario
 from stewart_drake.runs.replay import write_replay
-from stewart_drake.runs.simulation import check_scenario
 from stewart_drake.studies import robots as robot_table
 from stewart_drake.studies.comparison import load_comparison
-from stewart_drake.studies.faults import BY_NAME, FaultStudy, all_rows
+from stewart_drake.studies.faults import FAULTS, fault_study
 from stewart_drake.studies.runs import execute
 
 SHIPPED = ["paper", "reachy_mini", "servo_hexapod"]
-RANDOM = range(20)
+RANDOM = range(10)
 STEP = 1e-4
 
 
@@ -127,7 +127,7 @@ def test_mujoco_moves_it_with_its_rotors_as_drake_does(which):
     assert np.abs(engine.platform[:3] - pose[3:]).max() < 0.01 * way
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("which", RANDOM)
 def test_a_robot_with_legs_of_any_kind_holds_and_sways(which):
     robot = random_robot(which)
@@ -152,7 +152,7 @@ def test_a_shipped_robot_holds_sways_and_is_replayed(name, tmp_path, call):
         write_replay(log, tmp_path / f"{scenario}.html")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_robot_is_compared_and_its_motions_can_all_be_done(name):
     comparison = load_comparison("tracking", True, name)
@@ -162,17 +162,17 @@ def test_a_shipped_robot_is_compared_and_its_motions_can_all_be_done(name):
     assert log.status == "completed"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHIPPED)
 def test_faults_of_a_shipped_robot_do_what_they_do_to_the_papers(name):
-    plan = FaultStudy.of([(fault, motion) for fault, motion in all_rows() if motion == "hold"], robot=name)
+    plan = fault_study(quick=True, robot=name)
     for wanted in ("push_5N", "motor_reversed", "encoder_nan", "command_nan", "reference_refused"):
-        index = next(i for i, (fault, _) in enumerate(plan.pairs) if fault.name == wanted)
+        index = next(i for i in plan.indices if plan.pairs[i][0].name == wanted)
         (row,) = plan.tables([execute(plan.task(index))])["faults"][1]
-        assert row["reaction"] in BY_NAME[wanted].expected, (wanted, row)
+        assert row["reaction"] in FAULTS[wanted].expected, (wanted, row)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_table_of_robots_has_a_row_for_each(monkeypatch):
     monkeypatch.setattr(robot_table, "SAMPLES", 2000)
     monkeypatch.setattr(robot_table, "SCENARIO", "hold")
@@ -184,8 +184,7 @@ def test_the_table_of_robots_has_a_row_for_each(monkeypatch):
 
 
 def test_a_region_needs_no_feasible_motion(call, monkeypatch):
-    from stewart_drake.cli import workspace_command
-    from stewart_drake.planning import pose_study
+    from stewart_drake.planning import workspace
 
     class DoneError(Exception):
         pass
@@ -193,10 +192,9 @@ def test_a_region_needs_no_feasible_motion(call, monkeypatch):
     def stop(*_, **__):
         raise DoneError
 
-    monkeypatch.setattr(pose_study, "study_poses", stop)
+    monkeypatch.setattr(workspace, "study_poses", stop)
     monkeypatch.setenv("STEWART_DRAKE_TRACEBACK", "")
     status, _, error = call("workspace", "--set", "robot.platform_joint_radius=0.16", "--quiet")
-    assert workspace_command.workspace.name == "workspace"
     assert "left out is the scenario's own motion: reference: breaks the limit joint_swing" in error
     assert (status, "DoneError" in error) == (4, True)
 

@@ -68,7 +68,10 @@ def test_a_message_says_key_what_was_expected_and_what_was_given():
     assert str(ConfigurationError("robot.branch", 2, "-1 or 1")) == "robot.branch: expected -1 or 1, got 2"
     hinted = ConfigurationError("rod_length", 404, "metres; millimetres?")
     assert str(hinted) == "rod_length: expected metres, got 404; millimetres?"
-    assert str(ConfigurationError("bad", 1, "no such key; the keys here are a, b")).startswith("bad: no such key; the")
+    assert (
+        str(ConfigurationError("bad", 1, "no such key; the keys here are a"))
+        == "bad: no such key, got 1; the keys here are a"
+    )
     refused = str(InfeasibleReferenceError("conditioning", 0.25, None, -0.01, "sigma >= 0.05"))
     assert all(word in refused for word in ("conditioning", "0.250 s", "the platform", "-0.01", "sigma >= 0.05"))
 
@@ -83,13 +86,6 @@ def test_an_error_crosses_a_process_boundary_with_all_it_carries(error, duplicat
     assert vars(twin).keys() == vars(error).keys()
     for name, value in vars(error).items():
         np.testing.assert_equal(getattr(twin, name), value)
-
-
-def test_the_two_families_are_apart_and_pydantic_wraps_neither():
-    assert issubclass(InfeasibleReferenceError, ConfigurationError)
-    assert not issubclass(ConfigurationError, RunFailure)
-    assert not issubclass(ConfigurationError, ValueError)
-    assert issubclass(RunFailure, RuntimeError)
 
 
 @pytest.mark.parametrize("inner", [SystemExit("condition 'x > 0' failed."), RuntimeError("bad\n  state"), SystemExit()])

@@ -30,6 +30,7 @@ def laws():
                 yield f"{module.__name__}.{name}", value
 
 
+@pytest.mark.slow
 def test_every_law_is_kept_under_the_digest_of_all_sources():
     places = {name: Path(law.stats.cache_path).parts for name, law in laws()}
     assert len(places) > 100

@@ -18,7 +18,7 @@ from stewart_drake.files.whole import locked_folder
 from stewart_drake.studies.study import INCIDENTAL
 
 KILLS = int(os.environ.get("STEWART_DRAKE_KILLS", "1"))
-"""Of each study; one mechanism stands under all of them, and a comparison is part of `tune`."""
+"""Of a sweep: one mechanism stands under all studies."""
 SWEEP = """
 scenario: paper_fig7
 runs: 8
@@ -27,51 +27,31 @@ distributions:
   initial_offset[0]: {kind: uniform, low: -0.05, high: 0.05}
   initial_offset[5]: {kind: choice, values: [0.0, 0.0, 0.3]}
 """
-COMPARISON = """
-name: tiny
-scenario: paper_fig7
-set: {duration: 0.3, tuner: {kind: fixed}, limits.clearance: null}
-controllers:
-  one: {}
-  soft: {tuner.omega_q: 0.1}
-references:
-  sine: {}
-  hold: {reference: {kind: hold}}
-conditions:
-  nominal: {}
-  far: {initial_offset: [0.0, 0.0, 0.0, 0.0, 0.0, 0.3]}
-cost: {}
-tune: {controllers: {soft: {tuner.omega_q: [0.01, 10.0]}}, population: 4, generations: 1, set: {plant.engine: reduced}}
-"""
 MAIN = """
 if __name__ == "__main__":
     from stewart_drake.cli.app import main
     main()
 """
-STUDIES = {
-    "sweep": (MAIN, ["sweep", "sweep.yaml", "--workers", "2"]),
-    "tune": (MAIN, ["tune", "comparison.yaml", "--workers", "2"]),
-}
+ARGS = ["sweep", "sweep.yaml", "--workers", "2"]
 
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sweep.yaml").write_text(SWEEP)
-    (tmp_path / "comparison.yaml").write_text(COMPARISON)
     return tmp_path
 
 
-def begin(code, args, out, mark):
-    env = environment(KILL_TEST=mark)
+def begin(out, mark):
     driver = out.parent / "driver.py"
-    driver.write_text(code)
-    command = [sys.executable, str(driver), *args, "--out", str(out), "--quiet"]
-    return subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    driver.write_text(MAIN)
+    command = [sys.executable, str(driver), *ARGS, "--out", str(out), "--quiet"]
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, env=environment(KILL_TEST=mark), **pipes)
 
 
-def finish(code, args, out):
-    process = begin(code, args, out, "none")
+def finish(out):
+    process = begin(out, "none")
     _, err = process.communicate(timeout=300)
     assert process.returncode == 0, err
 
@@ -89,33 +69,21 @@ def alive(mark):
 
 
 def results(folder):
-    """What a study leaves, without what is incidental, and without what it only keeps for itself."""
-    files = {str(path.relative_to(folder)): path for path in sorted(folder.rglob("*")) if path.is_file()}
-    found = {
-        name: path.read_bytes()
-        for name, path in files.items()
-        if path.name != "rows.jsonl" and name.partition("/")[0] != "runs"
-    }
-    found.pop("sweep.csv", None)  # the same with what is incidental
-    if "sweep.parquet" in found:
-        found["sweep.parquet"] = (
-            pq.read_table(folder / "sweep.parquet").drop([column.name for column in INCIDENTAL]).to_pylist()
-        )
-    return set(files), found
+    """What a sweep leaves, without what is incidental, and without what it only keeps for itself."""
+    table = pq.read_table(folder / "sweep.parquet").drop([column.name for column in INCIDENTAL])
+    return {path.name for path in folder.iterdir()}, table.to_pylist(), (folder / "study.json").read_bytes()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
-@pytest.mark.parametrize("study", STUDIES)
-def test_a_study_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here, study):
-    code, args = STUDIES[study]
+def test_a_study_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here):
     start = time.monotonic()
-    finish(code, args, here / "whole")
+    finish(here / "whole")
     duration = time.monotonic() - start
     chance = random.Random()
     for _ in range(KILLS):
         mark = uuid.uuid4().hex
-        process = begin(code, args, here / "killed", mark)
+        process = begin(here / "killed", mark)
         wait = chance.uniform(0.3, 1.0) * duration
         try:
             process.wait(wait)
@@ -127,15 +95,13 @@ def test_a_study_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here, 
         while alive(mark) and time.monotonic() < limit:
             time.sleep(0.05)
         assert alive(mark) == [], f"killed after {wait:.3f} s"
-    finish(code, args, here / "killed")
+    finish(here / "killed")
     assert results(here / "killed") == results(here / "whole")
 
 
-@pytest.mark.parametrize("command", STUDIES)
-def test_the_second_of_two_processes_in_one_folder_is_refused(here, monkeypatch, capsys, command):
-    args = STUDIES[command][1]
+def test_the_second_of_two_processes_in_one_folder_is_refused(here, monkeypatch, capsys):
     (here / "out").mkdir()
-    monkeypatch.setattr(sys, "argv", ["stewart-drake", *args, "--out", "out", "--quiet"])
+    monkeypatch.setattr(sys, "argv", ["stewart-drake", *ARGS, "--out", "out", "--quiet"])
     with locked_folder(here / "out"), pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == 2

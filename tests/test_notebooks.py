@@ -71,7 +71,7 @@ def test_is_committed_without_outputs_or_traces_of_its_author_and_defines_little
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [NAMES[0], *(pytest.param(name, marks=pytest.mark.long) for name in NAMES[1:])])
 def test_runs_from_top_to_bottom(name, tmp_path):
     before, here = files_in(FOLDER), tmp_path / "run"
     here.mkdir()

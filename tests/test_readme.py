@@ -1,4 +1,4 @@
-"""What the README says works."""
+"""What the README and the pages in docs say works."""
 
 import re
 import subprocess
@@ -9,20 +9,23 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+USING = (ROOT / "docs" / "using.md").read_text(encoding="utf-8")
+PAGES = {path: path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]}
+CODE = re.findall(r"```python\n(.*?)```", README + USING, flags=re.DOTALL)
+MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("code", re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL))
+@pytest.mark.parametrize("code", CODE)
 def test_python_blocks_run(code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     exec(compile(code, "README.md", "exec"), {})
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_python_blocks_and_misspelt_names_under_a_strict_type_checker(tmp_path):
-    blocks = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
-    for number, code in enumerate(blocks):
+    for number, code in enumerate(CODE):
         (tmp_path / f"block_{number}.py").write_text(code)
     (tmp_path / "misspelt.py").write_text("from stewart_drake import RobotParamters\n")
     done = subprocess.run(
@@ -36,40 +39,56 @@ def test_python_blocks_and_misspelt_names_under_a_strict_type_checker(tmp_path):
     assert re.findall(r"^(\S+?):\d+: error", done.stdout, flags=re.MULTILINE) == ["misspelt.py"], done.stdout
 
 
+def test_it_is_a_landing_page():
+    assert README.count("\n") <= 150
+
+
 def test_make_targets_exist():
-    targets = set(re.findall(r"^([a-z_]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
-    named = set(re.findall(r"(?:`|^)make ([a-z_]+)", README, flags=re.MULTILINE))
-    assert named
+    targets = set(re.findall(r"^([a-z_-]+):", MAKEFILE, flags=re.MULTILINE))
+    named = {name for text in PAGES.values() for name in re.findall(r"(?:`|^)make ([a-z_-]+)", text, re.MULTILINE)}
+    assert {"demo", "test"} <= named
     assert named <= targets
 
 
 def test_commands_exist():
     from stewart_drake.cli.app import cli
 
-    named = set(re.findall(r"`stewart-drake ([a-z-]+)", README))
-    assert {"run", "reproduce", "collect", "train"} <= named
-    assert named <= set(cli.commands)
+    named = {
+        name for text in PAGES.values() for name in re.findall(r"(?:`|^)stewart-drake ([a-z-]+)", text, re.MULTILINE)
+    }
+    assert named == set(cli.commands)
 
 
 def test_shipped_scenarios_are_described():
     shipped = {path.stem for path in (ROOT / "diagrams" / "scenarios").glob("*.yaml")}
-    assert all(f"`{name}`" in README for name in shipped)
+    assert all(f"`{name}`" in USING for name in shipped)
 
 
 def test_links_lead_somewhere():
-    targets = re.findall(r"\]\((?!https?://|#)([^)]+)\)", README)
-    assert targets
-    assert [target for target in targets if not (ROOT / target.split("#")[0]).exists()] == []
+    dead = []
+    for page, text in PAGES.items():
+        for target in re.findall(r"\]\((?!https?://)([^)]+)\)", text):
+            name, _, heading = target.partition("#")
+            path = page.parent / name if name else page
+            titles = re.findall(r"^#+ (.*)", path.read_text(), re.MULTILINE) if heading else []
+            known = {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
+            if not path.exists() or (heading and heading not in known):
+                dead.append(f"{page.relative_to(ROOT)}: {target}")
+    assert dead == []
 
 
-@pytest.mark.slow
-def test_continuous_integration_runs_the_readme_command():
+def test_pages_made_by_a_script_name_the_target_that_makes_them():
+    for script in (ROOT / "docs").glob("*.py"):
+        for page in re.findall(r"[^/]docs/results/(\w+\.md)", (script.read_text().partition('"""\n')[0])):
+            assert re.search(r"`make [a-z_]+`", (ROOT / "docs" / "results" / page).read_text()), page
+
+
+def test_continuous_integration_runs_all():
     script = (ROOT / ".ci" / "run").read_text()
-    assert "make test" in script
-    assert subprocess.run(["bash", "-n", ROOT / ".ci" / "run"], check=False).returncode == 0
+    assert {"make test-all", "make lint"} <= set(script.splitlines())
 
 
 def test_the_benchmarks_show_their_ratios():
     # pytest keeps what a test that passes prints, unless told otherwise.
-    recipe = re.search(r"^bench:.*\n\t(.*)$", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)[1]
+    recipe = re.search(r"^bench:.*\n\t(.*)$", MAKEFILE, flags=re.MULTILINE)[1]
     assert " -s " in recipe

@@ -1,6 +1,5 @@
 """A robot as data: its legs, its checks, and where it comes from: names, files, tables."""
 
-import dataclasses
 import math
 import xml.etree.ElementTree as ET
 
@@ -10,13 +9,11 @@ import pytest
 from conftest import field_of
 from strategies import ROBOTS, UNEQUAL
 
-from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import conditioning, inverse_kinematics
 from stewart_drake.mujoco_model import mjcf_text
-from stewart_drake.planning.limits import Limits, limit_margins
-from stewart_drake.planning.measures import measure_poses
+from stewart_drake.planning.limits import Limits, limit_margins, measure_poses
 from stewart_drake.plant.sdf_model import sdf_text
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LegParameters
@@ -36,21 +33,6 @@ def test_joints_lie_on_their_circles_in_three_pairs_of_coaxial_shafts_even_legs_
         motor_axis = np.cross([0.0, 0.0, 1.0], ROBOT.crank_zero_directions[leg])
         between = ROBOT.shaft_positions[leg] - ROBOT.shaft_positions[leg - leg % 2]
         np.testing.assert_allclose(np.cross(between, motor_axis), 0.0, atol=1e-16)
-
-
-def test_home_is_the_stated_pose_and_cranks_have_their_inertia_about_the_motors():
-    np.testing.assert_array_equal(ROBOT.home_pose, [0, 0, 0, 0, 0, 0.3])
-    np.testing.assert_allclose(np.degrees(inverse_kinematics(ROBOT, ROBOT.home_pose)), 23.546289, atol=5e-7)
-    assert ROBOT.crank_axis_inertias == pytest.approx(5.8e-5 + 0.04 * 0.055**2, rel=1e-15)
-
-
-def test_robots_are_values():
-    assert RobotParameters() == ROBOT
-    assert hash(RobotParameters()) == hash(ROBOT)
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        ROBOT.rod_mass = 1.0
-    with pytest.raises(ValueError, match="read-only"):
-        ROBOT.home_pose[0] = 1.0
 
 
 def test_a_leg_takes_from_the_symmetric_robot_what_it_has_not_of_its_own():
@@ -223,13 +205,13 @@ def test_masses_without_inertias_are_uniform_bars_and_a_disc():
     ("text", "wanted"),
     [
         ("a, b\n1, 2", r"header: expected "),
-        (f"{HEADER}, crank_x\n", r"header.*all of crank_x, crank_y, crank_z, or none"),
+        (f"{HEADER}, crank_x\n", r"header.*in groups, crank_x, crank_y, crank_z.*without crank_y, crank_z"),
         (f"{HEADER}\n1, 2\n", r"leg 0: expected 6, one a column"),
         (f"{HEADER}\n1, 2, 3, 4, five, 6\n", r"joint_y of leg 0: expected a number"),
-        (f"{HEADER}\n1, 2, 3, 4, nan, 6\n" * 1, r"table: expected 6 rows, one a leg"),
+        (f"{HEADER}\n1, 2, 3, 4, nan, 6\n" * 1, r"table: .*6 rows, one a leg"),
         ("", r"header: expected "),
         (
-            f"leg, {HEADER}\n3, 1, 2, 3, 4, 5, 6\n1, 1, 2, 3, 4, 5, 6",
+            f"leg, {HEADER}\n" + "3, 1, 2, 3, 4, 5, 6\n" * 6,
             r"leg: expected ",
         ),
     ],
@@ -250,7 +232,7 @@ def swapped(one, other):
 @pytest.mark.parametrize(
     ("make", "wanted"),
     [
-        (lambda: RobotParameters.from_table(POINTS[:5], **LEG), r"expected 6 rows, one a leg, got '5 rows'"),
+        (lambda: RobotParameters.from_table(POINTS[:5], **LEG), r"6 rows, one a leg.*got \(5, 6\)"),
         (lambda: RobotParameters.from_table(1e3 * POINTS, **LEG), r"rod_length of leg \d.*millimetres\?"),
         (lambda: RobotParameters.from_table(POINTS * [1, 1, 1, 1, -1, 1], **LEG), r"is an axis of P mirrored\?"),
         (lambda: RobotParameters.from_table(POINTS * [-1, 1, 1, 1, 1, 1], **LEG), r"is an axis of P mirrored\?"),
@@ -270,11 +252,6 @@ def test_what_was_perhaps_meant_is_said_with_the_leg_and_the_number(make, wanted
     with pytest.raises(ConfigurationError, match=wanted) as caught:
         make()
     assert "\n" not in str(caught.value)
-
-
-def test_joints_that_meet_in_one_point_cross_nothing():
-    shared = [{"platform_joint": HEXAPOD.platform_joints[2 * ((leg + 1) // 2 % 3)].tolist()} for leg in range(6)]
-    assert HEXAPOD.replace(legs=shared).legs is not None
 
 
 WEAK = RobotParameters(legs=[{}, {"effort_limit": 0.95}, {}, {"effort_limit": 8.0}, {}, {}])
@@ -299,14 +276,3 @@ def test_each_motor_has_its_own_effort_limit_everywhere():
     given = {"command": ask, "measurement": at_home[:12], "reference": at_home}
     layer.tick(*(given[port] if port in given else layer.source(port) for port in layer.inputs), state)
     assert state["torque"][0].tolist() == WEAK.effort_limits.tolist()
-
-
-def test_the_regulator_cuts_each_motor_at_its_own_limit():
-    options = LqiOptions(model="exact", solver="split", saturation="clamp")
-    part = lqi_part(options, WEAK, 9.81, 4)
-    far = np.concatenate([WEAK.home_pose + [0.3, -0.2, 0.3, 0.02, 0.02, 0.02], np.zeros(6)])
-    wanted, state = np.concatenate([WEAK.home_pose, np.zeros(12)]), part.initial.copy()
-    part.tick(far, wanted, np.array([1e6, 1.0, 1.0, 1e-3]), state)
-    torque = np.abs(state["torque"][0])
-    assert (torque <= WEAK.effort_limits).all()
-    assert (torque == WEAK.effort_limits).sum() >= 4

@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 
 from stewart_drake.control.joint_pid import PidOptions
-from stewart_drake.control.lqi import LqiOptions, lqi_gain, lqi_part
+from stewart_drake.control.lqi import lqi_gain
 from stewart_drake.control.state_space import POSITION
 from stewart_drake.control.tuners import BlockTuner
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.planning.limits import Bounds, Limits
@@ -83,8 +82,3 @@ def test_default_block_weights_make_every_robots_loop_as_fast(name):
     # The closed loop of each direction is s^2 + c s + k = 0 but for the slow integral; these are the k.
     speed = np.sqrt(np.abs(np.linalg.eigvals(feedback[:, POSITION])))
     assert np.exp(np.mean(np.log(speed))) == pytest.approx(93.0, rel=0.25)
-
-
-def test_no_length_outside_of_a_scenario_is_refused():
-    with pytest.raises(ConfigurationError, match=r"controller\.weight_length"):
-        lqi_part(LqiOptions(weight_length=None), HEXAPOD, 9.81, 4)

@@ -10,10 +10,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from stewart_drake.config import keys_of
 from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.control.lqi import LqiOptions
-from stewart_drake.control.network import default_network_path, load_network
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.references import HoldReference
@@ -28,28 +26,9 @@ from stewart_drake.scenario import (
 )
 from stewart_drake.studies.comparison import load_comparison
 
-KEYS_OF_ALL = keys_of(Scenario)
+KEYS_OF_ALL = list(Scenario.__pydantic_fields__)
 SHIPPED = sorted(path.stem for path in shipped_folder("scenarios").glob("*.yaml"))
 BURSTS = {"kind": "sine_bursts", "frequency": [1.0, 2.0], "amplitude": [[0.1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.01]]}
-WHOLE = [
-    Scenario(),
-    Scenario.from_dict({"reference": {"kind": "hold"}, "tuner": {"kind": "fixed"}, "model_robot": {}, "log_period": 1}),
-    Scenario.from_dict({"reference": BURSTS}),
-    *[
-        Scenario.from_dict({"reference": reference})
-        for reference in (
-            {"kind": "breathing"},
-            {"kind": "heartbeat", "premature_beats": [3]},
-            {"kind": "tremor"},
-            {"kind": "minimum_jerk", "poses": [[0.0] * 6, [0.0] * 6], "durations": [1.0], "dwell": [0.0]},
-            {"kind": "spline", "poses": [[0.0] * 6, [0.0] * 6], "times": [0.0, 1.0]},
-            {"kind": "recorded", "motion_file": "/motion.csv"},
-            {"kind": "sum", "parts": [{"kind": "breathing"}, {"kind": "heartbeat"}], "center": [0.0] * 6},
-            {"kind": "adjusted", "motion": {"kind": "sum", "parts": [{"kind": "tremor"}]}, "center": [0.0] * 6},
-        )
-    ],
-]
-"""Scenarios that have, between them, every key."""
 
 
 def refusal(data):
@@ -70,23 +49,6 @@ def one_line(error):
 
 def adjusted_tremor(**keys):
     return {"kind": "adjusted", "motion": {"kind": "sum", "parts": [{"kind": "tremor", **keys}]}}
-
-
-def leaves(data, path=()):
-    """(path, value) of everything in a document that is no section."""
-    for key, value in data.items():
-        if isinstance(value, dict):
-            yield from leaves(value, (*path, key))
-        else:
-            yield (*path, key), value
-
-
-def put(data, path, value):
-    here = data
-    for part in path[:-1]:
-        here = here[part]
-    here[path[-1]] = value
-    return data
 
 
 def write(folder, text, name="some.yaml"):
@@ -145,17 +107,14 @@ WRONG = [
     ("reference.center", {"reference": {"kind": "hold", "center": []}}, "the keys here are kind, pose"),
     ("reference", {"reference": None}, "hold, sine, sine_bursts, breathing"),
     ("reference.frequncy", {"reference": {"kind": "sine_bursts", "frequncy": [1]}}, "did you mean frequency?"),
-    ("reference.amplitude", {"reference": BURSTS | {"amplitude": [[0] * 6]}}, "2 vectors of 6 numbers"),
-    ("reference.burst_duration", {"reference": BURSTS | {"burst_duration": 0.39}}, "at least twice the fade"),
     ("reference.parts", {"reference": {"kind": "sum", "parts": []}}, "a list of at least 1 sections"),
-    ("reference.parts.0", {"reference": {"kind": "sum", "parts": [3]}}, "a section, with kind: hold, sine"),
     ("reference.parts.0.kind", {"reference": {"kind": "sum", "parts": [{"kind": "sum", "parts": []}]}}, "recorded"),
     ("reference.motion.parts.0.hgh", {"reference": adjusted_tremor(hgh=1)}, "did you mean high?"),
     ("reference.motion.parts.0.high", {"reference": adjusted_tremor(high=1)}, "above low, 6 Hz"),
     ("duration", {"duration": "10"}, "without quotes"),
     ("duration", {"duration": 8000, "plant": {"time_step": 1e-6}, "log_period": 1}, "1e9 steps"),
     ("duration", {"duration": 0.004}, "at least one control period, 0.005 s"),
-    ("duration", {"duration": datetime.date(2001, 1, 1)}, "a number"),
+    ("duration", {"duration": datetime.date(2001, 1, 1)}, "a positive number"),
     ("controller.period", {"controller": {"period": 0.0055}}, "a whole multiple of the plant's time step 0.001 s"),
     ("robot.home_height", {"robot": {"rod_length": 0.1}}, "its rod 0.1 m long"),
     ("log_period", {"log_period": 10.001}, "at most the duration, 10 s"),
@@ -183,12 +142,6 @@ def test_python_construction_raises_the_same_error_as_a_file(tmp_path):
         Scenario().replace({"duration": -1})
     assert str(from_dict) == str(from_python.value) == str(from_file.value) == str(from_replace.value)
     assert from_python.value.value == -1
-
-
-def test_a_key_of_many_lines_or_letters_still_makes_one_short_line():
-    assert refusal({"a\nb": 3}).key == r"'a\nb'"
-    assert len(refusal({"x" * 100_000: 3}).key) < 100
-    assert len(str(refusal({"duration": "x" * 100_000}))) < 300
 
 
 def test_every_problem_has_a_line_and_unknown_keys_come_first():
@@ -235,6 +188,8 @@ def test_a_file_that_is_no_scenario_is_named(tmp_path, content, words):
         ("name=a+b", "name", "a+b"),
         ("limits.reach=", "limits.reach", None),
         ("model_robot.rod_mass=0.1", "model_robot.rod_mass", 0.1),
+        ("reference.angular_frequency=3", "reference.angular_frequency", (3.0,) * 6),
+        ("reference.phase[2]=1", "reference.phase", (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)),
     ],
 )
 def test_an_override_sets_one_key(text, key, value):
@@ -251,12 +206,17 @@ def test_an_override_sets_one_key(text, key, value):
         (" =3", "--set", "key=value"),
         ("duration=[1", "--set duration", "line 1"),
         ("duration=!x 3", "--set duration", "without tags"),
-        ("duration.x=3", "duration", "a section, to set duration.x in it"),
-        ("reference.center.5=3", "reference.center", "a section"),
+        ("duration.x=3", "duration.x", "a key in a section, which duration is not"),
+        ("reference.center.5=3", "reference.center.5", "initial_offset[0]"),
+        ("reference.center[6]=3", "reference.center[6]", "center has components from 0 to 5"),
+        ("initial_offset=3", "initial_offset", "a list of 6 numbers [rad, m]"),
+        ("plant={a: 1}", "plant.a", "no such key, got 1"),
         ("durration=3", "durration", "did you mean duration?"),
-        (".=3", "''", "no such key"),
+        (".=3", ".", "a key such as"),
+        ("tuner.kappa=2", "tuner.kappa", "no such key, got 2; the keys here are kind, density, window"),
+        ("tuner.kappa=2", "tuner.kappa", "It is a key of kind policy"),
         ("duration='3'", "duration", "without quotes"),
-        ("duration=", "duration", "a number"),
+        ("duration=", "duration", "a positive number [s]"),
         ("reference.kind=splin", "reference.kind", "hold, sine, sine_bursts, breathing"),
     ],
 )
@@ -265,29 +225,6 @@ def test_a_bad_override_is_named(text, key, words):
         load_scenario("paper_fig7", [text])
     assert one_line(caught.value).key == key
     assert words in str(caught.value)
-
-
-def test_another_kind_drops_what_only_the_old_kind_has(tmp_path):
-    as_run = write(tmp_path, load_scenario("paper_fig7").to_yaml())
-    scenario = load_scenario(as_run, ["reference.kind=hold", "tuner.kind=fixed", "tuner.omega_q=10"])
-    assert scenario.reference == HoldReference()
-    assert scenario.tuner == FixedTuner(omega_q=10.0)
-    assert Scenario().replace({"tuner.kind": "fixed"}).tuner == FixedTuner()
-
-
-# --- the weights file ---------------------------------------------------------------------------------------------
-
-
-def test_a_weights_file_is_relative_to_the_scenario_file(tmp_path, monkeypatch):
-    (tmp_path / "deep").mkdir()
-    network = load_network(default_network_path())
-    network.save(tmp_path / "deep" / "own.json")
-    path = write(tmp_path / "deep", "tuner: {kind: paper, weights_file: own.json}\n")
-    monkeypatch.chdir(tmp_path)
-    scenario = load_scenario(path.relative_to(tmp_path))
-    assert scenario.tuner.weights_file == str(tmp_path / "deep" / "own.json")
-    monkeypatch.chdir("/")
-    np.testing.assert_array_equal(scenario.load_tuner_network().hidden_weights, network.hidden_weights)
 
 
 # --- round trip and schema ----------------------------------------------------------------------------------------
@@ -313,6 +250,7 @@ documents = st.fixed_dictionaries(
 )
 
 
+@pytest.mark.slow
 @given(documents)
 @settings(max_examples=60)
 @example({"tuner": {"kind": "paper", "weights_file": "/."}})
@@ -339,54 +277,6 @@ def test_the_schema_accepts_the_shipped_scenarios_and_refuses_a_typing_mistake(n
             validator.validate(wrong)
 
 
-@pytest.mark.parametrize("scenario", WHOLE, ids=lambda s: s.reference.kind)
-def test_the_schema_accepts_every_key_as_run(scenario):
-    jsonschema.Draft202012Validator.check_schema(scenario_schema())
-    jsonschema.Draft202012Validator(scenario_schema()).validate(scenario.to_dict())
-
-
-# --- nothing but a ConfigurationError, whatever is thrown at it ---------------------------------------------------
-
-KEYS = sorted({part for whole in WHOLE for path, _ in leaves(whole.to_dict()) for part in path})
-scalars = (
-    st.none()
-    | st.booleans()
-    | st.integers()
-    | st.floats()
-    | st.text(max_size=5)
-    | st.sampled_from(["sine", "hold", "sine_bursts", "fixed", "paper", "statics", 10**400, 1e308, b"x"])
-    | st.dates()
-)
-values = st.recursive(
-    scalars,
-    lambda inner: (
-        st.lists(inner, max_size=7)
-        | st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=3) | st.integers(), inner, max_size=4)
-    ),
-    max_leaves=12,
-)
-
-
-@given(st.sampled_from(WHOLE), st.data())
-@example(Scenario(), {"robot": {"rod_length": 1e200}})
-@example(Scenario(), {"model_robot": {"branch": 10**400}})
-@settings(max_examples=100)
-def test_a_scenario_with_a_random_value_takes_it_or_names_a_key(whole, data):
-    if isinstance(data, dict):
-        document = data
-    else:
-        document = whole.to_dict()
-        put(document, data.draw(st.sampled_from([path for path, _ in leaves(document)])), data.draw(values))
-        document |= data.draw(
-            st.dictionaries(st.sampled_from(sorted(KEYS_OF_ALL)) | st.text(max_size=5), values, max_size=1)
-        )
-    try:
-        Scenario.from_dict(document)
-    except ConfigurationError as error:
-        key = one_line(error).key
-        assert key.split(".")[0] in KEYS_OF_ALL or key in {*document, *map(repr, document)}
-
-
 @given(st.text(max_size=20), st.text(max_size=20))
 @settings(max_examples=100)
 @example("\b", "'")
@@ -400,20 +290,14 @@ def test_random_overrides_give_a_scenario_or_one_line(tmp_path_factory, key, val
         one_line(error)
 
 
-def test_another_kind_drops_the_keys_of_the_old_one_and_keeps_those_that_both_have():
-    pid = load_scenario("exact_fig7").replace({"controller.kind": "pid"})
-    assert pid.controller == PidOptions(period=0.001)
+def test_another_kind_drops_the_keys_of_the_old_one_and_keeps_those_that_both_have(tmp_path):
+    assert load_scenario("exact_fig7").replace({"controller.kind": "pid"}).controller == PidOptions(period=0.001)
+    as_run = write(tmp_path, load_scenario("paper_fig7").to_yaml())
+    scenario = load_scenario(as_run, ["reference.kind=hold", "tuner.kind=fixed", "tuner.omega_q=10"])
+    assert scenario.reference == HoldReference()
+    assert scenario.tuner == FixedTuner(omega_q=10.0)
     assert load_scenario("exact_fig7", ["controller.kind=pid", "controller.kp=3"]).controller.kp == 3.0
     assert Scenario.from_dict({"controller": {"period": 0.002}}).controller == LqiOptions(period=0.002)
-
-
-@pytest.mark.parametrize("key", ["compiled", "controller.compiled"])
-def test_the_key_compiled_is_refused_and_a_line_says_what_to_do(key):
-    *section, last = key.split(".")
-    data = {"controller": {last: True}} if section else {last: True}
-    for make in (lambda: Scenario.from_dict(data), lambda: load_scenario("paper_fig7", [f"{key}=true"])):
-        with pytest.raises(ConfigurationError, match=f"^{key}: no such key: everything is compiled, remove it$"):
-            make()
 
 
 def test_a_change_leaves_what_it_was_given_as_it_was():
@@ -432,6 +316,7 @@ def test_names_that_nothing_has_are_told_what_was_meant():
             load(name)
 
 
+@pytest.mark.slow
 def test_the_package_imports_nothing_and_a_scenario_neither_drake_nor_compiled_laws():
     code = (
         "import sys, stewart_drake; assert not {'numpy', 'pydantic'} & set(sys.modules);"

@@ -37,7 +37,7 @@ def test_the_wheel_carries_what_the_package_reads(wheel):
     assert not [name for name in names if name.startswith(("tests/", "notebooks/"))]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_wheel_runs_the_main_job_outside_of_the_checkout(wheel, shell, tmp_path):
     site = tmp_path / "site"
     with zipfile.ZipFile(wheel) as archive:

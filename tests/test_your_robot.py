@@ -16,7 +16,7 @@ BLOCKS = dict(re.findall(r"```(csv|yaml)\n(.*?)```", PAGE, re.DOTALL))
 COMMANDS = [line for block in re.findall(r"```bash\n(.*?)```", PAGE, re.DOTALL) for line in block.splitlines()]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_page_takes_a_reader_from_points_to_a_controlled_robot(call, tmp_path):
     assert BLOCKS["csv"] == (DOCS / "your_robot.csv").read_text()
     (tmp_path / "points.csv").write_text(BLOCKS["csv"])

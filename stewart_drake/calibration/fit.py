@@ -1,4 +1,4 @@
-"""A robot's geometry from measured poses: two least-squares problems, one after the other.
+"""A robot's geometry from measured poses: two least-squares problems, one after the other; or why poses do not fit.
 
 First the closures of the legs, which have a value at whatever guess; then the tracker's errors, weighed by the inverse
 root of their covariance, to which the encoders' noise comes by way of forward kinematics. The second are what tracker
@@ -9,43 +9,69 @@ encoders' noise. (Minimal closures are not: the pose's noise is in their derivat
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import scipy.optimize
 from scipy.special import stdtrit
 
-from stewart_drake.calibration.frames import STILL, Frame, derivative
-from stewart_drake.calibration.hints import LEAST, Start, explained, stray_rows
-from stewart_drake.calibration.measurements import MeasurementNoise, Measurements, load_measurements
-from stewart_drake.calibration.model import CLOSED, Model
-from stewart_drake.calibration.parameters import (
+from stewart_drake.calibration.model import (
+    CLOSED,
     FRAMES,
     LARGEST,
     NAMES,
+    OF_LEG,
     OF_ROBOT,
+    PER_LEG,
     SIZE,
+    STILL,
     FrameName,
+    Model,
     Name,
     as_robot,
+    derivative,
+    difference,
     free_directions,
     scales,
+    transform,
 )
+from stewart_drake.calibration.poses import MeasurementNoise, Measurements, load_measurements
 from stewart_drake.calibration.result import Calibration, in_words
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
 
 _CONFIDENCE = 0.95
-_FITTED = 1e-12
-"""Relative change at which a minimum counts as found."""
 _SHARE = 1e-3
 """[-] of an untold direction beyond which a parameter has no interval."""
-_TRUST = 0.1
-"""[-] size of the first step at most, in `parameters.scales`: a free first step from a crude guess may turn a motor's
-axis over, which is another minimum."""
-_NEARBY, _EXACT = 20, 200
-"""Calls of the errors at most: ten find what fits, and what does not fit needs no minimum."""
+_SEARCH = {"x_scale": 0.1, "xtol": 1e-12, "ftol": 1e-12, "gtol": None}
+"""The first step is a tenth of `model.scales` at most: a free one from a crude guess may turn a motor's axis over, and
+that is another minimum."""
+_NEARBY, _EXACT = 10, 200
+"""Calls of the errors at most: six find what fits, and what does not fit needs no minimum."""
+_LEAST = 4
+"""Poses of the guess from which both frames follow."""
+_MISFIT = _BETTER = 5.0
+"""[-] size of the closures over their noise beyond which a reason is looked for, and how many times smaller they must
+become for one to be named."""
+_FAR = 0.3
+"""[-] change of a parameter, in `model.scales`, that nobody's guess is off by: an inverted encoder is fitted well by a
+motor that is turned over."""
+_APART, _FEW, _ROWS = 10.0, 0.2, 3
+"""How many times further than rows usually are one is off for a stray; share of the rows that can be strays; rows with
+the largest closures that are suspected."""
+_DEGREE = math.pi / 180.0
+_UNITS = (
+    ("pose_x, y, z", slice(3, 6), 1e-3, "millimetres for metres"),
+    ("pose_x, y, z", slice(3, 6), 1e3, "metres for millimetres"),
+    ("pose_roll, pitch, yaw", slice(0, 3), _DEGREE, "degrees for radians"),
+    ("pose_roll, pitch, yaw", slice(0, 3), 1.0 / _DEGREE, "radians for degrees"),
+    ("crank_angle", slice(6, 12), _DEGREE, "degrees for radians"),
+    ("crank_angle", slice(6, 12), 1.0 / _DEGREE, "radians for degrees"),
+)
 
 
 def calibrate(
@@ -64,7 +90,7 @@ def calibrate(
         known_frames: `base` if the tracker measures in B, `platform` if it measures the pose of P itself. Other
             frames are estimated, and then B is where the shafts lie nearest to those of the guess, and P where the
             platform's joints do.
-        hold: Parameters that keep their value, of `parameters.NAMES`.
+        hold: Parameters that keep their value, of `model.NAMES`.
 
     Returns:
         The calibrated robot, whose crank angles are the encoders' readings, with intervals and residuals.
@@ -78,18 +104,40 @@ def calibrate(
             raise ConfigurationError(key, strange[0], f"some of {', '.join(allowed)}")
     measurements = poses if isinstance(poses, Measurements) else load_measurements(poses)
     noise = MeasurementNoise() if noise is None else noise
-    strays = stray_rows(robot, measurements)
-    start = explained(lambda each: nearby(robot, each, noise, known_frames, hold), measurements, strays)
-    return fitted(start, noise, known_frames, hold)
+    start = _explained(partial(_nearby, robot, noise=noise, known=known_frames, held=hold), robot, measurements)
+    return _fitted(start, noise, known_frames, hold)
 
 
-def nearby(
+class _Start(NamedTuple):
+    """Parameters near the answer, a `change` (`SIZE`,) of a model along told directions (`SIZE`, k) in `scales`.
+
+    In untold directions (`SIZE`, j) the guess stands. `misfit` [-] is the size of the closures left over their noise,
+    `furthest` the parameter of the robot that changes most in `scales`, and `far` by how much.
+    """
+
+    model: Model
+    measurements: Measurements
+    told: np.ndarray
+    untold: np.ndarray
+    step: np.ndarray
+    change: np.ndarray
+    misfit: float
+    furthest: int
+    far: float
+
+    @property
+    def score(self) -> float:
+        """[-] the misfit; infinite where the legs are nothing like the guess's."""
+        return self.misfit if self.far <= _FAR else np.inf
+
+
+def _nearby(
     guess: RobotParameters,
     measurements: Measurements,
     noise: MeasurementNoise,
-    known: Collection[FrameName] = (),
-    held: Collection[Name] = (),
-) -> Start:
+    known: Collection[FrameName],
+    held: Collection[Name],
+) -> _Start:
     """The first of the two least-squares problems: the smallest closures."""
     free = free_directions(guess, known, held)
     least = free.shape[1] // 6 + 1
@@ -97,34 +145,37 @@ def nearby(
         allowed = f"at least {least} poses for {free.shape[1]} unknown numbers, better some 60"
         raise ConfigurationError(measurements.source, f"{len(measurements)} rows", allowed)
     model, size, nothing = located(guess, measurements, known), scales(guess)[:, None], np.zeros(SIZE)
-    marker, angles = measurements.marker, measurements.angles
-    at = model.measured(nothing, marker)
+    seen, angles = measurements.marker, measurements.angles
+    at = model.platform(nothing, seen)
     slope = model.whitening(nothing, at, angles, noise) @ model.tracker_slope(nothing, at, angles) @ (size * free)
-    told, untold = (free @ part for part in _told_and_untold(slope.reshape(-1, free.shape[1])))
-    ways = size * told
-    cranks = float(guess.crank_lengths.max())
+    _, sigma, directions = np.linalg.svd(slope.reshape(-1, free.shape[1]), full_matrices=True)
+    count = int((sigma * LARGEST >= 1.0).sum())
+    told, untold = free @ directions[:count].T, free @ directions[count:].T
+    ways, cranks = size * told, float(guess.crank_lengths.max())
     unit = math.hypot(noise.position, guess.characteristic_length * noise.rotation, cranks * noise.encoder)
 
-    def closure(step: np.ndarray) -> np.ndarray:
-        change = ways @ step
-        return model.closures(change, model.measured(change, marker), angles).ravel() / unit
+    def closures(step: np.ndarray) -> np.ndarray:
+        return model.closures(ways @ step, model.platform(ways @ step, seen), angles).ravel() / unit
 
     def by_step(step: np.ndarray) -> np.ndarray:
-        return derivative(lambda more: closure(step + more), len(step))
+        return (model.closure_slope(ways @ step, seen, angles) @ ways).reshape(-1, len(step)) / unit
 
-    step = _minimum(closure, by_step, np.zeros(ways.shape[1]), _NEARBY)
-    left = closure(step)
-    return Start(model, measurements, told, untold, step, math.sqrt(float(left @ left) / (left.size - step.size)))
+    step = scipy.optimize.least_squares(closures, np.zeros(count), by_step, max_nfev=_NEARBY, **_SEARCH).x
+    left, off = closures(step), np.abs(told @ step)[:OF_ROBOT]
+    misfit = math.sqrt(float(left @ left) / (left.size - step.size))
+    return _Start(model, measurements, told, untold, step, ways @ step, misfit, int(off.argmax()), float(off.max()))
 
 
-def fitted(start: Start, noise: MeasurementNoise, known: Collection[FrameName], held: Collection[Name]) -> Calibration:
+def _fitted(
+    start: _Start, noise: MeasurementNoise, known: Collection[FrameName], held: Collection[Name]
+) -> Calibration:
     """The second of the two least-squares problems: the smallest errors of the tracker."""
     model, measurements, guess = start.model, start.measurements, start.model.guess
-    marker, angles, size = measurements.marker, measurements.angles, scales(guess)
+    seen, angles, size, nothing = measurements.marker, measurements.angles, scales(guess), np.zeros(SIZE)
     ways = size[:, None] * start.told
 
-    def predicted(step: np.ndarray) -> Frame:
-        at, off = model.predicted(ways @ step, angles, model.measured(ways @ step, marker))
+    def predicted(step: np.ndarray) -> np.ndarray:
+        at, off = model.predicted(ways @ step, angles, model.platform(ways @ step, seen))
         if (off > CLOSED).any():
             key = f"{measurements.source}: row {int(off.argmax()) + 1}, crank_angle"
             got = f"readings at which no calibrated legs close: a rod is off by {off.max():.3g} m"
@@ -132,28 +183,29 @@ def fitted(start: Start, noise: MeasurementNoise, known: Collection[FrameName], 
         return at
 
     def error(step: np.ndarray) -> np.ndarray:
-        found = model.tracker_error(ways @ step, predicted(step), marker)
-        return np.einsum("nij,nj->ni", white, found).ravel()
+        return np.einsum("nij,nj->ni", white, model.tracker_error(ways @ step, predicted(step), seen)).ravel()
 
-    def slope(step: np.ndarray) -> np.ndarray:
-        found = model.tracker_slope(ways @ step, predicted(step), angles, marker)
-        return (white @ found @ ways).reshape(-1, ways.shape[1])
+    def by_step(step: np.ndarray) -> np.ndarray:
+        slope = model.tracker_slope(ways @ step, predicted(step), angles, seen)
+        return (white @ slope @ ways).reshape(-1, ways.shape[1])
 
     white = model.whitening(ways @ start.step, predicted(start.step), angles, noise)
-    step = _minimum(error, slope, start.step, _EXACT)
-    left, by_step, change = error(step), slope(step), ways @ step
+    step = scipy.optimize.least_squares(error, start.step, by_step, max_nfev=_EXACT, **_SEARCH).x
+    left, change = error(step), ways @ step
     freedom = left.size - step.size
     ratio = math.sqrt(float(left @ left) / freedom)
     # Scaled by what the residuals say of the noise, so that noise which is larger than stated widens the intervals.
-    deviation = size * np.linalg.norm(start.told @ np.linalg.inv(np.linalg.qr(by_step, mode="r")), axis=1) * ratio
+    root = np.linalg.inv(np.linalg.qr(by_step(step), mode="r"))
+    deviation = size * np.linalg.norm(start.told @ root, axis=1) * ratio
     half_width = deviation * float(stdtrit(freedom, 0.5 + 0.5 * _CONFIDENCE))
     half_width[np.linalg.norm(start.untold, axis=1) > _SHARE] = np.inf
-    base, placed = model.frames(change)
+    believed, off = model.predicted(nothing, angles, model.platform(nothing, seen))
+    before = np.where((off <= CLOSED)[:, None], model.tracker_error(nothing, believed, seen), np.nan)
+    base, marker = model.frames(change)
     return Calibration(
         robot=as_robot(guess, change),
         guess=guess,
         measurements=measurements,
-        noise=noise,
         known_frames=tuple(name for name in FRAMES if name in known),
         hold=tuple(name for name in NAMES if name in held),
         change=change,
@@ -161,9 +213,9 @@ def fitted(start: Start, noise: MeasurementNoise, known: Collection[FrameName], 
         told=start.told.shape[1],
         untold=tuple(in_words(start.untold, size)),
         base=base,
-        marker=placed,
-        before=_guess_error(model, measurements),
-        after=model.tracker_error(change, predicted(step), marker),
+        marker=marker,
+        before=before,
+        after=model.tracker_error(change, predicted(step), seen),
         noise_ratio=ratio,
     )
 
@@ -171,24 +223,25 @@ def fitted(start: Start, noise: MeasurementNoise, known: Collection[FrameName], 
 def located(guess: RobotParameters, measurements: Measurements, known: Collection[FrameName]) -> Model:
     """The guess with the frames at which its own poses at the readings come nearest to the measured ones."""
     believed, good = Model(guess).assembled(measurements.angles)
-    seen = measurements.marker.rows(good)
-    if len(seen.shift) < LEAST:
-        got = f"readings of which {len(seen.shift)} of {len(measurements)} can be those of this robot"
+    seen = measurements.marker[good]
+    if len(seen) < _LEAST:
+        got = f"readings of which {len(seen)} of {len(measurements)} can be those of this robot"
         allowed = "readings in rad (or _deg), in the order of the legs, near to crank angles of the guess"
         raise ConfigurationError(f"{measurements.source}: crank_angle", got, allowed)
     free = [OF_ROBOT + 6 * FRAMES.index(frame) + axis for frame in FRAMES if frame not in known for axis in range(6)]
     if not free:
         return Model(guess)
     base, marker, length = STILL, STILL, guess.characteristic_length
+    size = np.array([length] * 3 + [1.0] * 3)
     if "base" not in known:
         # Turns from pose to pose are turned by the base alone; shifts nearly so, and tell it where no pose is turned.
-        there, here = (np.concatenate([length * turns, shifts]) for turns, shifts in (seen.steps(), believed.steps()))
-        turn = _rotation(np.einsum("ni,nj->ij", there, here))
-        base = Frame(turn, (seen.shift - believed.shift @ turn.T).mean(axis=0))
+        there, here = (np.concatenate(np.hsplit(size * _steps(each), 2)) for each in (seen, believed))
+        turn = _rotation(there.T @ here)
+        base = transform(turn, (seen[:, :3, 3] - believed[:, :3, 3] @ turn.T).mean(axis=0))
     if "platform" not in known:
-        turns = np.swapaxes(believed.turn, -1, -2) @ base.turn.T @ seen.turn
-        marker = Frame(_rotation(turns.sum(axis=0)), np.zeros(3))
-    model, size = Model(guess, base, marker), np.array([length] * 3 + [1.0] * 3)
+        turns = np.swapaxes(believed[:, :3, :3], -1, -2) @ base[:3, :3].T @ seen[:, :3, :3]
+        marker = transform(_rotation(turns.sum(axis=0)), np.zeros(3))
+    model = Model(guess, base, marker)
 
     def change(step: np.ndarray) -> np.ndarray:
         made = np.zeros(SIZE)
@@ -207,28 +260,93 @@ def _rotation(matrix: np.ndarray) -> np.ndarray:
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
 
 
-def _guess_error(model: Model, measurements: Measurements) -> np.ndarray:
-    """Measured minus believed poses of the marker (n, 6) [rad, m]; NaN where the guess cannot be assembled."""
-    nothing = np.zeros(SIZE)
-    at, off = model.predicted(nothing, measurements.angles, model.measured(nothing, measurements.marker))
-    return np.where((off <= CLOSED)[:, None], model.tracker_error(nothing, at, measurements.marker), np.nan)
+def _steps(frame: np.ndarray) -> np.ndarray:
+    """Turns and shifts (n, 6) [rad, m] to each of n transforms from the one before it, in a ring."""
+    return difference(frame, np.roll(frame, 1, axis=0))
 
 
-def _told_and_untold(derivative: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal directions (k, told) and (k, rest) of k parameters, from derivatives (m, k) of whitened errors."""
-    _, sigma, directions = np.linalg.svd(derivative, full_matrices=True)
-    told = np.zeros(len(directions), dtype=bool)
-    told[: len(sigma)] = sigma * LARGEST >= 1.0
-    return directions[told].T, directions[~told].T
+def _explained(fit: Callable[[Measurements], _Start], guess: RobotParameters, measurements: Measurements) -> _Start:
+    """The fit of measurements; refuses them if others, that are right if something is wrong, fit much better."""
+    start, reason, best = None, None, np.inf
+    try:
+        start = fit(measurements)
+        best = max(start.misfit / _BETTER, _MISFIT if start.score == np.inf else 0.0)
+    except ConfigurationError as error:
+        reason = error
+    if start is None or start.score > _MISFIT:
+        for table, *why in _others(guess, measurements, start):
+            try:
+                score = fit(Measurements(table[:, :6], table[:, 6:], measurements.source)).score
+            except ConfigurationError:
+                continue
+            if score < best:
+                best, reason = score, ConfigurationError(*why)
+                if score <= _MISFIT:
+                    break
+    if start is None or reason is not None:
+        assert reason is not None
+        raise reason
+    if start.score == np.inf:
+        own, off = OF_LEG[start.furthest % PER_LEG], abs(start.change[start.furthest])
+        got = f"poses that tell a {own} of leg {start.furthest // PER_LEG} {off:.3g} {own.unit} off the guess"
+        allowed = "readings of this robot; is it another one, or are two encoders swapped?"
+        raise ConfigurationError(measurements.source, got, allowed)
+    _check_branches(start)
+    return start
 
 
-def _minimum(
-    error: Callable[[np.ndarray], np.ndarray],
-    slope: Callable[[np.ndarray], np.ndarray],
-    start: np.ndarray,
-    most: int,
-) -> np.ndarray:
-    """Where the sum of the squares is smallest, in so many calls at most."""
-    tolerances = {"xtol": _FITTED, "ftol": _FITTED, "gtol": None}
-    found = scipy.optimize.least_squares(error, start, slope, x_scale=_TRUST, max_nfev=most, **tolerances)
-    return np.asarray(found.x)
+def _others(
+    guess: RobotParameters, measurements: Measurements, start: _Start | None
+) -> Iterator[tuple[np.ndarray, str, str, str]]:
+    """Poses and readings (n, 12) that would be right if something were wrong, and what to say of it.
+
+    Suspect are units, some rows, and the signs of encoders.
+    """
+    source, table = measurements.source, measurements.table
+    for key, columns, factor, what in _UNITS:
+        scaled = table.copy()
+        scaled[:, columns] *= factor
+        got = f"numbers that fit if they are multiplied by {factor:.4g}"
+        yield scaled, f"{source}: {key}", got, f"the unit that the column's name says; perhaps {what}?"
+    strays = _stray_rows(guess, measurements)
+    suspects = [strays] if 0 < len(strays) <= _FEW * len(measurements) else []
+    if start is not None:
+        at = start.model.platform(start.change, measurements.marker)
+        off = np.abs(start.model.closures(start.change, at, measurements.angles)).max(axis=-1)
+        suspects += [[row] for row in np.argsort(-off)[:_ROWS].tolist()]
+    for rows in suspects:
+        got, allowed = "a pose that does not fit the others, which fit without it", "pose and readings at rest"
+        yield np.delete(table, rows, axis=0), f"{source}: row {rows[0] + 1}", got, allowed
+    for leg in range(LEGS):
+        inverted = table * np.where(np.arange(12) == 6 + leg, -1.0, 1.0)
+        key, got = f"{source}: crank_angle_{leg}", "readings that fit with the other sign"
+        yield inverted, key, got, "angles that grow as the guess's crank angle does"
+
+
+def _stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]:
+    """Rows that are turned or shifted from their neighbours as the guess is not, or where it is none; the worst first.
+
+    How far one pose is turned from another does not depend on any frame, and their distance hardly does.
+    """
+    believed, good = Model(guess).assembled(measurements.angles)
+    far = np.where(good, 0.0, np.inf)
+    if good.any():
+        turns_and_shifts = (_steps(each).reshape(-1, 2, 3) for each in (measurements.marker[good], believed))
+        seen, steps = (np.linalg.norm(each, axis=-1) for each in turns_and_shifts)
+        off = np.abs(seen - steps)
+        most = (off / (np.median(off, axis=0) + 1e-12)).max(axis=-1)
+        far[good] = np.minimum(most, np.roll(most, -1))
+    return [row for row in np.argsort(-far, kind="stable").tolist() if far[row] > _APART]
+
+
+def _check_branches(start: _Start) -> None:
+    """Refuses a leg that stands on the other branch than the guess's in each row."""
+    model, angles, source = start.model, start.measurements.angles, start.measurements.source
+    at = model.platform(start.change, start.measurements.marker)
+    by_angle = derivative(lambda step: model.closures(start.change, at, angles + step[0]), 1)
+    # By a leg's own angle its closure grows on the branch +1: the rod then pulls against the crank's motion.
+    wrong = (np.sign(by_angle[..., 0]) == -model.guess.branches).all(axis=0)
+    if wrong.any():
+        leg = int(wrong.argmax())
+        branch = int(model.guess.branches[leg])
+        raise ConfigurationError(f"robot.legs.{leg}.branch", branch, f"{-branch}: there the readings of {source} stand")

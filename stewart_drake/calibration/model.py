@@ -1,106 +1,279 @@
-"""What tracker and encoders would say of a robot, and the derivatives of that by every parameter.
+"""What tracker and encoders would say of a robot, and the derivatives of that by everything a calibration can change.
+
+That is eleven numbers of each leg and twelve of the tracker's two frames, as one vector. Whoever moves B, and all
+shafts with it, has the same robot. So where a frame of the tracker is not known, six of its numbers and six of the
+robot's say the same, and a convention chooses: B is where the shafts lie nearest to those of the guess, in the sense of
+least squares, and P where the platform's joints do. Both conditions are linear in the change of the positions (of
+Kabsch's problem they are the optimum).
 
 Two kinds of error. The closure of leg i, |R p_i + G - s_i - a_i u_i| - l_i, needs measured pose and reading and has a
 value whatever the guess; the noise of both is in it. The tracker's error, measured pose minus the pose that forward
 kinematics makes of the readings, is plain noise where the parameters are right: its derivatives do not depend on the
 measured pose, so that noise does not bias the estimate. The first leads to the neighbourhood, the second to the answer.
+
+Frames are homogeneous transforms (..., 4, 4).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from stewart_drake.calibration.frames import STILL, Frame, derivative
-from stewart_drake.calibration.parameters import HOMING, OF_ROBOT, PER_LEG, SIZE, changed
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import newton, roll_pitch_yaw, rotation_matrix
 from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
 
 if TYPE_CHECKING:
-    from stewart_drake.calibration.measurements import MeasurementNoise
+    from stewart_drake.calibration.poses import MeasurementNoise
 
-_NEWTON_STEPS = 40
+FrameName = Literal["base", "platform"]
+FRAMES: tuple[FrameName, ...] = get_args(FrameName)
+"""Of the tracker: in it the base B stands still, on the platform P it has a marker."""
+Name = Literal["shaft_position", "platform_joint", "crank_length", "rod_length", "motor_axis", "homing_offset"]
+NAMES: tuple[Name, ...] = get_args(Name)
+
+
+class Parameter(NamedTuple):
+    """One number of a leg: one of `NAMES`, which of its components (or none), and its unit."""
+
+    name: Name
+    axis: str
+    unit: Literal["m", "rad"]
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.axis}".strip()
+
+
+OF_LEG = (
+    *(Parameter("shaft_position", axis, "m") for axis in "xyz"),
+    *(Parameter("platform_joint", axis, "m") for axis in "xyz"),
+    Parameter("crank_length", "", "m"),
+    Parameter("rod_length", "", "m"),
+    Parameter("motor_axis", "about zero", "rad"),
+    Parameter("motor_axis", "about quarter", "rad"),
+    Parameter("homing_offset", "", "rad"),
+)
+"""Of one leg: positions in B and P; the motor's axis as a turn of the guess about its crank's directions; the homing
+offset is reading minus true angle, counted from the guess's `crank_zero_direction` as that turn leaves it."""
+IN_THOUSANDTHS = tuple(f"{own} [m{own.unit}]".replace("_", " ") for own in OF_LEG)
+PER_LEG, OF_ROBOT = len(OF_LEG), len(OF_LEG) * LEGS
+SIZE = OF_ROBOT + 12
+"""Numbers in all: those of legs 0 to 5, then turn and shift of the tracker's frame, then those of the marker's."""
+SHAFT, JOINT, CRANK, ROD, HOMING = slice(0, 3), slice(3, 6), 6, 7, 10
+LARGEST = 0.1
+"""[-] standard deviation of a direction, in `scales`, beyond which it counts as not told: a tenth of the robot's size
+is more than anybody's guess is off."""
 CLOSED = 1e-12
 """[m] rod-length error at which a pose counts as that of the readings."""
+STILL = np.eye(4)
+_NEWTON_STEPS = 40
+_STEP, _TINY = 1e-20, 1e-30
+
+
+def exponential(turn: np.ndarray) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad], of complex ones too."""
+    angle = np.sqrt(np.sum(turn * turn, axis=-1) + _TINY)[..., None, None]
+    x, y, z = np.moveaxis(turn, -1, 0)
+    o = np.zeros_like(x)
+    cross = np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*turn.shape, 3)
+    return np.eye(3) + np.sin(angle) / angle * cross + 2.0 * (np.sin(0.5 * angle) / angle) ** 2 * (cross @ cross)
+
+
+def logarithm(rotation: np.ndarray) -> np.ndarray:
+    """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), by less than half a turn."""
+    across = np.stack([rotation[..., i, j] - rotation[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
+    square = 0.25 * (3.0 - np.trace(rotation, axis1=-2, axis2=-1))
+    square = np.where(square.real < _TINY, _TINY, np.where(square.real > 1.0 - 1e-12, 1.0 - 1e-12, square))
+    sine = np.sqrt(square)  # Of half the angle.
+    return 0.5 * across * (np.arcsin(sine) / (sine * np.sqrt(1.0 - square)))[..., None]
+
+
+def transform(rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Frames (..., 4, 4) of rotations (..., 3, 3) and shifts (..., 3) [m]."""
+    frame = np.zeros((*shift.shape[:-1], 4, 4), dtype=np.result_type(rotation, shift))
+    frame[..., :3, :3], frame[..., :3, 3], frame[..., 3, 3] = rotation, shift, 1.0
+    return frame
+
+
+def transform_of(pose: np.ndarray) -> np.ndarray:
+    """Frames (..., 4, 4) of poses (..., 6) [rad, m]."""
+    return transform(rotation_matrix(pose[..., :3]), pose[..., 3:])
+
+
+def pose_of(frame: np.ndarray) -> np.ndarray:
+    """Poses (..., 6) [rad, m] of frames (..., 4, 4)."""
+    return np.concatenate([roll_pitch_yaw(frame[..., :3, :3]), frame[..., :3, 3]], axis=-1)
+
+
+def moved(frame: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """A frame, and then a turn about where it leads and a shift, `step` (6,) [rad, m]."""
+    return transform(exponential(step[:3]) @ frame[..., :3, :3], frame[..., :3, 3] + step[3:])
+
+
+def difference(frame: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Turn and shift (..., 6) [rad, m] from another frame to this one: undoes `moved`."""
+    turn = logarithm(frame[..., :3, :3] @ np.swapaxes(other[..., :3, :3], -1, -2))
+    return np.concatenate([turn, frame[..., :3, 3] - other[..., :3, 3]], axis=-1)
+
+
+def derivative(function: Callable[[np.ndarray], np.ndarray], size: int) -> np.ndarray:
+    """Derivatives (..., size) at zero of a function (...) of `size` numbers, by imaginary steps: exact to rounding."""
+    return np.stack([function(1j * _STEP * row).imag for row in np.eye(size)], axis=-1) / _STEP
+
+
+def changed(guess: RobotParameters, change: np.ndarray) -> dict[str, np.ndarray]:
+    """The guess's legs after a change (`SIZE`,) [m, rad], as in a `ROBOT` record; they count angles as the encoders."""
+    own = change[:OF_ROBOT].reshape(LEGS, PER_LEG)
+    zero, quarter = guess.crank_zero_directions, guess.crank_quarter_directions
+    rotation = exponential(own[:, 8:9] * zero + own[:, 9:10] * quarter)
+    zero, quarter = (np.einsum("lij,lj->li", rotation, each) for each in (zero, quarter))
+    c, s = np.cos(own[:, HOMING, None]), np.sin(own[:, HOMING, None])
+    return {
+        "shaft": guess.shaft_positions + own[:, SHAFT],
+        "joint": guess.platform_joints + own[:, JOINT],
+        "crank_length": guess.crank_lengths + own[:, CRANK],
+        "rod_length": guess.rod_lengths + own[:, ROD],
+        "crank_x": c * zero - s * quarter,
+        "crank_y": s * zero + c * quarter,
+    }
+
+
+def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
+    """The robot after a change, whose crank angles are the encoders' readings: it takes up the homing offsets."""
+    own = changed(guess, change)
+    ranges = guess.crank_angle_ranges + change[HOMING:OF_ROBOT:PER_LEG, None]
+    keys = ["shaft_position", "platform_joint", "crank_length", "rod_length"]
+    keys += ["crank_zero_direction", "crank_quarter_direction"]
+    legs: list[dict[str, Any]] = []
+    for leg in range(LEGS):
+        stops = ranges[leg] if np.isfinite(ranges[leg]).all() else None
+        values = (each[leg] for each in own.values())
+        kept = {"branch": int(guess.branches[leg]), "crank_angle_range": stops}
+        legs.append(dict(zip(keys, values, strict=True)) | kept)
+    return guess.replace(legs=legs)
+
+
+def scales(guess: RobotParameters) -> np.ndarray:
+    """Change (`SIZE`,) [m, rad] of each parameter that counts as 1: a radian, or the robot's characteristic length."""
+    length = guess.characteristic_length
+    return np.array([length if each.unit == "m" else 1.0 for each in OF_LEG] * LEGS + ([1.0] * 3 + [length] * 3) * 2)
+
+
+def free_directions(guess: RobotParameters, known: Collection[FrameName], held: Collection[Name]) -> np.ndarray:
+    """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change."""
+    from scipy.linalg import null_space
+
+    if set(NAMES) <= set(held):
+        raise ConfigurationError("hold", sorted(held), f"some of {', '.join(NAMES)}, not all")
+    rows = [row for at, row in enumerate(np.eye(SIZE)[:OF_ROBOT]) if OF_LEG[at % PER_LEG].name in held]
+    for frame, name, place, points in (
+        ("base", "shaft_position", SHAFT, guess.shaft_positions),
+        ("platform", "platform_joint", JOINT, guess.platform_joints),
+    ):
+        if frame in known:
+            start = OF_ROBOT + 6 * FRAMES.index(frame)
+            rows += list(np.eye(SIZE)[start : start + 6])
+        elif name not in held:  # Held positions are a frame themselves.
+            for axis in np.eye(3):
+                for shift in (np.tile(axis, (LEGS, 1)), np.cross(axis, points - points.mean(axis=0))):
+                    rows.append(np.zeros(SIZE))
+                    rows[-1][:OF_ROBOT].reshape(LEGS, PER_LEG)[:, place] = shift / np.linalg.norm(shift)
+    return null_space(np.array(rows)) if rows else np.eye(SIZE)
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
     """A guess and where the tracker stands: `base` is B in the tracker's frame, `marker` the marker in P.
 
-    Changes (`SIZE`,) are counted from them; `at` are n poses of P in B, `angles` (n, 6) [rad] the readings there.
+    Changes (`SIZE`,) are counted from them. `at` (n, 4, 4) are poses of P in B, `seen` of the marker in the tracker's
+    frame, `angles` (n, 6) [rad] the readings there.
     """
 
     guess: RobotParameters
-    base: Frame = STILL
-    marker: Frame = STILL
+    base: np.ndarray = field(default_factory=lambda: STILL)
+    marker: np.ndarray = field(default_factory=lambda: STILL)
 
-    def frames(self, change: np.ndarray) -> tuple[Frame, Frame]:
+    def frames(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Base and marker after a change."""
-        base, marker = change[OF_ROBOT : OF_ROBOT + 6], change[OF_ROBOT + 6 :]
-        return self.base.moved(base[:3], base[3:]), self.marker.moved(marker[:3], marker[3:])
+        return moved(self.base, change[OF_ROBOT : OF_ROBOT + 6]), moved(self.marker, change[OF_ROBOT + 6 :])
 
     def with_frames(self, change: np.ndarray) -> Model:
         """The same guess with the frames of a change."""
         base, marker = self.frames(change)
         return replace(self, base=base, marker=marker)
 
-    def seen(self, change: np.ndarray, at: Frame) -> Frame:
-        """Poses of the marker in the tracker's frame."""
+    def platform(self, change: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """Poses of P in B from those of the marker."""
         base, marker = self.frames(change)
-        return base.after(at).after(marker)
+        return np.linalg.inv(base) @ seen @ np.linalg.inv(marker)
 
-    def measured(self, change: np.ndarray, seen: Frame) -> Frame:
-        """Poses of P in B from those of the marker: undoes `seen`."""
-        base, marker = self.frames(change)
-        return base.inverse().after(seen).after(marker.inverse())
-
-    def predicted(self, change: np.ndarray, angles: np.ndarray, start: Frame) -> tuple[Frame, np.ndarray]:
+    def predicted(self, change: np.ndarray, angles: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Poses of P in B that forward kinematics makes of readings, from poses near to them; errors (n,) [m] left."""
         robot = robot_record(self.guess).copy()
-        for name, values in changed(self.guess, change)._asdict().items():
+        for name, values in changed(self.guess, change).items():
             robot[name] = values
-        pose = np.concatenate([roll_pitch_yaw(start.turn), start.shift], axis=-1)
-        pose, off, _ = newton(robot, angles, pose, CLOSED, _NEWTON_STEPS)
-        pose, off = np.nan_to_num(pose, posinf=0.0, neginf=0.0), np.nan_to_num(off, nan=np.inf)
-        return Frame(rotation_matrix(pose[:, :3]), pose[:, 3:]), off
+        pose, off, _ = newton(robot, angles, pose_of(start), CLOSED, _NEWTON_STEPS)
+        return transform_of(np.nan_to_num(pose, posinf=0.0, neginf=0.0)), np.nan_to_num(off, nan=np.inf)
 
-    def assembled(self, angles: np.ndarray) -> tuple[Frame, np.ndarray]:
+    def assembled(self, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Poses of P in B at those of n readings at which the guess can be assembled, and which these are (n,)."""
-        home = Frame(np.tile(np.eye(3), (len(angles), 1, 1)), np.tile(self.guess.home_pose[3:], (len(angles), 1)))
+        home = np.tile(transform(np.eye(3), self.guess.home_pose[3:]), (len(angles), 1, 1))
         at, off = self.predicted(np.zeros(SIZE), angles, home)
-        return at.rows(off <= CLOSED), off <= CLOSED
+        return at[off <= CLOSED], off <= CLOSED
 
-    def closures(self, change: np.ndarray, at: Frame, angles: np.ndarray) -> np.ndarray:
+    def closures(self, change: np.ndarray, at: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Errors (n, 6) [m] of the rods' lengths."""
         own = changed(self.guess, change)
-        crank = np.cos(angles)[..., None] * own.crank_x + np.sin(angles)[..., None] * own.crank_y
-        rod = np.einsum("nij,lj->nli", at.turn, own.joint) + at.shift[:, None] - own.shaft
-        rod = rod - own.crank_length[:, None] * crank
-        return np.sqrt(np.sum(rod * rod, axis=-1)) - own.rod_length
+        crank = np.cos(angles)[..., None] * own["crank_x"] + np.sin(angles)[..., None] * own["crank_y"]
+        rod = np.einsum("nij,lj->nli", at[:, :3, :3], own["joint"]) + at[:, None, :3, 3] - own["shaft"]
+        rod = rod - own["crank_length"][:, None] * crank
+        return np.sqrt(np.sum(rod * rod, axis=-1)) - own["rod_length"]
 
-    def tracker_error(self, change: np.ndarray, at: Frame, seen: Frame) -> np.ndarray:
+    def tracker_error(self, change: np.ndarray, at: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """Measured minus predicted poses of the marker (n, 6) [rad, m]."""
-        return seen.minus(self.seen(change, at))
+        base, marker = self.frames(change)
+        return difference(seen, base @ at @ marker)
 
-    def tracker_slope(self, change: np.ndarray, at: Frame, angles: np.ndarray, seen: Frame | None = None) -> np.ndarray:
+    def closure_slope(self, change: np.ndarray, seen: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        """Derivatives (n, 6, `SIZE`) of the closures at measured poses."""
+        of_legs = self._leg_slope(change, self.platform(change, seen), angles)
+        of_frames = derivative(lambda s: self.closures(change, self.platform(change + _frames(s), seen), angles), 12)
+        return np.concatenate([of_legs, of_frames], axis=-1)
+
+    def tracker_slope(
+        self, change: np.ndarray, at: np.ndarray, angles: np.ndarray, seen: np.ndarray | None = None
+    ) -> np.ndarray:
         """Derivatives (n, 6, `SIZE`) of the tracker's error at predicted poses; None: where it errs by nothing."""
-        marker = self.seen(change, at) if seen is None else seen
-
-        def both(change: np.ndarray, at: Frame) -> np.ndarray:
-            return np.concatenate([self.tracker_error(change, at, marker), self.closures(change, at, angles)], axis=-1)
-
-        by_change = derivative(lambda step: both(change + step, at), SIZE)
-        by_pose = derivative(lambda step: both(change, at.moved(step[:3], step[3:])), 6)
+        if seen is None:
+            base, marker = self.frames(change)
+            seen = base @ at @ marker
+        of_frames = derivative(lambda step: self.tracker_error(change + _frames(step), at, seen), 12)
+        error_by_pose = derivative(lambda step: self.tracker_error(change, moved(at, step), seen), 6)
+        closure_by_pose = derivative(lambda step: self.closures(change, moved(at, step), angles), 6)
         # The pose moves so that all legs stay closed.
-        return by_change[:, :6] - by_pose[:, :6] @ np.linalg.solve(by_pose[:, 6:], by_change[:, 6:])
+        of_legs = -error_by_pose @ np.linalg.solve(closure_by_pose, self._leg_slope(change, at, angles))
+        return np.concatenate([of_legs, of_frames], axis=-1)
 
-    def whitening(self, change: np.ndarray, at: Frame, angles: np.ndarray, noise: MeasurementNoise) -> np.ndarray:
+    def _leg_slope(self, change: np.ndarray, at: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        """Derivatives (n, 6, `OF_ROBOT`) of the closures, of each leg by its own numbers."""
+        every = np.concatenate([np.tile(np.eye(PER_LEG), (LEGS, 1)), np.zeros((12, PER_LEG))])
+        made = np.zeros((len(angles), LEGS, LEGS, PER_LEG))
+        own = derivative(lambda step: self.closures(change + every @ step, at, angles), PER_LEG)
+        made[:, range(LEGS), range(LEGS)] = own
+        return made.reshape(len(angles), LEGS, OF_ROBOT)
+
+    def whitening(self, change: np.ndarray, at: np.ndarray, angles: np.ndarray, noise: MeasurementNoise) -> np.ndarray:
         """Inverse roots (n, 6, 6) of the covariance of the tracker's error, the encoders' share included."""
         by_reading = self.tracker_slope(change, at, angles)[..., HOMING:OF_ROBOT:PER_LEG]
         own = np.diag([noise.rotation**2] * 3 + [noise.position**2] * 3)
         covariance = own + noise.encoder**2 * by_reading @ np.swapaxes(by_reading, -1, -2)
         return np.linalg.inv(np.linalg.cholesky(covariance))
+
+
+def _frames(step: np.ndarray) -> np.ndarray:
+    return np.concatenate([np.zeros(OF_ROBOT), step])

@@ -2,49 +2,52 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.linalg
 
-from stewart_drake.calibration.frames import Frame
-from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
-from stewart_drake.calibration.parameters import NAMES, OF_LEG, OF_ROBOT, PER_LEG, FrameName, Name
-from stewart_drake.files.tables import need_pandas, numbers_to_csv
+from stewart_drake.calibration.model import (
+    IN_THOUSANDTHS,
+    NAMES,
+    OF_LEG,
+    OF_ROBOT,
+    PER_LEG,
+    FrameName,
+    Name,
+    pose_of,
+)
+from stewart_drake.calibration.poses import Measurements
+from stewart_drake.files.report import Report
+from stewart_drake.files.tables import numbers_to_csv
 from stewart_drake.files.yaml_files import to_yaml
-from stewart_drake.mechanics.kinematics import roll_pitch_yaw
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
-COLUMNS = ("leg", "parameter", "axis", "unit", "guess", "value", "half_width")
-NOISY = 2.0
+_NOISY = 2.0
 """[-] errors over the stated noise from which on the noise as stated, or the model, is doubtful."""
 _SMALL, _NAMED = 0.05, 6
 """Share of an untold direction below which a parameter is not named in it, and how many are."""
-IN_THOUSANDTHS = tuple(f"{own} [m{own.unit}]".replace("_", " ") for own in OF_LEG)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Calibration:
+class Calibration(Report):
     """A calibrated robot, and how well it is known.
 
     Attributes:
         robot: Its crank angles are the encoders' readings: the homing offsets are in its crank directions.
         guess: What the calibration started from.
         measurements: What it was made of.
-        noise: As stated.
         known_frames: Frames of the tracker that were those of the robot.
         hold: Parameters that kept their value.
-        change: (78,) [m, rad] of the guess's parameters and the tracker's frames, see `parameters`.
+        change: (78,) [m, rad] of the guess's parameters and the tracker's frames, see `model`.
         half_width: (78,) [m, rad] of the 95 % intervals; 0 for what was held or known, infinite for what is not told.
         told: How many independent numbers were estimated.
         untold: What these poses cannot tell, a sentence each.
-        base: Pose of B in the tracker's frame.
-        marker: Pose of the marker in P.
+        base: (4, 4) B in the tracker's frame.
+        marker: (4, 4) the marker in P.
         before: (n, 6) [rad, m] measured minus believed poses of the marker, the tracker's frames being fitted to the
             guess; NaN where the guess cannot be assembled.
         after: (n, 6) [rad, m] measured minus calibrated poses of the marker.
@@ -54,18 +57,29 @@ class Calibration:
     robot: RobotParameters
     guess: RobotParameters
     measurements: Measurements
-    noise: MeasurementNoise
     known_frames: tuple[FrameName, ...]
     hold: tuple[Name, ...]
     change: np.ndarray
     half_width: np.ndarray
     told: int
     untold: tuple[str, ...]
-    base: Frame
-    marker: Frame
+    base: np.ndarray
+    marker: np.ndarray
     before: np.ndarray
     after: np.ndarray
     noise_ratio: float
+
+    columns: ClassVar = ("leg", "parameter", "axis", "unit", "guess", "value", "half_width")
+    about: ClassVar = (
+        "Changes against the guess, with 95 % intervals. The homing offset is reading minus true angle; the robot\n"
+        "has it in its crank directions, so that its crank angles are the readings."
+    )
+    picture: ClassVar = "Errors of the poses and changes of the parameters"
+
+    @property
+    def title(self) -> str:
+        """Of what it is."""
+        return f"Calibration from {self.measurements.source}"
 
     @property
     def homing_offsets(self) -> np.ndarray:
@@ -73,24 +87,13 @@ class Calibration:
         return self.change[:OF_ROBOT].reshape(LEGS, PER_LEG)[:, -1].copy()
 
     def rows(self) -> list[tuple[Any, ...]]:
-        """A row of `COLUMNS` for each parameter of each leg, in SI units; the half width is that of 95 %."""
+        """A row of `columns` for each parameter of each leg, in SI units."""
         guess = self.guess
         lengths = guess.crank_lengths[:, None], guess.rod_lengths[:, None]
         start = np.concatenate([guess.shaft_positions, guess.platform_joints, *lengths, np.zeros((LEGS, 3))], axis=-1)
         columns = start.ravel(), start.ravel() + self.change[:OF_ROBOT], self.half_width[:OF_ROBOT]
         numbers = np.stack(columns, axis=-1).tolist()
         return [(at // PER_LEG, *own, *row) for at, (own, row) in enumerate(zip(OF_LEG * LEGS, numbers, strict=True))]
-
-    def to_pandas(self) -> Any:
-        """`rows` as a pandas.DataFrame.
-
-        Raises:
-            ConfigurationError: pandas is not installed.
-        """
-        need_pandas("rows() gives the same as tuples")
-        import pandas as pd
-
-        return pd.DataFrame(self.rows(), columns=COLUMNS)
 
     def error_sizes(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """RMS over the poses of position [m] and rotation [rad] error, before and after."""
@@ -101,10 +104,57 @@ class Calibration:
 
         return sizes(self.before), sizes(self.after)
 
-    def __repr__(self) -> str:
-        """What was calibrated, how well it fits, and what is not told, in some lines."""
-        lines = [f"  {name}: {text}" for name, text in summary(self)]
-        return "\n".join([f"Calibration of {self.measurements.source}", *lines])
+    def summary(self) -> list[tuple[str, str]]:
+        """What was found, as rows of two texts."""
+        before, after = (_millis(*sizes) for sizes in self.error_sizes())
+        widest = 1e3 * self.half_width[:OF_ROBOT].reshape(LEGS, PER_LEG).max(axis=0)
+        own = {name: [at for at, each in enumerate(OF_LEG) if each.name == name] for name in NAMES}
+        widths = ", ".join(f"{name} {widest[at].max():.2g} m{OF_LEG[at[0]].unit}" for name, at in own.items())
+        ratio = f"{self.noise_ratio:.3g} times the stated noise"
+        if self.noise_ratio > _NOISY:
+            ratio += ": the noise is larger than stated, or legs have play or bend; the intervals are widened by it"
+        rows = [
+            ("poses, numbers told", f"{len(self.measurements)}, {self.told}"),
+            ("pose error before (RMS)", before),
+            ("pose error after (RMS)", after),
+            ("errors that are left", ratio),
+            ("widest 95 % intervals, ±", widths),
+        ]
+        for frame, name, where, points in (
+            ("base", "shaft_position", "where B is", "the shafts"),
+            ("platform", "platform_joint", "where P is", "the platform's joints"),
+        ):
+            if frame not in self.known_frames and name not in self.hold:
+                line = f"{where} (6 numbers): it was put where {points} lie nearest to the guess's"
+                rows.append(("cannot be told by any poses", line))
+        return [*rows, *(("not told by these poses", line) for line in self.untold), *self._frames()]
+
+    def _frames(self) -> Iterator[tuple[str, str]]:
+        offsets = ", ".join(f"{1e3 * offset:.3f}" for offset in self.homing_offsets)
+        yield "homing offsets in the crank angles, which are the encoders' readings [mrad]", offsets
+        for name, frame in (("B in the tracker's frame", self.base), ("marker in P", self.marker)):
+            yield f"{name}, roll pitch yaw [rad] X Y Z [m]", " ".join(f"{x:.7g}" for x in pose_of(frame))
+
+    def table(self) -> tuple[list[str], list[list[str]]]:
+        """Header and rows: each leg's changes against the guess with their 95 % intervals, in mm and mrad."""
+        changes, widths = (1e3 * each[:OF_ROBOT].reshape(LEGS, -1).T for each in (self.change, self.half_width))
+        cells = [[_cell(*pair) for pair in zip(*row, strict=True)] for row in zip(changes, widths, strict=True)]
+        return ["", *(f"leg {leg}" for leg in range(LEGS))], [
+            [name, *row] for name, row in zip(IN_THOUSANDTHS, cells, strict=True)
+        ]
+
+    def robot_file(self) -> str:
+        """The calibrated robot as a file that goes for `robot:` in a scenario."""
+        about = f"calibrated from {len(self.measurements)} measured poses: pose error {self.summary()[2][1]} (RMS)"
+        comments = "".join(f"# {name}: {text}\n" for name, text in self._frames())
+        return f"{comments}{to_yaml({'about': about, **self.robot.to_dict()})}"
+
+    def residuals_csv(self) -> str:
+        """Errors of each pose before and after as CSV, [rad, m]."""
+        parts = [*((f"turn_{axis}", "rad") for axis in "xyz"), *((axis, "m") for axis in "xyz")]
+        names = [(f"{when}_{name}", unit) for when in ("before", "after") for name, unit in parts]
+        numbers = np.arange(len(self.after))[:, None] + 1.0
+        return numbers_to_csv([("row", ""), *names], np.concatenate([numbers, self.before, self.after], axis=-1))
 
 
 def in_words(directions: np.ndarray, scales: np.ndarray) -> list[str]:
@@ -121,99 +171,20 @@ def in_words(directions: np.ndarray, scales: np.ndarray) -> list[str]:
     for row, first in zip(shares, own, strict=True):
         others = [at for at in np.argsort(-np.abs(row), kind="stable") if at != first and abs(row[at]) > _SMALL]
         amounts = row * scales / scales[first]
-        with_it = ", ".join(f"{_name_of(at)} by {amounts[at]:+.2g} m{_unit_of(at)}" for at in others[:_NAMED])
+        (name, unit), names = _named(first), [(at, *_named(at)) for at in others[:_NAMED]]
+        with_it = ", ".join(f"{other} by {amounts[at]:+.2g} m{its}" for at, other, its in names)
         more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
-        what = f": with each m{_unit_of(first)} more of it {with_it}{more}" if others else " on its own"
-        sentences.append(f"{_name_of(first)}{what}")
+        sentences.append(name + (f": with each m{unit} more of it {with_it}{more}" if others else " on its own"))
     return sorted(sentences)
 
 
-def _unit_of(at: int) -> str:
-    return OF_LEG[at % PER_LEG].unit if at < OF_ROBOT else ("rad", "m")[(at - OF_ROBOT) % 6 // 3]
-
-
-def _name_of(at: int) -> str:
+def _named(at: int) -> tuple[str, str]:
+    """Name and unit of one of the parameters."""
     if at < OF_ROBOT:
-        return f"leg {at // PER_LEG} {OF_LEG[at % PER_LEG]}"
+        return f"leg {at // PER_LEG} {OF_LEG[at % PER_LEG]}", OF_LEG[at % PER_LEG].unit
     frame, axis = divmod(at - OF_ROBOT, 6)
-    return f"the {('tracker', 'marker')[frame]}'s frame {('turn', 'shift')[axis // 3]} {'xyz'[axis % 3]}"
-
-
-def robot_file(found: Calibration) -> str:
-    """The calibrated robot as a file that goes for `robot:` in a scenario."""
-    error = _millis(*found.error_sizes()[1])
-    about = f"calibrated from {len(found.measurements)} measured poses: pose error {error} (RMS)"
-    comments = "".join(f"# {line}\n" for line in _frame_lines(found))
-    return f"{comments}{to_yaml({'about': about, **found.robot.to_dict()})}"
-
-
-def parameter_table(found: Calibration) -> str:
-    """`Calibration.rows` as CSV."""
-    stream = io.StringIO()
-    csv.writer(stream, lineterminator="\n").writerows([COLUMNS, *found.rows()])
-    return stream.getvalue()
-
-
-def residual_table(found: Calibration) -> str:
-    """Errors of each pose before and after as CSV, [rad, m]."""
-    parts = [*((f"turn_{axis}", "rad") for axis in "xyz"), *((axis, "m") for axis in "xyz")]
-    names = [(f"{when}_{name}", unit) for when in ("before", "after") for name, unit in parts]
-    numbers = np.arange(len(found.after))[:, None] + 1.0
-    return numbers_to_csv([("row", ""), *names], np.concatenate([numbers, found.before, found.after], axis=-1))
-
-
-def summary(found: Calibration) -> list[tuple[str, str]]:
-    """What was found, as rows of two texts."""
-    before, after = (_millis(*sizes) for sizes in found.error_sizes())
-    widest = 1e3 * found.half_width[:OF_ROBOT].reshape(LEGS, PER_LEG).max(axis=0)
-    own = {name: [at for at, each in enumerate(OF_LEG) if each.name == name] for name in NAMES}
-    widths = ", ".join(f"{name} {widest[at].max():.2g} m{OF_LEG[at[0]].unit}" for name, at in own.items())
-    ratio = f"{found.noise_ratio:.3g} times the stated noise"
-    if found.noise_ratio > NOISY:
-        ratio += ": the noise is larger than stated, or legs have play or bend; the intervals are widened by it"
-    rows = [
-        ("poses, numbers told", f"{len(found.measurements)}, {found.told}"),
-        ("pose error before (RMS)", before),
-        ("pose error after (RMS)", after),
-        ("errors that are left", ratio),
-        ("widest 95 % intervals, ±", widths),
-    ]
-    for frame, name, where, points in (
-        ("base", "shaft_position", "where B is", "the shafts"),
-        ("platform", "platform_joint", "where P is", "the platform's joints"),
-    ):
-        if frame not in found.known_frames and name not in found.hold:
-            line = f"{where} (6 numbers): it was put where {points} lie nearest to the guess's"
-            rows.append(("cannot be told by any poses", line))
-    return rows + [("not told by these poses", line) for line in found.untold]
-
-
-def leg_table(found: Calibration) -> tuple[list[str], list[list[str]]]:
-    """Header and rows: each leg's changes against the guess with their 95 % intervals, in mm and mrad."""
-    changes, widths = (1e3 * each[:OF_ROBOT].reshape(LEGS, -1).T for each in (found.change, found.half_width))
-    cells = [[_cell(*pair) for pair in zip(*row, strict=True)] for row in zip(changes, widths, strict=True)]
-    rows = [[name, *row] for name, row in zip(IN_THOUSANDTHS, cells, strict=True)]
-    return ["", *(f"leg {leg}" for leg in range(LEGS))], rows
-
-
-def report(found: Calibration) -> str:
-    """A page in Markdown."""
-    header, rows = leg_table(found)
-    lines = [
-        f"# Calibration from {found.measurements.source}",
-        "",
-        *(f"- {name}: {text}" for name, text in summary(found)),
-        *(f"- {line}" for line in _frame_lines(found)),
-        "",
-        "Changes against the guess, with 95 % intervals. The homing offset is reading minus true angle; the robot",
-        "has it in its crank directions, so that its crank angles are the readings.",
-        "",
-        *(f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows)),
-        "",
-        "![Errors of the poses and changes of the parameters](calibration.png)",
-        "",
-    ]
-    return "\n".join(lines)
+    what, unit = (("turn", "rad"), ("shift", "m"))[axis // 3]
+    return f"the {('tracker', 'marker')[frame]}'s frame {what} {'xyz'[axis % 3]}", unit
 
 
 def _cell(change: float, width: float) -> str:
@@ -224,11 +195,3 @@ def _cell(change: float, width: float) -> str:
 
 def _millis(position: float, rotation: float) -> str:
     return f"{1e3 * position:.3g} mm, {1e3 * rotation:.3g} mrad"
-
-
-def _frame_lines(found: Calibration) -> Iterator[str]:
-    offsets = ", ".join(f"{1e3 * offset:.3f}" for offset in found.homing_offsets)
-    yield f"Crank angles are the encoders' readings. Homing offsets in them [mrad], legs 0 to 5: {offsets}"
-    for name, frame in (("B in the tracker's frame", found.base), ("Marker in P", found.marker)):
-        pose = " ".join(f"{x:.7g}" for x in (*roll_pitch_yaw(frame.turn), *frame.shift))
-        yield f"{name}, roll pitch yaw [rad] X Y Z [m]: {pose}"

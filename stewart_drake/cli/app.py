@@ -1,157 +1,37 @@
-"""Command line: parse, call, print."""
+"""The command line: all commands, and how each ends: in an exit status and, where something is wrong, in one line."""
 
 from __future__ import annotations
 
 import errno
-import json
 import os
+import signal
 import sys
 import traceback
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import click
 
-from stewart_drake.cli.calibrate_command import calibrate
-from stewart_drake.cli.check_command import check
-from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, overrides, quiet_flag, trust_flag
-from stewart_drake.cli.identify_command import excite, identify
-from stewart_drake.cli.interrupts import interruptible
-from stewart_drake.cli.live_command import live
-from stewart_drake.cli.margins_command import margins
-from stewart_drake.cli.reproduce_command import reproduce
-from stewart_drake.cli.robots_command import robots, write_mjcf_command, write_sdf_command
-from stewart_drake.cli.study_commands import compare, faults, sweep, tune
-from stewart_drake.cli.train_command import collect, train
-from stewart_drake.cli.tuner_command import tuner
-from stewart_drake.cli.workspace_command import workspace
-from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
-from stewart_drake.runs.terminal import (
-    ProgressBar,
-    drop_output,
-    print_run,
-    quiet_libraries,
-    shown_compiling,
+from stewart_drake.cli import (  # noqa: F401 - fill `cli`
+    robot_commands,
+    run_commands,
+    study_commands,
+    train_commands,
+    view_commands,
 )
+from stewart_drake.cli.options import EXIT_BAD_INPUT, EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_RUN_FAILED, cli
+from stewart_drake.cli.terminal import drop_output, say
+from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
+from stewart_drake.runs.engine import quiet_libraries
 
-EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERNAL = 2, 3, 4
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
+
 TRACEBACK = "STEWART_DRAKE_TRACEBACK"
 """Environment variable: where it is set, an error that nobody expected is shown with its traceback."""
-
-_LONG = 100.0
-"""[s] of a run whose check takes more than a second or two."""
-_STATUS = {
-    "completed": 0,
-    "stopped": EXIT_RUN_FAILED,
-    "lost": EXIT_RUN_FAILED,
-    "failed": EXIT_RUN_FAILED,
-    "interrupted": EXIT_INTERRUPTED,
-}
-
-
-def _print_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:
-    if wanted:
-        from stewart_drake.logs.versions import package_version
-
-        click.echo(f"stewart-drake {package_version('stewart-drake') or 'not installed'}")
-        context.exit()
-
-
-@click.group(
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120}, invoke_without_command=True
-)
-@click.option(
-    "--version", is_flag=True, is_eager=True, expose_value=False, callback=_print_version, help="Show the version."
-)
-@click.pass_context
-def cli(context: click.Context) -> None:
-    """Closed-loop torque control of rotary Stewart platforms in Drake."""
-    if context.invoked_subcommand is None:
-        click.echo(context.get_help())
-
-
-@cli.command()
-@click.argument("scenario")
-@click.option("--out", type=OutPath(), help="Folder for the results [default: runs/NAME, or runs/NAME-2, ...].")
-@overrides()
-@click.option("--force", is_flag=True, help="Replace the results of another scenario in the folder.")
-@trust_flag
-@click.option("--meshcat", is_flag=True, help="Show the run live in a browser.")
-@quiet_flag
-def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool, meshcat: bool, quiet: bool) -> None:
-    """Simulate SCENARIO: a YAML file, or the name of a shipped one such as paper_fig7.
-
-    Exit status: 0 completed, 2 bad input, 3 stopped, lost or failed (the log is kept), 130 interrupted.
-    """
-    from stewart_drake.logs.outcomes import told
-    from stewart_drake.runs.outputs import prepare_folder, results_place, write_run
-    from stewart_drake.scenario import load_scenario
-
-    loaded = load_scenario(scenario, overrides)
-    place = results_place(loaded, out, force)
-
-    from stewart_drake.runs.simulation import check_scenario, engine_of, refuse_too_long
-    from stewart_drake.runs.simulation import run as simulate
-
-    refuse_too_long(loaded)
-    if loaded.duration > _LONG and not quiet:
-        click.echo("checking the motion", err=True)
-    with shown_compiling(quiet):
-        check_scenario(loaded)
-    viewer = None
-    if meshcat:
-        from pydrake.geometry import Meshcat
-
-        viewer = Meshcat()
-        click.echo(f"live view: {viewer.web_url()}", err=True)
-    engine = engine_of(loaded, viewer)
-    graph = engine.graph()
-    # Only now, with everything checked, does anything appear on the disk.
-    prepare_folder(place.parent, out)
-    with shown_compiling(quiet), ProgressBar(loaded.name, loaded.duration, quiet) as advance:
-        log = simulate(loaded, progress=advance, check=False, engine=engine)
-    results = write_run(log, out, graph, force=force)
-    if not quiet:
-        print_run(log, results.metrics, results.folder)
-    for line in results.left_out:
-        click.echo(f"stewart-drake: {line}", err=True)
-    if log.status != "completed":
-        why = (log.message or "").removeprefix(f"{log.reason}: ")
-        click.echo(f"stewart-drake: {told(log.status, log.reason, log.outcome_time)}: {why}", err=True)
-    sys.exit(_STATUS[log.status])
-
-
-@cli.command()
-@click.option("--out", type=OutPath(dir_okay=False), help="File to write [default: standard output].")
-def schema(out: Path | None) -> None:
-    """JSON schema of scenario files, for editors."""
-    from stewart_drake.files.whole import write_atomically
-    from stewart_drake.scenario import scenario_schema
-
-    text = json.dumps(scenario_schema(), indent=2) + "\n"
-    if out is None:
-        click.echo(text, nl=False)
-    else:
-        write_atomically(out, text.encode())
-
-
-cli.add_command(calibrate)
-cli.add_command(collect)
-cli.add_command(check)
-cli.add_command(compare)
-cli.add_command(excite)
-cli.add_command(faults)
-cli.add_command(live)
-cli.add_command(margins)
-cli.add_command(identify)
-cli.add_command(reproduce)
-cli.add_command(robots)
-cli.add_command(sweep)
-cli.add_command(train)
-cli.add_command(tune)
-cli.add_command(tuner)
-cli.add_command(workspace)
-cli.add_command(write_sdf_command)
-cli.add_command(write_mjcf_command)
+_AGAIN = 0.05
+"""[s] after which an interrupt that was dropped is raised again."""
 
 
 def main() -> None:
@@ -174,45 +54,38 @@ def main() -> None:
 
 
 def _status() -> int:
-    """What a command ends with, for `sys.exit`."""
+    """Runs a command; what it ends with, for `sys.exit`."""
     try:
-        return _expected()
+        with _interruptible():
+            cli(standalone_mode=False)
+        return 0
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        return _end("interrupted", EXIT_INTERRUPTED)
+    except click.ClickException as error:
+        return _end(error.format_message(), EXIT_BAD_INPUT)
+    except ConfigurationError as error:
+        return [_end(line, EXIT_BAD_INPUT) for line in str(error).splitlines()][-1]
+    except StewartDrakeError as error:
+        return _end(f"{error.reason}: {error}", EXIT_RUN_FAILED)
     except MemoryError:
-        return _tell("out of memory", EXIT_RUN_FAILED)
+        return _end("out of memory", EXIT_RUN_FAILED)
     except (Exception, SystemExit) as error:  # Drake says SystemExit where one of its checks fails
+        if isinstance(error, SystemExit) and isinstance(error.code, int | None):
+            return error.code or 0
+        if isinstance(error, ImportError) and isinstance(error.__cause__, KeyboardInterrupt):
+            # Ctrl-C while a compiled module loads comes out as this.
+            return _end("interrupted", EXIT_INTERRUPTED)
+        if isinstance(error, OSError) and error.errno in (errno.EPIPE, errno.ENOSPC):
+            return _lost_output(error)
         if os.environ.get(TRACEBACK):
             traceback.print_exception(error)
         name = f"{type(error).__name__}: {error}{raised_at(error)}"
-        return _tell(f"internal error: {name}; set {TRACEBACK}=1 to see all of it", EXIT_INTERNAL)
+        return _end(f"internal error: {name}; set {TRACEBACK}=1 to see all of it", EXIT_INTERNAL)
 
 
-def _expected() -> int:
-    """The same for what can be expected to go wrong."""
-    try:
-        with interruptible():
-            cli(standalone_mode=False)
-    except SystemExit as end:
-        if not isinstance(end.code, int | None):
-            raise
-        return end.code or 0
-    except (click.exceptions.Abort, KeyboardInterrupt):
-        return _tell("interrupted", EXIT_INTERRUPTED)
-    except ImportError as error:
-        # Ctrl-C while a compiled module loads comes out as this.
-        if not isinstance(error.__cause__, KeyboardInterrupt):
-            raise
-        return _tell("interrupted", EXIT_INTERRUPTED)
-    except click.ClickException as error:
-        return _tell(error.format_message(), EXIT_BAD_INPUT)
-    except ConfigurationError as error:
-        return [_tell(line, EXIT_BAD_INPUT) for line in str(error).splitlines()][-1]
-    except StewartDrakeError as error:
-        return _tell(f"{error.reason}: {error}", EXIT_RUN_FAILED)
-    except OSError as error:
-        if error.errno not in (errno.EPIPE, errno.ENOSPC):
-            raise
-        return _lost_output(error)
-    return 0
+def _end(text: str, status: int) -> int:
+    say(text)
+    return status
 
 
 def _lost_output(error: OSError) -> int:
@@ -220,9 +93,43 @@ def _lost_output(error: OSError) -> int:
     drop_output(sys.stdout)
     if error.errno == errno.EPIPE:
         return 0
-    return _tell(f"standard output: expected one that can be written, got {error.strerror}", EXIT_BAD_INPUT)
+    return _end(f"standard output: expected one that can be written, got {error.strerror}", EXIT_BAD_INPUT)
 
 
-def _tell(text: str, status: int) -> int:
-    click.echo(f"stewart-drake: {' '.join(text.split())}", err=True)
-    return status
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Takes SIGTERM and SIGHUP as Ctrl-C, and raises again what Python has dropped of them.
+
+    Python drops what is raised in a `__del__` or in a callback from C, as LLVM calls one when numba has compiled, but
+    for a call of `sys.unraisablehook`. Without its callback numba may fail; that error is the interrupt's too.
+    """
+    dropped, before = False, sys.unraisablehook
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
+        # What `nohup` has shut out stays out.
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, interrupt)
+
+    def hook(what: UnraisableHookArgs) -> None:
+        nonlocal dropped
+        if what.exc_type is KeyboardInterrupt:
+            dropped = True
+            # Raised here it would be dropped too.
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+        elif not dropped:
+            before(what)
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    except Exception as error:
+        if dropped:
+            raise KeyboardInterrupt from error
+        raise
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        if not dropped:
+            sys.unraisablehook = before

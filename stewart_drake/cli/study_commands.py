@@ -1,92 +1,22 @@
-"""The commands `sweep`, `compare`, `tune` and `faults`: many runs, whose rows are kept as they come."""
+"""Commands of many runs, whose rows are kept as they come: `sweep`, `compare`, `tune`, `faults` and `tuner judge`."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import itertools
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from stewart_drake.cli.common_options import EXIT_INTERRUPTED, out_folder, overrides, quiet_flag, trust_flag
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.runs.terminal import ProgressBar, console, print_columns, print_table
+from stewart_drake.cli.options import IN_FILE, cli, out_folder, overrides, sized_option, study_options, under_way
+from stewart_drake.cli.terminal import console, print_table, say
 
 if TYPE_CHECKING:
-    from stewart_drake.studies.workers import Workers
-
-WIDE = 150
-"""Characters of a terminal that has room for all columns of a comparison; a narrower one shows the main ones."""
+    from stewart_drake.studies.study import Sheet
 
 
-class Runs(Protocol):
-    """What is to be run."""
-
-    @property
-    def name(self) -> str:
-        """For folders and titles."""
-
-    @property
-    def runs(self) -> int:
-        """How many, at most."""
-
-
-def study_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`--workers`, `--scheduler`, `--restart`, `--quiet` and `--trust-code` of a command of many runs."""
-    for option in (
-        trust_flag,
-        quiet_flag,
-        click.option("--restart", is_flag=True, help="Throw away what an earlier call left in the folder."),
-        click.option(
-            "--scheduler", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler, e.g. tcp://host:8786."
-        ),
-        click.option(
-            "--workers",
-            type=click.IntRange(1, 1024),
-            help="Processes on this machine [default: one per core, at most 8].",
-        ),
-    ):
-        function = option(function)
-    return function
-
-
-_robot = click.option(
-    "--robot", help="Name or YAML file: motions, loads and faults in its size [default: that of the file]."
-)
-
-
-@contextmanager
-def under_way(
-    plan: Runs, out: Path | None, workers: int | None, scheduler: str | None, quiet: bool, ending: str = ""
-) -> Iterator[tuple[Path, Workers, Callable[[float], None]]]:
-    """The folder, where the runs go, and what is told how many are done; Ctrl-C ends the command with what is kept."""
-    from stewart_drake.runs.outputs import prepare_folder
-    from stewart_drake.studies.workers import Workers
-
-    if scheduler is not None and workers is not None:
-        allowed = "no value with --scheduler: the cluster sets the number of workers"
-        raise ConfigurationError("--workers", workers, allowed)
-    where = Workers(workers, scheduler)
-    folder = prepare_folder(out if out is not None else Path("runs") / f"{plan.name}{ending}")
-    done = 0.0
-    try:
-        with where, ProgressBar(plan.name, float(plan.runs), quiet, unit="runs") as advance:
-
-            def progress(count: float) -> None:
-                nonlocal done
-                done = count
-                advance(count)
-
-            yield folder, where, progress
-    except KeyboardInterrupt:
-        kept = f"{done:.0f} of {plan.runs} runs are kept in {folder}; the same command goes on from there"
-        click.echo(f"stewart-drake: interrupted; {kept}", err=True)
-        sys.exit(EXIT_INTERRUPTED)
-
-
-@click.command()
+@cli.command()
 @click.argument("sweep")
 @out_folder()
 @click.option("--runs", type=click.IntRange(1), help="In place of the number in the file; run i stays the same.")
@@ -100,22 +30,23 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
 
     Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    from stewart_drake.studies.sweep import load_sweep, run_sweep, summary
+    from stewart_drake.studies.study import run_study
+    from stewart_drake.studies.sweep import load_sweep, summary
 
     loaded = load_sweep(sweep, runs)
-    with under_way(loaded, **options) as (folder, where, progress):
-        made = run_sweep(loaded, folder, where, progress, restart)
+    with under_way(loaded.name, loaded.runs, **options) as (folder, where, progress):
+        made = run_study(loaded, folder, where, progress, restart)
     if not options["quiet"]:
-        print_table(loaded.name, [*summary(made.rows), ("table in", str(made.path))])
+        print_table(loaded.name, [*summary(made.rows["sweep"]), ("table in", str(folder / "sweep.parquet"))])
         if made.engine is not None:
             click.echo(made.engine)
 
 
-@click.command()
+@cli.command()
 @click.argument("comparison", default="tracking")
 @out_folder()
 @click.option("--quick", is_flag=True, help="Short runs and few bands: figures to look at, not to quote.")
-@_robot
+@sized_option
 @study_options
 def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **options: Any) -> None:
     """Compare controllers: COMPARISON is a YAML file or one of tracking, controllers, fair, observer.
@@ -127,26 +58,23 @@ def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **op
 
     Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    from stewart_drake.studies.comparison import load_comparison
-    from stewart_drake.studies.comparison_table import run_comparison, write_pictures
+    from stewart_drake.studies.comparison import load_comparison, write_pictures
+    from stewart_drake.studies.study import run_study
 
-    loaded = load_comparison(comparison, quick, robot)
-    with under_way(loaded, **options, ending="-quick" if quick else "") as (folder, where, progress):
-        result = run_comparison(loaded, folder, where, progress, restart)
-        for line in write_pictures(loaded, result, folder):
-            click.echo(f"stewart-drake: {line}", err=True)
+    loaded, ending = load_comparison(comparison, quick, robot), "-quick" if quick else ""
+    with under_way(f"{loaded.name}{ending}", loaded.runs, **options) as (folder, where, progress):
+        result = run_study(loaded, folder, where, progress, restart)
+        for line in write_pictures(loaded, result):
+            say(line)
     if options["quiet"]:
         return
-    for sheet in result.sheets:
-        columns = range(len(sheet.header)) if console().width >= WIDE else sheet.brief
-        rows = ([row[column] for column in columns] for row in sheet.rows)
-        print_columns(sheet.title, [sheet.header[column] for column in columns], rows)
+    print_sheets(loaded.sheets(result.rows))
     if result.engine is not None:
         click.echo(result.engine)
     click.echo(f"tables and pictures in {folder}")
 
 
-@click.command()
+@cli.command()
 @click.argument("comparison")
 @out_folder()
 @click.option("--controller", "controllers", multiple=True, metavar="NAME", help="Of those to search [default: all].")
@@ -167,22 +95,22 @@ def tune(
     """
     from stewart_drake.studies.tune import load_tuning, run_tuning, write_picture
 
-    loaded = load_tuning(comparison, controllers, budget, quick)
-    with under_way(loaded, **options, ending="-tune-quick" if quick else "-tune") as (folder, where, progress):
+    loaded, ending = load_tuning(comparison, controllers, budget, quick), "-tune-quick" if quick else "-tune"
+    with under_way(f"{loaded.name}{ending}", loaded.runs, **options) as (folder, where, progress):
         result = run_tuning(loaded, folder, where, progress, restart)
         line = write_picture(result, folder)
         if line is not None:
-            click.echo(f"stewart-drake: {line}", err=True)
+            say(line)
     if options["quiet"]:
         return
-    print_columns(result.sheet.title, result.sheet.header, result.sheet.rows, result.sheet.brief[1:])
-    click.echo(f"settings in {folder / 'tuned.yaml'}, tables of the verdict in {result.judged_in}")
+    print_sheets(result.sheets)
+    click.echo(f"settings in {folder / 'tuned.yaml'}, tables of the verdict in {result.verdict.folder}")
 
 
-@click.command()
+@cli.command()
 @out_folder("runs/faults")
 @click.option("--quick", is_flag=True, help="The held platform alone, a third of the runs.")
-@_robot
+@sized_option
 @overrides("estimator.kind=observer")
 @study_options
 def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], restart: bool, **options: Any) -> None:
@@ -192,17 +120,79 @@ def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], restart: 
 
     Exit status: 0 every fault has its row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    from stewart_drake.studies.faults import TERSE_HEADERS, fault_study, holdable_lines, make_table, terse_rows
+    from stewart_drake.studies.faults import fault_study, holdable_lines, sheet
+    from stewart_drake.studies.study import run_study
 
     plan = fault_study(quick, robot, overrides)
-    with under_way(plan, **options) as (folder, where, progress):
-        made = make_table(folder, quick, where, progress, restart, robot, overrides)
+    with under_way(plan.name, plan.runs, **options) as (folder, where, progress):
+        rows = run_study(plan, folder, where, progress, restart).rows["faults"]
     if options["quiet"]:
         return
-    numbers = [TERSE_HEADERS.index(name) for name in ("ms", "deg", "mm", "N m")]
-    title = f"faults during {', '.join(plan.motions)}: latency, peak error, peak torque"
-    print_columns(title, TERSE_HEADERS, terse_rows(made.rows), numbers)
-    terminal = console()
-    terminal.print("with a dead motor, the wrench that the other five hold at rest:")
-    for text in (*(f"  {line}" for line in holdable_lines(made.rows)), f"table in {made.path.with_suffix('.md')}"):
-        terminal.print(text, highlight=False, markup=False)
+    print_sheets([sheet(rows)])
+    click.echo("with a dead motor, the wrench that the other five hold at rest:")
+    for text in (*(f"  {line}" for line in holdable_lines(rows)), f"table in {folder / 'faults.md'}"):
+        click.echo(text)
+
+
+def print_sheets(sheets: Sequence[Sheet]) -> None:
+    """Tables on the terminal, with as many of their columns as it has room for; their files have all."""
+    for each in sheets:
+        lengths = [max(map(len, column)) + 3 for column in zip(each.header, *each.rows, strict=True)]
+        shown = max(2, sum(end < console().width for end in itertools.accumulate(lengths)))
+        print_table(each.title, [row[:shown] for row in each.rows], each.header[:shown])
+
+
+@cli.group()
+def tuner() -> None:
+    """Look at the tuners of settings, and assess them."""
+
+
+@tuner.command("show")
+@click.argument("file", required=False, type=IN_FILE)
+def show(file: Path | None) -> None:
+    """Print the card of a policy: its box, what it hears, and where it comes from. FILE [default: the shipped one].
+
+    Exit status: 0 shown, 2 no policy file, or not as it was written.
+    """
+    from stewart_drake.control.policy import BOX_HEADER, default_policy_path, load_policy
+
+    path = default_policy_path() if file is None else file
+    policy = load_policy(path)
+    print_table(f"{path.name}: settings, decades above the base", policy.box_rows(), BOX_HEADER)
+    print_table(path.name, policy.facts(), numbers=())
+
+
+@tuner.command()
+@click.argument("file", required=False, type=IN_FILE)
+@out_folder("runs/tuner-verdict")
+@click.option("--seeds", type=click.IntRange(2), default=14, help="Of each kind of each robot.")
+@click.option(
+    "--engine",
+    type=click.Choice(["drake", "reduced"]),
+    default="drake",
+    help="The plant: Drake's, or the closed form of the robot, several times faster.",
+)
+@study_options
+def judge(file: Path | None, seeds: int, engine: Any, restart: bool, **options: Any) -> None:
+    """Assess a trained policy against settings that stay and other tuners, in situations that none of them has seen.
+
+    FILE is a policy's weights file [default: the shipped one]. Writes verdict.md, .parquet, .csv and .png. What is done
+    is kept in OUT, and an interrupted verdict goes on from it.
+
+    Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
+    """
+    from stewart_drake.control.policy import load_policy
+    from stewart_drake.training.benchmark import Baselines, assess, candidates, cells_for, write_picture
+
+    load_policy(file)
+    baselines = Baselines.load()
+    policy = {"kind": "policy", **({} if file is None else {"weights_file": str(file)})}
+    entered = candidates(baselines, {"policy": {"tuner": policy}, "schedule": {"tuner": baselines.schedule}})
+    runs = len(entered) * len(cells_for()) * seeds
+    with under_way("tuner verdict", runs, **options) as (folder, where, progress):
+        verdict = assess(entered, folder, seeds, engine, where, progress, restart)
+        line = write_picture(verdict, folder)
+        if line is not None:
+            say(line)
+    if not options["quiet"]:
+        click.echo((folder / "verdict.md").read_text(), nl=False)

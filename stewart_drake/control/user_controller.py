@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -13,8 +13,7 @@ from stewart_drake.config import Positive
 from stewart_drake.control.base import ControllerOptions, Measurement, Setpoint
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.families import UserMade, user_parts
-from stewart_drake.files.code_path import UserCodePath
-from stewart_drake.files.user_errors import ControllerError, UserCode
+from stewart_drake.files.code import CodePath, ControllerError, UserCode
 from stewart_drake.jit import fields, new_record
 from stewart_drake.part import Part, Setup
 
@@ -23,7 +22,7 @@ FUNCTION_STATE = fields(torque=6, error=6, integral=6, health=2)
 
 
 class PythonOptions(UserMade, ControllerOptions):
-    """A controller of the user's own by import path; `kind` may be that path itself.
+    """A controller of the user's own by import path.
 
     A function `torque = f(measurement, setpoint, time)`, or a class of objects that are called so, runs on both
     engines: measurement has pose [rad, m] and pose_rate, setpoint pose, pose_rate and pose_acceleration, all (6,);
@@ -37,15 +36,18 @@ class PythonOptions(UserMade, ControllerOptions):
     step; time constants below a 25th of that step diverge.
     """
 
-    path_key: ClassVar[str] = "system"
-    kind: Literal["python"] = "python"  # type: ignore[assignment]
-    system: UserCodePath
+    kind: CodePath  # type: ignore[assignment]
     """path/to/file.py:Class, from the folder of the file that names it, or module:Class. Its code is run."""
     arguments: dict[str, Any] = Field(default_factory=dict)
     """Keyword arguments of the constructor, plain values. `robot` (as the controller believes it), `period` and
     `gravity` are added where the constructor names them."""
     period: Positive = 0.001
     """[s] period of the log, of a delay and of the tuner; the controller should tick with it."""
+
+    @property
+    def label(self) -> str:
+        """See `ControllerOptions.label`."""
+        return f"controller {self.kind.name}"
 
     def load(self) -> Any:
         """The class, function or object.

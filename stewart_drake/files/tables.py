@@ -40,6 +40,13 @@ ENDINGS: Mapping[str, Mapping[str, float]] = {
 }
 """Unit -> endings of a column's name, the first that of what is written, and what one of each is in the unit."""
 
+POSE = (
+    *((f"pose_{name}", "rad") for name in ("roll", "pitch", "yaw")),
+    *((f"pose_{name}", "m") for name in ("x", "y", "z")),
+)
+CRANK_ANGLES = tuple((f"crank_angle_{leg}", "rad") for leg in range(6))
+"""Quantities of poses and of cranks with their units."""
+
 Chosen = Mapping[str, tuple[str, float]]
 """What a column holds -> its name in the file, and the factor to the unit that is kept."""
 
@@ -62,7 +69,7 @@ def quantity_of(column: str) -> tuple[str, float]:
 def read_numbers(
     path: str | Path, source: str, quantities: Sequence[tuple[str, str]], most_bytes: int, most_rows: int
 ) -> np.ndarray:
-    """Chosen quantities of a table, in any order of its columns; further columns are left alone.
+    """Chosen quantities (n, k) of a table, in any order of its columns; further columns are left alone.
 
     Args:
         path: A .csv or .parquet file with a header.
@@ -71,15 +78,24 @@ def read_numbers(
         most_bytes: Of the file.
         most_rows: Likewise.
 
-    Returns:
-        (n, k); a cell that is empty is NaN. A column that is missing or there twice, and a cell that is no number, are
-        refused.
+    A cell that is empty is NaN. A column that is missing or there twice, and a cell that is no number, are refused.
     """
 
     def choose(names: list[str]) -> Chosen:
         return {quantity: _column(names, quantity, unit, source) for quantity, unit in quantities}
 
     return np.stack(list(read_columns(path, source, choose, most_bytes, most_rows).values()), axis=-1)
+
+
+def refuse_cells(
+    source: str, quantities: Sequence[tuple[str, str]], values: np.ndarray, wrong: np.ndarray, allowed: str
+) -> None:
+    """Raises a `ConfigurationError` for the first of the cells of a table (n, k) that are `wrong`."""
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
+        raise ConfigurationError(
+            f"{source}: row {row + 1}, {quantities[column][0]}", float(values[row, column]), allowed
+        )
 
 
 def read_columns(
@@ -95,33 +111,28 @@ def read_columns(
         if Path(path).suffix.lower() == ".parquet":
             with pq.ParquetFile(path, page_checksum_verification=True) as file:
                 rows, chosen = file.metadata.num_rows, choose(file.schema_arrow.names)
-                _refuse_more(source, rows, most_rows)
-                table = file.read(columns=[name for name, _ in chosen.values()])
+                # Before they are unpacked: a small file may hold very many.
+                table = None if rows > most_rows else file.read(columns=[name for name, _ in chosen.values()])
         else:
             with Path(path).open(encoding="utf-8-sig", newline="") as stream:
                 names = [name.strip() for name in next(csv.reader(stream), [])]
             chosen = choose(names)
-            wanted = [name for name, _ in chosen.values()]
+            wanted = dict.fromkeys((name for name, _ in chosen.values()), pa.float64())
             table = pc.read_csv(
                 path,
                 # One thread: only then does a message name the row.
                 pc.ReadOptions(use_threads=False, column_names=names, skip_rows=1, block_size=1 << 24),
-                convert_options=pc.ConvertOptions(
-                    include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64())
-                ),
+                convert_options=pc.ConvertOptions(include_columns=list(wanted), column_types=wanted),
             )
-            _refuse_more(source, table.num_rows, most_rows)
+            rows = table.num_rows
+        if table is None or rows > most_rows:
+            raise ConfigurationError(source, f"{rows} rows", f"at most {most_rows} rows")
         # Of text, no number is made; of a Parquet file's decimals and whole numbers, float64.
         kept = {name: table.column(name).cast(pa.float64()).to_numpy() for name, _ in chosen.values()}
     except (OSError, ValueError, TypeError, KeyError, csv.Error, pa.ArrowException) as error:
         text = " ".join(str(error).split())[:200] or type(error).__name__
         raise ConfigurationError(source, text, "a table of numbers with a header") from None
     return {quantity: kept[name] * factor for quantity, (name, factor) in chosen.items()}
-
-
-def _refuse_more(source: str, rows: int, most_rows: int) -> None:
-    if rows > most_rows:
-        raise ConfigurationError(source, f"{rows} rows", f"at most {most_rows} rows")
 
 
 def _column(names: list[str], quantity: str, unit: str, source: str) -> tuple[str, float]:

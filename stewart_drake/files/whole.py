@@ -12,6 +12,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
+
 from stewart_drake.errors import ConfigurationError
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -21,37 +23,26 @@ LARGEST = 100_000_000
 CHECKSUM, NOT_FINITE = "checksum", "not_finite"
 """Keys that `seal` and `plain_json` add."""
 
-_UNFINISHED, _LOCK = ".part", ".lock"
-"""Ending of a file that is being written; file in a folder that is in use."""
-_KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
-
 
 def check_file(path: str | Path, what: str, largest: int, allowed: str = "a readable file") -> Path:
-    """The path of a regular file of at most `largest` bytes.
-
-    Args:
-        path: The file.
-        what: What it is, with its path, for messages.
-        largest: [byte].
-        allowed: What a readable file is called in messages.
-    """
+    """The path of a regular file of at most `largest` [byte]; `what` it is, with its path, for messages."""
     try:
         status = Path(path).stat()
     except (OSError, ValueError) as error:
         raise ConfigurationError(what, getattr(error, "strerror", None) or str(error), allowed) from None
     if not stat.S_ISREG(status.st_mode):
-        raise ConfigurationError(what, _KINDS.get(stat.S_IFMT(status.st_mode), "a device"), "a regular file")
+        raise ConfigurationError(what, "a folder, a pipe or a device", "a regular file")
     if status.st_size > largest:
         raise ConfigurationError(what, f"{status.st_size} bytes", f"at most {largest} bytes")
     return Path(path)
 
 
-def read_checked(path: str | Path, what: str, largest: int, allowed: str = "a readable file") -> bytes:
+def read_checked(path: str | Path, what: str, largest: int) -> bytes:
     """Content of a file that passes `check_file`."""
     try:
-        return check_file(path, what, largest, allowed).read_bytes()
+        return check_file(path, what, largest).read_bytes()
     except OSError as error:
-        raise ConfigurationError(what, error.strerror or str(error), allowed) from None
+        raise ConfigurationError(what, error.strerror or str(error), "a readable file") from None
 
 
 def digest(path: str | Path) -> str | None:
@@ -63,7 +54,7 @@ def digest(path: str | Path) -> str | None:
 
 def write_atomically(path: Path, content: bytes) -> None:
     """Writes a file beside its place and renames it: a reader sees the old content or the new one."""
-    part = path.with_name(f".{path.name}.{os.getpid()}{_UNFINISHED}")
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         try:
             with part.open("wb") as stream:
@@ -71,34 +62,31 @@ def write_atomically(path: Path, content: bytes) -> None:
                 stream.flush()
                 os.fsync(stream.fileno())
             part.replace(path)
-        except BaseException:
+        finally:
             part.unlink(missing_ok=True)
-            raise
     except OSError as error:
         raise ConfigurationError(str(path), error.strerror or str(error), "a file in a writable folder") from error
 
 
 @contextmanager
-def locked_folder(folder: Path, key: str = "--out") -> Iterator[None]:
+def locked_folder(folder: Path) -> Iterator[None]:
     """Keeps other processes that ask for it out of a folder; the system lifts the lock when this process ends.
 
     Files that a killed process has left half written in it are removed.
     """
-    from filelock import FileLock, Timeout
-
-    lock = FileLock(folder / _LOCK, blocking=False)
+    lock = FileLock(folder / ".lock", blocking=False)
     try:
         lock.acquire()
-    except (Timeout, FileNotFoundError):
-        raise ConfigurationError(key, str(folder), "a folder that no other process is using") from None
+    except Timeout:
+        raise ConfigurationError("--out", str(folder), "a folder that no other process is using") from None
     except OSError as error:
-        raise ConfigurationError(key, str(folder), f"a folder that can be locked ({error.strerror})") from None
+        raise ConfigurationError("--out", str(folder), f"a folder that can be locked ({error})") from None
     try:
-        for name in folder.glob(f".*{_UNFINISHED}"):
-            name.unlink(missing_ok=True)
+        for part in folder.glob(".*.part"):
+            part.unlink(missing_ok=True)
         yield
     finally:
-        (folder / _LOCK).unlink(missing_ok=True)
+        (folder / ".lock").unlink(missing_ok=True)
         lock.release()
 
 

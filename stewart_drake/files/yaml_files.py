@@ -50,8 +50,7 @@ def read_mapping(kind: str, path: Path, longest_name: int) -> dict[str, Any]:
     try:
         text = read_checked(path, what, MAX_BYTES).decode()
     except UnicodeDecodeError as error:
-        found = f"byte {error.object[error.start]:#04x} at {error.start}"
-        raise ConfigurationError(what, found, "a YAML text in UTF-8") from None
+        raise ConfigurationError(what, str(error), "a YAML text in UTF-8") from None
     data = parse_yaml(text, what)
     if not isinstance(data, dict):
         raise ConfigurationError(what, "an empty file" if data is None else data, "a mapping of keys to values")
@@ -69,17 +68,14 @@ def parse_yaml(text: str, key: str) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             return yaml.load(text)
-    except MarkedYAMLError as error:
-        mark = error.problem_mark
-        where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
-        what = " ".join(str(error.problem).removeprefix("but ").split())
-        raise ConfigurationError(key, f"{where}{what}", "well-formed YAML without tags and aliases") from None
     except Exception as error:
         # Of a tag that does not fit its value (`!!bool 3`) the loader lets KeyError, IndexError and others escape.
-        text = " ".join(str(error).split())
-        raise ConfigurationError(
-            key, f"{type(error).__name__}: {text}", "well-formed YAML without tags and aliases"
-        ) from None
+        mark = getattr(error, "problem_mark", None)
+        where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
+        problem = str(getattr(error, "problem", None) or f"{type(error).__name__}: {error}").removeprefix("but ")
+        hint = "; indent with spaces" if "'\\t'" in problem else ""
+        allowed = f"well-formed YAML without tags and aliases{hint}"
+        raise ConfigurationError(key, f"{where}{' '.join(problem.split())}", allowed) from None
 
 
 def to_yaml(data: Any) -> str:

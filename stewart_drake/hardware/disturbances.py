@@ -51,9 +51,8 @@ class StepWrench(Section, key="disturbances"):
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
         """Wrench (..., 6) at times (...) [s]."""
-        return _shares(time, self.time, math.inf if self.until is None else self.until)[..., None] * np.array(
-            self.wrench
-        )
+        until = math.inf if self.until is None else self.until
+        return _shares(time, self.time, until)[..., None] * np.array(self.wrench)
 
 
 class ImpulseWrench(Section, key="disturbances"):
@@ -141,17 +140,13 @@ class UserDisturbance(UserMade, key="disturbances"):
     asked = "evaluate(t) returns a wrench (6,)"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        """Wrench (..., 6) at times (...) [s].
-
-        Raises:
-            ConfigurationError: The class cannot be used, or answers something else.
-        """
+        """Wrench (..., 6) at times (...) [s]; a ConfigurationError where the class answers something else."""
         times = np.asarray(time, dtype=float)
-        found = [self.numbers(self.made.evaluate(float(each))) for each in times.ravel()]
-        wrong = next((each.shape for each in found if each.shape != (6,)), None)
-        if wrong is not None:
-            raise self.refusal(str(wrong))
-        return np.reshape(found, (*times.shape, 6))
+        answers = [self.numbers(self.made.evaluate(float(each))) for each in times.ravel()]
+        wrong = [each.shape for each in answers if each.shape != (6,)]
+        if wrong:
+            raise self.refusal(str(wrong[0]))
+        return np.reshape(answers, (*times.shape, 6))
 
 
 class Disturbance(Protocol):

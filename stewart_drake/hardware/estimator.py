@@ -19,19 +19,9 @@ from stewart_drake.errors import (
 )
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
-from stewart_drake.mechanics.kinematics_laws import (
-    LEGS,
-    NO_CONVERGENCE,
-    NOT_FINITE,
-    OK,
-    PARALLEL,
-    SERIAL,
-    forward_kinematics,
-    legs_at,
-    rate_of,
-    robot_record,
-)
+from stewart_drake.mechanics.kinematics_laws import NO_CONVERGENCE, NOT_FINITE, OK, PARALLEL, SERIAL
 from stewart_drake.mechanics.linear_algebra import solve
 from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
@@ -63,7 +53,7 @@ class EstimatorOptions(Section, key="estimator"):
         return delay
 
     def innovation_scale(self, setup: Setup) -> tuple[float, float]:  # noqa: ARG002 - there are none
-        """What the innovations of an observer mean, see `observer.innovation_scale`."""
+        """[rad] of an innovation that noise explains, and [rad per rad/s^2] what an unexplained acceleration leaves."""
         return 0.0, 1.0
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:  # noqa: ARG002
@@ -84,59 +74,40 @@ class DifferenceOptions(EstimatorOptions):
         return (difference_part(setup.robot, setup.sensors, setup.period, setup.pose, setup.pose_rate),)
 
 
-SETUP = fields(period=(), smoothing=(), max_speed=(), max_turn=(), max_shift=(), hold_ticks=())
-"""[s], share of a new difference in the filtered crank rate, [rad/s], [rad], [m], [ticks]; see `EncoderOptions`."""
-STATE = fields(measurement=12, health=2, angles=6, crank_rate=6, held=(), side=(), started=(), candidate=6)
+_SETUP = fields(period=(), smoothing=(), max_speed=(), max_turn=(), max_shift=())
+"""[s], share of a new difference in the filtered crank rate, [rad/s], [rad], [m]; see `EncoderOptions`."""
+_STATE = fields(measurement=12, health=2, angles=6, crank_rate=6, held=(), side=(), started=(), candidate=6)
 """measurement: pose and its rate [rad, m and 1/s]. angles: the last that were believed [rad]. crank_rate: filtered
 [rad/s]. held: ticks since. side: sign of the rods' determinant. candidate: pose that was found in the last tick, which
 need not have been believed."""
 
 
 @njit
-def difference_tick(robots: Any, setups: Any, angles: Any, leg_records: Any, states: Any) -> Any:
-    """One tick: forward kinematics from the last pose, and the pose's rate from the difference of the angles.
+def _difference(robots: Any, setups: Any, angles: Any, leg_records: Any, states: Any) -> Any:
+    """One tick: forward kinematics from the last pose, and the pose's rate from the difference of the angles (6,).
 
     Two readings one tick apart belong to the middle of the tick, so that the rate lags by half a period. The first tick
     has one reading; it repeats the crank rates that the state has. A pose is believed if no angle has jumped, Newton's
     method converges near the last pose, and the rods' lines have not changed orientation: between two assembly modes
     lies a parallel singularity, where their determinant changes sign. The cranks must stand on the robot's branch of
-    the inverse kinematics, which ends at their dead centres. Up to `hold_ticks` failures in a row are bridged by the
-    last good pose and rate.
-
-    Args:
-        robots: `ROBOT` record.
-        setups: `SETUP` record.
-        angles: (6,) [rad] readings.
-        leg_records: `LEGS`, overwritten.
-        states: `STATE` record, in place.
+    the inverse kinematics, which ends at their dead centres.
 
     Returns:
-        Status, leg or -1, margin; of NO_CONVERGENCE the steps taken and the error [m] in place of these.
+        Status, leg or -1, margin; of NO_CONVERGENCE the steps taken and the error [m] in place of these. Where the
+        status is not OK only `candidate` changes.
     """
-    state = record(states)
-    status, leg, margin = _estimate(record(robots), record(setups), angles, state, record(leg_records))
-    if status != OK and state.started > 0.0 and state.held < record(setups).hold_ticks:
-        state.held += 1.0
-        return OK, -1, 0.0
-    return status, leg, margin
-
-
-@njit
-def _estimate(robot: Any, setup: Any, angles: Any, state: Any, legs: Any) -> Any:
-    """`difference_tick` without the bridge; where the status is not OK only `candidate` changes."""
+    robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
     pose, last = state.candidate, state.measurement
     started, elapsed = state.started > 0.0, setup.period * (1.0 + state.held)
     pose[:] = last[:6]
-    for i in range(6):
-        if not np.isfinite(angles[i]):
-            return NOT_FINITE, -1, 0.0
-    for i in range(6):
-        if started and abs(angles[i] - state.angles[i]) > setup.max_speed * elapsed:
-            return TOO_FAST, -1, 0.0
-    error, steps = forward_kinematics(robot, angles, pose, TOLERANCE, ITERATIONS)
+    if not np.isfinite(angles).all():
+        return NOT_FINITE, -1, 0.0
+    if started and np.abs(angles - state.angles).max() > setup.max_speed * elapsed:
+        return TOO_FAST, -1, 0.0
+    error, steps = laws.forward_kinematics(robot, angles, pose, TOLERANCE, ITERATIONS)
     if not error <= TOLERANCE:
         return NO_CONVERGENCE, steps, error
-    bad = legs_at(robot, pose, legs)
+    bad = laws.legs_at(robot, pose, legs)
     if bad >= 0:
         # A crank carried across its dead centre, slightly.
         return SERIAL, bad, legs.reach[bad]
@@ -157,7 +128,7 @@ def _estimate(robot: Any, setup: Any, angles: Any, state: Any, legs: Any) -> Any
     if side == 0.0:
         return PARALLEL, -1, 0.0
     state.measurement[:6] = pose
-    rate_of(pose, twist[:, 0], state.measurement[6:])
+    laws.rate_of(pose, twist[:, 0], state.measurement[6:])
     state.angles[:], state.crank_rate[:] = angles, rate
     state.held, state.side, state.started = 0.0, side, 1.0
     return OK, -1, 0.0
@@ -170,21 +141,21 @@ def difference_part(
     pose: np.ndarray,
     pose_rate: np.ndarray | tuple[float, ...] = (0.0,) * 6,
 ) -> Part:
-    """`reading` (6,) [rad] of encoders -> `measurement` (12,), pose [rad, m] and its rate; see `difference_tick`.
+    """`reading` (6,) [rad] of encoders -> `measurement` (12,), pose [rad, m] and its rate; see `_difference`.
 
     `pose` is roughly where the platform stands at first, which picks the assembly mode; `pose_rate` of a robot that is
-    in motion at the start.
+    in motion at the start. Up to `hold_ticks` failures in a row are bridged by the last good pose and rate.
     """
     cutoff = options.rate_cutoff
     setup = new_record(
-        SETUP,
+        _SETUP,
         options,
         period=period,
         smoothing=1.0 if cutoff is None else 1.0 - math.exp(-2.0 * math.pi * cutoff * period),
         max_turn=options.max_step[0],
         max_shift=options.max_step[1],
     )
-    initial, own, legs = new_record(STATE, health=WELL), robot_record(robot), np.empty(1, LEGS)
+    initial, own, legs = new_record(_STATE, health=WELL), laws.robot_record(robot), np.empty(1, laws.LEGS)
     initial["measurement"][0, :6] = pose
     # A robot that cannot stand there: the first tick says so, with a log.
     with contextlib.suppress(UnreachablePoseError), np.errstate(all="ignore"):
@@ -192,9 +163,12 @@ def difference_part(
         initial["crank_rate"] = rates if np.isfinite(rates).all() else 0.0
 
     def tick(reading: np.ndarray, state: np.ndarray) -> None:
-        status, leg, margin = difference_tick(own, setup, reading, legs, state)
-        if status != OK:
+        status, leg, margin = _difference(own, setup, reading, legs, state)
+        if status == OK:
+            return
+        if state["started"][0] == 0.0 or state["held"][0] >= options.hold_ticks:
             raise _error(status, leg, margin, reading, options, state)
+        state["held"] += 1.0
 
     return Part("estimator", {"reading": 6}, ("measurement",), initial, tick)
 
@@ -209,12 +183,12 @@ def singular_pose(status: int, leg: int, margin: float, pose: np.ndarray) -> Sin
 def _error(
     status: int, leg: int, margin: float, angles: np.ndarray, options: EncoderOptions, state: np.ndarray
 ) -> RunFailure:
-    pose, last = state["candidate"][0].copy(), state["measurement"][0, :6].copy()
+    pose = state["candidate"][0].copy()
     if status == NO_CONVERGENCE:
         return ForwardKinematicsError(margin, leg)
     if status in (SERIAL, PARALLEL):
         return singular_pose(status, leg, margin, pose)
     if status == OTHER_MODE:
-        return AssemblyModeError(pose, last)
+        return AssemblyModeError(pose, state["measurement"][0, :6].copy())
     what = "not finite" if status == NOT_FINITE else f"changed faster than {options.max_speed:g} rad/s"
     return RunFailure(f"encoder readings {pose_text(angles)}: {what}", reason="encoder")

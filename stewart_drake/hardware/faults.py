@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import LegNumber, NotNegative, Positive, Real, Section, Text, describe, either
+from stewart_drake.config import LegNumber, NotNegative, Positive, Real, Section, Text, either
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import Table
 from stewart_drake.registry import COMMAND_FAULTS, ENCODER_FAULTS, MOTOR_FAULTS, POSE_FAULTS
@@ -98,16 +98,19 @@ SWAPPED = FaultKind(_swapped, needs="other")
 
 
 class Fault(Section):
-    """Base of the faults."""
+    """Base of the faults; one that has no key `leg`, `duration`, `delay` or `other` acts as where that is null."""
 
     kinds: ClassVar[Table]
     kind: str
     time: NotNegative = 0.0
     """[s] when it begins."""
 
+    def _key(self, name: str) -> Any:
+        return getattr(self, name, None)
+
     def spoil(self, signal: Signal) -> bool:
         """Does what its kind does, if it is there at the signal's time; whether it is."""
-        duration = getattr(self, "duration", None)
+        duration = self._key("duration")
         acts = self.time <= signal.time < self.time + (math.inf if duration is None else duration)
         if acts:
             self.kinds[self.kind].spoil(self, signal)
@@ -116,31 +119,23 @@ class Fault(Section):
     @property
     def channels(self) -> slice:
         """Entries that it spoils: of its leg, or all."""
-        leg = getattr(self, "leg", None)
+        leg = self._key("leg")
         return slice(None) if leg is None else slice(leg, leg + 1)
 
     def ticks_late(self, period: float) -> int:
         """Whole ticks of a period [s] by which it delays a reading; 0 for a kind that does not."""
-        delay = getattr(self, "delay", None)
-        return 0 if delay is None else math.ceil(delay / period - 1e-6)
+        return math.ceil((self._key("delay") or 0.0) / period - 1e-6)
 
     def rules(self) -> None:
         """The keys that the kind needs, and no others."""
-        for key in ("delay", "other"):
-            value, kinds = (
-                getattr(self, key, None),
-                [name for name in self.kinds.names if self.kinds[name].needs == key],
-            )
-            if value is not None and self.kind not in kinds:
-                raise ConfigurationError(key, value, f"null, but for kind {either(kinds)}")
-            if value is None and self.kind in kinds:
-                words = describe(self.__pydantic_fields__[key].annotation)
-                raise ConfigurationError(key, value, f"{words}, for kind {self.kind}")
-        leg, other = getattr(self, "leg", None), getattr(self, "other", None)
-        if other is not None and leg is None:
-            raise ConfigurationError("leg", leg, f"a leg from 0 to 5, other than {other}")
-        if other is not None and leg == other:
-            raise ConfigurationError("other", other, f"a leg from 0 to 5, other than {leg}")
+        leg, other = self._key("leg"), self._key("other")
+        for key, words in (("delay", "a positive number"), ("other", "a leg from 0 to 5")):
+            kinds, value = [name for name in self.kinds.names if self.kinds[name].needs == key], self._key(key)
+            if (value is None) == (self.kind in kinds):
+                raise ConfigurationError(key, value, f"{words} for kind {either(kinds)}" if kinds else "null")
+        if other is not None and leg in (None, other):
+            key, given, apart = ("leg", leg, other) if leg is None else ("other", other, leg)
+            raise ConfigurationError(key, given, f"a leg from 0 to 5, other than {apart}")
 
 
 Delay = Annotated[Positive, Field(le=1.0)]

@@ -1,25 +1,118 @@
-"""Motors: what they make of the torque asked for, what is added against their friction, what five of six hold."""
+"""From a command to the cranks: delay, link, motors, and what is added against friction."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import contextlib
 from functools import cached_property
-from itertools import combinations, product
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import LegNumber, Natural, NotNegative, Positive, Section
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.hardware.faults import MotorFault, Signal
+from stewart_drake.config import LegNumber, Natural, NotNegative, Positive, Section, Seed, Share
+from stewart_drake.errors import ConfigurationError, UnreachablePoseError
+from stewart_drake.hardware.faults import CommandFault, MotorFault, Signal, tick_numbers
 from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.friction import dry_level
 from stewart_drake.mechanics.kinematics_laws import LEGS, crank_rates, legs_at, robot_record, twist_of
 from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.friction_options import FrictionOptions
-from stewart_drake.robot.leg import SMALLEST
+from stewart_drake.robot.leg import SMALLEST, FrictionOptions
+
+_STREAM = 3
+"""Of random numbers, see `faults.tick_numbers`."""
+
+
+class LinkOptions(Section, key="link"):
+    """What may happen to a command on its way; by default nothing does.
+
+    A dropped tick's command never arrives and the last one holds. A late one arrives `late_steps` steps of the plant
+    after its tick, unless a newer one came before. Where a tick is both, it is dropped.
+    """
+
+    drop_probability: Share = 0.0
+    """[-] that a tick is dropped, 0 to 1."""
+    dropped: tuple[Natural, ...] = ()
+    """Ticks that are dropped in any case, whatever `drop_probability` is; tick k is at k controller.period."""
+    stop_time: NotNegative | None = None
+    """[s] from which on every tick is dropped: the controller hangs; null for never."""
+    late_probability: Share = 0.0
+    """[-] that a tick is late, 0 to 1."""
+    late: tuple[Natural, ...] = ()
+    """Ticks that are late in any case."""
+    late_steps: Annotated[Natural, Field(ge=1, le=100_000)] = 1
+    """Steps of the plant by which a late tick is late, at most one control period."""
+    seed: Seed = 0
+    """Of what is dropped and late; each tick has its own number, whatever came before."""
+    faults: tuple[CommandFault, ...] = ()
+    """Commands that are corrupted before they are sent."""
+
+    @cached_property
+    def perfect(self) -> bool:
+        """Whether every command arrives at once, as it was sent."""
+        chance = self.drop_probability or self.late_probability or self.dropped or self.late or self.faults
+        return not chance and self.stop_time is None
+
+    def fate(self, tick: int, time: float) -> Literal["arrives", "dropped", "late"]:
+        """What becomes of the command of a tick."""
+        drop, late = tick_numbers(self.seed, _STREAM, tick, 2, normal=False)
+        stopped = self.stop_time is not None and time >= self.stop_time
+        if stopped or tick in self.dropped or drop < self.drop_probability:
+            return "dropped"
+        return "late" if tick in self.late or late < self.late_probability else "arrives"
+
+
+_LINK_STATE = fields(torque=6, age=(1,), steps=(), arriving=6, due=(), sent=(), arrived=())
+"""torque: in force [N m]. age: of it, counted from the newest tick there was [ticks]. steps: done. arriving: under way
+[N m]. due: step at which that arrives, 0 for none. sent: its tick. arrived: tick of the command in force."""
+
+
+def link_part(options: LinkOptions, steps_per_tick: int, initial: np.ndarray) -> Part:
+    """What has arrived by each step of the plant; `initial` (6,) [N m] stands until the first command arrives."""
+
+    def tick(torque: np.ndarray, time: np.ndarray, state: np.ndarray) -> None:
+        now: Any = state[0]
+        step = int(now["steps"])
+        if now["due"] > 0.0 and step >= now["due"]:
+            now["torque"], now["arrived"], now["due"] = now["arriving"], now["sent"], 0.0
+        number, within = divmod(step, steps_per_tick)
+        if within == 0:
+            signal = Signal(np.array(torque, dtype=float), float(time[0]), number)
+            for fault in options.faults:
+                fault.spoil(signal)
+            fate = options.fate(number, signal.time)
+            if fate == "arrives":
+                now["torque"], now["arrived"], now["due"] = signal.says, number, 0.0
+            elif fate == "late":
+                now["arriving"], now["sent"], now["due"] = signal.says, number, step + options.late_steps
+        now["age"], now["steps"] = number - now["arrived"], step + 1
+
+    first = new_record(_LINK_STATE, torque=initial)
+    return Part("link", {"torque": 6, "time": 1}, ("torque", "age"), first, tick, every_step=True)
+
+
+def delay_part(ticks: int, initial: np.ndarray) -> Part:
+    """A constant delay of commands: `torque` (6,) [N m] -> that of so many ticks ago, and `initial` (6,) until then."""
+    first = new_record(fields(torque=6, under_way=(ticks, 6)), torque=initial, under_way=initial)
+
+    def tick(torque: np.ndarray, state: np.ndarray) -> None:
+        state["torque"][0], under_way = state["under_way"][0, 0], state["under_way"][0]
+        under_way[:-1] = under_way[1:]
+        under_way[-1] = torque
+
+    return Part("command_delay", {"torque": 6}, ("torque",), first, tick)
+
+
+def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: float) -> np.ndarray:
+    """Torques (6,) [N m] that hold the robot, as believed, at a pose; zeros where it cannot stand there."""
+    # In that case the first tick says so, with a log.
+    with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
+        return static_torque(robot, pose, gravity)
+    return np.zeros(6)
+
+
+# --- motors ----------------------------------------------------------------------------------------------------------
 
 
 class DeadMotor(Section, key="motors.dead"):
@@ -46,8 +139,7 @@ class MotorOptions(Section, key="motors"):
     """Motors wired wrong, in order, between amplifier and motor."""
 
     def rules(self) -> None:
-        """See `Section.rules`."""
-        # In steps yet smaller every torque is infinitely many.
+        """In steps yet smaller every torque is infinitely many."""
         if 0.0 < self.resolution < SMALLEST:
             raise ConfigurationError("resolution", self.resolution, f"0, or at least {SMALLEST:g} N m")
 
@@ -96,32 +188,23 @@ class FrictionCompensation(FrictionOptions, key="friction_compensation"):
 
 _BELIEVED = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, width=())
 """[N m], [N m], [rad/s], [N m s/rad], [rad/s]."""
-_FRICTION_STATE = fields(against_friction=6)
 
 
 @njit
-def against_friction(robots: Any, believed: Any, reference: Any, leg_records: Any, states: Any) -> None:
-    """Torques g(rate) tanh(rate / width) + viscous rate of cranks that follow a reference.
+def _against_friction(robots: Any, believed: Any, reference: Any, leg_records: Any, out: Any) -> None:
+    """Torques (6,) g(rate) tanh(rate / width) + viscous rate of cranks that follow a reference (18,).
 
     Zeros where the reference is out of reach, or a crank at its dead centre.
-
-    Args:
-        robots: `ROBOT` record.
-        believed: `_BELIEVED` record.
-        reference: (18,) pose [rad, m], its rate and its acceleration.
-        leg_records: `LEGS`, overwritten.
-        states: `_FRICTION_STATE` record, out.
     """
-    robot, friction, legs, out = record(robots), record(believed), record(leg_records), record(states).against_friction
+    robot, friction, legs = record(robots), record(believed), record(leg_records)
     twist, rates = np.empty(6), np.empty(6)
     out[:] = 0.0
     if legs_at(robot, reference[:6], legs) >= 0:
         return
     twist_of(reference[:6], reference[6:12], twist)
     crank_rates(legs, twist, rates)
-    for i in range(6):
-        if not np.isfinite(rates[i]):
-            return
+    if not np.isfinite(rates).all():
+        return
     for i in range(6):
         dry = dry_level(friction.coulomb[i], friction.break_away[i], friction.stribeck_rate[i], rates[i])
         out[i] = dry * np.tanh(rates[i] / friction.width) + friction.viscous[i] * rates[i]
@@ -134,66 +217,7 @@ def friction_part(robot: RobotParameters, options: FrictionCompensation) -> Part
     believed = new_record(_BELIEVED, **levels, width=options.width)
 
     def tick(reference: np.ndarray, state: np.ndarray) -> None:
-        against_friction(own, believed, reference, legs, state)
+        _against_friction(own, believed, reference, legs, state["against_friction"][0])
 
-    return Part("friction_compensation", {"reference": 18}, ("against_friction",), new_record(_FRICTION_STATE), tick)
-
-
-# --- what five motors hold -------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class HoldableLoad:
-    """What five motors hold at rest beside the robot's own weight, see `holdable_load`.
-
-    Attributes:
-        weight: Whether they hold the weight alone.
-        support: [N] smallest force at P, in its best direction, with which they do; 0 where the weight needs none and
-            infinite where no force helps.
-        force: [N] largest force at P that they hold; None where the weight alone is too much.
-        moment: [N m] largest moment that they hold; None where the weight alone is too much.
-    """
-
-    weight: bool
-    support: float
-    force: float | None
-    moment: float | None
-
-
-def holdable_load(weight_torque: np.ndarray, jacobian: np.ndarray, limit: float, dead: int) -> HoldableLoad:
-    """Statics over the five motors that are left.
-
-    At rest T = G - J^-T w for an external wrench w on the platform, and T must vanish at the dead motor: six equations
-    for five torques. Any load must lie in the one plane where they agree, and gravity seldom does.
-
-    Args:
-        weight_torque: (6,) [N m] that hold the robot itself, `dynamics.static_torque`.
-        jacobian: (6, 6) d(theta)/d(twist), `kinematics.twist_jacobian`.
-        limit: [N m] of each motor.
-        dead: The leg without torque.
-    """
-    per_wrench = -np.linalg.inv(jacobian.T)
-    forces = _corners(weight_torque, per_wrench[:, 3:], limit, dead)
-    if abs(weight_torque[dead]) < 1e-9 * limit and bool((np.abs(weight_torque) <= limit).all()):
-        moments = _corners(weight_torque, per_wrench[:, :3], limit, dead)
-        return HoldableLoad(True, 0.0, *(float(np.linalg.norm(c, axis=1).max()) for c in (forces, moments)))
-    # The smallest force in the polygon: the nearest in its plane, or else one of its corners.
-    normal = per_wrench[dead, 3:]
-    load = -weight_torque[dead] * normal / (normal @ normal)
-    if not (np.abs(weight_torque + per_wrench[:, 3:] @ load) <= limit * (1.0 + 1e-9)).all():
-        return HoldableLoad(False, float(np.linalg.norm(forces, axis=1).min(initial=np.inf)), None, None)
-    return HoldableLoad(False, float(np.linalg.norm(load)), None, None)
-
-
-def _corners(weight: np.ndarray, per_load: np.ndarray, limit: float, dead: int) -> np.ndarray:
-    """Corners (n, 3) of the polygon of loads that the motors hold; a norm is largest at one of them."""
-    found = []
-    for one, other in combinations([leg for leg in range(6) if leg != dead], 2):
-        legs = [dead, one, other]
-        for bounds in product((1, -1), repeat=2):
-            wanted = np.array([0.0, limit * bounds[0], limit * bounds[1]]) - weight[legs]
-            load = np.linalg.lstsq(per_load[legs], wanted, rcond=None)[0]
-            torque = weight + per_load @ load
-            if abs(torque[dead]) < 1e-9 * limit and (np.abs(torque) <= limit * (1.0 + 1e-9)).all():
-                found.append(load)
-    return np.array(found).reshape(-1, 3)
+    state = new_record(fields(against_friction=6))
+    return Part("friction_compensation", {"reference": 18}, ("against_friction",), state, tick)

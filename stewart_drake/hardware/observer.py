@@ -27,21 +27,11 @@ from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePose
 from stewart_drake.hardware.estimator import EstimatorOptions, difference_part, singular_pose
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.mechanics.dynamics_laws import forward_dynamics, task_inertia
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
-from stewart_drake.mechanics.kinematics_laws import (
-    LEGS,
-    OK,
-    PARALLEL,
-    SERIAL,
-    UNREACHABLE,
-    angular_velocity,
-    dot,
-    legs_at,
-    rate_of,
-    robot_record,
-)
+from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, SERIAL, UNREACHABLE, dot, legs_at
 from stewart_drake.mechanics.linear_algebra import solve
 from stewart_drake.mechanics.spectral import spectral_factor
 from stewart_drake.part import WELL, Part, Setup
@@ -65,7 +55,7 @@ LONGEST_DELAY = 100
 """[ticks] of a command that may be under way; the state has place for so many, whatever the delay is."""
 FARTHEST = 0.3
 """[s] beyond which a prediction says nothing any more; assumed."""
-MISSING, FIRST = 20, 21
+MISSING = 20
 """How a tick may end beside the statuses of `kinematics_laws`."""
 
 
@@ -95,13 +85,14 @@ class ObserverOptions(EstimatorOptions):
 
     def innovation_scale(self, setup: Setup) -> tuple[float, float]:
         """See `EstimatorOptions`."""
-        return innovation_scale(setup.noise, self.disturbance * setup.levels[1], setup.period)
+        noise = max(setup.noise, SMALLEST_NOISE)
+        turn = bandwidth(noise, self.disturbance * setup.levels[1], setup.period)
+        return NOISE_AT_MOST * noise, 1.0 / turn**2 + setup.period**2
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         """See `EstimatorOptions`."""
-        start = setup.noise, setup.pose, setup.pose_rate, setup.still
-        more: dict[str, Any] = {"command_delay": setup.delay, "friction": setup.friction, "size": setup.reading}
-        part = observer_part(setup.robot, self, setup.gravity, setup.period, *start, **more)
+        fixed = setup.robot, self, setup.gravity, setup.period, setup.noise, setup.pose, setup.pose_rate, setup.still
+        part = observer_part(*fixed, command_delay=setup.delay, friction=setup.friction, size=setup.reading)
         return (part._replace(reads={"disturbance": np.array([self.disturbance])}),)
 
 
@@ -109,7 +100,7 @@ SETUP = fields(period=(), gravity=(), noise=(), max_innovation=(), hold_ticks=()
 """period [s]. gravity [m/s^2]. noise: of a reading [rad]. max_innovation [rad]. hold_ticks [ticks]. arrived: within
 which a crank stands where it is wanted [rad], negative for motors without friction. slip: of a crank by `SLIP` of the
 largest break-away torque [rad/s^2]. delay: of the commands [ticks]."""
-STATE = fields(
+_STATE = fields(
     measurement=12, ahead=12, compensation=6, innovation=6, health=2,
     disturbance=6, missed=6, side=(), commands=(LONGEST_DELAY + 1, 6),
 )  # fmt: skip
@@ -148,15 +139,9 @@ def kalman_gains(noise: float, disturbance: float, period: float) -> tuple[float
     return (c2 + 0.25 * c0) * low, c1 * low / period, c0 * low / period**2
 
 
-def innovation_scale(noise: float, disturbance: float, period: float) -> tuple[float, float]:
-    """[rad] of an innovation that noise explains, and [rad per rad/s^2] what an unexplained acceleration leaves."""
-    noise = max(noise, SMALLEST_NOISE)
-    return NOISE_AT_MOST * noise, 1.0 / bandwidth(noise, disturbance, period) ** 2 + period**2
-
-
 @njit
 def predict(robot: Any, setup: Any, torque: Any, disturbance: Any, pose: Any, rate: Any, legs: Any) -> Any:
-    """Moves pose and rate (6,) by a period, by the exact model, in place; as `observe`, SERIAL is out of reach.
+    """Moves pose and rate (6,) by a period, by the exact model, in place; status, leg and margin as `_observe`.
 
     The torque (6,) [N m] is constant meanwhile; the disturbance (6,) [rad/s^2] is added to the cranks' accelerations.
     """
@@ -173,65 +158,31 @@ def predict(robot: Any, setup: Any, torque: Any, disturbance: Any, pose: Any, ra
 
 
 @njit
-def observe(
-    robots: Any, setups: Any, reading: Any, sent: Any, reference: Any, expected: Any, leg_records: Any, states: Any
+def _observe(
+    robots: Any, setups: Any, reading: Any, sent: Any, reference: Any, expected: float, leg_records: Any, states: Any
 ) -> Any:
-    """One tick: predicts, corrects by what is believed of the readings, and looks ahead.
-
-    Args:
-        robots: `ROBOT` record.
-        setups: `SETUP` record.
-        reading: (6,) [rad] of the cranks, NaN for one that is missing; or (12,) pose [rad, m] and its rate.
-        sent: (6,) [N m] the last command, of the tick before, less what of it the friction takes.
-        reference: (18,) wanted now: pose [rad, m], its rate and its acceleration.
-        expected: (1,) disturbance [rad/s^2 per sqrt(s)] for this tick, see `ObserverOptions`.
-        leg_records: `LEGS`, overwritten.
-        states: `STATE` record, in place.
+    """One tick: predicts, corrects by what is believed of the readings, and looks ahead; inputs as of `observer_part`.
 
     Returns:
         Status, leg or -1, margin. SERIAL and PARALLEL are said of the pose in the state.
     """
     robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
-    if state.side == 0.0:
-        return FIRST, -1, 0.0
-    cosine, sine = np.empty(6), np.empty(6)
-    status, leg, margin = _directions(robot, reading, cosine, sine, legs)
-    if status == OK:
-        for row in range(int(setup.delay)):
-            state.commands[row] = state.commands[row + 1]
-        # What is not a number no motor gives; the safety layer repeats the last command for it.
-        if np.isfinite(sent).all():
-            state.commands[int(setup.delay)] = sent
-        status, leg, margin = _correct(robot, setup, cosine, sine, reference, expected[0], state, legs)
-    if status == OK:
-        status, leg, margin = _look_ahead(robot, setup, state, legs)
-    return status, leg, margin
-
-
-@njit
-def begin(robots: Any, setups: Any, pose: Any, leg_records: Any, states: Any) -> Any:
-    """The first tick, from the pose (6,) that its readings tell; the rate is that of the state. As `observe`."""
-    robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
-    state.measurement[:6] = pose
-    legs_at(robot, pose, legs)
-    state.side = solve(legs.line.copy(), np.empty((6, 1)))
-    return _look_ahead(robot, setup, state, legs)
-
-
-@njit
-def _directions(robot: Any, reading: Any, cosine: Any, sine: Any, legs: Any) -> Any:
-    """Cosine and sine (6,) of the cranks' angles that a sensor reads; of a pose those that belong to it."""
-    if reading.size == 6:
+    cosine, sine = np.cos(reading[:6]), np.sin(reading[:6])
+    if reading.size == 12:
+        bad = legs_at(robot, reading[:6], legs)
+        if bad >= 0 and np.isfinite(reading[:6]).all():
+            return UNREACHABLE, bad, legs.reach[bad]
         for i in range(6):
-            cosine[i], sine[i] = np.cos(reading[i]), np.sin(reading[i])
-        return OK, -1, 0.0
-    bad = legs_at(robot, reading[:6], legs)
-    cosine[:], sine[:] = legs.cosine, legs.sine
-    if bad >= 0 and np.isfinite(reading[:6]).all():
-        return UNREACHABLE, bad, legs.reach[bad]
-    if bad >= 0:
-        cosine[:] = np.nan
-    return OK, -1, 0.0
+            cosine[i], sine[i] = (legs.cosine[i], legs.sine[i]) if bad < 0 else (np.nan, np.nan)
+    for row in range(int(setup.delay)):
+        state.commands[row] = state.commands[row + 1]
+    # What is not a number no motor gives; the safety layer repeats the last command for it.
+    if np.isfinite(sent).all():
+        state.commands[int(setup.delay)] = sent
+    status, leg, margin = _correct(robot, setup, cosine, sine, reference, expected, state, legs)
+    if status != OK:
+        return status, leg, margin
+    return _look_ahead(robots, setups, leg_records, states)
 
 
 @njit
@@ -272,9 +223,9 @@ def _correct(
         state.measurement[:6] = pose
         return PARALLEL, -1, 0.0
     predicted = pose.copy()
-    rate_of(predicted, turned[:, 0], change)
+    laws.rate_of(predicted, turned[:, 0], change)
     pose += change
-    rate_of(predicted, turned[:, 1], change)
+    laws.rate_of(predicted, turned[:, 1], change)
     rate += change
     state.measurement[:6], state.measurement[6:] = pose, rate
     if not _stands(setup, legs, expected, pose, reference):
@@ -291,8 +242,8 @@ def _stands(setup: Any, legs: Any, expected: float, pose: Any, reference: Any) -
     turn = bandwidth(setup.noise, expected, setup.period)
     arrived = max(setup.arrived, setup.slip / (turn * turn))
     off, wanted = np.empty(6), np.empty(6)
-    angular_velocity(pose[:3], pose[:3] - reference[:3], off[:3])
-    angular_velocity(pose[:3], reference[6:9], wanted[:3])
+    laws.angular_velocity(pose[:3], pose[:3] - reference[:3], off[:3])
+    laws.angular_velocity(pose[:3], reference[6:9], wanted[:3])
     off[3:], wanted[3:] = pose[3:] - reference[3:6], reference[9:12]
     for i in range(6):
         apart = dot(legs.line[i, :3], off[:3]) + dot(legs.line[i, 3:], off[3:])
@@ -304,8 +255,9 @@ def _stands(setup: Any, legs: Any, expected: float, pose: Any, reference: Any) -
 
 
 @njit
-def _look_ahead(robot: Any, setup: Any, state: Any, legs: Any) -> Any:
+def _look_ahead(robots: Any, setups: Any, leg_records: Any, states: Any) -> Any:
     """The rest of a tick: what will be when its command acts, and what the disturbance takes then."""
+    robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
     ahead, inertia = state.ahead, np.empty((6, 6))
     ahead[:] = state.measurement
     for row in range(1, int(setup.delay) + 1):
@@ -317,18 +269,20 @@ def _look_ahead(robot: Any, setup: Any, state: Any, legs: Any) -> Any:
         return SERIAL, bad, legs.reach[bad]
     # T = -J^-T M J^-1 (disturbance).
     task_inertia(robot, legs, inertia)
-    lines, twist, transposed, wrench = legs.line.copy(), np.empty((6, 1)), np.empty((6, 6)), np.zeros((6, 1))
+    lines, twist, transposed, wrench = (
+        legs.line.copy(),
+        np.empty((6, 1)),
+        np.ascontiguousarray(legs.line.T),
+        np.zeros((6, 1)),
+    )
     for i in range(6):
         twist[i, 0] = legs.lever[i] * state.disturbance[i]
-        for k in range(6):
-            transposed[k, i] = legs.line[i, k]
     if solve(lines, twist) == 0.0:
         return PARALLEL, -1, 0.0
     for k in range(6):
         for m in range(6):
             wrench[k, 0] += inertia[k, m] * twist[m, 0]
-    if solve(transposed, wrench) == 0.0:
-        return PARALLEL, -1, 0.0
+    solve(transposed, wrench)
     for i in range(6):
         state.compensation[i] = -legs.lever[i] * wrench[i, 0]
     return OK, -1, 0.0
@@ -348,20 +302,16 @@ def observer_part(
     friction: float = 0.0,
     size: int = 6,
 ) -> Part:
-    """The observer, see `observe` for its inputs and `STATE` for its outputs.
+    """The observer, for a robot as the controller believes it to be; its outputs are the first fields of `_STATE`.
 
-    Args:
-        robot: As the controller believes it to be.
-        options: See `ObserverOptions`.
-        gravity: [m/s^2].
-        period: [s] of the ticks.
-        noise: [rad] standard deviation of a reading, `SensorOptions.reading_noise`.
-        pose: (6,) [rad, m] roughly where the platform stands at first; picks the assembly mode.
-        pose_rate: (6,) [rad/s, m/s] of a robot that is in motion at the start.
-        still: (6,) [N m] at the motors until the first command arrives.
-        command_delay: [ticks] of the commands; `ObserverOptions.delay` may say otherwise.
-        friction: [N m] largest break-away torque that the motors are believed to have.
-        size: Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
+    Inputs: reading (6,) [rad] of the cranks, NaN for one that is missing, or (12,) pose [rad, m] and its rate; sent
+    (6,) [N m] the last command, of the tick before, less what of it the friction takes; reference (18,) wanted now;
+    disturbance (1,) [rad/s^2 per sqrt(s)] to expect, see `ObserverOptions`.
+
+    Args: noise [rad], standard deviation of a reading; pose (6,) [rad, m] roughly where the platform stands at first,
+    which picks the assembly mode, and its rate; still (6,) [N m] at the motors until the first command arrives;
+    command_delay [ticks], of which `options.delay` may say otherwise; friction [N m], the largest break-away torque
+    that the motors are believed to have; size of a reading.
 
     Raises:
         ConfigurationError: A delay that is too long.
@@ -383,29 +333,29 @@ def observer_part(
         slip=SLIP * friction * float(mobility.max()),
         delay=delay,
     )
-    own, legs, first = (
-        robot_record(robot),
-        np.empty(1, LEGS),
-        difference_part(robot, EncoderOptions(), period, pose),
-    )
+    own, legs = laws.robot_record(robot), np.empty(1, laws.LEGS)
+    first = difference_part(robot, EncoderOptions(), period, pose)
     start = np.concatenate([pose, pose_rate])
-    initial = new_record(STATE, measurement=start, ahead=start, health=WELL)
+    initial = new_record(_STATE, measurement=start, ahead=start, health=WELL)
     initial["commands"][0, : delay + 1] = still
 
-    def first_tick(reading: np.ndarray, state: np.ndarray) -> tuple[int, int, float]:
+    def begin(reading: np.ndarray, state: np.ndarray) -> Any:
+        """The first tick: the pose that its readings tell, and the rate of the state."""
         angles, estimate = reading, first.initial.copy()
         if size == 12:
             finite = bool(np.isfinite(reading[:6]).all())
             angles = inverse_kinematics(robot, reading[:6]) if finite else np.full(6, np.nan)
         first.tick(angles, estimate)
-        return begin(own, setup, estimate["measurement"][0, :6], legs, state)
+        state["measurement"][0, :6], state["side"] = estimate["measurement"][0, :6], estimate["side"]
+        return _look_ahead(own, setup, legs, state)
 
     def tick(
         reading: np.ndarray, sent: np.ndarray, reference: np.ndarray, disturbance: np.ndarray, state: np.ndarray
     ) -> None:
-        status, leg, margin = observe(own, setup, reading, sent, reference, disturbance, legs, state)
-        if status == FIRST:
-            status, leg, margin = first_tick(reading, state)
+        if state["side"][0] == 0.0:
+            status, leg, margin = begin(reading, state)
+        else:
+            status, leg, margin = _observe(own, setup, reading, sent, reference, disturbance[0], legs, state)
         if status != OK:
             raise _error(status, leg, margin, reading, state)
 

@@ -60,7 +60,7 @@ class IdealSensors(SensorOptions):
 
     @property
     def exact(self) -> bool:
-        """Without faults it is."""
+        """See `SensorOptions`."""
         return not self.faults
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
@@ -113,31 +113,20 @@ class EncoderOptions(SensorOptions):
         return true, faulty_sensor_part(self.faults, 6, setup.period)._replace(reads={"reading": "true_reading"})
 
     def read(self, crank_angles: np.ndarray) -> np.ndarray:
-        """Readings (..., 6) [rad] of true angles, without noise and faults."""
-        angles = np.asarray(crank_angles) + self.offset
+        """Readings (..., 6) [rad] of angles: with the offset, rounded to whole counts; without noise and faults."""
+        angles = crank_angles + np.array(self.offset)
         return np.rint(angles / self.quantum) * self.quantum if self.quantum > 0.0 else angles
 
-    def drawn(self, tick: int) -> np.ndarray:
-        """Standard normal numbers (6,) of the noise of a tick."""
-        return tick_numbers(self.noise_seed, _STREAM, tick, 6, normal=True)
 
-
-ENCODERS = fields(offset=6, noise=(), quantum=())
+_ENCODERS = fields(offset=6, noise=(), quantum=())
 """[rad] each."""
-ENCODER_STATE = fields(reading=6, ticks=())
+_ENCODER_STATE = fields(reading=6, ticks=())
 """[rad], and ticks done, of which each has its own noise."""
 
 
 @njit
-def read_encoders(setups: Any, crank_state: Any, drawn: Any, states: Any) -> None:
-    """Readings of encoders: the true angle with an offset and noise, rounded to whole counts.
-
-    Args:
-        setups: `ENCODERS` record.
-        crank_state: (12,) true angles [rad] and their rates.
-        drawn: (6,) standard normal numbers.
-        states: `ENCODER_STATE` record, in place.
-    """
+def _read(setups: Any, crank_state: Any, drawn: Any, states: Any) -> None:
+    """`EncoderOptions.read` for a tick of a loop, of true angles with noise for standard normal numbers (6,)."""
     setup, state = record(setups), record(states)
     for k in range(6):
         angle = crank_state[k] + setup.offset[k] + setup.noise * drawn[k]
@@ -147,13 +136,15 @@ def read_encoders(setups: Any, crank_state: Any, drawn: Any, states: Any) -> Non
 
 def encoder_part(options: EncoderOptions) -> Part:
     """Encoders, while none fails: `crank_state` (12,), angles [rad] and rates, -> `reading` (6,) [rad]."""
-    setup, noisy, nothing = new_record(ENCODERS, options), options.noise > 0.0, np.zeros(6)
+    setup, noisy, nothing = new_record(_ENCODERS, options), options.noise > 0.0, np.zeros(6)
 
     def tick(crank_state: np.ndarray, state: np.ndarray) -> None:
-        drawn = options.drawn(int(state["ticks"][0])) if noisy else nothing
-        read_encoders(setup, crank_state, drawn, state)
+        drawn = nothing
+        if noisy:
+            drawn = tick_numbers(options.noise_seed, _STREAM, int(state["ticks"][0]), 6, normal=True)
+        _read(setup, crank_state, drawn, state)
 
-    return Part("encoders", {"crank_state": 12}, ("reading",), new_record(ENCODER_STATE), tick)
+    return Part("encoders", {"crank_state": 12}, ("reading",), new_record(_ENCODER_STATE), tick)
 
 
 def faulty_sensor_part(faults: Sequence[Fault], size: int, period: float) -> Part:

@@ -7,18 +7,38 @@ the scores (W. K. Newey and K. D. West, Econometrica 55, 1987), not by the numbe
 Base parameters: a direction in which the parameters may change by a good part of their own size and no torque
 notices is not told. Its largest parameter then keeps the value of the guess, and all others mean a sum with it: base
 parameters (M. Gautier, "Numerical calculation of the base inertial parameters of robots", J. Robotic Systems 8, 1991).
+
+Bodies: the platform's pseudo-inertia matrix [[Sigma, moment], [moment', mass]] with Sigma = tr(I)/2 - I is positive
+semidefinite, which is what a distribution of positive mass has and nothing else: P. M. Wensing, S. Kim, J.-J. E.
+Slotine, "Linear matrix inequalities for physically consistent inertial parameter identification" (IEEE RA-L 3, 2018).
+Rods, cranks and rotors have no negative mass or inertia, and no friction drives.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.identification.parameters import GAIN, PARAMETERS, Kind, free_directions, of_robot, scales
+from stewart_drake.errors import ConfigurationError, StewartDrakeError, drake_guard
+from stewart_drake.identification.parameters import (
+    CRANK_MASS,
+    GAIN,
+    MASS,
+    MOMENT,
+    PARAMETERS,
+    ROD_INERTIA,
+    ROD_MASS,
+    SIZE,
+    VISCOUS,
+    Kind,
+    free_directions,
+    inertia_matrix,
+    of_robot,
+    scales,
+)
 from stewart_drake.identification.samples import Samples
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
@@ -30,6 +50,9 @@ LARGEST = 0.3
 weighed is seldom off by more."""
 MEMORY = 0.5
 """[s] over which what is left may be correlated."""
+LEAST = 1e-5
+"""[-] of the platform's mass, and of what else the guess has, that the smallest eigenvalue of bodies and each number
+keep."""
 _PASSES = 6
 _KEEP_FIRST = np.array([5.0 if own.kind == "rod_mass" else 1.0 for own in PARAMETERS])
 """Where several could keep the guess's value it is the rods' mass, which a scale tells."""
@@ -39,6 +62,10 @@ _BLIND = 1e-9
 _UNLIKE, _NOISY, _FACTOR = 0.5, 0.1, 30.0
 """[-] of the torques' changes that may be left, unless it is less than so much of the torques, and by which they may
 differ from the guess's. A log of the same robot leaves some hundredths; units are wrong by 57 or 1000."""
+
+
+class InconsistentError(StewartDrakeError):
+    """No parameters of bodies were found near an estimate."""
 
 
 class Untold(NamedTuple):
@@ -86,17 +113,15 @@ def estimate(
     untold: list[Untold] = []
     noise = np.eye(LEGS) * np.mean(samples.torque**2)
     for turn in range(_PASSES):
-        kept = {each.at for each in untold}
-        ways = size[:, None] * free_directions(held, kept)
+        ways = size[:, None] * free_directions(held, {each.at for each in untold})
         slope, left = _whitened(samples, values, ways, noise)
-        step = np.linalg.lstsq(slope, left, rcond=_BLIND)[0]
-        values = values + ways @ step
+        values = values + ways @ np.linalg.lstsq(slope, left, rcond=_BLIND)[0]
         # A first pass from a crude guess may leave the logarithms of gains far off.
         values[GAIN] = np.clip(values[GAIN], -3.0, 3.0)
         noise = _noise(samples, values)
         if turn == 1:
             _refuse_other(guess, samples, values)
-            slope = _whitened(samples, values, size[:, None] * free_directions(held), noise)[0]
+            slope, _ = _whitened(samples, values, size[:, None] * free_directions(held), noise)
             untold = _untold(slope, samples, held, size)
             for each in untold:
                 if (own := PARAMETERS[each.at]).kind in set(asked) - set(held):
@@ -120,20 +145,17 @@ def _whitened(
     # W' W is the inverse of the covariance of those rows that have a say.
     white = np.where(both, np.linalg.inv(np.linalg.cholesky(np.where(both, noise, np.eye(LEGS)))), 0.0)
     slope = (white @ (samples.derivative(values) @ ways)).reshape(-1, ways.shape[1])
-    left = np.einsum("nij,nj->ni", white, samples.torque - samples.predicted(values)).ravel()
-    return slope, left
+    return slope, np.einsum("nij,nj->ni", white, samples.torque - samples.predicted(values)).ravel()
 
 
 def _noise(samples: Samples, values: np.ndarray) -> np.ndarray:
     """Covariance (6, 6) [N^2 m^2] of what is left, by the rows that both of two motors have."""
     used = samples.used.astype(float)
     left = (samples.torque - samples.predicted(values)) * used
-    both = np.maximum(used.T @ used, 1.0)
-    covariance = left.T @ left / both
+    covariance = left.T @ left / np.maximum(used.T @ used, 1.0)
     # Pairs seldom in motion together could make it indefinite; half of what is common is on the safe side.
     covariance = 0.5 * (covariance + np.diag(np.diag(covariance)))
-    floor = 1e-12 * float(np.mean(samples.torque**2))
-    return covariance + floor * np.eye(LEGS)
+    return covariance + 1e-12 * float(np.mean(samples.torque**2)) * np.eye(LEGS)
 
 
 def _long_run(samples: Samples, scores: np.ndarray) -> np.ndarray:
@@ -141,8 +163,7 @@ def _long_run(samples: Samples, scores: np.ndarray) -> np.ndarray:
     of_instant = scores.reshape(len(samples.time), LEGS, -1).sum(axis=1)
     lags = max(1, round(MEMORY / samples.step))
     total = of_instant.T @ of_instant
-    for piece in samples.pieces:
-        own = of_instant[piece]
+    for own in (of_instant[piece] for piece in samples.pieces):
         for lag in range(1, min(lags + 1, len(own))):
             part = (1.0 - lag / (lags + 1.0)) * own[lag:].T @ own[:-lag]
             total = total + part + part.T
@@ -181,3 +202,62 @@ def _refuse_other(guess: RobotParameters, samples: Samples, values: np.ndarray) 
     else:
         return
     raise ConfigurationError(samples.source, got, "a log of the robot that is guessed, angles in rad, torques in N m")
+
+
+def pseudo_inertia(guess: RobotParameters, values: Any) -> Any:
+    """(4, 4) [kg] of the platform with lengths in those of the robot."""
+    length = guess.characteristic_length
+    inertia, moment = inertia_matrix(values) / length**2, values[MOMENT] / length
+    top = np.concatenate([0.5 * np.trace(inertia) * np.eye(3) - inertia, moment[:, None]], axis=1)
+    return np.concatenate([top, np.append(moment, values[MASS])[None]])
+
+
+def _lower_bounds(guess: RobotParameters) -> np.ndarray:
+    """Least value (`SIZE`,) of each parameter, -inf of one that has none; a rod is no thinner than its own moment."""
+    bounds, own = np.full(SIZE, -np.inf), of_robot(guess)
+    bounds[[ROD_MASS, CRANK_MASS]] = LEAST * own[[ROD_MASS, CRANK_MASS]]
+    bounds[ROD_INERTIA] = 0.5 * guess.rod_inertia[2] * (1.0 + LEAST)
+    bounds[CRANK_MASS + 1 : VISCOUS.stop] = 0.0
+    return bounds
+
+
+def is_consistent(guess: RobotParameters, values: np.ndarray) -> bool:
+    """Whether bodies can have parameters (`SIZE`,), with half of `LEAST` to spare."""
+    smallest = np.linalg.eigvalsh(pseudo_inertia(guess, values))[0]
+    inside = (values >= _lower_bounds(guess) - 1e-9 * scales(guess)).all()
+    return bool(smallest >= 0.5 * LEAST * guess.platform_mass and inside)
+
+
+def consistent(guess: RobotParameters, found: Estimate) -> np.ndarray:
+    """Parameters (`SIZE`,) that bodies can have, nearest to an estimate in its own information: a semidefinite program.
+
+    Raises:
+        InconsistentError: None were found.
+    """
+    bounds = _lower_bounds(guess)
+    if is_consistent(guess, found.values):
+        return np.maximum(found.values, bounds)
+    from pydrake.solvers import ClarabelSolver, MathematicalProgram
+
+    with drake_guard("the semidefinite program"):
+        program = MathematicalProgram()
+        # In these directions the information is a multiple of 1, and the longest is a parameter's own size.
+        ways = found.ways @ np.linalg.inv(np.linalg.cholesky(found.information).T)
+        ways = ways / np.abs(ways / scales(guess)[:, None]).max()
+        along = program.NewContinuousVariables(ways.shape[1], "along")
+        program.AddQuadraticCost(2.0 * np.eye(len(along)), np.zeros(len(along)), along)
+        constant, *slopes = (pseudo_inertia(guess, each) / guess.platform_mass for each in (found.values, *ways.T))
+        program.AddLinearMatrixInequalityConstraint([constant - LEAST * np.eye(4), *slopes], along)
+        size = np.abs(ways).max(axis=1)
+        # Size 0 has what keeps the guess's value, which is that of a body.
+        bounded = (size > 0.0) & np.isfinite(bounds)
+        least = (bounds - found.values)[bounded] / size[bounded]
+        for row, bound in zip((ways[bounded] / size[bounded, None]), least, strict=True):
+            program.AddLinearConstraint(row, bound, np.inf, along)
+        result = ClarabelSolver().Solve(program)
+        nearest = found.values + ways @ result.GetSolution(along)
+    # The solver keeps bounds to its own tolerance.
+    nearest[bounded] = np.maximum(nearest, bounds)[bounded]
+    if not result.is_success() or not is_consistent(guess, nearest):
+        raise InconsistentError(f"no bodies near the estimate: {result.get_solution_result()}")
+    return nearest

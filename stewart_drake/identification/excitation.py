@@ -8,9 +8,8 @@ it be; then amplitudes and phases are changed at random, by steps that adapt, an
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,8 +35,7 @@ _FADE = 2.0
 _BLIND = 1e-9
 
 
-@dataclass(frozen=True)
-class Excitation:
+class Excitation(NamedTuple):
     """A motion begun from rest, with the condition number [-] of the torques' derivatives by the parameters.
 
     Each parameter counts in its own size; the last is the median of random motions.
@@ -52,7 +50,6 @@ def excite(
     robot: RobotParameters,
     limits: Limits | None = None,
     hold: Collection[Kind] = (),
-    period: float = PERIOD,
     gravity: float = STANDARD_GRAVITY,
     seed: int = 0,
     changes: int = _CHANGES,
@@ -63,7 +60,6 @@ def excite(
         robot: The guess.
         limits: What the motion keeps to, with `ROOM` to spare.
         hold: As for `identify`.
-        period: [s] after which the motion comes again.
         gravity: [m/s^2].
         seed: Of the random motions.
         changes: How many to try.
@@ -75,10 +71,10 @@ def excite(
     rng = np.random.default_rng(seed)
     size, values = scales(robot), of_robot(robot)
     ways = size[:, None] * free_directions(hold)
-    time = np.linspace(0.0, period, _SAMPLES, endpoint=False)
+    time = np.linspace(0.0, PERIOD, _SAMPLES, endpoint=False)
 
     def motion(waves: np.ndarray, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return _reference(robot, scale * waves, period).evaluate(time)
+        return _reference(robot, scale * waves).evaluate(time)
 
     def feasible(waves: np.ndarray, scale: float) -> bool:
         margins = limit_margins(robot, limits, *motion(waves, ROOM * scale), gravity)
@@ -111,17 +107,17 @@ def excite(
             best, waves = now, other
         # One success in five keeps the steps as they are.
         spread = float(np.clip(spread * (1.5 if better else 0.9), 0.01, 1.0))
-    faded = AdjustedReference(motion=_reference(robot, waves, period), fade_in=_FADE)
+    faded = AdjustedReference(motion=_reference(robot, waves), fade_in=_FADE)
     return Excitation(faded, best, random_condition)
 
 
-def _reference(robot: RobotParameters, waves: np.ndarray, period: float) -> SumReference:
+def _reference(robot: RobotParameters, waves: np.ndarray) -> SumReference:
     """The series of sine and cosine amplitudes (2, harmonics, 6) [rad, m] about home."""
     parts: list[Any] = [
         SineReference(
             center=tuple(robot.home_pose.tolist()),
             amplitude=tuple(np.hypot(sine, cosine).tolist()),
-            angular_frequency=(2.0 * np.pi * harmonic / period,) * 6,
+            angular_frequency=(2.0 * np.pi * harmonic / PERIOD,) * 6,
             phase=tuple(np.arctan2(cosine, sine).tolist()),
         )
         for harmonic, sine, cosine in zip(HARMONICS, *waves, strict=True)

@@ -1,22 +1,23 @@
-"""What an identification found, as numbers, as tables, and as the files that it leaves."""
+"""From logs to a robot: reads, fits, makes it one of bodies, and asks logs that were not used; and what was found."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from stewart_drake.files.tables import need_pandas
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.report import Report
 from stewart_drake.files.yaml_files import to_yaml
-from stewart_drake.identification.estimate import Estimate
+from stewart_drake.identification.estimate import ASKED, Estimate, consistent, estimate
 from stewart_drake.identification.parameters import (
     COULOMB,
     GAIN,
+    KINDS,
     PARAMETERS,
     VISCOUS,
     Kind,
@@ -24,10 +25,11 @@ from stewart_drake.identification.parameters import (
     of_robot,
     scales,
 )
-from stewart_drake.identification.samples import Samples
+from stewart_drake.identification.samples import Recording, Samples, load_recording, of_log, samples_of, together
+from stewart_drake.logs.log import SimulationLog
 from stewart_drake.robot import RobotParameters
 
-COLUMNS = ("parameter", "part", "unit", "guess", "value", "half_width", "base_parameter")
+AnyLog = Recording | SimulationLog | str | Path
 _SHOWN = 0.02
 """[-] of its own size by which a parameter must be in a sum for it to be named there."""
 
@@ -45,7 +47,7 @@ class Prediction(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identification:
+class Identification(Report):
     """A robot's parameters, and how well they are known.
 
     Attributes:
@@ -65,6 +67,18 @@ class Identification:
     samples: Samples
     logs: int
     predictions: tuple[Prediction, ...]
+
+    columns: ClassVar = ("parameter", "part", "unit", "guess", "value", "half_width", "base_parameter")
+    about: ClassVar = (
+        "Values with 95 % intervals. Moments and inertias of the platform are about the origin of P. Where a value\n"
+        "means a sum, the parameters after the first have the guess's values; the logs tell the sum alone."
+    )
+    picture: ClassVar = "Torques and what is left of them"
+
+    @property
+    def title(self) -> str:
+        """Of what it is."""
+        return f"Identification from {self.samples.source}"
 
     @cached_property
     def robot(self) -> RobotParameters:
@@ -99,11 +113,6 @@ class Identification:
         known = abs(mass) > self.half_width[0] > 0.0
         return mass, change[1:4] / mass if known else np.full(3, np.nan)
 
-    @property
-    def friction(self) -> dict[str, list[float]]:
-        """What goes for `plant.friction` in a scenario."""
-        return {"coulomb": self.coulomb.tolist(), "viscous": self.viscous.tolist()}
-
     def base_parameters(self) -> list[str]:
         """What each parameter's value means: itself, or a sum with those that keep the guess's value."""
         names, size = [str(own) for own in PARAMETERS], scales(self.guess)
@@ -115,23 +124,41 @@ class Identification:
         return names
 
     def rows(self) -> list[tuple[Any, ...]]:
-        """A row of `COLUMNS` for each parameter; torque constants as natural logarithms."""
+        """A row of `columns` for each parameter; torque constants as natural logarithms."""
         numbers = np.stack([of_robot(self.guess), self.values, self.half_width], axis=-1).tolist()
         rows = zip(PARAMETERS, numbers, self.base_parameters(), strict=True)
         return [(*own, *row, meaning) for own, row, meaning in rows]
 
-    def to_pandas(self) -> Any:
-        """`rows` as a pandas.DataFrame.
+    def summary(self) -> list[tuple[str, str]]:
+        """What was found, as rows of two texts."""
+        mass, place = self.payload
+        at = f" at {' '.join(f'{1e3 * x:.1f}' for x in place)} mm in P" if np.isfinite(place).all() else ""
+        corrected = (np.abs(self.values - self.estimate.values) > 1e-9 * scales(self.guess)).any()
+        torques = [
+            (
+                f"torques off (RMS), {'fitted' if at < self.logs else 'not used'}: {each.source}",
+                f"{100 * each.guess:.3g} % -> {100 * each.found:.3g} % where no crank sticks, "
+                f"{100 * each.everywhere:.3g} % everywhere",
+            )
+            for at, each in enumerate(self.predictions)
+        ]
+        return [
+            ("instants, numbers told", f"{len(self.samples.time)}, {len(self.estimate.covariance)}"),
+            ("rows in which a crank moves", f"{100.0 * self.samples.used.mean():.0f} %"),
+            *torques,
+            ("platform beyond the guess", f"{mass:+.4g} ± {self.half_width[0]:.2g} kg{at}"),
+            ("bodies", "moved to the nearest that can be" if corrected else "as estimated: they can be"),
+            ("coulomb, viscous friction", f"{_few(self.coulomb)} N m, {_few(self.viscous)} N m s/rad"),
+            ("torque constants", self._constants()),
+            *(("not told, the guess's stays", line) for line in self._untold()),
+        ]
 
-        Raises:
-            ConfigurationError: pandas is not installed.
-        """
-        need_pandas("rows() gives the same as tuples")
-        import pandas as pd
+    def _constants(self) -> str:
+        constants = ", ".join(f"{constant:.4f}" for constant in self.torque_constants)
+        what = "of the torques in the logs" if "platform_mass" in self.held else "of their geometric mean, taken as 1"
+        return f"Motors 0 to 5 give {constants} {what}"
 
-        return pd.DataFrame(self.rows(), columns=COLUMNS)
-
-    def untold(self) -> Iterator[str]:
+    def _untold(self) -> Iterator[str]:
         """A sentence for each parameter that the motion does not tell: how badly, and what goes with it."""
         size = scales(self.guess)
         for each in self.estimate.untold:
@@ -144,98 +171,88 @@ class Identification:
             badly = "by no motion" if np.isinf(each.deviation) else f"off by {each.deviation:.2g} times its size"
             yield f"{own} ({badly}): with each {own.unit or 'unit'} more of it {others or 'nothing'}"
 
-    def __repr__(self) -> str:
-        """What was identified and how well it predicts, in some lines."""
-        lines = [f"  {name}: {text}" for name, text in summary(self)]
-        return "\n".join([f"Identification of {self.samples.source}", *lines])
+    def table(self) -> tuple[list[str], list[list[str]]]:
+        """Header and rows of texts: guess, value and meaning of each parameter; torque constants as factors."""
+        rows = []
+        for own, (*_, guess, value, width, meaning) in zip(PARAMETERS, self.rows(), strict=True):
+            if own.kind == "torque_constant":
+                guess, value, width = np.exp(guess), np.exp(value), np.exp(value) * width
+            name = f"{own}".replace("_", " ") + (f" [{own.unit}]" if own.unit else "")
+            sure = f"{value:.5g} ± {width:.2g}" if width > 0.0 else f"{value:.5g}, kept"
+            rows.append([name, f"{guess:.5g}", sure, "" if meaning == str(own) else meaning])
+        return ["", "guess", "value", "means"], rows
+
+    def friction_file(self) -> str:
+        """Friction of the motors as a part of a scenario."""
+        return to_yaml({"plant": {"friction": {"coulomb": self.coulomb.tolist(), "viscous": self.viscous.tolist()}}})
+
+    def robot_file(self) -> str:
+        """The identified robot as a file that goes for `robot:` or `model_robot:` in a scenario."""
+        within = [
+            f"{'its torques' if at < self.logs else 'torques of a log not used'} within {100 * each.found:.2g} %"
+            for at, each in enumerate(self.predictions)
+        ]
+        about = f"identified from {self.logs} {'log' if self.logs == 1 else 'logs'}: {'; '.join(within)}"
+        lines = ["Friction, for `plant.friction` of a scenario:", *self.friction_file().splitlines()]
+        lines += [self._constants(), "Values with 95 % intervals:"]
+        lines += [f"  {name}: {text}" for name, _, text, _ in self.table()[1]]
+        comments = "".join(f"# {line}\n" for line in lines)
+        return f"{comments}{to_yaml({'about': about, **self.robot.to_dict()})}"
 
 
-def robot_file(found: Identification) -> str:
-    """The identified robot as a file that goes for `robot:` or `model_robot:` in a scenario."""
-    within = [
-        f"{'its torques' if at < found.logs else 'torques of a log not used'} within {100 * each.found:.2g} %"
-        for at, each in enumerate(found.predictions)
-    ]
-    about = f"identified from {found.logs} {'log' if found.logs == 1 else 'logs'}: {'; '.join(within)}"
-    lines = ["Friction, for `plant.friction` of a scenario:", *friction_file(found).splitlines(), _constants(found)]
-    lines += ["Values with 95 % intervals:", *(f"  {name}: {text}" for name, _, text, _ in parameter_columns(found)[1])]
-    comments = "".join(f"# {line}\n" for line in lines)
-    return f"{comments}{to_yaml({'about': about, **found.robot.to_dict()})}"
+def identify(
+    robot: RobotParameters,
+    logs: Sequence[AnyLog],
+    hold: Collection[Kind] = (),
+    ask: Collection[Kind] = ASKED,
+    validate: Sequence[AnyLog] = (),
+    bandwidth: float | None = None,
+    lag: float = 0.0,
+) -> Identification:
+    """Masses, inertias, friction and torque constants of a robot from logs of its motion.
+
+    Args:
+        robot: The guess: its geometry is taken as it is, its bodies where nothing else is told.
+        logs: At least one: recordings, logs, or files of them, see `load_recording`.
+        hold: Kinds that keep the guess's value; friction is none there, torque constants are 1.
+        ask: Kinds that must be told.
+        validate: Logs that are only predicted.
+        bandwidth: [Hz] of the filter, see `samples_of`; None for one by the logs' rate.
+        lag: [s] of torques in CSV files, see `Recording`.
+
+    Raises:
+        ConfigurationError: Nothing to read or free, an unknown kind; as `load_recording`, `samples_of` and `estimate`.
+        InconsistentError: No bodies are near what the logs say.
+    """
+    for name, kinds in (("hold", hold), ("ask", ask)):
+        if strange := set(kinds) - set(KINDS):
+            raise ConfigurationError(name, min(strange), f"some of {', '.join(KINDS)}")
+    if not logs:
+        raise ConfigurationError("logs", "none", "at least one log")
+
+    def read(log: AnyLog) -> Samples:
+        if isinstance(log, SimulationLog):
+            log = of_log(log, robot, f"log of {log.scenario.name}")
+        own = log if isinstance(log, Recording) else load_recording(log, robot, lag)
+        return samples_of(robot, own, bandwidth)
+
+    parts = [read(log) for log in logs]
+    samples, unseen = together(parts), [read(log) for log in validate]
+    found = estimate(robot, samples, hold, ask)
+    values = consistent(robot, found)
+    predictions = tuple(_prediction(robot, each, values) for each in (*parts, *unseen))
+    held = tuple(kind for kind in KINDS if kind in hold)
+    return Identification(robot, values, found, held, samples, len(parts), predictions)
 
 
-def friction_file(found: Identification) -> str:
-    """Friction of the motors as a part of a scenario."""
-    return to_yaml({"plant": {"friction": found.friction}})
+def _prediction(guess: RobotParameters, samples: Samples, values: np.ndarray) -> Prediction:
+    def off(by: np.ndarray, rows: np.ndarray) -> float:
+        error = (samples.torque - samples.predicted(by))[rows]
+        return float(np.sqrt(np.mean(error**2) / np.mean(samples.torque[rows] ** 2))) if error.size else np.nan
 
-
-def parameter_table(found: Identification) -> str:
-    """`Identification.rows` as CSV."""
-    stream = io.StringIO()
-    csv.writer(stream, lineterminator="\n").writerows([COLUMNS, *found.rows()])
-    return stream.getvalue()
-
-
-def summary(found: Identification) -> list[tuple[str, str]]:
-    """What was found, as rows of two texts."""
-    mass, place = found.payload
-    at = f" at {' '.join(f'{1e3 * x:.1f}' for x in place)} mm in P" if np.isfinite(place).all() else ""
-    corrected = (np.abs(found.values - found.estimate.values) > 1e-9 * scales(found.guess)).any()
-    torques = [
-        (
-            f"torques off (RMS), {'fitted' if at < found.logs else 'not used'}: {each.source}",
-            f"{100 * each.guess:.3g} % -> {100 * each.found:.3g} % where no crank sticks, "
-            f"{100 * each.everywhere:.3g} % everywhere",
-        )
-        for at, each in enumerate(found.predictions)
-    ]
-    return [
-        ("instants, numbers told", f"{len(found.samples.time)}, {len(found.estimate.covariance)}"),
-        ("rows in which a crank moves", f"{100.0 * found.samples.used.mean():.0f} %"),
-        *torques,
-        ("platform beyond the guess", f"{mass:+.4g} ± {found.half_width[0]:.2g} kg{at}"),
-        ("bodies", "moved to the nearest that can be" if corrected else "as estimated: they can be"),
-        ("coulomb, viscous friction", f"{_few(found.coulomb)} N m, {_few(found.viscous)} N m s/rad"),
-        ("torque constants", _constants(found)),
-        *(("not told, the guess's stays", line) for line in found.untold()),
-    ]
-
-
-def parameter_columns(found: Identification) -> tuple[list[str], list[list[str]]]:
-    """Header and rows: guess, value with 95 % interval and meaning of each parameter; torque constants as factors."""
-    rows = []
-    for own, (*_, guess, value, width, meaning) in zip(PARAMETERS, found.rows(), strict=True):
-        if own.kind == "torque_constant":
-            guess, value, width = np.exp(guess), np.exp(value), np.exp(value) * width
-        name = f"{own}".replace("_", " ") + (f" [{own.unit}]" if own.unit else "")
-        sure = f"{value:.5g} ± {width:.2g}" if width > 0.0 else f"{value:.5g}, kept"
-        rows.append([name, f"{guess:.5g}", sure, "" if meaning == str(own) else meaning])
-    return ["", "guess", "value", "means"], rows
-
-
-def report(found: Identification) -> str:
-    """A page in Markdown."""
-    header, rows = parameter_columns(found)
-    lines = [
-        f"# Identification from {found.samples.source}",
-        "",
-        *(f"- {name}: {text}" for name, text in summary(found)),
-        "",
-        "Values with 95 % intervals. Moments and inertias of the platform are about the origin of P. Where a value",
-        "means a sum, the parameters after the first have the guess's values; the logs tell the sum alone.",
-        "",
-        *(f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows)),
-        "",
-        "![Torques and what is left of them](identification.png)",
-        "",
-    ]
-    return "\n".join(lines)
+    used, everywhere = samples.used, np.ones_like(samples.used)
+    return Prediction(samples.source, off(of_robot(guess), used), off(values, used), off(values, everywhere))
 
 
 def _few(values: np.ndarray) -> str:
     return " ".join(f"{value:.3g}" for value in values)
-
-
-def _constants(found: Identification) -> str:
-    constants = ", ".join(f"{constant:.4f}" for constant in found.torque_constants)
-    what = "of the torques in the logs" if "platform_mass" in found.held else "of their geometric mean, taken as 1"
-    return f"Motors 0 to 5 give {constants} {what}"

@@ -1,4 +1,4 @@
-"""What logs of a robot can change: thirty-two numbers as one vector, in which its torques are nearly linear.
+"""What logs of a robot can tell: thirty-two numbers as one vector, in which its torques are nearly linear.
 
     torque_i = exp(-gain_i) (Y_i(motion) bodies + coulomb_i sign(rate_i) + viscous_i rate_i)
 

@@ -1,4 +1,4 @@
-"""From readings to equations: filtered without lag, differentiated, thinned out, and one row of the model for each.
+"""From logs of crank angles and torques to equations: read, checked, filtered, one row of the model for each instant.
 
 Angles and torques go through the same Butterworth filter of fourth order, forwards and backwards, so that neither its
 lag nor what it takes off falls between them. Rates and accelerations are those of a quintic spline through the poses
@@ -9,8 +9,10 @@ the motor's row has no say there, nor as far around as the filter smears.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,24 +21,129 @@ import scipy.ndimage
 import scipy.signal
 
 from stewart_drake.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
+from stewart_drake.files.tables import CRANK_ANGLES, numbers_to_csv, read_numbers, refuse_cells
 from stewart_drake.identification.parameters import BODIES, COULOMB, GAIN, SIZE, VISCOUS, unit_robots
-from stewart_drake.identification.recording import Recording
-from stewart_drake.mechanics.dynamics import inverse_dynamics
+from stewart_drake.logs.log import SimulationLog, load_log
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics
 from stewart_drake.mechanics.kinematics import crank_rates, forward_kinematics, inverse_kinematics, leg_geometry
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
+from stewart_drake.sampling import unwrapped
 
+MAX_BYTES, MAX_ROWS = 300_000_000, 1_000_000
+UNEVEN = 0.1
+"""[-] of a step by which times may lie beside an even grid."""
+QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"torque_{leg}", "N m") for leg in range(LEGS)))
 BANDWIDTH, ROWS_A_PERIOD = 15.0, 12.0
 """[Hz] at which the filter lets half of the amplitude through, and at least so many rows in one of its periods: what
 encoders err by grows in accelerations with the power 2.5 of the bandwidth, and falls with the rows."""
 SLOW = 0.05
 """[rad/s] of a crank below which its friction may stick."""
-_OVERSAMPLING = 6.0
-_SMEAR = 0.5
-_EDGE = 2.0
-_SHORTEST = 20.0
+_OVERSAMPLING, _SMEAR, _EDGE, _SHORTEST = 6.0, 0.5, 2.0, 20.0
 """In periods of the bandwidth: rows a period, how far the filter smears, what the ends lose, what must be left."""
 _HOMOTOPY = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """n readings of six cranks and six torques at an even rate, checked.
+
+    Attributes:
+        time: (n,) [s].
+        angles: (n, 6) [rad] encoder readings; kept without jumps by whole turns, the first within half a turn.
+        torque: (n, 6) [N m] as the motors' amplifiers say.
+        lag: [s] from a row's time to the middle of that over which its torque acts.
+        gravity: [m/s^2].
+        source: What it is called in messages, such as the file's name.
+
+    Raises:
+        ConfigurationError: Wrong shapes; a value that is not finite; angles beyond two turns; gaps in time; torques
+            that are always zero.
+    """
+
+    time: np.ndarray
+    angles: np.ndarray
+    torque: np.ndarray
+    lag: float = 0.0
+    gravity: float = STANDARD_GRAVITY
+    source: str = "recording"
+
+    def __post_init__(self) -> None:
+        for name, shape in (("time", ()), ("angles", (LEGS,)), ("torque", (LEGS,))):
+            values = np.array(getattr(self, name), dtype=float)
+            if values.shape != (len(self.time), *shape):
+                wanted = ", ".join(map(str, ("n", *shape)))
+                raise ConfigurationError(f"{self.source}: {name}", values.shape, f"numbers of shape ({wanted})")
+            object.__setattr__(self, name, values)
+        refuse_cells(self.source, QUANTITIES, self.table, ~np.isfinite(self.table), "a finite number")
+        if len(self.time) < 2:
+            raise ConfigurationError(self.source, f"{len(self.time)} rows", "some seconds of motion")
+        steps = np.diff(self.time)
+        uneven = np.abs(steps - np.median(steps)) > UNEVEN * np.median(steps)
+        if uneven.any() or np.median(steps) <= 0.0:
+            row = int(uneven.argmax())
+            got = f"{self.time[row]:g} s and then {self.time[row + 1]:g} s in row {row + 2}"
+            raise ConfigurationError(f"{self.source}: time", got, "rows at an even rate, without gaps")
+        beyond = np.abs(self.angles) > 4.0 * math.pi
+        allowed = "radians within +-4 pi; degrees go by crank_angle_0_deg"
+        refuse_cells(self.source, CRANK_ANGLES, self.angles, beyond, allowed)
+        object.__setattr__(self, "angles", unwrapped(self.angles))
+        for values in (self.time, self.angles, self.torque):
+            values.flags.writeable = False
+        still = (self.torque == 0.0).all(axis=0)
+        if still.any():
+            got = "0 in all rows"
+            raise ConfigurationError(f"{self.source}: torque_{still.argmax()}", got, "torques that were measured")
+
+    @property
+    def rate(self) -> float:
+        """[Hz] of the rows."""
+        return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
+
+    @property
+    def table(self) -> np.ndarray:
+        """(n, 13) of `QUANTITIES`."""
+        return np.concatenate([self.time[:, None], self.angles, self.torque], axis=-1)
+
+    def to_csv(self) -> str:
+        """A table that `load_recording` reads."""
+        return numbers_to_csv(QUANTITIES, self.table)
+
+
+def load_recording(path: str | Path, guess: RobotParameters, lag: float = 0.0) -> Recording:
+    """A recording from a log of this package (.parquet, or a results folder), or from a CSV file with `QUANTITIES`.
+
+    For the lag [s] of a CSV file see `Recording`: torques measured with the angles have 0, commands that are held until
+    the next row half a row.
+    """
+    if Path(path).suffix.lower() != ".csv":
+        return of_log(load_log(path), guess, f"log {path}")
+    source = f"recording {path}"
+    values = read_numbers(path, source, QUANTITIES, MAX_BYTES, MAX_ROWS)
+    return Recording(values[:, 0], values[:, 1:7], values[:, 7:], lag, source=source)
+
+
+def of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> Recording:
+    """What encoders and amplifiers said in a run: readings by way of the pose that they gave, never the true pose.
+
+    Where the controller sees the robot itself, without encoders, that is what it sees.
+    """
+    robot = log.scenario.believed_robot
+    for name in ("shaft_positions", "platform_joints", "crank_lengths", "rod_lengths", "crank_zero_directions"):
+        off = np.abs(getattr(robot, name) - getattr(guess, name)).max()
+        if off > 1e-9:
+            got = f"a robot whose {name} differ by up to {off:.3g}"
+            raise ConfigurationError(source, got, "a log of the robot that is guessed")
+    if not log.scenario.estimator.exact:
+        got = f"poses of estimator.kind {log.scenario.estimator.kind}, which uses the robot that is guessed"
+        raise ConfigurationError(source, got, "poses as they are read: estimator.kind difference")
+    # Between two ticks nothing is read, and the torque is held.
+    tick, step = log.scenario.controller.period, log.scenario.effective_log_period
+    rows = slice(None, None, max(1, round(tick / step)))
+    angles = inverse_kinematics(robot, log.signals.get("measured_pose", log["pose"])[rows])
+    # A torque acts until the next tick. The plant's own steps put an acceleration half a step ahead of its torque.
+    lag = 0.5 * (tick - log.scenario.plant.time_step)
+    return Recording(log.time[rows], angles, log["torque_applied"][rows], lag, log.scenario.gravity, source)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +174,8 @@ class Samples:
 
     def derivative(self, values: np.ndarray) -> np.ndarray:
         """Of `predicted` by the parameters, (n, 6, `SIZE`)."""
-        slope = np.zeros((*self.torque.shape, SIZE))
+        slope, own = np.zeros((*self.torque.shape, SIZE)), np.arange(LEGS)
         slope[..., BODIES] = self.bodies
-        own = np.arange(LEGS)
         slope[:, own, COULOMB.start + own] = self.sign
         slope[:, own, VISCOUS.start + own] = self.rates
         slope *= np.exp(-values[GAIN])[:, None]
@@ -88,9 +194,8 @@ def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float | 
     if bandwidth is None:
         bandwidth = min(BANDWIDTH, rate / ROWS_A_PERIOD)
     if not 0.0 < bandwidth <= rate / 5.0:
-        raise ConfigurationError(
-            "bandwidth", bandwidth, f"above 0, at most {rate / 5.0:g} Hz, a fifth of the rows' rate"
-        )
+        allowed = f"above 0, at most {rate / 5.0:g} Hz, a fifth of the rows' rate"
+        raise ConfigurationError("bandwidth", bandwidth, allowed)
     length, least = time[-1] - time[0], (2.0 * _EDGE + _SHORTEST) / bandwidth
     if length < least:
         raise ConfigurationError(source, f"{length:.3g} s", f"at least {least:.3g} s of motion")
@@ -103,11 +208,9 @@ def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float | 
     angles = smooth(recording.angles)
     rates = np.gradient(angles, even, axis=0)
     thin = max(1, int(rate / (_OVERSAMPLING * bandwidth)))
-    rows = slice(None, None, thin)
-    pose = poses_of(guess, angles[rows], source)
-    motion = scipy.interpolate.make_interp_spline(even[rows], pose, k=5)
+    motion = scipy.interpolate.make_interp_spline(even[::thin], poses_of(guess, angles[::thin], source), k=5)
     torque = scipy.interpolate.make_interp_spline(even, smooth(recording.torque), k=3)
-    at = even[rows]
+    at = even[::thin]
     at = at[(at > at[0] + _EDGE / bandwidth) & (at < at[-1] - _EDGE / bandwidth)]
     middle = np.searchsorted(even, at - 0.5 / rate)
     smear = 2 * int(_SMEAR * rate / bandwidth) + 1
@@ -161,15 +264,15 @@ def together(parts: Sequence[Samples]) -> Samples:
 def poses_of(guess: RobotParameters, angles: np.ndarray, source: str) -> np.ndarray:
     """Poses (n, 6) [rad, m] of crank angles (n, 6) [rad], followed from home in a few steps."""
     home = inverse_kinematics(guess, guess.home_pose)
-    pose = np.broadcast_to(guess.home_pose, angles.shape)
+    pose, stray = np.broadcast_to(guess.home_pose, angles.shape), np.inf
     try:
         for share in np.linspace(0.0, 1.0, _HOMOTOPY + 1)[1:]:
             pose = forward_kinematics(guess, home + share * (angles - home), pose)
         off = inverse_kinematics(guess, pose) - angles
-        stray = np.abs(np.arctan2(np.sin(off), np.cos(off))).max()
-    except (ForwardKinematicsError, UnreachablePoseError) as failure:
-        stray = failure
-    if not isinstance(stray, float) or stray > 1e-6:
+        stray = float(np.abs(np.arctan2(np.sin(off), np.cos(off))).max())
+    except (ForwardKinematicsError, UnreachablePoseError):
+        pass
+    if stray > 1e-6:
         allowed = "readings of the robot that is guessed, in radians or, by their columns' names, in degrees"
         raise ConfigurationError(source, "crank angles at which the robot cannot be assembled", allowed)
     return pose

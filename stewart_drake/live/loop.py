@@ -9,10 +9,10 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.live.steering import HandReference, Reached, nearest_allowed
+from stewart_drake.part import Running
 from stewart_drake.parts import Loop, loop_of
 from stewart_drake.plant.closed_chain import CHAIN_STATE, ClosedChain
-from stewart_drake.running import Running
-from stewart_drake.runs.fast_run import CRANKS, POSE
+from stewart_drake.runs.engine import CRANKS, POSE
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario
 

@@ -6,13 +6,13 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from stewart_drake.control.policy import NAMES
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.code_trust import code_rule
+from stewart_drake.files.code import code_rule
 from stewart_drake.files.tables import (
     column_name,
     need_pandas,
@@ -40,8 +40,7 @@ _LARGEST = 10**10
 """[byte] of a file."""
 
 
-@dataclass(frozen=True)
-class SignalSpec:
+class SignalSpec(NamedTuple):
     """What a signal is: components (none for a scalar), the unit of each, in which frame or about what, and a text."""
 
     components: tuple[str, ...]
@@ -58,6 +57,10 @@ def _legs(unit: str, frame: str, text: str) -> SignalSpec:
     return SignalSpec(LEG_NAMES, (unit,) * 6, frame, f"{text}, by leg 0..5")
 
 
+def _plain(components: tuple[str, ...], text: str) -> SignalSpec:
+    return SignalSpec(components, ("1",) * len(components), "", text)
+
+
 SIGNALS: Mapping[str, SignalSpec] = {
     "time": SignalSpec((), ("s",), "", "simulated time"),
     "pose": _axes("rad", "m", "pose of the platform"),
@@ -70,18 +73,14 @@ SIGNALS: Mapping[str, SignalSpec] = {
     "torque": _legs("N m", "about the motor axis", "torque commanded by the controller"),
     "torque_applied": _legs("N m", "about the motor axis", "torque at the motors, delayed and within their limit"),
     "crank_angle": _legs("rad", "about the motor axis", "theta, from the horizontal"),
-    "weights": SignalSpec(("omega_q", "omega_r"), ("1", "1"), "", "weights in force"),
-    "block_weights": SignalSpec(
-        ("q_pose", "q_rate", "q_integral", "r"), ("1",) * 4, "", "block weights in force, in place of `weights`"
-    ),
-    "setting": SignalSpec(
+    "weights": _plain(("omega_q", "omega_r"), "weights in force"),
+    "block_weights": _plain(("q_pose", "q_rate", "q_integral", "r"), "block weights in force, in place of `weights`"),
+    "setting": _plain(
         (*NAMES, "outside"),
-        ("1",) * (len(NAMES) + 1),
-        "",
         "decades of a tuner's setting above the base, and how far what it hears lies outside of its training",
     ),
-    "density": SignalSpec(
-        (*(f"error_{a}" for a in AXIS_NAMES), *(f"torque_{i}" for i in LEG_NAMES)), ("1",) * 12, "", "density features"
+    "density": _plain(
+        (*(f"error_{axis}" for axis in AXIS_NAMES), *(f"torque_{leg}" for leg in LEG_NAMES)), "density features"
     ),
     "loop_gap": _legs("m", "a length", "distance from rod end to platform joint"),
     "measured_pose": _axes("rad", "m", "pose that is measured or estimated; the true one without this signal"),
@@ -90,10 +89,8 @@ SIGNALS: Mapping[str, SignalSpec] = {
     "disturbance": SignalSpec(
         ("mx", "my", "mz", "fx", "fy", "fz"), ("N m",) * 3 + ("N",) * 3, "P in B", "wrench from outside on the platform"
     ),
-    "safety": SignalSpec(
+    "safety": _plain(
         ("level", "monitor", "leg"),
-        ("1",) * 3,
-        "",
         "state of the safety layer: numbers in safety.LEVELS and safety.MONITORS, leg or -1",
     ),
     "plant_state": SignalSpec((), (), "", "positions and velocities of the MultibodyPlant"),
@@ -103,7 +100,16 @@ settings is, the measured pose beside the true one where there are encoders, an 
 innovation with an observer. `plant_state` has one column per entry of the plant's state, named by Drake."""
 
 
-def _state_column(name: str) -> tuple[str, str, str]:
+def _columns(name: str, state_names: tuple[str, ...]) -> list[tuple[str, str, str, str]]:
+    """Name without its unit, unit, frame and explanation of each column of a signal."""
+    spec = SIGNALS[name]
+    if name == "plant_state":
+        return [(f"{name}_{entry}", *_state_entry(entry)) for entry in state_names]
+    names = [f"{name}_{component}" for component in spec.components] or [name]
+    return [(column, unit, spec.frame, spec.text) for column, unit in zip(names, spec.units, strict=True)]
+
+
+def _state_entry(name: str) -> tuple[str, str, str]:
     """Unit, frame and explanation of an entry of the plant's state, from the name that Drake gives it."""
     joint, _, quantity = name.rpartition("_")
     if joint == "platform":
@@ -182,31 +188,20 @@ class SimulationLog(Mapping[str, np.ndarray]):
 
     def outcome(self) -> dict[str, Any]:
         """What the log says besides its signals, in values that JSON has."""
-        return {name: _plain(getattr(self, name)) for name in _OUTCOME}
-
-    def columns(self) -> dict[str, tuple[np.ndarray, str, str, str]]:
-        """Column of a table, such as `pose_roll_rad` -> (values (n,), unit, frame, explanation)."""
-        columns: dict[str, tuple[np.ndarray, str, str, str]] = {}
-        for name, values in self.signals.items():
-            spec = SIGNALS[name]
-            parts = self.state_names if name == "plant_state" else spec.components
-            for index, part in enumerate(parts):
-                told = _state_column(part) if name == "plant_state" else (spec.units[index], spec.frame, spec.text)
-                columns[column_name(f"{name}_{part}", told[0])] = (values[:, index], *told)
-            if not spec.components and name != "plant_state":
-                columns[column_name(name, spec.units[0])] = (values, spec.units[0], spec.frame, spec.text)
-        return columns
+        return {name: getattr(self, name) for name in _OUTCOME} | {"warnings": list(self.warnings)}
 
     def table(self) -> pa.Table:
         """The signals as an Arrow table: a column per component, unit, frame and text in each field's metadata."""
         import pyarrow as pa
 
-        columns = self.columns()
-        fields = [
-            pa.field(name, pa.float64(), nullable=False, metadata={"unit": unit, "frame": frame, "text": text})
-            for name, (_, unit, frame, text) in columns.items()
-        ]
-        return pa.Table.from_arrays([pa.array(values) for values, *_ in columns.values()], schema=pa.schema(fields))
+        arrays, named = [], []
+        for signal, values in self.signals.items():
+            columns = _columns(signal, self.state_names)
+            for column, (name, unit, frame, text) in zip(np.atleast_2d(values.T), columns, strict=True):
+                about = {"unit": unit, "frame": frame, "text": text}
+                arrays.append(pa.array(column))
+                named.append(pa.field(column_name(name, unit), pa.float64(), nullable=False, metadata=about))
+        return pa.Table.from_arrays(arrays, schema=pa.schema(named))
 
     def __repr__(self) -> str:
         """Whose run it is, how it ended and what is in it, in some lines."""
@@ -215,13 +210,12 @@ class SimulationLog(Mapping[str, np.ndarray]):
         when = self.end_time if self.outcome_time is None else self.outcome_time
         lines = [
             f"SimulationLog of {self.scenario.name}: {told(self.status, self.reason, when)}",
+            *([] if self.message is None else [f"  {self.message.splitlines()[0]}"]),
             f"  controller {self.scenario.controller.kind}, tuner {self.scenario.tuner.kind}, a tick every {tick:g} s",
             f"  {len(time)} rows{row}",
             f"  signals: {', '.join(self.signals)}",
             f"  warnings: {', '.join(warning['name'] for warning in self.warnings) or 'none'}",
         ]
-        if self.message is not None:
-            lines.insert(1, f"  {self.message.splitlines()[0]}")
         return "\n".join(lines)
 
     def to_pandas(self) -> Any:
@@ -271,11 +265,11 @@ def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLo
     if path.suffix == ".csv":
         signals, state_names = _read_signals(path, key)
         end = float(signals["time"][-1]) if len(signals["time"]) else 0.0
-        made = scenario or Scenario(name=path.stem, duration=end or 1.0)
         message = "read from a CSV file, which does not say how the run ended"
         if scenario is None:
             message += ", nor which scenario it was: the default one is taken"
-        return SimulationLog(made, signals, state_names, status="unknown", message=message, end_time=end)
+            scenario = Scenario(name=path.stem, duration=end or 1.0)
+        return SimulationLog(scenario, signals, state_names, status="unknown", message=message, end_time=end)
     about = parquet_about(path, key, "run", _LARGEST, "this package")
     if about.get("version") != _VERSION:
         raise ConfigurationError(key, f"version {about.get('version')}", f"version {_VERSION}")
@@ -302,19 +296,11 @@ def _read_signals(path: Path, key: str) -> tuple[dict[str, np.ndarray], tuple[st
     columns = read_columns(path, key, choose, _LARGEST, MAX_ROWS + 1)
     state_names = tuple(name.removeprefix("plant_state_") for name in columns if name.startswith("plant_state_"))
     signals: dict[str, np.ndarray] = {}
-    for name, spec in SIGNALS.items():
-        parts = state_names if name == "plant_state" else spec.components
-        wanted = [f"{name}_{part}" for part in parts] or [name]
-        missing = [column for column in wanted if column not in columns]
-        if not missing:
-            signals[name] = np.stack([columns[each] for each in wanted], axis=-1) if parts else columns[name]
-        elif name == "time" or len(missing) < len(wanted):
+    for signal in SIGNALS:
+        wanted = [name for name, *_ in _columns(signal, state_names)]
+        missing = [name for name in wanted if name not in columns]
+        if wanted and not missing:
+            signals[signal] = columns[signal] if wanted == [signal] else np.stack([columns[n] for n in wanted], axis=-1)
+        elif signal == "time" or len(missing) < len(wanted):
             raise ConfigurationError(key, f"no column of {missing[0]}", "all columns of a signal, and time")
     return signals, state_names
-
-
-def _plain(value: Any) -> Any:
-    """A field of a log in values that JSON has."""
-    if isinstance(value, Mapping):
-        return dict(value)
-    return [dict(each) for each in value] if isinstance(value, tuple) else value

@@ -1,17 +1,335 @@
-"""Numbers from a log: its metrics, and what plots and tables make of its rows."""
+"""Numbers of a run: one table of metrics, each a name, a unit, a text and a function of the run's rows.
+
+`metrics.json`, the terminal and the tables of sweeps, comparisons and faults draw from it.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import reprlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from statistics import fmean
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from stewart_drake.control.objective import CostScales, cost
+from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
+from stewart_drake.families import UserMade
 from stewart_drake.files.whole import NOT_FINITE, plain_json
-from stewart_drake.logs.metric_table import METRICS, metrics_of
-from stewart_drake.logs.rows import RunRows
+from stewart_drake.logs.outcomes import RunRows
 
 if TYPE_CHECKING:
     from stewart_drake.logs.log import SimulationLog
+    from stewart_drake.scenario import Scenario
+
+ValueKind = Literal["number", "whole", "flag", "text", "json"]
+Over = Literal["steps", "ticks", "late_steps", "late_ticks"]
+INTEGRAL_TIME = 5.0
+"""[s] when the paper looks at the integral states."""
+FAILED = 1000.0
+"""Cost of a run that was not completed; no other costs more."""
+_TYPES: dict[ValueKind, tuple[type, ...]] = {
+    "number": (float, int), "whole": (int,), "flag": (bool,), "text": (str,), "json": (dict, list)
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        name: Of the column.
+        unit: 1 for a ratio, empty for what has none.
+        text: What it says.
+        kind: What its values are; `json` for values that are lists, written as text.
+    """
+
+    name: str
+    unit: str
+    text: str
+    kind: ValueKind = "number"
+
+
+class MetricError(StewartDrakeError):
+    """A metric raised something."""
+
+    reason = "metric_raised"
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A figure of a run.
+
+    Attributes:
+        name: Key of metrics.json, and column of tables; it means the same everywhere.
+        unit: Of its numbers, separated by commas where they differ.
+        text: What it says; which part of the run it is of follows from `over`.
+        of: Computes it from the rows of a run, see `outcomes.RunRows`; called only where there are such rows.
+        over: Which rows it is of, a count of theirs; without any it is None.
+        parts: Columns of a metric that is a list, one for each of its numbers.
+        label: In tables that are read; empty for those that are not shown there.
+        form: How its numbers are shown.
+        kind: Of its values.
+    """
+
+    name: str
+    unit: str
+    text: str
+    of: Callable[[RunRows], Any]
+    over: Over = "late_ticks"
+    parts: tuple[str, ...] = ()
+    label: str = ""
+    form: str = ".4g"
+    kind: ValueKind = "number"
+
+    def value(self, rows: RunRows) -> Any:
+        """The metric of a run in plain values, None where there is nothing to compute it from."""
+        if not getattr(rows, self.over):
+            return None
+        try:
+            found = self.of(rows)
+        except Exception as error:
+            raise MetricError(f"metric {self.name}: {type(error).__name__}: {error}{raised_at(error)}") from error
+        found = found.tolist() if isinstance(found, (np.ndarray, np.generic)) else found
+        if found is None:
+            return None
+        fits = not self.parts or (isinstance(found, (list, tuple)) and len(found) == len(self.parts))
+        each = found if self.parts and fits else [found]
+        if not fits or any(value is not None and type(value) not in _TYPES[self.kind] for value in each):
+            count = f"{len(self.parts)} values" if self.parts else "a value"
+            said = f"`of` returned {reprlib.repr(found)}, not {count} of kind {self.kind}"
+            raise MetricError(f"metric {self.name}: {said}")
+        return found
+
+    def columns(self) -> tuple[Column, ...]:
+        """Its columns in a table."""
+        half = ", second half of the planned duration" if self.over.startswith("late") else ""
+        if not self.parts:
+            return (Column(self.name, self.unit, self.text + half, self.kind),)
+        units = self.unit.split(", ")
+        each = np.repeat(units, len(self.parts) // len(units)).tolist()
+        return tuple(
+            Column(part, unit, f"{self.text}, {part.split('_')[1]}{half}")
+            for part, unit in zip(self.parts, each, strict=True)
+        )
+
+    def shown(self, value: Any) -> str:
+        """A value of the metric as text, with its unit."""
+        values = value if isinstance(value, list) else [value]
+        if value is None or not values:
+            return "-"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return "  ".join("-" if each is None else format(each, self.form) for each in values) + unit
+
+
+_ANGLES, _LENGTHS = ("roll", "pitch", "yaw"), ("x", "y", "z")
+
+
+def _both(
+    name: str, text: str, of: Callable[[RunRows], np.ndarray], over: Over, label: str = "", by_axis: bool = False
+) -> list[Metric]:
+    """A metric of angles [deg] and one of lengths [mm]; `of` has both, (2,) or (6,) [rad, m]."""
+    metrics = []
+    for index, (unit, what, size) in enumerate((("deg", "roll, pitch, yaw", "angle"), ("mm", "position", "distance"))):
+
+        def value(rows: RunRows, index: int = index) -> Any:
+            found = of(rows).reshape(2, -1)[index] if by_axis else of(rows)[index]
+            return 1e3 * found if index else np.degrees(found)
+
+        axes = (_ANGLES, _LENGTHS)[index] if by_axis else ()
+        parts = tuple(f"{name}_{axis}_{unit}" for axis in axes)
+        shown = text.format(what=what, size=size), label.format(" ".join(axes) or size)
+        metrics.append(Metric(f"{name}_{unit}", unit, shown[0], value, over, parts, shown[1]))
+    return metrics
+
+
+def _worst_half_rms(rows: RunRows) -> np.ndarray:
+    """(2,) [rad, m] the larger of both halves' root mean square length."""
+    lengths = [np.sum(rows.error[half] ** 2, axis=0) for half in (rows.tick & ~rows.late, rows.late_tick)]
+    counts = np.array([max(1, rows.ticks - rows.late_ticks), rows.late_ticks])
+    means: np.ndarray = np.reshape(lengths, (2, 2, 3)).sum(axis=2) / counts[:, None]
+    return np.sqrt(means).max(axis=0)
+
+
+def _torque_change(rows: RunRows) -> float | None:
+    """[N m] RMS of the torque asked for, within the limits, from a late tick to the next; None without such."""
+    limit = rows.scenario.robot.effort_limits
+    torque = np.clip(rows["torque"][rows.late_tick], -limit, limit)
+    change = np.diff(torque, axis=0)[np.diff(rows.tick_number[rows.late_tick]) == 1]
+    return _rms(change) if change.size else None
+
+
+def _integral(rows: RunRows) -> np.ndarray | None:
+    """(6,) [rad s, m s] integral states at `INTEGRAL_TIME`; None where the run ended earlier."""
+    if rows.time[-1] < INTEGRAL_TIME - 1e-9:
+        return None
+    return rows["integral"][np.flatnonzero(rows.tick & (rows.time <= INTEGRAL_TIME + 1e-9))[-1]]
+
+
+def _of_weights(function: Callable[[np.ndarray], float]) -> Callable[[RunRows], float | None]:
+    """A function of the two weights (n, 2) at the ticks; None where a run has none."""
+    return lambda rows: float(function(rows["weights"][rows.tick])) if "weights" in rows.signals else None
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+METRICS: tuple[Metric, ...] = (
+    *_both(
+        "rmse", "root mean square error", lambda t: t.late_rms, "late_ticks", "RMSE {}, second half", by_axis=True
+    ),
+    *_both(
+        "peak", "largest error", lambda t: np.abs(t.error[t.late]).max(axis=0), "late_steps",
+        "peak {}, second half", by_axis=True,
+    ),
+    *_both("rmse_norm", "RMS length of the {what} error", lambda t: t.late_rms_norms, "late_ticks"),
+    *_both(
+        "worst_half_rmse_norm", "RMS length of the {what} error, the larger of both halves", _worst_half_rms,
+        "late_ticks",
+    ),
+    Metric(
+        "pose_rmse_mm", "mm", "RMS of both errors together, rotations times the characteristic length",
+        lambda t: 1e3 * np.hypot(*t.late_rms_norms * [t.scenario.robot.characteristic_length, 1.0]),
+    ),
+    *_both(
+        "peak_norm", "largest length of the {what} error",
+        lambda t: np.linalg.norm(t.error[t.late].reshape(-1, 2, 3), axis=2).max(axis=0), "late_steps",
+    ),
+    *_both(
+        "error_max", "largest {size} from the reference while the controller was in charge, whole run",
+        lambda t: np.array([t.largest["rotation"], t.largest["position"]]), "steps", "largest {} from the reference",
+    ),
+    Metric(
+        "motion_ratio", "1", "size of the platform's motion over that of its reference, null where that is small",
+        lambda t: t.motion_ratio, "ticks",
+    ),
+    Metric(
+        "error_ratio", "1", "RMS error over motion where that is worst, null where the motion is small",
+        lambda t: t.error_ratio, "ticks", label="error over motion, at worst", form=".3g",
+    ),
+    Metric(
+        "torque_rms", "N m", "of all motors, within their limits, whole run",
+        lambda t: _rms(t["torque_applied"][t.tick]), "ticks", label="torque RMS", form=".3f",
+    ),
+    Metric(
+        "torque_rms_second_half", "N m", "of all motors, within their limits",
+        lambda t: _rms(t["torque_applied"][t.late_tick]),
+    ),
+    Metric("torque_change_rms", "N m", "of the torque asked for, from tick to tick", _torque_change),
+    Metric(
+        "torque_peak", "N m", "of all motors, within their limits, whole run",
+        lambda t: float(np.abs(t["torque_applied"]).max()), "steps", label="torque peak", form=".3f",
+    ),
+    Metric(
+        "saturated_fraction", "1", "share of torques at the limit, of ticks and motors",
+        lambda t: int(t.at_limit.sum()) / (6 * t.ticks), "ticks", label="share of torques at the limit", form=".2%",
+    ),
+    Metric(
+        "loop_gap_max_m", "m", "largest distance from a rod end to its platform joint",
+        lambda t: t.largest["loop_gap"], "steps", label="largest loop gap", form=".2e",
+    ),
+    Metric(
+        "omega_q", "1", "mean of omega_Q", _of_weights(lambda w: w[:, 0].mean()), "ticks",
+        label="omega_Q, mean", form=".3g",
+    ),
+    Metric(
+        "omega_r", "1", "mean of omega_R", _of_weights(lambda w: w[:, 1].mean()), "ticks",
+        label="omega_R, mean", form=".3g",
+    ),
+    Metric(
+        "omega_ratio", "1", "geometric mean of omega_Q / omega_R",
+        _of_weights(lambda w: np.exp(np.log(w[:, 0] / w[:, 1]).mean())), "ticks",
+    ),
+    Metric(
+        "integral_at_5s", "rad s, m s", "integral state at 5 s", _integral, "ticks",
+        tuple(f"integral_{axis}_at_5s" for axis in (*_ANGLES, *_LENGTHS)), "integral states at 5 s", ".2g",
+    ),
+    Metric(
+        "finite", "", "every number of the log is finite",
+        lambda t: all(bool(np.isfinite(values).all()) for values in t.signals.values()), "steps", kind="flag",
+    ),
+)  # fmt: skip
+"""Of every run, from all control ticks, and peaks from every step of the plant, whatever rows the log keeps."""
+
+OUTCOME: tuple[Column, ...] = (
+    Column(
+        "status", "", "completed, stopped, lost or failed, see `outcomes.Status`, failed also where the worker process "
+        "died; rejected: refused before the run; raised: an exception that is no verdict on the run", "text",
+    ),
+    Column("reason", "", "stable name of what happened, null for completed", "text"),
+    Column("message", "", "one line on it", "text"),
+    Column("outcome_time", "s", "when that was decided, null for completed"),
+    Column("safety_monitor", "", "monitor of the safety layer that tripped first, null for none", "text"),
+    Column("safety_time", "s", "when it did"),
+    Column("safety_level", "", "how far the safety layer went: hold, ramp, safe_hold or end", "text"),
+    Column("warnings", "", "names of the warnings, null for none", "text"),
+    Column("end_time", "s", "simulated time reached"),
+    Column("leg", "", "leg 0..5 to which the outcome belongs", "whole"),
+    Column(NOT_FINITE, "", "metrics that are null because they are no finite numbers, with what they are", "text"),
+)  # fmt: skip
+"""How a run ended, before the metrics."""
+
+
+class UserMetric(UserMade, key="metrics"):
+    """A `Metric` that a module or file of the user's has; in Python it may stand here itself."""
+
+    asked = "of(rows) returns plain values"
+
+    def rules(self) -> None:
+        """Refuses arguments."""
+        if self.arguments:
+            raise ConfigurationError("arguments", self.arguments, "nothing, for a metric")
+
+    def load(self) -> Metric:
+        """The metric."""
+        found = self.code.load(self.code_key)
+        if not isinstance(found, Metric):
+            allowed = f"the path of a Metric(name, unit, text, function), not of a {type(found).__name__}"
+            raise ConfigurationError(self.code_key, self.code, allowed)
+        return found
+
+    made = property(load)
+
+
+def metrics_of(*scenarios: Scenario) -> list[Metric]:
+    """The metrics of runs of these scenarios: those of every run, and their own.
+
+    Raises:
+        ConfigurationError: The name of one, or a column of it, means something already.
+    """
+    found = list(METRICS)
+    for metric in (own.made for scenario in scenarios for own in scenario.metrics):
+        if metric not in found:
+            # A sweep has a column for each key of the scenario that it varies.
+            taken = {each.name for each in found} | {each.name for each in _columns(found)}
+            taken |= set(type(scenarios[0]).__pydantic_fields__)
+            for name in (metric.name, *metric.parts):
+                if name in taken:
+                    raise ConfigurationError("metric", name, "a name that no metric or column has")
+            found.append(metric)
+    return found
+
+
+def _columns(metrics: Iterable[Metric]) -> tuple[Column, ...]:
+    return (*OUTCOME, *(column for metric in metrics for column in metric.columns()))
+
+
+def columns(*scenarios: Scenario) -> tuple[Column, ...]:
+    """All that is told of runs in a table: how they ended, and their metrics."""
+    return _columns(metrics_of(*scenarios))
+
+
+def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:
+    """Metrics of a run by column, from `run_metrics`; and `not_finite`, named likewise."""
+    row: dict[str, Any] = {}
+    named: dict[str, str] = {}
+    for metric in metrics_of(*scenarios):
+        parts, value = metric.parts or (metric.name,), metrics[metric.name]
+        row |= dict(zip(parts, (value or [None] * len(parts)) if metric.parts else [value], strict=True))
+        named |= {f"{metric.name}.{index}": part for index, part in enumerate(metric.parts)}
+    return {**row, NOT_FINITE: {named.get(name, name): what for name, what in metrics[NOT_FINITE].items()}}
 
 
 def figures_of(rows: RunRows) -> dict[str, Any]:
@@ -28,9 +346,9 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
 
     Returns:
         status, reason, message, outcome_time [s], end_time [s], leg, warnings; safety: first trip of the safety layer,
-        see `SimulationLog`; rmse_deg to finite, see `metric_table.METRICS`; not_finite: names of the figures that were
-        NaN or infinite, and are None; real_time_factor; git_revision; versions; files: sha256 of each file that the
-        scenario names.
+        see `SimulationLog`; rmse_deg to finite, see `METRICS`; not_finite: names of the figures that were NaN or
+        infinite, and are None; real_time_factor; git_revision; versions; files: sha256 of each file that the scenario
+        names.
     """
     figures = figures_of(RunRows(log.scenario, log.signals)) if log.figures is None else log.figures
     outcome = log.outcome()
@@ -42,8 +360,8 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
         NOT_FINITE: {},
         **figures,
         "real_time_factor": log.end_time / wall if wall > 0.0 else None,
-        "git_revision": versions.pop("git_revision", None),
-        "versions": versions,
+        "git_revision": versions.get("git_revision"),
+        "versions": {name: version for name, version in versions.items() if name != "git_revision"},
         "files": files,
     }
 
@@ -64,9 +382,18 @@ def second_half(log: SimulationLog) -> np.ndarray:
     return log.time >= 0.5 * log.scenario.duration - 1e-9
 
 
-def integral_at(log: SimulationLog, time: float) -> list[float] | None:
-    """Integral states z (6,) [rad s, m s] at the last row at or before `time`; None where the run ended earlier."""
-    if not len(log.time) or log.time[-1] < time - 1e-9:
-        return None
-    row = int(np.searchsorted(log.time, time + 1e-9)) - 1
-    return log["integral"][row].tolist()
+def run_cost(figures: Mapping[str, Any], status: str, period: float, scales: CostScales) -> float:
+    """`cost` of a run with ticks of `period` [s] from its metrics by name, at most `FAILED`; that if not completed."""
+    parts = [figures.get(name) for name in ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")]
+    if status != "completed" or None in parts:
+        return FAILED
+    rotation, position, change = map(float, parts)  # type: ignore[arg-type]
+    return min(cost(rotation, position, change * 1e-3 / period, scales), FAILED)
+
+
+def mean_cost(costs: Iterable[float]) -> float:
+    """Mean of the costs of some runs: where errors are large they count for more.
+
+    Not the geometric one, in which a loop that is quiet wherever nothing happens, and gives way to every push, is best.
+    """
+    return fmean(costs)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -14,7 +13,7 @@ from stewart_drake.control.state_space import acceleration_map
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics, tracking_error
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.paper.study import (
+from stewart_drake.paper.reproduce import (
     PAIRS,
     RATIOS,
     Claim,
@@ -26,7 +25,7 @@ from stewart_drake.paper.study import (
     pair_of,
     paper_scenario,
 )
-from stewart_drake.plotting.panels import chart
+from stewart_drake.plotting.style import chart
 from stewart_drake.references import paper_reference
 from stewart_drake.scenario import Scenario
 
@@ -36,10 +35,8 @@ NEAR_ZERO = 0.01
 """[rad s, m s] what counts as "near zero" of the integral states at 5 s."""
 CONDITIONS = tuple(itertools.product((0.0, STANDARD_GRAVITY), ("none", "gravity", "platform")))
 """Gravity [m/s^2] and feedforward."""
-BARE = (STANDARD_GRAVITY, "none")
-"""Gravity, and (34) alone against it."""
-Runs = Mapping[tuple[tuple[float, str], tuple[float, float]], SimulationLog]
-"""By condition and pair of weights."""
+FREE, BARE = (0.0, "none"), (STANDARD_GRAVITY, "none")
+"""No gravity; gravity, and (34) alone against it."""
 
 
 def gains_along_reference(base: Scenario) -> np.ndarray:
@@ -69,9 +66,8 @@ def distinct(distances: np.ndarray, tolerance: float) -> int:
 def reproduce(study: Study) -> Result:
     """Runs of (37), (38) under six conditions; and with gravity and (34) alone, by period and force map."""
     # Quick: all nine pairs to 5 s where the paper stands, without gravity and feedforward; elsewhere fewer and shorter.
-    few = study.pick(PAIRS, [pair_of(ratio) for ratio in RATIOS[::2]])
-    pairs = dict.fromkeys(CONDITIONS, few)
-    pairs |= {(0.0, "none"): PAIRS, BARE: study.pick(PAIRS, [pair_of(ratio) for ratio in RATIOS])}
+    pairs = dict.fromkeys(CONDITIONS, study.pick(PAIRS, [pair_of(ratio) for ratio in RATIOS[::2]]))
+    pairs |= {FREE: PAIRS, BARE: study.pick(PAIRS, [pair_of(ratio) for ratio in RATIOS])}
     scenarios: dict[Any, Scenario] = {}
     for (gravity, feedforward), some in pairs.items():
         # Without gravity its feedforward is zero: the same run as with none.
@@ -83,25 +79,33 @@ def reproduce(study: Study) -> Result:
         fall = paper_scenario(study.base, study.pick(10.0, 3.2), *BARE, pair_of(ratio))
         scenarios[period, kind, ratio] = fall.replace({"controller.period": period, "controller.force_map": kind})
     every = study.run(scenarios)
-    logs = {key: log for key, log in every.items() if len(key) == 2}
-    sagging = {key: log for key, log in every.items() if len(key) == 3}
-    distances = relative_distances(gains_along_reference(study.base))
-    ratios = np.array([omega_q / omega_r for omega_q, omega_r in PAIRS])
-    equal = np.isclose(ratios[:, None], ratios)
+    runs = {condition: {pair: every[condition, pair] for pair in some} for condition, some in pairs.items()}
+    ends: dict[str, dict[str, float | None]] = {}
+    for (period, kind, ratio), log in ((key, log) for key, log in every.items() if len(key) == 3):
+        ends.setdefault(f"{period:g} {kind}", {})[f"ratio {ratio:g}"] = None if log.reached_end else log.end_time
+    controllers = distinct(relative_distances(gains_along_reference(study.base)), EQUAL_GAINS)
     numbers = {
-        "conditions": {
-            f"gravity {g:g}, {f}": [_row(pair, logs[(g, f), pair]) for pair in pairs[g, f]] for g, f in CONDITIONS
-        },
-        "gain_spread": float(distances[equal].max()),
-        "gain_spread_next_ratio": float(distances[~equal].min()),
-        "controllers": distinct(distances, EQUAL_GAINS),
-        **_falling(sagging),
-        **_counts(logs),
+        "conditions": {f"gravity {g:g}, {f}": [_row(*run) for run in runs[g, f].items()] for g, f in CONDITIONS},
+        "controllers": controllers,
+        "time_to_failure": ends,
     }
-    falls = [(ratio, logs[BARE, pair_of(ratio)]) for ratio in RATIOS]
-    curves = {f"ratio {ratio:g}": (log.time, 1e3 * tracking_error(log)[:, 5]) for ratio, log in falls}
+    settled = largest_integral(runs[FREE][1.0, 1.0]) or np.inf
+    least = min(value for value in map(growth, runs[FREE].values()) if value is not None)
+    bare = list(runs[BARE].values())
+    lost = sum(not log.reached_end for log in bare)
+    helped = [log for at in CONDITIONS if at[0] and at != BARE for log in runs[at].values()]
+    kept = sum(log.reached_end for log in helped)
+    claims = [
+        Claim("III.D: different controllers among the nine pairs", "9", controllers, "", controllers == 9),
+        Claim("IV: integral states at 5 s, 1/1, no gravity", "near 0", settled, "rad s, m s", settled < NEAR_ZERO),
+        Claim("IV: error of the second half over the first, least", "< 1", least, "", least < 1.0),
+        Claim("IV: with gravity and (34) alone, runs lost", "0", lost, f"of {len(bare)}", lost == 0),
+        Claim("IV: with gravity compensated, runs completed", "-", kept, f"of {len(helped)}", None),
+    ]
+    falls = {ratio: runs[BARE][pair_of(ratio)] for ratio in RATIOS}
+    curves = {f"ratio {ratio:g}": (log.time, 1e3 * tracking_error(log)[:, 5]) for ratio, log in falls.items()}
     draw = partial(chart, "Gravity, and (34) alone against it", "time [s]", "error of Z [mm]", curves)
-    return Result(numbers, _claims(numbers, logs), {"nine_experiments": draw})
+    return Result(numbers, claims, {"nine_experiments": draw})
 
 
 def _row(pair: tuple[float, float], log: SimulationLog) -> dict[str, object]:
@@ -122,44 +126,3 @@ def _row(pair: tuple[float, float], log: SimulationLog) -> dict[str, object]:
         "largest abs(z) of the run": float(np.abs(log["integral"]).max()),
         "ended": outcome(log),
     }
-
-
-def _falling(sagging: Mapping[tuple[float, str, float], SimulationLog]) -> dict[str, Any]:
-    """How far the platform sags, and when it is lost."""
-    drops = [1e3 * float(-tracking_error(log)[:, 5].min(initial=0.0)) for log in sagging.values()]
-    ends: dict[str, dict[str, float | None]] = {}
-    for (period, kind, ratio), log in sagging.items():
-        ends.setdefault(f"{period:g} {kind}", {})[f"ratio {ratio:g}"] = None if log.reached_end else log.end_time
-    return {"largest_drop_mm": [min(drops), max(drops)], "time_to_failure": ends}
-
-
-def _counts(logs: Runs) -> dict[str, Any]:
-    """How many runs keep what section IV claims."""
-    free = [log for (condition, _), log in logs.items() if condition == (0.0, "none")]
-    integrals = [z for z in map(largest_integral, free) if z is not None]
-    return {
-        "near_zero_at_5s": sum(z < NEAR_ZERO for z in integrals),
-        "error_growth": [value for value in map(growth, free) if value is not None],
-        "lost_uncompensated": sum(not log.reached_end for (at, _), log in logs.items() if at == BARE),
-        "survived_compensated": sum(log.reached_end for (at, _), log in logs.items() if at[0] and at != BARE),
-    }
-
-
-def _claims(numbers: dict[str, Any], logs: Runs) -> list[Claim]:
-    settled = largest_integral(logs[(0.0, "none"), (1.0, 1.0)]) or np.inf
-    least, lost = min(numbers["error_growth"]), numbers["lost_uncompensated"]
-    bare = sum(at == BARE for at, _ in logs)
-    kept, asked = numbers["survived_compensated"], sum(bool(at[0]) and at != BARE for at, _ in logs)
-    return [
-        Claim(
-            "III.D: different controllers among the nine pairs",
-            "9",
-            numbers["controllers"],
-            "",
-            numbers["controllers"] == 9,
-        ),
-        Claim("IV: integral states at 5 s, 1/1, no gravity", "near 0", settled, "rad s, m s", settled < NEAR_ZERO),
-        Claim("IV: error of the second half over the first, least", "< 1", least, "", least < 1.0),
-        Claim("IV: with gravity and (34) alone, runs lost", "0", lost, f"of {bare}", lost == 0),
-        Claim("IV: with gravity compensated, runs completed", "-", kept, f"of {asked}", None),
-    ]

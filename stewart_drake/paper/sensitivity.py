@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.control.network import TunerNetwork
-from stewart_drake.paper.study import Claim, Result, Study, outcome, pair_of, paper_scenario, score
-from stewart_drake.plotting.panels import chart
+from stewart_drake.paper.reproduce import Claim, Result, Study, outcome, pair_of, paper_scenario, score
+from stewart_drake.plotting.style import chart
 from stewart_drake.scenario import AnnTuner, Scenario
 
 DURATION = 6.28
@@ -100,12 +100,16 @@ def reproduce(study: Study) -> Result:
                     scenarios[name, change] = changed
         logs = study.run(scenarios, check=False)
     found: dict[str, Any] = {
-        name: {"unchanged": {"score": score(logs[name, None])}, "effects": []} for name in controllers
+        name: {
+            "unchanged": {"score": score(logs[name, None])},
+            "effects": [
+                {"factor": key[1][0], "to": key[1][1], "ended": outcome(log), "score": score(log)}
+                for key, log in logs.items()
+                if key[0] == name and key[1] is not None
+            ],
+        }
+        for name in controllers
     }
-    for (name, change), log in logs.items():
-        if change is not None:
-            effect = {"factor": change[0], "to": change[1], "ended": outcome(log), "score": score(log)}
-            found[name]["effects"].append(effect)
     effects = [(of["unchanged"]["score"]["pose_mm"], effect) for of in found.values() for effect in of["effects"]]
     early = sum(effect["score"] is None for _, effect in effects)
     blown = sum(effect["score"]["pose_mm"] > BLOWN_UP * size for size, effect in effects if effect["score"])

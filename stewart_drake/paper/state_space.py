@@ -24,11 +24,10 @@ from stewart_drake.control.state_space import (
     state_matrix,
 )
 from stewart_drake.mechanics.force_map import ForceMapKind, force_map, force_map_of_legs
-from stewart_drake.mechanics.kinematics import leg_geometry, line_conditioning, reach_margin, rod_lines
-from stewart_drake.paper.as_printed import matrices_21_22_24
-from stewart_drake.paper.study import ANNOUNCED, RATIOS, SEED, WIDE, Claim, Result, Study
+from stewart_drake.mechanics.kinematics import leg_geometry, reach_margin, rod_lines
+from stewart_drake.paper.reproduce import ANNOUNCED, RATIOS, SEED, WIDE, Claim, Result, Study
 from stewart_drake.planning.pose_box import NEAR, sample_poses
-from stewart_drake.plotting.panels import COORDINATES, SCALES
+from stewart_drake.plotting.style import COORDINATES, SCALES
 from stewart_drake.robot import RobotParameters
 
 KINDS: tuple[ForceMapKind, ...] = ("printed", "statics")
@@ -74,6 +73,17 @@ def first_singularity(robot: RobotParameters, direction: np.ndarray, most: float
         at = int(crossed.argmax())
         return Singularity("parallel", direction, brentq(determinant, *walk[at - 1 : at + 1], xtol=1e-16, rtol=1e-15))
     return None if end is None else Singularity("serial", direction, end)
+
+
+def matrices_21_22_24(tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A_bar, B_bar and C_bar entry by entry as (21), (22), (24) say, indices from 1; `tau` stands in B_bar's rows."""
+    a, b, c = np.zeros((12, 12)), np.zeros((12, 6)), np.zeros((6, 12))
+    for k in range(1, 7):
+        even, odd = 2 * k, 2 * k - 1
+        a[odd - 1, odd] = 1.0  # (21): i = 2 k - 1, j = i + 1
+        b[even - 1] = tau[even // 2 - 1]  # (22): i = 2 k
+        c[k - 1, 2 * k - 2] = 1.0  # (24): i = k, j = 2 i - 1
+    return a, b, c
 
 
 def inputs_at(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind) -> np.ndarray | None:
@@ -144,91 +154,75 @@ def reproduce(study: Study) -> Result:
     at_home, tau = acceleration_map(robot, robot.home_pose), force_map(robot, robot.home_pose)
     a, b, c = matrices_21_22_24(at_home)
     none = np.zeros((AXES, AXES))
-    pairs = {
-        "A": (state_matrix(), np.block([[a, np.zeros((12, AXES))], [c, none]])),
-        "B": (input_matrix(at_home), np.vstack([b, none])),
-        "C": (output_matrix(), np.hstack([c, np.eye(AXES)])),
-    }
-    gain = gain_of_ratio(at_home, period, 1.0)
+    printed = np.block([[a, np.zeros((12, AXES))], [c, none]]), np.vstack([b, none]), np.hstack([c, np.eye(AXES)])
+    ours = state_matrix(), input_matrix(at_home), output_matrix()
+    equal = sum(np.array_equal(*pair) for pair in zip(ours, printed, strict=True))
     inputs = {"radius": tau, "right": at_home}
     rows = [
         {"ratio": r} | {k: radius(at_home, gain_of_ratio(m, period, r), period) for k, m in inputs.items()}
         for r in RATIOS
     ]
+    unstable = sum(row["radius"] > 1.0 for row in rows)
     ways = ((sign * np.eye(6)[axis], np.pi if axis < 3 else 0.6) for axis in range(6) for sign in (1.0, -1.0))
-    numbers: dict[str, Any] = {
-        "matrices_as_printed": {name: bool(np.array_equal(*pair)) for name, pair in pairs.items()},
+    singular = [_singular(robot, found) for way in ways if (found := first_singularity(robot, *way))]
+    lowest = min(rank for row in singular for rank in row["rank"].values() if rank is not None)
+    full = _ranks_are_full(study)
+    detectable = hautus_detectability(state_matrix(), output_matrix())
+    gain = gain_of_ratio(at_home, period, 1.0)
+    wrong_sign, right_sign = radius(at_home, -gain, period), radius(at_home, gain, period)
+    largest = float(max(np.abs(gain_without_discretisation(at_home, r)).max() for r in RATIOS))
+    decay = _decay(study, at_home)
+    least = {row["ratio"]: row["least"] for row in decay}
+    tuned, slow = least[100.0] / least[0.1], max(row["most"] for row in decay)
+    numbers = {
         "tau_for_m_inverse_tau": {"period": period, "rows": rows},
-        "hautus": {
-            "detectability": hautus_detectability(state_matrix(), output_matrix()),
-            "regions": _ranks(study),
-            "singular": [_singular(robot, found) for way in ways if (found := first_singularity(robot, *way))],
-        },
-        "riccati": {
-            "undiscretised_gain": float(max(np.abs(gain_without_discretisation(at_home, r)).max() for r in RATIOS)),
-            "radius_30": radius(at_home, -gain, period),
-            "radius_34": radius(at_home, gain, period),
-        },
+        "hautus": {"singular": singular},
         "discretisation": [compare_discretisations(at_home, p, r) for p in PERIODS for r in RATIOS[::2]],
-        "decay": _decay(study, at_home),
+        "decay": {"limit": decay_limit(), "rows": decay},
     }
-    return Result(numbers, _claims(numbers))
+    claims = [
+        Claim("(21), (22), (24): matrices like ours by index", "3", equal, "of 3", equal == 3),
+        Claim("(22) with tau for M^-1 tau: unstable ratios", "0", unstable, "of 5", unstable == 0),
+        Claim("(28): least rank at random poses", "18", STATES if full else 0, "", full),
+        Claim("(28): least rank at singular poses", "18", lowest, "", lowest == STATES),
+        Claim("(29): rank", "18", detectable, "", detectable == STATES),
+        Claim("(30): spectral radius with u = K e", "< 1", wrong_sign, "", wrong_sign < 1.0),
+        Claim("(34): spectral radius with u = -K e", "< 1", right_sign, "", right_sign < 1.0),
+        Claim("(31), (32) with continuous A, B: largest gain", "> 0", largest, "", largest > 1e-10),
+        Claim("(27): slowest decay at ratio 100 over ratio 0.1", "> 1", tuned, "", tuned > 1.1),
+        Claim("(27): slowest decay at the best ratio", "-", slow, "rad/s", None),
+    ]
+    return Result(numbers, claims)
 
 
-def _ranks(study: Study) -> dict[str, dict[str, Any]]:
-    """How many random poses have full rank (28), by box and force map."""
-    robot, rng, found = study.base.robot, np.random.default_rng(SEED), {}
-    for region, kind in itertools.product((NEAR, ANNOUNCED, WIDE), KINDS):
-        poses = sample_poses(robot, region, study.pick(400, 60), rng).poses
-        full = [stabilisability_rank(robot, pose, kind) for pose in poses].count(STATES)
-        smallest = np.linalg.svd(acceleration_map(robot, poses, kind), compute_uv=False)[:, -1].min()
-        found[f"{region.name}, {kind}"] = {"poses": len(poses), "full": full, "smallest": float(smallest)}
-    return found
+def _ranks_are_full(study: Study) -> bool:
+    """Whether (28) has full rank at all random poses of three boxes, with both force maps."""
+    robot, rng = study.base.robot, np.random.default_rng(SEED)
+    ranks = [
+        stabilisability_rank(robot, pose, kind)
+        for region, kind in itertools.product((NEAR, ANNOUNCED, WIDE), KINDS)
+        for pose in sample_poses(robot, region, study.pick(400, 60), rng).poses
+    ]
+    return set(ranks) == {STATES}
 
 
 def _singular(robot: RobotParameters, found: Singularity) -> dict[str, Any]:
     axis, pose = int(np.abs(found.direction).argmax()), found.pose(robot)
-    legs, (name, unit) = leg_geometry(robot, pose), COORDINATES[axis]
-    least = float(np.abs(legs.transmission).min())
+    name, unit = COORDINATES[axis]
     return {
         "axis": ("+" if found.direction[axis] > 0.0 else "-") + name,
         "at": f"{SCALES[axis] * (pose - robot.home_pose)[axis]:.1f}\u00a0{unit}",
         "kind": found.kind,
-        "transmission": least if least > DEAD else 0.0,
-        "conditioning": float(line_conditioning(robot, legs)),
         "rank": {kind: stabilisability_rank(robot, pose, kind) for kind in KINDS},
         "columns": nonzero_columns(robot, pose),
     }
 
 
-def _decay(study: Study, at_home: np.ndarray) -> dict[str, Any]:
-    """The limit that equal weights put on the decay of the error, and the decay at home and in the near box."""
+def _decay(study: Study, at_home: np.ndarray) -> list[dict[str, float]]:
+    """Slowest decay of the error [rad/s] by ratio: at home, and the least and most of it in the near box."""
     poses = sample_poses(study.base.robot, NEAR, study.pick(100, 15), np.random.default_rng(SEED), 1e-2).poses
     maps, period, rows = acceleration_map(study.base.robot, poses), study.base.lqi.period, []
     for ratio in RATIOS:
         home, *rates = (slowest_decay(b, gain_of_ratio(b, period, ratio), period) for b in (at_home, *maps))
         rows.append({"ratio": ratio, "home": home, "least": min(rates), "most": max(rates)})
-    return {"limit": decay_limit(), "rows": rows}
-
-
-def _claims(numbers: dict[str, Any]) -> list[Claim]:
-    hautus, riccati = numbers["hautus"], numbers["riccati"]
-    equal = sum(numbers["matrices_as_printed"].values())
-    unstable = sum(row["radius"] > 1.0 for row in numbers["tau_for_m_inverse_tau"]["rows"])
-    full = all(row["full"] == row["poses"] for row in hautus["regions"].values())
-    lowest = min(rank for row in hautus["singular"] for rank in row["rank"].values() if rank is not None)
-    least = {row["ratio"]: row["least"] for row in numbers["decay"]["rows"]}
-    tuned = least[100.0] / least[0.1]
-    gain, slow = riccati["undiscretised_gain"], max(row["most"] for row in numbers["decay"]["rows"])
-    return [
-        Claim("(21), (22), (24): matrices like ours by index", "3", equal, "of 3", equal == 3),
-        Claim("(22) with tau for M^-1 tau: unstable ratios", "0", unstable, "of 5", unstable == 0),
-        Claim("(28): least rank at random poses", "18", STATES if full else 0, "", full),
-        Claim("(28): least rank at singular poses", "18", lowest, "", lowest == STATES),
-        Claim("(29): rank", "18", hautus["detectability"], "", hautus["detectability"] == STATES),
-        Claim("(30): spectral radius with u = K e", "< 1", riccati["radius_30"], "", riccati["radius_30"] < 1.0),
-        Claim("(34): spectral radius with u = -K e", "< 1", riccati["radius_34"], "", riccati["radius_34"] < 1.0),
-        Claim("(31), (32) with continuous A, B: largest gain", "> 0", gain, "", gain > 1e-10),
-        Claim("(27): slowest decay at ratio 100 over ratio 0.1", "> 1", tuned, "", tuned > 1.1),
-        Claim("(27): slowest decay at the best ratio", "-", slow, "rad/s", None),
-    ]
+    return rows

@@ -14,14 +14,14 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.mechanics.kinematics import pose_jacobian, reach_margin
-from stewart_drake.paper.study import Claim, Result, Study
+from stewart_drake.paper.reproduce import Claim, Result, Study
 from stewart_drake.planning.feasibility import largest_amplitude, largest_scale
-from stewart_drake.planning.measures import measure_poses
+from stewart_drake.planning.limits import measure_poses
 from stewart_drake.planning.workspace import LIMIT_NAMES, governing_limit, utilisation
-from stewart_drake.plotting.panels import COORDINATES, chart
+from stewart_drake.plotting.style import COORDINATES, chart
 from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.robot.robot_scale import LENGTH
-from stewart_drake.runs.simulation import check_scenario
+from stewart_drake.runs.checks import check_scenario
 from stewart_drake.scenario import Scenario
 from stewart_drake.training.collect import six
 
@@ -90,8 +90,7 @@ def visited(log: SimulationLog) -> dict[str, Any]:
     use, limit = worst(log["pose"])
     return {
         "status": log.status,
-        "end_time": log.end_time,
-        **{name: [log[name].min(axis=0).tolist(), log[name].max(axis=0).tolist()] for name in ("pose", "pose_rate")},
+        "pose": [log["pose"].min(axis=0).tolist(), log["pose"].max(axis=0).tolist()],
         "crank_speed": float(np.nanmax(np.abs(rates))),
         "peak_torque": float(np.abs(torque).max()),
         "reference_torque": float(np.abs(wanted).max()),
@@ -113,9 +112,7 @@ def motion_numbers(study: Study) -> tuple[dict[str, Any], Callable[[], Figure]]:
 def reproduce(study: Study) -> Result:
     """The regions that motions visit."""
     motions, draw = motion_numbers(study)
-    done = [
-        motion for motion in motions.values() if motion["status"] in ("completed", "lost")
-    ]  # which go on to the end
+    done = [motion for motion in motions.values() if motion["status"] in ("completed", "lost")]
     torques = [motion["peak_torque"] for motion in done]
     most, use = max(torques) / min(torques), 100.0 * motions["the paper's motion"]["limit_use"]
     whole = len(done) == len(motions)

@@ -18,7 +18,6 @@ SEARCH_RTOL = 1e-4
 """Relative width at which the searches for the largest amplitude and scale stop."""
 _HALF_PERIOD_SAMPLES = 257
 _SCALE_STEPS = 16
-_BLOCK = 8192
 _WHOLE_TURN = 1e-3
 """[rad] within which an angle counts as a number of whole turns."""
 
@@ -91,59 +90,35 @@ def check_motion(
     """Margins to all limits along a sampled motion: times (n,) [s], poses (n, 6), their rates and accelerations.
 
     That no crank changes its branch follows from `reach` and `transmission`: the two branches of a leg meet at its dead
-    centre alone, where both margins end; that the platform stays in its assembly follows from `conditioning`, which a
-    change of the determinant's sign breaks. A pose out of reach does not raise: it is a violation of `reach`, and the
-    samples after it are checked all the same.
-
-    Raises:
-        ConfigurationError: An array of the wrong shape, or a value that is not finite; as `refuse_turns`.
+    centre alone, where both margins end; that the platform stays in its assembly follows from `conditioning`. A pose
+    out of reach does not raise: it breaks `reach`, and the samples after it are checked all the same.
     """
-    time = np.asarray(time, dtype=float)
-    if time.ndim != 1 or time.size == 0 or not np.isfinite(time).all():
-        raise ConfigurationError("time", time, "finite numbers of shape (n,), n >= 1")
-    motion = []
     for name, values in (("pose", pose), ("pose_rate", pose_rate), ("pose_acceleration", pose_acceleration)):
-        motion.append(np.asarray(values, dtype=float))
-        if motion[-1].shape != (time.size, 6) or not np.isfinite(motion[-1]).all():
-            raise ConfigurationError(name, values, f"finite numbers of shape ({time.size}, 6)")
-    if not math.isfinite(gravity):
-        raise ConfigurationError("gravity", gravity, "a finite number of m/s^2")
-    pose, pose_rate, pose_acceleration = motion
+        if values.shape != (len(time), 6) or not np.isfinite(values).all():
+            raise ConfigurationError(name, values, f"finite numbers of shape ({len(time)}, 6)")
     refuse_turns("reference", pose, time)
     bounds = limit_bounds(robot, limits)
-    smallest: dict[str, LimitMargin] = {}
-    first: LimitMargin | None = None
-    # In blocks, so that a long motion needs no more memory than a short one; neighbours share a sample, because a
-    # singularity can be jumped over between two.
-    for start in range(0, max(1, time.size - 1), _BLOCK):
-        rows = slice(start, start + _BLOCK + 1)
-        margins = limit_margins(robot, limits, pose[rows], pose_rate[rows], pose_acceleration[rows], gravity)
+    margins = limit_margins(robot, limits, pose, pose_rate, pose_acceleration, gravity)
 
-        def at(limit: str, sample: int, time: np.ndarray = time[rows], margins: dict = margins) -> LimitMargin:
-            column = int(np.nanargmin(margins[limit][sample]))
-            leg, where = PLACES[limit][column]
-            share = float(robot.effort_shares[leg]) if limit == "torque" and leg is not None else 1.0
-            margin = float(margins[limit][sample, column])
-            return LimitMargin(limit, bounds[limit] * share, margin, float(time[sample]), leg, where)
+    def at(limit: str, sample: int) -> LimitMargin:
+        column = int(np.nanargmin(margins[limit][sample]))
+        leg, where = PLACES[limit][column]
+        share = float(robot.effort_shares[leg]) if limit == "torque" and leg is not None else 1.0
+        margin = float(margins[limit][sample, column])
+        return LimitMargin(limit, bounds[limit] * share, margin, float(time[sample]), leg, where)
 
-        for limit, values in margins.items():
-            if not np.isnan(values).all():
-                found = at(limit, int(np.nanargmin(values)) // values.shape[1])
-                if limit not in smallest or found.margin < smallest[limit].margin:
-                    smallest[limit] = found
-        broken = {limit: np.any(values < 0.0, axis=-1) for limit, values in margins.items()}
-        if first is None and any(b.any() for b in broken.values()):
-            sample = min(int(b.argmax()) for b in broken.values() if b.any())
-            first = at(next(limit for limit, b in broken.items() if b[sample]), sample)
-    return FeasibilityReport({limit: smallest[limit] for limit in RULES if limit in smallest}, first)
+    known = {limit: values for limit, values in margins.items() if not np.isnan(values).all()}
+    smallest = {limit: at(limit, int(np.nanargmin(values)) // values.shape[1]) for limit, values in known.items()}
+    broken = {limit: (values < 0.0).any(axis=1) for limit, values in known.items()}
+    first = {limit: int(rows.argmax()) for limit, rows in broken.items() if rows.any()}
+    if not first:
+        return FeasibilityReport(smallest, None)
+    limit = min(first, key=lambda limit: first[limit])  # of simultaneous ones the first
+    return FeasibilityReport(smallest, at(limit, first[limit]))
 
 
 def refuse_turns(key: str, pose: np.ndarray, time: np.ndarray) -> None:
-    """Refuses poses (n, 6) that are turned by more than half a turn: no measurement of a pose says which turn it is in.
-
-    Raises:
-        ConfigurationError: Roll, pitch or yaw is beyond half a turn; names the largest.
-    """
+    """Refuses poses (n, 6) turned by more than half a turn: no measurement of a pose says which turn it is in."""
     size = np.abs(pose[:, :3])
     if not (size > math.pi * (1.0 + 1e-9)).any():
         return
@@ -181,63 +156,44 @@ def check_reference(
         ConfigurationError: A duration or rate that is not positive; as in `check_motion`.
     """
     for name, value in (("duration", duration), ("samples_per_second", samples_per_second)):
-        if not (math.isfinite(value) and value > 0.0):
+        if not 0.0 < value < math.inf:
             raise ConfigurationError(name, value, "a finite number above 0")
     time = np.linspace(0.0, duration, math.ceil(duration * samples_per_second) + 1)
     return check_motion(robot, limits, time, *reference.evaluate(time), gravity)
 
 
-def largest_amplitude(
-    robot: RobotParameters,
-    limits: Limits,
-    axis: int,
-    frequency_hz: float,
-    gravity: float,
-    center: np.ndarray | None = None,
-) -> float:
-    """Largest A [rad] or [m] for which center + a sin(2 pi f t) along one axis (0..5) is feasible for every a <= A.
+def largest_amplitude(robot: RobotParameters, limits: Limits, axis: int, frequency_hz: float, gravity: float) -> float:
+    """Largest A [rad] or [m] for which home + a sin(2 pi f t) along one axis (0..5) is feasible for every a <= A.
 
     Whether all amplitudes up to A are feasible can be told from A alone. At an offset x the acceleration is
     -(2 pi f)^2 x whatever the amplitude, and the squared speed runs from 0 (a = |x|) to (2 pi f)^2 (A^2 - x^2). Crank
     speeds grow with it and motor torques are linear in it, so its two ends decide, and bisection finds A, feasible and
-    below the largest by a relative 1e-4 at most. Angles end at pi. Zero where the center itself is not feasible; a
-    frequency of zero asks for the range at rest.
+    below the largest by a relative 1e-4 at most. Angles end at pi. Zero where home itself is not feasible; a frequency
+    of zero asks for the range at rest.
     """
-    middle = robot.home_pose if center is None else np.asarray(center, dtype=float)
     omega = 2.0 * math.pi * frequency_hz
     # The speeds' sign changes no margin, so trough to peak stands for the whole period; then the same offsets at rest.
     phase = np.linspace(-math.pi / 2.0, math.pi / 2.0, _HALF_PERIOD_SAMPLES)
-    offset = np.tile(np.sin(phase), 2)
-    speed = np.concatenate([omega * np.cos(phase), np.zeros_like(phase)])
     along = np.eye(6)[axis]
+    offset = np.tile(np.sin(phase), 2)[:, None] * along
+    speed = np.concatenate([omega * np.cos(phase), np.zeros_like(phase)])[:, None] * along
 
     def feasible(amplitude: float) -> bool:
-        pose = middle + amplitude * offset[:, None] * along
-        rate = amplitude * speed[:, None] * along
-        acceleration = -(omega**2) * amplitude * offset[:, None] * along
-        margins = limit_margins(robot, limits, pose, rate, acceleration, gravity)
-        return not any((values < 0.0).any() for values in margins.values())
+        motion = robot.home_pose + amplitude * offset, amplitude * speed, -(omega**2) * amplitude * offset
+        return not any((values < 0.0).any() for values in limit_margins(robot, limits, *motion, gravity).values())
 
     # No platform joint is further from its shaft than crank and rod together.
-    sizes = [np.linalg.norm(points, axis=-1) for points in (robot.platform_joints, robot.shaft_positions)]
-    span = float((robot.crank_lengths + robot.rod_lengths + sizes[0]).max())
-    shafts = float(sizes[1].max())
-    most = math.pi if axis < 3 else span + shafts + float(np.linalg.norm(middle[3:]))
+    joints, shafts = (np.linalg.norm(each, axis=-1) for each in (robot.platform_joints, robot.shaft_positions))
+    span = float((robot.crank_lengths + robot.rod_lengths + joints).max() + shafts.max())
+    most = math.pi if axis < 3 else span + float(np.linalg.norm(robot.home_pose[3:]))
     if not feasible(0.0):
         return 0.0
     return most if feasible(most) else bisect(feasible, 0.0, most)
 
 
-def amplitude_table(
-    robot: RobotParameters,
-    limits: Limits,
-    frequencies: Iterable[float],
-    gravity: float,
-    center: np.ndarray | None = None,
-) -> np.ndarray:
+def amplitude_table(robot: RobotParameters, limits: Limits, frequencies: Iterable[float], gravity: float) -> np.ndarray:
     """`largest_amplitude` of every axis at every frequency [Hz]; (n, 6) [rad, m]."""
-    rows = [[largest_amplitude(robot, limits, axis, f, gravity, center) for axis in range(6)] for f in frequencies]
-    return np.array(rows).reshape(-1, 6)
+    return np.array([[largest_amplitude(robot, limits, axis, f, gravity) for axis in range(6)] for f in frequencies])
 
 
 def largest_scale(
@@ -257,14 +213,11 @@ def largest_scale(
     def feasible(scale: float) -> bool:
         return check_reference(robot, limits, make_reference(scale), duration, gravity, samples_per_second).feasible
 
-    low = 0.0
-    if not feasible(low):
-        return low
-    for high in np.linspace(0.0, 1.0, _SCALE_STEPS + 1)[1:].tolist():
-        if not feasible(high):
-            return bisect(feasible, low, high)
-        low = high
-    return low
+    scales = np.linspace(0.0, 1.0, _SCALE_STEPS + 1).tolist()
+    first = next((at for at, scale in enumerate(scales) if not feasible(scale)), None)
+    if first is None:
+        return 1.0
+    return bisect(feasible, scales[first - 1], scales[first]) if first else 0.0
 
 
 def bisect(feasible: Callable[[float], bool], low: float, high: float) -> float:

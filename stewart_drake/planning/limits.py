@@ -1,8 +1,13 @@
-"""What a motion must keep to, and the margins of a sampled motion to each of these limits.
+"""What a motion must keep to, and how far a pose or a motion is from each limit: one compiled law, on all cores.
 
 A margin is positive inside, zero at the limit and negative outside, in the limit's own unit. A motion is checked at its
 samples only; between them nothing is known but one thing: a sign change of the rods' determinant, a parallel
 singularity jumped over, counts as broken `conditioning`.
+
+Serial and parallel singularities are told apart by two measures. `transmission` |e_l . e_N| is zero where a crank is at
+its dead centre (serial): the motor moves, the platform does not; `reach` is zero there too. `conditioning` is zero
+where the rods' lines lose rank (parallel): the platform moves, the motors do not. The sign of the lines' determinant
+tells a pose beyond a parallel singularity from one before it.
 """
 
 from __future__ import annotations
@@ -10,15 +15,29 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from typing import Annotated
+from functools import lru_cache
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.config import Positive, Section
-from stewart_drake.planning.measures import home_record, measure_motion
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.jit import fields, njit, record
+from stewart_drake.mechanics.batch import over_rows
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.dynamics_laws import loads, twists_of_motion
+from stewart_drake.mechanics.kinematics_laws import (
+    LEGS,
+    conditioning,
+    crank_rates,
+    cross,
+    dot,
+    legs_at,
+    robot_record,
+)
+from stewart_drake.mechanics.linear_algebra import solve
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS
 from stewart_drake.robot.robot_scale import LENGTH
 
 Ratio = Annotated[Positive, Field(le=1.0)]
@@ -83,13 +102,13 @@ RULES = {
 }
 """Unit of the margin and wording of each limit, in the order in which simultaneous violations are named."""
 
-_LINKS = [("crank", leg) for leg in range(LEGS)] + [("rod", leg) for leg in range(LEGS)]
+_LINKS = [(kind, leg) for kind in ("crank", "rod") for leg in range(6)]
 _PAIRS = [pair for pair in itertools.combinations(_LINKS, 2) if pair[0][1] != pair[1][1]]
 PLACES: dict[str, list[tuple[int | None, str]]] = {
-    **{limit: [(leg, f"leg {leg}") for leg in range(LEGS)] for limit in RULES},
+    **{limit: [(leg, f"leg {leg}") for leg in range(6)] for limit in RULES},
     "euler_pitch": [(None, "platform")],
     "conditioning": [(None, "platform")],
-    "joint_swing": [(leg, f"{joint} joint of leg {leg}") for joint in ("ball", "universal") for leg in range(LEGS)],
+    "joint_swing": [(leg, f"{joint} joint of leg {leg}") for joint in ("ball", "universal") for leg in range(6)],
     "clearance": [(one[1], "{} {} to {} {}".format(*one, *other)) for one, other in _PAIRS],
 }
 """Leg and name of each column of a limit's margins."""
@@ -117,17 +136,224 @@ def limit_margins(
     (n, k) for each limit, a column for each of its `PLACES`. It never raises for a pose out of reach: NaN where a rod
     cannot span, -inf where the quantity itself is infinite. `reach` and `euler_pitch` are known everywhere.
     """
-    m = measure_motion(robot, pose, pose_rate, pose_acceleration, gravity)
+    m = measure(robot, pose, pose_rate, pose_acceleration, gravity)
     reached = m["side"][~np.isnan(m["side"])]
     margins: dict[str, Callable[[float], np.ndarray]] = {
         "reach": lambda bound: m["reach"] - (1.0 - bound),
         "euler_pitch": lambda bound: bound - np.abs(pose[:, 1:2]),
         "conditioning": lambda bound: (m["side"] * reached[:1].sum() * m["conditioning"] - bound)[:, None],
         "transmission": lambda bound: m["transmission"] - bound,
-        "joint_swing": lambda bound: bound - m["swing"],
+        "joint_swing": lambda bound: bound - _swing(robot, m),
         "clearance": lambda bound: m["distance"] - bound,
-        "crank_range": lambda bound: home_record(robot)["half"] - m["stroke"] - bound,
+        "crank_range": lambda bound: np.subtract(*_stroke(robot, m)) - bound,
         "crank_speed": lambda bound: bound - m["speed"],
         "torque": lambda bound: bound * robot.effort_shares - m["torque"],
     }
     return {name: margins[name](bound) for name, bound in limit_bounds(robot, limits).items()}
+
+
+MEASURES = fields(
+    reach=6, transmission=6, conditioning=(), side=(), rod=(12, 3), angle=6, distance=60, speed=6, torque=6,
+    force=(), moment=(),
+)  # fmt: skip
+"""Measures at a pose and motion; all but `reach` are NaN where a rod cannot span. reach: `LEGS.reach`. transmission:
+|e_l . e_N|. conditioning: sigma_min / sigma_max of the rods' lines. side: sign of their determinant. rod: directions of
+the rods in P, then along crank, lateral axis and e_N of their own cranks. angle: of the cranks [rad]. distance: between
+the surfaces of links of different legs, in the order of `PLACES`, negative where they overlap [m]. speed: |crank rate|
+[rad/s]; torque: |motor torque| [N m]; both infinite exactly at a singularity. force, moment: see `strength` [N], [N m].
+"""
+
+POSE_MEASURES = (
+    *("reach", "transmission", "conditioning", "ball_swing", "universal_swing", "stroke", "clearance"),
+    *("holding_torque", "force", "moment"),
+)
+"""Measures at a pose at rest; all but `reach` are NaN where a rod cannot span. reach, transmission: the smallest of a
+leg. conditioning: as above, negative where the lines' determinant has not the sign that it has at home; zero at a
+parallel singularity. ball_swing, universal_swing: the largest [rad]. stroke: largest distance of a crank from the
+middle of its range, as a part of half of it; 0 of a robot without stops. clearance: smallest distance of the surfaces
+of links of different legs [m]. holding_torque: the largest [N m]. force, moment: see `strength` [N], [N m]."""
+
+_BLOCK = 1 << 16  # poses whose measures are kept at a time
+
+
+def measure(
+    robot: RobotParameters,
+    pose: np.ndarray,
+    pose_rate: np.ndarray,
+    pose_acceleration: np.ndarray,
+    gravity: float,
+    torque_limit: float | None = None,
+) -> np.ndarray:
+    """`MEASURES` records (n,) of a sampled motion: poses, rates and accelerations (n, 6).
+
+    `torque_limit` [N m] stands in place of the robot's `effort_limit`; each motor keeps its share of it.
+    """
+    motion = [np.array(each, dtype=float, order="C") for each in (pose, pose_rate, pose_acceleration)]
+    made = np.full((len(motion[0]), MEASURES.itemsize // 8), np.nan).view(MEASURES)[:, 0]
+    limit = (robot.effort_limit if torque_limit is None else torque_limit) * np.array(robot.effort_shares)
+    over_rows(_measure, (robot_record(robot), float(gravity), limit, 2.0 * robot.link_radius), (*motion, made))
+    return made
+
+
+def measure_poses(
+    robot: RobotParameters,
+    pose: np.ndarray,
+    gravity: float = STANDARD_GRAVITY,
+    torque_limit: float | None = None,
+) -> np.recarray:
+    """`POSE_MEASURES` records (n,) at poses (n, 6) [rad, m]."""
+    pose = np.asarray(pose, dtype=float)
+    if pose.ndim != 2 or pose.shape[1] != 6 or not np.isfinite(pose).all():
+        raise ConfigurationError("pose", pose, "finite numbers of shape (n, 6)")
+    made = np.recarray(len(pose), [(name, float) for name in POSE_MEASURES])
+    for start in range(0, len(pose), _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        still = np.zeros_like(pose[rows])
+        m = measure(robot, pose[rows], still, still, gravity, torque_limit)
+        half, stroke = _stroke(robot, m)
+        ball, universal = np.hsplit(_swing(robot, m), 2)
+        least = {"reach": m["reach"], "transmission": m["transmission"], "clearance": m["distance"]}
+        most = {"ball_swing": ball, "universal_swing": universal, "stroke": stroke / half}
+        most["holding_torque"] = m["torque"] / robot.effort_shares
+        own = {"conditioning": m["conditioning"] * m["side"] * _at_home(robot)["side"]}
+        own |= {"force": m["force"], "moment": m["moment"]}
+        own |= {name: values.min(axis=1) for name, values in least.items()}
+        own |= {name: values.max(axis=1) for name, values in most.items()}
+        for name, values in own.items():
+            made[name][rows] = values
+    return made
+
+
+@lru_cache(maxsize=128)
+def _at_home(robot: RobotParameters) -> np.void:
+    still = np.zeros((1, 6))
+    return measure(robot, robot.home_pose[None], still, still, 0.0)[0]
+
+
+def _swing(robot: RobotParameters, measures: np.ndarray) -> np.ndarray:
+    """Swings (n, 12) [rad] of the rods from home, at the ball joints, then at the universal joints."""
+    (a, b, c), (x, y, z) = np.moveaxis(measures["rod"], -1, 0), _at_home(robot)["rod"].T
+    across = np.sqrt((b * z - c * y) ** 2 + (c * x - a * z) ** 2 + (a * y - b * x) ** 2)
+    return np.arctan2(across, a * x + b * y + c * z)
+
+
+def _stroke(robot: RobotParameters, measures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Half of the cranks' ranges (6,) [rad], and how far (n, 6) [rad] the cranks are from the middle of theirs."""
+    stops = np.isfinite(robot.crank_angle_ranges)
+    low, high = np.where(stops, robot.crank_angle_ranges, [-2.0 * np.pi, 2.0 * np.pi]).T
+    off = measures["angle"] - 0.5 * (low + high)
+    return 0.5 * (high - low) if stops.any() else np.full(6, np.inf), np.abs(np.arctan2(np.sin(off), np.cos(off)))
+
+
+@njit
+def _rod_directions(legs: Any, made: Any) -> None:
+    """Fills `MEASURES.rod`."""
+    lateral = np.empty(3)
+    for i in range(6):
+        for k in range(3):
+            made[i, k] = dot(legs.rotation[:, k], legs.e_l[i])
+        cross(legs.e_n[i], legs.crank[i], lateral)
+        made[6 + i, 0], made[6 + i, 1] = dot(legs.e_l[i], legs.crank[i]), dot(legs.e_l[i], lateral)
+        made[6 + i, 2] = legs.transmission[i]
+
+
+@njit
+def segment_distance(start: Any, way: Any, other_start: Any, other_way: Any) -> float:
+    """Shortest distance between two line segments, of start and way (3,) [m], also parallel, crossing or of no length.
+
+    C. Ericson, Real-Time Collision Detection (2005), 5.1.9: the optimum of each line's parameter, clamped in turn.
+    """
+    uu, uv, vv, ur, vr = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(3):
+        u, v, r = way[k], other_way[k], start[k] - other_start[k]
+        uu += u * u
+        uv += u * v
+        vv += v * v
+        ur += u * r
+        vr += v * r
+    # Of parallel segments any s will do to start with: t follows from it, and s once more from the clamped t.
+    s, tiny, determinant = 0.0, 2.2250738585072014e-308, uu * vv - uv * uv
+    if determinant > 2.220446049250313e-16 * uu * vv:
+        s = min(1.0, max(0.0, (uv * vr - ur * vv) / determinant))
+    t = min(1.0, max(0.0, (uv * s + vr) / max(vv, tiny)))
+    s = min(1.0, max(0.0, (uv * t - ur) / max(uu, tiny)))
+    square = 0.0
+    for k in range(3):
+        gap = start[k] - other_start[k] + s * way[k] - t * other_way[k]
+        square += gap * gap
+    return np.sqrt(square)
+
+
+@njit
+def _link_distances(robot: Any, legs: Any, apart: float, made: Any) -> None:
+    """Fills `MEASURES.distance`: cranks 0 to 5, then rods 0 to 5, in pairs; `apart` [m] is taken off each."""
+    start, way = np.empty((12, 3)), np.empty((12, 3))
+    for i in range(6):
+        for k in range(3):
+            way[i, k], way[6 + i, k] = robot.crank_length[i] * legs.crank[i, k], robot.rod_length[i] * legs.e_l[i, k]
+            start[i, k] = robot.shaft[i, k]
+            start[6 + i, k] = start[i, k] + way[i, k]
+    pair = 0
+    for i in range(12):
+        for j in range(i + 1, 12):
+            if j != i + 6:
+                made[pair] = segment_distance(start[i], way[i], start[j], way[j]) - apart
+                pair += 1
+
+
+@njit
+def strength(legs: Any, inverse: Any, torque: Any, limit: Any) -> Any:
+    """Largest force [N] and moment [N m] that can be exerted in every direction, each without the other.
+
+    They are balls inscribed into the image of the torque limits, a box, under the statics map. To exert the wrench w
+    the motors need T = t + A w, with t the holding torque and A the inverse of the map tau of (18), `statics`. Over all
+    forces of size r the term A_i w of motor i runs from -r |a_i| to +r |a_i|, a_i the three entries of row i of A that
+    belong to the force (or to the moment). So r can be exerted in every direction exactly as long as |t_i| + r |a_i| <=
+    T_max for all i: the largest is min_i (T_max - |t_i|) / |a_i|. It is zero where the weight alone is too much.
+    """
+    force, moment = np.inf, np.inf
+    for i in range(6):
+        spare, size = limit[i] - torque[i], abs(legs.lever[i])
+        if not spare > 0.0:
+            return 0.0, 0.0
+        force = min(force, spare / (size * np.sqrt(dot(inverse[3:, i], inverse[3:, i]))))
+        moment = min(moment, spare / (size * np.sqrt(dot(inverse[:3, i], inverse[:3, i]))))
+    return force, moment
+
+
+@njit
+def _measure(
+    robots: Any, gravity: float, limit: Any, apart: float, poses: Any, rates: Any, accelerations: Any, made: Any
+) -> None:
+    """Fills `MEASURES` records, which are NaN before."""
+    robot, store, inverse = record(robots), np.empty(1, LEGS), np.empty((6, 6))
+    twist, twist_rate, wrench, own = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+    for n in range(len(poses)):
+        legs, m = record(store), record(made[n : n + 1])
+        within = legs_at(robot, poses[n], legs) < 0
+        for i in range(6):
+            # So far off that squares leave floating point: beyond any reach.
+            m.reach[i] = -np.inf if np.isnan(legs.reach[i]) else legs.reach[i]
+        if not within:
+            continue
+        _rod_directions(legs, m.rod)
+        _link_distances(robot, legs, apart, m.distance)
+        lines = legs.line.copy()
+        inverse[:] = 0.0
+        for i in range(6):
+            inverse[i, i] = 1.0
+            m.transmission[i], m.angle[i] = abs(legs.transmission[i]), np.arctan2(legs.sine[i], legs.cosine[i])
+        m.conditioning, m.side = conditioning(robot, legs, 1e-14), solve(lines, inverse)
+        if m.side == 0.0 or m.transmission.min() == 0.0:
+            m.speed[:], m.torque[:] = np.inf, np.inf
+            m.force, m.moment = 0.0, 0.0
+            continue
+        twists_of_motion(poses[n], rates[n], accelerations[n], twist, twist_rate)
+        crank_rates(legs, twist, m.speed)
+        loads(robot, legs, twist, twist_rate, gravity, wrench, own)
+        for i in range(6):
+            force = 0.0
+            for k in range(6):
+                force += inverse[k, i] * wrench[k]
+            m.torque[i], m.speed[i] = abs(legs.lever[i] * force + own[i]), abs(m.speed[i])
+        m.force, m.moment = strength(legs, inverse, m.torque, limit)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,12 +14,11 @@ from stewart_drake.planning.limits import Limits, limit_margins
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import PAPER
 
-_BLOCK = 4096
-_MOST_BLOCKS = 500
+_DRAWN, _MOST = 4096, 500
+"""Poses at a time, and times at most."""
 
 
-@dataclass(frozen=True)
-class Region:
+class Region(NamedTuple):
     """A box of poses: a name for tables, (6,) [rad, m] to either side of home, and the box in words."""
 
     name: str
@@ -43,8 +42,7 @@ NEAR = Region(
 """Where the controlled motions are: the paper's largest angle, the Z of (38), and room to the sides."""
 
 
-@dataclass(frozen=True)
-class PoseSample:
+class PoseSample(NamedTuple):
     """Random poses (n, 6) [rad, m] of a region, and the share of those drawn that was in reach."""
 
     region: Region
@@ -66,18 +64,16 @@ def sample_poses(
     Poses whose `kinematics.reach_margin` is below `least_margin` count as outside, and, where `limits` are given, those
     that break one at rest.
     """
-    kept: list[np.ndarray] = []
-    drawn = reached = 0
-    while reached < count and drawn < _MOST_BLOCKS * _BLOCK:
-        poses = robot.home_pose + rng.uniform(-1.0, 1.0, (_BLOCK, 6)) * region.half_width
+    kept, drawn = np.empty((0, 6)), 0
+    while len(kept) < count and drawn < _MOST * _DRAWN:
+        poses = robot.home_pose + rng.uniform(-1.0, 1.0, (_DRAWN, 6)) * region.half_width
         poses = poses[reach_margin(robot, poses).min(axis=-1) > least_margin]
         if limits is not None:
             still = np.zeros_like(poses)
             margins = limit_margins(robot, limits, poses, still, still, gravity)
             poses = poses[np.all([(each >= 0.0).all(axis=-1) for each in margins.values()], axis=0)]
-        kept.append(poses)
-        drawn, reached = drawn + _BLOCK, reached + len(poses)
-    if not reached:
+        kept, drawn = np.concatenate([kept, poses]), drawn + _DRAWN
+    if not len(kept):
         within = "" if limits is None else ", within its limits"
         raise ConfigurationError("robot", robot, f"a robot that reaches some pose of this box{within}: {region.words}")
-    return PoseSample(region, np.concatenate(kept)[:count], reached / drawn)
+    return PoseSample(region, kept[:count], len(kept) / drawn)

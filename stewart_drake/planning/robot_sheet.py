@@ -2,80 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from stewart_drake.mechanics.dynamics import static_torque, task_inertia
 from stewart_drake.mechanics.kinematics import leg_geometry
-from stewart_drake.planning.measures import measure_poses
+from stewart_drake.planning.limits import measure_poses
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS
 
-Sheet = tuple[str, Sequence[str], Sequence[tuple[str, ...]]]
+Sheet = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 """Title, header and rows of texts."""
+_BODIES = (
+    *("home_height", "characteristic_length", "link_radius", "effort_limit", "rotor_inertia"),
+    *("platform_mass", "platform_center_of_mass", "platform_inertia", "platform_products"),
+    *("rod_mass", "rod_inertia", "crank_mass", "crank_inertia", "base_mass", "base_inertia"),
+)
 
 
-def bodies(robot: RobotParameters) -> Sheet:
-    """Masses, inertias and what all legs share."""
-    names = [
-        *("home_height", "characteristic_length", "link_radius", "effort_limit", "rotor_inertia"),
-        *("platform_mass", "platform_center_of_mass", "platform_inertia", "platform_products"),
-        *("rod_mass", "rod_inertia", "crank_mass", "crank_inertia", "base_mass", "base_inertia"),
-    ]
-    rows = []
-    for name in names:
+def robot_sheets(robot: RobotParameters) -> list[Sheet]:
+    """Masses and inertias, geometry of the legs, and what follows at the home pose."""
+    bodies = []
+    for name in _BODIES:
         text = " ".join((robot.__pydantic_fields__[name].description or "").split())
         unit, _, words = text.removeprefix("[").partition("]")
-        value = getattr(robot, name)
-        numbers = ", ".join(f"{each:.6g}" for each in np.ravel(value))
-        rows.append((name, numbers, unit, words.strip(" ;")))
-    return "bodies and motors", ("key", "value", "unit", "what it is"), rows
-
-
-def legs(robot: RobotParameters) -> Sheet:
-    """Geometry of each leg."""
-    header = ("leg", "shaft in B [mm]", "crank at 0", "crank at pi/2", "joint in P [mm]", "crank, rod [mm]")
-    rows = []
-    for leg in range(LEGS):
-        vectors = (robot.crank_zero_directions[leg], robot.crank_quarter_directions[leg])
-        places = (1e3 * robot.shaft_positions[leg], 1e3 * robot.platform_joints[leg])
-        lengths = f"{1e3 * robot.crank_lengths[leg]:g}, {1e3 * robot.rod_lengths[leg]:g}"
-        zero, quarter = (" ".join(f"{round(x, 3) + 0.0:.3f}" for x in vector) for vector in vectors)
-        shaft, joint = (" ".join(f"{round(x, 2) + 0.0:.2f}" for x in place) for place in places)
-        rows.append((str(leg), shaft, zero, quarter, joint, lengths))
-    return "legs", header, rows
-
-
-def at_home(robot: RobotParameters) -> Sheet:
-    """What follows from the numbers at the home pose."""
+        bodies.append((name, ", ".join(f"{x:.6g}" for x in np.ravel(getattr(robot, name))), unit, words.strip(" ;")))
     home = leg_geometry(robot, robot.home_pose)
-    angles = np.degrees(home.crank_angles)
-    stops = np.degrees(robot.crank_angle_ranges)
+    angles, stops = np.degrees(home.crank_angles), np.degrees(robot.crank_angle_ranges)
     torque = static_torque(robot, robot.home_pose)
-    header = ("leg", "branch", "angle [deg]", "stops [deg]", "transmission [-]", "torque at rest, limit [N m]")
-    rows = []
-    for leg in range(LEGS):
+    legs, at_home = [], []
+    for leg in range(6):
+        zero = _rounded(robot.crank_zero_directions[leg], 3)
+        quarter = _rounded(robot.crank_quarter_directions[leg], 3)
+        shaft, joint = (_rounded(1e3 * each[leg], 2) for each in (robot.shaft_positions, robot.platform_joints))
+        lengths = f"{1e3 * robot.crank_lengths[leg]:g}, {1e3 * robot.rod_lengths[leg]:g}"
+        legs.append((str(leg), shaft, zero, quarter, joint, lengths))
         ends = f"{stops[leg, 0]:.1f} to {stops[leg, 1]:.1f}" if np.isfinite(stops[leg]).any() else "none"
-        rest = f"{torque[leg]:.4g}, {robot.effort_limits[leg]:g}"
-        own = (str(leg), f"{robot.branches[leg]:+.0f}", f"{angles[leg]:.2f}", ends)
-        rows.append((*own, f"{abs(home.transmission[leg]):.3f}", rest))
-    return "at home", header, rows
-
-
-def figures(robot: RobotParameters) -> Sheet:
-    """Single figures at the home pose."""
-    heave = task_inertia(robot, robot.home_pose)[5, 5]
-    home = measure_poses(robot, np.array([robot.home_pose]))
-    share = 100.0 * home.holding_torque[0] / robot.effort_limit
-    rows = [
-        ("conditioning of the rods' lines", f"{home.conditioning[0]:.3f}", "-"),
-        ("smallest gap between links of two legs", f"{1e3 * home.clearance[0]:.2f}", "mm"),
-        ("inertia felt in heave, motors and rods included", f"{heave:.4g}", "kg"),
-        ("largest torque at rest, of the effort limit", f"{share:.1f}", "%"),
+        sizes = f"{abs(home.transmission[leg]):.3f}", f"{torque[leg]:.4g}, {robot.effort_limits[leg]:g}"
+        at_home.append((str(leg), f"{robot.branches[leg]:+.0f}", f"{angles[leg]:.2f}", ends, *sizes))
+    (measures,) = measure_poses(robot, robot.home_pose[None])
+    share = 100.0 * measures.holding_torque / robot.effort_limit
+    figures = [
+        ("conditioning of the rods' lines", f"{measures.conditioning:.3f}", "-"),
+        ("smallest gap between links of two legs", f"{1e3 * measures.clearance:.2f}", "mm"),
+        ("inertia felt in heave, motors and rods included", f"{task_inertia(robot, robot.home_pose)[5, 5]:.4g}", "kg"),
+        (
+            "largest torque at rest, of the effort limit",
+            f"{share:.1f}",
+            "%",
+        ),
     ]
-    return "figures at home", ("", "value", "unit"), rows
+    of_leg = ("leg", "shaft in B [mm]", "crank at 0", "crank at pi/2", "joint in P [mm]", "crank, rod [mm]")
+    there = ("leg", "branch", "angle [deg]", "stops [deg]", "transmission [-]", "torque at rest, limit [N m]")
+    return [
+        ("bodies and motors", ("key", "value", "unit", "what it is"), bodies),
+        ("legs", of_leg, legs),
+        ("at home", there, at_home),
+        ("figures at home", ("", "value", "unit"), figures),
+    ]
 
 
-SHEETS: tuple[Callable[[RobotParameters], Sheet], ...] = (bodies, legs, at_home, figures)
-"""In the order in which they are shown."""
+def _rounded(values: np.ndarray, digits: int) -> str:
+    return " ".join(f"{round(x, digits) + 0.0:.{digits}f}" for x in values)

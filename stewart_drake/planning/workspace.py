@@ -11,24 +11,23 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from stewart_drake.config import Vector6
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import reach_margin, rotation_matrix
-from stewart_drake.planning.limits import Limits, limit_bounds
-from stewart_drake.planning.measures import measure_poses
+from stewart_drake.planning.limits import Limits, limit_bounds, measure_poses
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.robot_scale import LENGTH
 
 Kind = Literal["position", "orientation"]
-Progress = Callable[[float], None]
 
-COORDINATES: dict[Kind, tuple[int, int, int]] = {"position": (3, 4, 5), "orientation": (0, 1, 2)}
+COORDINATES: dict[Kind, list[int]] = {"position": [3, 4, 5], "orientation": [0, 1, 2]}
 """The coordinates of a pose that vary over a workspace."""
-SINGULARITIES = {"reach": "serial", "transmission": "serial", "conditioning": "parallel"}
-"""The kind of singularity that a limit keeps away from."""
+KINDS: tuple[Kind, Kind] = ("position", "orientation")
 LIMIT_NAMES = (
     *("reach", "transmission", "conditioning", "ball_swing", "universal_swing"),
     *("clearance", "torque", "euler_pitch", "crank_range"),
@@ -36,6 +35,16 @@ LIMIT_NAMES = (
 """Limits that a pose at rest can break; those of `limits.RULES`, the swings of the two joints apart."""
 ALL_ANGLES = np.array([np.pi, 0.5 * np.pi, np.pi])
 """[rad] roll, pitch and yaw, either way, that cover all orientations."""
+OTHER_CENTERS: tuple[tuple[Kind, str, Vector6], ...] = (
+    ("position", "roll 15 deg", (np.pi / 12.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+    ("position", "roll 30 deg", (np.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+    ("position", "pitch 30 deg", (0.0, np.pi / 6.0, 0.0, 0.0, 0.0, 0.0)),
+    ("position", "yaw 30 deg", (0.0, 0.0, np.pi / 6.0, 0.0, 0.0, 0.0)),
+    ("orientation", "Z {:.3g} mm lower", (0.0, 0.0, 0.0, 0.0, 0.0, -0.05)),
+    ("orientation", "Z {:.3g} mm higher", (0.0, 0.0, 0.0, 0.0, 0.0, 0.05)),
+    ("orientation", "X {:.3g} mm further", (0.0, 0.0, 0.0, 0.1, 0.0, 0.0)),
+)
+"""Turned or moved from the centre; lengths are for the paper's robot."""
 
 _LEAST = {"transmission", "conditioning", "clearance"}  # of which there must be at least so much
 _COARSE = 40**3  # cells to find the box of the poses in reach with
@@ -45,25 +54,27 @@ _STEPS, _BISECTIONS = 64, 16
 def utilisation(
     robot: RobotParameters, limits: Limits, pose: np.ndarray, measures: np.recarray
 ) -> dict[str, np.ndarray]:
-    """Part (n,) [-] of each limit that is on which poses (n, 6) at rest take up; above 1 it is broken.
+    """Part (n,) [-] of each limit that is on which poses (n, 6) at rest take up, by their `POSE_MEASURES` records.
 
-    In the order of `LIMIT_NAMES`, from `POSE_MEASURES` records (n,). NaN where a rod cannot span, but for `reach` and
-    `euler_pitch`; infinite beyond a parallel singularity and where links overlap.
+    NaN where a rod cannot span, but for `reach` and `euler_pitch`; infinite beyond a parallel singularity and where
+    links overlap.
     """
     bounds = limit_bounds(robot, limits)
-    swing = bounds.get("joint_swing")
-    allowed = bounds | ({} if swing is None else {"ball_swing": swing, "universal_swing": swing})
-    taken = {"reach": 1.0 - measures.reach, "torque": measures.holding_torque, "euler_pitch": np.abs(pose[:, 1])}
-
-    def part(name: str) -> np.ndarray:
-        if name == "crank_range":
-            return measures.stroke
-        use = taken[name] if name in taken else measures[name]
-        if name not in _LEAST:
-            return use / allowed[name]
-        return np.divide(allowed[name], use, out=np.where(np.isnan(use), np.nan, np.inf), where=use > 0.0)
-
-    return {name: part(name) for name in LIMIT_NAMES if name in allowed}
+    if "joint_swing" in bounds:
+        bounds["ball_swing"] = bounds["universal_swing"] = bounds["joint_swing"]
+    if "crank_range" in bounds:
+        bounds["crank_range"] = 1.0
+    x = {name: measures[name] for name in ("ball_swing", "universal_swing", *_LEAST)}
+    x |= {"reach": 1.0 - measures.reach, "torque": measures.holding_torque}
+    x |= {"euler_pitch": np.abs(pose[:, 1]), "crank_range": measures.stroke}
+    use = {}
+    for name in (name for name in LIMIT_NAMES if name in bounds):
+        if name in _LEAST:
+            with np.errstate(divide="ignore"):
+                use[name] = np.where(x[name] <= 0.0, np.inf, bounds[name] / x[name])
+        else:
+            use[name] = x[name] / bounds[name]
+    return use
 
 
 def governing_limit(use: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -80,17 +91,12 @@ def governing_limit(use: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Cells of a box in three coordinates of the pose; a side of no length makes a slice.
+    """Cells of a box in three coordinates of the pose, from corner `low` to `high` (3,); without a length, a slice.
 
-    Attributes:
-        coordinates: Indices of the coordinates that vary, `COORDINATES` of a workspace or any others, ascending.
-        center: (6,) [rad, m] pose; the other coordinates are taken from it.
-        low: (3,) lower corner.
-        high: (3,) upper corner.
-        counts: Cells along each side.
+    The other coordinates are those of `center` (6,) [rad, m].
     """
 
-    coordinates: tuple[int, int, int]
+    coordinates: list[int]
     center: np.ndarray
     low: np.ndarray
     high: np.ndarray
@@ -110,8 +116,9 @@ class Grid:
     @cached_property
     def poses(self) -> np.ndarray:
         """(n, 6) [rad, m] centres of the cells, the last coordinate running fastest."""
-        point = np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1)
-        return poses_at(self.coordinates, self.center, point.reshape(-1, 3))
+        poses = np.tile(self.center, (math.prod(self.counts), 1))
+        poses[:, self.coordinates] = np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        return poses
 
     @cached_property
     def cell_size(self) -> np.ndarray:
@@ -125,13 +132,6 @@ class Grid:
         upper, lower = self.axes[1] + 0.5 * pitch, self.axes[1] - 0.5 * pitch
         share = roll * yaw * (np.sin(upper) - np.sin(lower)) / (8.0 * np.pi**2)
         return np.broadcast_to(share[:, None], self.counts).ravel()
-
-
-def poses_at(coordinates: tuple[int, ...], center: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Poses (n, 6) [rad, m] with the given coordinates from `point` (n, k), the others from `center`."""
-    pose = np.tile(np.asarray(center, dtype=float), (len(point), 1))
-    pose[:, coordinates] = point
-    return pose
 
 
 def spanning_grid(robot: RobotParameters, kind: Kind, center: np.ndarray, samples: int) -> Grid:
@@ -188,13 +188,7 @@ def _counts(size: np.ndarray, samples: int) -> tuple[int, int, int]:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """All cells of a grid against the limits.
-
-    Attributes:
-        grid: The cells.
-        measures: `POSE_MEASURES` records (n,) of their centres.
-        use: See `utilisation`.
-    """
+    """All cells of a grid against the limits: `POSE_MEASURES` records (n,) of their centres, and `utilisation`."""
 
     grid: Grid
     measures: np.recarray
@@ -222,10 +216,9 @@ class Survey:
 
     def _joined(self, mask: np.ndarray) -> np.ndarray:
         """The cells of a mask that are joined to the centre's through faces."""
-        # A fifth of a second of import.
         from scipy.ndimage import label
 
-        start = self.grid.center[list(self.grid.coordinates)]
+        start = self.grid.center[self.grid.coordinates]
         pieces, _ = label(mask.reshape(self.grid.counts))
         cell = tuple(int(np.abs(axis - x).argmin()) for axis, x in zip(self.grid.axes, start, strict=True))
         inside = bool(((self.grid.low <= start) & (start <= self.grid.high)).all())
@@ -244,40 +237,53 @@ class Survey:
         return np.stack([point.min(axis=0) - half, point.max(axis=0) + half])
 
 
-def survey(
-    robot: RobotParameters,
-    limits: Limits,
-    grid: Grid,
-    gravity: float = STANDARD_GRAVITY,
-    progress: Progress | None = None,
-) -> Survey:
+def survey(robot: RobotParameters, limits: Limits, grid: Grid, gravity: float = STANDARD_GRAVITY) -> Survey:
     """Measures every cell of a grid; force and moment keep to the limit of the torque, where it is on."""
-    bounds = limit_bounds(robot, limits)
-    measures = measure_poses(robot, grid.poses, gravity, bounds.get("torque"), progress=progress)
+    measures = measure_poses(robot, grid.poses, gravity, limit_bounds(robot, limits).get("torque"))
     return Survey(grid, measures, utilisation(robot, limits, grid.poses, measures))
 
 
-@dataclass(frozen=True, eq=False)
-class Boundary:
-    """Where straight ways from a centre leave the limits, in directions that each stand for an equal solid angle.
+def way_out(
+    robot: RobotParameters,
+    limits: Limits,
+    start: np.ndarray,
+    ways: np.ndarray,
+    steps: np.ndarray,
+    gravity: float = STANDARD_GRAVITY,
+    most: float = 1.0,
+    bisections: int = 0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far (m,) along straight ways (m, 6) from a pose no limit is taken up by more than `most`; which one then is.
 
-    Attributes:
-        radius: (m,) [m] or [rad] way to the first broken limit.
-        limit: (m,) index of that limit in `LIMIT_NAMES`; -1 where none is broken up to the end of the search.
+    Looked at in steps (k,), then by bisections; a gap between two steps is not seen. The limit (m,) is an index in
+    `LIMIT_NAMES`, -1 where none ends the way.
     """
+    torque = limit_bounds(robot, limits).get("torque")
+    inner, outer = np.zeros(len(ways)), np.full(len(ways), steps[-1])
+    limit = np.full(len(ways), -1)
+
+    def look(rays: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """Moves the inner or the outer end of each of the rays to `radius`; the rays that were within."""
+        pose = start + radius[:, None] * ways[rays]
+        use, cause = governing_limit(utilisation(robot, limits, pose, measure_poses(robot, pose, gravity, torque)))
+        out = use > most
+        outer[rays[out]], limit[rays[out]], inner[rays[~out]] = radius[out], cause[out], radius[~out]
+        return rays[~out]
+
+    rays = np.arange(len(ways))
+    for step in steps:
+        rays = look(rays, np.full(len(rays), step))
+    cut = np.flatnonzero(limit >= 0)
+    for _ in range(bisections):
+        look(cut, 0.5 * (inner[cut] + outer[cut]))
+    return inner, limit
+
+
+class Boundary(NamedTuple):
+    """Ways (m,) [m] or [rad] to the first broken limit, and its index in `LIMIT_NAMES`; -1 where there is none."""
 
     radius: np.ndarray
     limit: np.ndarray
-
-    @property
-    def volume(self) -> float:
-        """[m^3] or [rad^3] all that can be reached straight from the centre."""
-        return float(4.0 / 3.0 * np.pi * (self.radius**3).mean())
-
-    def first(self) -> dict[str, float]:
-        """Share [-] of the directions in which each limit is the first to be broken, largest first."""
-        share = np.bincount(self.limit[self.limit >= 0], minlength=len(LIMIT_NAMES)) / len(self.limit)
-        return {LIMIT_NAMES[i]: float(share[i]) for i in np.argsort(-share, kind="stable") if share[i] > 0.0}
 
 
 def spread_directions(count: int) -> np.ndarray:
@@ -298,29 +304,107 @@ def boundary(
 ) -> Boundary:
     """Ways from a centre (6,) to the first broken limit, along unit vectors (m, 3) of space, or of roll, pitch, yaw.
 
-    64 steps to the far end, pi or all that can be in reach, find the first pose outside; bisection finds the place, to
-    a 65,000th of a step. A gap that lies between two steps is not seen.
+    64 steps to the far end, pi or all that can be in reach, and bisection to a 65,000th of a step.
     """
     center = np.asarray(center, dtype=float)
     check_center(robot, center)
-    torque, coordinates, longest = limit_bounds(robot, limits).get("torque"), COORDINATES[kind], math.pi
+    longest = math.pi
     if kind == "position":
         longest = float(np.linalg.norm(np.abs(np.array(outer_box(robot, center)) - center[3:]).max(axis=0)))
-    inner, outer = np.zeros(len(directions)), np.full(len(directions), longest)
-    limit = np.full(len(directions), -1)
+    ways = np.zeros((len(directions), 6))
+    ways[:, COORDINATES[kind]] = directions
+    steps = longest * np.arange(_STEPS + 1) / _STEPS
+    return Boundary(*way_out(robot, limits, center, ways, steps, gravity, bisections=_BISECTIONS))
 
-    def look(rays: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """Moves the inner or the outer end of each of the rays to `radius`; the rays that were within."""
-        pose = poses_at(coordinates, center, center[list(coordinates)] + radius[:, None] * directions[rays])
-        use, cause = governing_limit(utilisation(robot, limits, pose, measure_poses(robot, pose, gravity, torque)))
-        out = use > 1.0
-        outer[rays[out]], limit[rays[out]], inner[rays[~out]] = radius[out], cause[out], radius[~out]
-        return rays[~out]
 
-    rays = np.arange(len(directions))
-    for step in range(_STEPS + 1):
-        rays = look(rays, np.full(len(rays), longest * step / _STEPS))
-    cut = np.flatnonzero(limit >= 0)
-    for _ in range(_BISECTIONS):
-        look(cut, 0.5 * (inner[cut] + outer[cut]))
-    return Boundary(inner, limit)
+def slices(robot: RobotParameters, limits: Limits, gravity: float, found: Survey, pixels: int) -> list[Survey]:
+    """Five slices across the third coordinate of a survey and one along it, all through what the limits leave."""
+    grid, middle = found.grid, found.grid.center[found.grid.coordinates]
+    box = found.bounding_box(found.connected)
+    if box is None:
+        box = np.stack([grid.low, grid.high])
+    room = 0.4 * (box[1] - box[0])
+    corners = np.maximum(box[0] - room, grid.low), np.minimum(box[1] + room, grid.high)
+    levels = np.linspace(box[0, 2], box[1, 2], 7)[1:-1]
+    levels[np.abs(levels - middle[2]).argmin()] = middle[2]
+
+    def cut(axis: int, level: float) -> Survey:
+        low, high = (corner.copy() for corner in corners)
+        low[axis] = high[axis] = level
+        counts = np.maximum(2, np.round(pixels * (high - low) / (high - low).max())).astype(int)
+        counts[axis] = 1
+        x, y, z = counts.tolist()
+        return survey(robot, limits, Grid(grid.coordinates, grid.center, low, high, (x, y, z)), gravity)
+
+    along = 1 if grid.coordinates == COORDINATES["position"] else 0
+    return [*(cut(2, float(level)) for level in levels), cut(along, float(middle[along]))]
+
+
+def study_poses(
+    robot: RobotParameters,
+    limits: Limits,
+    gravity: float,
+    center: np.ndarray,
+    samples: int,
+    directions: int,
+    progress: Callable[[float], None] = lambda _: None,
+) -> tuple[dict[str, Any], dict[Kind, Survey]]:
+    """What the poses around a centre (6,) [rad, m] allow: plain numbers, and a survey of each of both workspaces.
+
+    Of grids of `samples` poses and so many ways out; around other centres of a twentieth of the samples. Sizes are in
+    m^3, or shares of all orientations; None of a centre that cannot be reached.
+    """
+    center = np.asarray(center, dtype=float)
+
+    def surveyed(kind: Kind, center: np.ndarray, samples: int) -> Survey:
+        return survey(robot, limits, spanning_grid(robot, kind, center, samples), gravity)
+
+    def ways(along: np.ndarray) -> dict[Kind, Boundary]:
+        return {kind: boundary(robot, limits, kind, center, along, gravity) for kind in KINDS}
+
+    surveys: dict[Kind, Survey] = {}
+    for kind in KINDS:
+        surveys[kind] = surveyed(kind, center, samples)
+        progress(0.3 * len(surveys))
+    boundaries, ends = ways(spread_directions(directions)), ways(np.concatenate([-np.eye(3), np.eye(3)]))
+    progress(0.8)
+    others: dict[str, float | None] = {}
+    for kind, words, for_paper in OTHER_CENTERS:
+        offset = np.array(LENGTH.value(for_paper, robot))
+        name = f"{kind}, {words.format(1e3 * np.abs(offset[3:]).max())}"
+        try:
+            found = surveyed(kind, center + offset, max(8, samples // 20))
+            others[name] = found.size(found.connected)
+        except ConfigurationError:
+            others[name] = None
+    progress(1.0)
+    down_up, cuts = (
+        np.hstack([each.reshape(2, 3) for each in pair])
+        for pair in zip(ends["orientation"], ends["position"], strict=True)
+    )
+    numbers = {
+        "poses": sum(len(found.grid.poses) for found in surveys.values()),
+        "center": center.tolist(),
+        "ranges": (center + down_up * [[-1.0], [1.0]]).tolist(),
+        "range_cuts": [[LIMIT_NAMES[i] if i >= 0 else None for i in row] for row in cuts.tolist()],
+        "workspaces": {kind: _workspace(surveys[kind], *boundaries[kind]) for kind in KINDS},
+        "other_centers": others,
+    }
+    return numbers, surveys
+
+
+def _workspace(found: Survey, radius: np.ndarray, limit: np.ndarray) -> dict[str, Any]:
+    box, within = found.bounding_box(found.connected), found.measures[found.connected]
+    first = np.bincount(limit[limit >= 0], minlength=len(LIMIT_NAMES)) / len(limit)
+    return {
+        "cells": list(found.grid.counts),
+        **{mask: found.size(getattr(found, mask)) for mask in ("spanning", "regular", "feasible", "connected")},
+        "box": None if box is None else box.tolist(),
+        "inscribed_radius": float(radius.min()),
+        "boundary_volume": float(4.0 / 3.0 * np.pi * (radius**3).mean()),
+        "first": {LIMIT_NAMES[i]: float(first[i]) for i in np.argsort(-first, kind="stable") if first[i] > 0.0},
+        "smallest": {
+            name: float(within[name].min()) if len(within) else None
+            for name in ("force", "moment", "conditioning", "transmission")
+        },
+    }

@@ -12,21 +12,10 @@ import numpy as np
 
 from stewart_drake.errors import SingularPoseError
 from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import loads, task_inertia
 from stewart_drake.mechanics.friction import SWEEPS, drag_anchors, implicit_torque
-from stewart_drake.mechanics.kinematics import crank_rates as rates_of_cranks
-from stewart_drake.mechanics.kinematics import inverse_kinematics, leg_geometry, pose_rate_to_twist
-from stewart_drake.mechanics.kinematics_laws import (
-    LEGS,
-    crank_jacobian,
-    crank_rates,
-    cross,
-    legs_at,
-    rate_of,
-    robot_record,
-    roll_pitch_yaw,
-    with_payload,
-)
+from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry, pose_rate_to_twist
 from stewart_drake.mechanics.linear_algebra import solve
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.plant.sdf_model import home_frames
@@ -43,7 +32,7 @@ SETUP = fields(gravity=(), step=())
 
 def loaded(robot: RobotParameters, options: PlantOptions) -> np.ndarray:
     """The robot with the payload as a part of its platform, a `ROBOT` record."""
-    return with_payload(robot_record(robot), options.payload_mass, np.array(options.payload_position))
+    return laws.with_payload(laws.robot_record(robot), options.payload_mass, np.array(options.payload_position))
 
 
 class ClosedChain:
@@ -52,54 +41,46 @@ class ClosedChain:
     def __init__(self, robot: RobotParameters, options: PlantOptions, gravity: float) -> None:
         self._robot, self._home = robot, home_frames(robot)
         setup = new_record(SETUP, gravity=gravity, step=on_grid(options.time_step))
-        self._fixed = loaded(robot, options), options.friction_law(robot), setup
+        self._fixed = loaded(robot, options), options.friction_law(robot), setup, np.empty(1, laws.LEGS)
 
     def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
         """`CHAIN_STATE` record at a pose (6,) and its rate (6,), friction without tension."""
         home = self._home
         angles = home.crank_angles + home.motor_angles(inverse_kinematics(self._robot, pose))
         twist = pose_rate_to_twist(pose, pose_rate)
-        rates = rates_of_cranks(self._robot, leg_geometry(self._robot, pose), pose, pose_rate)
+        rates = crank_rates(self._robot, leg_geometry(self._robot, pose), pose, pose_rate)
         moving = {"pose": pose, "pose_rate": pose_rate, "twist": twist, "angles": angles, "crank_rate": rates}
         return new_record(CHAIN_STATE, **moving, anchor=angles)
 
     def step(self, torque: np.ndarray, wrench: np.ndarray, state: np.ndarray) -> None:
-        """`chain_step`; a SingularPoseError where a crank comes to its dead centre, and this description ends."""
-        leg, margin = chain_step(*self._fixed, torque, wrench, state)
+        """A step under torques (6,) [N m] asked of the motors and a wrench (6,) [N m, N] on the platform, about P in B.
+
+        Raises:
+            SingularPoseError: A crank comes to its dead centre, where this description ends.
+        """
+        leg, margin = _step(*self._fixed, torque, wrench, state)
         if leg >= 0:
             raise SingularPoseError("serial", state["pose"][0].copy(), margin, 0.0, leg)
 
 
 @njit
-def chain_step(robots: Any, frictions: Any, setups: Any, torque: Any, wrench: Any, states: Any) -> Any:
-    """One step of M(pose) d(twist)/dt + h = J' (T + friction) + wrench.
+def _step(robots: Any, frictions: Any, setups: Any, leg_records: Any, torque: Any, wrench: Any, states: Any) -> Any:
+    """One step of M(pose) d(twist)/dt + h = J' (T + friction) + wrench (6,) [N m, N], the push from outside about P.
 
-    Args:
-        robots: `ROBOT` record, with its payload.
-        frictions: `FRICTION` record.
-        setups: `SETUP` record.
-        torque: (6,) [N m] asked of the motors.
-        wrench: (6,) [N m, N] on the platform from outside, about P in B.
-        states: `CHAIN_STATE` record, in place.
-
-    Returns:
-        -1, or the leg that cannot span, and then the state is as it was; its margin.
+    Returns -1, or the leg that cannot span, and then the state is as it was; its margin.
     """
-    # An array that is made here lives as long as this call; of a record of it numba would not know.
-    return _step(record(robots), record(frictions), record(setups), torque, wrench, record(states), np.empty(1, LEGS))
-
-
-@njit
-def _step(robot: Any, friction: Any, setup: Any, torque: Any, wrench: Any, state: Any, scratch: Any) -> Any:
-    legs, step = record(scratch), setup.step
-    bad = legs_at(robot, state.pose, legs)
+    robot, friction, setup, legs, state = (
+        record(robots), record(frictions), record(setups), record(leg_records), record(states),
+    )  # fmt: skip
+    step = setup.step
+    bad = laws.legs_at(robot, state.pose, legs)
     if bad >= 0:
         return bad, legs.reach[bad]
     jacobian, inertia, columns = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 7))
     load, own, still = np.empty(6), np.empty(6), np.zeros(6)
     task_inertia(robot, legs, inertia)
     loads(robot, legs, state.twist, still, setup.gravity, load, own)
-    crank_jacobian(legs, jacobian)
+    laws.crank_jacobian(legs, jacobian)
     # M a = J' (torque - own) - load + wrench; beside it M^-1 J' for friction.
     for k in range(6):
         columns[k, 6] = wrench[k] - load[k]
@@ -111,30 +92,24 @@ def _step(robot: Any, friction: Any, setup: Any, torque: Any, wrench: Any, state
             columns[k, 6] += jacobian[i, k] * given
     solve(inertia, columns)
     twist = state.twist + step * columns[:, 6]
-    if rubs(friction):
+    if (friction.break_away > 0.0).any() or (friction.viscous > 0.0).any():
         _rub(friction, jacobian, columns, step, state, twist)
     pose, rotation = np.empty(6), np.empty((3, 3))
     for k in range(3):
         _turn(legs.rotation[:, k], twist[:3], step, rotation[:, k])
         pose[3 + k] = state.pose[3 + k] + step * twist[3 + k]
-    roll_pitch_yaw(rotation, pose[:3])
-    bad = legs_at(robot, pose, legs)
+    laws.roll_pitch_yaw(rotation, pose[:3])
+    bad = laws.legs_at(robot, pose, legs)
     if bad >= 0:
         return bad, legs.reach[bad]
     state.pose[:], state.twist[:] = pose, twist
-    rate_of(pose, twist, state.pose_rate)
-    crank_rates(legs, twist, state.crank_rate)
+    laws.rate_of(pose, twist, state.pose_rate)
+    laws.crank_rates(legs, twist, state.crank_rate)
     for i in range(6):
         ahead = np.arctan2(legs.sine[i], legs.cosine[i]) - state.angles[i]
         state.angles[i] += ahead - 2.0 * np.pi * np.rint(ahead / (2.0 * np.pi))
     drag_anchors(friction, state.angles, step, state.anchor, state.slip)
     return -1, 0.0
-
-
-@njit
-def rubs(friction: Any) -> bool:
-    """Whether any motor has friction."""
-    return (friction.break_away > 0.0).any() or (friction.viscous > 0.0).any()
 
 
 @njit
@@ -160,9 +135,9 @@ def _turn(axis: Any, omega: Any, step: float, out: Any) -> None:
     """
     half, inner, outer = 0.5 * step * omega, np.empty(3), np.empty(3)
     scale = 2.0 / (1.0 + half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
-    cross(half, axis, inner)
+    laws.cross(half, axis, inner)
     for k in range(3):
         inner[k] += axis[k]
-    cross(half, inner, outer)
+    laws.cross(half, inner, outer)
     for k in range(3):
         out[k] = axis[k] + scale * outer[k]

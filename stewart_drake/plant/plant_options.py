@@ -12,8 +12,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.friction import friction_law
 from stewart_drake.plant.sdf_model import RodJoint
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.friction_options import FrictionOptions, Moderate
-from stewart_drake.robot.leg import LARGEST
+from stewart_drake.robot.leg import LARGEST, FrictionOptions, Moderate
 
 MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.1
 """[s] finer steps drown in rounding; coarser ones follow nothing."""

@@ -1,14 +1,9 @@
-"""Figures of one run, Fig. 7 of the paper.
-
-Figures are plain objects made without pyplot: no backend is chosen, no window opens and no global setting changes.
-"""
+"""Figures of one run, Fig. 7 of the paper: panels on one time axis, made of what the log has."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,47 +11,57 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.files.whole import write_atomically
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SIGNALS, SimulationLog
-from stewart_drake.logs.metrics import run_metrics, tracking_error
-from stewart_drake.logs.rows import INTEGRAL_TIME
-from stewart_drake.plotting import panels as look
-
-DPI = 150
-"""[1/inch] resolution of saved figures."""
+from stewart_drake.logs.metrics import INTEGRAL_TIME, run_metrics, tracking_error
+from stewart_drake.plotting import style as look
 
 _AXIS_COLORS = (look.ORANGE, look.GREEN, look.BLUE)
 """Axis 1, 2, 3 as in RGB triads."""
-LARGEST = 1e9
-"""What is larger, after a blow-up, is drawn here: matplotlib's arithmetic ends long before that of numbers."""
-
 _FAILURE = "#B2182B"
 _NEAR_LIMIT = 0.8
-_DASHED: dict[str, Any] = {"color": look.TEXT, "linestyle": (0, (4, 2)), "linewidth": 1.0}
-
-
-class _Group(NamedTuple):
-    """Three coordinates that share a unit: a column of the figure."""
-
-    columns: slice
-    unit: str
-    names: tuple[str, str, str]
-    symbols: tuple[str, str, str]
-    main: int
-
-
-_GROUPS = (
-    _Group(slice(0, 3), "deg", ("roll", "pitch", "yaw"), (r"$\phi$", r"$\theta$", r"$\psi$"), main=0),
-    _Group(slice(3, 6), "mm", ("X", "Y", "height"), ("X", "Y", "Z"), main=2),
+"""Share of a motor's limit from which on limits are drawn."""
+_SYMBOLS = (r"$\phi$", r"$\theta$", r"$\psi$", "X", "Y", "Z")
+_POSES = (
+    ("deg", ((0,), (1, 2)), ("Roll", "Pitch and yaw")),
+    ("mm", ((5,), (3, 4)), ("Height", "X and Y")),
 )
+"""A column of the states each: unit, axes of its upper two panels, the one that the paper moves first, and titles."""
 
 
+class Line(NamedTuple):
+    """Values (n,) over time; a staircase where they are held from tick to tick."""
+
+    values: np.ndarray
+    color: str
+    label: str = "_"
+    held: bool = False
+    width: float = 1.6
+    dashes: Any = "-"
+
+
+class Panel(NamedTuple):
+    """What a panel shows; its vertical range is at least `least`, on a look.logarithmic axis in decades."""
+
+    title: str
+    quantity: str
+    lines: Sequence[Line]
+    least: float
+    height: float = 1.0
+    note: str = ""
+    decades: bool = False
+    dotted: float | None = None
+    """[s] a vertical line."""
+    legend: bool = True
+
+
+@look.styled
 def plot_states(log: SimulationLog) -> Figure:
     """The states against their reference, errors, integral states and weights over time; Fig. 7(a).
 
     Rotations [deg] on the left, translations [mm] on the right. A row each for the axis that the paper moves (roll, Z),
-    the other two axes, the tracking error and the integral state; below them omega_Q, omega_R and their ratio.
+    the other two axes, the tracking error and the integral state; below them omega_Q, omega_R and their ratio, or what
+    else the tuner gives.
 
     Args:
         log: A run, completed or not. The end of one that failed is marked.
@@ -64,19 +69,17 @@ def plot_states(log: SimulationLog) -> Figure:
     Raises:
         ConfigurationError: The log has no rows.
     """
-    figure, axes = _figure(
-        log, "states, RMS over the second half", rows=5, height=11.5, height_ratios=(1.35, 1.0, 1.0, 1.0, 1.0)
-    )
     with np.errstate(all="ignore"):
         metrics = run_metrics(log)
     log = _drawable(log)
-    for column, group in enumerate(_GROUPS):
-        _plot_group(axes[:4, column], log, group, metrics[f"rmse_{group.unit}"])
-    _plot_weights(axes[4], log)
-    _finish(figure, axes, log)
+    columns = [_pose_panels(log, *column, metrics[f"rmse_{column[0]}"]) for column in _POSES]
+    rows = [list(row) for row in zip(*columns, strict=True)]
+    weights = _weight_panels(log)
+    figure, _ = _figure(log, "states, RMS over the second half", rows + [weights] * bool(weights), 2.3)
     return figure
 
 
+@look.styled
 def plot_torques(log: SimulationLog) -> Figure:
     """Torques of the six motors over time [N m], a panel each and all on one scale; Fig. 7(b).
 
@@ -88,168 +91,166 @@ def plot_torques(log: SimulationLog) -> Figure:
     Raises:
         ConfigurationError: The log has no rows.
     """
-    figure, axes = _figure(log, "motor torques", rows=3, height=8.0, sharey=True)
     log = _drawable(log)
-    time, applied, commanded = log.time, log["torque_applied"], log["torque"]
-    limits, peak = log.scenario.robot.effort_limits, np.abs(applied).max(axis=0)
+    applied, commanded, limits = log["torque_applied"], log["torque"], log.scenario.robot.effort_limits
+    rms, peak = np.sqrt(np.mean(applied**2, axis=0)), np.abs(applied).max(axis=0)
     near = bool((peak >= _NEAR_LIMIT * limits).any())
-    for leg, panel in enumerate(axes.flat):
-        limit = float(limits[leg])
-        rms = np.sqrt(np.mean(applied[:, leg] ** 2))
-        _title(panel, f"Motor {leg}", f"RMS {rms:#.3g} N m, peak {peak[leg]:#.3g} N m")
-        panel.axhline(0.0, color=look.QUIET, linewidth=0.8)
+    motors = []
+    for leg, limit in enumerate(limits.tolist()):
+        lines = [_level(log, 0.0)]
         if near:
-            for side in (-limit, limit):
-                panel.axhline(side, color=look.QUIET, linestyle=":", label=_once(side > 0.0, f"limit ±{limit:g} N m"))
+            lines += [_level(log, -limit, ":"), _level(log, limit, ":")._replace(label=f"limit ±{limit:g} N m")]
         if np.any(commanded[:, leg] != applied[:, leg]):
             # Thinner and underneath: seen only where the two differ.
-            _draw(panel, time, commanded[:, leg], color=_AXIS_COLORS[0], label="commanded", held=True, linewidth=1.2)
-        _draw(panel, time, applied[:, leg], color=_AXIS_COLORS[2], label="applied", held=True)
-        if leg % 2 == 0:
-            panel.set_ylabel("torque [N m]")
-    _widen(axes[0, 0], 0.02)
+            lines.append(Line(commanded[:, leg], look.ORANGE, "commanded", held=True, width=1.2))
+        lines.append(Line(applied[:, leg], look.BLUE, "applied", held=True))
+        note = f"RMS {rms[leg]:#.3g} N m, peak {peak[leg]:#.3g} N m"
+        quantity = "" if leg % 2 else "torque [N m]"
+        motors.append(Panel(f"Motor {leg}", quantity, lines, 0.02, note=note, legend=False))
+    figure, axes = _figure(log, "motor torques", [motors[i : i + 2] for i in (0, 2, 4)], 2.6, sharey=True)
     if near:
         # A controller that asks for far more than the motors have must not flatten what they gave.
-        low, high = axes[0, 0].get_ylim()
-        axes[0, 0].set_ylim(max(low, -1.4 * limit), min(high, 1.4 * limit))
+        low, high = axes[0].get_ylim()
+        axes[0].set_ylim(max(low, -1.4 * limits.max()), min(high, 1.4 * limits.max()))
     entries: dict[str, Any] = {}
-    for panel in axes.flat:
+    for panel in axes:
         handles, labels = panel.get_legend_handles_labels()
         entries |= dict(zip(labels, handles, strict=True))
     if len(entries) > 1:
         look.legend_below(figure, list(entries.values()), 3)
-    _finish(figure, axes, log)
     return figure
 
 
-def save_figure(figure: Figure, path: str | Path) -> None:
-    """Writes a figure as a PNG of 150 dots an inch; a reader sees the old file or the new one, never a half.
-
-    Raises:
-        ConfigurationError: The folder is missing or not writable.
-    """
-    stream = io.BytesIO()
-    # Without a date or version in it, the same log gives the same file.
-    figure.savefig(stream, format="png", dpi=DPI, facecolor="white", metadata={"Software": None})
-    write_atomically(Path(path), stream.getvalue())
-
-
-def draw(make: Callable[[], Figure], path: Path) -> str | None:
-    """Makes a figure and saves it; numbers are never lost for a picture's sake.
-
-    Returns:
-        Where it is beyond matplotlib, one line that says so; an older picture of that name is gone then.
-
-    Raises:
-        StewartDrakeError: Of `make`, and see `save_figure`.
-    """
-    try:
-        save_figure(make(), path)
-    except StewartDrakeError:
-        raise
-    except Exception as error:
-        path.unlink(missing_ok=True)
-        return f"{path.name} is left out: {type(error).__name__}: {' '.join(str(error).split())}"
-    return None
-
-
 def _drawable(log: SimulationLog) -> SimulationLog:
-    return replace(log, signals={name: values.clip(-LARGEST, LARGEST) for name, values in log.signals.items()})
-
-
-def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: list[float | None] | None) -> None:
-    """One column of the states: main axis, other axes, error, integral state."""
-    main, others, errors, integrals = panels
-    time, unit = log.time, group.unit
-    pose, reference, error, integral = (
-        (look.SCALES * values)[:, group.columns]
-        for values in (log["pose"], log["reference"], tracking_error(log), log["integral"])
+    if len(log.time) == 0:
+        raise ConfigurationError("log", "no rows", "a log with at least one row to plot")
+    return replace(
+        log, signals={name: values.clip(-look.LARGEST, look.LARGEST) for name, values in log.signals.items()}
     )
-    for axis, (symbol, color) in enumerate(zip(group.symbols, _AXIS_COLORS, strict=True)):
-        _draw(main if axis == group.main else others, time, pose[:, axis], color=color, label=symbol)
-        rms = "" if rmse is None or rmse[axis] is None else f"  {rmse[axis]:.2g}"
-        _draw(errors, time, error[:, axis], color=color, label=symbol + rms)
-        _draw(integrals, time, integral[:, axis], color=color, label=symbol, held=True)
-    two = [axis for axis in range(3) if axis != group.main]
-    _draw(main, time, reference[:, group.main], label="reference", **_DASHED)
-    for axis in two:
-        _draw(others, time, reference[:, axis], label=_once(axis == two[0], "reference"), **_DASHED)
-    _title(main, group.names[group.main])
-    _title(others, " and ".join(group.names[axis] for axis in two))
-    _title(errors, "Error" + ("" if rmse is None else " and RMS"))
-    _title(integrals, "Integral state")
+
+
+def _level(log: SimulationLog, value: float, dashes: str = "-") -> Line:
+    return Line(np.full(len(log.time), value), look.QUIET, width=0.8, dashes=dashes)
+
+
+def _pose_panels(
+    log: SimulationLog, unit: str, axes: Any, titles: tuple[str, str], rmse: list[float | None] | None
+) -> list[Panel]:
+    """A column of the states: main axis, other axes, error, integral state."""
+    group = sorted(axis for some in axes for axis in some)
+    pose, reference, error, integral = (
+        look.SCALES * values for values in (log["pose"], log["reference"], tracking_error(log), log["integral"])
+    )
+
+    def lines(values: np.ndarray, some: Sequence[int], held: bool = False, more: Sequence[str] = ("",) * 3) -> Any:
+        return [
+            Line(values[:, axis], _AXIS_COLORS[axis % 3], _SYMBOLS[axis] + more[axis % 3], held=held) for axis in some
+        ]
+
+    panels = []
+    for some, title, height in zip(axes, titles, (1.35, 1.0), strict=True):
+        desired = [Line(reference[:, axis], look.TEXT, "_", width=1.0, dashes="--") for axis in some]
+        desired[0] = desired[0]._replace(label="reference")
+        quantity = f"{', '.join(_SYMBOLS[axis] for axis in some)} [{unit}]"
+        panels.append(Panel(title, quantity, [*lines(pose, some), *desired], 1.0, height))
     # Noise far below what matters must not fill a panel, nor a small error vanish in it.
-    spans = (float(np.clip(3.0 * np.abs(values).max(), 1e-4, 0.02)) for values in (error, integral))
-    for panel, quantity, least in (
-        (main, group.symbols[group.main], 1.0),
-        (others, ", ".join(group.symbols[axis] for axis in two), 1.0),
-        (errors, "error", next(spans)),
-        (integrals, "z", next(spans)),
-    ):
-        panel.set_ylabel(f"{quantity} [{unit}{' s' * (panel is integrals)}]")
-        _widen(panel, least)
-        _legend(panel)
-    for panel in (errors, integrals):
-        panel.axhline(0.0, color=look.QUIET, linewidth=0.8, zorder=1.0)
-    if time[0] < INTEGRAL_TIME < time[-1]:
-        integrals.axvline(INTEGRAL_TIME, color=look.QUIET, linestyle=":", linewidth=1.2, zorder=1.0)
-        _title(integrals, f"Integral state (dotted: {INTEGRAL_TIME:g} s)")
+    least = [float(np.clip(3.0 * np.abs(each[:, group]).max(), 1e-4, 0.02)) for each in (error, integral)]
+    rms = [f"  {value:.2g}" if value is not None else "" for value in rmse or (None,) * 3]
+    title = "Error" if rmse is None else "Error and RMS"
+    panels.append(Panel(title, f"error [{unit}]", [_level(log, 0.0), *lines(error, group, more=rms)], least[0]))
+    dotted = INTEGRAL_TIME if log.time[0] < INTEGRAL_TIME < log.time[-1] else None
+    title = "Integral state" if dotted is None else f"Integral state (dotted: {dotted:g} s)"
+    held = [_level(log, 0.0), *lines(integral, group, held=True)]
+    return [*panels, Panel(title, f"z [{unit} s]", held, least[1], dotted=dotted)]
 
 
-def _plot_weights(panels: np.ndarray, log: SimulationLog) -> None:
+def _weight_panels(log: SimulationLog) -> list[Panel]:
     """What the tuner gives: two weights and their ratio, or block weights; nothing where there is no tuner."""
-    shown: list[tuple[str, str, list[tuple[np.ndarray, dict[str, Any]]]]] = []
     if "weights" in log.signals:
         q, r = log["weights"].T
         # A thin line on a thick one: both are seen where they coincide, as at (1, 1).
-        both = [
-            (q, {"color": _AXIS_COLORS[2], "linewidth": 2.4, "label": r"$\omega_Q$"}),
-            (r, {"color": _AXIS_COLORS[0], "linewidth": 1.2, "label": r"$\omega_R$"}),
-        ]
-        shown += [(log.scenario.tuner.label, "weight", both)]
-        ratio = "Ratio of the weights, on which alone the gain depends"
-        shown += [(ratio, r"$\omega_Q\,/\,\omega_R$", [(q / r, {"color": look.TEXT})])]
-    elif "block_weights" in log.signals:
-        names = SIGNALS["block_weights"].components
-        blocks = [
-            (values, {"color": _AXIS_COLORS[index % 3], "label": name})
-            for index, (values, name) in enumerate(zip(log["block_weights"].T, names, strict=True))
-        ]
-        shown += [("Weights of the states", "weight", blocks[:3]), ("Of the torques", "weight", blocks[3:])]
-    for panel in panels[len(shown) :]:
-        panel.axis("off")
-    for panel, (title, name, lines) in zip(panels, shown, strict=False):
-        for values, style in lines:
-            _draw(panel, log.time, values, held=True, **style)
-        _title(panel, title)
-        panel.set_ylabel(f"{name} [-]")
-        look.logarithmic(panel, "y")
-        _widen(panel, 2.0)
-        if "label" in lines[0][1]:
-            _legend(panel)
+        both = [Line(q, look.BLUE, r"$\omega_Q$", True, 2.4), Line(r, look.ORANGE, r"$\omega_R$", True, 1.2)]
+        title = "Ratio of the weights, on which alone the gain depends"
+        ratio = Panel(title, r"$\omega_Q\,/\,\omega_R$ [-]", [Line(q / r, look.TEXT, held=True)], 2.0, decades=True)
+        return [Panel(log.scenario.tuner.label, "weight [-]", both, 2.0, decades=True), ratio]
+    if "block_weights" in log.signals:
+        columns = zip(log["block_weights"].T, _AXIS_COLORS * 2, SIGNALS["block_weights"].components, strict=False)
+        lines = [Line(*column, held=True) for column in columns]
+        shown = (("Weights of the states", lines[:3]), ("Of the torques", lines[3:]))
+        return [Panel(title, "weight [-]", some, 2.0, decades=True) for title, some in shown]
+    return []
 
 
-def _figure(log: SimulationLog, what: str, *, rows: int, height: float, **subplots: Any) -> tuple[Figure, np.ndarray]:
-    """Empty panels (rows, 2) [Axes] on one time axis, below a headline on the run."""
-    if len(log.time) == 0:
-        raise ConfigurationError("log", "no rows", "a log with at least one row to plot")
-    figure = Figure(figsize=(12.0, height), facecolor="white")
-    figure.set_layout_engine("constrained", rect=(0.0, 0.0, 1.0, 1.0 - 0.75 / height), h_pad=0.06, w_pad=0.08)
-    axes: np.ndarray = figure.subplots(rows, 2, sharex=True, **subplots)
+def _figure(
+    log: SimulationLog, what: str, rows: Sequence[Sequence[Panel]], row_height: float, **options: Any
+) -> tuple[Figure, list[Axes]]:
+    """Rows of panels on one time axis, below a headline on the run; with a mark where it ended, if early."""
+    heights = [row[0].height for row in rows]
+    height = row_height * len(rows)
+    figure = Figure(figsize=(12.0, height))
+    figure.set_layout_engine("constrained", rect=(0.0, 0.0, 1.0, 1.0 - 0.75 / height))
+    mosaic = [[f"{i} {j}" for j in range(len(row))] for i, row in enumerate(rows)]
+    grid = figure.subplot_mosaic(mosaic, sharex=True, height_ratios=heights, **options)  # type: ignore[arg-type]
+    axes = list(grid.values())
+    look.quiet(axes)
     first, last = log.time[0], max(log.end_time, log.time[-1])
     span = last - first if last > first else log.scenario.effective_log_period
-    for panel in axes.flat:
-        look.plain(panel)
-        panel.yaxis.set_major_locator(MaxNLocator(5))
-    axes[0, 0].set_xlim(first, first + span * (1.0 if log.status == "completed" else 1.04))
-    for panel in axes[-1]:
-        panel.set_xlabel("time [s]")
-    top = 1.0 - 0.12 / height
+    axes[0].set_xlim(first, first + span * (1.0 if log.status == "completed" else 1.04))
+    for name, axis in grid.items():
+        i, j = map(int, name.split())
+        _plot_panel(axis, log, rows[i][j])
+        if i == len(rows) - 1:
+            axis.set_xlabel("time [s]")
+    figure.align_ylabels(axes)
     ended, color = _outcome(log)
-    style: dict[str, Any] = {"x": 0.01, "ha": "left", "va": "top"}
-    figure.suptitle(f"{log.scenario.name}: {ended}", y=top, fontsize=14, fontweight="bold", color=color, **style)
-    figure.text(y=top - 0.3 / height, s=f"{what}; {_settings(log)}", fontsize=10, color=look.TEXT, **style)
+    top, place = 1.0 - 0.12 / height, {"x": 0.01, "ha": "left", "va": "top"}
+    figure.suptitle(f"{log.scenario.name}: {ended}", y=top, fontsize=14, color=color, **place)
+    controller = log.scenario.controller
+    what += (
+        f"; gravity {log.scenario.gravity:g} m/s², {controller.label}, control period {1e3 * controller.period:g} ms"
+    )
+    if "density" in log.signals:
+        what += f", tuner {log.scenario.tuner.kind}"
+    figure.text(y=top - 0.3 / height, s=what, **place)  # type: ignore[arg-type]
+    if log.status != "completed":
+        _mark_end(axes, len(rows[0]), log)
     return figure, axes
+
+
+def _plot_panel(axis: Axes, log: SimulationLog, panel: Panel) -> None:
+    for line in panel.lines:
+        style: dict[str, Any] = {"drawstyle": "steps-post"} if line.held else {}
+        if len(log.time) == 1:
+            style["marker"] = "o"
+        axis.plot(
+            log.time,
+            line.values,
+            color=line.color,
+            label=line.label,
+            linewidth=line.width,
+            linestyle=line.dashes,
+            **style,
+        )
+    if panel.dotted is not None:
+        axis.axvline(panel.dotted, color=look.QUIET, linestyle=":", linewidth=1.2, zorder=1.0)
+    axis.set(title=panel.title[0].upper() + panel.title[1:], ylabel=panel.quantity)
+    axis.set_title(panel.note, loc="right", fontsize=9, fontweight="normal")
+    axis.yaxis.set_major_locator(MaxNLocator(5))
+    if panel.decades:
+        look.logarithmic(axis, "y")
+    _widen(axis, panel.least)
+    if panel.legend and axis.get_legend_handles_labels()[1]:
+        # Above the panel, where it hides no data.
+        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, frameon=False, borderaxespad=0.0)
+
+
+def _widen(panel: Axes, least: float) -> None:
+    """Opens the vertical range to at least `least`."""
+    transform = panel.yaxis.get_transform()
+    low, high = transform.transform(np.array(panel.get_ylim()))
+    missing = 0.5 * (least - (high - low))
+    if missing > 0.0:
+        panel.set_ylim(*transform.inverted().transform(np.array([low - missing, high + missing])))
 
 
 def _outcome(log: SimulationLog) -> tuple[str, str]:
@@ -265,60 +266,13 @@ def _decided(log: SimulationLog) -> float:
     return log.end_time if log.outcome_time is None else log.outcome_time
 
 
-def _settings(log: SimulationLog) -> str:
-    scenario = log.scenario
-    controller = scenario.controller
-    tuner = f", tuner {scenario.tuner.kind}" if "density" in log.signals else ""
-    return (
-        f"gravity {scenario.gravity:g} m/s², {controller.label}, control period {1e3 * controller.period:g} ms{tuner}"
-    )
-
-
-def _draw(panel: Axes, time: np.ndarray, values: np.ndarray, *, held: bool = False, **style: Any) -> None:
-    """A line; a staircase where the value is held from tick to tick, a dot where there is but one row."""
-    style = {"linewidth": 1.6, "label": "_", **style}
-    if held:
-        style["drawstyle"] = "steps-post"
-    if len(time) == 1:
-        style["marker"] = "o"
-    panel.plot(time, values, **style)
-
-
-def _finish(figure: Figure, axes: np.ndarray, log: SimulationLog) -> None:
-    """Last touch of every figure: aligned labels, and from when on and why the run is not a good one."""
-    figure.align_ylabels(axes)
-    if log.status == "completed":
-        return
-    when = _decided(log)
-    for panel in axes.flat:
+def _mark_end(axes: Sequence[Axes], columns: int, log: SimulationLog) -> None:
+    """From when on and, in the first row, why the run is not a good one."""
+    when, end = _decided(log), axes[0].get_xlim()[1]
+    for panel in axes:
         panel.axvline(when, color=_FAILURE, linewidth=1.4)
-        panel.axvspan(when, panel.get_xlim()[1], color=_FAILURE, alpha=0.08, linewidth=0.0)
-    for panel in axes[0]:
-        middle = 0.5 * (when + panel.get_xlim()[1])
+        panel.axvspan(when, end, color=_FAILURE, alpha=0.08, linewidth=0.0)
+    for panel in axes[:columns]:
         style: dict[str, Any] = {"rotation": 90.0, "ha": "center", "va": "center", "fontsize": 9, "color": _FAILURE}
-        panel.text(middle, 0.5, log.reason or log.status, transform=panel.get_xaxis_transform(), **style)
-
-
-def _title(panel: Axes, left: str, right: str = "") -> None:
-    look.headline(panel, left[0].upper() + left[1:], right)
-
-
-def _legend(panel: Axes) -> None:
-    """Above the panel, where it hides no data."""
-    panel.legend(
-        loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, frameon=False, fontsize=9, labelcolor=look.TEXT,
-        borderaxespad=0.0, handlelength=1.8, columnspacing=1.4,
-    )  # fmt: skip
-
-
-def _once(wanted: bool, label: str) -> str:
-    return label if wanted else "_"
-
-
-def _widen(panel: Axes, least: float) -> None:
-    """Opens the vertical range to at least `least`: a difference, or decades on a logarithmic axis."""
-    transform = panel.yaxis.get_transform()
-    low, high = transform.transform(np.array(panel.get_ylim()))
-    missing = 0.5 * max(least - (high - low), 0.0)
-    if missing > 0.0:
-        panel.set_ylim(*transform.inverted().transform(np.array([low - missing, high + missing])))
+        reason = log.reason or log.status
+        panel.text(0.5 * (when + end), 0.5, reason, transform=panel.get_xaxis_transform(), **style)

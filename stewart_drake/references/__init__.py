@@ -1,7 +1,13 @@
 """Reference motions q(t) with exact first and second derivatives; poses are [roll, pitch, yaw, X, Y, Z] of P in B."""
 
-from stewart_drake.references.base import Reference, in_blocks
-from stewart_drake.references.basic import HoldReference, SineBurstsReference, SineReference, paper_reference
+from stewart_drake.references.basic import (
+    HoldReference,
+    Reference,
+    SineBurstsReference,
+    SineReference,
+    in_blocks,
+    paper_reference,
+)
 from stewart_drake.references.combined import AdjustedReference, AnyReference, SumReference, center_of
 from stewart_drake.references.paths import MinimumJerkReference, SplineReference
 from stewart_drake.references.recorded import RecordedReference

@@ -1,17 +1,54 @@
-"""A pose held, sines, and bursts of sines."""
+"""What every reference motion is; a pose held, sines, and bursts of sines."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Positive, Section, Vector6
+from stewart_drake.config import Positive, Section, SixNumbers, Vector6
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.references.base import HOME, ZERO, smoothstep
 from stewart_drake.robot.robot_scale import HOME_POSE, LENGTH
+from stewart_drake.sampling import InBlocks
+
+HOME: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
+ZERO: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Reference(Protocol):
+    """Anything that tells where the platform should be."""
+
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pose, rate and acceleration.
+
+        Args:
+            time: (...) [s].
+
+        Returns:
+            pose (..., 6) [rad, m], rate (..., 6) [rad/s, m/s], acceleration (..., 6) [rad/s^2, m/s^2].
+        """
+
+
+def smoothstep(u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """6 u^5 - 15 u^4 + 10 u^3, from 0 at u <= 0 to 1 at u >= 1, and its two derivatives, which vanish at the ends."""
+    u = np.clip(u, 0.0, 1.0)
+    value = u**3 * (u * (6.0 * u - 15.0) + 10.0)
+    return value, 30.0 * u**2 * (1.0 - u) ** 2, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)
+
+
+def bump(x: np.ndarray, begin: Any, top: Any, fall: Any, end: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Smooth steps from 0 at `begin` to 1 at `top`, and from 1 at `fall` to 0 at `end`; with its two derivatives."""
+    rising = x < top
+    width = np.where(rising, top - begin, end - fall)
+    value, slope, curvature = smoothstep(np.where(rising, x - begin, end - x) / width)
+    return value, np.where(rising, slope, -slope) / width, curvature / width**2
+
+
+def in_blocks(reference: Reference, period: float) -> InBlocks:
+    """Pose, rate and acceleration (18,) of a motion at multiples of a period [s]."""
+    return InBlocks(lambda times: np.concatenate(reference.evaluate(times), axis=-1), period)
 
 
 class HoldReference(Section, key="reference"):
@@ -22,7 +59,6 @@ class HoldReference(Section, key="reference"):
     """[rad, m] by default the robot's home."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """See `Reference.evaluate`."""
         shape = (*np.shape(time), 6)
         return np.broadcast_to(np.array(self.pose), shape).copy(), np.zeros(shape), np.zeros(shape)
 
@@ -39,13 +75,12 @@ class SineReference(Section, key="reference"):
     """[rad, m] by default the robot's home."""
     amplitude: Annotated[Vector6, LENGTH] = (math.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.05)
     """[rad, m]"""
-    angular_frequency: Vector6 = (2.0, 2.0, 2.0, 2.0, 2.0, 2.0)
+    angular_frequency: SixNumbers = (2.0, 2.0, 2.0, 2.0, 2.0, 2.0)
     """[rad/s]"""
-    phase: Vector6 = ZERO
+    phase: SixNumbers = ZERO
     """[rad]"""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """See `Reference.evaluate`."""
         omega, amplitude = np.array(self.angular_frequency), np.array(self.amplitude)
         angle = omega * np.asarray(time, dtype=float)[..., None] + np.array(self.phase)
         wave = amplitude * np.sin(angle)
@@ -55,8 +90,8 @@ class SineReference(Section, key="reference"):
 class SineBurstsReference(Section, key="reference"):
     """Bursts of sines one after the other, each with its own frequency and amplitudes, faded in and out.
 
-    The paper's data covers 1 to 5 Hz; this puts them into one run that starts and ends every burst at rest in the
-    centre. The fade is a quintic smoothstep, so accelerations are continuous. After the last burst the centre is held.
+    Every burst starts and ends at rest in the centre; the fades are quintic, so accelerations are continuous. After the
+    last burst the centre is held.
     """
 
     kind: Literal["sine_bursts"] = "sine_bursts"
@@ -66,7 +101,7 @@ class SineBurstsReference(Section, key="reference"):
     """[rad, m] one vector per burst."""
     center: Annotated[Vector6, HOME_POSE] = HOME
     """[rad, m] by default the robot's home."""
-    phase: Vector6 = ZERO
+    phase: SixNumbers = ZERO
     """[rad] per axis, the same in every burst."""
     burst_duration: Positive = 1.6
     """[s]"""
@@ -74,34 +109,26 @@ class SineBurstsReference(Section, key="reference"):
     """[s] at each end of a burst."""
 
     def rules(self) -> None:
-        """See `Section.rules`."""
         if len(self.amplitude) != len(self.frequency):
             raise ConfigurationError("amplitude", self.amplitude, f"{len(self.frequency)} vectors of 6 numbers")
         if not self.burst_duration >= 2.0 * self.fade:
             raise ConfigurationError("burst_duration", self.burst_duration, "at least twice the fade")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """See `Reference.evaluate`."""
         time = np.asarray(time, dtype=float)
         count = len(self.frequency)
         index = np.clip(np.floor(time / self.burst_duration).astype(int), 0, count - 1)
         local = np.clip(time - index * self.burst_duration, 0.0, self.burst_duration)[..., None]
         omega = 2.0 * np.pi * np.array(self.frequency)[index][..., None]
         amplitude = np.array(self.amplitude)[index]
-        env, env_rate, env_acceleration = self._envelope(local)
+        burst, fade = self.burst_duration, self.fade
+        env, env_rate, env_acceleration = bump(local, 0.0, fade, burst - fade, burst)
         angle = omega * local + np.array(self.phase)
         sine, cosine = np.sin(angle), np.cos(angle)
         pose = np.array(self.center) + amplitude * env * sine
         rate = amplitude * (env_rate * sine + env * omega * cosine)
         acceleration = amplitude * (env_acceleration * sine + 2.0 * env_rate * omega * cosine - env * omega**2 * sine)
         return pose, rate, acceleration
-
-    def _envelope(self, local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`smoothstep` of the distance to the nearer end, and its derivatives."""
-        rising = local < 0.5 * self.burst_duration
-        distance = np.where(rising, local, self.burst_duration - local)
-        value, slope, curvature = smoothstep(distance / self.fade)
-        return value, np.where(rising, slope, -slope) / self.fade, curvature / self.fade**2
 
 
 def paper_reference() -> SineReference:

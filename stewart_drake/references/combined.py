@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.config import Real, Section, Vector6
-from stewart_drake.references.base import Reference, smoothstep
+from stewart_drake.references.basic import Reference, smoothstep
 from stewart_drake.registry import REFERENCES
 
 Motion = Annotated[Reference, REFERENCES.but("sum", "adjusted")]
@@ -29,7 +29,6 @@ class SumReference(Section, key="reference"):
     """[rad, m] null takes the first part's."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """See `Reference.evaluate`."""
         motions = [part.evaluate(time) for part in self.parts]
         pose, rate, acceleration = (np.sum(values, axis=0) for values in zip(*motions, strict=True))
         return pose - sum(map(center_of, self.parts)) + center_of(self), rate, acceleration
@@ -54,7 +53,6 @@ class AdjustedReference(Section, key="reference"):
     """[rad, m] null takes the motion's own: `center` of a wave; the first pose of a path, a recording or a hold."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """See `Reference.evaluate`."""
         own = np.asarray(time, dtype=float) / self.slowdown
         pose, rate, acceleration = self.motion.evaluate(own)
         middle = center_of(self)

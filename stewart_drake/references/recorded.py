@@ -1,8 +1,9 @@
-"""A motion recorded in a file."""
+"""Motions from elsewhere: recorded in a file, or told by a class of the user's own."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,15 +13,11 @@ from pydantic import Field
 
 from stewart_drake.config import Positive, Real, Section, Text
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.tables import read_numbers
+from stewart_drake.families import UserMade
+from stewart_drake.files.tables import POSE, read_numbers, refuse_cells
 from stewart_drake.sampling import unwrapped
 
-QUANTITIES = (
-    ("time", "s"),
-    *((f"pose_{name}", "rad") for name in ("roll", "pitch", "yaw")),
-    *((f"pose_{name}", "m") for name in ("x", "y", "z")),
-)
-"""Columns of a recording with their units, in any order; further ones are left alone."""
+QUANTITIES = (("time", "s"), *POSE)
 MAX_RECORDING_BYTES = 100_000_000
 MAX_RECORDING_ROWS = 1_000_000
 
@@ -44,57 +41,33 @@ class RecordedReference(Section, key="reference"):
     """[s] from the last row to rest."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """See `Reference.evaluate`.
-
-        Raises:
-            ConfigurationError: The file cannot be read or used; it is read at the first call.
-        """
         time = np.asarray(time, dtype=float)
-        end, splines = self._motion
+        splines = self._splines
+        end = splines[0].x[-1]
         pose, rate, acceleration = (spline(np.clip(time, 0.0, end)) for spline in splines)
-        started = (time >= 0.0)[..., None]
-        rate, acceleration = np.where(started, rate, 0.0), np.where(started, acceleration, 0.0)
-        # The rate goes on as a cubic of s, with the recording's last value and slope at s = 0 and neither at s = 1.
-        s = np.clip((time - end) / self.settle, 0.0, 1.0)[..., None]
-        t = self.settle
-        pose = (
-            pose + rate * t * (s - s**3 + 0.5 * s**4) + acceleration * t**2 * s**2 * (0.5 - 2.0 / 3.0 * s + 0.25 * s**2)
-        )
-        slowed = rate * (1.0 + 2.0 * s) * (1.0 - s) ** 2 + acceleration * t * s * (1.0 - s) ** 2
-        return pose, slowed, rate / t * 6.0 * s * (s - 1.0) + acceleration * (1.0 - s) * (1.0 - 3.0 * s)
+        moving = ((time >= 0.0) & (time < end))[..., None]
+        return pose, np.where(moving, rate, 0.0), np.where(moving, acceleration, 0.0)
 
     @cached_property
-    def _motion(self) -> tuple[float, tuple[Any, Any, Any]]:
-        """Time of the last row [s] and the splines of pose, rate and acceleration."""
-        from scipy.interpolate import CubicSpline
+    def _splines(self) -> tuple[Any, Any, Any]:
+        from scipy.interpolate import CubicSpline, PPoly
 
-        key = f"recorded motion {self.motion_file}"
-        data = load_recording(self.motion_file)
-        time = (data[:, 0] - data[0, 0]) * self.time_scale
-        with np.errstate(all="ignore"):
-            try:
-                spline = CubicSpline(time, data[:, 1:], axis=0)
-            except (ValueError, np.linalg.LinAlgError) as error:
-                text = " ".join(str(error).split())
-                raise ConfigurationError(key, text, "times and poses that a spline can join") from None
-            if not np.isfinite(spline.c).all():
-                raise ConfigurationError(key, "infinite accelerations", "times and poses that a spline can join")
-        return float(time[-1]), (spline, spline.derivative(1), spline.derivative(2))
+        data, t = load_recording(self.motion_file), self.settle
+        rows = CubicSpline((data[:, 0] - data[0, 0]) * self.time_scale, data[:, 1:], axis=0)
+        pose, rate, acceleration = (rows(rows.x[-1], order) for order in range(3))
+        # The rate goes on as a cubic, with its last value and slope at the last row and neither after `settle`.
+        coast = [0.5 * rate / t**3 + 0.25 * acceleration / t**2, -rate / t**2 - 2.0 / 3.0 * acceleration / t]
+        coast += [0.5 * acceleration, rate, pose]
+        quartics = np.concatenate([np.zeros_like(rows.c[:1]), rows.c])
+        motion = PPoly(np.concatenate([quartics, np.array(coast)[:, None]], axis=1), np.append(rows.x, rows.x[-1] + t))
+        return motion, motion.derivative(1), motion.derivative(2)
 
 
 def load_recording(path: str | Path) -> np.ndarray:
-    """Reads a recorded motion.
+    """A recorded motion (n, 7) [s, rad, rad, rad, m, m, m] of a .csv or .parquet file with `QUANTITIES`, checked.
 
-    Args:
-        path: .csv or .parquet file with columns of `QUANTITIES`, see `files.tables`.
-
-    Returns:
-        (n, 7) [s, rad, rad, rad, m, m, m] time ascending, roll, pitch, yaw, X, Y, Z. Angles without jumps by whole
-        turns, the first within half a turn; one that is ever beyond a turn is no wrapped angle, and stays as it is.
-
-    Raises:
-        ConfigurationError: Not readable, of another kind, too large, a column missing, fewer than 4 rows, a cell that
-            is not a finite number, times that do not ascend.
+    Angles without jumps by whole turns, the first within half a turn; one that is ever beyond a turn is no wrapped
+    angle, and stays as it is.
     """
     path = Path(path)
     key = f"recorded motion {path}"
@@ -103,16 +76,41 @@ def load_recording(path: str | Path) -> np.ndarray:
     data = read_numbers(path, key, QUANTITIES, MAX_RECORDING_BYTES, MAX_RECORDING_ROWS)
     if len(data) < 4:
         raise ConfigurationError(key, f"{len(data)} rows", "at least 4 rows")
-    for (name, _), column in zip(QUANTITIES, data.T, strict=True):
-        if not np.isfinite(column).all():
-            row = int(np.argmin(np.isfinite(column)))
-            raise ConfigurationError(f"{key}: {name}", f"{column[row]} in row {row + 1}", "finite numbers")
-    back = np.diff(data[:, 0]) <= 0.0
-    if back.any():
-        row = int(back.argmax())
-        got = f"{data[row + 1, 0]:g} after {data[row, 0]:g} in row {row + 2}"
-        raise ConfigurationError(f"{key}: time", got, "ascending times")
+    refuse_cells(key, QUANTITIES, data, ~np.isfinite(data), "a finite number")
+    back = np.diff(data[:, :1], axis=0, prepend=-math.inf) <= 0.0
+    refuse_cells(key, QUANTITIES, data, back, "a time after that of the row before")
     turns = data[:, 1:4]
     wrapped = np.abs(turns).max(axis=0) <= 2.0 * math.pi * (1.0 + 1e-9)
     data[:, 1:4] = np.where(wrapped, unwrapped(turns), turns)
     return data
+
+
+class UserReference(UserMade, key="reference"):
+    """What a class of the user's own says with `evaluate(time)`: pose, rate and acceleration, as in `Reference`.
+
+    It may take an array of times (n,) and return three of (n, 6), or one time and three of (6,).
+    """
+
+    asked = "evaluate(t) returns pose, rate and acceleration, (6,) each"
+
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        time = np.asarray(time, dtype=float)
+        if time.ndim == 0:
+            return self._asked(time)
+        times = time.ravel()
+        try:
+            # Of six times (6, 6) could be the wrong way round, and nobody would see it.
+            parts: Any = self._asked(np.append(times, times[-1]) if len(times) == 6 else times)
+        except (TypeError, ValueError, ConfigurationError):
+            parts = np.array([self._asked(one) for one in times]).reshape(-1, 3, 6).swapaxes(0, 1)
+        pose, rate, acceleration = (part[: len(times)].reshape(*time.shape, 6) for part in parts)
+        return pose, rate, acceleration
+
+    def _asked(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        answer = self.made.evaluate(time if time.ndim else float(time))
+        if isinstance(answer, str) or not isinstance(answer, Iterable):
+            raise self.refusal(f"a {type(answer).__name__}")
+        parts = tuple(self.numbers(part) for part in answer)
+        if len(parts) != 3 or any(part.shape != (*time.shape, 6) for part in parts):
+            raise self.refusal(", ".join(str(part.shape) for part in parts) or "nothing")
+        return parts[0], parts[1], parts[2]

@@ -10,9 +10,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Count, NotNegative, Positive, Real, Section, Seed, Share, Vector6
+from stewart_drake.config import Count, NotNegative, Positive, Real, Section, Seed, Share, SixNumbers, Vector6
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.references.base import HOME, smoothstep
+from stewart_drake.references.basic import HOME, bump
 from stewart_drake.robot.robot_scale import HOME_POSE
 
 _SLOW_BAND = (0.04, 0.15)
@@ -44,7 +44,6 @@ class BreathingReference(Section, key="reference"):
     """[rad] phi of the waveform; pi/2 starts at end-exhale, at rest."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """See `Reference.evaluate`."""
         omega, power = math.pi * self.frequency, 2 * self.order
         angle = omega * np.asarray(time, dtype=float)[..., None] - self.phase
         cosine, sine, size = np.cos(angle), np.sin(angle), np.array(self.excursion)
@@ -58,17 +57,15 @@ class HeartbeatReference(Section, key="reference"):
     """A periodic wave of several harmonics, run through at a heart's varying rate, with early beats where asked for.
 
     On each axis center + excursion w(2 pi beats(t) - phase), w(x) = sum a_k cos(k x - p_k) scaled to 1 from end to end.
-    A Fourier series at the heart's rate is how R. Ginhoux et al., IEEE Trans. Robot. 21 (2005) 67, and O. Bebek, M. C.
-    Cavusoglu, IEEE Trans. Robot. 23 (2007) 468, describe the motion of a beating heart's surface. The default
-    harmonics, sizes (several millimetres) and phases of the axes are assumed.
+    So R. Ginhoux et al., IEEE Trans. Robot. 21 (2005) 67, and O. Bebek, M. C. Cavusoglu, IEEE Trans. Robot. 23 (2007)
+    468, describe a beating heart's surface; the default harmonics, sizes and phases of the axes are assumed.
 
     The rate is rate (1 + respiratory_variation sin(2 pi respiratory_frequency t) + slow part), the slow part a seeded
     sum of sines in the low-frequency band 0.04-0.15 Hz. Its sizes give the model of P. E. McSharry et al., IEEE Trans.
     Biomed. Eng. 50 (2003) 289: 1/min of 60/min standard deviation at a ratio of 0.5 of low- to high-frequency power.
 
     A premature beat k begins `prematurity` of a beat early and the next one on time, the full compensatory pause of a
-    ventricular extrasystole; 0.4 is K.-M. Park et al., Korean Circ. J. 45 (2015) 294: intervals of 49 to 60 % of the
-    sinus cycle. The count of beats stays twice continuously differentiable.
+    ventricular extrasystole; 0.4 is K.-M. Park et al., Korean Circ. J. 45 (2015) 294: 49 to 60 % of the sinus cycle.
     """
 
     kind: Literal["heartbeat"] = "heartbeat"
@@ -78,7 +75,7 @@ class HeartbeatReference(Section, key="reference"):
     """[rad, m] peak to peak; its sign is the direction."""
     rate: Positive = 1.25
     """[Hz] mean beats per second, above 0; 1-2 Hz is usual."""
-    phase: Vector6 = (0.0, 0.0, 0.0, 0.8, 0.4, 0.0)
+    phase: SixNumbers = (0.0, 0.0, 0.0, 0.8, 0.4, 0.0)
     """[rad] by which each axis lags, 2 pi for a beat; what differs turns the line into a loop."""
     harmonics: Annotated[tuple[Real, ...], Field(min_length=1, max_length=20)] = (1.0, 0.6, 0.35, 0.15, 0.05)
     """[-] a_k, sizes relative to each other of the harmonics 1, 2, ... of the rate; at most 20."""
@@ -98,7 +95,6 @@ class HeartbeatReference(Section, key="reference"):
     """[-] by which part of a beat they come early, 0 to 0.7."""
 
     def rules(self) -> None:
-        """See `Section.rules`."""
         if not any(self.harmonics):
             raise ConfigurationError("harmonics", self.harmonics, "numbers, not all of them zero")
         if len(self.harmonic_phase) != len(self.harmonics):
@@ -112,27 +108,18 @@ class HeartbeatReference(Section, key="reference"):
             raise ConfigurationError("premature_beats", beats, "ascending numbers, at least 2 apart")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """See `Reference.evaluate`."""
         beats, speed, change = (2.0 * math.pi * values[..., None] for values in self.beats(time))
         order, lag = np.arange(1, len(self.harmonics) + 1), np.array(self.harmonic_phase)
         angle = order * (beats - np.array(self.phase))[..., None] - lag
         cosine, sine = np.cos(angle), np.sin(angle)
-        wave, slope, curvature = (
-            cosine @ self._weights,
-            -sine @ (order * self._weights),
-            -cosine @ (order**2 * self._weights),
-        )
-        size = np.array(self.excursion)
+        weights, size = self._weights, np.array(self.excursion)
+        wave, slope, curvature = cosine @ weights, -sine @ (order * weights), -cosine @ (order**2 * weights)
         return np.array(self.center) + size * wave, size * slope * speed, size * (curvature * speed**2 + slope * change)
 
     def beats(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Beats so far, at whole numbers a beat begins, and the first and second derivative of that count.
+        """Beats so far (...) [-], at whole numbers a beat begins; the count's first and second derivative.
 
-        Args:
-            time: (...) [s].
-
-        Returns:
-            (...) [-], [1/s], [1/s^2].
+        A premature one comes ahead smoothly from the beat before, and that is made up for until the next.
         """
         t = np.asarray(time, dtype=float)
         omega, share, start = self._variation
@@ -140,7 +127,11 @@ class HeartbeatReference(Section, key="reference"):
         count = self.rate * (t + (np.cos(start) - np.cos(angle)) @ (share / omega))
         speed = self.rate * (1.0 + np.sin(angle) @ share)
         change = self.rate * (np.cos(angle) @ (share * omega))
-        early, slope, curvature = self._early(count)
+        # Of no premature beats, one that came long ago.
+        beats, most = np.array(self.premature_beats or [-1e9], dtype=float), self.prematurity
+        beat = beats[np.minimum(np.searchsorted(beats + 1.0, count), len(beats) - 1)]
+        bumps = bump(count, beat - 1.0, beat - most, beat - most, beat + 1.0)
+        early, slope, curvature = (most * values for values in bumps)
         return count + early, (1.0 + slope) * speed, curvature * speed**2 + (1.0 + slope) * change
 
     @cached_property
@@ -166,23 +157,6 @@ class HeartbeatReference(Section, key="reference"):
         wave = np.cos(order * places[:, None] - lag) @ weights
         return weights / (wave.max() - wave.min())
 
-    def _early(self, count: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """By how much premature beats are ahead of the regular `count`, and its derivatives by that count.
-
-        It grows smoothly from the beat before to the premature one, which so begins at count = k - prematurity, and
-        falls to zero until the next.
-        """
-        if not self.premature_beats:
-            return np.zeros_like(count), np.zeros_like(count), np.zeros_like(count)
-        beats = np.array(self.premature_beats, dtype=float)
-        # The hump of beat k lies between k - 1 and k + 1.
-        beat = beats[np.minimum(np.searchsorted(beats + 1.0, count), len(beats) - 1)]
-        rising = count < beat - self.prematurity
-        width = np.where(rising, 1.0 - self.prematurity, 1.0 + self.prematurity)
-        value, slope, curvature = smoothstep(np.where(rising, count - (beat - 1.0), beat + 1.0 - count) / width)
-        slope = np.where(rising, slope, -slope)
-        return self.prematurity * value, self.prematurity * slope / width, self.prematurity * curvature / width**2
-
 
 class TremorReference(Section, key="reference"):
     """Physiological tremor of a hand: on each axis a seeded sum of sines spread over a band of frequencies.
@@ -206,12 +180,10 @@ class TremorReference(Section, key="reference"):
     """Of frequencies and phases."""
 
     def rules(self) -> None:
-        """See `Section.rules`."""
         if self.high <= self.low:
             raise ConfigurationError("high", self.high, f"above low, {self.low:g} Hz")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """See `Reference.evaluate`."""
         frequency, phase = self._sines
         omega, size = 2.0 * math.pi * frequency, np.array(self.rms) * math.sqrt(2.0 / _TREMOR_SINES)
         angle = omega * np.asarray(time, dtype=float)[..., None, None] + phase

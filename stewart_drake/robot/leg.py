@@ -1,4 +1,4 @@
-"""One leg of a robot: what it has of its own."""
+"""What one leg of a robot has of its own, and the friction of its motor."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field
-from pydantic_core import PydanticCustomError
 
-from stewart_drake.config import Real, Section, plain
+from stewart_drake.config import NotNegative, Real, Section, one_for_six, plain
 from stewart_drake.errors import ConfigurationError
 
 LEGS = 6
@@ -22,15 +21,14 @@ Size = Annotated[Real, Field(ge=SMALLEST, le=LARGEST)]
 Signed = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
 HalfAngle = Annotated[Real, Field(ge=SMALLEST, lt=math.pi / 3.0)]
 """[rad] of a pair of shafts or joints; pairs must not cross."""
+Moderate = Annotated[NotNegative, Field(le=LARGEST)]
 Size3 = tuple[Size, Size, Size]
 Signed3 = tuple[Signed, Signed, Signed]
 
 
 def _sign(given: Any) -> Any:
-    if type(given) is not int:
-        # Python takes True and 1.0 for 1.
-        raise PydanticCustomError("literal_error", "a sign")
-    return given
+    # Python takes True and 1.0 for 1.
+    return given if type(given) is int else None
 
 
 Branch = Annotated[Literal[-1, 1], BeforeValidator(_sign)]
@@ -85,3 +83,37 @@ def crank_equation(span: Any, zero: Any, quarter: Any, crank: Any, rod: Any) -> 
     """
     along, up = (2.0 * crank * np.sum(span * each, axis=0) for each in (zero, quarter))
     return along, up, np.sum(span * span, axis=0) + (crank * crank - rod * rod)
+
+
+_NONE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+EachMotor = Annotated[tuple[Moderate, Moderate, Moderate, Moderate, Moderate, Moderate], one_for_six(Moderate)]
+EachRate = Annotated[tuple[Size, Size, Size, Size, Size, Size], one_for_six(Size)]
+SixFloats = tuple[float, float, float, float, float, float]
+
+
+class FrictionOptions(Section, key="plant.friction"):
+    """Friction of the motors that sticks, see `mechanics.friction`: for each key one number, or one for each motor.
+
+    It is what a robot has, or what a controller believes.
+    """
+
+    coulomb: EachMotor = _NONE
+    """[N m] dry friction in sliding."""
+    break_away: EachMotor | None = None
+    """[N m] what moves a motor that rests, at least `coulomb`; null: the same."""
+    stribeck_velocity: EachRate = (0.01, 0.01, 0.01, 0.01, 0.01, 0.01)
+    """[rad/s] of sliding at which 37 % of what `break_away` is above `coulomb` are left; the default is our own."""
+    viscous: EachMotor = _NONE
+    """[N m s/rad] beside it, in proportion to speed."""
+
+    def rules(self) -> None:
+        """See `Section.rules`."""
+        for above, below in zip(self.break_away or (), self.coulomb, strict=False):
+            if above < below:
+                raise ConfigurationError("break_away", above, f"at least `coulomb`, {below:g} N m")
+
+    @property
+    def levels(self) -> tuple[SixFloats, SixFloats, SixFloats, SixFloats]:
+        """Coulomb [N m], break-away [N m], Stribeck rate [rad/s] and viscous [N m s/rad], six of each."""
+        break_away = self.coulomb if self.break_away is None else self.break_away
+        return self.coulomb, break_away, self.stribeck_velocity, self.viscous

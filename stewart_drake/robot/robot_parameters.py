@@ -3,20 +3,40 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
-from stewart_drake.config import NotNegative, Section
+from stewart_drake.config import Section
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.robot.leg import LARGEST, LEGS, Branch, HalfAngle, Signed, Signed3, SixLegs, Size, Size3
-from stewart_drake.robot.positions_table import Cranks, Unit, from_table
-from stewart_drake.robot.robot_checks import check_geometry
+from stewart_drake.robot.geometry import Cranks, Unit, check_geometry, from_table
+from stewart_drake.robot.leg import LEGS, Branch, HalfAngle, Moderate, Signed, Signed3, SixLegs, Size, Size3
 
-_PAIR = np.arange(LEGS) // 2
+_PAIR_ANGLES = np.arange(LEGS) // 2 * (2.0 * math.pi / 3.0)
+"""(6,) [rad] direction c_k of each leg's pair."""
 _SIDE = np.where(np.arange(LEGS) % 2 == 0, -1.0, 1.0)
+
+
+def _frozen(values: Any) -> np.ndarray:
+    array = np.array(values, dtype=float)
+    array.flags.writeable = False
+    return array
+
+
+def _of_legs(name: str, symmetric: Callable[[Any], np.ndarray]) -> cached_property[np.ndarray]:
+    """The symmetric robot's values of each leg, overwritten by those that legs have of their own."""
+
+    def values(robot: RobotParameters) -> np.ndarray:
+        result = symmetric(robot)
+        for leg, own in enumerate(robot.legs or ()):
+            value = getattr(own, name)
+            if value is not None:
+                result[leg] = value / np.linalg.norm(value) if name.endswith("direction") else value
+        return _frozen(result)
+
+    return cached_property(values)
 
 
 class RobotParameters(Section, key="robot"):
@@ -75,7 +95,7 @@ class RobotParameters(Section, key="robot"):
     """[kg m^2] Ixy, Ixz, Iyz of the same inertia."""
     platform_center_of_mass: Signed3 = (0.0, 0.0, 0.0)
     """[m] in P."""
-    rotor_inertia: Annotated[NotNegative, Field(le=LARGEST)] = 0.0
+    rotor_inertia: Moderate = 0.0
     """[kg m^2] of a motor's rotor and gear as its crank feels it, about the motor axis."""
     base_mass: Size = 7.0
     """[kg]; welded to the world, so it never acts."""
@@ -108,7 +128,7 @@ class RobotParameters(Section, key="robot"):
     def from_table(
         cls, table: Any, *, unit: Unit = "m", cranks: Cranks = "outwards", **parameters: Any
     ) -> RobotParameters:
-        """A robot from measured positions, a row a leg; see `positions_table.from_table` for what is found by itself.
+        """A robot from measured positions, a row a leg; see `geometry.from_table` for what is found by itself.
 
         Args:
             table: Path of a CSV file, or an array (6, 6) [m] of motor shafts in B and platform joints in P.
@@ -128,65 +148,38 @@ class RobotParameters(Section, key="robot"):
         return _frozen([0.0, 0.0, 0.0, 0.0, 0.0, self.home_height])
 
     @cached_property
-    def pair_angles(self) -> np.ndarray:
-        """(6,) [rad] direction c_k of each leg's pair."""
-        return _frozen(_PAIR * (2.0 * math.pi / 3.0))
-
-    @cached_property
     def crank_yaws(self) -> np.ndarray:
         """(6,) [rad] about z, from x to each crank's direction at zero, where that is horizontal."""
         own = [leg.crank_zero_direction for leg in self.legs] if self.legs else [None] * LEGS
-        symmetric = self.pair_angles + _SIDE * self.crank_plane_angle
+        symmetric = _PAIR_ANGLES + _SIDE * self.crank_plane_angle
         return _frozen([at if h is None else math.atan2(h[1], h[0]) for h, at in zip(own, symmetric, strict=True)])
 
-    @cached_property
-    def shaft_positions(self) -> np.ndarray:
-        """(6, 3) [m] motor shaft centres P_i in B."""
-        circle = self._around(self.shaft_half_angle, self.shaft_circle_radius, self.shaft_height)
-        return self._of_legs("shaft_position", circle)
-
-    @cached_property
-    def platform_joints(self) -> np.ndarray:
-        """(6, 3) [m] joint centres p_i in P."""
-        return self._of_legs("platform_joint", self._around(self.platform_half_angle, self.platform_joint_radius))
-
-    @cached_property
-    def crank_zero_directions(self) -> np.ndarray:
-        """(6, 3) [-] unit vectors h_i in B along which the cranks point at theta = 0."""
-        return self._of_legs("crank_zero_direction", self._around(self.crank_plane_angle, 1.0))
+    shaft_positions = _of_legs(
+        "shaft_position", lambda r: r._around(r.shaft_half_angle, r.shaft_circle_radius, r.shaft_height)
+    )
+    """(6, 3) [m] motor shaft centres P_i in B."""
+    platform_joints = _of_legs("platform_joint", lambda r: r._around(r.platform_half_angle, r.platform_joint_radius))
+    """(6, 3) [m] joint centres p_i in P."""
+    crank_zero_directions = _of_legs("crank_zero_direction", lambda r: r._around(r.crank_plane_angle, 1.0))
+    """(6, 3) [-] unit vectors h_i in B along which the cranks point at theta = 0."""
+    crank_lengths = _of_legs("crank_length", lambda r: np.full(LEGS, r.crank_length))
+    """(6,) [m] |a| of each leg."""
+    rod_lengths = _of_legs("rod_length", lambda r: np.full(LEGS, r.rod_length))
+    """(6,) [m] rod of each leg."""
+    branches = _of_legs("branch", lambda r: np.full(LEGS, float(r.branch)))
+    """(6,) [-] branch of each leg, -1.0 or 1.0."""
+    crank_angle_ranges = _of_legs("crank_angle_range", lambda _: np.tile([-np.inf, np.inf], (LEGS, 1)))
+    """(6, 2) [rad] lowest and highest theta of each leg; infinite where there is no stop."""
+    _crank_ups = _of_legs("crank_quarter_direction", lambda _: np.tile([0.0, 0.0, 1.0], (LEGS, 1)))
+    effort_limits = _of_legs("effort_limit", lambda r: np.full(LEGS, r.effort_limit))
+    """(6,) [N m] largest torque of each motor."""
 
     @cached_property
     def crank_quarter_directions(self) -> np.ndarray:
         """(6, 3) [-] unit vectors in B along which the cranks point at theta = pi/2."""
-        given = self._of_legs("crank_quarter_direction", np.tile([0.0, 0.0, 1.0], (LEGS, 1)))
-        h = self.crank_zero_directions
+        h, given = self.crank_zero_directions, self._crank_ups
         across = given - np.sum(given * h, axis=-1, keepdims=True) * h
         return _frozen(across / np.linalg.norm(across, axis=-1, keepdims=True))
-
-    @cached_property
-    def crank_lengths(self) -> np.ndarray:
-        """(6,) [m] |a| of each leg."""
-        return self._of_legs("crank_length", np.full(LEGS, self.crank_length))
-
-    @cached_property
-    def rod_lengths(self) -> np.ndarray:
-        """(6,) [m] rod of each leg."""
-        return self._of_legs("rod_length", np.full(LEGS, self.rod_length))
-
-    @cached_property
-    def branches(self) -> np.ndarray:
-        """(6,) [-] branch of each leg, -1.0 or 1.0."""
-        return self._of_legs("branch", np.full(LEGS, float(self.branch)))
-
-    @cached_property
-    def crank_angle_ranges(self) -> np.ndarray:
-        """(6, 2) [rad] lowest and highest theta of each leg; infinite where there is no stop."""
-        return self._of_legs("crank_angle_range", np.tile([-np.inf, np.inf], (LEGS, 1)))
-
-    @cached_property
-    def effort_limits(self) -> np.ndarray:
-        """(6,) [N m] largest torque of each motor."""
-        return self._of_legs("effort_limit", np.full(LEGS, self.effort_limit))
 
     @cached_property
     def effort_shares(self) -> np.ndarray:
@@ -273,19 +266,5 @@ class RobotParameters(Section, key="robot"):
 
     def _around(self, half_angle: float, radius: float, height: float = 0.0) -> np.ndarray:
         """(6, 3) points beside the pairs' directions, even legs clockwise."""
-        angle = self.pair_angles + _SIDE * half_angle
+        angle = _PAIR_ANGLES + _SIDE * half_angle
         return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(LEGS, height)], axis=-1)
-
-    def _of_legs(self, name: str, symmetric: np.ndarray) -> np.ndarray:
-        """The symmetric robot's values, overwritten by those that legs have of their own."""
-        for leg, own in enumerate(self.legs or ()):
-            value = getattr(own, name)
-            if value is not None:
-                symmetric[leg] = value / np.linalg.norm(value) if name.endswith("direction") else value
-        return _frozen(symmetric)
-
-
-def _frozen(values: Any) -> np.ndarray:
-    array = np.array(values, dtype=float)
-    array.flags.writeable = False
-    return array

@@ -6,17 +6,17 @@ import itertools
 import json
 import os
 import shutil
+import stat
 import subprocess
 import tempfile
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.families import user_parts
-from stewart_drake.files.named_files import with_texts
+from stewart_drake.files.code import with_texts
 from stewart_drake.files.whole import read_checked, write_atomically
 from stewart_drake.files.yaml_files import MAX_BYTES, to_yaml
 from stewart_drake.logs.log import SimulationLog
@@ -26,22 +26,15 @@ from stewart_drake.scenario import Scenario
 _AS_RUN = "# As run by stewart-drake: every key, defaults included.\n"
 _CODE = "code"
 """Folder with the files of the user's classes."""
-_FILES = {
+_FILES = (
     *("log.parquet", "metrics.json", "scenario.yaml", _CODE, "diagram.dot", "diagram.svg"),
     *("states.png", "torques.png", "replay.html"),
-}
+)
 """All that a results folder may hold; what else is in it is the user's own, and stays."""
 
 
-@dataclass(frozen=True)
-class Results:
-    """What a run has left.
-
-    Attributes:
-        folder: Where.
-        metrics: See `run_metrics`.
-        left_out: A line for each picture that could not be made.
-    """
+class Results(NamedTuple):
+    """What a run has left: where, its metrics, and a line for each picture that could not be made."""
 
     folder: Path
     metrics: dict[str, Any]
@@ -64,15 +57,15 @@ def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
 
 def prepare_file(path: Path) -> None:
     """Makes sure, before anything is computed, that a file can be written afterwards; its folder is made."""
+    prepare_folder(path.parent, path)
     try:
-        if path.is_dir():
-            raise ConfigurationError("--out", str(path), "a file, not a folder")
-        path.lstat()
+        folder = stat.S_ISDIR(path.stat().st_mode)
     except FileNotFoundError:
-        pass
+        return
     except OSError as error:
         raise ConfigurationError("--out", str(path), f"a file that can be written ({error.strerror})") from None
-    prepare_folder(path.parent)
+    if folder:
+        raise ConfigurationError("--out", str(path), "a file, not a folder")
 
 
 def results_place(scenario: Scenario, out: str | Path | None = None, force: bool = False) -> Path:
@@ -86,24 +79,20 @@ def results_place(scenario: Scenario, out: str | Path | None = None, force: bool
     if out is None:
         names = itertools.chain([scenario.name], (f"{scenario.name}-{number}" for number in itertools.count(2)))
         return next(place for name in names if not os.path.lexists(place := Path("runs") / name))
-    place, named = Path(os.path.realpath(out)), str(out)
+    place, own = Path(os.path.realpath(out)), _own_files(scenario)["scenario.yaml"]
     try:
-        if not place.exists():
+        if not place.exists() or not any(place.iterdir()):
             return place
-        if not place.is_dir():
-            raise ConfigurationError("--out", named, "a folder that can be written to (this is a file)")
-        if not place.name or Path.cwd().is_relative_to(place):
-            raise ConfigurationError("--out", named, "a folder of its own: the whole folder is replaced")
-        if not any(place.iterdir()):
-            return place
+        before = read_checked(place / "scenario.yaml", "scenario.yaml", MAX_BYTES)
     except OSError as error:
-        raise ConfigurationError("--out", named, f"a folder that can be written to ({error.strerror})") from None
-    before = _scenario_in(place)
-    if before is None:
-        raise ConfigurationError("--out", named, "a new or empty folder, or one with the results of a run")
-    if before != _own_files(scenario)["scenario.yaml"] and not force:
+        raise ConfigurationError("--out", str(out), f"a folder that can be written to ({error.strerror})") from None
+    except ConfigurationError:
+        before = b""
+    if not before.startswith(_AS_RUN.encode()):
+        raise ConfigurationError("--out", str(out), "a new or empty folder, or one with the results of a run")
+    if before != own and not force:
         allowed = "a folder without the results of another scenario, or --force to replace them"
-        raise ConfigurationError("--out", named, allowed)
+        raise ConfigurationError("--out", str(out), allowed)
     return place
 
 
@@ -145,46 +134,39 @@ def write_run(
         for name, content in files.items():
             (part / name).parent.mkdir(exist_ok=True)
             write_atomically(part / name, content)
-    except BaseException as error:
+    except BaseException:
         shutil.rmtree(beside, ignore_errors=True)
-        if isinstance(error, OSError):
-            raise ConfigurationError("--out", str(place), f"a folder to write to ({error.strerror})") from None
         raise
     try:
         if pictures and len(log.time):
             left_out = _draw(log, part)
     finally:
-        place = _put(part, log.scenario, out, force)
+        try:
+            place = _put(part, log.scenario, out, force)
+        except (ConfigurationError, OSError) as error:
+            why = error.allowed if isinstance(error, ConfigurationError) else f"a place to rename to ({error.strerror})"
+            raise ConfigurationError("--out", str(place), f"{why}; the results are in {part}") from None
+        shutil.rmtree(beside)
     return Results(place, metrics, left_out)
 
 
 def _put(part: Path, scenario: Scenario, out: str | Path | None, force: bool) -> Path:
-    """Renames a folder to its place."""
-    before = part.with_name("before.part")
-    try:
-        # The run may have taken hours: other results may be there now.
+    """Renames a folder to its place, or its files into one that is there; other results may be there by now."""
+    while True:
         place = results_place(scenario, out, force)
-        if place.exists():
-            place.rename(before)
-        part.rename(place)
-        for path in before.iterdir() if before.exists() else ():
-            if path.name not in _FILES:
-                path.rename(place / path.name)
-        shutil.rmtree(part.parent)
-    except (ConfigurationError, OSError) as error:
-        if out is None and part.exists() and place.exists():
-            return _put(part, scenario, out, force)  # another run has just taken that number
-        why = error.allowed if isinstance(error, ConfigurationError) else f"a place to rename to ({error.strerror})"
-        raise ConfigurationError("--out", str(out or scenario.name), f"{why}; the results are in {part}") from None
+        if out is not None and place.exists():
+            break
+        try:
+            return part.rename(place)
+        except OSError:
+            # Another run has just taken that number.
+            if out is not None or not place.exists():
+                raise
+    for name in _FILES:
+        (shutil.rmtree if (place / name).is_dir() else partial(Path.unlink, missing_ok=True))(place / name)
+    for path in part.iterdir():
+        path.rename(place / path.name)
     return place
-
-
-def _scenario_in(folder: Path) -> bytes | None:
-    """The scenario of the run that has left a folder; None where none has."""
-    with suppress(ConfigurationError):
-        content = read_checked(folder / "scenario.yaml", "scenario.yaml", MAX_BYTES)
-        return content if content.startswith(_AS_RUN.encode()) else None
-    return None
 
 
 def _draw(log: SimulationLog, folder: Path) -> tuple[str, ...]:
@@ -209,7 +191,7 @@ def _own_files(scenario: Scenario) -> dict[str, bytes]:
     for code, key in [(part.code, part.code_key) for part in user_parts(scenario) if part.code.in_file]:
         # Of a log from elsewhere the code may be gone; then its results do without.
         with suppress(ConfigurationError):
-            content, path = code.read(key), f"{_CODE}/{code.files[-1].stem}"
+            content, path = code.read(key), f"{_CODE}/{Path(code.place).stem}"
             # Of two files of one name the second gets a number.
             names = (f"{path}.py", *(f"{path}_{number}.py" for number in range(2, len(files) + 2)))
             here[str(code)] = next(name for name in names if files.setdefault(name, content) == content)

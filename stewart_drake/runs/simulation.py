@@ -6,34 +6,26 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stewart_drake.config import to_plain
-from stewart_drake.control.base import checked_legs
 from stewart_drake.control.user_controller import user_code
 from stewart_drake.errors import (
-    ConfigurationError,
     RunFailure,
     SafetyStop,
-    UnreachablePoseError,
     drake_guard,
     raised_at,
 )
-from stewart_drake.families import user_parts
-from stewart_drake.files.named_files import file_digests
-from stewart_drake.files.user_errors import ControllerError
+from stewart_drake.files.code import file_digests
 from stewart_drake.files.whole import plain_json
-from stewart_drake.logs.log import MAX_ROWS, SimulationLog
+from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import figures_of
-from stewart_drake.logs.outcomes import find_warnings, judge
-from stewart_drake.logs.rows import RunRows
+from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.planning.feasibility import refuse_turns
-from stewart_drake.runs.engine import Engine, quiet
-from stewart_drake.runs.motion_fit import motion_report
-from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
+from stewart_drake.runs.checks import check_scenario, refuse_too_long
+from stewart_drake.runs.engine import Engine, FastRun, quiet
+from stewart_drake.safety import first_trip
 from stewart_drake.sampling import steps_per, times_of
 from stewart_drake.scenario import Scenario, require_scenario
 
@@ -46,11 +38,9 @@ CHUNK = 0.05
 
 def engine_of(scenario: Scenario, meshcat: Meshcat | None) -> Engine:
     """The engine that a scenario asks for, see `PlantOptions.engine`."""
-    # The closed form needs no Drake, which takes seconds to import.
     if scenario.plant.engine == "reduced":
-        from stewart_drake.runs.fast_run import FastRun
-
         return FastRun(scenario, meshcat)
+    # The closed form needs no Drake, which takes seconds to import.
     from stewart_drake.runs.drake_run import DrakeRun
 
     return DrakeRun(scenario, meshcat)
@@ -112,9 +102,7 @@ def _run_engine(
     ended_by: RunFailure | KeyboardInterrupt | None = None
     start = time.perf_counter()
     try:
-        with drake_guard("simulation"), guard, quiet():
-            engine.start()
-        for done in sorted({*range(chunk, total, chunk), total, *engine.stops}):
+        for done in (*range(chunk, total, chunk), total):
             # What `progress` raises is not ours, so it stays outside of the guard.
             with drake_guard("simulation"), guard, quiet():
                 engine.advance(done)
@@ -128,26 +116,24 @@ def _run_engine(
         ended_by = RunFailure(f"{error}{raised_at(error)}", reason="singular_matrix")
     wall = time.perf_counter() - start
     trip = ended_by.trip if isinstance(ended_by, SafetyStop) else None
-    if trip is None:
-        trip = engine.first_trip()
+    if trip is None and scenario.safety is not None:
+        trip = first_trip(engine.safety_state(), scenario.controller.period, scenario.safety.monitor_names)
     when = ended_by.time if isinstance(ended_by, RunFailure) else None
     end_time = _nominal(engine.time if when is None else when, time_step)
     with quiet():
         # Metrics and outcome are those of every step of the plant, whatever rows the log keeps.
         rows = RunRows(scenario, engine.signals())
-        outcome = judge(rows, trip, end_time, ended_by)
+        outcome = assess(rows, trip, end_time, ended_by)
         warnings = tuple(plain_json(each) for each in find_warnings(outcome.status, rows, trip))
+    if outcome.outcome_time is not None:
+        outcome = outcome._replace(outcome_time=_nominal(outcome.outcome_time, time_step))
     stride = steps_per("log_period", scenario.effective_log_period, time_step)
     return SimulationLog(
         scenario=scenario,
         signals={name: values[::stride].copy() for name, values in rows.signals.items()},
         state_names=engine.state_names,
-        status=outcome.status,
-        reason=outcome.reason,
-        message=outcome.message,
-        outcome_time=None if outcome.time is None else _nominal(outcome.time, time_step),
+        **outcome._asdict(),
         end_time=end_time,
-        leg=outcome.leg,
         warnings=warnings,
         safety=trip,
         wall_time=wall,
@@ -161,73 +147,6 @@ def _run_engine(
 def _versions() -> dict[str, str | None]:
     """Of what runs in this process: it goes on with the code that it has loaded."""
     return collect_versions()
-
-
-def refuse_too_long(scenario: Scenario) -> None:
-    """Refuses a run whose rows, one for each step of the plant, are too many for memory."""
-    step = scenario.plant.time_step
-    if scenario.duration > MAX_ROWS * step * (1.0 + 1e-9):
-        allowed = f"at most {MAX_ROWS * step:g} s at a plant.time_step of {step:g} s"
-        raise ConfigurationError("duration", scenario.duration, f"{allowed}: a row for each step is kept in memory")
-
-
-def check_scenario(scenario: Scenario) -> None:
-    """Checks that the reference keeps to the limits over the whole run, and that the robot can stand at its start.
-
-    Raises:
-        InfeasibleReferenceError: Names limit, time, leg and margin.
-        ConfigurationError: The start pose is out of reach or singular; the reference grows beyond all numbers, or a
-            pose is beyond half a turn; a recording cannot be read; the motion or its start would trip the safety layer.
-    """
-    _check_motion(scenario)
-    with quiet():
-        start = scenario.start()[0]
-        refuse_turns("initial_offset", start[None], np.zeros(1))
-        try:
-            checked_legs(scenario.robot, scenario.controller.near_singularity, start)
-        except RunFailure as failure:
-            key, value = "reference", start.tolist()
-            if any(scenario.initial_offset):
-                key, value = "initial_offset", list(scenario.initial_offset)
-            raise ConfigurationError(key, value, f"a start where the robot can stand ({failure})") from None
-
-
-_PASSED: set[Any] = set()
-"""Motions that have passed: a search runs the same one a thousand times."""
-
-
-def _check_motion(scenario: Scenario) -> None:
-    """Checks the reference over the whole run, but for one that has passed before; a user's code is asked again."""
-    told = (scenario.robot, scenario.model_robot, scenario.limits, scenario.safety, scenario.gravity)
-    moves = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
-    subject = (*told, *moves, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
-    known = not user_parts(scenario)
-    if known and subject in _PASSED:
-        return
-    motion_report(scenario).raise_if_infeasible()
-    if scenario.safety is not None:
-        try:
-            with user_code(scenario), quiet():
-                _check_safety(scenario, scenario.safety)
-        except ControllerError as error:
-            names = ", ".join(scenario.safety.monitor_names)
-            raise ConfigurationError("safety.monitors", names, f"monitors that do not raise ({error})") from None
-    if known:
-        _PASSED.add(subject)
-
-
-def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
-    """Refuses what the safety layer would stop, if everything goes well."""
-    time = sample_times(scenario.duration, scenario.controller.period)
-    motion = scenario.reference.evaluate(time)
-    start, start_rate = scenario.start()
-    robot, gravity = scenario.believed_robot, scenario.gravity
-    try:
-        refuse_motion(robot, safety, gravity, time, motion)
-        refuse_start(robot, safety, gravity, start, start_rate, motion[0][0])
-    except (UnreachablePoseError, np.linalg.LinAlgError) as failure:
-        key = "reference" if scenario.model_robot is None else "model_robot"
-        raise ConfigurationError(key, "this motion", f"one that the robot can do ({failure})") from None
 
 
 def _nominal(time_on_grid: float, time_step: float) -> float:

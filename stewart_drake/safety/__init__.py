@@ -8,18 +8,11 @@ start, see `refuse_motion`.
 Torque and torque-rate limits with a named stop are libfranka's habit (`limitRate`, `controller_torque_discontinuity`).
 """
 
-from stewart_drake.safety.layer import END as END
-from stewart_drake.safety.layer import HOLD as HOLD
-from stewart_drake.safety.layer import LEVELS as LEVELS
-from stewart_drake.safety.layer import NONE as NONE
-from stewart_drake.safety.layer import NOT_THERE as NOT_THERE
-from stewart_drake.safety.layer import RAMP as RAMP
-from stewart_drake.safety.layer import SAFE_HOLD as SAFE_HOLD
-from stewart_drake.safety.layer import first_trip as first_trip
-from stewart_drake.safety.layer import safety_part as safety_part
-from stewart_drake.safety.refusals import refuse_motion as refuse_motion
-from stewart_drake.safety.refusals import refuse_start as refuse_start
-from stewart_drake.safety.refusals import sample_times as sample_times
-from stewart_drake.safety.safety_options import MONITORS as MONITORS
-from stewart_drake.safety.safety_options import SafetyInputs as SafetyInputs
-from stewart_drake.safety.safety_options import SafetyOptions as SafetyOptions
+from stewart_drake.safety.layer import HOLD, LEVELS, NONE, NOT_THERE, RAMP, SAFE_HOLD, first_trip, safety_part
+from stewart_drake.safety.limits import refuse_motion, refuse_start, sample_times
+from stewart_drake.safety.safety_options import MONITORS, SafetyInputs, SafetyOptions
+
+__all__ = [
+    "HOLD", "LEVELS", "MONITORS", "NONE", "NOT_THERE", "RAMP", "SAFE_HOLD", "SafetyInputs", "SafetyOptions",
+    "first_trip", "refuse_motion", "refuse_start", "safety_part", "sample_times",
+]  # fmt: skip

@@ -1,4 +1,8 @@
-"""A tick of the safety layer, compiled: its levels, its reactions, and the part of a loop."""
+"""A tick of the safety layer, compiled: its monitors, its levels and reactions, and the part of a loop.
+
+Where what is measured breaks a limit the robot is taken from its controller; where a message is wrong the last good
+command is held.
+"""
 
 from __future__ import annotations
 
@@ -7,43 +11,44 @@ from typing import Any, cast
 
 import numpy as np
 
-from stewart_drake.errors import FAILURES, SafetyStop
+from stewart_drake.errors import FAILURES, SafetyStop, failure_code
 from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import static_torque
-from stewart_drake.mechanics.kinematics_laws import LEGS, robot_record
 from stewart_drake.part import WELL, Part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.safety.monitors import (
-    FROZEN,
+from stewart_drake.safety.limits import (
+    COMMAND,
+    CONTROLLER,
+    DEADLINE,
     INNOVATION,
-    NOTHING_FROZEN,
+    MEASUREMENT,
     QUIET,
+    READING,
     SEEN,
+    SENSOR,
     TORQUE_LIMIT,
     TORQUE_RATE,
     broken,
-    failed,
-    frozen,
-    measured,
     see,
     setup_of,
-    unexplained,
-    unusable,
 )
 from stewart_drake.safety.safety_options import MEANINGS, MONITORS, SafetyInputs, SafetyOptions
 
 LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
-
+FROZEN = failure_code("frozen")
+ABSURD = 10.0
+"""A command of so many times the limit is an error of the controller and no wish for torque."""
 REFILL = 0.05
 """Ticks by which the budget of holding recovers in a good tick, so that a fault that flickers uses it up too."""
 USABLE_TRANSMISSION, USABLE_CONDITIONING = 0.02, 0.01
 """Nearer to a singularity the weight's torque is not trusted any more, and the last one stays."""
 _ROUNDING = 1e-9
 
-SAFETY_STATE = fields(
+_STATE = fields(
     torque=6, safety=3, good=6, weight=6, held=(), at_limit=(), too_fast=(), unexplained=(), since=(), side=(),
-    ticks=(), first=5, worst=(), command=6, acceleration=(), readings=6, anchors=(6, 6), encoders=(),
+    ticks=(), first=5, worst=(), command=6, readings=6, anchors=(6, 6), encoders=(),
 )  # fmt: skip
 """torque: for the motors [N m]. safety: numbers of level in `LEVELS` and monitor in `MONITORS`, leg or -1. good: last
 good command, one that no limit touched [N m]. weight: last torque that carried the robot's weight [N m]. held: ticks of
@@ -51,8 +56,7 @@ holding, less what good ones gave back; while stopping, ticks without a measurem
 ticks at the torque limit, of commands that jumped and of innovations that were too large, less good ones. since: ticks
 of ramp and safe hold. side: sign of the rods' determinant at the start, 0 before the first tick. ticks: done. first:
 monitor, level, leg, tick and cause in `FAILURES` of the first trip, zeros before. worst: highest level so far. command:
-that of the last tick, if it was finite [N m]. acceleration: see `monitors.unexplained` [rad/s^2]. readings, anchors,
-encoders: see `monitors.frozen`."""
+that of the last tick, if it was finite [N m]. readings, anchors, encoders: see `_frozen`."""
 
 GOES_ON, BLIND, RUNAWAY, HELD = range(4)
 """How a tick ends: the run goes on, or is over: blind, with a robot that runs away, or held for long enough."""
@@ -68,29 +72,96 @@ NOT_THERE = {
 """What stands at a port for which a loop has no signal."""
 
 
+# --- messages ---------------------------------------------------------------------------------------------------------
+
+
 @njit
-def safety_tick(
+def _failed(setup: Any, cause: float) -> bool:
+    """Whether a sensor or controller has failed; a reading that is stuck has switches of its own."""
+    return cause == FROZEN or (setup.failures != 0.0 and cause != 0.0)
+
+
+@njit
+def _whole(value: float) -> int:
+    return int(value) if np.isfinite(value) else -1
+
+
+@njit
+def _unusable(setup: Any, command: Any, is_measured: bool, age: float, sensor: Any, controller: Any) -> Any:
+    """What is wrong with this tick's messages, apart from what they say: monitor or `QUIET`, leg or -1, cause or 0."""
+    if setup.finite != 0.0 and not is_measured:
+        return MEASUREMENT, -1, 0
+    stuck = sensor[0] == FROZEN
+    if not stuck and _failed(setup, sensor[0]):
+        return SENSOR, _whole(sensor[1]), _whole(sensor[0])
+    if _failed(setup, controller[0]):
+        return CONTROLLER, _whole(controller[1]), _whole(controller[0])
+    largest, leg = 0.0, 0
+    for i in range(6):
+        if setup.finite != 0.0 and not np.isfinite(command[i]):
+            return COMMAND, i, 0
+        share = abs(command[i]) / setup.torque_limit[i]
+        if share > largest:
+            largest, leg = share, i
+    if not age <= setup.deadline:
+        return DEADLINE, -1, 0
+    if largest > ABSURD:
+        return TORQUE_LIMIT, leg, 0
+    return (READING, int(sensor[1]), 0) if stuck else (QUIET, -1, 0)
+
+
+_NOTHING_FROZEN = -2
+
+
+@njit
+def _frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, state: Any, legs: Any) -> int:
+    """Looks for a reading that stays the same while things move: its leg, -1 for a pose, or `_NOTHING_FROZEN`.
+
+    Its sensor is frozen, or friction holds the crank, or the platform, that it reads: six encoders measure six degrees
+    of freedom, so they can never contradict each other and nobody can tell which. Nor can anybody tell while the robot
+    stands still. A crank that friction holds where it turns back does not count: it stands about where it is wanted.
+
+    Readings are angles (6,) [rad] of encoders, NaN from the start where there are none, or else the pose (6,). The
+    state has `readings` (6,) of the tick before; for each of them in `anchors` (6, 6) what it is compared with as it
+    was when the reading changed; and whether there are `encoders`.
+    """
+    if state.encoders == 0.0 and np.isfinite(angles).any():
+        state.encoders = 1.0
+    if state.encoders == 0.0:
+        if not (pose == state.readings).all():
+            state.anchors[0] = reference
+        state.readings[:] = pose
+        return -1 if (np.abs(reference - state.anchors[0]) > setup.frozen_pose).any() else _NOTHING_FROZEN
+    limit, leg, farthest = setup.frozen_encoder, _NOTHING_FROZEN, 0.0
+    for i in range(6):
+        # NaN never equals itself; the monitor `measurement_not_finite` looks for it.
+        if angles[i] != state.readings[i]:
+            state.anchors[i] = angles
+        # How far the last but one has turned: one that jumps would make all that stand still look frozen.
+        most, travel = 0.0, 0.0
+        for k in range(6):
+            moved = abs(angles[k] - state.anchors[i, k])
+            moved = moved if moved < np.inf else np.inf
+            most, travel = max(most, moved), max(travel, min(most, moved))
+        if max(limit, farthest) < travel < np.inf:
+            # Within a quarter of the limit of where it is wanted a crank stands; out of reach nobody can say.
+            laws.legs_at(robot, reference, legs)
+            off = angles[i] - np.arctan2(legs.sine[i], legs.cosine[i])
+            if legs.reach[i] < 0.0 or abs((off + np.pi) % (2.0 * np.pi) - np.pi) > 0.25 * limit:
+                leg, farthest = i, travel
+    state.readings[:] = angles
+    return leg
+
+
+# --- a tick -----------------------------------------------------------------------------------------------------------
+
+
+@njit
+def _tick(
     robots: Any, setups: Any, command: Any, measurement: Any, reference: Any, age: Any, sensor: Any, controller: Any,
     angles: Any, innovation: Any, pose_reading: Any, own: Any, leg_records: Any, seens: Any, states: Any,
 ) -> Any:  # fmt: skip
-    """One tick of the safety layer.
-
-    Args:
-        robots: `ROBOT` record, as believed.
-        setups: `monitors.SETUP` record.
-        command: (6,) [N m] of the controller.
-        measurement: (12,) pose [rad, m] and its rate.
-        reference: (18,) of which the pose is compared.
-        age: (1,) [ticks] of the command.
-        sensor: (2,) health of the estimator, see `part.guarded`.
-        controller: (2,) health of the controller.
-        angles: (6,) [rad] readings of encoders, or NaN.
-        innovation: (6,) [rad] of an observer, or NaN.
-        pose_reading: (12,) of a sensor of the pose behind which an observer stands, or NaN.
-        own: (2,) monitor of the user's own that trips, and its leg; zeros for none.
-        leg_records: `LEGS` record, overwritten.
-        seens: `monitors.SEEN` record, overwritten.
-        states: `SAFETY_STATE` record, in place.
+    """One tick; ports as of `systems.SafetyLayer`, `own` (2,) a monitor of the user's own that trips, and its leg.
 
     Returns:
         GOES_ON, BLIND, RUNAWAY or HELD, and the fastest crank [rad/s].
@@ -98,76 +169,81 @@ def safety_tick(
     robot, setup, legs, seen, state = (
         record(robots), record(setups), record(leg_records), record(seens), record(states),
     )  # fmt: skip
-    health, wanted = sensor.copy(), reference[:6]
-    pose = pose_reading[:6] if pose_reading[0] == pose_reading[0] else measurement[:6]
-    leg = frozen(robot, setup, angles, pose, wanted, state, legs)
-    if leg != NOTHING_FROZEN:
+    pose, rate, wanted, health = measurement[:6], measurement[6:], reference[:6], sensor.copy()
+    read = pose_reading[:6] if pose_reading[0] == pose_reading[0] else pose
+    leg = _frozen(robot, setup, angles, read, wanted, state, legs)
+    if leg != _NOTHING_FROZEN:
         health[0], health[1] = FROZEN, leg
     state.ticks += 1.0
-    state.acceleration = unexplained(setup, innovation)
-    is_measured = measured(setup, measurement)
-    is_seen = is_measured and not failed(setup, health[0])
+    is_measured = np.isfinite(rate).all() and np.isfinite(pose + setup.horizon * rate).all()
+    is_seen = is_measured and not _failed(setup, health[0])
     if is_seen:
-        see(robot, setup.home, setup.horizon, measurement[:6], measurement[6:], wanted, state.side, legs, seen)
-        _weigh(robot, setup, legs, seen, state)
+        see(robot, setup, pose, rate, wanted, state.side, legs, seen)
+        if state.side == 0.0:
+            state.side = seen.side
+        far = seen.least_transmission > USABLE_TRANSMISSION and abs(seen.conditioning) > USABLE_CONDITIONING
+        torque = np.empty(6)
+        if seen.reached > 0.0 and far and static_torque(robot, legs, setup.gravity, torque):
+            state.weight[:] = torque
     if state.safety[0] >= RAMP:
         return _stop(setup, is_seen, seen, state)
-
     monitor, level, leg, cause = QUIET, RAMP, -1, 0
     if is_seen:
-        monitor, leg = broken(setup, seen)
+        monitor, leg = broken(seen)
     if monitor == QUIET:
         level = HOLD
-        monitor, leg, cause = unusable(setup, command, is_measured, age[0], health, controller)
+        monitor, leg, cause = _unusable(setup, command, is_measured, age[0], health, controller)
     if monitor == QUIET:
         level = RAMP
         if is_seen and own[0] > 0.0:
             monitor, leg = int(own[0]), int(own[1])
         else:
-            monitor, leg = _pass_on(setup, command, state)
+            monitor, leg = _pass_on(setup, command, innovation, state)
     if monitor == QUIET:
         return GOES_ON, 0.0
-    return _react(setup, monitor, level, leg, cause, is_seen, seen, state)
+    # Holds where that may still be done, else begins to ramp.
+    state.held += 1.0
+    if level == HOLD and state.held > setup.budget:
+        level = RAMP
+    state.safety[0], state.safety[1], state.safety[2] = level, monitor, leg
+    state.worst = max(state.worst, float(level))
+    if state.first[0] == 0.0:
+        first = state.first
+        first[0], first[1], first[2], first[3], first[4] = monitor, level, leg, state.ticks - 1.0, cause
+    if level == RAMP:
+        return _stop(setup, is_seen, seen, state)
+    state.torque[:] = _led(setup, state.good, state)
+    return GOES_ON, 0.0
 
 
 @njit
-def _weigh(robot: Any, setup: Any, legs: Any, seen: Any, state: Any) -> None:
-    """Keeps the torque that carries the robot where it is seen, and the side on which it started."""
-    if state.side == 0.0:
-        state.side = seen.side
-    far = seen.transmission.min() > USABLE_TRANSMISSION and abs(seen.conditioning) > USABLE_CONDITIONING
-    torque = np.empty(6)
-    if seen.reached > 0.0 and far and static_torque(robot, legs, setup.gravity, torque):
-        state.weight[:] = torque
+def _counted(ticks: float, bad: bool) -> float:
+    return max(0.0, ticks + (1.0 if bad else -1.0))
 
 
 @njit
-def _pass_on(setup: Any, command: Any, state: Any) -> tuple[int, int]:
+def _pass_on(setup: Any, command: Any, innovation: Any, state: Any) -> tuple[int, int]:
     """Passes a command on within the limits; a monitor that finds this has gone on for too long, and its leg."""
-    period, jump = setup.period, _largest_change(setup, state) * (1.0 + _ROUNDING)
-    torque, full, steep, most_full, most_steep = np.empty(6), False, False, 0, 0
+    size, change, limit, largest = np.abs(command), np.abs(command - state.command), setup.torque_limit, 0.0
+    full = (size >= limit * (1.0 - _ROUNDING)).any()
+    steep = (change > _largest_change(setup, state) * (1.0 + _ROUNDING)).any()
     for i in range(6):
-        limit, change = setup.torque_limit[i], abs(command[i] - state.command[i])
-        torque[i] = min(max(command[i], -limit), limit)
-        full = full or abs(command[i]) >= limit * (1.0 - _ROUNDING)
-        steep = steep or change > jump
-        if abs(command[i]) / limit > abs(command[most_full]) / setup.torque_limit[most_full]:
-            most_full = i
-        if change > abs(command[most_steep] - state.command[most_steep]):
-            most_steep = i
-    if steep:
-        # Led after it, a command that chatters would leave a mean torque that nobody asked for.
-        torque[:] = state.good
+        # NaN is never larger.
+        if abs(innovation[i]) > largest:
+            largest = abs(innovation[i])
+    # [rad/s^2] of a crank that the largest innovation speaks of, beyond noise.
+    acceleration = (largest - setup.innovation_noise) / setup.innovation_scale
+    state.at_limit, state.too_fast = _counted(state.at_limit, full), _counted(state.too_fast, steep)
+    state.unexplained = _counted(state.unexplained, acceleration > setup.innovation)
     state.command[:] = command
-    state.at_limit = max(0.0, state.at_limit + (1.0 if full else -1.0))
-    state.too_fast = max(0.0, state.too_fast + (1.0 if steep else -1.0))
-    state.unexplained = max(0.0, state.unexplained + (1.0 if state.acceleration > setup.innovation else -1.0))
-    if state.at_limit * period > setup.torque_limit_time + _ROUNDING:
-        return TORQUE_LIMIT, most_full
-    if state.too_fast * period > setup.torque_rate_time + _ROUNDING:
-        return TORQUE_RATE, most_steep
-    if state.unexplained * period > setup.innovation_time + _ROUNDING:
+    if state.at_limit * setup.period > setup.torque_limit_time + _ROUNDING:
+        return TORQUE_LIMIT, (size / limit).argmax()
+    if state.too_fast * setup.period > setup.torque_rate_time + _ROUNDING:
+        return TORQUE_RATE, change.argmax()
+    if state.unexplained * setup.period > setup.innovation_time + _ROUNDING:
         return INNOVATION, -1
+    # Led after it, a command that chatters would leave a mean torque that nobody asked for.
+    torque = state.good.copy() if steep else np.minimum(np.maximum(command, -limit), limit)
     led = _led(setup, torque, state)
     if not (full or steep) and (led == torque).all():
         state.good[:] = torque
@@ -194,30 +270,13 @@ def _led(setup: Any, torque: Any, state: Any) -> Any:
 
 
 @njit
-def _react(setup: Any, monitor: int, level: int, leg: int, cause: int, is_seen: bool, seen: Any, state: Any) -> Any:
-    """Holds where that may still be done, else begins to ramp."""
-    state.held += 1.0
-    if level == HOLD and state.held > setup.budget:
-        level = RAMP
-    state.safety[0], state.safety[1], state.safety[2] = level, monitor, leg
-    state.worst = max(state.worst, float(level))
-    if state.first[0] == 0.0:
-        first = state.first
-        first[0], first[1], first[2], first[3], first[4] = monitor, level, leg, state.ticks - 1.0, cause
-    if level == RAMP:
-        return _stop(setup, is_seen, seen, state)
-    state.torque[:] = _led(setup, state.good, state)
-    return GOES_ON, 0.0
-
-
-@njit
 def _stop(setup: Any, is_seen: bool, seen: Any, state: Any) -> Any:
     """Ramp and safe hold: from the last good command to the weight's torque, damped from the first tick on."""
     state.since += 1.0
     if not is_seen and state.held >= setup.budget:
         # Nobody can hold this robot without seeing it: an open loop falls over within half a second.
         return BLIND, 0.0
-    speed, torque, elapsed = np.zeros(6), np.empty(6), state.since * setup.period
+    speed, elapsed, limit = np.zeros(6), state.since * setup.period, setup.most_torque
     if is_seen and seen.reached > 0.0:
         speed[:] = seen.speed
     fastest = np.abs(speed).max()
@@ -226,15 +285,15 @@ def _stop(setup: Any, is_seen: bool, seen: Any, state: Any) -> Any:
     if elapsed > setup.ramp_time + setup.safe_hold_time + _ROUNDING:
         return HELD, 0.0
     share = min(1.0, elapsed / setup.ramp_time)
-    for i in range(6):
-        limit = setup.most_torque[i]
-        wanted = (1.0 - share) * state.good[i] + share * state.weight[i] - setup.damping * speed[i]
-        torque[i] = min(max(wanted, -limit), limit)
-    state.torque[:] = _led(setup, torque, state)
+    wanted = (1.0 - share) * state.good + share * state.weight - setup.damping * speed
+    state.torque[:] = _led(setup, np.minimum(np.maximum(wanted, -limit), limit), state)
     state.safety[0] = SAFE_HOLD if share >= 1.0 else RAMP
     state.worst = max(state.worst, state.safety[0])
     state.held = 0.0 if is_seen else state.held + 1.0
     return GOES_ON, 0.0
+
+
+# --- the part ---------------------------------------------------------------------------------------------------------
 
 
 def safety_part(
@@ -246,33 +305,27 @@ def safety_part(
     quantum: float = 0.0,
     innovation_scale: tuple[float, float] = (0.0, 1.0),
 ) -> Part:
-    """The safety layer, see `safety_tick` for its inputs; `torque` (6,) [N m] for the motors, `safety` (3,).
+    """The safety layer, see `systems.SafetyLayer` for its ports.
 
     Its ports for which a loop may have no signal read `NOT_THERE`, unless `reads` is replaced. `initial` (6,) [N m] are
     held where the very first command is bad; `quantum` [rad] is a count of the encoders; for `innovation_scale` see
-    `observer.innovation_scale`.
+    `EstimatorOptions.innovation_scale`.
     """
-    own, setup = robot_record(robot), setup_of(robot, options, gravity, period, quantum, innovation_scale)
-    none = np.full((6, 6), np.nan)
-    first = new_record(
-        SAFETY_STATE,
-        torque=initial,
-        safety=(NONE, QUIET, -1.0),
-        good=initial,
-        weight=initial,
-        command=initial,
-        readings=none[0],
-        anchors=none,
-    )
-    nothing, legs, seen, law = np.zeros(2), np.empty(1, LEGS), np.empty(1, SEEN), cast(Any, safety_tick)
+    setup, none = setup_of(robot, options, gravity, period, quantum, innovation_scale), np.full((6, 6), np.nan)
+    held = dict.fromkeys(("torque", "good", "weight", "command"), initial)
+    first = new_record(_STATE, **held, safety=(NONE, QUIET, -1.0), readings=none[0], anchors=none)
+    own, nothing, law = laws.robot_record(robot), np.zeros(2), cast(Any, _tick)
+    legs, seen = np.empty(1, laws.LEGS), np.empty(1, SEEN)
 
     def tick(*ports: np.ndarray) -> None:
         *inputs, state = ports
         trip = None
         if options.monitors and np.isfinite(inputs[1]).all():
-            command, measured_now, wanted, age, sensor, controller, *_ = inputs
-            pose, rate, health = measured_now[:6], measured_now[6:], (tuple(sensor), tuple(controller))
-            trip = options.first_own(SafetyInputs(command, pose, rate, wanted[:6], float(age[0]), *health))
+            command, measured, wanted, age, sensor, controller, *_ = inputs
+            health = tuple(sensor), tuple(controller)
+            trip = options.first_own(
+                SafetyInputs(command, measured[:6], measured[6:], wanted[:6], float(age[0]), *health)
+            )
         asked = nothing if trip is None else np.array(trip, dtype=float)
         status, fastest = law(own, setup, *inputs, asked, legs, seen, state)
         if status != GOES_ON:
@@ -298,12 +351,7 @@ def _stopped(options: SafetyOptions, period: float, status: int, fastest: float,
 
 
 def first_trip(state: np.ndarray, period: float, names: Sequence[str] = MONITORS) -> dict[str, Any] | None:
-    """What the layer has to tell of a run; None where no monitor tripped.
-
-    Args:
-        state: `SAFETY_STATE` record of the last tick.
-        period: [s] of the ticks.
-        names: Of the monitors, see `SafetyOptions.monitor_names`.
+    """What the layer's last state has to tell of a run of ticks of a period [s]; None where no monitor tripped.
 
     Returns:
         monitor, level, time [s], leg (or None) and cause (or None) of the first trip; worst, the highest level; last,

@@ -86,10 +86,7 @@ def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
             still = holding_torque(setup.robot, pose, setup.gravity)
             side, memory = _controllers_side(scenario, setup._replace(pose=pose, still=still), reading)
             robot = PlantAt(*(each[k] for each in plants))
-            found = _loop(robot, reading, by_state, side, memory, setup.delay)
-            if found is None:
-                raise RunFailure(f"the loop does not stand still at {pose.tolist()}", reason="standstill")
-            results.append(found)
+            results.append(_loop(robot, reading, by_state, side, memory, setup.delay, pose))
             kept.append(k)
         except (RunFailure, UnreachablePoseError) as error:
             left_out.append(str(error))
@@ -108,10 +105,7 @@ def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
 class PlantAt(NamedTuple):
     """The robot near poses at rest; its state is pose and rate less those of the point.
 
-    Attributes:
-        a: (m, 12, 12).
-        b: (m, 12, 6) per N m.
-        torque: (m, 6) [N m] that holds it there.
+    A is (m, 12, 12), B (m, 12, 6) per N m, and the torques (m, 6) [N m] hold it there.
     """
 
     a: np.ndarray
@@ -181,40 +175,41 @@ _LINEAR = {
 """Section -> kind -> fields of its part's state that it says, and those on which its next tick depends."""
 
 
-class _Ticking(NamedTuple):
-    """A part near a standstill, and the places in its state of what it says and of what it keeps."""
-
-    part: Part
-    says: np.ndarray
-    keeps: np.ndarray
-
-    def tick(self, kept: np.ndarray, ports: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """What it says, and what it keeps after a tick, from what it kept before."""
-        state = self.part.initial.copy()
-        flat = state.view(float)
-        flat[self.keeps] = kept
-        self.part.tick(*(ports[name] for name in self.part.inputs), state)
-        return flat[self.says], flat[self.keeps]
+_Tick = Callable[[np.ndarray, Mapping[str, np.ndarray]], tuple[np.ndarray, np.ndarray]]
 
 
-def _ticking(section: str, options: Any, setup: Setup) -> _Ticking | None:
-    """The part of a section; None of an estimator whose reading is the measurement."""
+def _ticking(section: str, options: Any, setup: Setup, ports: Mapping[str, np.ndarray]) -> tuple[_Tick, np.ndarray]:
+    """A section's part near a standstill: what it kept and its ports -> what it says and keeps; what it keeps first."""
     table = _LINEAR[section]
     if options.kind not in table:
         *most, last = table
         allowed = f"{', '.join(most)} or {last}, for a linear loop"
         raise ConfigurationError(f"{section}.kind", options.kind, allowed)
-    for part in options.parts(setup):
-        layout = part.initial.dtype.fields
-        says, keeps = (
-            np.concatenate([layout[name][1] // 8 + np.arange(part.size(name)) for name in names.split()])
-            for names in table[options.kind]
-        )
-        if options.kind == "observer":
-            # Of the commands it has place for more than are under way.
-            keeps = keeps[: 18 + 6 * (1 + options.ahead(setup.delay))]
-        return _Ticking(part._replace(initial=part.initial.copy()), says, keeps)
-    return None
+    parts = options.parts(setup)
+    if not parts:
+        # An estimator whose reading is the measurement.
+        return lambda kept, ports: (ports["reading"], kept), np.zeros(0)
+    part: Part = parts[0]
+    initial, layout = part.initial.copy(), part.initial.dtype.fields
+    says, keeps = (
+        np.concatenate([layout[name][1] // 8 + np.arange(part.size(name)) for name in names.split()])  # type: ignore[index]
+        for names in table[options.kind]
+    )
+    if options.kind == "observer":
+        # Of the commands it has place for more than are under way.
+        keeps = keeps[: 18 + 6 * (1 + options.ahead(setup.delay))]
+    if section == "estimator":
+        # Its first tick is another than those that follow.
+        part.tick(*(ports[name] for name in part.inputs), initial)
+
+    def tick(kept: np.ndarray, ports: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        state = initial.copy()
+        flat = state.view(float)
+        flat[keeps] = kept
+        part.tick(*(ports[name] for name in part.inputs), state)
+        return flat[says], flat[keeps]
+
+    return tick, initial.view(float)[keeps]
 
 
 def _controllers_side(
@@ -224,32 +219,27 @@ def _controllers_side(
 
     Memory is what estimator and controller keep, and the last command. Also the memory at first.
     """
-    estimator = _ticking("estimator", scenario.estimator, setup)
-    controller = _ticking("controller", scenario.controller, setup)
-    assert controller is not None
     expected = scenario.estimator.expected * scenario.tuner.levels[0]
     ports = {
         # Without friction the reference says nothing to an observer.
         "reference": np.concatenate([setup.pose, np.zeros(12)]),
         "disturbance": np.array([expected]),
         "weights": np.array(setup.weights),
+        "reading": reading,
+        "sent": setup.still,
     }
-    if estimator is not None:
-        # Its first tick is another than those that follow.
-        first = ports | {"reading": reading, "sent": setup.still}
-        estimator.part.tick(*(first[name] for name in estimator.part.inputs), estimator.part.initial)
-    own = 0 if estimator is None else len(estimator.keeps)
+    estimate, estimated = _ticking("estimator", scenario.estimator, setup, ports)
+    control, integral = _ticking("controller", scenario.controller, setup, ports)
+    ends = np.cumsum([len(reading), len(estimated), len(integral)])
 
     def side(inputs: np.ndarray) -> np.ndarray:
-        said, kept, integral, sent = np.split(inputs, np.cumsum([len(reading), own, len(controller.keeps)]))
-        if estimator is not None:
-            said, kept = estimator.tick(kept, ports | {"reading": said, "sent": sent})
-        command, integral = controller.tick(integral, ports | {"measurement": said[:12]})
+        said, kept, integral, sent = np.split(inputs, ends)
+        said, kept = estimate(kept, ports | {"reading": said, "sent": sent})
+        command, integral = control(integral, ports | {"measurement": said[:12]})
         # Behind what it says of the platform an observer has a compensation for the command.
         return np.concatenate([kept, integral, command + said[12:] if len(said) > 12 else command])
 
-    parts = [controller] if estimator is None else [estimator, controller]
-    return side, np.concatenate([each.part.initial.view(float)[each.keeps] for each in parts])
+    return side, np.concatenate([estimated, integral])
 
 
 # --- the loop --------------------------------------------------------------------------------------------------------
@@ -262,8 +252,9 @@ def _loop(
     side: Callable[[np.ndarray], np.ndarray],
     memory: np.ndarray,
     delay: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """A, B, C where the loop stands still, found by Newton's method; None where it does not.
+    pose: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A, B, C where the loop stands still, found by Newton's method; a RunFailure where it does not.
 
     The state is the plant's, the controller's side's with the last command at its end, older commands.
     """
@@ -293,7 +284,7 @@ def _loop(
             )
         if not np.isfinite(x).all():
             break
-    return None
+    raise RunFailure(f"the loop does not stand still at {pose.tolist()}", reason="standstill")
 
 
 def _derivatives(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

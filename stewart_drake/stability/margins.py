@@ -4,20 +4,33 @@ S = (I + L)^-1 and T = I - S, L from a motor's torque round the loop. A motor i 
 leaves the loop stable for every f_i = (1 + d_i / 2) / (1 - d_i / 2) with complex |d_i| < alpha, the disk margin: alone
 alpha = 1 / max|(S_ii - T_ii) / 2|, all at once alpha = 1 / max mu((S - T) / 2), mu for diagonal perturbations. Source:
 P. Seiler, A. Packard, P. Gahinet, "An introduction to disk margins" (IEEE Control Systems 40(5), 2020), skew 0.
+
+mu(M) = 1 / min{|Delta| : det(I - M Delta) = 0, Delta diagonal}. Above it lies sigma_max(D M D^-1) for every positive
+diagonal D, below it the spectral radius of Q M for every diagonal unitary Q. The upper bound is convex in log D.
+Source: A. Packard, J. Doyle, "The complex structured singular value" (Automatica 29, 1993).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import matrix_balance, schur
+from scipy.optimize import minimize
 
 from stewart_drake.stability.linear_loop import LinearLoops
-from stewart_drake.stability.structured_value import balanced, lower_bound, refined, upper_bound
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 _SLOWEST = 0.1
 """Of the slowest closed-loop pole's frequency, where the grid of frequencies begins; it ends at Nyquist's."""
+_SWEEPS = 5
+_POWER = 32.0
+"""Of the singular values whose sum stands for the largest one: that alone has corners."""
+HEADER = ("", "one motor: least", "5 %", "median", "all at once: least", "5 %", "median")
+_POSE = ("roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m")
 
 
 class Margins(NamedTuple):
@@ -163,3 +176,152 @@ def _lag(disks: np.ndarray, complementary: np.ndarray, logs: np.ndarray) -> np.n
     size = upper_bound(complementary, logs)
     chord = np.arcsin(0.5 / np.maximum(size, 0.5))
     return np.where(size < 0.5, np.inf, 2.0 * np.maximum(chord, np.arctan(0.5 * disks)))
+
+
+# --- structured singular value ---------------------------------------------------------------------------------------
+
+
+def balanced(matrices: np.ndarray) -> np.ndarray:
+    """The log D (..., n) that makes the Frobenius norm of D M D^-1 small, nearly the best for sigma_max too.
+
+    E. Osborne, "On pre-conditioning of matrices" (J. ACM 7, 1960), row by row.
+    """
+    n = matrices.shape[-1]
+    squares = np.abs(matrices) ** 2 * (1.0 - np.eye(n)) + np.finfo(float).tiny
+    logs = np.zeros(squares.shape[:-1])
+    for i in np.tile(np.arange(n), _SWEEPS):
+        # Row i grows by e^2s, column i shrinks by it.
+        step = 0.25 * np.log(squares[..., i].sum(axis=-1) / squares[..., i, :].sum(axis=-1))
+        logs[..., i] += step
+        squares[..., i, :] *= np.exp(2.0 * step)[..., None]
+        squares[..., i] /= np.exp(2.0 * step)[..., None]
+    return logs
+
+
+def refined(matrix: np.ndarray, logs: np.ndarray) -> np.ndarray:
+    """The log D (n,) at which `upper_bound` of one matrix (n, n) is smallest, from one near it; never worse."""
+
+    def smooth(d: np.ndarray) -> tuple[float, np.ndarray]:
+        """log(sum sigma^2p) / 2p of D M D^-1, and its derivative by log D."""
+        left, sigma, right = np.linalg.svd(_scaled(matrix, d))
+        share = (sigma / sigma[0]) ** (2.0 * _POWER)
+        value = np.log(sigma[0]) + np.log(share.sum()) / (2.0 * _POWER)
+        share /= share.sum()
+        return float(value), (np.abs(left) ** 2) @ share - share @ (np.abs(right) ** 2)
+
+    best: np.ndarray = minimize(smooth, logs, jac=True, method="BFGS", options={"gtol": 1e-4}).x
+    return best if upper_bound(matrix, best) < upper_bound(matrix, logs) else logs
+
+
+def upper_bound(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
+    """sigma_max(D M D^-1) (...) of matrices (..., n, n) for log D (..., n); no mu is above it, whatever D."""
+    return np.linalg.svd(_scaled(matrices, logs), compute_uv=False)[..., 0]
+
+
+def lower_bound(matrix: np.ndarray, logs: np.ndarray) -> float:
+    """Spectral radius of Q M (n, n), the larger of two unitary Q; mu is not below it.
+
+    One Q is the identity, the other turns the left singular vector of D M D^-1 onto the right one, element by element:
+    where the largest singular value is simple at the best D, that gives mu itself.
+    """
+    left, _, right = np.linalg.svd(_scaled(matrix, logs))
+    turn = np.exp(-1j * np.angle(right[0] * left[:, 0]))
+    return float(max(np.abs(np.linalg.eigvals(each)).max() for each in (matrix, turn[:, None] * matrix)))
+
+
+def _scaled(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
+    return np.exp(logs[..., :, None] - logs[..., None, :]) * matrices
+
+
+# --- what the margins of many poses leave ----------------------------------------------------------------------------
+
+
+def quantities(found: LoopMargins, period: float) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
+    """Each margin: its key, its name with unit, (m,) of the worst motor alone, (m,) of all at once; period [s]."""
+    for key, name, field, scale in (
+        ("disk", "disk margin [-]", "disk", 1.0),
+        ("gain_low", "gain down to [-]", "gain_low", 1.0),
+        ("gain_high", "gain up to [-]", "gain_high", 1.0),
+        ("phase_deg", "phase [deg]", "phase", 180.0 / np.pi),
+        ("delay_s", "delay [s]", "delay", 1.0),
+        ("delay_ticks", "delay [ticks]", "delay", 1.0 / period),
+    ):
+        alone = getattr(found.single, field)
+        worst = alone.max(axis=-1) if key == "gain_low" else alone.min(axis=-1)
+        yield key, name, scale * worst, scale * getattr(found.all_at_once, field)
+
+
+def spread(values: np.ndarray, most: bool) -> tuple[float, float, float]:
+    """The worst of values (m,), what all but 5 % reach, and the median; `most`: whether the largest is worst."""
+    worst, tail = (values.max(), 0.95) if most else (values.min(), 0.05)
+    return float(worst), float(np.quantile(values, tail, method="inverted_cdf")), float(np.median(values))
+
+
+def table(found: LoopMargins, period: float) -> list[tuple[str, ...]]:
+    """Rows of texts under `HEADER`."""
+    rows = []
+    for key, name, alone, together in quantities(found, period):
+        numbers = [each for values in (alone, together) for each in spread(values, key == "gain_low")]
+        if key == "delay_s":
+            name, numbers = "delay [ms]", [1e3 * each for each in numbers]
+        rows.append((name, *(f"{each:.3g}" for each in numbers)))
+    return rows
+
+
+def facts(loops: LinearLoops, found: LoopMargins) -> list[tuple[str, str]]:
+    """What else there is to say, as rows of two texts."""
+    stable, worst = found.radius < 1.0, int(found.all_at_once.disk.argmin())
+    pose = ", ".join(f"{each:.4g}" for each in loops.poses[worst])
+    grid = found.frequencies
+    rows = [
+        ("stable", f"{stable.sum()} of {len(stable)} poses; spectral radius at most {found.radius.max():.5f}"),
+        ("worst pose, all at once", f"{pose} [rad, m], at {found.frequency[worst]:.3g} rad/s"),
+        ("bounds of mu", f"apart by at most {100.0 * gap(found):.2g} % where it decides"),
+        ("frequencies", f"{len(grid)} from {grid[0]:.3g} to {grid[-1]:.4g} rad/s"),
+    ]
+    if loops.left_out:
+        rows.append(("left out", f"{len(loops.left_out)} poses, such as: {loops.left_out[0]}"))
+    return rows
+
+
+def gap(found: LoopMargins) -> float:
+    """[-] by how much disk margins all at once may be larger than stated, as a share; 0 where no loop is stable."""
+    stable = found.radius < 1.0
+    return float(np.max(found.not_above[stable] / found.all_at_once.disk[stable] - 1.0, initial=0.0))
+
+
+def document(loops: LinearLoops, found: LoopMargins) -> dict[str, Any]:
+    """All that `table` and `facts` say, as plain values; no margin without end has a number."""
+
+    def plain(values: np.ndarray, most: bool) -> list[float | None]:
+        return [each if np.isfinite(each) else None for each in spread(values, most)]
+
+    worst = int(found.all_at_once.disk.argmin())
+    return {
+        "poses": len(loops.poses),
+        "left_out": len(loops.left_out),
+        "stable": int((found.radius < 1.0).sum()),
+        "spectral_radius": float(found.radius.max()),
+        "period_s": loops.period,
+        "worst_pose": loops.poses[worst].tolist(),
+        "worst_frequency_rad_s": float(found.frequency[worst]),
+        "bounds_apart": gap(found),
+        "columns": ["worst", "all but 5 %", "median"],
+        "margins": {
+            key: {"one_motor": plain(alone, key == "gain_low"), "all_at_once": plain(together, key == "gain_low")}
+            for key, _, alone, together in quantities(found, loops.period)
+        },
+    }
+
+
+def rows(loops: LinearLoops, found: LoopMargins) -> pa.Table:
+    """A row for each pose: pose, spectral radius, margins of each motor and of all at once."""
+    import pyarrow as pa
+
+    columns = dict(zip(_POSE, loops.poses.T, strict=True)) | {"spectral_radius": found.radius}
+    for name, unit in (("disk", ""), ("gain_low", ""), ("gain_high", ""), ("phase", "_rad"), ("delay", "_s")):
+        one = getattr(found.single, name)
+        columns |= {f"{name}{unit}_motor_{motor}": one[:, motor] for motor in range(6)}
+        columns[f"{name}{unit}"] = getattr(found.all_at_once, name)
+    columns |= {"disk_not_above": found.not_above, "frequency_rad_s": found.frequency}
+    return pa.table({name: np.ascontiguousarray(values) for name, values in columns.items()})

@@ -1,215 +1,85 @@
-"""A comparison as typed YAML: named controllers, references and conditions, each some changed keys of one scenario."""
+"""A comparison: controllers on references under conditions, best of several, bands; its tables and pictures."""
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
-import json
 import math
-import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, NamedTuple
 
-import numpy as np
-from pydantic import Field
-
-from stewart_drake.config import Count, Fraction, NotNegative, Positive, PositivePair, Section, Seed, Text, to_plain
-from stewart_drake.control.objective import CostScales
+from stewart_drake.config import to_plain
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.code_trust import trusting_code
-from stewart_drake.files.yaml_files import find_file, read_mapping
-from stewart_drake.logs.metric_table import Column
+from stewart_drake.files.whole import locked_folder
+from stewart_drake.files.yaml_files import read_mapping
+from stewart_drake.logs.metrics import FAILED, OUTCOME, Column, mean_cost
+from stewart_drake.logs.metrics import columns as run_columns
+from stewart_drake.logs.outcomes import told
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.scenario import Scenario
-from stewart_drake.studies.comparison_table import (
-    BANDS,
-    PICTURES,
-    band_rows,
-    measure_band,
-    measure_run,
-    sheets,
-    table_columns,
-    table_rows,
-)
+from stewart_drake.studies.comparison_file import KINDS, Bands, CompareFile, TunedFile, check_names
 from stewart_drake.studies.robots import sized
-from stewart_drake.studies.runs import Measure, Row
-from stewart_drake.studies.study import Study, StudyFile, StudyName, vary
+from stewart_drake.studies.runs import Measure, Row, Task, measure_band, measure_run
+from stewart_drake.studies.study import Sheet, Study, StudyResult, Tables, load_study, number, vary, within
 
 SEED = "{seed}"
 """In a value, stands for the seed of the run."""
 MAX_RUNS = 10_000
-AXIS_NUMBERS = {"roll": 0, "pitch": 1, "yaw": 2, "X": 3, "Y": 4, "Z": 5}
+AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
 _QUICK_FREQUENCIES = 2
-_KINDS = ("controllers", "references", "conditions")
-_NAME = re.compile(r"[^|\x00-\x1f\x7f]{1,80}")
-
-Names = Annotated[tuple[Text, ...], Field(min_length=1)]
+_Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]
+"""Kind -> name -> (scenario key -> value)."""
 
 
-class BestOf(Section):
-    """A row for the best of some controllers, picked again for each reference and condition."""
-
-    of: Names
-    """Names of controllers; the one with the smallest pose RMSE is taken. They have no row of their own."""
-
-
-class Product(Section):
-    """Every one of these controllers with every one of these references under every one of these conditions."""
-
-    controllers: Names
-    references: Names
-    conditions: Names
-
-
-class Bands(Section):
-    """Closed-loop amplitude and phase, one run for each controller, axis and frequency."""
-
-    controllers: tuple[Text, ...]
-    condition: Text
-    """Name of a condition."""
-    axes: tuple[Literal["roll", "pitch", "yaw", "X", "Y", "Z"], ...] = ("Z", "roll")
-    """One after the other."""
-    frequencies: tuple[Annotated[Positive, Field(le=100.0)], ...] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-    """[Hz]"""
-    largest_angle: Positive = 0.05
-    """[rad] amplitude, where half of the largest feasible one is not less."""
-    largest_travel: Positive = 0.005
-    """[m] amplitude, where half of the largest feasible one is not less."""
-    transient: NotNegative = 3.0
-    """[s] before the fit begins."""
-    window: Positive = 1.0
-    """[s] of the fit at least, in whole periods."""
-
-
-class TuneOptions(Section, key="tune"):
-    """Keys of controllers, searched by CMA-ES in their logarithms for the least cost over the comparison's own runs."""
-
-    controllers: dict[Text, dict[Text, PositivePair]]
-    """Name -> (scenario key -> lowest and highest value). The search starts from what the controller has."""
-    generations: Annotated[Count, Field(ge=1, le=10_000)] = 12
-    """Most of them, each of `population` settings; fewer where the search has converged."""
-    population: Annotated[Count, Field(ge=4, le=1000)] = 8
-    """Settings of a generation, the same for all controllers."""
-    spread: Fraction = 0.2
-    """Standard deviation of the first generation, as a share of the way from lowest to highest."""
-    seed: Annotated[Seed, Field(lt=2**32)] = 1
-    """Of the search."""
-    seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (1,)
-    """In place of the comparison's own: of the noise in the runs of the search."""
-    set: dict[Text, Any] = Field(default_factory=dict)
-    """Scenario key -> value, in the runs of the search alone."""
-
-    def rules(self) -> None:
-        if not self.controllers:
-            raise ConfigurationError("controllers", {}, "at least one name, with the keys to search")
-        for name, keys in self.controllers.items():
-            if not keys:
-                allowed = "at least one scenario key, with its lowest and highest value"
-                raise ConfigurationError(f"controllers.{name}", {}, allowed)
-            for key, (low, high) in keys.items():
-                if not low < high:
-                    raise ConfigurationError(f"controllers.{name}.{key}", [low, high], "a lowest below a highest value")
-
-
-class TunedFile(Section, key=""):
-    """What a search has found."""
-
-    name: Text
-    """Of the comparison."""
-    controllers: dict[Text, dict[Text, Positive]]
-    """Name -> (scenario key -> value)."""
-
-    @classmethod
-    def load(cls, path: Path, names: Collection[str]) -> dict[str, dict[str, float]]:
-        """Values by controller and key; ConfigurationError for a controller that is not among `names`."""
-        if not path.is_file():
-            raise ConfigurationError("tuned", str(path), "a file as `stewart-drake tune` writes it")
-        found = cls.from_dict(read_mapping("tuned", path, 80), "tuned").controllers
-        for name in found:
-            if name not in names:
-                raise ConfigurationError("tuned.controllers", name, f"one of {', '.join(names)}")
-        return found
-
-
-class CompareFile(StudyFile):
-    """Keys of a comparison file."""
-
-    name: StudyName = "comparison"
-    controllers: dict[Text, dict[Text, Any]]
-    """Name -> (scenario key -> value)."""
-    references: dict[Text, dict[Text, Any]]
-    """Name -> (scenario key -> value); `duration` and `initial_offset` go well here."""
-    conditions: dict[Text, dict[Text, Any]] = Field(default_factory=lambda: {"nominal": dict[str, Any]()})
-    """Name -> (scenario key -> value), changed last."""
-    best_of: dict[Text, BestOf] = Field(default_factory=dict)
-    """Name -> the controllers that it is the best of."""
-    runs: Annotated[tuple[Product, ...], Field(min_length=1)] | None = None
-    """What is run, at least one; null for all controllers on all references under all conditions."""
-    seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (0,)
-    """A run with the text {seed} among its values is done once with each, any other once with the first."""
-    layout: Literal["rows", "grid"] = "rows"
-    """Of the Markdown: a row a run, or a table for each condition with a column for each reference."""
-    band: Positive = 0.5
-    """[mm] of pose error, rotations times the characteristic length, within which a run counts as settled."""
-    traced: Text | None = None
-    """Reference whose error over time is drawn; null for the first."""
-    bands: Bands | None = None
-    """Tracked frequencies; null for none."""
-    cost: CostScales | None = None
-    """Scales of the cost of a run; null for no cost."""
-    tune: TuneOptions | None = None
-    """What `stewart-drake tune` searches; null for nothing."""
-    tuned: Text | None = None
-    """File, relative to this one, with values for keys of controllers, as `stewart-drake tune` writes it; `tune` itself
-    starts without them. Null for none."""
-    quick: Positive = 1.5
-    """[s] longest run under `--quick`, which also leaves but two of the frequencies."""
-
-
-@dataclass(frozen=True, eq=False)
-class Cell:
-    """One run.
-
-    Attributes:
-        controller: Its name.
-        reference: Its name; of a band, the axis.
-        condition: Its name.
-        seed: What {seed} became.
-        changes: Scenario key -> value.
-        frequency: [Hz] of a band; None for a run of the table.
-        amplitude: [rad] or [m] of a band.
-        window: [s] at the end of a band's run, over which it is fitted; whole periods.
-    """
+class Cell(NamedTuple):
+    """One run; of a band, the reference is the axis, and the last three are there."""
 
     controller: str
     reference: str
     condition: str
     seed: int
+    """What {seed} became."""
     changes: Mapping[str, Any]
+    """Scenario key -> value."""
     frequency: float | None = None
+    """[Hz]"""
     amplitude: float | None = None
+    """[rad] or [m]"""
     window: float = 0.0
+    """[s] at the end of the run, over which it is fitted; whole periods."""
+
+
+_NAMES = (
+    Column("controller", "", "its name", "text"),
+    Column("chosen", "", "of a best of several: which it is here", "text"),
+    Column("reference", "", "its name; of a band, the axis", "text"),
+    Column("condition", "", "its name", "text"),
+    Column("seed", "", "what {seed} stood for", "whole"),
+)
+_SETTLING = Column("settling_s", "s", "after which the pose error stays within the comparison's band; null: never")
+_COST = Column("cost", "1", f"J, see `cost` in the comparison; {FAILED:g} for a run that was not completed")
+BANDS = (
+    *_NAMES,
+    *OUTCOME,
+    Column("frequency_hz", "Hz", "of the sine that is tracked"),
+    Column("amplitude", "rad or m", "of that sine"),
+    Column("ratio", "1", "amplitude of the pose over that of the reference"),
+    Column("phase_deg", "deg", "of the pose to the reference, negative for a lag"),
+    Column("rest", "1", "RMS of the pose that is no sine of this frequency, as a part of the RMS of the sine"),
+)
+"""Columns of the table of bands."""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Study):
-    """What is compared.
-
-    Attributes:
-        file: Keys of the file.
-        cells: Runs of the table, then bands.
-    """
+    """What is compared."""
 
     file: CompareFile
     cells: tuple[Cell, ...]
+    """Runs of the table, then bands."""
     kind = "comparison"
-    products = (
-        *(f"{name}.{ending}" for name in ("comparison", "bands") for ending in ("parquet", "csv")),
-        *("comparison.md", *(f"{name}.png" for name in PICTURES)),
-    )
 
     @classmethod
     def from_dict(
@@ -217,21 +87,18 @@ class Comparison(Study):
     ) -> Comparison:
         """A comparison from plain values, see `CompareFile`; every scenario of it is checked.
 
-        Args:
-            data: Keys and values.
-            folder: Paths in `data` are relative to it; None for the current folder.
-            quick: Shorter, see `CompareFile.quick`.
-            robot: Name or YAML file: all motions and loads in its size, see `sized`; None for the file's own.
+        Paths are relative to `folder`; `quick` is shorter, see `CompareFile.quick`; with a robot, a name or YAML file,
+        all motions and loads are in its size, see `sized`.
         """
         file, base = CompareFile.read("comparison", data, folder)
-        parts = {kind: getattr(file, kind) for kind in _KINDS}
-        _check_names(file, parts)
+        parts = {kind: getattr(file, kind) for kind in KINDS}
         if file.tuned is not None:
             if robot is not None:
-                raise ConfigurationError(
-                    "--robot", robot, "no value: the gains in `tuned` are for the scenario's robot"
-                )
-            tuned = TunedFile.load((folder or Path()) / file.tuned, parts["controllers"])
+                allowed = "no value: the gains in `tuned` are for the scenario's robot"
+                raise ConfigurationError("--robot", robot, allowed)
+            data = read_mapping("tuned", (folder or Path()) / file.tuned, 80)
+            tuned = TunedFile.from_dict(data, "tuned").controllers
+            check_names("tuned.controllers", tuned, file.controllers)
             parts["controllers"] = {name: {**keys, **tuned.get(name, {})} for name, keys in file.controllers.items()}
         if robot is not None:
             base = base.replace({"robot": robot})
@@ -240,118 +107,139 @@ class Comparison(Study):
             parts = {kind: {name: sized(keys, base) for name, keys in each.items()} for kind, each in parts.items()}
         cells = _table_cells(file, base, parts, quick)
         if file.bands is not None:
-            cells += _band_cells(file, file.bands, base, parts, quick)
+            cells += _band_cells(file.bands, file.seeds[0], base, parts, quick)
         if len(cells) > MAX_RUNS:
             raise ConfigurationError("runs", f"{len(cells)} runs", f"at most {MAX_RUNS}")
-        return cls(base, file, tuple(cells), runs=len(cells), name=file.name)
+        return cls(base, file, tuple(cells), name=file.name, indices=range(len(cells)))
 
-    @property
-    def traced(self) -> str:
-        """Reference whose error over time is drawn."""
-        return self.file.traced or self.cells[0].reference
-
-    def run_seed(self, index: int) -> int:
-        return self.cells[index].seed
-
-    def draw(self, index: int) -> dict[str, Any]:
-        return {"run": index}
-
-    def changes(self, drawn: Mapping[str, Any]) -> Mapping[str, Any]:
-        return self.cells[drawn["run"]].changes
-
-    def measure(self, index: int) -> Measure:
+    def task(self, index: int) -> Task:
         cell = self.cells[index]
-        if cell.frequency is None:
-            return partial(measure_run, band=self.file.band, scales=self.file.cost)
-        return partial(measure_band, frequency=cell.frequency, axis=AXIS_NUMBERS[cell.reference], window=cell.window)
+        how: Measure = partial(measure_run, band=self.file.band, scales=self.file.cost)
+        if cell.frequency is not None:
+            axis = AXES.index(cell.reference)
+            how = partial(measure_band, frequency=cell.frequency, axis=axis, window=cell.window)
+        return self._task(index, cell.changes, cell.seed, measure=how)
 
+    @cached_property
     def variants(self) -> list[Scenario]:
-        """One for each setting of what can name a file, in which times and numbers differ."""
-        different: dict[str, int] = {}
-        for index, cell in enumerate(self.cells):
-            named = {key: value for key, value in cell.changes.items() if not isinstance(value, (int, float))}
-            different.setdefault(json.dumps(named, sort_keys=True), index)
+        """One for each controller, reference and condition."""
+        different = {cell[:3]: index for index, cell in enumerate(self.cells)}
         return [self.scenario(index) for index in different.values()]
 
-    def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
-        columns = table_columns(*self.variants(), cost=self.file.cost is not None)
-        return {
-            "comparison": (columns, table_rows(self, rows)),
-            "bands": (BANDS, band_rows(self, rows)),
-        }
-
-    def page(self, tables: Mapping[str, list[Row]]) -> str:
-        return "\n".join(sheet.markdown() for sheet in sheets(self, tables["comparison"], tables["bands"]))
-
-    def to_dict(self) -> dict[str, Any]:
-        """All that the rows depend on, in plain types."""
+    @property
+    def work(self) -> dict[str, Any]:
         return {
             "scenario": self.base.to_dict(),
             "band": self.file.band,
             "cost": None if self.file.cost is None else self.file.cost.to_dict(),
-            "cells": [dataclasses.asdict(cell) for cell in self.cells],
+            "cells": [cell._asdict() for cell in self.cells],
         }
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Of the table."""
+        return (*_NAMES, *run_columns(*self.variants), _SETTLING, *(() if self.file.cost is None else (_COST,)))
+
+    def tables(self, rows: Sequence[Row]) -> Tables:
+        """Of the runs, with a best of several before those that it is chosen from; and of the bands."""
+        runs: list[Row] = []
+        bands: list[Row] = []
+        for row in rows:
+            cell = self.cells[row["index"]]
+            named = {**row, **cell._asdict(), "chosen": None, "frequency_hz": cell.frequency}
+            if self.file.cost is not None:
+                named.setdefault("cost", FAILED)  # a run that was refused or broke has no figures at all
+            (runs if cell.frequency is None else bands).append(named)
+        found: list[Row] = []
+        for name, best in self.file.best_of.items():
+            own = [row for row in runs if row["controller"] in best.of]
+            for group in _groups(own, "reference", "condition", "seed").values():
+                if {row["controller"] for row in group} == set(best.of):
+                    chosen = min(group, key=_rank)
+                    found.append({**chosen, "controller": name, "chosen": chosen["controller"]})
+        return {"comparison": (self.columns, found + runs), "bands": (BANDS, bands)}
+
+    def shown(self, rows: Sequence[Row]) -> list[Row]:
+        """The rows of the table that the file asks for, by controller in its order."""
+        products = self.file.products
+        asked = {
+            key for each in products for key in itertools.product(each.controllers, each.references, each.conditions)
+        }
+        names = dict.fromkeys(name for each in products for name in each.controllers)
+        own = [row for row in rows if (row["controller"], row["reference"], row["condition"]) in asked]
+        return [row for name in names for row in own if row["controller"] == name]
+
+    def sheets(self, rows: Mapping[str, list[Row]]) -> list[Sheet]:
+        """The tables that are read: of several seeds the worst number."""
+        runs, made = self.shown(rows["comparison"]), []
+        figures = dict(_FIGURES)
+        if self.file.cost is not None:
+            figures["cost"] = "cost"
+            title = f"cost: mean of the runs; {FAILED:g} for one that was not completed"
+            made.append(_pivot(title, runs, "condition", _mean_cost, [("all", _mean_cost)]))
+        if self.file.layout == "rows":
+            lines = []
+            for key, group in _groups(runs, "controller", "reference", "condition").items():
+                shown, failure = [_worst(group, column) for column in figures.values()], _failure(group)
+                if failure is not None:
+                    shown = [failure, *(shown[1:] if _only_lost(group) else ["-"] * (len(shown) - 1))]
+                lines.append((key[0] + _chosen(group), *key[1:], *shown))
+            header = ("controller", "motion", "condition", *figures)
+            made.append(Sheet(f"{self.name}: RMSE and peak of the length of the error, {_LATE}", header, lines))
+        else:
+            over_all = [(heading, partial(_worst_done, column)) for heading, column in list(_FIGURES.items())[4:]]
+            for condition, group in _groups(runs, "condition").items():
+                title = f"{condition[0]}: RMSE {_LATE}, rotation and position; then the worst of all motions"
+                made.append(_pivot(title, group, "reference", _errors, [*over_all, ("not completed", _missed)]))
+        for axis, group in _groups(rows["bands"], "reference").items():
+            made.append(
+                _pivot(f"{axis[0]}: amplitude ratio and phase, pose to reference", group, "frequency_hz", _band)
+            )
+        return made
+
+    def page(self, rows: Mapping[str, list[Row]]) -> str:
+        return "\n".join(sheet.markdown() for sheet in self.sheets(rows))
 
 
 def load_comparison(
     path: str | Path, quick: bool = False, robot: str | None = None, trust_code: bool = False
 ) -> Comparison:
     """Reads a comparison file, or a comparison of the package by its name; see `Comparison.from_dict`."""
-    path = find_file("comparison", path)
-    data = read_mapping("comparison", path, 80)
-    with trusting_code(trust_code):
-        return Comparison.from_dict(data, path.parent, quick, robot)
+    return load_study("comparison", path, partial(Comparison.from_dict, quick=quick, robot=robot), trust_code)
 
 
-_Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]
+def write_pictures(comparison: Comparison, result: StudyResult) -> list[str]:
+    """Draws rmse.png, error.png and, where there are bands, bands.png; a line for each that is beyond matplotlib."""
+    # matplotlib takes a second to load.
+    from stewart_drake.plotting import draw
+    from stewart_drake.plotting.study_plots import plot_bands, plot_error, plot_rmse
+
+    rows, bands = comparison.shown(result.rows["comparison"]), result.rows["bands"]
+    figures = {"rmse": partial(plot_rmse, rows)}
+    traced = [row for row in rows if row["reference"] == (comparison.file.traced or comparison.cells[0].reference)]
+    if any("trace" in row for row in traced):
+        figures["error"] = partial(plot_error, traced, comparison.file.band)
+    if any(row.get("ratio") is not None for row in bands):
+        figures["bands"] = partial(plot_bands, bands)
+    with locked_folder(result.folder):
+        lines = [draw(figure, result.folder / f"{name}.png") for name, figure in figures.items()]
+    return [line for line in lines if line is not None]
 
 
-def _check_names(file: CompareFile, parts: _Parts) -> None:
-    def known(where: str, names: Sequence[str], kind: str, others: Sequence[str] = ()) -> None:
-        allowed = [*parts[kind], *others]
-        for name in names:
-            if name not in allowed:
-                raise ConfigurationError(where, name, f"one of {', '.join(allowed)}")
-
-    for kind, entries in {**parts, "best_of": file.best_of}.items():
-        if not entries and kind != "best_of":
-            raise ConfigurationError(kind, {}, "at least one name, with the scenario keys that it changes")
-        for name in entries:
-            if _NAME.fullmatch(name) is None:
-                raise ConfigurationError(kind, name, "names of 1 to 80 characters, without |")
-    for name, best in file.best_of.items():
-        if name in parts["controllers"]:
-            raise ConfigurationError(f"best_of.{name}", name, "a name that no controller has")
-        known(f"best_of.{name}.of", best.of, "controllers")
-    for index, product in enumerate(file.runs or ()):
-        for kind in _KINDS:
-            others = list(file.best_of) if kind == "controllers" else ()
-            known(f"runs.{index}.{kind}", getattr(product, kind), kind, others)
-    if file.traced is not None:
-        known("traced", [file.traced], "references")
-    if file.bands is not None:
-        known("bands.controllers", file.bands.controllers, "controllers")
-        known("bands.condition", [file.bands.condition], "conditions")
+# --- runs ---
 
 
 def _table_cells(file: CompareFile, base: Scenario, parts: _Parts, quick: bool) -> list[Cell]:
-    names = [tuple(parts[kind]) for kind in _KINDS]
-    products = file.runs or (Product(controllers=names[0], references=names[1], conditions=names[2]),)
-    found: dict[tuple[str, str, str], None] = {}
-    for product in products:
-        controllers = [
-            one for name in product.controllers for one in (file.best_of[name].of if name in file.best_of else (name,))
-        ]
-        found |= dict.fromkeys(itertools.product(controllers, product.references, product.conditions))
+    found: dict[tuple[str, ...], None] = {}
+    for product in file.products:
+        names = [file.best_of[name].of if name in file.best_of else (name,) for name in product.controllers]
+        found |= dict.fromkeys(itertools.product(itertools.chain(*names), product.references, product.conditions))
     cells = []
     for controller, reference, condition in found:
-        changes = {
-            **parts["references"][reference],
-            **parts["controllers"][controller],
-            **parts["conditions"][condition],
-        }
+        named = zip(("references", "controllers", "conditions"), (reference, controller, condition), strict=True)
+        changes = {key: value for kind, name in named for key, value in parts[kind][name].items()}
         for seed in file.seeds if _with_seed(changes, 0) != changes else file.seeds[:1]:
-            seeded = {key: _with_seed(value, seed) for key, value in changes.items()}
+            seeded = _with_seed(changes, seed)
             scenario = _checked(base, seeded, f"{controller}, {reference}, {condition}")
             if quick:
                 seeded["duration"] = min(scenario.duration, file.quick)
@@ -359,45 +247,37 @@ def _table_cells(file: CompareFile, base: Scenario, parts: _Parts, quick: bool) 
     return cells
 
 
-def _band_cells(file: CompareFile, bands: Bands, base: Scenario, parts: _Parts, quick: bool) -> list[Cell]:
-    frequencies = sorted(set(bands.frequencies))
-    transient = bands.transient
+def _band_cells(bands: Bands, seed: int, base: Scenario, parts: _Parts, quick: bool) -> list[Cell]:
+    frequencies, transient = sorted(set(bands.frequencies)), bands.transient
     if quick:
         frequencies = [f for f in frequencies if f >= 1.0][-_QUICK_FREQUENCIES:] or frequencies[-1:]
         transient = min(transient, 0.5)
     plain = _checked(base, parts["conditions"][bands.condition], f"bands, {bands.condition}")
-    middle = plain.robot.home_pose
     cells = []
     for axis, frequency in itertools.product(bands.axes, frequencies):
-        most = largest_amplitude(plain.robot, plain.limits, AXIS_NUMBERS[axis], frequency, plain.gravity)
-        cap = bands.largest_angle if AXIS_NUMBERS[axis] < 3 else bands.largest_travel
-        amplitude = min(cap, 0.5 * most)
+        place = AXES.index(axis)
+        most = largest_amplitude(plain.robot, plain.limits, place, frequency, plain.gravity)
+        amplitude = min(bands.largest_angle if place < 3 else bands.largest_travel, 0.5 * most)
         if amplitude <= 0.0:
             raise ConfigurationError("bands.frequencies", frequency, f"frequencies at which {axis} can move at all")
-        size = np.zeros(6)
-        size[AXIS_NUMBERS[axis]] = amplitude
-        omega = 2.0 * math.pi * frequency
         reference = {
             "kind": "sine",
-            "center": middle.tolist(),
-            "amplitude": size.tolist(),
-            "angular_frequency": [omega] * 6,
+            "center": plain.robot.home_pose.tolist(),
+            "amplitude": [amplitude if each == place else 0.0 for each in range(6)],
+            "angular_frequency": [2.0 * math.pi * frequency] * 6,
         }
         window = math.ceil(bands.window * frequency - 1e-9) / frequency
-        for controller in bands.controllers:
-            changes = {**parts["controllers"][controller], **parts["conditions"][bands.condition]}
-            changes |= {"reference": reference, "duration": transient + window}
-            seeded = {key: _with_seed(value, file.seeds[0]) for key, value in changes.items()}
-            _checked(base, seeded, f"bands, {controller}, {axis}, {frequency:g} Hz")
-            cells.append(Cell(controller, axis, bands.condition, file.seeds[0], seeded, frequency, amplitude, window))
+        for name in bands.controllers:
+            changes = {**parts["controllers"][name], **parts["conditions"][bands.condition]}
+            changes = _with_seed({**changes, "reference": reference, "duration": transient + window}, seed)
+            _checked(base, changes, f"bands, {name}, {axis}, {frequency:g} Hz")
+            cells.append(Cell(name, axis, bands.condition, seed, changes, frequency, amplitude, window))
     return cells
 
 
 def _checked(base: Scenario, changes: Mapping[str, Any], what: str) -> Scenario:
-    try:
+    with within(f"{what}: "):
         return vary(base, changes)
-    except ConfigurationError as error:
-        raise error.within(f"{what}: ") from None
 
 
 def _with_seed(value: Any, seed: int) -> Any:
@@ -406,3 +286,100 @@ def _with_seed(value: Any, seed: int) -> Any:
     if isinstance(value, list):
         return [_with_seed(item, seed) for item in value]
     return seed if value == SEED else value
+
+
+# --- lines of tables ---
+
+
+_LATE = "over the second half of the planned duration"
+_FIGURES = {
+    "RMSE [deg]": "rmse_norm_deg",
+    "RMSE [mm]": "rmse_norm_mm",
+    "worst half [mm]": "worst_half_rmse_norm_mm",
+    "peak [mm]": "peak_norm_mm",
+    "settled [s]": "settling_s",
+    "torque RMS [N m]": "torque_rms_second_half",
+    "change per tick [N m]": "torque_change_rms",
+    "at the limit": "saturated_fraction",
+}
+"""Heading -> column of what is shown of a run; a grid has the last four over all motions."""
+
+
+def _groups(rows: Sequence[Row], *columns: str) -> dict[tuple[Any, ...], list[Row]]:
+    """Rows by their values in some columns."""
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[column] for column in columns), []).append(row)
+    return groups
+
+
+def _pivot(
+    title: str,
+    rows: Sequence[Row],
+    column: str,
+    show: Callable[[Sequence[Row]], str],
+    more: Sequence[tuple[str, Callable[[Sequence[Row]], str]]] = (),
+) -> Sheet:
+    """A line for each controller: what is shown of its rows for each value of a column, and more of all of them."""
+    cells, lines = _groups(rows, "controller", column), []
+    values = [key[0] for key in _groups(rows, column)]
+    for (name,), own in _groups(rows, "controller").items():
+        texts = [show(cells[name, value]) if (name, value) in cells else "-" for value in values]
+        lines.append((name, *texts, *(figure(own) for _, figure in more)))
+    headings = [f"{value:g} Hz" if isinstance(value, float) else value for value in values]
+    return Sheet(title, ("controller", *headings, *(heading for heading, _ in more)), lines)
+
+
+def _rank(row: Row) -> tuple[bool, float]:
+    """Smallest for the best: the smallest error, and where all have failed the one that got furthest."""
+    if row["status"] == "completed" and row.get("pose_rmse_mm") is not None:
+        return False, float(row["pose_rmse_mm"])
+    return True, -float(row.get("end_time") or 0.0)
+
+
+def _mean_cost(group: Sequence[Row]) -> str:
+    return number(mean_cost(row["cost"] for row in group))
+
+
+def _worst(group: Sequence[Row], column: str) -> str:
+    """The largest number in a column; a dash where one is missing."""
+    values: list[Any] = [row.get(column) for row in group]
+    return number(max(values, default=None) if None not in values else None)
+
+
+def _worst_done(column: str, group: Sequence[Row]) -> str:
+    return _worst([row for row in group if row["status"] == "completed"], column)
+
+
+def _missed(group: Sequence[Row]) -> str:
+    return f"{sum(row['status'] != 'completed' for row in group)} of {len(group)}"
+
+
+def _failure(group: Sequence[Row]) -> str | None:
+    """How the first run that was not completed ended."""
+    failed = [row for row in group if row["status"] != "completed"]
+    if not failed:
+        return None
+    words = told(failed[0]["status"], failed[0]["reason"], failed[0].get("outcome_time"))
+    return f"{words}, {_missed(group)} runs" if len(group) > 1 else words
+
+
+def _only_lost(group: Sequence[Row]) -> bool:
+    """Whether all runs have figures: what was lost went on to its end."""
+    return all(row["status"] in ("completed", "lost") for row in group)
+
+
+def _chosen(group: Sequence[Row]) -> str:
+    names = dict.fromkeys(row["chosen"] for row in group if row["chosen"])
+    return f" ({', '.join(names)})" if names else ""
+
+
+def _errors(group: Sequence[Row]) -> str:
+    figures = f"{_worst(group, 'rmse_norm_deg')}° {_worst(group, 'rmse_norm_mm')} mm{_chosen(group)}"
+    failure = _failure(group)
+    return failure if failure and not _only_lost(group) else "; ".join(filter(None, (failure, figures)))
+
+
+def _band(group: Sequence[Row]) -> str:
+    row = group[0]
+    return _failure(group) or "-" if row.get("ratio") is None else f"{row['ratio']:.4f}, {row['phase_deg']:+.1f}°"

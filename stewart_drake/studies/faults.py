@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,21 +15,18 @@ from pydantic import Field
 from stewart_drake.config import Flag, NotNegative, Section, Text, Vector6
 from stewart_drake.errors import UnreachablePoseError
 from stewart_drake.files.yaml_files import parse_yaml
-from stewart_drake.hardware.motors import holdable_load
-from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metric_table import Column
-from stewart_drake.logs.metric_table import columns as run_columns
-from stewart_drake.logs.rows import pose_distance
+from stewart_drake.logs.metrics import Column
+from stewart_drake.logs.metrics import columns as run_columns
+from stewart_drake.logs.outcomes import pose_distance
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.robot.robot_scale import LENGTH
-from stewart_drake.safety import RAMP, SafetyOptions
+from stewart_drake.safety import RAMP
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.studies.robots import sized
-from stewart_drake.studies.runs import Measure, Row, RunFunction, execute, measure, simulate, simulate_unchecked
-from stewart_drake.studies.study import Study, StudyTable, flat, markdown, run_study
-from stewart_drake.studies.workers import Workers
+from stewart_drake.studies.runs import Row, Task, measure, simulate, simulate_unchecked
+from stewart_drake.studies.study import Sheet, Study, Tables
 
 Reaction = Literal["refused", "ridden through", "held", "ramped", "ended", "unnoticed"]
 """refused: before the start. ridden through: no monitor tripped, and none had to. unnoticed: none tripped, but the true
@@ -42,18 +40,6 @@ ONSET: float = _FILE["onset"]
 DURATION: float = _FILE["duration"]
 """[s] of each run."""
 MOTIONS: Mapping[str, Mapping[str, Any]] = _FILE["motions"]
-
-_TICK = 0.001
-"""[s] of `exact_fig7`."""
-_WITHIN = {
-    "at_once": 0.0,
-    "deadline": 2 * _TICK,
-    "estimator": EncoderOptions.hold_ticks * _TICK,
-    "torque_limit": SafetyOptions.torque_limit_time,
-    "torque_rate": SafetyOptions.torque_rate_time,
-}
-"""[s] at_once: in the tick of the fault. deadline: of the safety layer. estimator: it bridges readings that it cannot
-believe for so long. Others: time in which that monitor trips."""
 
 
 class Fault(Section):
@@ -83,10 +69,10 @@ class Fault(Section):
     """[s] within which a monitor trips, from the limits of the layer alone; null where it takes as long as the motion
     and the robot take to show it."""
 
-    @classmethod
-    def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """The file has a name for the time `within`."""
-        return {**data, "within": _WITHIN.get(str(data.get("within")), data.get("within"))}
+    @property
+    def bound(self) -> str:
+        """The time `within` in words."""
+        return "" if self.within is None else f" (a monitor trips within {1e3 * self.within:.0f} ms)"
 
     def in_motion(self, motion: str, base: Scenario) -> dict[str, Any]:
         """Scenario key -> value for this fault during a motion of `MOTIONS`, in the size of the robot of `base`."""
@@ -104,23 +90,30 @@ class Fault(Section):
 
 
 def base(robot: str | None = None, overrides: Sequence[str] = ()) -> Scenario:
-    """The exact-model LQI of `exact_fig7` behind the safety layer, as it stands by default.
-
-    Args:
-        robot: Name or YAML file; None for the paper's.
-        overrides: `key=value` texts, see `load_scenario`.
-    """
+    """The exact-model LQI of `exact_fig7` behind the safety layer; with another robot, and `key=value` overrides."""
     named = () if robot is None else (f"robot={robot}",)
     return load_scenario("exact_fig7", (*named, *overrides)).replace({"duration": DURATION, "safety": {}})
 
 
-FAULTS = tuple(Fault.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items())
-"""In the order of the table."""
-BY_NAME = {fault.name: fault for fault in FAULTS}
-
-QUICK_MOTIONS = ("hold",)
-_REACTION = "see Reaction; broke: the run ended without the safety layer; the status, if there is no log"
-OWN = (
+FAULTS = {name: Fault.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items()}
+"""By name, in the order of the table."""
+_WORST = {"hold": "held", "ramp": "ramped", "safe_hold": "ramped", "end": "ended"}
+_HELD = (
+    Column("holds_weight", "", "whether the motors that are left carry the robot at rest; null: no dead motor", "flag"),
+    Column("support_newton", "N", "smallest outside force with which they would"),
+    Column("force_newton", "N", "largest outside force that they hold; null where not even the weight"),
+    Column("moment_newton_metre", "N m", "largest outside moment likewise"),
+)
+COLUMNS = (
+    Column("fault", "", "name in FAULTS", "text"),
+    Column("motion", "", "name in MOTIONS", "text"),
+    Column(
+        "reaction",
+        "",
+        "see Reaction; broke: the run ended without the safety layer; the status, if there is no log",
+        "text",
+    ),
+    *run_columns(),
     Column("safety_cause", "", "of the trip, where an estimator or controller failed", "text"),
     Column("safety_leg", "", "leg 0..5 to which the trip belongs", "whole"),
     Column("latency_ms", "ms", "from the fault to the trip"),
@@ -129,127 +122,67 @@ OWN = (
     Column("travel_deg", "deg", "largest angle turned after the safety layer took over"),
     Column("travel_mm", "mm", "largest distance moved likewise"),
     Column("peak_torque", "N m", "largest torque given to a motor after the fault, within its limit"),
-    Column("holds_weight", "", "whether the motors that are left carry the robot at rest; null: no dead motor", "flag"),
-    Column("support_newton", "N", "smallest outside force with which they would"),
-    Column("force_newton", "N", "largest outside force that they hold; null where not even the weight"),
-    Column("moment_newton_metre", "N m", "largest outside moment likewise"),
+    *_HELD,
 )
-"""What the table says of a run beside what every table says."""
-
-_WORST = {"hold": "held", "ramp": "ramped", "safe_hold": "ramped", "end": "ended"}
-
-
-def table_columns() -> tuple[Column, ...]:
-    """Columns of the table."""
-    names = (
-        Column("fault", "", "name in FAULTS", "text"),
-        Column("motion", "", "name in MOTIONS", "text"),
-        Column("reaction", "", _REACTION, "text"),
-    )
-    return (*names, *run_columns(), *OWN)
-
-
-def all_rows() -> list[tuple[Fault, str]]:
-    """Fault and motion of each row, in the order of the table."""
-    return [(fault, motion) for fault in FAULTS for motion in MOTIONS]
 
 
 @dataclass(frozen=True, eq=False)
 class FaultStudy(Study):
-    """Runs of the table.
-
-    Attributes:
-        pairs: Fault and motion of each row.
-        motions: Those that are wanted.
-    """
+    """Runs of the table."""
 
     pairs: Sequence[tuple[Fault, str]]
-    motions: Sequence[str] = tuple(MOTIONS)
+    """Fault and motion of each row of the whole table, by index."""
     kind = "faults"
-    products = ("faults.parquet", "faults.csv", "faults.md")
 
-    @classmethod
-    def of(
-        cls,
-        pairs: Sequence[tuple[Fault, str]],
-        motions: Sequence[str] = tuple(MOTIONS),
-        robot: str | None = None,
-        overrides: Sequence[str] = (),
-    ) -> FaultStudy:
-        """The study of some rows; robot and overrides as in `base`."""
-        runs = sum(motion in motions for _, motion in pairs)
-        return cls(base(robot, overrides), pairs, motions, runs=runs, name="faults")
+    def task(self, index: int) -> Task:
+        fault, motion = self.pairs[index]
+        changes = {"name": f"{fault.name} {motion}", **fault.in_motion(motion, self.base)}
+        function = simulate if fault.checked else simulate_unchecked
+        return self._task(index, changes, measure=partial(measure_fault, fault=fault), function=function)
 
     @property
-    def indices(self) -> Iterable[int]:
-        """A row has its number in the whole table."""
-        return [index for index, (_, motion) in enumerate(self.pairs) if motion in self.motions]
-
-    def run_name(self, index: int) -> str:
-        return f"{self.pairs[index][0].name} {self.pairs[index][1]}"
-
-    def draw(self, index: int) -> dict[str, Any]:
-        return {"run": index}
-
-    def changes(self, drawn: Mapping[str, Any]) -> Mapping[str, Any]:
-        fault, motion = self.pairs[drawn["run"]]
-        return fault.in_motion(motion, self.base)
-
-    def measure(self, index: int) -> Measure:
-        return partial(measure_fault, fault=self.pairs[index][0])
-
-    def simulation(self, index: int) -> RunFunction:
-        return simulate if self.pairs[index][0].checked else simulate_unchecked
-
-    def to_dict(self) -> dict[str, Any]:
-        faults = [
-            {**fault.to_dict(), "motion": motion, **fault.in_motion(motion, self.base)} for fault, motion in self.pairs
-        ]
+    def work(self) -> dict[str, Any]:
+        faults = [{**fault.to_dict(), **fault.in_motion(motion, self.base)} for fault, motion in self.pairs]
         return {"scenario": self.base.to_dict(), "faults": faults}
 
-    def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
-        columns, wide = table_columns(), []
+    def tables(self, rows: Sequence[Row]) -> Tables:
+        wide = []
         for row in rows:
             fault, motion = self.pairs[row["index"]]
-            reaction = row.get("reaction") or {"rejected": "refused"}.get(row["status"], row["status"])
-            named = flat(row, fault=fault.name, motion=motion, reaction=reaction)
-            wide.append({column.name: named.get(column.name) for column in columns})
-        return {"faults": (columns, wide)}
+            reaction = {"rejected": "refused"}.get(row["status"], row["status"])
+            wide.append({"reaction": reaction, **row, "fault": fault.name, "motion": motion})
+        return {"faults": (COLUMNS, wide)}
 
-    def page(self, tables: Mapping[str, list[Row]]) -> str:
-        return markdown_table(tables["faults"])
+    def page(self, rows: Mapping[str, list[Row]]) -> str:
+        faults = {
+            fault.name: fault for fault, _ in self.pairs if any(row["fault"] == fault.name for row in rows["faults"])
+        }
+        lines = [
+            sheet(rows["faults"], faults).markdown(),
+            "With a dead motor, the wrench that the other five hold at rest:",
+            "",
+            *(f"- {line}" for line in holdable_lines(rows["faults"])),
+            "",
+            "What the faults are:",
+            "",
+            *(f"- `{fault.name}`: {fault.text}{fault.bound}" for fault in faults.values()),
+            "",
+            "Command: `stewart-drake faults`. All figures: `faults.parquet`.",
+            "",
+        ]
+        return PAGE.format(runs=len(rows["faults"]), duration=DURATION, onset=ONSET) + "\n".join(lines)
 
 
 def fault_study(quick: bool = False, robot: str | None = None, overrides: Sequence[str] = ()) -> FaultStudy:
     """The study of the whole table; quick: of the held platform alone; robot and overrides as in `base`."""
-    return FaultStudy.of(all_rows(), QUICK_MOTIONS if quick else tuple(MOTIONS), robot, overrides)
-
-
-def make_table(
-    folder: str | Path,
-    quick: bool = False,
-    workers: Workers | None = None,
-    progress: Callable[[float], None] | None = None,
-    restart: bool = False,
-    robot: str | None = None,
-    overrides: Sequence[str] = (),
-) -> StudyTable:
-    """Runs every fault during every motion and writes `faults.parquet`, `.csv` and `.md`; see `run_study`.
-
-    `quick` is the held platform alone; robot and overrides as in `base`.
-    """
-    return run_study(fault_study(quick, robot, overrides), Path(folder), workers, progress, restart)["faults"]
-
-
-def fault_row(fault: Fault, motion: str) -> Row:
-    """Runs a fault, of `FAULTS` or of the caller's own, during a motion of `MOTIONS`."""
-    study = FaultStudy.of([(fault, motion)])
-    return study.tables([execute(study.task(0))])["faults"][1][0]
+    pairs = list(product(FAULTS.values(), MOTIONS))
+    indices = [index for index, (_, motion) in enumerate(pairs) if motion == "hold" or not quick]
+    return FaultStudy(base(robot, overrides), pairs, name="faults", indices=indices)
 
 
 def measure_fault(log: SimulationLog, fault: Fault) -> Row:
-    """Figures of a run: those of every sweep, and `OWN`."""
-    trip = log.safety
+    """Figures of a run: those of every sweep, and the last of `COLUMNS`."""
+    trip = log.safety or dict.fromkeys(("cause", "leg", "time"))
     # Rows at which a log stands are those of the safety layer's ticks.
     after = log.time >= fault.since - 1e-9
     taken = log["safety"][:, 0] >= RAMP if "safety" in log.signals else np.zeros(len(log.time), dtype=bool)
@@ -257,9 +190,9 @@ def measure_fault(log: SimulationLog, fault: Fault) -> Row:
     charge = after & ~taken
     left = log["pose"][int(taken.argmax()) if taken.any() else len(taken) :]
     angle, way = pose_distance(left, left[:1])
-    if trip is not None:
+    if log.safety is not None:
         # The layer gave up, or the plant broke under it: a crank that has lost its rod may spin up to that.
-        reaction = "ended" if log.status == "failed" else _WORST[trip["worst"]]
+        reaction = "ended" if log.status == "failed" else _WORST[log.safety["worst"]]
     elif log.status == "failed":
         reaction = "broke"
     else:
@@ -269,15 +202,15 @@ def measure_fault(log: SimulationLog, fault: Fault) -> Row:
     return {
         **measure(log),
         "reaction": reaction,
-        "safety_cause": trip and trip["cause"],
-        "safety_leg": trip and trip["leg"],
-        "latency_ms": trip and 1e3 * (trip["time"] - fault.since),
+        "safety_cause": trip["cause"],
+        "safety_leg": trip["leg"],
+        "latency_ms": None if trip["time"] is None else 1e3 * (trip["time"] - fault.since),
         "peak_error_deg": _peak(np.degrees(turned[charge])),
         "peak_error_mm": _peak(1e3 * moved[charge]),
         "travel_deg": _peak(np.degrees(angle)),
         "travel_mm": _peak(1e3 * way),
         "peak_torque": _peak(np.abs(log["torque_applied"][after])),
-        **_holdable(log),
+        **_held(log),
     }
 
 
@@ -285,54 +218,110 @@ def _peak(values: np.ndarray) -> float | None:
     return float(values.max()) if values.size else None
 
 
-def _holdable(log: SimulationLog) -> Row:
+def _held(log: SimulationLog) -> Row:
     """What five motors hold where the platform stood as the sixth died."""
     scenario, dead = log.scenario, log.scenario.motors.dead
     if dead is None:
         return {}
     row = min(int(np.searchsorted(log.time, dead.time - 1e-9)), len(log.time) - 1)
     pose, robot = log["pose"][row], scenario.robot
+    shares = robot.effort_shares
     try:
         weight, jacobian = static_torque(robot, pose, scenario.gravity), twist_jacobian(robot, pose)
         # Each motor in parts of what it can, times one number for all.
-        load = holdable_load(
-            weight / robot.effort_shares, robot.effort_shares[:, None] * jacobian, robot.effort_limit, dead.leg
-        )
+        load = holdable_load(weight / shares, shares[:, None] * jacobian, robot.effort_limit, dead.leg)
     except (UnreachablePoseError, np.linalg.LinAlgError):
         return {}
-    return dict(zip((column.name for column in OWN[-4:]), vars(load).values(), strict=True))
+    return dict(zip((column.name for column in _HELD), load, strict=True))
 
 
-HEADERS = ("fault", *MOTIONS, "peak error", "travel", "peak torque")
-TERSE_HEADERS = ("fault", "reaction", "outcome", "monitor", "ms", "deg", "mm", "N m")
+def holdable_load(
+    weight: np.ndarray, jacobian: np.ndarray, limit: float, dead: int
+) -> tuple[bool, float, float | None, float | None]:
+    """What five motors hold at rest beside the robot's own weight.
 
+    At rest T = G - J^-T w for an external wrench w on the platform, and T must vanish at the dead motor: six equations
+    for five torques. Any load must lie in the one plane where they agree, and gravity seldom does. G is `weight` (6,)
+    [N m], J d(theta)/d(twist) (6, 6), `limit` [N m] that of each motor.
 
-def short_rows(rows: Sequence[Row]) -> list[tuple[str, ...]]:
-    """A line per fault, see `HEADERS`: how each motion ends, and the worst figures over the motions."""
-    lines = []
-    for name, mine in _by_fault(rows):
-        ended = {row["motion"]: _end(row) for row in mine}
-        error, travel = (_join(mine, {f"{of}_deg": "deg", f"{of}_mm": "mm"}) for of in ("peak_error", "travel"))
-        torque = _join(mine, {"peak_torque": "N m"})
-        lines.append((name, *(ended.get(motion, "-") for motion in MOTIONS), error, travel, torque))
-    return lines
-
-
-def terse_rows(rows: Sequence[Row]) -> list[tuple[str, ...]]:
-    """A short line per fault for a terminal, see `TERSE_HEADERS`: what differs between motions stands side by side.
-
-    Latency [ms] from the smallest to the largest; worst peak error [deg, mm] and torque [N m].
+    Returns:
+        Whether they hold the weight alone; [N] the smallest force at P with which they do, infinite where none helps;
+        [N] largest force at P and [N m] largest moment that they hold, None where the weight alone is too much.
     """
+    by_moment, by_force = np.split(-np.linalg.inv(jacobian.T), 2, axis=1)
+    most = limit * (1.0 + 1e-9)
+
+    legs = np.array([(dead, *pair) for pair in combinations([leg for leg in range(6) if leg != dead], 2)])
+    bounds = limit * np.array([(0, *signs) for signs in product((1, -1), repeat=2)])
+
+    def sizes(by_load: np.ndarray) -> np.ndarray:
+        """Of the corners of the polygon of loads that the motors hold; a norm is largest at one of them."""
+        wanted = bounds - weight[legs][:, None]
+        loads = (wanted @ np.linalg.pinv(by_load[legs]).swapaxes(1, 2)).reshape(-1, 3)
+        torque = weight + loads @ by_load.T
+        holds = (np.abs(torque[:, dead]) < 1e-9 * limit) & (np.abs(torque) <= most).all(axis=1)
+        return np.linalg.norm(loads[holds], axis=1)
+
+    if abs(weight[dead]) < 1e-9 * limit and bool((np.abs(weight) <= limit).all()):
+        return True, 0.0, float(sizes(by_force).max()), float(sizes(by_moment).max())
+    # The smallest force in the polygon: the nearest in its plane, or else one of its corners.
+    normal = by_force[dead]
+    load = -weight[dead] * normal / (normal @ normal)
+    if (np.abs(weight + by_force @ load) <= most).all():
+        return False, float(np.linalg.norm(load)), None, None
+    return False, float(sizes(by_force).min(initial=np.inf)), None, None
+
+
+PAGE = """# Fault table
+
+{runs} runs of {duration:g} s; faults begin at {onset:g} s, or are there from the start. The
+exact-model LQI at 1 kHz behind the safety layer with its defaults. In brackets: monitor, latency, leg;
+after the colon: the outcome of the run, and its warnings.
+Peak error: how far the true pose was from the reference while the controller was in charge. Travel: how far
+it went after the safety layer took over. The worst of the motions counts.
+
+"""
+
+
+def sheet(rows: Sequence[Row], faults: Mapping[str, Fault] = FAULTS) -> Sheet:
+    """A line per fault: how each motion ends, and the worst figures over the motions."""
+    motions = list(dict.fromkeys(row["motion"] for row in rows))
     lines = []
-    for name, mine in _by_fault(rows):
-        waits = _values(mine, "latency_ms") if _begins(name) else []
-        ends = dict.fromkeys(f"{wait:.0f}" for wait in (min(waits), max(waits))) if waits else ["-"]
-        most = (_values(mine, figure) for figure in ("peak_error_deg", "peak_error_mm", "peak_torque"))
-        figures = [f"{max(values):.2f}" if values else "-" for values in most]
-        words = ([row.get(key) or "-" for row in mine] for key in ("reaction", "status", "safety_monitor"))
-        told = (" / ".join(texts if len(set(texts)) > 1 else texts[:1]) for texts in words)
-        lines.append((name, *told, "-".join(ends), *figures))
-    return lines
+    for name, fault in faults.items():
+        own = [row for row in rows if row["fault"] == name]
+        ends = {row["motion"]: _end(row, fault) for row in own}
+        worst = (_largest(own, units) for units in (_UNITS[:2], _UNITS[2:4], _UNITS[4:]))
+        if own:
+            lines.append((name, *(ends.get(motion, "-") for motion in motions), *worst))
+    return Sheet("Reactions and outcomes", ("fault", *motions, "peak error", "travel", "peak torque"), lines)
+
+
+_UNITS = (
+    ("peak_error_deg", "deg"),
+    ("peak_error_mm", "mm"),
+    ("travel_deg", "deg"),
+    ("travel_mm", "mm"),
+    ("peak_torque", "N m"),
+)
+
+
+def _largest(rows: Sequence[Row], units: Iterable[tuple[str, str]]) -> str:
+    """The largest of each column with its unit."""
+    values = (([row[name] for row in rows if row.get(name) is not None], unit) for name, unit in units)
+    return ", ".join(f"{max(each):.2f} {unit}" for each, unit in values if each) or "-"
+
+
+def _end(row: Row, fault: Fault) -> str:
+    if row["reaction"] == "refused":
+        return "refused"
+    trip = ""
+    if row.get("safety_monitor") is not None:
+        # What chance brings, such as ticks lost in a row, has a time but no latency.
+        when = f", {row['latency_ms']:.0f} ms" if fault.since > 0.0 else ""
+        leg = "" if row["safety_leg"] is None else f", leg {row['safety_leg']}"
+        trip = f" ({row['safety_monitor']}{when}{leg})"
+    warnings = (row.get("warnings") or "").replace("_", " ")
+    return f"{row['reaction']}{trip}: {', '.join(filter(None, (row['status'], warnings)))}"
 
 
 def holdable_lines(rows: Sequence[Row]) -> list[str]:
@@ -345,66 +334,3 @@ def holdable_lines(rows: Sequence[Row]) -> list[str]:
         if row.get("support_newton") is not None:
             lines.append(f"{row['fault']}, {row['motion']}: {held.format(**row)}")
     return lines
-
-
-def markdown_table(rows: Sequence[Row]) -> str:
-    """The table as a Markdown page."""
-    page = [
-        "# Fault table",
-        "",
-        f"{len(rows)} runs of {DURATION:g} s; faults begin at {ONSET:g} s, or are there from the start. The",
-        "exact-model LQI at 1 kHz behind the safety layer with its defaults. In brackets: monitor, latency, leg;",
-        "after the colon: the outcome of the run, and its warnings.",
-        "Peak error: how far the true pose was from the reference while the controller was in charge. Travel: how far",
-        "it went after the safety layer took over. The worst of the motions counts.",
-        "",
-        *markdown(HEADERS, short_rows(rows)),
-        "",
-        "With a dead motor, the wrench that the other five hold at rest:",
-        "",
-        *(f"- {line}" for line in holdable_lines(rows)),
-        "",
-        "What the faults are:",
-        "",
-        *(_told(BY_NAME[name]) for name, _ in _by_fault(rows)),
-        "",
-        "Command: `stewart-drake faults`. All figures: `faults.parquet`.",
-        "",
-    ]
-    return "\n".join(page)
-
-
-def _by_fault(rows: Sequence[Row]) -> Iterable[tuple[str, list[Row]]]:
-    names = dict.fromkeys(row["fault"] for row in rows)
-    return ((name, [row for row in rows if row["fault"] == name]) for name in names)
-
-
-def _told(fault: Fault) -> str:
-    bound = "" if fault.within is None else f" (a monitor trips within {1e3 * fault.within:.0f} ms)"
-    return f"- `{fault.name}`: {fault.text}{bound}"
-
-
-def _end(row: Row) -> str:
-    trip = ""
-    if row.get("safety_monitor") is not None:
-        # What chance brings, such as ticks lost in a row, has a time but no latency.
-        when = f", {row['latency_ms']:.0f} ms" if _begins(row["fault"]) else ""
-        leg = "" if row["safety_leg"] is None else f", leg {row['safety_leg']}"
-        trip = f" ({row['safety_monitor']}{when}{leg})"
-    warnings = (row.get("warnings") or "").replace("_", " ")
-    ended = ", ".join(filter(None, (row.get("status"), warnings)))
-    return row["reaction"] if row["reaction"] == "refused" else f"{row['reaction']}{trip}: {ended}"
-
-
-def _begins(name: str) -> bool:
-    return BY_NAME[name].since > 0.0
-
-
-def _join(rows: Iterable[Row], units: Mapping[str, str]) -> str:
-    """The largest of each column with its unit."""
-    most = ((_values(rows, name), unit) for name, unit in units.items())
-    return ", ".join(f"{max(values):.2f} {unit}" for values, unit in most if values) or "-"
-
-
-def _values(rows: Iterable[Row], name: str) -> list[float]:
-    return [value for row in rows if (value := row.get(name)) is not None]

@@ -6,7 +6,7 @@ import dataclasses
 import textwrap
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from stewart_drake.planning.workspace import Kind, boundary, spanning_grid, spre
 from stewart_drake.references import AdjustedReference, HoldReference, Reference, SumReference, center_of
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, PAPER
-from stewart_drake.runs.motion_fit import fit_amplitude
+from stewart_drake.runs.checks import adjusted, fit_amplitude
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.studies.study import markdown
@@ -43,6 +43,12 @@ HEADER = (
     "error in motion [mm], [deg]",
     "torque RMS, peak [N m]",
 )
+_TORQUES = {
+    *(("plant", key) for key in ("motor_friction", "coulomb", "break_away")),
+    *(("motors", "ripple"), ("motors", "resolution"), ("link", "size")),
+}
+"""Section and last part of the keys that hold torques of motors."""
+_WRENCHES = {("disturbances", key) for key in ("wrench", "impulse", "rms")}
 
 
 def sized(changes: Mapping[str, Any], base: Scenario) -> dict[str, Any]:
@@ -56,10 +62,9 @@ def sized(changes: Mapping[str, Any], base: Scenario) -> dict[str, Any]:
         return dict(changes)
     made = {key: _sized(key.split("."), value, base.robot) for key, value in changes.items()}
     if "reference" in made:
-        duration = made.get("duration", base.duration)
-        reference = base.replace({"reference": made["reference"]}).reference
-        place: Any = _placed
-        made["reference"] = to_plain(place(base.robot, base.limits, reference, float(duration), base.gravity))
+        duration = float(made.get("duration", base.duration))
+        reference: Any = base.replace({"reference": made["reference"]}).reference
+        made["reference"] = to_plain(_placed(base.robot, base.limits, reference, duration, base.gravity))
     return made
 
 
@@ -67,9 +72,9 @@ def _sized(path: list[str], value: Any, robot: RobotParameters) -> Any:
     """A value at a key, or a section whose values are sized one by one."""
     if path == ["initial_offset"]:
         return list(LENGTH.value(tuple(value), robot))
-    if len(path) > 1:
+    if len(path) > 1 and value is not None and not isinstance(value, str):
         factor = _factor(path[0], path[-1], robot)
-        if factor is not None and value is not None and not isinstance(value, str):
+        if factor is not None:
             return (np.array(value) * factor).tolist()
     if isinstance(value, Mapping):
         sizes = {key: _sized([*path, key], each, robot) for key, each in value.items()}
@@ -85,26 +90,16 @@ def _factor(section: str, key: str, robot: RobotParameters) -> Any:
     length = robot.characteristic_length / PAPER.characteristic_length
     if section == "model_robot":
         return np.array(getattr(robot, key)) / np.array(getattr(PAPER, key))
-    factors: Mapping[tuple[str, str], Callable[[], Any]] = {
-        ("plant", "payload_mass"): lambda: robot.platform_mass / PAPER.platform_mass,
-        ("plant", "payload_position"): lambda: length,
-        ("plant", "motor_friction"): lambda: torque,
-        ("plant", "coulomb"): lambda: torque,
-        ("plant", "break_away"): lambda: torque,
-        ("motors", "ripple"): lambda: torque,
-        ("motors", "resolution"): lambda: torque,
-        ("link", "size"): lambda: torque,
-        **{
-            ("disturbances", name): lambda: np.repeat([torque, torque / length], 3)
-            for name in ("wrench", "impulse", "rms")
-        },
-    }
-    found = factors.get((section, key))
-    return None if found is None else found()
+    if (section, key) in _TORQUES:
+        return torque
+    if (section, key) in _WRENCHES:
+        return np.repeat([torque, torque / length], 3)
+    payload = {"payload_mass": robot.platform_mass / PAPER.platform_mass, "payload_position": length}
+    return payload.get(key) if section == "plant" else None
 
 
 @lru_cache(maxsize=64)
-def _placed(robot: RobotParameters, limits: Limits, reference: Reference, duration: float, gravity: float) -> Reference:
+def _placed(robot: RobotParameters, limits: Limits, reference: Any, duration: float, gravity: float) -> Reference:
     """A motion about the robot's home, made smaller where it is not feasible."""
     home = tuple(robot.home_pose.tolist())
     if not np.allclose(center_of(reference), home, rtol=0.0, atol=1e-9):
@@ -115,68 +110,54 @@ def _placed(robot: RobotParameters, limits: Limits, reference: Reference, durati
     _, share = fit_amplitude(robot, limits, reference, duration, gravity)
     if share >= 1.0:
         return reference
-    scale = ROOM * share
     for name in ("amplitude", "excursion"):
-        size: Any = getattr(reference, name, ())
+        size = getattr(reference, name, ())
         if np.shape(size) == (6,):
-            made: Any = reference
-            return dataclasses.replace(made, **{name: tuple((scale * np.array(size)).tolist())})
-    if isinstance(reference, AdjustedReference):
-        return dataclasses.replace(reference, scale=scale * reference.scale)
-    return AdjustedReference(motion=reference, scale=scale)
+            return dataclasses.replace(reference, **{name: tuple((ROOM * share * np.array(size)).tolist())})
+    return adjusted(reference, scale=ROOM * share)
 
 
 def robot_rows(robots: Mapping[str, RobotParameters], progress: Callable[[float], None]) -> list[tuple[str, ...]]:
     """A row for each robot, in texts under `HEADER`; `progress` gets the number of robots done."""
     rows = []
-    for done, (name, robot) in enumerate(robots.items()):
+    for done, (name, robot) in enumerate(robots.items(), 1):
         rows.append((name, *_poses(robot), *_motion(robot)))
-        progress(done + 1.0)
+        progress(float(done))
     return rows
 
 
 def robots_page(rows: list[tuple[str, ...]]) -> str:
     """The rows as a Markdown page."""
-    base = load_scenario(SCENARIO)
     about = (
         "Workspaces around home, within the limits of a scenario that gives none: positions without turning,"
         f" orientations without moving, {SAMPLES:,} poses each. Free in every direction: the largest ball of positions "
         "and of Euler angles. Conditioning: smallest over largest singular value of the rods' lines, at home and at "
-        f"the worst of these positions. In motion: `{SCENARIO}`, {base.duration:g} s of roll 6 deg, pitch 3 deg and "
-        "heave 4 mm at 3 rad/s by the exact-model LQI at 1 kHz, encoders of 17 bits, all weights sized by the robot; "
-        "RMSE of the second half."
+        f"the worst of these positions. In motion: `{SCENARIO}`, {load_scenario(SCENARIO).duration:g} s of roll 6 deg, "
+        "pitch 3 deg and heave 4 mm at 3 rad/s by the exact-model LQI at 1 kHz, encoders of 17 bits, all weights sized "
+        "by the robot; RMSE of the second half."
     )
-    page = [
-        "# Robots side by side",
-        "",
-        *textwrap.wrap(about, 120),
-        "",
-        *markdown(HEADER, rows),
-        "",
-        "Command: `stewart-drake robots table`.",
-        "",
-    ]
-    return "\n".join(page)
+    table = "\n".join(markdown(HEADER, rows))
+    return (
+        f"# Robots side by side\n\n{textwrap.fill(about, 120)}\n\n{table}\n\nCommand: `stewart-drake robots table`.\n"
+    )
 
 
 def _poses(robot: RobotParameters) -> tuple[str, ...]:
-    limits, home = Scenario(robot=robot).limits, robot.home_pose
-    sizes, worst, ways, directions = {}, 0.0, {}, spread_directions(DIRECTIONS)
-    kinds: tuple[Kind, Kind] = ("position", "orientation")
-    for kind in kinds:
-        found = survey(robot, limits, spanning_grid(robot, kind, home, SAMPLES))
-        sizes[kind] = found.size(found.connected)
-        ways[kind] = float(boundary(robot, limits, kind, home, directions).radius.min())
-        if kind == "position" and found.connected.any():
-            worst = float(found.measures.conditioning[found.connected].min())
-    rest = float(np.abs(static_torque(robot, home)).max())
+    limits, home, directions = Scenario(robot=robot).limits, robot.home_pose, spread_directions(DIRECTIONS)
+    found, free = {}, {}
+    for kind in get_args(Kind):
+        found[kind] = survey(robot, limits, spanning_grid(robot, kind, home, SAMPLES))
+        free[kind] = float(boundary(robot, limits, kind, home, directions).radius.min())
+    sizes = {kind: each.size(each.connected) for kind, each in found.items()}
+    places = found["position"]
+    worst = float(places.measures.conditioning[places.connected].min(initial=1.0)) if places.connected.any() else 0.0
     return (
         f"{1e3 * robot.characteristic_length:.0f}",
         f"{1e6 * sizes['position']:.3g}",
         f"{100.0 * sizes['orientation']:.2g}",
-        f"{1e3 * ways['position']:.1f} mm, {np.degrees(ways['orientation']):.1f} deg",
+        f"{1e3 * free['position']:.1f} mm, {np.degrees(free['orientation']):.1f} deg",
         f"{conditioning(robot, home):.3f}, {worst:.3f}",
-        f"{rest:.3g}",
+        f"{float(np.abs(static_torque(robot, home)).max()):.3g}",
     )
 
 

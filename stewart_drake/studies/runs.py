@@ -9,20 +9,19 @@ import socket
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
+from stewart_drake.control.objective import CostScales
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError, RunFailure, raised_at
-from stewart_drake.files.code_path import CodePath
-from stewart_drake.files.code_trust import code_rule
-from stewart_drake.files.named_files import file_digests
+from stewart_drake.files.code import CodePath, code_rule, file_digests
 from stewart_drake.files.whole import NOT_FINITE, checksum, locked_folder, plain_json, write_atomically
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metric_table import MetricError, added_code, columns, flat
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.logs.metrics import MetricError, columns, error_norms, flat, run_cost, run_metrics
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.registry import REGISTERED
 from stewart_drake.runs.outputs import prepare_folder
@@ -40,9 +39,14 @@ RunFunction = Callable[["Scenario"], SimulationLog]
 """Simulates a scenario; likewise."""
 
 ROWS, HEADER = "rows.jsonl", "study.json"
+TABLES = ("sweep", "comparison", "bands", "faults", "tune", "rmse", "error")
+ENDINGS = ("parquet", "csv", "md", "png")
+"""Of the files that studies make of rows."""
 CODE = ("stewart-drake", "drake", "numpy", "scipy", "source")
 """Versions on which every number depends."""
 MAX_MESSAGE = 500
+TRACE_POINTS = 240
+"""Of the error over time that a row keeps; each the largest error of its share of the run."""
 
 
 def simulate(scenario: Scenario, **options: Any) -> SimulationLog:
@@ -55,13 +59,75 @@ def simulate(scenario: Scenario, **options: Any) -> SimulationLog:
     return log
 
 
-def simulate_unchecked(scenario: Scenario) -> SimulationLog:
-    """The same without the check of its motion."""
-    return simulate(scenario, check=False)
+simulate_unchecked = partial(simulate, check=False)
+"""The same without the check of its motion."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One run, in plain values that travel to any worker."""
+
+    index: int
+    seed: int
+    base: Mapping[str, Any]
+    """The scenario before the changes."""
+    changes: Mapping[str, Any]
+    """Scenario key -> value."""
+    drawn: Mapping[str, Any] = field(default_factory=dict)
+    """What tells the run from others; `values` of its row."""
+    measure: Measure | None = None
+    function: RunFunction = simulate
+    code: frozenset[str] = frozenset()
+    """Keys of the user's code that it may run, see `CodePath.key`."""
+
+    def row(self, status: str, reason: str | None, message: str | None) -> Row:
+        """A row of which nothing else is known."""
+        # Below the first line is the traceback of a user's code, which a log keeps.
+        text = None if not message else " ".join(message.splitlines()[0].split())[:MAX_MESSAGE]
+        named = {"index": self.index, "seed": self.seed, "values": dict(self.drawn)}
+        return {**named, "status": status, "reason": reason, "message": text}
+
+
+def execute(task: Task) -> Row:
+    """Runs a task and turns whatever comes of it into a row, in values that strict JSON has."""
+    start = time.perf_counter()
+    found = _outcome(task)
+    named = found.pop(NOT_FINITE, {})
+    row = plain_json(found)
+    named |= row.get(NOT_FINITE, {})
+    row[NOT_FINITE] = ", ".join(f"{name} {value}" for name, value in named.items() if "." not in name) or None
+    return {**row, "wall_s": time.perf_counter() - start, "host": socket.gethostname(), "worker": os.getpid()}
+
+
+def _outcome(task: Task) -> Row:
+    from stewart_drake.scenario import Scenario
+
+    try:
+        with code_rule(task.code):
+            log = task.function(Scenario.from_dict(task.base).replace(task.changes))
+        # A finite blow-up overflows in the squares; its row says so.
+        with np.errstate(all="ignore"):
+            return {**task.row(log.status, log.reason, log.message), **(task.measure or measure)(log)}
+    except KeyboardInterrupt:
+        raise
+    except ConfigurationError as error:
+        if error.reason == UNTRUSTED_CODE:
+            raise  # it has changed in the midst of the study
+        return task.row("rejected", error.reason, str(error))
+    except RunFailure as error:
+        return {**task.row("failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}
+    except MetricError as error:
+        return task.row("raised", error.reason, str(error))
+    except BaseException as error:  # SystemExit, MemoryError and the like: a row each
+        name = type(error).__name__
+        return task.row("raised", name, f"{str(error) or name}{raised_at(error)}")
+
+
+# --- figures of a run ---
 
 
 def outcome(log: SimulationLog) -> Row:
-    """How a run ended, see `metric_table.OUTCOME`, but for status, reason and message."""
+    """How a run ended, see `metrics.OUTCOME`, but for status, reason and message."""
     safety = log.safety or dict.fromkeys(("monitor", "time", "worst"))
     return {
         "outcome_time": log.outcome_time,
@@ -79,92 +145,75 @@ def measure(log: SimulationLog) -> Row:
     return {**outcome(log), **flat(run_metrics(log), log.scenario), "simulation_s": log.wall_time}
 
 
-@dataclass(frozen=True)
-class Task:
-    """One run, in plain values that travel to any worker.
+def measure_cost(log: SimulationLog, scales: CostScales) -> Row:
+    """How a run ended, and its cost."""
+    return {**outcome(log), "cost": run_cost(run_metrics(log), log.status, log.scenario.controller.period, scales)}
 
-    Attributes:
-        index: Number of the run.
-        seed: Of the run.
-        base: The scenario before the changes, as `Scenario.to_dict` gives it.
-        changes: Scenario key -> value.
-        drawn: What tells the run from others; goes into the row.
-        measure: What goes into the row.
-        function: Simulates it.
-        code: Keys of the user's code that it may run, see `CodePath.key`.
+
+def measure_run(log: SimulationLog, band: float, scales: CostScales | None = None) -> Row:
+    """Figures of a run: those of every sweep, settling into `band` [mm], its cost and the trace of its error."""
+    rotation, position = error_norms(log)
+    pose = np.hypot(1e3 * log.scenario.robot.characteristic_length * np.radians(rotation), position)
+    figures = measure(log)
+    if scales is not None:
+        figures["cost"] = run_cost(figures, log.status, log.scenario.controller.period, scales)
+    return {
+        **figures,
+        "settling_s": settling_time(log.time, pose, band) if log.reached_end else None,
+        "trace": {"time": _thinned(log.time), "pose_mm": _thinned(pose)},
+    }
+
+
+def _thinned(values: np.ndarray) -> list[float]:
+    parts = np.array_split(values, min(TRACE_POINTS, len(values))) if len(values) else []
+    return [float(f"{np.max(part):.4g}") for part in parts]
+
+
+def measure_band(log: SimulationLog, frequency: float, axis: int, window: float) -> Row:
+    """Amplitude ratio and phase over the last `window` [s] of a run along a sine of `frequency` [Hz] on `axis`."""
+    row = outcome(log) | dict.fromkeys(("ratio", "phase_deg", "rest"))
+    if not log.reached_end:
+        return row
+    rows = log.time > log.time[-1] - window + 1e-9
+    reference, pose = log["reference"][rows, axis], log["pose"][rows, axis]
+    response, rest = sine_response(log.time[rows], reference, pose, frequency)
+    return {**row, "ratio": abs(response), "phase_deg": float(np.degrees(np.angle(response))), "rest": rest}
+
+
+def settling_time(time: np.ndarray, size: np.ndarray, band: float) -> float | None:
+    """Time after which `size` stays within `band`: 0 where it never leaves it, None where it ends outside."""
+    outside = ~(size <= band)
+    if not len(time) or outside[-1]:
+        return None
+    last = np.flatnonzero(outside)
+    return float(time[last[-1] + 1]) if len(last) else 0.0
+
+
+def sine_response(
+    time: np.ndarray, reference: np.ndarray, response: np.ndarray, frequency: float
+) -> tuple[complex, float]:
+    """Response (n,) to a sine (n,) of `frequency` [Hz]: least-squares fit of sine, cosine and constant to both.
+
+    Returns:
+        Their ratio as a complex number: amplitude ratio and, as its angle, phase (negative for a lag); and the RMS of
+        what the fit leaves of the response, as a part of the RMS of the fitted sine.
     """
-
-    index: int
-    seed: int
-    base: Mapping[str, Any]
-    changes: Mapping[str, Any]
-    drawn: Mapping[str, Any]
-    measure: Measure = measure
-    function: RunFunction = simulate
-    code: frozenset[str] = frozenset()
-
-    def row(self, status: str, reason: str | None, message: str | None) -> Row:
-        """A row of which nothing else is known."""
-        # Below the first line is the traceback of a user's code, which a log keeps.
-        text = None if not message else " ".join(message.splitlines()[0].split())[:MAX_MESSAGE]
-        named = {"index": self.index, "seed": self.seed, "values": dict(self.drawn)}
-        return {**named, "status": status, "reason": reason, "message": text}
+    angle = 2.0 * np.pi * frequency * np.asarray(time)
+    basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=1)
+    solution, *_ = np.linalg.lstsq(basis, np.stack([reference, response], axis=1), rcond=None)
+    asked, came = solution[0] + 1j * solution[1]
+    rest = response - basis @ solution[:, 1]
+    return complex(came / asked), float(np.sqrt(2.0 * np.mean(rest**2)) / abs(came))
 
 
-def execute(task: Task) -> Row:
-    """Runs a task and turns whatever comes of it into a row, in values that strict JSON has: see `whole.plain_json`.
-
-    Raises:
-        ConfigurationError: The user's code is not that of the task.
-        KeyboardInterrupt: The run was interrupted; it is no row.
-    """
-    start = time.perf_counter()
-    found = _outcome(task)
-    named = found.pop(NOT_FINITE, {})
-    row = plain_json(found)
-    row[NOT_FINITE] = {**named, **row.get(NOT_FINITE, {})}
-    return {**row, "wall_s": time.perf_counter() - start, "host": socket.gethostname(), "worker": os.getpid()}
-
-
-def _outcome(task: Task) -> Row:
-    from stewart_drake.scenario import Scenario
-
-    try:
-        with code_rule(task.code):
-            log = task.function(Scenario.from_dict(task.base).replace(task.changes))
-        # A finite blow-up overflows in the squares; its row says so.
-        with np.errstate(all="ignore"):
-            return {**task.row(log.status, log.reason, log.message), **task.measure(log)}
-    except KeyboardInterrupt:
-        raise
-    except ConfigurationError as error:
-        if error.reason == UNTRUSTED_CODE:
-            raise  # it has changed in the midst of the study
-        return task.row("rejected", error.reason, str(error))
-    except RunFailure as error:
-        return {**task.row("failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}
-    except MetricError as error:
-        return task.row("raised", error.reason, str(error))
-    except BaseException as error:  # SystemExit, MemoryError and the like: a row each
-        name = type(error).__name__
-        return task.row("raised", name, f"{str(error) or name}{raised_at(error)}")
+# --- rows in a folder ---
 
 
 class KeptRuns:
     """Rows of runs: `study.json` says on what they depend, `rows.jsonl` has a line each, known by a digest.
 
-    A context manager: within it, the folder is this process's alone.
-
-    Args:
-        folder: Where.
-        identity: What the rows depend on, in plain values, see `identity`.
-        where: Where the runs go; None for processes of this machine.
-        tell: Called with the number of runs done.
-        restart: Throw away what is in the folder.
-        products: Names of files that are made of the rows: they never stand beside rows of another identity.
-
-    Raises:
-        ConfigurationError: The folder holds another study, is in use, or cannot be written to.
+    A context manager: within it, the folder is this process's alone. `identity` is what the rows depend on, `tell` gets
+    the number of runs done, `restart` throws away what an earlier study has left.
     """
 
     def __init__(
@@ -174,36 +223,28 @@ class KeptRuns:
         where: Workers | None = None,
         tell: Callable[[float], None] | None = None,
         restart: bool = False,
-        products: Sequence[str] = (),
     ) -> None:
-        self.folder, self._identity, self._products = folder, json.loads(json.dumps(identity)), products
-        self._digest, self._restart, self._done = checksum(self._identity), restart, 0
-        self._workers, self._tell = where or Workers(), tell or (lambda _: None)
+        self.folder, self._identity = folder, json.loads(json.dumps(identity))
+        self._workers, self._tell, self._restart = where or Workers(), tell or (lambda _: None), restart
+        self._digest, self._done = checksum(self._identity), 0
         self._open = ExitStack()
-        self._kept: dict[str, Row] = {}
 
     def __enter__(self) -> Self:
         prepare_folder(self.folder)
-        path, header = self.folder / ROWS, self.folder / HEADER
         with ExitStack() as opened:
             opened.enter_context(locked_folder(self.folder))
             if self._restart:
-                for name in (*self._products, ROWS, HEADER):
+                for name in (ROWS, HEADER, *(f"{stem}.{ending}" for stem in TABLES for ending in ENDINGS)):
                     (self.folder / name).unlink(missing_ok=True)
-            different = self._difference(header)
-            if different:
-                allowed = "a new folder, the same work by the same version, or --restart to throw away what is there"
-                raise ConfigurationError("--out", str(self.folder), f"{allowed}; {different}")
-            write_atomically(header, (json.dumps(self._identity, indent=1) + "\n").encode())
-            try:
-                self._stream = opened.enter_context(path.open("a+b", buffering=0))
-                self._stream.seek(0)
-                content = self._stream.read()
-                # A last line that is not finished is that of a process which was killed.
-                self._stream.truncate(content.rfind(b"\n") + 1)
-            except OSError as error:
-                raise ConfigurationError(str(path), error.strerror, "a file that can be written to") from None
-            self._kept = dict(_rows(content))
+            self._refuse_another()
+            write_atomically(self.folder / HEADER, (json.dumps(self._identity, indent=1) + "\n").encode())
+            self._stream = opened.enter_context((self.folder / ROWS).open("a+b", buffering=0))
+            self._stream.seek(0)
+            content = self._stream.read()
+            # A last line that is not finished is that of a process which was killed.
+            self._stream.truncate(content.rfind(b"\n") + 1)
+            lines = content[: content.rfind(b"\n") + 1].splitlines()
+            self._kept = {row.pop("key"): row for row in map(json.loads, lines)}
             self._open = opened.pop_all()
         return self
 
@@ -211,12 +252,7 @@ class KeptRuns:
         self._open.__exit__(*details)
 
     def rows(self, keys: Sequence[Key], task: Callable[[Key], Task]) -> list[Row]:
-        """The row of each key; what is missing is run as its task says.
-
-        Raises:
-            StewartDrakeError: There are no workers (any more); rows done are kept.
-            KeyboardInterrupt: Rows done are kept.
-        """
+        """The row of each key; what is missing is run as its task says, and whatever ends it, rows done are kept."""
         digests = {key: checksum([self._digest, key]) for key in keys}
         missing = [key for key in digests if digests[key] not in self._kept]
         self._progress(len(keys) - len(missing))
@@ -240,62 +276,43 @@ class KeptRuns:
         self._done += more
         self._tell(float(self._done))
 
-    def _difference(self, header: Path) -> str:
-        """In words, what tells the folder from one of this identity; empty where nothing does."""
+    def _refuse_another(self) -> None:
+        """Refuses the folder of another study, and says in what it differs."""
+        header, rows = self.folder / HEADER, self.folder / ROWS
         try:
-            kept = json.loads(header.read_bytes())
+            kept = json.loads(header.read_bytes()) if header.exists() or rows.exists() else self._identity
         except (OSError, ValueError):
-            there = [name for name in (ROWS, *self._products) if (self.folder / name).exists()]
-            return f"{there[0]} is there without a {HEADER} that can be read" if there else ""
-        names = _unequal(kept, self._identity)
-        changed = [name for name in names if name == "columns" or name.startswith("versions.")]
-        if changed:
-            return f"it was made by another version ({', '.join(changed)})"
-        return f"it differs in {', '.join(names[:5])}{' and more' if len(names) > 5 else ''}" if names else ""
-
-
-def _rows(content: bytes) -> Iterable[tuple[str, Row]]:
-    for line in content.splitlines():
-        try:
-            row = json.loads(line)
-            yield row.pop("key"), row
-        except (ValueError, KeyError, TypeError, AttributeError):
-            continue  # run again
+            different = f"{ROWS} is there without a {HEADER} that can be read"
+        else:
+            names = _unequal(kept, self._identity)
+            different = f"it differs in {', '.join(names[:5])}{' and more' if len(names) > 5 else ''}" if names else ""
+        if different:
+            allowed = "a new folder, the same work by the same version, or --restart to throw away what is there"
+            raise ConfigurationError("--out", str(self.folder), f"{allowed}; {different}")
 
 
 def _unequal(one: Any, other: Any, name: str = "") -> list[str]:
+    """Dotted keys at which two documents differ."""
     if isinstance(one, dict) and isinstance(other, dict):
         keys = dict.fromkeys([*one, *other])
         return [n for k in keys for n in _unequal(one.get(k), other.get(k), f"{name}.{k}" if name else k)]
-    return [] if one == other and type(one) is type(other) else [name]
+    return [] if one == other else [name]
 
 
 def identity(
-    work: Mapping[str, Any],
-    scenarios: Iterable[Scenario] = (),
-    versions: Mapping[str, str | None] | None = None,
-    more: Iterable[str] = (),
-    code: Iterable[CodePath] | None = None,
+    work: Mapping[str, Any], scenarios: Iterable[Scenario] = (), code: Iterable[CodePath] | None = None
 ) -> dict[str, Any]:
     """What results depend on, in plain values, so that kept ones are known again: the work, its files, the code.
 
-    Args:
-        work: What is computed, in plain values.
-        scenarios: Of the work; of networks the weights count, and not what their file is called.
-        versions: From `collect_versions`; None collects them.
-        more: Names of versions beside `CODE`.
-        code: See `file_digests`.
-
-    Raises:
-        ConfigurationError: A weights file cannot be read.
+    Of the networks of `scenarios` the weights count, and not what their file is called; for `code` see `file_digests`.
     """
-    versions = collect_versions() if versions is None else versions
+    versions = collect_versions()
     texts = {text for scenario in scenarios if (text := scenario.tuner.content()) is not None}
     return {
         **work,
         "files": file_digests(work, code),
         "weights": sorted(hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts),
-        "columns": checksum([[asdict(column) for column in columns(*scenarios)], added_code()])[:8],
+        "columns": checksum([asdict(column) for column in columns(*scenarios)])[:8],
         "kinds": checksum([each.added_code() for each in REGISTERED])[:8],
-        "versions": {name: versions[name] for name in (*CODE, *more)},
+        "versions": {name: versions[name] for name in CODE},
     }

@@ -2,36 +2,40 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
+import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from decimal import Decimal
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self, TypeVar
 
 from pydantic import Field
 
 from stewart_drake.config import NAME, NAME_WORDS, Section, Text
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.families import refuse_given, user_parts
-from stewart_drake.files.code_path import CodePath
-from stewart_drake.files.named_files import anchored, code_named
+from stewart_drake.files.code import CodePath, anchored, code_named, trusting_code
 from stewart_drake.files.tables import to_csv, to_parquet
-from stewart_drake.files.whole import NOT_FINITE, write_atomically
-from stewart_drake.logs.metric_table import Column
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.files.whole import write_atomically
+from stewart_drake.files.yaml_files import find_file, read_mapping
+from stewart_drake.logs.metrics import Column, run_metrics
 from stewart_drake.logs.outcomes import told
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.studies.runs import KeptRuns, Measure, Row, RunFunction, Task, identity, measure, simulate
+from stewart_drake.studies.runs import KeptRuns, Row, Task, identity
 from stewart_drake.studies.workers import Workers
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+T = TypeVar("T")
 StudyName = Annotated[Text, Field(min_length=1, max_length=80, pattern=NAME), NAME_WORDS]
+Tables = Mapping[str, tuple[Sequence[Column], list[Row]]]
+"""Name of a table -> its columns, and its rows, which may say more."""
 INCIDENTAL = (
     Column("wall_s", "s", "wall-clock time of the run in its worker: diagram, simulation, metrics"),
     Column("simulation_s", "s", "of that, the simulation alone"),
@@ -41,6 +45,8 @@ INCIDENTAL = (
 """Last columns of a sweep: the only ones that depend on where and when it ran."""
 COMPARED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
 """Metrics in which Drake is set beside the reduced engine."""
+SMALLEST = 1e-5
+"""What is smaller is not written out."""
 
 
 class StudyFile(Section):
@@ -55,110 +61,68 @@ class StudyFile(Section):
 
     @classmethod
     def read(cls, what: str, data: Any, folder: Path | None) -> tuple[Self, Scenario]:
-        """The keys from plain values, and the scenario with `set` in it; paths are relative to `folder`.
-
-        Raises:
-            ConfigurationError: Names the key, the value and what is allowed.
-        """
+        """The keys from plain values, and the scenario with `set` in it; paths are relative to `folder`."""
         folder = Path() if folder is None else folder
         if not isinstance(data, Mapping):
             raise ConfigurationError(what, data, "a mapping of keys to values")
         given = cls.from_dict(anchored(data, folder))
-        relative = folder / given.scenario
-        try:
-            found = relative.is_file()
-        except OSError:
-            found = False
-        try:
-            loaded = load_scenario(relative if found else given.scenario)
-        except ConfigurationError as error:
-            raise error.within("scenario: ") from None
-        try:
+        place = folder / given.scenario
+        with within("scenario: "):
+            # Unlike `Path.is_file` this never raises, whatever stands in the way.
+            loaded = load_scenario(place if os.path.isfile(place) else given.scenario)  # noqa: PTH113
+        with within("set."):
             return given, vary(loaded, given.set)
-        except ConfigurationError as error:
-            raise error.within("set.") from None
 
 
 @dataclass(frozen=True, eq=False)
 class Study(ABC):
-    """Runs of one scenario with some keys changed, each known by its index.
-
-    Attributes:
-        base: The scenario, with everything fixed in it.
-        runs: How many.
-        name: For folders and titles.
-    """
+    """Runs of one scenario with some keys changed, each known by its index."""
 
     kind: ClassVar[str]
     """Name of the first table, and key of what the tables' metadata say of the study."""
-    products: ClassVar[tuple[str, ...]]
-    """Names of the files that are made of the rows."""
 
     base: Scenario
-    runs: int = field(kw_only=True)
+    """With everything fixed in it."""
     name: str = field(kw_only=True)
+    """For folders and titles."""
+    indices: Sequence[int] = field(kw_only=True)
 
     @abstractmethod
-    def draw(self, index: int) -> dict[str, Any]:
-        """What tells run `index` from the others; `values` of its row."""
-
-    @abstractmethod
-    def changes(self, drawn: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Scenario key -> value for what `draw` gave."""
-
-    @abstractmethod
-    def to_dict(self) -> dict[str, Any]:
-        """All of it in plain types."""
-
-    @abstractmethod
-    def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
-        """The tables that rows make, by name: columns, and flat rows."""
-
-    def page(self, tables: Mapping[str, list[Row]]) -> str | None:  # noqa: ARG002 - here and below the same for all
-        """What is read, as Markdown, given the flat rows of `tables`; None for nothing."""
-        return None
+    def task(self, index: int) -> Task:
+        """Run `index`, made by `_task`."""
 
     @property
-    def work(self) -> Mapping[str, Any]:
-        """What of `to_dict` the rows depend on."""
-        return self.to_dict()
+    @abstractmethod
+    def work(self) -> dict[str, Any]:
+        """What the rows depend on, in plain types."""
+
+    @abstractmethod
+    def tables(self, rows: Sequence[Row]) -> Tables:
+        """The tables that rows make."""
+
+    def page(self, rows: Mapping[str, list[Row]]) -> str:  # noqa: ARG002
+        """What is read, as Markdown, given the rows of each table."""
+        return ""
 
     @property
-    def indices(self) -> Iterable[int]:
-        """Of the runs."""
-        return range(self.runs)
-
-    def run_seed(self, index: int) -> int:  # noqa: ARG002
-        """Seed of run `index`, below 2^63."""
-        return 0
-
-    def measure(self, index: int) -> Measure:  # noqa: ARG002
-        """What goes into the row of run `index`."""
-        return measure
-
-    def simulation(self, index: int) -> RunFunction:  # noqa: ARG002
-        """What simulates run `index`."""
-        return simulate
-
     def variants(self) -> list[Scenario]:
         """Scenarios that together name every weights file and every class of the user's in the runs."""
         return [self.base]
 
-    def run_name(self, index: int) -> str:
-        """Name of the scenario of run `index`."""
-        return f"{self.name} {index}"
-
-    def task(self, index: int) -> Task:
-        """Run `index` in plain values."""
-        drawn = self.draw(index)
-        # Figures are those of every tick, whatever the scenario wants in a log.
-        changes = {"name": self.run_name(index), **self.changes(drawn), "log_period": None}
-        how = self.measure(index), self.simulation(index), self._trusted
-        return Task(index, self.run_seed(index), self._base_values, changes, drawn, *how)
+    @property
+    def runs(self) -> int:
+        """How many."""
+        return len(self.indices)
 
     def scenario(self, index: int) -> Scenario:
         """The scenario of run `index`; ConfigurationError where its values do not make one."""
-        return vary(self.base, {"name": self.run_name(index), **self.changes(self.draw(index))})
+        return vary(self.base, self.task(index).changes)
+
+    def _task(self, index: int, changes: Mapping[str, Any], seed: int = 0, **more: Any) -> Task:
+        """Run `index` with some keys changed; figures are those of every tick, whatever the scenario wants in a log."""
+        base, trusted = self._shared
+        changes = {"name": f"{self.name} {index}", **changes, "log_period": None}
+        return Task(index, seed, base, changes, code=trusted, **more)
 
     @cached_property
     def code(self) -> list[CodePath]:
@@ -166,40 +130,28 @@ class Study(ABC):
         return code_named(self.work)
 
     @cached_property
-    def _trusted(self) -> frozenset[str]:
-        return frozenset(code.key for code in self.code if code.trusted)
+    def _shared(self) -> tuple[dict[str, Any], frozenset[str]]:
+        return self.base.to_dict(), frozenset(code.key for code in self.code if code.trusted)
 
-    @cached_property
-    def _base_values(self) -> dict[str, Any]:
-        return self.base.to_dict()
-
-    def identity(self, versions: Mapping[str, str | None]) -> dict[str, Any]:
-        """What the rows depend on; the user's classes are loaded: one that lacks shows early.
-
-        Raises:
-            ConfigurationError: A weights file, or a class, that cannot be read.
-        """
-        code, variants = self.code, self.variants()
+    def identity(self) -> dict[str, Any]:
+        """What the rows depend on; the user's classes are loaded: one that lacks shows early."""
+        code, variants = self.code, self.variants
         for part in {part.code: part for variant in variants for part in user_parts(variant)}.values():
             part.load()
-        return identity(self.work, variants, versions, code=code)
+        return identity(self.work, variants, code)
 
 
 @dataclass(frozen=True, eq=False)
-class StudyTable:
-    """A table of a study.
+class StudyResult:
+    """What a study leaves."""
 
-    Attributes:
-        table: One row a run, unit and text of each column in its metadata.
-        rows: The same as plain values, with what else a row says.
-        path: The Parquet file; a CSV file is beside it.
-        engine: What Drake says of runs on the reduced engine, see `drake_beside`; None where there are none.
-    """
-
-    table: pa.Table
-    rows: list[Row]
-    path: Path
+    folder: Path
+    rows: dict[str, list[Row]]
+    """Name of a table -> its rows as plain values, with what else they say."""
+    tables: dict[str, pa.Table]
+    """Name -> table; those with rows are NAME.parquet and NAME.csv in the folder."""
     engine: str | None = None
+    """What Drake says of runs on the reduced engine, see `drake_beside`."""
 
 
 def run_study(
@@ -208,47 +160,45 @@ def run_study(
     workers: Workers | None = None,
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
-    function: RunFunction | None = None,
-) -> dict[str, StudyTable]:
+) -> StudyResult:
     """Runs what is missing of a study and writes its tables; every run becomes a row.
 
-    Args:
-        study: What to run.
-        folder: For the tables, and for the rows as they come; a second call goes on where the first ended.
-        workers: Where the runs go; None for processes of this machine.
-        progress: Called with the number of runs done.
-        restart: Throw away what is in the folder.
-        function: Simulates one scenario, in place of `study.simulation`.
-
-    Returns:
-        The tables by name.
-
-    Raises:
-        ConfigurationError: The folder holds another study, is in use or cannot be written to; a weights file or a
-            class of the user's that cannot be read.
-        StewartDrakeError: There are no workers (any more); rows done are kept.
-        KeyboardInterrupt: Rows done are kept.
+    A second call goes on where the first ended, however that was. `progress` gets the number of runs done; `restart`
+    throws away what is in the folder.
     """
-    versions, indices = collect_versions(), list(study.indices)
-
-    def task(index: int) -> Task:
-        made = study.task(index)
-        return made if function is None else dataclasses.replace(made, function=function)
-
-    with KeptRuns(folder, study.identity(versions), workers, progress, restart, study.products) as kept:
-        rows = kept.rows(indices, task)
-        engine = drake_beside(study, dict(zip(indices, rows, strict=True)), function)
-        about = {study.kind: study.to_dict(), "versions": versions, **({} if engine is None else {"engine": engine})}
-        made = {}
-        for name, (fields, wide) in study.tables(rows).items():
-            made[name] = StudyTable(to_arrow(fields, wide, study.kind, about), wide, folder / f"{name}.parquet", engine)
-            if wide:
-                write_table(made[name].table, folder, name)
-        page = study.page({name: each.rows for name, each in made.items()})
-        if page is not None:
+    with KeptRuns(folder, study.identity(), workers, progress, restart) as kept:
+        rows = kept.rows(study.indices, study.task)
+        engine = drake_beside(study, rows)
+        about = {"name": study.name, "runs": study.runs, **study.work}
+        metadata = {study.kind: about, "versions": collect_versions(), "engine": engine}
+        made = study.tables(rows)
+        tables = {name: to_arrow(*table, study.kind, metadata) for name, table in made.items()}
+        result = StudyResult(folder, {name: wide for name, (_, wide) in made.items()}, tables, engine)
+        for name, table in tables.items():
+            if table.num_rows:
+                write_table(table, folder, name)
+        page = study.page(result.rows)
+        if page:
             text = page if engine is None else f"{page}\n{engine}\n"
             write_atomically(folder / f"{study.kind}.md", text.encode())
-    return made
+    return result
+
+
+def load_study(kind: str, path: str | Path, make: Callable[[dict[str, Any], Path], T], trust_code: bool) -> T:
+    """What a file, or one of the package by its name, makes."""
+    path = find_file(kind, path)
+    data = read_mapping(kind, path, 80)
+    with trusting_code(trust_code):
+        return make(data, path.parent)
+
+
+@contextmanager
+def within(where: str) -> Iterator[None]:
+    """Says of bad input where it stands."""
+    try:
+        yield
+    except ConfigurationError as error:
+        raise error.within(where) from None
 
 
 def vary(base: Scenario, changes: Mapping[str, Any]) -> Scenario:
@@ -258,32 +208,29 @@ def vary(base: Scenario, changes: Mapping[str, Any]) -> Scenario:
     return changed
 
 
-def drake_beside(study: Study, rows: Mapping[int, Row], function: RunFunction | None = None) -> str | None:
+def drake_beside(study: Study, rows: Iterable[Row]) -> str | None:
     """A line on runs on the reduced engine: the first completed one again, on Drake's plant; None without such runs."""
-    if not any(variant.plant.engine == "reduced" for variant in study.variants()):
+    if not any(variant.plant.engine == "reduced" for variant in study.variants):
         return None
     line = "Engine: reduced, the exact closed form of the robot in place of Drake's plant"
-    for index, row in rows.items():
-        scenario = study.scenario(index) if row["status"] == "completed" else None
-        if scenario is None or scenario.plant.engine != "reduced":
+    for row in (each for each in rows if each["status"] == "completed"):
+        index = row["index"]
+        scenario = study.scenario(index)
+        if scenario.plant.engine != "reduced":
             continue
         try:
-            log = (function or study.simulation(index))(scenario.replace({"plant.engine": "drake"}))
+            log = study.task(index).function(scenario.replace({"plant.engine": "drake"}))
         except StewartDrakeError as error:
             return f"{line}. Run {index} does not run on Drake: {error}"
-        drake, found = run_metrics(log), [told(log.status, log.reason)]
+        drake, words = run_metrics(log), [told(log.status, log.reason)]
         for name in COMPARED:
-            mine, other = row.get(name), drake.get(name)
-            if isinstance(mine, float) and isinstance(other, float) and other != 0.0:
-                found.append(f"{name} {other:.3g} (here {100.0 * (mine / other - 1.0):+.2g} %)")
-        return f"{line}. Run {index} on Drake: {', '.join(found)}."
+            if row.get(name) is not None and drake.get(name):
+                words.append(f"{name} {drake[name]:.3g} (here {100.0 * (row[name] / drake[name] - 1.0):+.2g} %)")
+        return f"{line}. Run {index} on Drake: {', '.join(words)}."
     return line + "; no run completed to compare."
 
 
-def flat(row: Row, **more: Any) -> Row:
-    """A row with further columns, and with what of it is no finite number as a text."""
-    named = ", ".join(f"{name} {value}" for name, value in row.get(NOT_FINITE, {}).items() if "." not in name)
-    return {**row, **more, NOT_FINITE: named or None}
+# --- tables, for programs and for readers ---
 
 
 def to_arrow(
@@ -293,18 +240,12 @@ def to_arrow(
     import pyarrow as pa
 
     types = {"number": pa.float64(), "whole": pa.int64(), "flag": pa.bool_(), "text": pa.string(), "json": pa.string()}
-    fields, arrays, rows = [], [], list(rows)
-    for column in columns:
-        values = [row.get(column.name) for row in rows]
-        if column.kind == "json":
-            values = [json.dumps(value) for value in values]
-        elif column.kind == "number":
-            values = [None if value is None else float(value) for value in values]
-        metadata = {"unit": column.unit, "text": column.text}
-        fields.append(pa.field(column.name, types[column.kind], metadata=metadata))
-        arrays.append(pa.array(values, type=types[column.kind]))
-    text = json.dumps(about)
-    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={f"stewart_drake.{key}": text}))
+    fields = [
+        pa.field(each.name, types[each.kind], metadata={"unit": each.unit, "text": each.text}) for each in columns
+    ]
+    as_text = [column.name for column in columns if column.kind == "json"]
+    plain = [{**row, **{name: json.dumps(row.get(name)) for name in as_text}} for row in rows]
+    return pa.Table.from_pylist(plain, pa.schema(fields, metadata={f"stewart_drake.{key}": json.dumps(about)}))
 
 
 def write_table(table: pa.Table, folder: Path, name: str) -> None:
@@ -313,6 +254,27 @@ def write_table(table: pa.Table, folder: Path, name: str) -> None:
     write_atomically(folder / f"{name}.csv", to_csv(table))
 
 
+class Sheet(NamedTuple):
+    """A table as texts: a line as its title, names with units, rows."""
+
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def markdown(self) -> str:
+        """The table as GitHub shows it."""
+        return "\n".join([f"**{self.title}**", "", *markdown(self.header, self.rows)]) + "\n"
+
+
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     """Lines of a table as GitHub shows it."""
     return [f"| {' | '.join(each)} |" for each in (header, ["---"] * len(header), *rows)]
+
+
+def number(value: float | None) -> str:
+    """Three significant digits, without an exponent."""
+    if value is None:
+        return "-"
+    if 0.0 < abs(value) < SMALLEST:
+        return f"<{SMALLEST:.5f}"
+    return format(Decimal(f"{value:.2e}"), "f")

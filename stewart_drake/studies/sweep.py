@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import math
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field
@@ -20,33 +19,20 @@ from pydantic import Field
 from stewart_drake.config import Count, Flag, Positive, Real, Section, Seed, Text, check_plain, shown
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError
 from stewart_drake.families import Family, refuse_given
-from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.whole import plain_json
-from stewart_drake.files.yaml_files import find_file, read_mapping
-from stewart_drake.keys import split_key, value_at
-from stewart_drake.logs.metric_table import Column, ValueKind
-from stewart_drake.logs.metric_table import columns as run_columns
+from stewart_drake.logs.metrics import Column, ValueKind
+from stewart_drake.logs.metrics import columns as run_columns
 from stewart_drake.logs.outcomes import told
-from stewart_drake.scenario import Scenario
-from stewart_drake.studies.runs import Row, RunFunction
-from stewart_drake.studies.study import INCIDENTAL, Study, StudyFile, StudyName, StudyTable, flat, run_study, vary
-from stewart_drake.studies.workers import Workers
+from stewart_drake.scenario import Scenario, split_key, value_at
+from stewart_drake.studies.runs import Row, Task
+from stewart_drake.studies.study import INCIDENTAL, Study, StudyFile, StudyName, Tables, load_study, vary, within
 
 MAX_RUNS = 1_000_000
-LARGEST = 1e100
-"""Bounds beyond this are slips of the pen; differences of them could leave floating point."""
-LEAST_PROBABILITY = 1e-9
-"""A truncated normal that keeps less of its bell than this is one too."""
-_LOWEST = 2.0**-54
 BEFORE = (
     Column("index", "", "number of the run, from 0", "whole"),
     Column("seed", "", "of the run; its draws follow from it", "whole"),
 )
 """Columns before those of the varied keys."""
-
-Sampler = Literal["random", "sobol"]
-Bound = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
-Whole = Annotated[Count, Field(ge=-(2**53), le=2**53)]
 
 
 class _Distribution(Section):
@@ -55,17 +41,15 @@ class _Distribution(Section):
     """The number drawn multiplies the value of the key in the scenario instead of replacing it; all of its components
     where it is a list."""
 
-    column: ClassVar[ValueKind] = "number"
-
     @abstractmethod
     def at(self, quantile: float) -> Any:
-        """The value below which the share `quantile`, 0 to 1, of the distribution lies."""
+        """The value below which the share `quantile`, from 0 to below 1, of the distribution lies."""
 
 
 class _Between(_Distribution):
     kind: str
-    low: Bound
-    high: Bound
+    low: Real
+    high: Real
 
     def rules(self) -> None:
         if not self.low < self.high:
@@ -78,66 +62,55 @@ class Uniform(_Between):
     kind: Literal["uniform"] = "uniform"
 
     def at(self, quantile: float) -> float:
-        return min(self.low + quantile * (self.high - self.low), self.high)
+        return self.low + quantile * (self.high - self.low)
 
 
 class LogUniform(_Between):
     """Uniform in the logarithm, from `low` to `high`, both positive."""
 
     kind: Literal["loguniform"] = "loguniform"
-    low: Annotated[Positive, Field(le=LARGEST)]
+    low: Positive
 
     def at(self, quantile: float) -> float:
-        value = math.exp(math.log(self.low) + quantile * (math.log(self.high) - math.log(self.low)))
-        return min(max(value, self.low), self.high)
+        return math.exp(math.log(self.low) + quantile * (math.log(self.high) - math.log(self.low)))
 
 
 class Normal(_Distribution):
     """Normal, cut off at `low` and `high` where they are given."""
 
     kind: Literal["normal"] = "normal"
-    mean: Bound
-    std: Annotated[Positive, Field(le=LARGEST)]
-    low: Bound | None = None
-    high: Bound | None = None
+    mean: Real
+    std: Positive
+    low: Real | None = None
+    high: Real | None = None
 
     def rules(self) -> None:
         low, high = self._scores
         if not low < high:
             raise ConfigurationError("high", self.high, f"more than low, {self.low:g}")
-        from scipy.special import ndtr
-
-        # In the upper tail the bell's share below rounds off to 1: then that of its mirror image.
-        kept = ndtr(-low) - ndtr(-high) if low > 0.0 else ndtr(high) - ndtr(low)
-        if kept < LEAST_PROBABILITY:
-            allowed = f"bounds that keep at least {LEAST_PROBABILITY:g} of the distribution"
-            raise ConfigurationError("low", [self.low, self.high], allowed)
 
     def at(self, quantile: float) -> float:
         from scipy.stats import truncnorm
 
-        value = self.mean + self.std * float(truncnorm.ppf(max(quantile, _LOWEST), *self._scores))
-        value = value if self.low is None else max(value, self.low)
-        return value if self.high is None else min(value, self.high)
+        # Below 2^-53 there are no quantiles but 0, which is infinitely far.
+        return self.mean + self.std * float(truncnorm.ppf(max(quantile, 2.0**-54), *self._scores))
 
     @property
     def _scores(self) -> tuple[float, float]:
         """Bounds in standard deviations from the mean."""
-        low, high = (None if bound is None else (bound - self.mean) / self.std for bound in (self.low, self.high))
-        return -math.inf if low is None else low, math.inf if high is None else high
+        low = -math.inf if self.low is None else (self.low - self.mean) / self.std
+        return low, math.inf if self.high is None else (self.high - self.mean) / self.std
 
 
 class Integers(_Between):
     """Whole numbers from `low` to `high`, both included, equally often."""
 
     kind: Literal["integers"] = "integers"
-    low: Whole
-    high: Whole
-
-    column: ClassVar[ValueKind] = "whole"
+    low: Count
+    high: Count
 
     def at(self, quantile: float) -> int:
-        return min(self.low + int(quantile * (self.high - self.low + 1)), self.high)
+        return self.low + int(quantile * (self.high - self.low + 1))
 
 
 class Choice(_Distribution):
@@ -152,7 +125,7 @@ class Choice(_Distribution):
             raise ConfigurationError("values", self.values, "numbers, to multiply by")
 
     def at(self, quantile: float) -> Any:
-        return self.values[min(int(quantile * len(self.values)), len(self.values) - 1)]
+        return self.values[int(quantile * len(self.values))]
 
 
 class Grid(Choice):
@@ -173,7 +146,7 @@ class SweepFile(StudyFile):
     """Number of runs; null takes as many as the grids have combinations. Run i stays the same when this changes."""
     seed: Seed = 0
     """Everything random follows from it."""
-    sampler: Sampler = "random"
+    sampler: Literal["random", "sobol"] = "random"
     """random: every key of every run drawn by itself. sobol: a scrambled Sobol sequence over all keys that are not
     grids, in their order; covers the space more evenly, and another key changes every run."""
     mismatch: Flag = False
@@ -182,6 +155,10 @@ class SweepFile(StudyFile):
     distributions: dict[Text, Annotated[Distribution, DISTRIBUTIONS]]
     """Scenario key -> distribution. A component of a list is `initial_offset[0]`, or `disturbances[0].wrench[3]`."""
 
+    def rules(self) -> None:
+        if not self.distributions:
+            raise ConfigurationError("distributions", {}, "at least one scenario key with its distribution")
+
 
 @dataclass(frozen=True, eq=False)
 class Sweep(Study):
@@ -189,157 +166,125 @@ class Sweep(Study):
 
     The draws for run i depend on `seed`, i and the key alone: not on how many runs there are, nor on other keys (with
     the sampler `sobol`: not on how many runs there are).
-
-    Attributes:
-        distributions: Scenario key -> distribution.
-        seed: Everything random follows from it.
-        sampler: See `SweepFile`.
-
-    Raises:
-        ConfigurationError: A key that the scenario lacks, that overlaps another, or whose distribution does not suit.
     """
 
-    distributions: Mapping[str, Distribution]
-    name: str = field(default="sweep", kw_only=True)
-    seed: int = 0
-    sampler: Sampler = "random"
+    file: SweepFile
     kind = "sweep"
-    products = ("sweep.parquet", "sweep.csv")
 
     def __post_init__(self) -> None:
-        if not self.distributions:
-            raise ConfigurationError("distributions", {}, "at least one scenario key with its distribution")
-        if self.sampler == "sobol" and len(self._random) > 20_000:
-            raise ConfigurationError("sampler", self.sampler, "random, for more than 20000 keys")
-        if "log_period" in self.distributions:
-            allowed = "a key that figures depend on: a sweep keeps no logs and looks at every tick"
-            raise ConfigurationError("distributions.log_period", "log_period", allowed)
         refuse_given(self.base)
-        fixed = {column.name for column in (*BEFORE, *run_columns(), *INCIDENTAL)}
         for key, current in self._bases.items():
-            path = split_key(key)
-            others = (other for other in self.distributions if other != key)
-            over = next((other for other in others if path[: len(split_key(other))] == split_key(other)), None)
-            if over is not None:
-                raise ConfigurationError(f"distributions.{key}", key, f"a key outside of {over}, which is drawn too")
-            if key in fixed:
-                allowed = "a key that is not already a column of the table"
-                raise ConfigurationError(f"distributions.{key}", key, allowed)
             self._check(key, current)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> Sweep:
         """A sweep from plain values, see `SweepFile`; paths are relative to `folder`, None for the current one."""
-        given, base = SweepFile.read("sweep", data, folder)
-        if given.mismatch and base.model_robot is None:
+        file, base = SweepFile.read("sweep", data, folder)
+        if file.mismatch and base.model_robot is None:
             base = base.replace({"model_robot": base.to_dict()["robot"]})
-        runs = given.runs
+        runs = file.runs
         if runs is None:
-            grids = [d for d in given.distributions.values() if isinstance(d, Grid)]
+            grids = [each for each in file.distributions.values() if isinstance(each, Grid)]
             if not grids:
                 raise ConfigurationError("runs", None, "a number of runs; it may be left out where a key has a grid")
             runs = math.prod(len(grid.values) for grid in grids)
             if runs > MAX_RUNS:
                 raise ConfigurationError("distributions", f"{runs} combinations", f"grids of at most {MAX_RUNS}")
-        return cls(base, given.distributions, given.seed, given.sampler, runs=runs, name=given.name)
+        return cls(base, file, name=file.name, indices=range(runs))
 
     def run_seed(self, index: int) -> int:
-        state = np.random.SeedSequence(self.seed, spawn_key=(index,)).generate_state(1, np.uint64)
+        """Seed of run `index`, below 2^63."""
+        state = np.random.SeedSequence(self.file.seed, spawn_key=(index,)).generate_state(1, np.uint64)
         return int(state[0] >> np.uint64(1))
 
     def draw(self, index: int) -> dict[str, Any]:
         """Values of the varied keys in run `index`; for a factor, the factor."""
         seed, turn = self.run_seed(index), index
         values: dict[str, Any] = {}
-        for key, distribution in self.distributions.items():
+        for key, distribution in self.file.distributions.items():
             if isinstance(distribution, Grid):
                 turn, place = divmod(turn, len(distribution.values))
                 values[key] = distribution.values[place]
-            elif self.sampler == "sobol":
+            elif self.file.sampler == "sobol":
                 values[key] = distribution.at(float(self._points[index, self._random.index(key)]))
             else:
                 values[key] = distribution.at(_generator(seed, key).random())
         return values
 
-    def changes(self, drawn: Mapping[str, Any]) -> dict[str, Any]:
-        """Scenario key -> value for what `draw` gave: factors multiplied out."""
-        factors = {key for key, distribution in self.distributions.items() if distribution.factor}
-        return {key: _times(self._bases[key], value) if key in factors else value for key, value in drawn.items()}
+    def task(self, index: int) -> Task:
+        drawn = self.draw(index)
+        return self._task(index, self._changes(drawn), self.run_seed(index), drawn=drawn)
 
+    def _changes(self, drawn: Mapping[str, Any]) -> dict[str, Any]:
+        """Scenario key -> value for what `draw` gave: factors multiplied out."""
+        return {key: _times(self._bases[key], value) if key in self._factors else value for key, value in drawn.items()}
+
+    @property
     def variants(self) -> list[Scenario]:
         found = [self.base]
-        for key, distribution in self.distributions.items():
+        for key, distribution in self.file.distributions.items():
             if isinstance(distribution, Choice) and not distribution.factor:
                 for value in (each for each in distribution.values if isinstance(each, (str, dict, list))):
                     with suppress(ConfigurationError):  # a row says so
                         found.append(vary(self.base, {key: value}))
         return found
 
-    def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
+    def tables(self, rows: Sequence[Row]) -> Tables:
         """Of each varied key the value as run; of a factor, `KEY.factor`, the number drawn too."""
         varied: list[Column] = []
-        factors = [key for key, distribution in self.distributions.items() if distribution.factor]
-        for key, distribution in self.distributions.items():
+        for key, distribution in self.file.distributions.items():
             kind = column_of(distribution)
-            if key in factors:
+            if key in self._factors:
                 varied.append(Column(f"{key}.factor", "1", f"what the scenario's {key} is multiplied by", kind))
                 kind = "json" if isinstance(self._bases[key], list) else "number"
             text = f"scenario key {key} as run{', as JSON' if kind == 'json' else ''}"
             varied.append(Column(key, "", text, kind))
         wide = []
         for row in rows:
-            drawn: dict[str, Any] = row["values"]
+            factors = {f"{key}.factor": row["values"][key] for key in self._factors}
             # A factor can take a number out of floating point; its row is one of a run that was rejected.
-            values = plain_json({**self.changes(drawn), **{f"{key}.factor": drawn[key] for key in factors}})
-            wide.append(flat(row, **values))
+            wide.append({**plain_json({**self._changes(row["values"]), **factors}), **row})
         return {"sweep": ((*BEFORE, *varied, *run_columns(self.base), *INCIDENTAL), wide)}
 
     @property
-    def work(self) -> Mapping[str, Any]:
+    def work(self) -> dict[str, Any]:
         """Not how many runs there are, nor a name."""
-        data = self.to_dict()
-        del data["runs"], data["name"], data["scenario"]["name"]
-        return data
-
-    def to_dict(self) -> dict[str, Any]:
+        scenario = {key: value for key, value in self.base.to_dict().items() if key != "name"}
+        distributions = {key: each.to_dict() for key, each in self.file.distributions.items()}
         return {
-            "name": self.name,
-            "scenario": self.base.to_dict(),
-            "runs": self.runs,
-            "seed": self.seed,
-            "sampler": self.sampler,
-            "distributions": {key: d.to_dict() for key, d in self.distributions.items()},
+            "scenario": scenario,
+            "seed": self.file.seed,
+            "sampler": self.file.sampler,
+            "distributions": distributions,
         }
-
-    def replace(self, **changes: Any) -> Sweep:
-        """A sweep with some attributes changed."""
-        return dataclasses.replace(self, **changes)
 
     @cached_property
     def _random(self) -> list[str]:
-        return [key for key, distribution in self.distributions.items() if not isinstance(distribution, Grid)]
+        return [key for key, distribution in self.file.distributions.items() if not isinstance(distribution, Grid)]
+
+    @cached_property
+    def _factors(self) -> list[str]:
+        return [key for key, distribution in self.file.distributions.items() if distribution.factor]
 
     @cached_property
     def _bases(self) -> dict[str, Any]:
         """Values of the varied keys before the draws."""
         data = self.base.in_full()
-        try:
-            return {key: value_at(data, key) for key in self.distributions}
-        except ConfigurationError as error:
-            raise error.within("distributions.") from None
+        with within("distributions."):
+            return {key: value_at(data, key) for key in self.file.distributions}
 
     @cached_property
     def _points(self) -> np.ndarray:
         """(runs, keys that are not grids) of the Sobol sequence."""
         from scipy.stats import qmc
 
-        engine = qmc.Sobol(len(self._random), scramble=True, seed=np.random.default_rng(self.seed))
+        engine = qmc.Sobol(len(self._random), scramble=True, seed=np.random.default_rng(self.file.seed))
         # A power of two at a time, or scipy warns; the first rows are the same for any.
-        return engine.random_base2(max(0, math.ceil(math.log2(self.runs))))[: self.runs]
+        return engine.random_base2(math.ceil(math.log2(self.runs)))[: self.runs]
 
     def _check(self, key: str, current: Any) -> None:
         """Refuses a distribution that cannot suit `key`, whose value in the scenario is `current`."""
-        distribution, where = self.distributions[key], f"distributions.{shown(key)}"
+        distribution, where = self.file.distributions[key], f"distributions.{shown(key)}"
         if distribution.factor:
             if not _numbers(current):
                 raise ConfigurationError(where, current, "a key that holds a number or numbers, to multiply")
@@ -355,7 +300,7 @@ class Sweep(Study):
 
     def _check_value(self, key: str, current: Any, value: Any) -> None:
         # A number out of range is a row of the table; a value of the wrong type is a slip of the pen.
-        if _numbers(current) and type(current) is type(value) and not isinstance(value, list):
+        if _is_number(current) and type(current) is type(value):
             return
         try:
             vary(self.base, {key: value})
@@ -366,29 +311,9 @@ class Sweep(Study):
 
 
 def load_sweep(path: str | Path, runs: int | None = None, trust_code: bool = False) -> Sweep:
-    """Reads a sweep file, or a sweep of the package by its name; `runs` in place of the number in it.
-
-    Raises:
-        ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
-    """
-    path = find_file("sweep", path)
-    data = read_mapping("sweep", path, 80)
-    if runs is not None:
-        data["runs"] = runs
-    with trusting_code(trust_code):
-        return Sweep.from_dict(data, path.parent)
-
-
-def run_sweep(
-    sweep: Sweep,
-    folder: Path,
-    workers: Workers | None = None,
-    progress: Callable[[float], None] | None = None,
-    restart: bool = False,
-    function: RunFunction | None = None,
-) -> StudyTable:
-    """Runs what is missing of a sweep and writes sweep.parquet and .csv; see `run_study`."""
-    return run_study(sweep, folder, workers, progress, restart, function)["sweep"]
+    """Reads a sweep file, or a sweep of the package by its name; `runs` in place of the number in it."""
+    more = {} if runs is None else {"runs": runs}
+    return load_study("sweep", path, lambda data, folder: Sweep.from_dict({**data, **more}, folder), trust_code)
 
 
 def summary(rows: Sequence[Row]) -> list[tuple[str, str]]:
@@ -398,9 +323,8 @@ def summary(rows: Sequence[Row]) -> list[tuple[str, str]]:
     for (status, reason), count in sorted(counts.items(), key=lambda item: (item[0][0] != "completed", -item[1])):
         lines.append((told(status, reason), str(count)))
     for unit, of in (("deg", "rotation"), ("mm", "position")):
-        name = f"rmse_norm_{unit}"
-        values = np.array([row[name] for row in rows if row.get(name) is not None])
-        if len(values):
+        values = [value for row in rows if (value := row.get(f"rmse_norm_{unit}")) is not None]
+        if values:
             shares = "  ".join(f"{value:.4g}" for value in np.percentile(values, [50, 95, 99, 100]))
             lines.append((f"RMSE of {of}, percentiles 50 95 99, largest", f"{shares} {unit}"))
     return lines
@@ -408,16 +332,10 @@ def summary(rows: Sequence[Row]) -> list[tuple[str, str]]:
 
 def column_of(distribution: Distribution) -> ValueKind:
     """What a column must be to hold the values of a distribution as they are."""
-    if not isinstance(distribution, Choice):
-        return distribution.column
-    values = distribution.values
-    if all(isinstance(value, bool) for value in values):
-        return "flag"
-    if all(isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63 for value in values):
-        return "whole"
-    if all(map(_is_number, values)):
-        return "number"
-    return "text" if all(isinstance(value, str) for value in values) else "json"
+    values = distribution.values if isinstance(distribution, Choice) else [distribution.at(0.5)]
+    types = {type(value) for value in values}
+    kinds: dict[ValueKind, set[type]] = {"flag": {bool}, "whole": {int}, "number": {int, float}, "text": {str}}
+    return next((kind for kind, fitting in kinds.items() if types <= fitting), "json")
 
 
 def _generator(seed: int, key: str) -> np.random.Generator:

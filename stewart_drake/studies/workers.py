@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor
 from contextlib import ExitStack, closing
 from functools import lru_cache
@@ -20,8 +21,7 @@ from joblib.externals.loky.backend import context
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.logs import versions
-from stewart_drake.logs.metric_table import METRICS
-from stewart_drake.runs.terminal import quiet_libraries
+from stewart_drake.runs.engine import quiet_libraries
 
 K = TypeVar("K", bound=Hashable)
 Work = tuple[Callable[..., Any], tuple[Any, ...]]
@@ -44,19 +44,16 @@ _QUIET = ExitStack()
 class Workers:
     """Processes of this machine, which import the calling script, or a Dask cluster. A context manager.
 
-    Args:
-        count: Processes; None for one per core, at most 8; 0 for this very process.
-        scheduler: Address of a Dask scheduler, such as tcp://host:8786, whose cluster is used instead.
-        worn: Runs after which a process is replaced; None for never.
-
-    Raises:
-        ConfigurationError: `dask.distributed` is not installed, or the scheduler does not answer.
+    `count` processes, None for one per core, at most 8, 0 for this very process, each replaced after `worn` runs, None
+    for never; or the cluster of the Dask scheduler at an address such as tcp://host:8786.
     """
 
     def __init__(self, count: int | None = None, scheduler: str | None = None, worn: int | None = WORN) -> None:
         self.count = max(1, min(8, os.cpu_count() or 1)) if count is None else count
-        self.worn, self._done = worn, 0
         self._client = None if scheduler is None else _connected(scheduler)
+        self._life = math.inf if worn is None or scheduler is not None else self.count * worn
+        self.left = self._life
+        """Runs until the processes are replaced."""
 
     def __enter__(self) -> Self:
         return self
@@ -64,11 +61,6 @@ class Workers:
     def __exit__(self, *_: object) -> None:
         if self._client is not None:
             self._client.close()
-
-    @property
-    def room(self) -> int | None:
-        """Runs that the processes have left before they are replaced; None for any number."""
-        return None if self.worn is None else max(1, self.count * self.worn - self._done)
 
     def results(self, jobs: Iterable[Any], alone: bool = False) -> Iterator[Any]:
         """What joblib's delayed calls give, in any order; `alone` for one after the other."""
@@ -89,10 +81,10 @@ class Workers:
 
     def wear(self, runs: int) -> None:
         """Counts what was run, and ends processes that are worn: the next run starts others."""
-        self._done += runs
-        if self._client is None and self.worn is not None and self._done >= self.count * self.worn:
+        self.left -= runs
+        if self.left <= 0:
             get_reusable_executor().shutdown(wait=True)
-            self._done = 0
+            self.left = self._life
 
 
 def run_jobs(
@@ -102,20 +94,10 @@ def run_jobs(
     workers: Workers | None = None,
     died: Callable[[K], Any] | None = None,
 ) -> None:
-    """Does pieces of work, each known by its key, in any order.
+    """Does the work of each key, in any order; `keep` is called in this process with each result as it comes.
 
-    Where a worker process dies, what was under way is done again, one piece at a time.
-
-    Args:
-        keys: What is to be done.
-        work: What a key stands for.
-        keep: Called in this process with each result as it comes.
-        workers: Where the work goes; None for processes of this machine.
-        died: The result of work whose process dies twice; None ends it all.
-
-    Raises:
-        StewartDrakeError: Workers cannot start, have another version of this package, or the cluster is gone.
-        BaseException: Whatever a piece of work raises.
+    Where a worker process dies, what was under way is done again, one piece at a time; what `died` gives is the result
+    of work whose process dies twice, and without it all ends.
     """
     workers = workers or Workers()
     if workers.count == 0:
@@ -126,8 +108,8 @@ def run_jobs(
     waiting, suspects = deque(keys), deque[K]()
     while waiting or suspects:
         alone, queue = not waiting, waiting or suspects
-        most = 1 if alone else workers.room or len(queue)
-        batch = {key: work(key) for key in (queue.popleft() for _ in range(min(most, len(queue))))}
+        most = 1 if alone else int(min(workers.left, len(queue)))
+        batch = {key: work(key) for key in (queue.popleft() for _ in range(most))}
         left = _work_through(batch, keep, workers, alone)
         waiting.extendleft(key for key in reversed(batch) if left.get(key) is False)
         if not alone:
@@ -143,12 +125,12 @@ def run_jobs(
 def _work_through(batch: dict[K, Work], keep: Callable[[K, Any], None], workers: Workers, alone: bool) -> dict[K, bool]:
     """Does a batch as far as the workers live; what is not done, and whether it was under way."""
     left = dict.fromkeys(batch, False)
-    setup = str(versions.source_digest()), [metric.name for metric in METRICS]
+    source = str(versions.source_digest())
 
     def jobs() -> Iterator[Any]:
         for key, (function, arguments) in batch.items():
             left[key] = True
-            yield delayed(_do)(key, setup, function, arguments)
+            yield delayed(_do)(key, source, function, arguments)
 
     try:
         with closing(workers.results(jobs(), alone)) as results:  # type: ignore[type-var]
@@ -161,24 +143,18 @@ def _work_through(batch: dict[K, Work], keep: Callable[[K, Any], None], workers:
     return left
 
 
-def _do(key: K, setup: tuple[str, Sequence[str]], function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+def _do(key: K, source: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     """What a worker does."""
-    check_worker(*setup)
+    check_worker(source)
     return key, function(*arguments)
 
 
-def check_worker(source: str, metrics: Iterable[str]) -> None:
-    """Refuses to work with another source of the package, or without a metric, as they stand where the study is."""
+def check_worker(source: str) -> None:
+    """Refuses to work with another source of the package than that of where the study is."""
     if _own_source() != source:
         raise StewartDrakeError(
             "a worker has another version of stewart-drake than this process: install the same everywhere, and leave "
             "its files alone while a study runs"
-        )
-    missing = set(metrics) - {metric.name for metric in METRICS}
-    if missing:
-        raise StewartDrakeError(
-            f"a worker does not have the metric {min(missing)}: `add_metric` must be called in a module that it imports"
-            ' too, or in the script that called, outside of `if __name__ == "__main__":`'
         )
 
 
@@ -207,10 +183,9 @@ def _connected(address: str) -> Any:
         allowed = "an installation with Dask: pip install 'stewart-drake[dask]'"
         raise ConfigurationError("--scheduler", address, allowed) from None
     client: Any = distributed.Client  # untyped in parts
-    # What it logs of a cluster that goes away, with tracebacks, is told by one line of ours.
-    for name in ("distributed", "tornado"):
-        for logger in [each for each in logging.root.manager.loggerDict if each.partition(".")[0] == name]:
-            logging.getLogger(logger).disabled = True
+    # One line of ours stands for the tracebacks that it logs of a cluster that goes away.
+    for name in [each for each in logging.root.manager.loggerDict if each.startswith(("distributed", "tornado"))]:
+        logging.getLogger(name).disabled = True
     try:
         return client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
     except Exception as error:  # of what is no scheduler, whatever its first words are taken for

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -16,8 +15,8 @@ from stewart_drake.parts import loop_of
 from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario, require_scenario
+from stewart_drake.systems.library import PlatformWrench, ReferenceSource, TaskSpaceSensor
 from stewart_drake.systems.part_system import PartSystem
-from stewart_drake.systems.sources import PlatformWrench, ReferenceSource, TaskSpaceSensor
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -65,9 +64,13 @@ class ClosedLoop(Diagram):
         for part in self.loop.parts:
             wiring.connect(part)
         wiring.builder.Connect(wiring.signals[self.loop.torque], wiring.plant.torque_input_port)
-        self.sinks = wiring.add_log(
-            self.loop.logged, scenario.effective_log_period if log_period is None else log_period
-        )
+        period = on_grid(scenario.effective_log_period if log_period is None else log_period)
+        self.sinks: dict[str, VectorLogSink] = {}
+        logged = {name: wiring.port(name, source) for name, source in self.loop.logged.items()}
+        for name, port in {"plant_state": wiring.plant.state_output_port, **logged}.items():
+            wiring.builder.ExportOutput(port, name)
+            self.sinks[name] = LogVectorOutput(port, wiring.builder, publish_period=period)
+            self.sinks[name].set_name(f"log_{name}")
         with drake_guard("building the diagram"):
             wiring.builder.BuildInto(self)
         self.set_name(scenario.name)
@@ -110,7 +113,6 @@ class _Wiring:
         self.systems: dict[str, Any] = {}
 
     def add(self, name: str, system: _System) -> _System:
-        """Adds a system."""
         return cast(_System, self.builder.AddNamedSystem(name, system))
 
     def add_source(self, signal: str) -> None:
@@ -132,7 +134,7 @@ class _Wiring:
             return
         system = PartSystem(part, self.scenario.plant.time_step if part.every_step else self.period)
         self.systems[part.name] = self.add(part.name, system)
-        sizes, places = system.sizes()
+        sizes, places = system.split()
         split = self.add(f"{part.name}_outputs", Demultiplexer(sizes))
         self.builder.Connect(system.result, split.get_input_port())
         for output, place in zip(part.outputs, places, strict=True):
@@ -152,16 +154,6 @@ class _Wiring:
         if isinstance(source, str):
             return self.signals[source]
         return self.add(name, ConstantVectorSource(source)).get_output_port()
-
-    def add_log(self, logged: Mapping[str, str | np.ndarray], period: float) -> dict[str, VectorLogSink]:
-        """Exports all signals, and logs them every so many seconds."""
-        log_period, sinks = on_grid(period), {}
-        ports = {"plant_state": self.plant.state_output_port}
-        for name, port in (ports | {name: self.port(name, source) for name, source in logged.items()}).items():
-            self.builder.ExportOutput(port, name)
-            sinks[name] = LogVectorOutput(port, self.builder, publish_period=log_period)
-            sinks[name].set_name(f"log_{name}")
-        return sinks
 
 
 def build_diagram(scenario: Scenario, meshcat: Meshcat | None = None) -> ClosedLoop:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +11,32 @@ from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSy
 from stewart_drake.errors import RunFailure
 from stewart_drake.part import Part
 from stewart_drake.sampling import on_grid
+
+SIGNALS = {
+    "measurement": "(12,), pose [rad, m], pose rate [rad/s, m/s] (Euler rates)",
+    "reference": "(18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2]",
+    "weights": "(2,), omega_Q, omega_R; or, for block weights, (4,), q_e, q_v, q_z, r; all > 0",
+    "torque": "(6,) [N m]",
+    "error": "(6,) [rad, m], pose minus reference at the tick",
+    "integral": "(6,) [rad s, m s], z after the tick",
+    "density": "(12,) [-], of the errors, then of the torques",
+    "crank_state": "(12,), angles of the cranks [rad] from the horizontal and their rates [rad/s]",
+    "reading": "(6,) [rad], angles of the cranks; or, for an observer, (12,), pose [rad, m] and its rate",
+    "sent": "(6,) [N m], the command of the tick before less what friction takes of it",
+    "disturbance": "(1,) [rad/s^2 per sqrt(s)] to expect, see `ObserverOptions`",
+    "ahead": "(12,), as `measurement`, when the command of this tick acts",
+    "compensation": "(6,) [N m], against what the model does not explain",
+    "innovation": "(6,) [rad], readings less what an observer expected",
+    "against_friction": "(6,) [N m]",
+    "command": "(6,) [N m], the controller's torque",
+    "age": "(1,) [ticks] of the command in force; 0 where it is that of the present tick",
+    "sensor_health": "(2,), what was wrong in the last tick and where, see `part.guarded`",
+    "controller_health": "(2,), likewise",
+    "angles": "(6,) [rad], readings of the encoders",
+    "pose_reading": "(12,), what a sensor of the pose says, where an observer stands behind it",
+    "safety": "(3,): number of the level in `safety.LEVELS`, of the monitor in `safety.MONITORS`, leg or -1",
+}
+"""What is at the ports of the systems in `library`."""
 
 _AHEAD = 1.0 + 4e-10
 """A tick's instant begins a little early: decimal times, at which others may ask, come before the stretched ones."""
@@ -35,9 +62,20 @@ class PartSystem(LeafSystem):
         result: Port: the part's state, and the number of ticks done. A port for each output costs a call of Python
             where it is asked for; a Demultiplexer on this one does not.
 
-    Ports: those of the part, by name and as attributes; an output with the name of an input is the attribute
-    `NAME_out`. An input whose part has an array for it may be left alone.
+    Ports: those of the part and `result`, by name and as attributes; an output with the name of an input is the
+    attribute `NAME_out`. An input whose part has an array for it may be left alone.
     """
+
+    def __init_subclass__(cls, ports: str = "") -> None:
+        """Adds to the text of a class its ports, `inputs -> outputs` by name, as `SIGNALS` has them."""
+        super().__init_subclass__()
+        if ports:
+            lines = ["result: out, the part's whole state and the number of ticks done"]
+            for way, names in zip(("in", "out"), ports.split("->"), strict=True):
+                lines += [f"{name}: {way} {SIGNALS[name]}" for name in names.split()]
+            cls.__doc__ = "\n    ".join([inspect.cleandoc(cls.__doc__ or ""), "\nPorts:", *lines]).replace(
+                "    \n", "\n"
+            )
 
     if TYPE_CHECKING:
         # Ports are attributes by name; a type checker cannot know which.
@@ -84,18 +122,10 @@ class PartSystem(LeafSystem):
                 return np.array(self.result.Eval(mine)[:-1]).view(self._kind)
         return np.array(mine.get_discrete_state(0).value()[:-1]).view(self._kind)
 
-    def sizes(self) -> tuple[list[int], list[int | None]]:
+    def split(self) -> tuple[list[int], list[int]]:
         """How a Demultiplexer splits `result`: sizes in order, and at which of them each output of the part is."""
-        starts = {int(self._kind.fields[name][1]) // 8: name for name in self.part.outputs}  # type: ignore[index]
-        sizes, at, place = [], {}, 0
-        for start in sorted(starts):
-            if start > place:
-                sizes.append(start - place)
-            at[starts[start]] = len(sizes)
-            sizes.append(self.part.size(starts[start]))
-            place = start + sizes[-1]
-        rest = self._kind.itemsize // 8 + 1 - place
-        return [*sizes, rest], [at[name] for name in self.part.outputs]
+        names = self._kind.names or ()
+        return [*(self.part.size(name) for name in names), 1], [names.index(name) for name in self.part.outputs]
 
     def _slice(self, name: str) -> OutputPort:
         start, size = int(self._kind.fields[name][1]) // 8, self.part.size(name)  # type: ignore[index]
@@ -107,34 +137,28 @@ class PartSystem(LeafSystem):
         needs = {self.xd_ticket()} if self.part.late else {ticket}
         return self.DeclareVectorOutputPort(name, size, calc, prerequisites_of_calc=needs)
 
-    @staticmethod
-    def _at(port: InputPort | None, otherwise: np.ndarray | None, context: Context) -> Any:
-        if port is None or (otherwise is not None and not port.HasValue(context)):
-            return otherwise
-        return port.Eval(context)
-
-    def _ticked(self, context: Context, values: np.ndarray, now: float) -> None:
+    def _ticked(self, context: Context, values: np.ndarray) -> None:
         """Ticks on values (n + 1,) that hold the state of the tick before."""
         self._time[0] = context.get_time()
+        inputs = [
+            otherwise if port is None or (otherwise is not None and not port.HasValue(context)) else port.Eval(context)
+            for port, otherwise in self._ports
+        ]
         try:
-            self._tick(
-                *(self._at(port, otherwise, context) for port, otherwise in self._ports), values[:-1].view(self._kind)
-            )
+            self._tick(*inputs, values[:-1].view(self._kind))
         except RunFailure as error:
             error.time = context.get_time()
             raise
-        values[-1] = int(now + 1e-6) + 1.0
+        values[-1] = int(context.get_time() / self.period + 1e-6) + 1.0
 
     def _answer(self, context: Context, output: Any) -> None:
         values, held = output.get_mutable_value(), context.get_discrete_state(0).value()
         values[:] = held
-        now = context.get_time() / self.period
-        if now * _AHEAD + 1e-6 >= held[-1]:
-            self._ticked(context, values, now)
+        if context.get_time() / self.period * _AHEAD + 1e-6 >= held[-1]:
+            self._ticked(context, values)
 
     def _store(self, context: Context, discrete_state: DiscreteValues) -> None:
         if self.part.late:
-            values = discrete_state.get_mutable_value(0)
-            self._ticked(context, values, context.get_time() / self.period)
+            self._ticked(context, discrete_state.get_mutable_value(0))
         else:
             discrete_state.set_value(0, self.result.Eval(context))

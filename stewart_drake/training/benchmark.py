@@ -1,9 +1,12 @@
-"""Candidates in situations: settings and tuners, each in the same runs; every run is kept as it comes."""
+"""Settings and tuners in the same situations: their runs, their costs over those of the best fixed setting, and a page.
+
+A candidate is what changes the scenario of a case; a cell is a kind of situations with a robot, and each counts alike.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -12,17 +15,17 @@ import numpy as np
 from stewart_drake.config import Real, Section, Text
 from stewart_drake.control.objective import CostScales
 from stewart_drake.control.policy import disturbance_of, weights_of
-from stewart_drake.files.whole import PACKAGE, checksum
+from stewart_drake.files.whole import PACKAGE, checksum, locked_folder, write_atomically
 from stewart_drake.files.yaml_files import read_mapping
 from stewart_drake.hardware.observer import ObserverOptions
-from stewart_drake.logs.cost import run_cost
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.logs.metrics import run_cost, run_metrics
 from stewart_drake.registry import TUNERS
 from stewart_drake.scenario import Scenario
 from stewart_drake.studies.runs import KeptRuns, Row, Task, identity, simulate_unchecked
+from stewart_drake.studies.study import markdown, write_table
 from stewart_drake.studies.workers import Workers
-from stewart_drake.training.situations import ROBOTS, Changes, kinds_of, situation
+from stewart_drake.training.situations import HELD_OUT, KINDS, ROBOTS, Case, Changes, kinds_of, situation
 
 SHIPPED = PACKAGE / "weights" / "baselines.yaml"
 MEASURED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
@@ -31,10 +34,21 @@ LEAST_COST = 1e-3
 """A smaller cost counts as this: encoders that never change make a cost of nothing, and a ratio to it means nothing."""
 DIGITS = 3
 """Of a setting: what is run is what is written down."""
+BEST_FIXED = "best fixed"
 
 Numbers = tuple[Real, Real, Real, Real]
 Cell = tuple[str, str]
 """Kind and robot."""
+Candidate = Callable[[Case, Scenario], Changes]
+"""What a candidate changes in the scenario of a case, which has the default setting."""
+GROUPS: Mapping[str, Callable[[Cell], bool]] = {
+    "all kinds": lambda _: True,
+    "without hold": lambda cell: cell[0] != "hold",
+    "kinds never trained on": lambda cell: not KINDS[cell[0]].trained,
+    **{f"{robot} alone": lambda cell, robot=robot: cell[1] == robot for robot in ROBOTS},  # type: ignore[misc]
+}
+COLUMNS = ("candidate", "kind", "robot", "seed", "status", "reason", "cost", "ratio", *MEASURED)
+"""Of verdict.csv: cost J and its ratio to that of `BEST_FIXED` in the same situation; figures of the second half."""
 
 
 class Baselines(Section, key=""):
@@ -62,18 +76,6 @@ class Baselines(Section, key=""):
         return cls.from_dict(read_mapping("settings", path, 200))
 
 
-class Case(NamedTuple):
-    """A run without a candidate, see `situation`."""
-
-    kind: str
-    robot: str
-    seed: int
-
-
-Candidate = Callable[[Case, Scenario], Changes]
-"""What a candidate changes in the scenario of a case, which has the default setting."""
-
-
 def always(changes: Changes) -> Candidate:
     """A candidate that is the same in all situations."""
     return lambda *_: changes
@@ -84,9 +86,9 @@ def with_setting(setting: Sequence[float] | np.ndarray) -> Candidate:
     decades = np.round(np.asarray(setting, dtype=float), DIGITS)
 
     def changes(_: Case, scenario: Scenario) -> Changes:
+        assert isinstance(scenario.estimator, ObserverOptions)
         weights = weights_of(np.array(scenario.tuner.weights), decades).tolist()
         block = dict(zip(("q_pose", "q_rate", "q_integral", "r"), weights, strict=True))
-        assert isinstance(scenario.estimator, ObserverOptions)
         level = float(disturbance_of(scenario.estimator.disturbance, decades))
         return {"tuner": {"kind": "block", **block}, "estimator.disturbance": level}
 
@@ -97,6 +99,25 @@ def with_pair(pair: Sequence[float], setting: Sequence[float] | np.ndarray) -> C
     """The paper's pair of weights, held fixed, with the observer of a setting (4,)."""
     tuner = {"kind": "fixed", "omega_q": pair[0], "omega_r": pair[1]}
     return lambda case, scenario: {**with_setting(setting)(case, scenario), "tuner": tuner}
+
+
+def candidates(baselines: Baselines, more: Mapping[str, Changes]) -> dict[str, Candidate]:
+    """Those of a verdict by name: fixed ones, those of the paper, an oracle, and more as changes of the scenario."""
+    fixed = with_setting(baselines.best)
+
+    def pair(case: Case, base: Scenario) -> Changes:
+        return with_pair(baselines.pair[case.robot], baselines.best)(case, base)
+
+    def oracle(case: Case, base: Scenario) -> Changes:
+        return with_setting(baselines.best_of_kind[case.robot][case.kind])(case, base)
+
+    return {
+        BEST_FIXED: fixed,
+        **{name: always(changes) for name, changes in more.items()},
+        "best of the nine pairs": pair,
+        "the paper's tuner": lambda case, base: {**fixed(case, base), "tuner": {"kind": "paper"}},
+        "oracle of each kind": oracle,
+    }
 
 
 def cells_for(robot: str | None = None, trained: bool | None = None) -> list[Cell]:
@@ -110,13 +131,13 @@ def cases_of(cells: Sequence[Cell], seeds: Sequence[int]) -> list[Case]:
 
 
 def cells_of(cases: Sequence[Case]) -> dict[Cell, np.ndarray]:
-    """Places (n,) in `cases` of each kind and robot."""
+    """Places (n,) in `cases` of each cell."""
     cells = dict.fromkeys(case[:2] for case in cases)
     return {cell: np.flatnonzero([case[:2] == cell for case in cases]) for cell in cells}
 
 
 def mean_over_cells(values: np.ndarray, cases: Sequence[Case]) -> np.ndarray:
-    """Mean over the cells of the means in them, (...) of values (..., cases): each cell counts alike."""
+    """Mean over the cells of the means in them, (...) of values (..., cases)."""
     return np.mean([values[..., places].mean(axis=-1) for places in cells_of(cases).values()], axis=0)
 
 
@@ -161,20 +182,144 @@ class Benchmark(KeptRuns):
         return np.reshape(costs, (len(candidates), len(cases)))
 
     def _task(self, candidate: Candidate, case: Case) -> Task:
-        scenario, base = _situation(case)
+        scenario = situation(*case[:3])
         changes = {**candidate(case, scenario), "plant.engine": self._engine, "log_period": None}
-        drawn = {"case": list(case), "changes": changes, "network": _network(changes.get("tuner", {}))}
-        return Task(0, case.seed, base, changes, drawn, measure_parts, simulate_unchecked)
+        section = TUNERS.section_of(tuner) if (tuner := changes.get("tuner")) else None
+        # Of a network the weights count, whatever its file is called.
+        network = section and section.from_dict(tuner).content()
+        drawn = {"case": list(case), "changes": changes, "network": network and checksum(network)}
+        return Task(0, case.seed, scenario.to_dict(), changes, drawn, measure_parts, simulate_unchecked)
 
 
-@lru_cache(maxsize=4096)
-def _situation(case: Case) -> tuple[Scenario, Mapping[str, Any]]:
-    scenario = situation(*case)
-    return scenario, scenario.to_dict()
+class Estimate(NamedTuple):
+    """A number with an interval of 95 %."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.2f} ({self.low:.2f} to {self.high:.2f})"
 
 
-def _network(tuner: Mapping[str, Any]) -> str | None:
-    """Digest of the network of a tuner, whatever its file is called."""
-    section = TUNERS.section_of(tuner)
-    text = None if section is None else section.from_dict(tuner).content()
-    return None if text is None else checksum(text)
+def estimate(logs: Sequence[np.ndarray], kind: Literal["mean", "median"] = "mean") -> Estimate:
+    """Of logarithms (n,) by cell: geometric mean over the cells of those in them, or median of all runs.
+
+    The interval is a percentile bootstrap's over the runs in each cell: the cells are what they are.
+    """
+    # Half a second of import.
+    from scipy.stats import bootstrap
+
+    def statistic(*runs: np.ndarray, axis: int = -1) -> Any:
+        if kind == "median":
+            return np.median(np.concatenate(runs, axis=axis), axis=axis)
+        return np.mean([each.mean(axis=axis) for each in runs], axis=0)
+
+    value = float(statistic(*logs))
+    if all(np.ptp(each) == 0.0 for each in logs):
+        return Estimate(*np.exp([value] * 3).tolist())
+    options: dict[str, Any] = {"n_resamples": 4999, "batch": 500, "method": "percentile", "vectorized": True}
+    interval = bootstrap(list(logs), statistic, rng=np.random.default_rng(0), **options).confidence_interval
+    return Estimate(*np.exp([value, interval.low, interval.high]).tolist())
+
+
+class Verdict(NamedTuple):
+    """Runs of candidates, `BEST_FIXED` among their names, in the same situations."""
+
+    names: tuple[str, ...]
+    cases: tuple[Case, ...]
+    logs: np.ndarray
+    """(candidates, cases) logarithms of J."""
+    failed: np.ndarray
+    """(candidates, cases) whether a run was not completed."""
+
+    def of(
+        self, name: str, within: Callable[[Cell], bool] = GROUPS["all kinds"], over: str = BEST_FIXED
+    ) -> list[np.ndarray]:
+        """Logarithms of J of a candidate over that of another, an array for each cell that counts."""
+        row = self.logs[self.names.index(name)] - self.logs[self.names.index(over)]
+        return [row[places] for cell, places in cells_of(self.cases).items() if within(cell)]
+
+
+def assess(
+    entered: Mapping[str, Candidate],
+    folder: Path,
+    seeds: int,
+    engine: Literal["drake", "reduced"] = "drake",
+    where: Workers | None = None,
+    tell: Callable[[float], None] | None = None,
+    restart: bool = False,
+) -> Verdict:
+    """Runs what is missing, on seeds that nothing has seen before, and writes verdict.parquet, .csv and .md.
+
+    `BEST_FIXED` is among the names of the candidates; `seeds` is the number of situations of each kind of each robot.
+    """
+    import pyarrow as pa
+
+    cases = cases_of(cells_for(), HELD_OUT[:seeds])
+    with Benchmark(folder, engine, where, tell, restart) as benchmark:
+        rows = benchmark.run(list(entered.values()), cases)
+    shape = (len(entered), len(cases))
+    logs = np.reshape([log_cost(row, CostScales()) for row in rows], shape)
+    failed = np.reshape([row["status"] != "completed" for row in rows], shape)
+    verdict = Verdict(tuple(entered), tuple(cases), logs, failed)
+    ratios = logs - logs[verdict.names.index(BEST_FIXED)]
+    pairs = [(name, case) for name in entered for case in cases]
+    table = [
+        {"candidate": name, **case._asdict(), **row, "cost": np.exp(log), "ratio": np.exp(ratio)}
+        for (name, case), row, log, ratio in zip(pairs, rows, logs.flat, ratios.flat, strict=True)
+    ]
+    write_table(pa.table({name: [row.get(name) for row in table] for name in COLUMNS}), folder, "verdict")
+    write_atomically(folder / "verdict.md", page(verdict).encode())
+    return verdict
+
+
+def page(verdict: Verdict) -> str:
+    """The tables as Markdown; the candidate after `BEST_FIXED` is set against all others."""
+    first, *rivals = others = [name for name in verdict.names if name != BEST_FIXED]
+    cells = cells_of(verdict.cases)
+    groups = {name: within for name, within in GROUPS.items() if any(map(within, cells))}
+    whole = []
+    for name, failed in zip(verdict.names, verdict.failed, strict=True):
+        means = [float(np.exp(each.mean())) for each in verdict.of(name)]
+        worst, (kind, robot) = max(zip(means, cells, strict=True))
+        shares = [str(estimate(verdict.of(name, within))) for within in groups.values()]
+        median = str(estimate(verdict.of(name), "median"))
+        whole.append([name, *shares, median, f"{worst:.2f}, {kind}, {robot}", str(int(failed.sum()))])
+    by_kind = []
+    for (kind, robot), places in cells.items():
+        base = np.exp(verdict.logs[verdict.names.index(BEST_FIXED), places].mean())
+        own = [verdict.of(name, lambda cell, this=(kind, robot): cell == this) for name in others]  # type: ignore[misc]
+        ratios = [f"{estimate(each)}; {estimate(each, 'median').value:.2f}" for each in own]
+        shown = kind if KINDS[kind].trained else f"{kind} (never trained on)"
+        by_kind.append([shown, robot, f"{base:.3g}", *ratios])
+    duels = [
+        [name, *(str(estimate(verdict.of(first, within, over=rival))) for rival in rivals)]
+        for name, within in groups.items()
+    ]
+    lines = [
+        f"Ratios of J to that of `{BEST_FIXED}` in the same situation: geometric means over the "
+        f"{len(verdict.cases)} runs of each candidate, each kind of each robot counting alike, with intervals of "
+        "95 % (bootstrap).",
+        "",
+        *markdown(["candidate", *groups, "median of runs", "worst kind", "failed"], whole),
+        "",
+        *([f"J of `{first}` over that of", "", *markdown(["", *rivals], duels), ""] if rivals else []),
+        "By kind: J of the best fixed setting (geometric mean), then ratios (geometric mean with interval; median).",
+        "",
+        *markdown(["kind", "robot", BEST_FIXED, *others], by_kind),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def write_picture(verdict: Verdict, folder: Path) -> str | None:
+    """Draws verdict.png; a line where it is beyond matplotlib."""
+    # matplotlib takes a second to load.
+    from stewart_drake.plotting import draw
+    from stewart_drake.plotting.study_plots import plot_costs
+
+    names = [name for name in verdict.names if name != BEST_FIXED]
+    ratios = {name: [estimate([each]) for each in verdict.of(name)] for name in names}
+    labels = [kind if robot == "paper" else f"{kind}, {robot}" for kind, robot in cells_of(verdict.cases)]
+    with locked_folder(folder):
+        return draw(partial(plot_costs, labels, ratios, BEST_FIXED), folder / "verdict.png")

@@ -1,10 +1,12 @@
-"""The nine experiments of section III.D, run in the Diagram."""
+"""The nine experiments of section III.D, and their samples: the training data of the paper's tuner."""
 
 from __future__ import annotations
 
-import itertools
+import hashlib
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,15 +14,16 @@ import numpy as np
 from stewart_drake.config import Vector6
 from stewart_drake.control.density import DensityKind, density
 from stewart_drake.errors import ConfigurationError, RunFailure
+from stewart_drake.files.tables import parquet_about, read_columns, to_parquet, with_about
+from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.planning.feasibility import amplitude_table, largest_scale
 from stewart_drake.planning.limits import Limits
 from stewart_drake.references import SineBurstsReference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
+from stewart_drake.scenario import FixedTuner, Scenario
 from stewart_drake.studies.runs import simulate
 from stewart_drake.studies.workers import Workers, run_jobs
-from stewart_drake.training.dataset import Dataset
 
 OMEGAS = (0.1, 1.0, 10.0)
 """Values of omega_Q and of omega_R; their nine pairs are the experiments."""
@@ -34,6 +37,63 @@ a crank's dead centre."""
 SAMPLES_PER_RUN = 1600
 BURST = 1.6
 """[s] of each frequency: 320 samples of 5 ms."""
+COLUMNS = ("time", "run", *(f"density_{i}" for i in range(12)), "omega_q", "omega_r")
+_VERSION = 2
+_MOST_BYTES, _MOST_ROWS = 500_000_000, 10_000_000
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Samples for the tuner.
+
+    Attributes:
+        inputs: (n, 12) [-] densities, six of the errors, six of the torques.
+        outputs: (n, 2) omega_Q, omega_R that were in force.
+        run: (n,) index of the experiment, 0 to 8.
+        time: (n,) [s] within the experiment.
+        metadata: How it was made: scenario, sample time, window, kind of density, amplitudes per frequency.
+    """
+
+    inputs: np.ndarray
+    outputs: np.ndarray
+    run: np.ndarray
+    time: np.ndarray
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+    def digest(self) -> str:
+        """SHA-256 of the samples, for provenance."""
+        content = hashlib.sha256()
+        for array in (self.inputs, self.outputs, self.run, self.time):
+            content.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        return content.hexdigest()
+
+    def save(self, path: str | Path) -> None:
+        """Writes `COLUMNS` and the metadata as a Parquet file."""
+        import pyarrow as pa
+
+        values = [self.time, self.run, *self.inputs.T, *self.outputs.T]
+        table = pa.table(dict(zip(COLUMNS, values, strict=True)))
+        about = {"version": _VERSION, **self.metadata}
+        write_atomically(Path(path), to_parquet(with_about(table, "dataset", about)))
+
+
+def load_dataset(path: str | Path) -> Dataset:
+    """Reads what `Dataset.save` wrote; a ConfigurationError for another file, or numbers that mean nothing."""
+    key = f"dataset {path}"
+    metadata = parquet_about(path, key, "dataset", _MOST_BYTES, "`collect`")
+    if metadata.pop("version", None) != _VERSION:
+        raise ConfigurationError(key, "another format", f"a dataset of version {_VERSION}, written by `collect`")
+    columns = read_columns(path, key, lambda _: {name: (name, 1.0) for name in COLUMNS}, _MOST_BYTES, _MOST_ROWS)
+    if not len(columns["time"]):
+        raise ConfigurationError(key, "0 rows", "samples")
+    for name, values in columns.items():
+        bad = ~np.isfinite(values) | (name.startswith("omega") & (values <= 0.0))
+        if bad.any():
+            at = int(bad.argmax())
+            raise ConfigurationError(f"{key}: {name}", f"{values[at]} in row {at}", "finite numbers, positive weights")
+    time, run, *inputs, omega_q, omega_r = columns.values()
+    outputs = np.stack([omega_q, omega_r], axis=-1)
+    return Dataset(np.stack(inputs, axis=-1), outputs, run.astype(int), time, metadata)
 
 
 @lru_cache(maxsize=4)
@@ -59,9 +119,6 @@ def experiment_reference(base: Scenario) -> SineBurstsReference:
     """The motion of every experiment: 1 to 5 Hz on all six axes, `SHARE` of what the limits of `base` allow.
 
     Deviation: the paper's pi/6 and 0.3 m at up to 5 Hz cannot be reached together (0.3 m at 5 Hz is 296 m/s^2).
-
-    Raises:
-        ConfigurationError: The home pose itself is outside the limits of `base`, so there is no motion.
     """
     _, together = feasible_amplitudes(base.robot, base.limits, base.gravity)
     if not np.all(np.array(together) > 0.0):
@@ -84,37 +141,26 @@ def experiment_scenarios(base: Scenario, samples: int = SAMPLES_PER_RUN) -> list
     kept = {name: getattr(base, name) for name in ("gravity", "robot", "model_robot", "plant", "limits")}
     kept |= {"reference": experiment_reference(base), "controller": base.lqi, "duration": samples * base.lqi.period}
     kind, window = base.tuner.density, base.tuner.window
-    return [
-        Scenario(
-            name=f"experiment {index}",
-            tuner=FixedTuner(omega_q=omega_q, omega_r=omega_r, density=kind, window=window),
-            **kept,
-        )
-        for index, (omega_q, omega_r) in enumerate(itertools.product(OMEGAS, OMEGAS))
-    ]
+    tuners = [FixedTuner(omega_q=q, omega_r=r, density=kind, window=window) for q in OMEGAS for r in OMEGAS]
+    return [Scenario(name=f"experiment {index}", tuner=tuner, **kept) for index, tuner in enumerate(tuners)]
 
 
 def dataset_from_logs(
     logs: Sequence[SimulationLog], samples: int, kind: DensityKind, window: int, metadata: dict[str, Any]
 ) -> Dataset:
-    """Densities of logged errors and torques, one row a tick; a log per experiment."""
+    """Densities of logged errors and torques, a row a tick, a log per experiment; a RunFailure where a log is short."""
     inputs, outputs = [], []
     for index, log in enumerate(logs):
-        _refuse_part(index, log, samples)
+        if not log.reached_end or len(log.time) < samples:
+            omega_q, omega_r = log.scenario.tuner.weights
+            name = f"experiment {index} (omega_Q {omega_q:g}, omega_R {omega_r:g})"
+            raise RunFailure(f"{name} ended at {log.end_time:.3f} s: {log.message}")
         signals = np.concatenate([log["error"], log["torque"]], axis=1)[:samples]
         inputs.append([density(signals[max(0, k - window) : k + 1], kind) for k in range(samples)])
         outputs.append(log["weights"][:samples])
     run = np.repeat(np.arange(len(logs)), samples)
     times = np.concatenate([log.time[:samples] for log in logs])
     return Dataset(np.concatenate(inputs), np.concatenate(outputs), run, times, metadata)
-
-
-def _refuse_part(index: int, log: SimulationLog, samples: int) -> None:
-    """Raises a RunFailure where a run ended before its last sample."""
-    if not log.reached_end or len(log.time) < samples:
-        omega_q, omega_r = log.scenario.tuner.weights
-        name = f"experiment {index} (omega_Q {omega_q:g}, omega_R {omega_r:g})"
-        raise RunFailure(f"{name} ended at {log.end_time:.3f} s: {log.message}")
 
 
 def dataset_metadata(base: Scenario, reference: SineBurstsReference) -> dict[str, Any]:
@@ -136,38 +182,33 @@ def dataset_metadata(base: Scenario, reference: SineBurstsReference) -> dict[str
 
 def collect_dataset(
     base: Scenario | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda _: None,
     samples: int = SAMPLES_PER_RUN,
-    where: Workers | None = None,
+    workers: Workers | None = None,
 ) -> Dataset:
     """Runs the nine experiments in the Diagram and gathers their densities.
 
-    None for `base` takes the defaults (gravity on, `feedforward: gravity`, 5 ms); None for `where` runs them here, one
-    after the other. `progress` is called with the number of experiments done.
+    Args:
+        base: With the paper's tuner, whose kind of density and window are those of the data; None for the defaults
+            (gravity on, `feedforward: gravity`, 5 ms).
+        progress: Called with the number of experiments done.
+        samples: Of each experiment.
+        workers: Where the experiments run; None for here, one after the other.
 
     Raises:
-        ConfigurationError: The tuner of `base` is fixed, or a key of it does not go with the experiments.
-        RunFailure: An experiment ended early; it says which. The rest is not run.
-        KeyboardInterrupt: After Ctrl-C, which `simulation.run` turns into a log.
+        RunFailure: An experiment ended early; it says which.
     """
     base = Scenario() if base is None else base
-    if not isinstance(base.tuner, AnnTuner):
-        allowed = "paper: its density and window settings are those of the data"
-        raise ConfigurationError("tuner.kind", base.tuner.kind, allowed)
     scenarios = experiment_scenarios(base, samples)
-    reference = scenarios[0].reference
-    assert isinstance(reference, SineBurstsReference)
     logs: dict[int, SimulationLog] = {}
 
     def keep(index: int, log: SimulationLog) -> None:
-        _refuse_part(index, log, samples)
         logs[index] = log
-        if progress is not None:
-            progress(float(len(logs)))
+        progress(float(len(logs)))
 
-    run_jobs(range(len(scenarios)), lambda index: (simulate, (scenarios[index],)), keep, where or Workers(0))
+    run_jobs(range(len(scenarios)), lambda index: (simulate, (scenarios[index],)), keep, workers or Workers(0))
+    metadata = dataset_metadata(base, experiment_reference(base))
     ordered = [logs[index] for index in sorted(logs)]
-    metadata = dataset_metadata(base, reference)
     return dataset_from_logs(ordered, samples, base.tuner.density, base.tuner.window, metadata)
 
 

@@ -15,21 +15,42 @@ import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import date
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from stewart_drake.control.features import FEATURES
-from stewart_drake.control.policy import SIZE, Policy
+from stewart_drake.control.features import FEATURES, features
+from stewart_drake.control.objective import CostScales
+from stewart_drake.control.policy import SIZE, Chooser, Layers, Policy, policy_tick
+from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import checksum, write_atomically
+from stewart_drake.jit import njit, record
 from stewart_drake.logs.versions import collect_versions
+from stewart_drake.scenario import Scenario
+from stewart_drake.studies.runs import simulate_unchecked
 from stewart_drake.studies.workers import Workers, run_jobs
-from stewart_drake.training.benchmark import Baselines, cases_of, cells_for, cells_of, mean_over_cells
-from stewart_drake.training.policy_runs import HIDDEN, WEIGHTS, Episode, Frame, episode_cost, episode_features
-from stewart_drake.training.situations import ROBOTS, TRAINING, VALIDATION
+from stewart_drake.training.benchmark import (
+    Baselines,
+    cases_of,
+    cells_for,
+    cells_of,
+    log_cost,
+    mean_over_cells,
+    measure_parts,
+)
+from stewart_drake.training.situations import ROBOTS, TRAINING, VALIDATION, Case, situation
 
+HIDDEN = 16
+"""Hidden units."""
+WEIGHTS = HIDDEN * len(FEATURES) + HIDDEN + SIZE * HIDDEN + SIZE
+"""Numbers of a network, flat: hidden layer and its biases, output layer and its biases."""
+LOWEST, HIGHEST = np.array([-0.05, -0.6, -1.2, -1.9]), np.array([0.4, 0.1, 0.1, 0.5])
+"""Box of settings that a policy can choose; docs/results/tuner_safety.md has tried it."""
+FAR = 1e5
+"""Ends of the features' range while nothing is known of it."""
 SPREAD = 0.1
 """Standard deviation of the directions."""
 LEARNING_RATE = 0.03
@@ -40,6 +61,90 @@ MORE = {"reachy_mini": 2}
 """Times as many situations in a generation, of a robot whose runs are short."""
 VALIDATED = 5
 """[generations] between two looks at the validation situations."""
+_SKIPPED, _SAMPLED = 30, 10
+"""[ticks] before the first features that are kept, and between them."""
+
+
+def policy_of(
+    weights: np.ndarray, centre: np.ndarray, mean: Any = 0.0, scale: Any = 1.0, ends: Any = (-FAR, FAR)
+) -> Policy:
+    """A policy of flat weights (`WEIGHTS`,); with zeros it stays at the centre (4,).
+
+    `mean` and `scale` (13,) are of its features, `ends` (2, 13) their range.
+    """
+    parts = np.split(weights, np.cumsum([HIDDEN * len(FEATURES), HIDDEN, SIZE * HIDDEN]))
+    mean, scale, low, high = (np.broadcast_to(each, len(FEATURES)) for each in (mean, scale, *ends))
+    layers = Layers(
+        mean=mean,
+        scale=scale,
+        hidden=parts[0].reshape(HIDDEN, -1),
+        hidden_bias=parts[1],
+        output=parts[2].reshape(SIZE, -1),
+        output_bias=parts[3],
+        centre=centre,
+        below=centre - LOWEST,
+        above=HIGHEST - centre,
+        low=low,
+        high=high,
+    )
+    return Policy(layers)
+
+
+def episode_cost(chooser: Chooser, case: Case) -> float:
+    """Logarithm of what a run of a policy on the fast engine costs, at the kappa of the case."""
+    scenario = _fast(case)
+    q_pose, q_rate, q_integral, r = scenario.tuner.weights
+    tuner = _GivenTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=case.kappa)
+    vars(tuner)["given"] = chooser
+    log = simulate_unchecked(scenario.replace({"tuner": tuner}))
+    return log_cost({"status": log.status, **measure_parts(log)}, CostScales().at(case.kappa))
+
+
+def episode_features(policy: Policy, case: Case) -> np.ndarray:
+    """Features (n, 13) that a policy gets in a run, some of them."""
+    recorder = _Recorder(policy)
+    episode_cost(recorder, case)
+    return np.array(recorder.rows[_SKIPPED::_SAMPLED]).reshape(-1, len(FEATURES))
+
+
+@lru_cache(maxsize=4096)
+def _fast(case: Case) -> Scenario:
+    """The situation on the fast engine, with at most two steps of the plant in a tick."""
+    scenario = situation(*case[:3])
+    step = max(scenario.plant.time_step, scenario.controller.period / 2)
+    return scenario.replace({"plant.engine": "reduced", "plant.time_step": step, "log_period": None})
+
+
+class _GivenTuner(PolicyTuner):
+    """A policy that stands in memory."""
+
+    def chooser(self) -> Chooser:  # type: ignore[override]
+        given: Chooser = vars(self)["given"]
+        return given
+
+
+class _Recorder:
+    """A policy that writes down its features; see `Chooser`."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.centre, self.lowest, self.width = policy.centre, policy.lowest, policy.width
+        self.numbers, self.law = policy.numbers, self._tick
+        self.rows: list[np.ndarray] = []
+
+    def _tick(self, setups: np.ndarray, own: np.ndarray, *inputs: np.ndarray) -> None:
+        density, error, torque, innovation, reference, state = inputs
+        found = np.empty(len(FEATURES))
+        _features(setups, density, error, torque, innovation, reference, state.copy(), found)
+        self.rows.append(found)
+        policy_tick(setups, own, *inputs)
+
+
+@njit
+def _features(
+    setups: Any, density: Any, error: Any, torque: Any, innovation: Any, reference: Any, states: Any, out: Any
+) -> None:
+    """`features` of arrays."""
+    features(record(setups), density, error, torque, innovation, reference, record(states), out)
 
 
 @dataclass(frozen=True)
@@ -64,9 +169,9 @@ class State:
     """Where a training stands; what its file holds."""
 
     fixed: np.ndarray
-    """(pool,) log J of each episode of the pool at the centre."""
+    """(pool,) log J of each case of the pool at the centre."""
     validated: np.ndarray
-    """(validation,) likewise of the validation episodes."""
+    """(validation,) likewise of the validation cases."""
     mean: np.ndarray
     scale: np.ndarray
     """(13,) of the features."""
@@ -105,17 +210,17 @@ class State:
 
 
 class Training:
-    """The steps of `train_policy`, with runs at a place."""
+    """The steps of `train_policy`."""
 
-    def __init__(self, options: PolicyOptions, place: Workers) -> None:
-        self.options, self._place = options, place
+    def __init__(self, options: PolicyOptions, workers: Workers) -> None:
+        self.options, self._workers = options, workers
         self.centre = np.array(Baselines.load().best)
         cells = [cell for robot in options.robots for cell in cells_for(robot, trained=True)]
-        self.cases = cases_of(cells, TRAINING[: options.pool])
+        pool = cases_of(cells, TRAINING[: options.pool])
         rng = np.random.default_rng(options.seed)
         # Half of the pool has a smoothness (kappa) of its own.
-        kappas = np.where(rng.random(len(self.cases)) < 0.5, rng.uniform(-1.0, 1.0, len(self.cases)), 0.0)
-        self.episodes = [Episode(case, float(kappa)) for case, kappa in zip(self.cases, kappas, strict=True)]
+        kappas = np.where(rng.random(len(pool)) < 0.5, rng.uniform(-1.0, 1.0, len(pool)), 0.0)
+        self.pool = [case._replace(kappa=float(kappa)) for case, kappa in zip(pool, kappas, strict=True)]
         self.validation = cases_of(cells, VALIDATION[: options.validation])
         self.identity = checksum({"options": dataclasses.asdict(options), "centre": self.centre.tolist()})
 
@@ -123,18 +228,18 @@ class Training:
         """Costs at the centre, and the statistics of the features there and at settings about it."""
         rng = np.random.default_rng([self.options.seed, 1])
         weights = np.zeros(WEIGHTS)
-        stays = Frame(self.centre).policy(weights)
-        fixed, validated = self.costs([stays] * len(self.episodes), self.episodes), self.validate(stays)
+        stays = policy_of(weights, self.centre)
+        fixed, validated = (self.costs([stays] * len(cases), cases) for cases in (self.pool, self.validation))
         runs = []
-        for places in cells_of(self.cases).values():
+        for places in cells_of(self.pool).values():
             for place in places[:4]:
                 weights[-SIZE:] = rng.uniform(-1.5, 1.5, SIZE)
-                runs += [(stays, self.episodes[place]), (Frame(self.centre).policy(weights), self.episodes[place])]
-        features = np.concatenate(self._map(episode_features, runs))
+                runs += [(stays, self.pool[place]), (policy_of(weights, self.centre), self.pool[place])]
+        found = np.concatenate(self._map(episode_features, runs))
         hidden = rng.standard_normal(HIDDEN * len(FEATURES)) / math.sqrt(len(FEATURES))
         weights = np.concatenate([hidden, np.zeros(WEIGHTS - len(hidden))])
-        scale = np.maximum(features.std(axis=0), 1e-3)
-        return State(fixed, validated, features.mean(axis=0), scale, weights, np.zeros((2, WEIGHTS)), best=weights)
+        scale = np.maximum(found.std(axis=0), 1e-3)
+        return State(fixed, validated, found.mean(axis=0), scale, weights, np.zeros((2, WEIGHTS)), best=weights)
 
     def step(self, state: State) -> State:
         """One more generation: each situation twice, with weights on opposite sides of the present ones.
@@ -146,14 +251,13 @@ class Training:
         chosen = self._batch(at.generation)
         rng = np.random.default_rng([self.options.seed, 2, at.generation])
         directions = rng.standard_normal((len(chosen), WEIGHTS))
-        frame = Frame(self.centre, at.mean, at.scale)
-        policies = [frame.policy(at.weights + side * SPREAD * way) for side in (1.0, -1.0) for way in directions]
-        plus, minus = self.costs(policies, [self.episodes[place] for place in chosen] * 2).reshape(2, -1)
+        policies = [self.policy(at, at.weights + side * SPREAD * way) for side in (1.0, -1.0) for way in directions]
+        plus, minus = self.costs(policies, [self.pool[place] for place in chosen] * 2).reshape(2, -1)
         share = self._shares(chosen, 0.5 * (plus + minus) - at.fixed[chosen])
         _adam(at, (share * (plus - minus) / (2.0 * SPREAD)) @ directions, self.options.generations)
         at.generation += 1
         if at.generation % VALIDATED == 0 or at.generation == self.options.generations:
-            value = float(mean_over_cells(self.validate(frame.policy(at.weights)) - at.validated, self.validation))
+            value = float(mean_over_cells(self.validate(at, self.policy(at, at.weights)), self.validation))
             at.history = np.vstack([at.history, [at.generation, value]])
             if value < at.least:
                 at.best, at.least = at.weights, value
@@ -162,48 +266,51 @@ class Training:
 
     def finish(self, state: State) -> Policy:
         """The best policy, with the range of its features on the pool, and its card."""
-        frame = Frame(self.centre, state.mean, state.scale)
-        policy = frame.policy(state.best)
-        features = np.concatenate(self._map(episode_features, [(policy, episode) for episode in self.episodes]))
-        low, high = np.quantile(features, [0.0005, 0.9995], axis=0)
+        policy = self.policy(state, state.best)
+        found = np.concatenate(self._map(episode_features, [(policy, case) for case in self.pool]))
+        ends = np.quantile(found, [0.0005, 0.9995], axis=0)
         # All of kappa was drawn, if not to its very ends.
-        low[FEATURES.index("kappa")], high[FEATURES.index("kappa")] = -1.0, 1.0
-        policy = frame._replace(low=low, high=high).policy(state.best)
-        return Policy(policy.layers, self._card(state, self.validate(policy) - state.validated))
+        ends[:, FEATURES.index("kappa")] = -1.0, 1.0
+        policy = policy_of(state.best, self.centre, state.mean, state.scale, ends)
+        return Policy(policy.layers, self._card(state, self.validate(state, policy)))
 
-    def validate(self, policy: Policy) -> np.ndarray:
-        """Log J of a policy in each validation situation."""
-        return self.costs([policy] * len(self.validation), [Episode(case) for case in self.validation])
+    def policy(self, state: State, weights: np.ndarray) -> Policy:
+        """The policy of some weights, with the statistics of a state."""
+        return policy_of(weights, self.centre, state.mean, state.scale)
 
-    def costs(self, policies: Sequence[Policy], episodes: Sequence[Episode]) -> np.ndarray:
-        """Log J of each policy in the episode beside it."""
-        return np.array(self._map(episode_cost, list(zip(policies, episodes, strict=True))))
+    def validate(self, state: State, policy: Policy) -> np.ndarray:
+        """Log J of a policy over that at the centre in each validation situation."""
+        return self.costs([policy] * len(self.validation), self.validation) - state.validated
 
-    def _map(self, function: Callable[..., Any], arguments: Sequence[tuple[Policy, Episode]]) -> list[Any]:
+    def costs(self, policies: Sequence[Policy], cases: Sequence[Case]) -> np.ndarray:
+        """Log J of each policy in the case beside it."""
+        return np.array(self._map(episode_cost, list(zip(policies, cases, strict=True))))
+
+    def _map(self, function: Callable[..., Any], arguments: Sequence[tuple[Policy, Case]]) -> list[Any]:
         results: dict[int, Any] = {}
         keys = range(len(arguments))
-        run_jobs(keys, lambda key: (function, arguments[key]), results.__setitem__, self._place)
+        run_jobs(keys, lambda key: (function, arguments[key]), results.__setitem__, self._workers)
         return [results[key] for key in keys]
 
     def _batch(self, generation: int) -> np.ndarray:
-        """Places in the pool of the episodes of a generation."""
+        """Places in the pool of the cases of a generation."""
         chosen = []
-        for (_, robot), places in cells_of(self.cases).items():
+        for (_, robot), places in cells_of(self.pool).items():
             count = min(self.options.situations * MORE.get(robot, 1), len(places))
             chosen.append(places[(generation * count + np.arange(count)) % len(places)])
         return np.concatenate(chosen)
 
     def _shares(self, chosen: np.ndarray, ratio: np.ndarray) -> np.ndarray:
-        """What each episode counts: each kind alike, but more where the policy is worse than the centre."""
+        """What each case counts: each kind alike, but more where the policy is worse than the centre."""
         share = np.zeros(len(chosen))
-        cells = cells_of([self.cases[place] for place in chosen])
+        cells = cells_of([self.pool[place] for place in chosen])
         for places in cells.values():
             behind = max(0.0, float(ratio[places].mean()))
             share[places] = (1.0 + FAIRNESS * behind) / (len(places) * len(cells))
         return share
 
     def _card(self, state: State, ratio: np.ndarray) -> dict[str, Any]:
-        """Where a policy comes from; `ratio` is log J over that at the centre, by validation situation."""
+        """Where a policy comes from; `ratio` as `validate` gives it."""
         kinds = {
             f"{robot}: {kind}": ratio[places].mean() for (kind, robot), places in cells_of(self.validation).items()
         }
@@ -238,8 +345,8 @@ def _adam(at: State, gradient: np.ndarray, generations: int) -> None:
 def train_policy(
     options: PolicyOptions,
     file: Path | None = None,
-    tell: Callable[[float, str], None] | None = None,
-    where: Workers | None = None,
+    tell: Callable[[float, str], None] = lambda *_: None,
+    workers: Workers | None = None,
 ) -> Policy:
     """Trains; the same options give the same policy, however many processes there are and wherever it was interrupted.
 
@@ -247,23 +354,21 @@ def train_policy(
         options: How to train.
         file: Written after each generation and gone on from, where it is there; removed at the end. None for none.
         tell: Called with generations done and a word on it.
-        where: Where the runs go; None for a process on each core.
+        workers: Where the runs go; None for a process on each core.
     """
     # Worn out by nothing: without Drake a process stays small, and it knows its situations.
-    where = where or Workers(os.cpu_count(), worn=None)
-    say = tell or (lambda *_: None)
-    training = Training(options, where)
+    training = Training(options, workers or Workers(os.cpu_count(), worn=None))
     if file is not None and file.exists():
         state = State.load(file, training.identity)
     else:
-        say(0.0, "costs of the best fixed setting")
+        tell(0.0, "costs of the best fixed setting")
         state = training.begin()
     while state.generation < options.generations:
         state = training.step(state)
         if file is not None:
             state.save(file, training.identity)
         last = f", J {math.exp(state.history[-1, 1]):.3f} of best fixed" if len(state.history) else ""
-        say(float(state.generation), f"generation {state.generation}{last}")
+        tell(float(state.generation), f"generation {state.generation}{last}")
     policy = training.finish(state)
     if file is not None:
         file.unlink(missing_ok=True)

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, lru_cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.planning.pose_box import NEAR
-from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import PAPER
-from stewart_drake.runs.simulation import check_scenario
+from stewart_drake.runs.checks import check_scenario
 from stewart_drake.scenario import Scenario, load_scenario
 
 TRAINING, VALIDATION, HELD_OUT = (range(first, first + 10**6) for first in (0, 10**6, 3 * 10**6))
@@ -30,6 +29,15 @@ _TRIES = 50
 
 Changes = dict[str, Any]
 """Scenario key -> value."""
+
+
+class Case(NamedTuple):
+    """A situation, and the smoothness kappa at which a policy is run in it."""
+
+    kind: str
+    robot: str
+    seed: int
+    kappa: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -67,10 +75,10 @@ ROBOTS = {
 class Draw:
     """Numbers of one situation, in the size of its robot; all from one generator."""
 
-    def __init__(self, rng: np.random.Generator, setup: Setup, robot: RobotParameters) -> None:
-        self.rng, self.setup, self.robot = rng, setup, robot
-        self.length = robot.characteristic_length / PAPER.characteristic_length
-        self._torque = setup.push * robot.effort_limit / PAPER.effort_limit
+    def __init__(self, rng: np.random.Generator, setup: Setup) -> None:
+        self.rng, self.setup, self.robot = rng, setup, setup.base.robot
+        self.length = self.robot.characteristic_length / PAPER.characteristic_length
+        self._torque = setup.push * self.robot.effort_limit / PAPER.effort_limit
 
     def between(self, low: float, high: float) -> float:
         """Uniform in the logarithm."""
@@ -79,10 +87,6 @@ class Draw:
     def time(self, low: float, high: float) -> float:
         """[s] by shares of the run, on a millisecond."""
         return round(self.setup.duration * float(self.rng.uniform(low, high)), 3)
-
-    def any_of(self, choices: Sequence[Callable[[Draw], Changes]]) -> Changes:
-        """What one of them draws."""
-        return choices[int(self.rng.integers(len(choices)))](self)
 
     def place(self, share: float) -> np.ndarray:
         """A pose (6,) within a share of the near box."""
@@ -105,19 +109,32 @@ class Draw:
         return way / np.linalg.norm(way)
 
 
-def _wave(amplitude: np.ndarray, frequency: float, center: np.ndarray, phase: Sequence[float]) -> Changes:
-    numbers = {"center": center, "amplitude": amplitude, "angular_frequency": np.full(6, 2.0 * math.pi * frequency)}
-    return {"kind": "sine", **{key: value.tolist() for key, value in numbers.items()}, "phase": list(phase)}
+def _wave(
+    rotation: tuple[float, float],
+    shift: tuple[float, float],
+    frequency: tuple[float, float],
+    share: float = 0.2,
+    phases: int = 1,
+) -> Callable[[Draw], Changes]:
+    """Sines about a place, on all axes, of one phase or six; sizes as `Draw.size`, frequency [Hz]."""
+
+    def reference(draw: Draw) -> Changes:
+        phase = np.resize(draw.rng.uniform(0.0, 2.0 * math.pi, phases), 6).tolist()
+        amplitude = draw.size(rotation, shift).tolist()
+        omega = [2.0 * math.pi * draw.between(*frequency)] * 6
+        sine = {"kind": "sine", "amplitude": amplitude, "angular_frequency": omega, "phase": phase}
+        return {"reference": {**sine, "center": draw.place(share).tolist()}}
+
+    return reference
+
+
+_breathing = _wave((0.02, 0.06), (0.004, 0.012), (0.2, 0.6))
+_fast = _wave((0.008, 0.03), (0.001, 0.004), (2.5, 5.0), phases=6)
+_nod = _wave((0.06, 0.2), (0.002, 0.012), (0.4, 1.2), share=0.15)
 
 
 def _hold(draw: Draw) -> Changes:
     return {"reference": {"kind": "hold", "pose": draw.place(0.5).tolist()}}
-
-
-def _breathing(draw: Draw) -> Changes:
-    phase = [float(draw.rng.uniform(0.0, 2.0 * math.pi))] * 6
-    amplitude = draw.size((0.02, 0.06), (0.004, 0.012))
-    return {"reference": _wave(amplitude, draw.between(0.2, 0.6), draw.place(0.2), phase)}
 
 
 def _heart(draw: Draw) -> Changes:
@@ -139,17 +156,6 @@ def _heart(draw: Draw) -> Changes:
     return {"reference": {"kind": "sum", "parts": [beat, breath]}}
 
 
-def _fast(draw: Draw) -> Changes:
-    phase = draw.rng.uniform(0.0, 2.0 * math.pi, 6).tolist()
-    amplitude = draw.size((0.008, 0.03), (0.001, 0.004))
-    return {"reference": _wave(amplitude, draw.between(2.5, 5.0), draw.place(0.2), phase)}
-
-
-def _nod(draw: Draw) -> Changes:
-    phase = [float(draw.rng.uniform(0.0, 2.0 * math.pi))] * 6
-    return {"reference": _wave(draw.size((0.06, 0.2), (0.002, 0.012)), draw.between(0.4, 1.2), draw.place(0.15), phase)}
-
-
 def _tool_path(draw: Draw) -> Changes:
     reference = {
         "kind": "minimum_jerk",
@@ -160,13 +166,21 @@ def _tool_path(draw: Draw) -> Changes:
     return {"reference": reference}
 
 
+def _any_of(*kinds: Callable[[Draw], Changes]) -> Callable[[Draw], Changes]:
+    return lambda draw: kinds[int(draw.rng.integers(len(kinds)))](draw)
+
+
+def _both(*kinds: Callable[[Draw], Changes]) -> Callable[[Draw], Changes]:
+    """One draw after the other, of different keys."""
+    return lambda draw: {key: value for kind in kinds for key, value in kind(draw).items()}
+
+
 def _moves(draw: Draw) -> Changes:
     """A motion of the robot's own."""
-    return draw.any_of([_breathing, _heart, _fast] if draw.robot == PAPER else [_nod, _breathing])
+    return _any_of(*((_breathing, _heart, _fast) if draw.robot == PAPER else (_nod, _breathing)))(draw)
 
 
-def _moves_or_rests(draw: Draw) -> Changes:
-    return draw.any_of([_hold, _moves])
+_moves_or_rests = _any_of(_hold, _moves)
 
 
 def _push(draw: Draw) -> Changes:
@@ -180,7 +194,7 @@ def _blow(draw: Draw) -> Changes:
 
 
 def _pushed(draw: Draw) -> Changes:
-    return {"disturbances": [draw.any_of([_push, _blow])]}
+    return {"disturbances": [_any_of(_push, _blow)(draw)]}
 
 
 def _loaded(draw: Draw) -> Changes:
@@ -221,17 +235,20 @@ def _load_comes(draw: Draw) -> Changes:
     return {**_moves_or_rests(draw), "disturbances": [{**step, "time": draw.time(0.6, 0.75)}]}
 
 
-def _mixture(draw: Draw) -> Changes:
-    begins, ends = (lambda d: _bursts(d, False, True)), (lambda d: _bursts(d, True, False))
-    return draw.any_of([begins, ends, lambda d: {**_moves(d), **_pushed(d)}, _load_comes])
-
-
 def _noisy(draw: Draw) -> Changes:
-    return {**_moves_or_rests(draw), "sensors.noise": draw.between(8e-5, 4e-4)}
+    return {"sensors.noise": draw.between(8e-5, 4e-4)}
 
 
 def _delayed(draw: Draw) -> Changes:
-    return {**_moves(draw), "command_delay": int(draw.rng.integers(2, 5))}
+    return {"command_delay": int(draw.rng.integers(2, 5))}
+
+
+_mixture = _any_of(
+    partial(_bursts, before=False, after=True),
+    partial(_bursts, before=True, after=False),
+    _both(_moves, _pushed),
+    _load_comes,
+)
 
 
 @dataclass(frozen=True)
@@ -246,23 +263,23 @@ class Kind:
     trained: bool = True
 
 
-_BOTH = tuple(ROBOTS)
+_ROBOTS = tuple(ROBOTS)
 KINDS = {
-    "hold": Kind(_hold, _BOTH),
+    "hold": Kind(_hold, _ROBOTS),
     "breathing": Kind(_breathing),
     "heart": Kind(_heart),
     "fast": Kind(_fast),
     "nod": Kind(_nod, ("reachy_mini",)),
-    "payload": Kind(lambda d: {**_moves(d), **_loaded(d)}, _BOTH),
-    "pushes": Kind(lambda d: {**_moves_or_rests(d), **_pushed(d)}, _BOTH),
-    "noise": Kind(_noisy),
-    "coarse encoders": Kind(lambda d: {**_moves(d), **_coarse(d)}),
-    "stiction": Kind(lambda d: {**_moves(d), **_sticking(d)}, _BOTH),
-    "delay": Kind(_delayed),
-    "mixture": Kind(_mixture, _BOTH),
-    "tool path": Kind(_tool_path, _BOTH, trained=False),
-    "coarse encoders with stiction": Kind(lambda d: {**_moves(d), **_coarse(d), **_sticking(d)}, trained=False),
-    "payload with pushes": Kind(lambda d: {**_moves_or_rests(d), **_loaded(d), **_pushed(d)}, _BOTH, trained=False),
+    "payload": Kind(_both(_moves, _loaded), _ROBOTS),
+    "pushes": Kind(_both(_moves_or_rests, _pushed), _ROBOTS),
+    "noise": Kind(_both(_moves_or_rests, _noisy)),
+    "coarse encoders": Kind(_both(_moves, _coarse)),
+    "stiction": Kind(_both(_moves, _sticking), _ROBOTS),
+    "delay": Kind(_both(_moves, _delayed)),
+    "mixture": Kind(_mixture, _ROBOTS),
+    "tool path": Kind(_tool_path, _ROBOTS, trained=False),
+    "coarse encoders with stiction": Kind(_both(_moves, _coarse, _sticking), trained=False),
+    "payload with pushes": Kind(_both(_moves_or_rests, _loaded, _pushed), _ROBOTS, trained=False),
 }
 
 
@@ -271,21 +288,17 @@ def kinds_of(robot: str, trained: bool | None = None) -> list[str]:
     return [name for name, kind in KINDS.items() if robot in kind.robots and trained in (None, kind.trained)]
 
 
+@lru_cache(maxsize=4096)
 def situation(kind: str, robot: str, seed: int) -> Scenario:
     """A run that the robot can do, the same for the same arguments; with the default setting, on Drake's plant."""
-    if kind not in KINDS:
-        raise ConfigurationError("kind", kind, f"one of {', '.join(KINDS)}")
-    if robot not in KINDS[kind].robots:
-        raise ConfigurationError("robot", robot, f"one of {', '.join(KINDS[kind].robots)}, for {kind}")
-    if seed < 0:
-        raise ConfigurationError("seed", seed, "a whole number from 0 on")
+    if kind not in kinds_of(robot):
+        raise ConfigurationError("kind", kind, f"one of {', '.join(kinds_of(robot))}, for {robot}")
     setup = ROBOTS[robot]
-    base = setup.base
     rng = np.random.default_rng([zlib.crc32(kind.encode()), zlib.crc32(robot.encode()), seed])
-    draw = Draw(rng, setup, base.robot)
+    draw = Draw(rng, setup)
     for left in reversed(range(_TRIES)):
         changes = {"sensors.noise_seed": int(rng.integers(2**31)), **KINDS[kind].draw(draw)}
-        scenario = base.replace({"name": f"{kind} {robot} {seed}", **changes})
+        scenario = setup.base.replace({"name": f"{kind} {robot} {seed}", **changes})
         try:
             check_scenario(scenario)
             break

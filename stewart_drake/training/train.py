@@ -13,7 +13,7 @@ from pydantic import Field
 from stewart_drake.config import Fraction, Positive, Section, Seed, Window
 from stewart_drake.control.network import HIDDEN, INPUTS, OUTPUTS, TunerNetwork
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.training.dataset import Dataset
+from stewart_drake.training.collect import Dataset
 
 Split = Literal["samples", "runs"]
 
@@ -43,24 +43,25 @@ class TrainingResult:
 
 
 def split_samples(dataset: Dataset, options: TrainingOptions) -> np.ndarray:
-    """(n,) mask of the training samples; a ConfigurationError where one side is empty."""
+    """(n,) mask of the training samples.
+
+    Raises:
+        ConfigurationError: One side is empty, or training lacks a value of omega_Q or omega_R that several experiments
+            share.
+    """
     rng = np.random.default_rng(options.seed)
     group_of = np.arange(len(dataset.run)) if options.split == "samples" else dataset.run
     groups = rng.permutation(np.unique(group_of))
-    mask = np.isin(group_of, groups[: round(options.training_share * len(groups))])
-    if mask.all() or not mask.any():
+    training = np.isin(group_of, groups[: round(options.training_share * len(groups))])
+    if training.all() or not training.any():
         raise ConfigurationError("training.training_share", options.training_share, "a share that leaves no side empty")
-    return mask
-
-
-def _refuse_empty_class(dataset: Dataset, training: np.ndarray, options: TrainingOptions) -> None:
-    """Refuses a split whose training side lacks a value of omega_Q or omega_R that several experiments share."""
     for name, values in zip(("omega_Q", "omega_R"), dataset.outputs.T, strict=True):
         classes = np.unique(values)
         lacking = np.setdiff1d(classes, values[training])
         if len(lacking) and len(classes) < len(np.unique(dataset.run)):
             allowed = f"one whose split by {options.split} leaves training samples of {name} = {lacking[0]:g}"
             raise ConfigurationError("training.seed", options.seed, allowed)
+    return training
 
 
 def r_squared(target: np.ndarray, predicted: np.ndarray) -> float:
@@ -70,19 +71,14 @@ def r_squared(target: np.ndarray, predicted: np.ndarray) -> float:
 
 
 def train_network(
-    dataset: Dataset, options: TrainingOptions | None = None, progress: Callable[[float], None] | None = None
+    dataset: Dataset, options: TrainingOptions | None = None, progress: Callable[[float], None] = lambda _: None
 ) -> TrainingResult:
     """Trains the tuner; the same data, options and torch give the same network to the last bit.
 
-    `progress` is called with the epochs done, now and then.
-
-    Raises:
-        ConfigurationError: A split that leaves one side empty, or a value of omega_Q or omega_R without training
-            samples.
+    `progress` is called with the epochs done, now and then. Raises as `split_samples`.
     """
     options = TrainingOptions() if options is None else options
     training = split_samples(dataset, options)
-    _refuse_empty_class(dataset, training, options)
     target = np.log10(dataset.outputs)
     mean, scale = dataset.inputs[training].mean(axis=0), dataset.inputs[training].std(axis=0)
     scale = np.where(scale > 1e-9, scale, 1.0)
@@ -112,18 +108,19 @@ def train_network(
         for side, rows in (("training", training), ("validation", ~training))
         for name, mix in (("omega_Q", (1, 0)), ("omega_R", (0, 1)), ("ratio", (1, -1)))
     }
-    provenance = {
-        "made_by": "stewart-drake collect, stewart-drake train",
-        "dataset_sha256": dataset.digest(),
-        "samples": len(dataset.run),
-        "options": options.to_dict(),
-        "torch": torch.__version__,
-        "numpy": np.__version__,
-        # JSON has no NaN, which is the score of a target that does not vary.
-        "scores": {name: score if np.isfinite(score) else None for name, score in scores.items()},
-        "data": {k: v for k, v in dataset.metadata.items() if k != "scenario"},
-    }
-    network.provenance.update(provenance)
+    network.provenance.update(
+        {
+            "made_by": "stewart-drake collect, stewart-drake train",
+            "dataset_sha256": dataset.digest(),
+            "samples": len(dataset.run),
+            "options": options.to_dict(),
+            "torch": torch.__version__,
+            "numpy": np.__version__,
+            # JSON has no NaN, which is the score of a target that does not vary.
+            "scores": {name: score if np.isfinite(score) else None for name, score in scores.items()},
+            "data": {k: v for k, v in dataset.metadata.items() if k != "scenario"},
+        }
+    )
     return TrainingResult(network, losses[:, 0], losses[:, 1], scores)
 
 
@@ -132,7 +129,7 @@ def _descend(
     target: np.ndarray,
     training: np.ndarray,
     options: TrainingOptions,
-    progress: Callable[[float], None] | None,
+    progress: Callable[[float], None],
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Weights and biases of both layers after so many epochs of Adam, and losses (epochs, 2) of both sides."""
     generator = torch.Generator().manual_seed(options.seed)
@@ -154,6 +151,6 @@ def _descend(
         loss.backward()
         optimiser.step()
         losses[epoch] = loss.item(), squared[~mask].mean().item()
-        if progress is not None and (epoch % 50 == 49 or epoch == options.epochs - 1):
+        if epoch % 50 == 49 or epoch == options.epochs - 1:
             progress(epoch + 1.0)
     return [each.detach().numpy().copy() for each in network.parameters()], losses

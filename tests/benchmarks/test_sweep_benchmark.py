@@ -3,7 +3,8 @@
 import json
 import time
 
-from stewart_drake.studies.sweep import Sweep, run_sweep
+from stewart_drake.studies.study import run_study
+from stewart_drake.studies.sweep import Sweep
 from stewart_drake.studies.workers import Workers
 
 RUNS, WARM = 40, 6
@@ -19,10 +20,10 @@ SPEC = {
 def measure(folder, workers):
     """Time [s] of the runs after the first few, and their own time [s] in the workers."""
     ends = {}
-    result = run_sweep(
+    result = run_study(
         Sweep.from_dict(SPEC), folder, Workers(workers), lambda done: ends.setdefault(done, time.perf_counter())
     )
-    rows = [row for line, row in enumerate(by_completion(folder, result.rows)) if line >= WARM]
+    rows = [row for line, row in enumerate(by_completion(folder, result.rows["sweep"])) if line >= WARM]
     return ends[float(RUNS)] - ends[float(WARM)], sum(row["wall_s"] for row in rows)
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from stewart_drake.mechanics.kinematics import reach_margin
-from stewart_drake.planning.limits import Limits, limit_margins
-from stewart_drake.planning.measures import measure_poses
+from stewart_drake.planning.limits import Limits, limit_margins, measure_poses
 from stewart_drake.planning.workspace import spanning_grid
 from stewart_drake.robot import RobotParameters
 

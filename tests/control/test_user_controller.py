@@ -8,7 +8,7 @@ from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.control.network import load_network
 from stewart_drake.control.user_controller import PythonOptions, function_part, user_code
 from stewart_drake.errors import ConfigurationError, NotFiniteError
-from stewart_drake.files.user_errors import ControllerError
+from stewart_drake.files.code import ControllerError
 from stewart_drake.part import guarded as bridged
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario
@@ -42,7 +42,7 @@ def written(tmp_path):
     def write(text):
         path = tmp_path / "mine.py"
         path.write_text(text)
-        return {"kind": "python", "system": f"{path}:Mine"}
+        return {"kind": f"{path}:Mine"}
 
     return write
 
@@ -79,13 +79,13 @@ def test_weights_error_and_integral_are_connected_where_they_are_there(written):
 
 def test_an_import_path_works_as_a_file_does_and_context_is_handed_over():
     path = "stewart_drake.systems.library:DensityFeatures"
-    made = PythonOptions(system=path, arguments={"window": 4}).construct({"period": 0.25, "robot": ROBOT})
+    made = PythonOptions(kind=path, arguments={"window": 4}).construct({"period": 0.25, "robot": ROBOT})
     assert made.period == pytest.approx(0.25)
 
 
 BAD = [
     ("import nothing_of_this_name\n", "ModuleNotFoundError"),
-    ("class Other: pass\n", "has no attribute 'Mine'"),
+    ("class Other: pass\n", "mine.py defines"),
     ("Mine = 3\n", "a LeafSystem of pydrake, or what is called"),
     ("class Mine: pass\n", "a LeafSystem of pydrake"),
     (GOOD.replace("self.scale = scale", "raise ZeroDivisionError('no')"), "ZeroDivisionError: no"),
@@ -111,7 +111,7 @@ BAD = [
 def test_one_clear_error_before_the_run(written, text, words):
     with pytest.raises(ConfigurationError) as caught:
         run(scenario(written(text)))
-    assert caught.value.key == "controller.system"
+    assert caught.value.key == "controller.kind"
     assert any(option in str(caught.value) for option in words.split("|")), str(caught.value)
 
 

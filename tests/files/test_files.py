@@ -11,7 +11,7 @@ from made_logs import made_log
 
 from stewart_drake.control.network import load_network
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.named_files import anchored, code_named, file_digests
+from stewart_drake.files.code import anchored, code_named, file_digests
 from stewart_drake.files.tables import ENDINGS, column_name, numbers_to_csv, quantity_of, read_numbers
 from stewart_drake.files.whole import digest, locked_folder, write_atomically
 from stewart_drake.files.yaml_files import parse_yaml, shipped_folder, to_yaml
@@ -88,6 +88,7 @@ def test_what_is_no_regular_file_or_too_large_is_refused(tmp_path, name):
         ("a: !!python/object:os.system x", "constructor for the tag"),
         ("a: 1\na: 2", "duplicate key"),
         ("a: [1", "line 1"),
+        ("a:\n\tb: 1", r"line 2, column 1: .*indent with spaces"),
         ("[" * 5000, "RecursionError"),
     ],
 )
@@ -171,7 +172,7 @@ def test_relative_paths_are_taken_from_the_folder_however_deep_and_others_stay()
 def test_files_and_code_are_known_by_their_digests(tmp_path):
     (tmp_path / "mine.py").write_text("one = 1\n")
     (found,) = code_named({"distributions": {"a": [[f"{tmp_path}/mine.py:G"]]}, "name": "a:b", "c": 1})
-    assert (found.files[-1], found.digest) == (tmp_path / "mine.py", digest(tmp_path / "mine.py"))
+    assert (found.file, found.digest) == (tmp_path / "mine.py", digest(tmp_path / "mine.py"))
     assert not found.trusted
     net, none = str(tmp_path / "net.json"), str(tmp_path / "none.csv")
     digests = []
@@ -189,6 +190,6 @@ def test_overrides_are_taken_from_the_current_folder_and_the_file_from_its_own(t
     path = tmp_path / "there" / "scenario.yaml"
     path.write_text("controller: {kind: python, system: mine.py:Mine}\n")
     monkeypatch.chdir(tmp_path / "here")
-    for overrides, folder in (((), "there"), (["controller.system=mine.py:Mine"], "here")):
+    for overrides, folder in (((), "there"), (["controller.kind=mine.py:Mine"], "here")):
         loaded = load_scenario(path, overrides, trust_code=True)
-        assert loaded.controller.code.files[-1] == tmp_path / folder / "mine.py"
+        assert loaded.controller.code.file == tmp_path / folder / "mine.py"

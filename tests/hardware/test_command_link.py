@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from stewart_drake.hardware.command_link import LinkOptions, delay_part, link_part
 from stewart_drake.hardware.faults import CommandFault
+from stewart_drake.hardware.motors import LinkOptions, delay_part, link_part
 
 STEPS = 4
 
@@ -31,12 +31,6 @@ def test_a_late_command_acts_so_many_steps_later(late_steps):
     np.testing.assert_array_equal(told[2, :, 0], [2.0] * late_steps + [3.0] * (STEPS - late_steps))
     np.testing.assert_array_equal(told[2, :, 1], [1.0] * late_steps + [0.0] * (STEPS - late_steps))
     np.testing.assert_array_equal(told[3, :, 0], 4.0)
-
-
-def test_one_that_is_a_whole_period_late_is_overtaken_unless_all_are():
-    np.testing.assert_array_equal(arrivals(LinkOptions(late=(2,), late_steps=STEPS))[:, 0, 0], [1, 2, 2, 4, 5, 6, 7, 8])
-    all_late = arrivals(LinkOptions(late_probability=1.0, late_steps=STEPS))
-    np.testing.assert_array_equal(all_late[1:, :, 0], np.arange(1.0, 8.0)[:, None] * np.ones(STEPS))
 
 
 def test_chance_drops_its_share_by_the_seed_alone_and_by_the_tick():

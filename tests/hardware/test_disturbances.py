@@ -51,7 +51,7 @@ def test_noise_has_its_size_and_its_band_and_independent_axes():
     rms = (0.1, 0.2, 0.3, 1.0, 2.0, 3.0)
     noise = NoiseWrench(rms=rms, low=5.0, high=20.0, seed=1)
     step = 0.002
-    values = noise.evaluate(np.arange(0.0, 400.0, step))
+    values = noise.evaluate(np.arange(0.0, 200.0, step))
     np.testing.assert_allclose(values.std(axis=0), rms, rtol=0.05)
     power = np.abs(np.fft.rfft(values[:, 3])) ** 2
     frequency = np.fft.rfftfreq(len(values), step)

@@ -3,7 +3,6 @@ import pytest
 from conftest import field_of
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import linprog
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake.errors import ConfigurationError
@@ -13,22 +12,11 @@ from stewart_drake.hardware.motors import (
     FrictionCompensation,
     MotorOptions,
     friction_part,
-    holdable_load,
-    motor_part,
 )
-from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.kinematics import pose_jacobian, twist_jacobian
+from stewart_drake.mechanics.kinematics import pose_jacobian
 
 WANTED = np.array([0.123, -0.456, 1.0, 4.9, -4.9, 0.0])
 ANGLES = np.linspace(-1.0, 1.0, 6)
-
-
-def test_by_default_a_motor_gives_what_is_asked_for():
-    assert MotorOptions().perfect
-    part = motor_part(MotorOptions())
-    state = part.initial.copy()
-    part.tick(WANTED, np.ones(1), np.concatenate([ANGLES, np.zeros(6)]), state)
-    np.testing.assert_array_equal(state["torque"][0], WANTED)
 
 
 def test_steps_ripple_and_a_dead_motor():
@@ -92,45 +80,3 @@ def test_it_is_friction_of_the_cranks_of_the_reference_and_smooth_at_reversals(p
 
 def test_a_reference_out_of_reach_asks_for_nothing():
     np.testing.assert_array_equal(against_friction(ROBOT.home_pose + [0, 0, 0, 0, 0, 1.0], np.ones(6)), np.zeros(6))
-
-
-# --- what five motors hold ----------------------------------------------------------------------------------------
-
-
-def largest_along(weight, per_load, limit, dead, direction):
-    """Largest force along a direction of a given plane, by linear programming: an independent way."""
-    bounds_row = np.concatenate([per_load, -per_load])
-    room = np.concatenate([limit - weight, limit + weight])
-    equal, wanted = per_load[[dead]], [-weight[dead]]
-    done = linprog(-direction, A_ub=bounds_row, b_ub=room, A_eq=equal, b_eq=wanted, bounds=[(None, None)] * 3)
-    return done.x if done.status == 0 else None
-
-
-@given(poses(0.7), st.integers(0, 5))
-def test_with_gravity_no_five_motors_hold_even_the_weight_but_for_chance(pose, dead):
-    weight, jacobian = static_torque(ROBOT, pose), twist_jacobian(ROBOT, pose)
-    load = holdable_load(weight, jacobian, ROBOT.effort_limit, dead)
-    assert not load.weight
-    assert (load.force, load.moment) == (None, None)
-    # The support makes it possible and nothing smaller does: it is the distance of the plane of T_dead = 0.
-    per_force = -np.linalg.inv(jacobian.T)[:, 3:]
-    normal = per_force[dead]
-    distance = abs(weight[dead]) / np.linalg.norm(normal)
-    assert load.support >= distance * (1.0 - 1e-9)
-    nearest = -weight[dead] * normal / (normal @ normal)
-    if np.abs(weight + per_force @ nearest).max() <= ROBOT.effort_limit:
-        assert load.support == pytest.approx(distance)
-
-
-@pytest.mark.slow
-@given(poses(0.5), st.integers(0, 5), st.integers(0, 1000))
-def test_without_weight_the_largest_force_is_a_corner_that_no_direction_surpasses(pose, dead, seed):
-    jacobian = twist_jacobian(ROBOT, pose)
-    load = holdable_load(np.zeros(6), jacobian, ROBOT.effort_limit, dead)
-    assert load.weight
-    assert load.support == 0.0
-    for columns, largest in ((slice(3, 6), load.force), (slice(0, 3), load.moment)):
-        per_load = -np.linalg.inv(jacobian.T)[:, columns]
-        direction = np.random.default_rng(seed).normal(size=3)
-        corner = largest_along(np.zeros(6), per_load, ROBOT.effort_limit, dead, direction)
-        assert np.linalg.norm(corner) <= largest * (1.0 + 1e-6)

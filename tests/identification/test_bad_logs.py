@@ -10,8 +10,8 @@ from strategies import ROBOT
 
 from stewart_drake import Scenario, load_robot, run
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.identification.identify import identify
-from stewart_drake.identification.recording import load_recording, of_log
+from stewart_drake.identification.identified import identify
+from stewart_drake.identification.samples import load_recording, of_log
 from stewart_drake.references.basic import HoldReference
 
 LOG = recording(ROBOT, truth_of(ROBOT), rate=100.0)

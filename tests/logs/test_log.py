@@ -6,13 +6,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from made_logs import STATES, made_log
+from made_logs import made_log
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import AXIS_NAMES, SIGNALS, load_log
-from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.robot import RobotParameters
 
 
 @pytest.fixture
@@ -64,13 +61,6 @@ def test_a_log_saved_as_csv_loads_back_with_the_scenario_that_it_does_not_have(l
         assert "does not say how the run ended" in repr(again)
 
 
-def test_metrics_of_a_short_csv_log_are_those_of_the_run(tmp_path):
-    log = made_log(rows=31, step=0.01, duration=0.3, pose=np.random.default_rng(2).normal(size=(31, 6)))
-    log.save(tmp_path / "log.csv")
-    found, wanted = (run_metrics(each)["rmse_norm_mm"] for each in (load_log(tmp_path / "log.csv"), log))
-    assert found == pytest.approx(wanted, rel=1e-9)
-
-
 def test_a_log_is_a_mapping_and_shows_itself_in_six_lines(log):
     assert "pose" in log
     assert "pos" not in log
@@ -105,15 +95,6 @@ def test_columns_say_their_units_and_parquet_has_frame_text_scenario_and_outcome
     run = json.loads(schema.metadata[b"stewart_drake.run"])
     assert run["scenario"] == log.scenario.to_dict()
     assert (run["outcome"]["reason"], run["outcome"]["leg"]) == ("crank_dead_centre", 2)
-
-
-def test_entries_of_the_plants_state_have_their_own_units(log, tmp_path):
-    names = build_plant(RobotParameters())[1].state_names
-    signals = {**log, "plant_state": np.arange(2.0 * len(names)).reshape(2, -1), "time": np.arange(2.0)}
-    signals = {name: values[:2] for name, values in signals.items()}
-    dataclasses.replace(log, state_names=names, signals=signals).save(tmp_path / "log.csv")
-    assert load_log(tmp_path / "log.csv").state_names == names
-    assert set(STATES) <= set(names)
 
 
 def refused(path):

@@ -1,13 +1,21 @@
 import json
+import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from made_logs import made_log
 
-from stewart_drake.logs.metric_table import METRICS, columns, flat
+from stewart_drake.control.objective import CostScales, cost
 from stewart_drake.logs.metrics import (
+    FAILED,
+    METRICS,
+    columns,
     error_norms,
-    integral_at,
+    flat,
+    mean_cost,
+    run_cost,
     run_metrics,
     second_half,
 )
@@ -71,14 +79,9 @@ def test_figures_of_the_whole_run_count_every_row_and_torques_within_the_limit_o
 
 def test_the_integral_is_that_of_the_row_at_five_seconds():
     integral = np.arange(101.0)[:, None] + np.arange(6.0) / 10
-    log = made_log(integral=integral)
-    np.testing.assert_array_equal(run_metrics(log)["integral_at_5s"], integral[50])
-    np.testing.assert_array_equal(integral_at(log, 5.04), integral[50])
-    np.testing.assert_array_equal(integral_at(log, 0.0), integral[0])
-    np.testing.assert_array_equal(integral_at(log, 10.0), integral[100])
-    assert integral_at(made_log(rows=50), 5.0) is None
-    assert integral_at(made_log(rows=51), 5.0) is not None
-    assert integral_at(made_log(rows=0), 0.0) is None
+    np.testing.assert_array_equal(run_metrics(made_log(integral=integral))["integral_at_5s"], integral[50])
+    assert run_metrics(made_log(rows=50))["integral_at_5s"] is None
+    assert run_metrics(made_log(rows=51))["integral_at_5s"] is not None
 
 
 @pytest.mark.parametrize("rows", [0, 1, 50, 101])
@@ -95,8 +98,6 @@ def test_the_worst_half_is_the_larger_rms_and_none_where_the_second_was_not_reac
     pose[:, 3] = 0.001
     pose[:50, 3] = 0.003
     assert run_metrics(made_log(pose=pose))["worst_half_rmse_norm_mm"] == pytest.approx(3.0)
-    backwards = run_metrics(made_log(pose=pose[::-1]))["worst_half_rmse_norm_mm"]
-    assert backwards == pytest.approx(np.sqrt((50 * 9 + 1) / 51))
     assert run_metrics(made_log(rows=50, pose=pose[:50]))["worst_half_rmse_norm_mm"] is None
 
 
@@ -136,3 +137,27 @@ def test_torque_change_is_taken_from_tick_to_tick_of_the_second_half_within_the_
     assert change(torque, controller={"period": 0.2}, plant={"time_step": 0.1}, log_period=0.1) == pytest.approx(1.0)
     # Every second tick is not every tick.
     assert change(torque, controller={"period": 0.05}, plant={"time_step": 0.05}, log_period=0.1) is None
+
+
+SCALES = CostScales(rotation=0.5, position=0.02, torque_change=0.1)
+sizes = st.just(0.0) | st.floats(1e-6, 1e3)
+
+
+@given(sizes, sizes, sizes)
+def test_the_cost_is_the_length_of_the_scaled_parts(rotation, position, change):
+    expected = math.hypot(rotation / 0.5, position / 0.02, change / 0.1)
+    assert cost(rotation, position, change, SCALES) == pytest.approx(expected)
+    found = cost(np.array([[rotation], [0.5]]), np.array([position, position]), change, SCALES)
+    assert found.shape == (2, 2)
+    np.testing.assert_allclose(found[0], expected)
+
+
+def test_the_change_of_torque_counts_for_a_millisecond_and_a_run_that_was_not_completed_costs_the_most():
+    figures = {"rmse_norm_deg": 0.0, "rmse_norm_mm": 0.0, "torque_change_rms": 0.5}
+    assert run_cost(figures, "completed", 0.001, SCALES) == pytest.approx(5.0)
+    assert run_cost(figures, "completed", 0.005, SCALES) == pytest.approx(1.0)
+    assert run_cost(figures, "lost", 0.001, SCALES) == FAILED
+    assert run_cost({**figures, "rmse_norm_mm": 1e9}, "completed", 0.001, SCALES) == FAILED
+    assert run_cost({**figures, "rmse_norm_mm": None}, "completed", 0.001, SCALES) == FAILED
+    assert run_cost(figures, "completed", 0.001, SCALES) < FAILED
+    assert mean_cost([1.0, 2.0, 9.0]) == 4.0

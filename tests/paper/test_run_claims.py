@@ -13,18 +13,16 @@ from stewart_drake.paper import in_the_loop, workspace
 from stewart_drake.paper.in_the_loop import BEST_FIXED, FIXED, MEAN_OF_NINE, ORACLE, TUNER
 from stewart_drake.paper.network import best_possible_scores, run_distances
 from stewart_drake.paper.nine_experiments import distinct, gains_along_reference, relative_distances
+from stewart_drake.paper.reproduce import PAIRS, RATIOS, Study, growth, outcome, pair_of, paper_scenario, score
 from stewart_drake.paper.sensitivity import changes, scaled_network
-from stewart_drake.paper.study import PAIRS, RATIOS, Study, growth, outcome, pair_of, paper_scenario, score
 from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.references import paper_reference
-from stewart_drake.runs.simulation import check_scenario
+from stewart_drake.runs.checks import check_scenario
 from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
-from stewart_drake.training.collect import FREQUENCIES
-from stewart_drake.training.dataset import Dataset
+from stewart_drake.training.collect import FREQUENCIES, Dataset
 from stewart_drake.training.train import r_squared
 
 BASE = Scenario()
-UNSEEN = in_the_loop.unseen_trajectories()
 ratio_of = np.array([q / r for q, r in PAIRS])
 
 
@@ -38,9 +36,7 @@ def log(rows=105, step=0.05, duration=5.2, **changed):
 def test_the_nine_pairs_have_five_ratios_and_each_ratio_its_first_pair():
     assert {round(np.log10(ratio)) for ratio in ratio_of} == {-2, -1, 0, 1, 2}
     for ratio in RATIOS:
-        earlier = PAIRS[: PAIRS.index(pair_of(ratio))]
-        assert pair_of(ratio)[0] / pair_of(ratio)[1] == pytest.approx(ratio)
-        assert not any(q / r == pytest.approx(ratio) for q, r in earlier)
+        assert PAIRS.index(pair_of(ratio)) == np.flatnonzero(np.isclose(ratio_of, ratio))[0]
 
 
 def test_a_scenario_of_the_paper_keeps_all_of_its_base_but_what_the_experiment_sets():
@@ -70,7 +66,7 @@ def test_a_run_that_breaks_has_no_score_and_is_told_with_reason_leg_and_time():
 def test_equal_scenarios_run_once():
     short = paper_scenario(BASE, 0.02, 0.0, "none", (1.0, 1.0))
     shares = []
-    logs = Study(workers=1, progress=shares.append).run({"a": short, "b": short, "c": short.replace({"gravity": 1.0})})
+    logs = Study(workers=0, progress=shares.append).run({"a": short, "b": short, "c": short.replace({"gravity": 1.0})})
     assert logs["a"] is logs["b"] is not logs["c"]
     assert shares == [0.5, 1.0]
 
@@ -92,59 +88,39 @@ def test_distances_are_relative_to_the_larger_gain_at_the_worst_pose():
     np.testing.assert_allclose(distances, [[0.0, 1 / 3, 0.25], [1 / 3, 0.0, 1 / 3], [0.25, 1 / 3, 0.0]])
 
 
-@given(st.lists(st.sampled_from([0.0, 1.0, 2.0, 3.0]), min_size=1, max_size=8), st.floats(-1e-12, 1e-12))
-def test_distinct_counts_values_that_differ_by_more_than_the_tolerance(values, noise):
-    x = np.array(values) + noise * np.arange(len(values))
-    assert distinct(np.abs(x[:, None] - x), 1e-10) == len(set(values))
-
-
 # --- data, and what nothing could learn ------------------------------------------------------------------------------
 
 
 def test_distances_between_runs_are_the_largest_difference_of_any_density_at_any_tick():
     inputs = np.random.default_rng(0).uniform(0.5, 1.5, (180, 12))
     data = Dataset(inputs, np.repeat(PAIRS, 20, axis=0), np.repeat(np.arange(9), 20), 0.005 * np.arange(180))
-    distances, equal = run_distances(data)
+    distances = run_distances(data)
     for a, b in itertools.product(range(9), repeat=2):
         assert distances[a, b] == np.abs(inputs[20 * a : 20 * a + 20] - inputs[20 * b : 20 * b + 20]).max()
-        assert equal[a, b] == (ratio_of[a] == pytest.approx(ratio_of[b]))
 
 
 def test_over_the_nine_pairs_half_of_each_weight_s_variance_is_irreducible():
     # Labels -1, 0, 1; ratio 0 has a variance of 2/3 left in three pairs, ratios -1 and 1 of 1/4 in two, the ends none:
     # (3 * 2/3 + 4 * 1/4) / (9 * 2/3) = 1/2.
     assert best_possible_scores() == pytest.approx({"omega_Q": 0.5, "omega_R": 0.5, "ratio": 1.0}, abs=1e-12)
-
-
-@given(st.lists(st.sampled_from(range(9)), min_size=2, max_size=40))
-def test_the_bound_is_the_best_of_all_functions_of_the_ratio(which):
-    outputs = np.array(PAIRS)[which]
-    logs = np.log10(outputs)
+    # And no function of the ratio does better: least squares over one indicator a ratio.
+    logs = np.log10(PAIRS)
     ratio = np.round(logs[:, 0] - logs[:, 1], 6)
     basis = (ratio[:, None] == np.unique(ratio)).astype(float)
-    for label, bound in zip((*logs.T, ratio), best_possible_scores(outputs).values(), strict=True):
-        if np.ptp(label) == 0.0:
-            assert bound is None
-        else:
-            fit = basis @ np.linalg.lstsq(basis, label, rcond=None)[0]
-            assert bound == pytest.approx(r_squared(label, fit), abs=1e-9)
+    for label in logs.T:
+        assert r_squared(label, basis @ np.linalg.lstsq(basis, label, rcond=None)[0]) == pytest.approx(0.5)
 
 
-# --- motions beyond the data -----------------------------------------------------------------------------------------
+# --- motions beyond the data, and the tuner against fixed weights ----------------------------------------------------
 
 
-@pytest.mark.parametrize("name", UNSEEN)
-def test_a_motion_keeps_to_every_limit_and_its_second_half_holds_whole_swings(name):
-    reference, duration = UNSEEN[name]
-    check_reference(BASE.robot, BASE.limits, reference, duration, BASE.gravity).raise_if_infeasible()
-    frequency = np.array(reference.angular_frequency)[np.array(reference.amplitude) != 0.0] / (2.0 * np.pi)
-    # None is in the training data or the paper.
-    assert np.abs(frequency[:, None] - np.array([*FREQUENCIES, 1.0 / np.pi])).min() > 0.01
-    swings = 0.5 * duration * 2.0 * frequency
-    np.testing.assert_allclose(swings, np.round(swings), atol=1e-9)
-
-
-# --- the tuner against fixed weights ---------------------------------------------------------------------------------
+def test_motions_keep_to_every_limit_and_their_second_halves_hold_whole_swings():
+    for reference, duration in in_the_loop.unseen_trajectories().values():
+        check_reference(BASE.robot, BASE.limits, reference, duration, BASE.gravity).raise_if_infeasible()
+        frequency = np.array(reference.angular_frequency)[np.array(reference.amplitude) != 0.0] / (2.0 * np.pi)
+        # None is in the training data or the paper.
+        assert np.abs(frequency[:, None] - np.array([*FREQUENCIES, 1.0 / np.pi])).min() > 0.01
+        np.testing.assert_allclose(duration * frequency, np.round(duration * frequency), atol=1e-9)
 
 
 def row(tuner=5.0, **changed):
@@ -161,10 +137,9 @@ def test_the_mean_of_the_nine_is_that_over_the_pairs_themselves(rmse):
 
 
 def test_the_best_fixed_pair_is_best_by_geometric_mean():
-    assert in_the_loop.best_fixed({"a": row(), "b": row(**{"ratio 100": 3.0})}) == "ratio 100"  # sqrt(1 * 3) against 2
-    worse = {"a": row(), "b": row(**{"ratio 100": 5.0})}
-    assert in_the_loop.best_fixed(worse) == "ratio 10"
-    assert in_the_loop.baselines(worse)[BEST_FIXED] == [2.0, 2.0]
+    better = in_the_loop.baselines({"a": row(), "b": row(**{"ratio 100": 3.0})})
+    assert better[BEST_FIXED] == [1.0, 3.0]  # sqrt(1 * 3) against 2
+    assert in_the_loop.baselines({"a": row(), "b": row(**{"ratio 100": 5.0})})[BEST_FIXED] == [2.0, 2.0]
 
 
 def test_improvement_is_a_share_of_the_baseline_and_its_averages_are_two():
@@ -177,36 +152,24 @@ def test_improvement_is_a_share_of_the_baseline_and_its_averages_are_two():
 # --- one change at a time --------------------------------------------------------------------------------------------
 
 
-def flat(data, prefix=""):
-    """Nested mapping -> dotted key -> value."""
-    found = {}
-    for key, value in data.items():
-        found |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
-    return found
-
-
 def test_each_change_touches_nothing_but_its_own(tmp_path):
     base = Scenario(tuner=FixedTuner())
-    own = {
-        "motor friction": {"plant.motor_friction"},
-        "motor damping": {"plant.motor_damping"},
-        "sample time": {"controller.period"},
-        "omega_Q": {"tuner.omega_q"},
-        "omega_R": {"tuner.omega_r"},
-    }
-    seen, before = set(), flat(base.to_dict())
+    robots = {"masses", "inertias", "rod length"}
+    sections = {"motor friction": "plant", "motor damping": "plant", "sample time": "controller"}
+    sections |= {"omega_Q": "tuner", "omega_R": "tuner"}
+    seen = set()
     for (factor, to), keys in changes(base, tmp_path).items():
         made = base.replace(keys)
         seen.add(factor)
-        if factor in own:
-            after = flat(made.to_dict())
-            assert {key for key in before.keys() | after.keys() if before.get(key) != after.get(key)} <= own[factor]
-            continue
-        # Another robot; the controller goes on believing in the old one.
-        assert made.believed_robot == base.robot != made.robot
+        if factor in robots:
+            # The controller goes on believing in the old one.
+            assert made.believed_robot == base.robot != made.robot
+        else:
+            unlike = {name for name, value in base.to_dict().items() if made.to_dict()[name] != value}
+            assert unlike <= {sections[factor]}
         if (factor, to) == ("masses", "+20 %"):
             assert made.robot.rod_mass == pytest.approx(1.2 * base.robot.rod_mass)
-    assert seen == {*own, "masses", "inertias", "rod length"}
+    assert seen == {*sections, *robots}
 
 
 def test_a_scaled_network_answers_so_much_more_within_a_range_so_much_higher(tmp_path):
@@ -234,13 +197,12 @@ def test_the_motions_can_be_run_and_keep_half_of_the_room():
         check_scenario(sideways.replace({"reference.amplitude": far}))
 
 
-def test_a_visited_region_is_the_box_around_the_run():
+def test_what_a_run_visits_is_its_largest_torque_and_share_of_a_limit():
     time = np.linspace(0.0, 1.0, 101)
     pose, rate, acceleration = paper_reference().evaluate(time)
     torque = np.outer(np.sin(time), np.arange(6.0))
     signals = {"reference": pose, "reference_rate": rate, "reference_acceleration": acceleration}
     made = made_log(rows=101, step=0.01, duration=1.0, pose=pose, pose_rate=rate, torque_applied=torque, **signals)
     found = workspace.visited(made)
-    assert found["pose"][1][0] == pytest.approx(np.pi / 6.0, rel=1e-3)
     assert found["peak_torque"] == pytest.approx(5.0 * np.sin(1.0))
-    assert found["limit_use"] == found["reference_limit_use"] <= 1.0
+    assert 0.9 < found["limit_use"] <= 1.0

@@ -50,7 +50,7 @@ class Run:
 
     @property
     def rates(self):
-        return self.stewart.crank_rates(self.state)
+        return self.state[self.stewart.indices.crank_rate]
 
     @property
     def kinetic_energy(self):

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from pydrake.systems.analysis import Simulator
 from scipy.integrate import solve_ivp
 from strategies import UNEQUAL
 
@@ -10,10 +9,8 @@ from stewart_drake.errors import ConfigurationError, SingularPoseError
 from stewart_drake.mechanics.dynamics import forward_dynamics, static_torque, task_inertia
 from stewart_drake.mechanics.kinematics import inverse_kinematics, leg_geometry, pose_jacobian, rotation_matrix
 from stewart_drake.plant.closed_chain import CHAIN_STATE, ClosedChain
-from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.robot import RobotParameters
-from stewart_drake.sampling import on_grid
 
 GRAVITY = 9.81
 PAPER = RobotParameters()
@@ -91,39 +88,6 @@ def test_energy_changes_by_the_work_of_motors_and_pushes(robot):
         left.append(energy(robot, rows[-1]) - energy(robot, rows[0]) - work)
     assert abs(left[1]) < 2e-4
     assert left[1] / left[0] == pytest.approx(0.1, abs=0.02)
-
-
-@pytest.mark.parametrize(
-    ("changes", "bound"),
-    [
-        ({}, 5e-5),
-        ({"friction": RUBBING}, 5e-5),
-        ({"time_step": 1e-4}, 5e-6),
-    ],
-    ids=["bare", "friction", "fine"],
-)
-def test_drakes_plant_moves_alike_and_the_difference_is_of_the_order_of_the_step(changes, bound):
-    """A tenth of a second of free motion: 0.1 rad and centimetres; the angles of cranks differ by less than `bound`.
-
-    The two integrate in other coordinates: crank by crank Drake's with a gap in the loops, which here are closed.
-    """
-    options = PlantOptions.from_dict(changes)
-    count = round(0.1 / options.time_step)
-    torque = 0.9 * static_torque(PAPER, PAPER.home_pose) * np.array([1.0, 1.0, 1.1, 0.9, 1.0, 1.0])
-    diagram, plant = build_plant(PAPER, options)
-    simulator = Simulator(diagram)
-    context = simulator.get_mutable_context()
-    diagram.GetInputPort("torque").FixValue(context, torque)
-    plant.set_state(context, PAPER.home_pose, MOVING)
-    simulator.AdvanceTo(count * on_grid(options.time_step))
-    state = diagram.GetOutputPort("state").Eval(context)
-    chain = ClosedChain(PAPER, options, GRAVITY)
-    end = stepped(chain, chain.initial(PAPER.home_pose, MOVING), torque, count)[-1]
-    np.testing.assert_allclose(end["angles"], plant.crank_angles(state), atol=bound)
-    pose, rate = plant.pose_and_rate(state)
-    np.testing.assert_allclose(end["pose"], pose, atol=bound)
-    np.testing.assert_allclose(end["pose_rate"], rate, atol=20.0 * bound)
-    assert np.abs(end["pose"] - PAPER.home_pose).max() > 0.01
 
 
 def test_a_crank_at_its_dead_centre_ends_it_and_angles_go_on_beyond_half_a_turn():

@@ -51,15 +51,6 @@ def test_parsing_prints_nothing_and_would_if_a_passive_joint_had_no_effort(rod_j
         assert "universal_0" in caplog.text
 
 
-def test_collision_shapes_are_those_with_an_exact_depth_and_can_be_left_out():
-    model = ET.fromstring(sdf_text(ROBOT)).find("model")
-    kinds = {shape.tag for link in model.findall("link") for shape in link.findall("collision/geometry/*")}
-    assert kinds == {"box", "sphere"}
-    text = sdf_text(ROBOT, collision=False)
-    assert "collision" not in text
-    assert "<visual" in text
-
-
 def test_written_file_holds_the_text_and_replaces_an_old_one(tmp_path):
     path = tmp_path / "robot.sdf"
     path.write_text("old")

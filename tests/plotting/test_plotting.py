@@ -12,10 +12,11 @@ from matplotlib.image import imread
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plotting import DPI, draw, plot_states, plot_torques, save_figure
+from stewart_drake.plotting.study_plots import plot_bands, plot_costs, plot_error, plot_rmse, plot_search
 from stewart_drake.scenario import Scenario
 
 AXES = ("φ", "θ", "ψ", "X", "Y", "Z")
-MAIN = {"φ", "Z"}
+BOTH = pytest.mark.parametrize("plot", [plot_states, plot_torques])
 
 
 def make_log(rows=400, tuner="fixed", **changes):
@@ -32,11 +33,6 @@ def make_log(rows=400, tuner="fixed", **changes):
         **{"weights": 10.0 ** np.sin(phase[:, :2]), "loop_gap": np.full((rows, 6), 1e-7)},
     }
     return made_log(rows, scenario={"name": "made up", "tuner": {"kind": tuner}}, **signals | changes)
-
-
-def failed(log, **outcome):
-    outcome = {"status": "failed", "reason": "crank_dead_centre", "message": "of leg 5", "leg": 5} | outcome
-    return dataclasses.replace(log, **outcome)
 
 
 def panel(figure, title):
@@ -59,12 +55,6 @@ def in_unit(log, signal, axis):
     return np.degrees(values) if axis < 3 else 1000.0 * values
 
 
-def texts(figure):
-    found = [figure.get_suptitle(), *(text.get_text() for text in figure.texts)]
-    return found + [text.get_text() for axes in figure.axes for text in axes.texts]
-
-
-@pytest.mark.slow
 def test_states_errors_and_integrals_are_drawn_for_every_axis_in_degrees_or_millimetres():
     log = make_log()
     figure = plot_states(log)
@@ -75,7 +65,6 @@ def test_states_errors_and_integrals_are_drawn_for_every_axis_in_degrees_or_mill
         (axes,) = panel(figure, titles[axis])
         np.testing.assert_allclose(lines(axes)[symbol], np.stack([log.time, pose], axis=1))
         dashed = [line.get_ydata() for line in axes.lines if line.get_linestyle() == "--"]
-        assert len(dashed) == (1 if symbol in MAIN else 2)
         assert any(np.allclose(values, reference) for values in dashed)
         assert f"[{unit}]" in axes.get_ylabel()
         errors, integrals = (
@@ -90,7 +79,7 @@ def test_states_errors_and_integrals_are_drawn_for_every_axis_in_degrees_or_mill
         np.testing.assert_allclose(shown, run_metrics(log)[key], rtol=5e-2)
 
 
-def test_weights_and_their_ratio_are_drawn_on_logarithmic_axes():
+def test_weights_and_their_ratio_are_drawn_on_logarithmic_axes_and_nothing_is_empty_without():
     log = make_log(tuner="paper")
     figure = plot_states(log)
     (both,) = panel(figure, "Output of the ANN")
@@ -100,16 +89,15 @@ def test_weights_and_their_ratio_are_drawn_on_logarithmic_axes():
     (ratio,) = panel(figure, "Ratio of the weights, on which alone the gain depends")
     np.testing.assert_allclose(ratio.lines[0].get_ydata(), log["weights"][:, 0] / log["weights"][:, 1])
     assert both.get_yscale() == ratio.get_yscale() == "log"
-
-
-def test_constant_weights_sit_inside_their_panel():
-    figure = plot_states(make_log(weights=np.ones((400, 2))))
-    (axes,) = panel(figure, "Weights, held fixed")
+    (axes,) = panel(plot_states(make_log(weights=np.ones((400, 2)))), "Weights, held fixed")
     low, high = axes.get_ylim()
     assert low <= 0.1 < 1.0 < 10.0 <= high * 1.001
+    without = {name: values for name, values in log.signals.items() if "weights" not in name}
+    figure = plot_states(dataclasses.replace(log, signals=without))
+    assert len(figure.axes) == 8
+    assert all(axes.lines for axes in figure.axes)
 
 
-@pytest.mark.slow
 def test_panels_share_one_time_axis_in_seconds():
     log = make_log()
     for figure in (plot_states(log), plot_torques(log)):
@@ -138,7 +126,6 @@ def test_each_motor_has_its_panel_with_torque_rms_and_peak_on_one_scale():
         assert "commanded" not in lines(axes)
     assert [axes.get_ylabel() for axes in figure.axes] == ["torque [N m]", ""] * 3
     assert len({axes.get_ylim() for axes in figure.axes}) == 1
-    assert figure.legends == []
     # The limit is not drawn far from it.
     assert not [line for axes in figure.axes for line in axes.lines if line.get_linestyle() == ":"]
 
@@ -146,8 +133,7 @@ def test_each_motor_has_its_panel_with_torque_rms_and_peak_on_one_scale():
 def test_saturated_torque_shows_the_limit_and_the_command_of_that_motor_alone():
     torque = make_log()["torque"].copy()
     torque[100:, 2] = 80.0
-    log = make_log(torque=torque, torque_applied=np.clip(torque, -5.0, 5.0))
-    figure = plot_torques(log)
+    figure = plot_torques(make_log(torque=torque, torque_applied=np.clip(torque, -5.0, 5.0)))
     assert [("commanded" in lines(axes)) for axes in figure.axes] == [False, False, True, False, False, False]
     np.testing.assert_array_equal(lines(figure.axes[2])["commanded"][:, 1], torque[:, 2])
     for axes in figure.axes:
@@ -164,81 +150,99 @@ OUTCOMES = {
         {"status": "failed", "reason": "crank_dead_centre", "leg": 5, "end_time": 2.48},
         "made up: failed at 2.480 s of 10 s: crank_dead_centre, leg 5",
     ),
-    "interrupted": (
-        {"status": "interrupted", "reason": "interrupted", "end_time": 2.48},
-        "made up: interrupted at 2.480 s of 10 s",
-    ),
 }
 
 
-@pytest.mark.parametrize("plot", [plot_states, plot_torques])
+@BOTH
 @pytest.mark.parametrize("status", OUTCOMES)
 def test_a_run_says_how_it_ended_and_marks_when(plot, status):
     outcome, title = OUTCOMES[status]
     figure = plot(dataclasses.replace(make_log(rows=100 if outcome else 400), **outcome))
     assert figure.get_suptitle() == title
-    assert texts(figure).count("crank_dead_centre") == (2 if status == "failed" else 0)
+    texts = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert texts.count("crank_dead_centre") == (2 if status == "failed" else 0)
     for axes in figure.axes:
         assert [span.get_x() for span in axes.patches] == ([2.48] if outcome else [])
-        assert not outcome or any(np.all(np.asarray(line.get_xdata()) == 2.48) for line in axes.lines)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("plot", [plot_states, plot_torques])
-@pytest.mark.parametrize(("value", "rows"), [(1e160, 1), (-1e308, 200), (np.inf, 1), (np.nan, 200), (np.nan, 399)])
-def test_a_blow_up_is_drawn_within_bounds_and_leaves_the_rest_readable(plot, value, rows, tmp_path):
+@BOTH
+@pytest.mark.parametrize(("value", "rows"), [(1e160, 1), (-1e308, 200), (np.nan, 399)])
+def test_a_blow_up_is_drawn_within_bounds(plot, value, rows, tmp_path):
     log = make_log()
     signals = {name: values.copy() for name, values in log.signals.items()}
     for name in ("pose", "integral", "torque", "torque_applied", "weights"):
         signals[name][-rows:] = value
-    figure = plot(failed(dataclasses.replace(log, signals=signals)))
+    figure = plot(dataclasses.replace(log, signals=signals, status="failed", reason="crank_dead_centre"))
     assert draw(lambda: figure, tmp_path / "x.png") is None
-    assert imread(tmp_path / "x.png").shape[2] == 4
     assert all(np.isfinite(axes.get_ylim()).all() for axes in figure.axes)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("plot", [plot_states, plot_torques])
-def test_the_shortest_logs_are_drawn_a_single_row_as_a_dot(plot):
-    for rows in (1, 2, 3):
-        figure = plot(failed(make_log(rows=rows)))
-        drawn = [line for axes in figure.axes for line in axes.lines if len(line.get_xdata()) == 1]
-        assert {line.get_marker() for line in drawn} == ({"o"} if rows == 1 else set())
-
-
-@pytest.mark.parametrize("plot", [plot_states, plot_torques])
-def test_empty_log_is_refused(plot):
+@BOTH
+def test_a_single_row_is_a_dot_and_an_empty_log_is_refused(plot):
+    figure = plot(dataclasses.replace(make_log(rows=1), status="failed"))
+    drawn = [line for axes in figure.axes for line in axes.lines if len(line.get_xdata()) == 1]
+    assert {line.get_marker() for line in drawn} == {"o"}
     with pytest.raises(ConfigurationError, match=r"log: expected .*got 'no rows'"):
         plot(make_log(rows=0))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("plot", [plot_states, plot_torques])
-def test_png_has_the_figure_s_size_and_is_the_same_every_time(plot, tmp_path):
-    for name in ("one.png", "two.png"):
-        figure = plot(make_log())
-        save_figure(figure, tmp_path / name)
+@BOTH
+def test_a_picture_is_the_same_every_time_whatever_the_user_s_style_which_stays(plot, tmp_path):
+    before = dict(mpl.rcParams)
+    figure = plot(make_log())
+    save_figure(figure, tmp_path / "plain.png")
+    assert dict(mpl.rcParams) == before
+    with mpl.style.context(["dark_background", {"lines.linewidth": 9.0, "font.size": 20.0, "axes.grid": False}]):
+        save_figure(plot(make_log()), tmp_path / "dark.png")
+    assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "dark.png").read_bytes()
     width, height = (figure.get_size_inches() * DPI).round().astype(int)
-    image = imread(tmp_path / "one.png")
+    image = imread(tmp_path / "plain.png")
     assert image.shape == (height, width, 4)
     assert 0.01 < np.mean(image[..., :3].min(axis=-1) < 0.9) < 0.5
-    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.png", "two.png"]
 
 
 @pytest.mark.slow
-def test_nothing_of_the_user_s_matplotlib_changes():
-    before = dict(mpl.rcParams)
-    plot_states(make_log())
-    plot_torques(make_log())
-    assert dict(mpl.rcParams) == before
+def test_pyplot_is_not_imported():
     code = "import sys, stewart_drake.plotting; assert 'matplotlib.pyplot' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
-@pytest.mark.parametrize("plot", [plot_states, plot_torques])
-def test_style_of_the_user_s_matplotlib_does_not_leak_in(plot, tmp_path):
-    save_figure(plot(make_log()), tmp_path / "plain.png")
-    with mpl.style.context(["dark_background", {"lines.linewidth": 9.0, "font.size": 20.0, "axes.grid": False}]):
-        save_figure(plot(make_log()), tmp_path / "dark.png")
-    assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "dark.png").read_bytes()
+# --- studies ---------------------------------------------------------------------------------------------------------
+
+
+def run(controller, rmse, condition="calm", status="completed"):
+    trace = {"time": [0.0, 1.0], "pose_mm": [0.0, rmse]}
+    named = {"controller": controller, "condition": condition, "reference": "sine", "status": status}
+    return {**named, "pose_rmse_mm": rmse, "trace": trace}
+
+
+def test_a_failed_run_is_a_cross_at_the_edge_and_others_are_where_their_error_is():
+    rows = [run("pid", 2.0), run("lqi", 1.0), run("lqi", None, "windy", "failed"), run("pid", 4.0, "windy")]
+    calm, windy = plot_rmse(rows).axes
+    dots = [line.get_xdata()[0] for line in calm.lines if line.get_marker() not in ("None", "x")]
+    assert sorted(dots) == [1.0, 2.0]
+    (cross,) = (line for line in windy.lines if line.get_marker() == "x")
+    assert 8.0 < cross.get_xdata()[0] < windy.get_xlim()[1]
+    assert plot_error(rows[:2], 0.5).axes[0].get_yscale() == "log"
+
+
+def test_bands_are_amplitude_unwrapped_phase_and_what_is_left_by_frequency():
+    phases = {1.0: -10.0, 2.0: -170.0, 4.0: 170.0}
+    rows = [
+        {"controller": "lqi", "reference": "roll", "frequency_hz": f, "ratio": 1.0 / f, "phase_deg": phase}
+        for f, phase in phases.items()
+    ]
+    amplitude, phase, error = plot_bands(rows).axes
+    np.testing.assert_allclose(amplitude.lines[0].get_xydata(), [[1.0, 1.0], [2.0, 0.5], [4.0, 0.25]])
+    np.testing.assert_allclose(phase.lines[0].get_ydata(), [-10.0, -170.0, -190.0])
+    expected = [abs(1.0 - np.exp(1j * np.radians(lag)) / f) for f, lag in phases.items()]
+    np.testing.assert_allclose(error.lines[0].get_ydata(), expected)
+
+
+def test_a_search_and_the_costs_of_tuners_are_drawn_as_they_are():
+    rows = [{"controller": "pid", "evaluation": k, "cost": 3.0 - k, "best": 3.0 - k} for k in range(3)]
+    assert plot_search(rows).axes[0].get_title(loc="left") == "pid: 3 to 1"
+    (axes,) = plot_costs(["hold", "fast"], {"policy": [(0.5, 0.4, 0.6), (1.2, 1.0, 1.4)]}, "best fixed").axes
+    np.testing.assert_allclose(axes.lines[1].get_xdata(), [0.5, 1.2])
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["hold", "fast"]

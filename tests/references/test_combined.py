@@ -1,10 +1,8 @@
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from references.laws import check_smooth, simple, six, sums
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.references import (
     AdjustedReference,
     BreathingReference,
@@ -14,7 +12,6 @@ from stewart_drake.references import (
     SumReference,
     center_of,
 )
-from stewart_drake.scenario import Scenario
 
 PATH = MinimumJerkReference(poses=((0.0, 0.0, 0.0, 0.0, 0.0, 0.3), (0.1, 0.0, 0.0, 0.02, 0.0, 0.3)), durations=(1.0,))
 
@@ -74,15 +71,3 @@ def test_the_centre_is_the_motions_own_unless_given():
         (HoldReference(), HoldReference().pose),
     ):
         np.testing.assert_array_equal(center_of(motion), center)
-
-
-def test_motions_within_motions_are_checked_and_become_plain_as_the_rest_of_a_scenario():
-    plain = BreathingReference(excursion=(0.0, 0.0, 0.0, 0.0, 0.0, 0.01))
-    arrays = BreathingReference(excursion=np.array(plain.excursion))
-    one, other = (Scenario(reference=AdjustedReference(motion=SumReference(parts=(b,)))) for b in (plain, arrays))
-    assert one == other
-    assert hash(one) == hash(other)
-    assert Scenario.from_dict(one.to_dict()) == one
-    with pytest.raises(ConfigurationError) as caught:
-        Scenario(reference=SumReference(parts=(plain, {"kind": "breathing", "excursion": (True,) * 6})))
-    assert caught.value.key == "reference.parts.1.excursion.0"

@@ -58,21 +58,6 @@ def test_a_spline_goes_through_its_poses(reference):
     np.testing.assert_allclose(reference.evaluate(np.array(reference.times))[0], reference.poses, atol=1e-8)
 
 
-def test_a_spline_is_four_times_differentiable_at_inner_poses():
-    times, poses = (0.0, 1.0, 1.5, 3.0), ((0.0,) * 6, (1.0,) * 6, (-0.5,) * 6, (0.2,) * 6)
-    reference = SplineReference(times=times, poses=poses)
-    step = 1e-3
-    for inner in times[1:-1]:
-        one_sided = []
-        for side in (-1.0, 1.0):
-            # A cubic on each side is what the acceleration of a quintic spline is: four samples give its derivatives.
-            samples = inner + side * step * np.arange(4)
-            values = reference.evaluate(samples)[2][:, 0]
-            fit = np.polynomial.polynomial.polyfit(samples - inner, values, 3)
-            one_sided.append(fit[:3])
-        np.testing.assert_allclose(one_sided[0], one_sided[1], rtol=1e-5, atol=1e-4)
-
-
 def test_a_spline_of_two_poses_is_the_minimum_jerk_move():
     poses = ((0.0,) * 6, (0.3, -0.2, 0.1, 0.05, 0.0, 0.31))
     times = np.linspace(-0.5, 3.0, 60)

@@ -9,12 +9,10 @@ from references.laws import KINDS, bursts, check_derivatives, check_means, check
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references import (
-    AdjustedReference,
     HeartbeatReference,
     MinimumJerkReference,
     SineBurstsReference,
     SplineReference,
-    SumReference,
     TremorReference,
     paper_reference,
 )
@@ -64,52 +62,21 @@ def test_before_between_and_after_bursts_the_platform_rests_in_the_centre(refere
         np.testing.assert_allclose(acceleration, 0.0, atol=1e-9 * jerk + 1e-5)
 
 
-@given(bursts, st.floats(0.0, 1.0))
-def test_in_the_middle_of_a_burst_it_is_a_full_sine_of_its_own_frequency(reference, share):
-    burst, fade = reference.burst_duration, reference.fade
-    for index, (frequency, amplitude) in enumerate(zip(reference.frequency, reference.amplitude, strict=True)):
-        local = fade + share * (burst - 2.0 * fade)
-        pose, _, _ = reference.evaluate(index * burst + local)
-        wave = [math.sin(2.0 * math.pi * frequency * local + phase) for phase in reference.phase]
-        np.testing.assert_allclose(pose, np.array(reference.center) + np.array(amplitude) * wave, atol=1e-9)
-
-
-def test_a_burst_of_two_fades_and_nothing_between_is_allowed():
-    reference = SineBurstsReference(frequency=(1.0, 2.0), amplitude=(CENTER, CENTER), fade=0.8, burst_duration=1.6)
-    assert np.isfinite(reference.evaluate(np.linspace(0.0, 3.2, 100))[2]).all()
-
-
 # What a field alone takes is asked of every section by tests/test_section.py; here are rules between fields.
-SINGLE, TWO = ((0.0,) * 6,), ((0.0,) * 6, (1.0,) * 6)
-PATH = MinimumJerkReference(poses=TWO, durations=(1.0,))
+TWO = ((0.0,) * 6, (1.0,) * 6)
 BURSTS = {"frequency": (1.0, 2.0), "amplitude": (CENTER, CENTER)}
 REFUSED = [
-    (SineBurstsReference, BURSTS | {"frequency": (), "amplitude": ()}, "frequency"),
-    (SineBurstsReference, BURSTS | {"frequency": (1.0, 0.0)}, "frequency"),
     (SineBurstsReference, BURSTS | {"frequency": (1.0,)}, "amplitude"),
     (SineBurstsReference, BURSTS | {"fade": 0.81}, "burst_duration"),
-    (MinimumJerkReference, {"poses": SINGLE, "durations": ()}, "poses"),
-    (MinimumJerkReference, {"poses": ((0.0,) * 6, (1.0,) * 5), "durations": (1.0,)}, "poses"),
     (MinimumJerkReference, {"poses": TWO, "durations": (1.0, 1.0)}, "durations"),
-    *((MinimumJerkReference, {"poses": TWO, "durations": (bad,)}, "durations") for bad in (0.0, math.inf)),
-    *(
-        (MinimumJerkReference, {"poses": TWO, "durations": (1.0,), "dwell": bad}, "dwell")
-        for bad in ((1.0, 1.0), (-1.0,), (math.nan,))
-    ),
-    (SplineReference, {"poses": SINGLE, "times": (0.0,)}, "poses"),
-    *(
-        (SplineReference, {"poses": TWO, "times": bad}, "times")
-        for bad in ((0.0,), (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0, 2.0))
-    ),
-    (SumReference, {"parts": ()}, "parts"),
-    *((AdjustedReference, {"motion": PATH, "slowdown": bad}, "slowdown") for bad in (1e-300, 1e308)),
-    (HeartbeatReference, {"harmonics": ()}, "harmonics"),
+    (MinimumJerkReference, {"poses": TWO, "durations": (1.0,), "dwell": (1.0, 1.0)}, "dwell"),
+    (SplineReference, {"poses": TWO, "times": (0.0,)}, "times"),
+    (SplineReference, {"poses": TWO, "times": (0.0, 0.0)}, "times"),
     (HeartbeatReference, {"harmonics": (0.0, 0.0)}, "harmonics"),
-    (HeartbeatReference, {"harmonics": (1.0,) * 21}, "harmonics"),
     (HeartbeatReference, {"harmonics": (1.0, 0.5)}, "harmonic_phase"),
     (HeartbeatReference, {"slow_variation": 0.5, "respiratory_variation": 0.5}, "slow_variation"),
-    *((HeartbeatReference, {"premature_beats": bad}, "premature_beats") for bad in ((0,), (3, 4), (5, 3), (2.0,))),
-    *((TremorReference, {"high": bad}, "high") for bad in (6.0, 1.0)),
+    (HeartbeatReference, {"premature_beats": (3, 4)}, "premature_beats"),
+    (TremorReference, {"high": 6.0}, "high"),
 ]
 
 

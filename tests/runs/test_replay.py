@@ -3,7 +3,6 @@ import ctypes.util
 import dataclasses
 import re
 from html.parser import HTMLParser
-from pathlib import Path
 
 import msgpack
 import numpy as np
@@ -18,8 +17,7 @@ from stewart_drake.errors import ConfigurationError, DrakeCheckError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.runs import replay
-from stewart_drake.runs.picture import render_png
-from stewart_drake.runs.replay import nearest_rows, write_replay
+from stewart_drake.runs.replay import nearest_rows, render_png, write_replay
 from stewart_drake.scenario import Scenario
 
 needs_egl = pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="Drake's renderer needs libEGL")
@@ -142,7 +140,7 @@ def test_a_page_is_made_without_a_word_and_a_failure_leaves_the_earlier_page(tmp
     def fail(*_):
         raise RuntimeError("Drake's own words")
 
-    monkeypatch.setattr(replay, "_furnish", fail)
+    monkeypatch.setattr(replay, "_viewpoint", fail)
     with pytest.raises(DrakeCheckError, match="recording the replay: Drake's own words"):
         written(make_log(rows=5), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["replay.html"]
@@ -175,13 +173,3 @@ def test_a_still_shows_the_whole_robot_on_white(tmp_path):
     red, _, blue, _ = np.moveaxis(image, -1, 0)
     assert 0.01 < np.mean(blue > red + 0.2) < 0.2, "the platform's disc"
     assert 0.002 < np.mean(red > blue + 0.2) < 0.1, "the cranks"
-
-
-def test_picture_of_the_readme_is_small_and_shows_the_whole_robot():
-    path = Path(__file__).parents[2] / "docs" / "images" / "robot.png"
-    assert path.stat().st_size < 400_000
-    image = imread(path)
-    assert image.shape == (900, 1200, 4)
-    for edge in (image[:20], image[-20:], image[:, :20], image[:, -20:]):
-        assert edge.min() > 0.9
-    assert image[20:-20, 20:-20].min() < 0.2

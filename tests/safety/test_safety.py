@@ -33,7 +33,6 @@ from stewart_drake.safety import (
     refuse_start,
     safety_part,
 )
-from stewart_drake.safety import monitors as numbers
 
 PERIOD = 0.001
 HOME = ROBOT.home_pose
@@ -66,12 +65,9 @@ def run(sequence, options=OPTIONS, period=PERIOD, quantum=0.0):
             part.tick(one.command, measured, wanted, np.array([one.age]), *health, angles, odd, read, state)
         except SafetyStop as stop:
             return done, stop
-        (level, monitor, leg), said = (
-            state["safety"][0].copy(),
-            {name: state[name][0].copy() for name in ("torque", "worst")},
-        )
-        trip = first_trip(state, period, options.monitor_names)
-        done.append(SimpleNamespace(level=level, monitor=monitor, leg=leg, trip=trip, **said))
+        said = dict(zip(("level", "monitor", "leg"), state["safety"][0].copy(), strict=True))
+        said |= {name: state[name][0].copy() for name in ("torque", "worst")}
+        done.append(SimpleNamespace(trip=first_trip(state, period, options.monitor_names), **said))
     return done, None
 
 
@@ -121,13 +117,8 @@ def off(switch):
 def test_a_monitor_trips_by_name_and_level_and_not_where_it_is_off(monitor, bad, level, switch):
     done, _ = run([GOOD, bad])
     assert (MONITORS[int(done[-1].monitor)], done[-1].level) == (monitor, level)
-    trip = done[-1].trip
-    assert (trip["monitor"], trip["level"], trip["time"], trip["worst"]) == (
-        monitor,
-        LEVELS[level],
-        0.001,
-        LEVELS[level],
-    )
+    told = dict.fromkeys(("level", "worst"), LEVELS[level]) | {"monitor": monitor, "time": 0.001}
+    assert told.items() <= done[-1].trip.items()
     if switch != "torque_limit" and not np.isnan(bad.reference).any():
         without, _ = run([GOOD, bad], off(switch))
         assert without[-1].monitor != MONITORS.index(monitor)
@@ -143,12 +134,6 @@ def test_innovations_may_be_large_for_a_blow_and_no_longer():
     for options in (SafetyOptions(innovation=None), SafetyOptions(innovation=102.0)):
         done, _ = run([GOOD, *[odd] * 50], options)
         assert done[-1].monitor == 0.0
-
-
-def test_every_monitor_is_tested_here():
-    assert {t[0] for t in TRIPS} | {"none", "torque_rate", "innovation", "reading_stuck"} == set(MONITORS)
-    assert MONITORS[numbers.SERIAL] == "serial_singularity"
-    assert MONITORS[numbers.READING] == MONITORS[-1] == "reading_stuck"
 
 
 def test_a_good_tick_passes_the_command_on_to_the_last_bit():
@@ -180,14 +165,6 @@ def test_the_leg_of_a_serial_singularity_and_the_crank_speed_are_those_of_the_ki
         if speed.max() > 1e-6:
             done, _ = run([GOOD, moving], SafetyOptions(crank_speed=speed.max() * factor, horizon=0.0))
             assert (MONITORS[int(done[-1].monitor)] == "crank_speed") == trips
-
-
-def test_the_horizon_sees_a_limit_before_it_is_reached():
-    rate = np.array([0, 0, 0, 1.0, 0, 0])
-    late, early = SafetyOptions(horizon=0.0, crank_speed=None), SafetyOptions(horizon=0.01, crank_speed=None)
-    pose = at(x=0.115)
-    assert run([GOOD, inputs(pose=pose, rate=rate)], late)[0][-1].level == NONE
-    assert run([GOOD, inputs(pose=pose, rate=rate)], early)[0][-1].level == RAMP
 
 
 def test_crossing_a_parallel_singularity_between_two_ticks_is_seen():
@@ -310,22 +287,14 @@ def test_what_is_told_names_the_trip_that_stopped_the_robot_and_not_only_the_fir
     assert {str(t["stopped"]) for t in told[52:]} == {"{'monitor': 'workspace', 'time': 0.052, 'leg': None}"}
     # A robot that runs away all the same is given up, and the run says so too.
     done, stop = run([GOOD, BAD, GOOD, inputs(rate=FAST), inputs(rate=2.0 * FAST)])
-    assert len(done) == 4
-    assert (stop.reason, stop.trip["worst"]) == ("crank_speed", "end")
-    assert (stop.trip["last"], stop.trip["stopped"]["monitor"], stop.trip["stopped"]["time"]) == (
-        "end",
-        "crank_speed",
-        0.003,
-    )
+    assert (len(done), stop.reason, stop.trip["worst"], stop.trip["last"]) == (4, "crank_speed", "end", "end")
 
 
-def test_without_the_guard_a_stuck_reading_is_still_told_and_other_failures_blind_nobody():
-    unguarded = SafetyOptions(failures=False)
-    done, _ = run([GOOD, inputs(sensor=(failure_code("frozen"), 2.0))], unguarded)
-    assert (MONITORS[int(done[-1].monitor)], done[-1].leg) == ("reading_stuck", 2.0)
-    done, _ = run([GOOD, inputs(pose=at(x=0.13), sensor=(failure_code("encoder"), -1.0))], unguarded)
+def test_without_the_guard_other_failures_blind_nobody():
+    unguarded, failed = SafetyOptions(failures=False), (failure_code("encoder"), 2.0)
+    done, _ = run([GOOD, inputs(pose=at(x=0.13), sensor=failed)], unguarded)
     assert MONITORS[int(done[-1].monitor)] == "workspace"
-    told = run([GOOD, inputs(sensor=(failure_code("encoder"), 2.0))])[0][-1].trip
+    told = run([GOOD, inputs(sensor=failed)])[0][-1].trip
     assert (told["cause"], told["leg"]) == ("encoder", 2)
 
 
@@ -496,20 +465,11 @@ def test_a_start_that_would_trip_is_refused():
         refuse_start(ROBOT, SafetyOptions(torque_limit=0.999 * weak), STANDARD_GRAVITY, HOME, STILL, HOME)
 
 
-def swing(frequency, amplitude):
-    """Times, and poses, rates and accelerations of two periods along Z."""
-    time = np.arange(0.0, 2.0 / frequency, PERIOD)
-    omega, along = 2.0 * np.pi * frequency, np.eye(6)[5]
-    phase = omega * time[:, None]
-    sine, cosine = amplitude * np.sin(phase) * along, amplitude * np.cos(phase) * along
-    return time, (HOME + sine, omega * cosine, -(omega**2) * sine)
-
-
-@pytest.mark.slow
-@given(st.floats(0.5, 6.0), st.floats(0.001, 0.005))
-@settings(max_examples=30)
-def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wider_ones_are_not(frequency, amplitude):
-    time, motion = swing(frequency, amplitude)
+def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wider_ones_are_not():
+    # Two periods along Z.
+    time, omega, along = np.arange(0.0, 0.8, PERIOD), 2.0 * np.pi * 2.5, np.eye(6)[5]
+    sine, cosine = (0.003 * wave(omega * time[:, None]) * along for wave in (np.sin, np.cos))
+    motion = HOME + sine, omega * cosine, -(omega**2) * sine
     torque = inverse_dynamics(ROBOT, *motion)
     share = np.abs(torque).max() / ROBOT.effort_limit
     steepest = np.abs(np.diff(torque, axis=0)).max() / PERIOD
@@ -524,13 +484,10 @@ def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wid
                 refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
 
 
-@pytest.mark.parametrize("limit", ["workspace", "transmission", "conditioning"])
-def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_refused(limit):
+def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_refused():
     # As fast as it may be: the layer sees the pose of so many seconds later already.
-    others = {"workspace": None, "transmission": None, "conditioning": None, "crank_speed": None}
-    options = SafetyOptions(**{**others, limit: getattr(OPTIONS, limit)}, horizon=0.2)
-    time = np.linspace(0.0, 1.0, 101)
-    end = {"workspace": at(x=0.11), "transmission": at(z=-0.1), "conditioning": at(pitch=-1.0)}[limit] - HOME
+    options = SafetyOptions(transmission=None, conditioning=None, crank_speed=None, horizon=0.2)
+    time, end = np.linspace(0.0, 1.0, 101), at(x=0.11) - HOME
     motion = HOME + time[:, None] * end, np.tile(end, (101, 1)), np.zeros((101, 6))
     with pytest.raises(ConfigurationError, match=r"safety\.horizon: .*t = 0\.[89]"):
         refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)

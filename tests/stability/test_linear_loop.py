@@ -7,7 +7,7 @@ from stewart_drake import run
 from stewart_drake.control.lqi import lqi_gain
 from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.code_trust import trusting_code
+from stewart_drake.files.code import trusting_code
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import robot_record

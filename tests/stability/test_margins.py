@@ -1,5 +1,6 @@
 """Margins against python-control, against loops that are perturbed, and against themselves."""
 
+import json
 import warnings
 
 import numpy as np
@@ -10,7 +11,19 @@ from hypothesis import strategies as st
 from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.scenario import load_scenario
 from stewart_drake.stability.linear_loop import LinearLoops, linear_loops
-from stewart_drake.stability.margins import gain_of_disk, loop_margins
+from stewart_drake.stability.margins import (
+    HEADER,
+    balanced,
+    document,
+    facts,
+    gain_of_disk,
+    loop_margins,
+    lower_bound,
+    refined,
+    rows,
+    table,
+    upper_bound,
+)
 
 SETTINGS = {"difference": [], "observer": ["estimator.kind=observer"], "pid": ["controller={kind: pid}"]}
 
@@ -128,3 +141,60 @@ def test_a_loop_is_what_its_formula_says_even_where_modes_coincide(heard):
     z = np.exp(1j * found.frequencies * 0.001)
     sensitivity = 1.0 / (1.0 + 0.1 / (z**heard * (z - 0.5)))
     np.testing.assert_allclose(found.curves[0], 1.0 / np.abs(sensitivity - 0.5), rtol=1e-6)
+
+
+# --- structured singular value ----------------------------------------------------------------------------------------
+
+
+def random_matrices(seed, count, spread=1.0):
+    rng = np.random.default_rng(seed)
+    matrices = rng.normal(size=(count, 6, 6)) + 1j * rng.normal(size=(count, 6, 6))
+    return np.exp(spread * rng.normal(size=(count, 6, 1))) * matrices
+
+
+def bounds(matrices):
+    logs = np.array([refined(*pair) for pair in zip(matrices, balanced(matrices), strict=True)])
+    return np.array([lower_bound(*pair) for pair in zip(matrices, logs, strict=True)]), upper_bound(matrices, logs)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_of_a_product_of_two_vectors_it_is_known(seed):
+    # det(I - a b' Delta) = 1 - sum a_i b_i delta_i, so that mu = sum |a_i b_i|.
+    rng = np.random.default_rng(seed)
+    a, b = (rng.normal(size=6) + 1j * rng.normal(size=6) for _ in range(2))
+    low, high = bounds((a[:, None] * b)[None])
+    assert low == pytest.approx(np.abs(a * b).sum(), rel=1e-3)
+    assert high == pytest.approx(np.abs(a * b).sum(), rel=1e-3)
+
+
+# --- in tables, documents and rows ------------------------------------------------------------------------------------
+
+
+def test_the_table_says_what_the_worst_pose_has(loops, found):
+    said = {line[0]: line[1:] for line in table(found, loops.period)}
+    assert {len(line) for line in said.values()} == {len(HEADER) - 1}
+    assert float(said["disk margin [-]"][3]) == pytest.approx(found.all_at_once.disk.min(), rel=1e-2)
+    assert float(said["gain down to [-]"][0]) == pytest.approx(found.single.gain_low.max(), rel=1e-2)
+    assert float(said["delay [ms]"][0]) == pytest.approx(1e3 * found.single.delay.min(), rel=1e-2)
+    assert float(said["delay [ticks]"][3]) == pytest.approx(found.all_at_once.delay.min() / loops.period, rel=1e-2)
+    assert float(said["phase [deg]"][5]) == pytest.approx(np.degrees(np.median(found.all_at_once.phase)), rel=1e-2)
+
+
+def test_the_document_has_the_same_numbers_and_each_row_a_pose(loops, found):
+    said = json.loads(json.dumps(document(loops, found), allow_nan=False))
+    assert said["margins"]["disk"]["all_at_once"][0] == found.all_at_once.disk.min()
+    assert said["margins"]["delay_s"]["one_motor"][0] == found.single.delay.min()
+    assert said["stable"] == said["poses"] == 5
+    assert said["worst_pose"] == loops.poses[found.all_at_once.disk.argmin()].tolist()
+    kept = rows(loops, found)
+    assert kept.num_rows == 5
+    np.testing.assert_array_equal(kept["disk_motor_3"], found.single.disk[:, 3])
+    np.testing.assert_array_equal(kept["delay_s"], found.all_at_once.delay)
+
+
+def test_no_margin_without_end_is_a_number_and_what_was_left_out_is_said(loops):
+    free = loops._replace(c=0.0 * loops.c, a=0.5 * loops.a, left_out=("a pose: why",))
+    found = loop_margins(free)
+    assert document(free, found)["margins"]["gain_high"]["all_at_once"] == [None] * 3
+    assert ("left out", "1 poses, such as: a pose: why") in facts(free, found)
+    assert {line[0]: line[1:] for line in table(found, free.period)}["delay [ms]"] == ("inf",) * 6

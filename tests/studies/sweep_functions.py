@@ -1,5 +1,7 @@
 """What the workers of the sweep tests run: they import it, so it stands in a module of its own."""
 
+import copy
+import dataclasses
 import os
 import signal
 import sys
@@ -7,26 +9,29 @@ import sys
 from stewart_drake.studies.runs import simulate
 
 
+def with_function(study, function):
+    """The study with another function in the place of `simulate`."""
+    made = copy.copy(study)
+    object.__setattr__(made, "task", lambda index: dataclasses.replace(study.task(index), function=function))
+    return made
+
+
 def number(scenario):
     return int(scenario.name.rpartition(" ")[2])
 
 
 def faulty(scenario):
-    """Run 1 raises, 2 exits, 3 recurses for ever, 4 runs out of memory; the others are simulated."""
+    """Run 1 raises, 2 exits, 3 recurses too deep, 4 runs out of memory; the others are simulated."""
     what = number(scenario)
     if what == 1:
         raise ZeroDivisionError("mine")
     if what == 2:
         sys.exit(7)
     if what == 3:
-        return faulty_for_ever(scenario)
+        raise RecursionError
     if what == 4:
         raise MemoryError
     return simulate(scenario)
-
-
-def faulty_for_ever(scenario):
-    return faulty_for_ever(scenario)
 
 
 def deadly(scenario):

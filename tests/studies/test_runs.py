@@ -4,7 +4,6 @@ import dataclasses
 import json
 import os
 import re
-import signal
 import warnings
 
 import numpy as np
@@ -12,18 +11,15 @@ import pyarrow.parquet as pq
 import pytest
 from conftest import code_frozen
 from joblib.externals.loky import get_reusable_executor
-from sweep_functions import deadly, faulty, killed_once, number
+from sweep_functions import deadly, faulty, killed_once, number, with_function
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.files.code_trust import trusting_code
-from stewart_drake.logs import metric_table, versions
-from stewart_drake.logs.metric_table import Metric, add_metric
+from stewart_drake.logs import versions
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
-from stewart_drake.studies import workers
 from stewart_drake.studies.runs import simulate
-from stewart_drake.studies.study import COMPARED, INCIDENTAL
-from stewart_drake.studies.sweep import Sweep, run_sweep, summary
+from stewart_drake.studies.study import COMPARED, INCIDENTAL, run_study
+from stewart_drake.studies.sweep import Sweep, summary
 from stewart_drake.studies.workers import WORKER_GONE, Workers, run_jobs
 
 HERE = Workers(0)
@@ -48,27 +44,27 @@ SPEC = {
 }
 
 
-def sweep(**changes):
-    return Sweep.from_dict({**SPEC, **changes})
+def sweep(function=simulate, **changes):
+    return with_function(Sweep.from_dict({**SPEC, **changes}), function)
 
 
-def same(table):
+def never(_):
+    pytest.fail("ran")
+
+
+def same(result):
     """The part of a table that must not depend on where it was made."""
-    return table.drop([column.name for column in INCIDENTAL])
-
-
-def assert_same(one, other):
-    assert same(one.table).equals(same(other.table), check_metadata=True)
+    return result.tables["sweep"].drop([column.name for column in INCIDENTAL])
 
 
 def outcomes(result):
-    return {row["index"]: (row["status"], row["reason"]) for row in result.rows}
+    return {row["index"]: (row["status"], row["reason"]) for row in result.rows["sweep"]}
 
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
     """The tiny sweep in this process, one run after the other."""
-    return run_sweep(sweep(), tmp_path_factory.mktemp("reference"), HERE)
+    return run_study(sweep(), tmp_path_factory.mktemp("reference"), HERE)
 
 
 # --- rows and tables ---
@@ -77,12 +73,13 @@ def reference(tmp_path_factory):
 @pytest.mark.slow
 def test_a_row_holds_what_was_drawn_and_the_figures_of_a_direct_run(reference):
     assert outcomes(reference) == dict.fromkeys(range(6), ("completed", None))
-    study, table = sweep(), pq.read_table(reference.path)
-    assert table.equals(reference.table, check_metadata=True)
-    assert json.loads(table.schema.metadata[b"stewart_drake.sweep"])["sweep"] == study.to_dict()
+    study, table = sweep(), pq.read_table(reference.folder / "sweep.parquet")
+    assert table.equals(reference.tables["sweep"], check_metadata=True)
+    about = json.loads(table.schema.metadata[b"stewart_drake.sweep"])
+    assert (about["sweep"]["runs"], about["sweep"]["scenario"]["duration"], about["engine"]) == (6, 0.05, None)
     row, drawn = table.to_pylist()[3], study.draw(3)
     # The log of every tick, whatever log_period says.
-    log = run(study.scenario(3).replace({"log_period": None}))
+    log = run(study.scenario(3))
     metrics = run_metrics(log)
     assert (row["index"], row["seed"], row["status"]) == (3, study.run_seed(3), "completed")
     assert row["initial_offset[0]"] == log.scenario.initial_offset[0] == drawn["initial_offset[0]"]
@@ -93,17 +90,17 @@ def test_a_row_holds_what_was_drawn_and_the_figures_of_a_direct_run(reference):
     for name in ("torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m", "end_time", "leg"):
         assert row[name] == metrics[name]
     values = table.column("rmse_norm_deg").to_pylist()
-    shown = dict(summary(reference.rows))["RMSE of rotation, percentiles 50 95 99, largest"].split()
+    shown = dict(summary(reference.rows["sweep"]))["RMSE of rotation, percentiles 50 95 99, largest"].split()
     assert [float(text) for text in shown[:4]] == pytest.approx(np.percentile(values, [50, 95, 99, 100]), rel=1e-3)
 
 
 @pytest.mark.slow
 def test_what_a_run_raises_is_its_row(tmp_path):
-    result = run_sweep(sweep(), tmp_path, HERE, function=faulty)
+    result = run_study(sweep(faulty), tmp_path, HERE)
     names = ("ZeroDivisionError", "SystemExit", "RecursionError", "MemoryError")
     raised = {index: ("raised", name) for index, name in enumerate(names, 1)}
     assert outcomes(result) == {0: ("completed", None), **raised, 5: ("completed", None)}
-    assert re.fullmatch(r"mine \(sweep_functions\.py, line \d+\)", result.rows[1]["message"])
+    assert re.fullmatch(r"mine \(sweep_functions\.py, line \d+\)", result.rows["sweep"][1]["message"])
 
 
 def test_refused_and_broken_runs_are_rows_with_their_reason(tmp_path):
@@ -111,13 +108,14 @@ def test_refused_and_broken_runs_are_rows_with_their_reason(tmp_path):
     keys = {"duration": [0.4, 0.05, -1.0], "reference.center[5]": [0.3, 0.6]}
     grids = {key: {"kind": "grid", "values": values} for key, values in keys.items()}
     spec = {"scenario": "paper_fig7_uncompensated", "set": TINY, "distributions": grids}
-    result = run_sweep(Sweep.from_dict(spec), tmp_path, HERE)
+    result = run_study(Sweep.from_dict(spec), tmp_path, HERE)
     refused, far = ("rejected", "configuration"), ("rejected", "infeasible_reference")
     sagging = ("failed", "crank_dead_centre")
     assert outcomes(result) == {0: sagging, 1: ("completed", None), 2: refused, 3: far, 4: far, 5: refused}
-    assert "duration: expected " in result.rows[2]["message"]
-    assert 0.1 < result.rows[0]["end_time"] < 0.4
-    assert result.rows[0]["leg"] in range(6)
+    broken, *_, last = result.rows["sweep"]
+    assert "duration: expected " in last["message"]
+    assert 0.1 < broken["end_time"] < 0.4
+    assert broken["leg"] in range(6)
 
 
 def test_a_finite_blow_up_and_a_signal_that_is_not_finite_are_told_apart(tmp_path):
@@ -127,13 +125,12 @@ def test_a_finite_blow_up_and_a_signal_that_is_not_finite_are_told_apart(tmp_pat
         pose[-1, 0] = (np.nan, 1e200)[what] if what < 2 else 0.0
         return dataclasses.replace(log, signals={**log.signals, "pose": pose}, figures=None)
 
-    result = run_sweep(sweep(runs=3), tmp_path, HERE, function=broken)
-    assert result.table.column("finite").to_pylist() == [False, True, True]
-    assert result.table.column("rmse_norm_deg").to_pylist()[:2] == [None, None]
-    first, second, third = result.table.column("not_finite").to_pylist()
+    table = run_study(sweep(broken, runs=3), tmp_path, HERE).tables["sweep"]
+    assert table.column("finite").to_pylist() == [False, True, True]
+    assert table.column("rmse_norm_deg").to_pylist()[:2] == [None, None]
+    first, second, third = table.column("not_finite").to_pylist()
     assert ("rmse_norm_deg nan" in first, "rmse_norm_deg inf" in second, third) == (True, True, None)
-    again = run_sweep(sweep(runs=3), tmp_path, HERE, function=lambda _: pytest.fail("ran"))
-    assert again.table.equals(result.table)
+    assert run_study(sweep(never, runs=3), tmp_path, HERE).tables["sweep"].equals(table)
 
 
 @pytest.mark.slow
@@ -141,40 +138,13 @@ def test_a_sweep_on_the_reduced_engine_says_how_far_its_first_run_is_from_drakes
     offset = {"initial_offset[0]": SPEC["distributions"]["initial_offset[0]"]}
     fast = {**TINY, "plant.engine": "reduced", "controller.solver": "split"}
     study = sweep(runs=2, set=fast, distributions=offset)
-    made = run_sweep(study, tmp_path, HERE)
-    assert json.loads(made.table.schema.metadata[b"stewart_drake.sweep"])["engine"] == made.engine
+    made = run_study(study, tmp_path, HERE)
+    assert json.loads(made.tables["sweep"].schema.metadata[b"stewart_drake.sweep"])["engine"] == made.engine
     drake = run_metrics(run(study.scenario(0).replace({"plant.engine": "drake"})))
     for name in COMPARED[:2]:
         other, off = map(float, re.search(rf"{name} (\S+) \(here (\S+) %\)", made.engine).groups())
         assert other == pytest.approx(drake[name], rel=0.01)
-        assert off == pytest.approx(100.0 * (made.rows[0][name] / drake[name] - 1.0), abs=0.06, rel=0.06)
-
-
-@pytest.fixture
-def _metrics_as_they_were():
-    before = list(metric_table.METRICS)
-    yield
-    metric_table.METRICS[:] = before
-
-
-@pytest.mark.usefixtures("_metrics_as_they_were", "code_as_it_is")
-def test_a_metric_from_outside_is_in_every_table_and_with_another_body_it_is_another(tmp_path):
-    add_metric(Metric("own_mm", "mm", "a number", lambda _: 1.0))
-    made = run_sweep(sweep(runs=1), tmp_path / "a", HERE)
-    assert made.table.column("own_mm").to_pylist() == [1.0]
-    run_sweep(sweep(runs=1), tmp_path / "a", HERE, function=lambda _: pytest.fail("ran"))
-    for taken in ("rmse_mm", "wall_s", "chosen", "fault", "duration"):
-        with pytest.raises(ConfigurationError, match="a name that no metric or column has"):
-            add_metric(Metric(taken, "", "a number", lambda _: 1.0))
-    add_metric(Metric("own_mm", "mm", "a number", lambda _: 1 / 0, "steps"))
-    with pytest.raises(ConfigurationError, match="another version"):
-        run_sweep(sweep(runs=1), tmp_path / "a", HERE)
-    (row,) = run_sweep(sweep(runs=1), tmp_path / "b", HERE).rows
-    assert (row["status"], row["reason"]) == ("raised", "metric_raised")
-    assert re.fullmatch(r"metric own_mm: ZeroDivisionError: .* \(test_runs\.py, line \d+\)", row["message"])
-    names = [metric.name for metric in metric_table.METRICS]
-    with pytest.raises(StewartDrakeError, match="a worker does not have the metric another"):
-        workers.check_worker("as it is", [*names, "another"])
+        assert off == pytest.approx(100.0 * (made.rows["sweep"][0][name] / drake[name] - 1.0), abs=0.06, rel=0.06)
 
 
 # --- workers ---
@@ -185,13 +155,13 @@ def test_processes_give_the_same_table_also_where_one_is_killed_or_they_are_worn
     monkeypatch.setenv("SWEEP_TEST_MARK", str(tmp_path / "mark"))
     # Processes that an earlier study has left know nothing of it.
     get_reusable_executor().shutdown(wait=True)
-    pids = []
-    two = run_sweep(sweep(), tmp_path / "out", Workers(2, worn=2), pids.append, function=killed_once)
+    two = run_study(sweep(killed_once), tmp_path / "out", Workers(2, worn=2))
     assert (tmp_path / "mark").exists()
-    assert_same(two, reference)
-    assert os.getpid() not in two.table.column("worker").to_pylist()
+    assert same(two).equals(same(reference), check_metadata=True)
+    processes = two.tables["sweep"].column("worker").to_pylist()
+    assert os.getpid() not in processes
     # Two of two runs each, and another as one was killed.
-    assert len(set(two.table.column("worker").to_pylist())) >= 3
+    assert len(set(processes)) >= 3
 
 
 def assert_two_died(result, reference):
@@ -199,13 +169,13 @@ def assert_two_died(result, reference):
     died = ("failed", "worker_died")
     assert outcomes(result) == {i: died if i in (1, 4) else ("completed", None) for i in range(6)}
     for index in (0, 2, 3, 5):
-        assert same(result.table).slice(index, 1).equals(same(reference.table).slice(index, 1))
-    assert "alone in it" in result.rows[1]["message"]
+        assert same(result).slice(index, 1).equals(same(reference).slice(index, 1))
+    assert "alone in it" in result.rows["sweep"][1]["message"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_that_kills_its_worker_twice_is_a_row_and_the_runs_beside_it_are_whole(reference, tmp_path):
-    assert_two_died(run_sweep(sweep(), tmp_path, Workers(2), function=deadly), reference)
+    assert_two_died(run_study(sweep(deadly), tmp_path, Workers(2)), reference)
 
 
 @pytest.mark.slow
@@ -216,13 +186,6 @@ def test_a_worker_with_another_version_and_one_that_cannot_start_are_told(monkey
     monkeypatch.undo()
     with pytest.raises(StewartDrakeError, match=re.escape(WORKER_GONE[:40])):
         run_jobs([0], lambda _: (os._exit, (1,)), lambda *_: None, Workers(2))
-
-
-def test_an_error_in_the_work_or_in_what_keeps_it_is_raised_as_it_is():
-    with pytest.raises(ZeroDivisionError):
-        run_jobs([0], lambda _: (divmod, (1, 0)), lambda *_: None, HERE)
-    with pytest.raises(KeyboardInterrupt):
-        run_jobs([0], lambda _: (int, ()), interrupt_at(0), HERE)
 
 
 @pytest.fixture(scope="module")
@@ -239,38 +202,11 @@ def cluster():
 
 
 @pytest.mark.slow
-def test_a_dask_cluster_that_loses_a_worker_gives_the_same_table(cluster, reference, tmp_path):
-    killed = []
-
-    def progress(done):
-        if done >= 2 and not killed:
-            killed.append(json.loads((tmp_path / "rows.jsonl").read_bytes().splitlines()[-1])["worker"])
-            os.kill(killed[0], signal.SIGKILL)
-
+def test_on_dask_the_table_is_the_same_and_a_run_that_kills_its_worker_the_same_row(cluster, reference, tmp_path):
     with Workers(scheduler=cluster.scheduler_address) as where:
-        result = run_sweep(sweep(), tmp_path, where, progress)
-    assert_same(result, reference)
-    assert os.getpid() not in result.table.column("worker").to_pylist()
-
-
-@pytest.mark.slow
-def test_on_dask_a_run_that_kills_its_worker_is_the_same_row(cluster, reference, tmp_path):
-    with Workers(scheduler=cluster.scheduler_address) as where:
-        assert_two_died(run_sweep(sweep(), tmp_path, where, function=deadly), reference)
-
-
-@pytest.mark.slow
-def test_the_users_code_runs_on_a_cluster_as_long_as_it_is_what_was_trusted(cluster, tmp_path):
-    code = tmp_path / "mine.py"
-    code.write_text("class Push:\n    def evaluate(self, t):\n        return [0, 0, 0, 0, 0, t]\n")
-    grid = {"kind": "grid", "values": [[], [f"{code}:Push"]]}
-    with trusting_code():
-        study = sweep(runs=4, distributions={"disturbances": grid})
-    with Workers(scheduler=cluster.scheduler_address) as where:
-        assert {row["status"] for row in run_sweep(study, tmp_path / "one", where).rows} == {"completed"}
-        code.write_text(code.read_text() + "\n")
-        with pytest.raises(ConfigurationError, match="has changed"):
-            run_sweep(study, tmp_path / "two", where)
+        result = run_study(sweep(deadly), tmp_path, where)
+    assert_two_died(result, reference)
+    assert os.getpid() not in result.tables["sweep"].column("worker").to_pylist()
 
 
 def test_without_dask_the_extra_is_named(monkeypatch):
@@ -282,14 +218,6 @@ def test_without_dask_the_extra_is_named(monkeypatch):
 # --- what is on disk ---
 
 
-def interrupt_at(count):
-    def progress(done, *_):
-        if done >= count:
-            raise KeyboardInterrupt
-
-    return progress
-
-
 @pytest.mark.usefixtures("code_as_it_is")
 def test_more_runs_go_on_where_fewer_ended_or_were_interrupted_and_an_unfinished_line_is_dropped(tmp_path):
     ran, counts, rows = [], [], tmp_path / "rows.jsonl"
@@ -298,37 +226,48 @@ def test_more_runs_go_on_where_fewer_ended_or_were_interrupted_and_an_unfinished
         ran.append(number(scenario))
         return simulate(scenario)
 
+    def interrupt(done):
+        if done >= 1:
+            raise KeyboardInterrupt
+
     with pytest.raises(KeyboardInterrupt):
-        run_sweep(sweep(runs=4), tmp_path, HERE, interrupt_at(1), function=spy)
+        run_study(sweep(spy, runs=4), tmp_path, HERE, interrupt)
     assert rows.read_bytes().count(b"\n") == 1
     rows.write_bytes(rows.read_bytes() + b'{"key": "5, "se')
-    few = run_sweep(sweep(runs=2), tmp_path, HERE, function=spy)
-    many = run_sweep(sweep(runs=4), tmp_path, HERE, counts.append, function=spy)
+    few = run_study(sweep(spy, runs=2), tmp_path, HERE).tables["sweep"]
+    many = run_study(sweep(spy, runs=4), tmp_path, HERE, counts.append).tables["sweep"]
     assert ran == [0, 1, 2, 3]
     assert counts == [2.0, 3.0, 4.0]
-    assert many.table.slice(0, 2).to_pylist() == few.table.to_pylist()
+    assert many.slice(0, 2).to_pylist() == few.to_pylist()
     assert all(json.loads(line) for line in rows.read_text().splitlines())
 
 
 def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
     with code_frozen():
-        run_sweep(sweep(runs=1), tmp_path, HERE)
+        run_study(sweep(runs=1), tmp_path, HERE)
         before = (tmp_path / "rows.jsonl").read_bytes()
 
         def refused(words, **changes):
             with pytest.raises(ConfigurationError) as caught:
-                run_sweep(sweep(runs=1, **changes), tmp_path, HERE)
+                run_study(sweep(runs=1, **changes), tmp_path, HERE)
             assert [word for word in ("--out", "--restart", words) if word not in str(caught.value)] == []
             assert (tmp_path / "rows.jsonl").read_bytes() == before
 
         refused("seed", seed=6)
-        refused("scenario.duration", set={**TINY, "duration": 0.06})
+        refused("differs in scenario", set={**TINY, "duration": 0.06})
         with monkeypatch.context() as patch:
             patch.setattr(versions, "source_digest", lambda: "changed")
-            refused("made by another version (versions.source)")
+            refused("differs in versions")
         (tmp_path / "study.json").unlink()
         refused("study.json that can be read")
-        # Another name is no other sweep; a restart makes room.
-        result = run_sweep(sweep(runs=1, seed=6), tmp_path, HERE, restart=True)
-        assert result.rows[0]["seed"] == sweep(seed=6).run_seed(0)
-        assert run_sweep(sweep(runs=1, seed=6, name="other"), tmp_path, HERE).rows == result.rows
+        (tmp_path / "own.csv").touch()
+
+        def told(done):
+            # A restart makes room before anything is run, but for what is the user's own.
+            if done == 0.0:
+                assert {path.name for path in tmp_path.glob("*.*")} == {"own.csv", "rows.jsonl", "study.json", ".lock"}
+
+        result = run_study(sweep(runs=1, seed=6), tmp_path, HERE, told, restart=True)
+        assert result.rows["sweep"][0]["seed"] == sweep(seed=6).run_seed(0)
+        # Another name is no other sweep.
+        assert run_study(sweep(runs=1, seed=6, name="other"), tmp_path, HERE).rows == result.rows

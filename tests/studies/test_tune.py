@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import parse_yaml
-from stewart_drake.logs.cost import mean_cost
+from stewart_drake.logs.metrics import mean_cost
 from stewart_drake.studies.comparison import Comparison
 from stewart_drake.studies.tune import (
     SEARCHED,
@@ -77,13 +77,14 @@ def test_a_search_betters_what_it_starts_from_and_the_verdict_says_so(done):
         assert own[0]["setting"] == plan.ranges[name].start
         np.testing.assert_array_equal([row["best"] for row in own], np.minimum.accumulate([row["cost"] for row in own]))
         assert own[-1]["best"] < 0.8 * own[0]["cost"]
+        verdict = result.verdict.rows["comparison"]
         judged = {
-            way: mean_cost(row["cost"] for row in result.verdict.rows if row["controller"] == f"{name}, {way}")
+            way: mean_cost(row["cost"] for row in verdict if row["controller"] == f"{name}, {way}")
             for way in (START, TUNED)
         }
         # Other noise, the same motions.
         assert judged[TUNED] < 0.9 * judged[START]
-        assert {row["seed"] for row in result.verdict.rows} == {7, 8}
+        assert {row["seed"] for row in verdict} == {7, 8}
 
 
 @pytest.mark.slow
@@ -106,7 +107,7 @@ def test_what_is_found_goes_into_the_comparison(done):
     assert (folder / "tune.png").stat().st_size > 10_000
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_interrupted_it_goes_on_and_finds_the_same(done, tmp_path):
     plan, result, _, _ = done
 
@@ -139,13 +140,12 @@ def test_in_the_search_alone_some_keys_are_others():
     assert gains[f"torque, {TUNED}"].natural_frequency == 30.0
 
 
-@given(st.floats(0.01, 1.0), st.floats(1.5, 1e4), st.lists(st.floats(0.0, 1.0), min_size=2, max_size=2))
-def test_points_of_the_cube_are_settings_between_the_bounds(low, factor, point):
-    ranges = Ranges({"a": (low, low * factor), "b": (1.0, 100.0)}, {})
-    setting = ranges.setting(point)
-    assert low * (1 - 1e-3) <= setting["a"] <= low * factor * (1 + 1e-3)
-    assert setting["b"] == pytest.approx(10.0 ** (2.0 * point[1]), rel=1e-3)
-    np.testing.assert_allclose(ranges.point(setting), point, atol=2e-3)
+@given(st.floats(0.01, 1.0), st.floats(1.5, 1e4), st.floats(0.0, 1.0))
+def test_points_between_the_logarithms_of_the_bounds_are_settings_between_the_bounds(low, factor, share):
+    ranges = Ranges({"a": low}, {"a": low}, {"a": low * factor})
+    start, lowest, highest = ranges.points()
+    assert ranges.setting(start)["a"] == pytest.approx(low, rel=1e-3)
+    assert ranges.setting(lowest + share * (highest - lowest))["a"] == pytest.approx(low * factor**share, rel=1e-3)
 
 
 def searched(**keys):
@@ -156,20 +156,12 @@ def searched(**keys):
     ("changes", "message"),
     [
         ({"tune": None}, r"^tune: expected .*got None"),
-        ({"cost": None}, r"^cost: expected .*got None"),
-        ({"cost": {"position": -1.0}}, r"^cost\.position: expected .*got -1"),
         (tune_changed(controllers={}), r"^tune\.controllers: expected .*got \{\}"),
-        (tune_changed(controllers={"pid": {}}), r"^tune\.controllers\.pid: expected at least one"),
         (tune_changed(controllers={"none": {"controller.kp": [1, 2]}}), r"^tune\.controllers: expected .*got 'none'"),
         (searched(controller__kpp=[1, 2]), r"^tune\.controllers\.pid: controller\.kpp: .*kp"),
         (searched(controller__kp=[9, 1]), r"^tune\.controllers\.pid\.controller\.kp: expected .*got \[9"),
-        (searched(controller__kp=[0, 1]), r"^tune\.controllers.*kp.*: expected .*got 0"),
         (searched(controller__kp=[5, 9]), r"^tune\.controllers\.pid: controller\.kp: expected .*got 4"),
-        (searched(tuner=[5, 9]), r"^tune\.controllers\.pid: tuner"),
         (searched(duration=[0.1, 1e9]), r"^tune\.controllers\.pid: duration: expected .*got 1"),
-        (tune_changed(set={"plant.engin": "reduced"}), r"^tune: set\.plant\.engin"),
-        (tune_changed(generation=2), r"^tune\.generation: .*did you mean generations"),
-        (tune_changed(population=1), r"^tune\.population: expected .*got 1"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_searched_is_refused_in_a_line(changes, message):
@@ -188,7 +180,7 @@ def test_the_shipped_search_can_be_done():
     ]
     assert all(each == runs[0] for each in runs)
     assert {plan.comparison.scenario(i).plant.engine for i in range(plan.comparison.runs)} == {"reduced"}
-    assert {each.plant.engine for each in plan.verdict({}).variants()} == {"drake", "reduced"}
+    assert {each.plant.engine for each in plan.verdict({}).variants} == {"drake", "reduced"}
 
 
 AT = np.array([0.3, -1.2, 4.0])
@@ -198,12 +190,9 @@ def quadratic(points):
     return [float(np.sum((point - AT) ** 2 * [1.0, 4.0, 0.1])) for point in points]
 
 
-@pytest.mark.parametrize("diagonal", [False, True])
-@pytest.mark.parametrize("bounded", [False, True])
-def test_it_finds_the_least_of_a_quadratic(bounded, diagonal):
-    box = {"low": np.array([-1.0, -2.0, 0.0]), "high": np.array([1.0, 2.0, 10.0])} if bounded else {}
-    options = {"generations": 60, "population": 8, "seed": 1, "spread": 0.2 if bounded else 1.0, "diagonal": diagonal}
-    found, cost = minimise(quadratic, np.array([0.0, 0.0, 5.0]), **box, **options)
+def test_it_finds_the_least_of_a_quadratic():
+    low, high = np.array([-1.0, -2.0, 0.0]), np.array([1.0, 2.0, 10.0])
+    found, cost = minimise(quadratic, np.array([0.0, 0.0, 5.0]), low, high, generations=60, population=8, seed=1)
     assert cost < 1e-3
     assert found == pytest.approx(AT, abs=0.1)
 

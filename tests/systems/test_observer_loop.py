@@ -47,19 +47,6 @@ def test_it_is_quieter_and_nearer_than_differences():
     assert change(observed) < 0.5 * change(differences)
 
 
-def test_a_pose_that_is_measured_will_do_as_well():
-    ideal = {
-        "sensors": {"kind": "ideal"},
-        "plant": {"motor_friction": 0.01},
-        "friction_compensation": {"coulomb": 0.01},
-    }
-    log = run(made(**ideal))
-    assert log.status == "completed"
-    assert error(log) < 0.005
-    assert "measured_pose" in log.signals
-    assert "innovation" in log.signals
-
-
 def test_a_rod_that_is_lost_is_noticed_within_ticks():
     lost = {"plant.broken_rod": {"leg": 2, "time": 0.3}, "safety": {}}
     trips = {
@@ -70,20 +57,18 @@ def test_a_rod_that_is_lost_is_noticed_within_ticks():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("delay", [0, 1, 4])
-def test_a_delay_that_is_known_costs_little(delay):
-    log = run(made(command_delay=delay, friction_compensation={"coulomb": 0.01}, duration=2.0))
+def test_a_delay_that_is_known_costs_little():
+    log = run(made(command_delay=4, friction_compensation={"coulomb": 0.01}, duration=2.0))
     assert error(log, 1.0) < 0.004
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "most"), [("reachy_nod", 0.12), ("reachy_look_around", 0.055)])
-def test_reachy_mini_moves_on_its_bus_of_100_hz_with_the_policy(name, most):
-    scenario = load_scenario(name)
+def test_reachy_mini_moves_on_its_bus_of_100_hz_with_the_policy():
+    scenario = load_scenario("reachy_nod")
     assert (scenario.controller.period, scenario.tuner.kind, scenario.estimator.kind) == (0.01, "policy", "observer")
     log = run(scenario)
     assert (log.status, log.warnings) == ("completed", ())
-    assert run_metrics(log)["rmse_norm_deg"] < most
+    assert run_metrics(log)["rmse_norm_deg"] < 0.12
 
 
 def test_gains_follow_period_and_delay():
@@ -101,7 +86,7 @@ def test_gains_follow_period_and_delay():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("believed", "level"), [(0.01, 0.01), (0.01, 0.02), (0.05, 0.1)])
+@pytest.mark.parametrize(("believed", "level"), [(0.01, 0.02), (0.05, 0.1)])
 def test_a_robot_with_friction_comes_to_rest_and_stays(believed, level):
     """Up to twice the friction that is believed; without that rule it hunts by ten counts and more for ever."""
     rest = {

@@ -133,25 +133,6 @@ def test_tick_k_sees_the_plant_of_its_own_instant_and_acts_from_there_on(step, p
     np.testing.assert_array_equal(kept[0, 1:], np.arange(2000) // ratio * ratio)
 
 
-def test_a_log_at_decimal_times_shows_the_tick_of_its_own_row_however_long_the_run():
-    # Decimal times come a little before the stretched ones, more and more so.
-    diagram, _, sinks = wire(Clock(), sampler(), 0.001, log_period=0.001)
-    simulator = Simulator(diagram)
-    simulator.AdvanceTo(12.0)
-    log = sinks["value"].FindLog(simulator.get_context())
-    assert log.num_samples() == 12001
-    np.testing.assert_allclose(log.data()[0], log.sample_times(), rtol=1e-9)
-
-
-def test_a_port_with_an_array_may_be_left_alone_and_an_output_of_an_inputs_name_has_another_attribute():
-    part = sampler(inputs={"value": 1, "time": 1}, reads={"value": np.array([7.0])})
-    system = PartSystem(part, 0.5)
-    context = system.CreateDefaultContext()
-    assert system.GetOutputPort("value").Eval(context) == system.value_out.Eval(context) == [7.0]
-    system.value.FixValue(context, [8.0])
-    assert system.value_out.Eval(context) == [8.0]
-
-
 def test_a_run_failure_in_a_tick_carries_the_time_and_other_errors_pass_as_they_are():
     for failure in (RiccatiError("none"), KeyError("other")):
         diagram, _, _ = wire(Clock(), sampler(1.5, failure), 0.5)

@@ -1,4 +1,4 @@
-"""Tuners of settings in the closed loop, on both engines."""
+"""Tuners of settings in the closed loop."""
 
 import numpy as np
 import pytest
@@ -14,14 +14,13 @@ PUSHED = {
 }
 
 
-def loop(engine, **changes):
-    base = load_scenario("exact_breathing").replace({**PUSHED, "tuner": {"kind": "block"}, "plant.engine": engine})
+def loop(**changes):
+    base = load_scenario("exact_breathing").replace({**PUSHED, "tuner": {"kind": "block"}, "plant.engine": "reduced"})
     return base.replace(changes)
 
 
-@pytest.mark.parametrize("engine", ["drake", "reduced"])
-def test_a_schedule_of_one_setting_is_that_setting(engine):
-    base = loop(engine)
+def test_a_schedule_of_one_setting_is_that_setting():
+    base = loop()
     q_pose, q_rate, q_integral, r = weights_of(np.array(base.tuner.weights), np.array(SETTING))
     fixed = {"kind": "block", "q_pose": q_pose, "q_rate": q_rate, "q_integral": q_integral, "r": r}
     level = float(disturbance_of(base.estimator.disturbance, np.array(SETTING)))
@@ -35,4 +34,4 @@ def test_a_schedule_of_one_setting_is_that_setting(engine):
 
 def test_it_needs_an_observer():
     with pytest.raises(ConfigurationError, match=r"estimator\.kind: .*observer, for tuner\.kind schedule"):
-        loop("drake", tuner={"kind": "schedule"}, estimator={"kind": "difference"})
+        loop(tuner={"kind": "schedule"}, estimator={"kind": "difference"})

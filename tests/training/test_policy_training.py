@@ -8,23 +8,24 @@ from stewart_drake.control.policy import answer, default_policy_path, load_polic
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.jit import record
-from stewart_drake.logs.cost import run_cost
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.logs.metrics import run_cost, run_metrics
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.workers import Workers
 from stewart_drake.training import policy_training
-from stewart_drake.training.benchmark import Baselines, Case
-from stewart_drake.training.policy_runs import (
+from stewart_drake.training.benchmark import Baselines
+from stewart_drake.training.policy_training import (
     HIGHEST,
     LOWEST,
     WEIGHTS,
-    Episode,
-    Frame,
+    PolicyOptions,
+    State,
+    Training,
     episode_cost,
     episode_features,
+    policy_of,
+    train_policy,
 )
-from stewart_drake.training.policy_training import PolicyOptions, State, Training, train_policy
-from stewart_drake.training.situations import situation
+from stewart_drake.training.situations import Case, situation
 
 CENTRE = np.array(Baselines.load().best)
 SMALL = PolicyOptions(generations=2, situations=1, pool=2, validation=1, robots=("reachy_mini",))
@@ -32,19 +33,19 @@ SMALL = PolicyOptions(generations=2, situations=1, pool=2, validation=1, robots=
 
 def state_of(training, rng=None):
     """A state without a run; the centre costs 1 everywhere."""
-    pool, validation = (np.zeros(len(cases)) for cases in (training.cases, training.validation))
+    pool, validation = (np.zeros(len(cases)) for cases in (training.pool, training.validation))
     weights = np.zeros(WEIGHTS) if rng is None else rng.normal(size=WEIGHTS)
     return State(pool, validation, np.zeros(13), np.ones(13), weights, np.zeros((2, WEIGHTS)), weights)
 
 
 @pytest.fixture
 def bowl(monkeypatch):
-    """Training in which an episode costs the squared distance of its weights from `bowl`, and its taste."""
+    """Training in which a case costs the squared distance of its weights from `bowl`, and its taste."""
     target = np.random.default_rng(3).normal(size=WEIGHTS) * 0.05
 
-    def cost(policy, episode):
+    def cost(policy, case):
         away = np.concatenate([np.ravel(each) for each in policy.layers[2:6]]) - target
-        return float(away @ away) + episode.kappa
+        return float(away @ away) + case.kappa
 
     monkeypatch.setattr(policy_training, "episode_cost", cost)
     return target
@@ -55,7 +56,7 @@ def test_weights_of_zero_stay_at_the_centre_and_any_others_in_the_box():
     for weights in (np.zeros(WEIGHTS), 10.0 * rng.normal(size=WEIGHTS)):
         for features in rng.normal(size=(20, 13)):
             setting = np.empty(4)
-            assert answer(record(Frame(CENTRE).policy(weights).numbers()), features, setting) == 1.0
+            assert answer(record(policy_of(weights, CENTRE).numbers()), features, setting) == 1.0
             assert (setting >= LOWEST - 1e-12).all()
             assert (setting <= HIGHEST + 1e-12).all()
             if not weights.any():
@@ -64,13 +65,13 @@ def test_weights_of_zero_stay_at_the_centre_and_any_others_in_the_box():
 
 @pytest.mark.slow
 def test_an_episode_costs_what_the_same_run_from_a_file_costs(tmp_path):
-    policy, case, kappa = load_policy(), Case("pushes", "reachy_mini", 7), 0.4
+    policy, kappa, case = load_policy(), 0.4, Case("pushes", "reachy_mini", 7, 0.4)
     policy.save(tmp_path / "policy.json")
     tuner = {"kind": "policy", "weights_file": str(tmp_path / "policy.json"), "kappa": kappa}
-    log = run(situation(*case).replace({"plant.engine": "reduced", "plant.time_step": 0.005, "tuner": tuner}))
+    log = run(situation(*case[:3]).replace({"plant.engine": "reduced", "plant.time_step": 0.005, "tuner": tuner}))
     expected = run_cost(run_metrics(log), log.status, 0.01, CostScales().at(kappa))
-    assert np.exp(episode_cost(policy, Episode(case, kappa))) == pytest.approx(expected)
-    features = episode_features(policy, Episode(case, kappa))
+    assert np.exp(episode_cost(policy, case)) == pytest.approx(expected)
+    features = episode_features(policy, case)
     assert features.shape == (28, 13)
     assert (features[:, -1] == kappa).all()
 
@@ -80,7 +81,7 @@ def test_each_kind_counts_alike_but_more_where_the_policy_is_behind():
     chosen = training._batch(0)
     share = training._shares(chosen, np.zeros(len(chosen)))
     assert share.sum() == pytest.approx(1.0)
-    kinds = np.array([training.cases[place][:2] for place in chosen])
+    kinds = np.array([training.pool[place][:2] for place in chosen])
     nod = (kinds == ("nod", "reachy_mini")).all(axis=1)
     fast = (kinds == ("fast", "paper")).all(axis=1)
     # Runs of the slow robot are short: twice as many.
@@ -104,10 +105,10 @@ def test_evolution_goes_down_and_keeps_its_best_generation(bowl, monkeypatch):
     assert np.sum((state.best - bowl) ** 2) - bowl @ bowl == pytest.approx(state.least)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_interrupted_or_on_more_processes_it_comes_to_the_same_policy(tmp_path, monkeypatch):
     monkeypatch.setattr(policy_training, "cells_for", lambda robot, **_: [("hold", robot)])
-    whole = train_policy(SMALL, where=Workers(0))
+    whole = train_policy(SMALL, workers=Workers(0))
     file = tmp_path / "policy.state"
 
     def stop(done, _):
@@ -117,7 +118,7 @@ def test_interrupted_or_on_more_processes_it_comes_to_the_same_policy(tmp_path, 
     with pytest.raises(KeyboardInterrupt):
         train_policy(SMALL, file, stop, Workers(0))
     assert file.exists()
-    again = train_policy(SMALL, file, where=Workers(2))
+    again = train_policy(SMALL, file, workers=Workers(2))
     assert not file.exists()
     for one, other in zip(whole.layers, again.layers, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -130,10 +131,10 @@ def test_the_state_of_another_training_or_no_state_is_refused(tmp_path):
     state_of(Training(SMALL, Workers(0))).save(file, "its own")
     assert State.load(file, "its own").generation == 0
     with pytest.raises(ConfigurationError, match="of other options"):
-        train_policy(SMALL, file, where=Workers(0))
+        train_policy(SMALL, file, workers=Workers(0))
     file.write_bytes(b"no state")
     with pytest.raises(ConfigurationError, match="as training left it"):
-        train_policy(SMALL, file, where=Workers(0))
+        train_policy(SMALL, file, workers=Workers(0))
 
 
 def test_the_shipped_policy_is_one_and_names_the_revision_that_trained_it():

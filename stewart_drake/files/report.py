@@ -1,0 +1,65 @@
+"""What an estimate with intervals tells: in some lines, as CSV, as a pandas.DataFrame, and as a page in Markdown."""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import Any, ClassVar
+
+from stewart_drake.files.tables import need_pandas
+
+
+class Report:
+    """Base of results that have a row of numbers for each parameter, a summary, and a table of texts."""
+
+    columns: ClassVar[tuple[str, ...]]
+    """Of `rows`."""
+    about: ClassVar[str]
+    """What the table says, a paragraph."""
+    picture: ClassVar[str]
+    """What the report's picture shows."""
+
+    @property
+    def title(self) -> str:
+        """Of what it is."""
+        raise NotImplementedError
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """A row of `columns` for each parameter, in SI units; the half width is that of the 95 % interval."""
+        raise NotImplementedError
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What was found, as rows of two texts."""
+        raise NotImplementedError
+
+    def table(self) -> tuple[list[str], list[list[str]]]:
+        """Header and rows of texts: the parameters with their 95 % intervals."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return "\n".join([self.title, *(f"  {name}: {text}" for name, text in self.summary())])
+
+    def to_csv(self) -> str:
+        """`rows` as a table."""
+        stream = io.StringIO()
+        csv.writer(stream, lineterminator="\n").writerows([self.columns, *self.rows()])
+        return stream.getvalue()
+
+    def to_pandas(self) -> Any:
+        """`rows` as a pandas.DataFrame.
+
+        Raises:
+            ConfigurationError: pandas is not installed.
+        """
+        need_pandas("rows() gives the same as tuples")
+        import pandas as pd
+
+        return pd.DataFrame(self.rows(), columns=self.columns)
+
+    def to_markdown(self, picture: str) -> str:
+        """A page with a picture, a file beside it."""
+        header, rows = self.table()
+        summary = (f"- {name}: {text}" for name, text in self.summary())
+        table = (f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows))
+        parts = (f"# {self.title}", "\n".join(summary), self.about, "\n".join(table), f"![{self.picture}]({picture})")
+        return "\n\n".join(parts) + "\n"

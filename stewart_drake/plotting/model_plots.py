@@ -1,0 +1,93 @@
+"""Pictures of a calibration, an identification, and a loop's margins; each a PNG."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from stewart_drake.calibration.model import OF_LEG, OF_ROBOT, PER_LEG
+from stewart_drake.calibration.result import Calibration
+from stewart_drake.identification.identified import Identification
+from stewart_drake.plotting import style as look
+from stewart_drake.robot.leg import LEGS
+from stewart_drake.stability.margins import LoopMargins
+
+_SHOWN = 20.0
+"""[s] of a recording."""
+_LARGEST = 2.0
+"""[-] disk margin from which on it bounds no gain; drawn no further."""
+
+
+@look.styled
+def plot_calibration(found: Calibration, path: str | Path) -> None:
+    """Errors of each pose before and after, and the parameters' changes with their 95 % intervals."""
+    figure, axes = look.panels(2, 2, 7.0)
+    rows = np.arange(len(found.measurements)) + 1
+    kinds = ((slice(3, 6), "Error of the position", "mm"), (slice(0, 3), "Error of the rotation", "mrad"))
+    for panel, (part, title, unit) in zip(axes[:, 0], kinds, strict=True):
+        for error, label, color in ((found.before, "before", look.ORANGE), (found.after, "after", look.BLUE)):
+            panel.plot(rows, 1e3 * np.linalg.norm(error[:, part], axis=-1), ".", color=color, label=label)
+        look.logarithmic(panel, "y")
+        panel.set(title=title, xlabel="row", ylabel=unit)
+        panel.legend()
+    change, width = 1e3 * np.stack([found.change, found.half_width])[:, :OF_ROBOT].reshape(2, LEGS, PER_LEG)
+    # What is not told, or was held, has no change and no interval.
+    width = np.where(np.isfinite(width), width, np.nan)
+    for panel, unit, kind in ((axes[0, 1], "m", "lengths"), (axes[1, 1], "rad", "angles")):
+        columns = [at for at, own in enumerate(OF_LEG) if own.unit == unit]
+        for leg, color in enumerate(look.COLORS):
+            at = np.arange(len(columns)) + 0.12 * (leg - 2.5)
+            values = change[leg, columns], width[leg, columns]
+            panel.errorbar(at, *values, fmt=".", color=color, label=f"leg {leg}", elinewidth=1.0)
+        names = [f"{OF_LEG[at].name} {OF_LEG[at].axis}".strip().replace("_", " ") for at in columns]
+        panel.set_xticks(range(len(columns)), names, rotation=30, ha="right")
+        panel.set(title=f"Change of {kind}, with 95 % intervals", ylabel=f"m{unit}")
+    look.legend_below(figure, axes[0, 1].get_legend_handles_labels()[0], columns=6)
+    look.save_figure(figure, path)
+
+
+@look.styled
+def plot_identification(found: Identification, path: str | Path) -> None:
+    """Each motor's torque and what is left of it, over the first seconds and over the crank's rate."""
+    figure, axes = look.panels(6, 2, 12.0, sharex="col", width_ratios=[2, 1])
+    samples = found.samples
+    left = samples.torque - samples.predicted(found.values)
+    first = samples.pieces[0].start
+    some = slice(first, first + int(_SHOWN / samples.step))
+    time = samples.time[some]
+    for leg, (over_time, over_rate) in enumerate(axes):
+        used, rest, moving = samples.used[some, leg], left[some, leg], samples.used[:, leg]
+        over_time.plot(time, samples.torque[some, leg], color=look.BLUE, label="torque", linewidth=1.0)
+        over_time.plot(time, np.where(used, rest, np.nan), color=look.ORANGE, label="left", linewidth=1.0)
+        over_time.plot(time, np.where(used, np.nan, rest), color=look.QUIET, label="left, no say", linewidth=1.0)
+        over_rate.plot(samples.rates[moving, leg], 1e3 * left[moving, leg], ".", color=look.ORANGE, markersize=2)
+        over_time.set(title=f"Motor {leg}", ylabel="N m")
+        over_rate.set(ylabel="left [mN m]")
+    axes[-1, 0].set(xlabel="time [s]")
+    axes[-1, 1].set(xlabel="crank's rate [rad/s]")
+    look.legend_below(figure, axes[0, 0].get_legend_handles_labels()[0], columns=3)
+    look.save_figure(figure, path)
+
+
+@look.styled
+def plot_margins(found: LoopMargins, path: str | Path) -> None:
+    """Disk margin all at once at each frequency, and which share of the poses has less than a margin."""
+    figure, ((curves, shares),) = look.panels(1, 2, 4.0)
+    drawn = np.minimum(found.curves, _LARGEST)
+    curves.fill_between(found.frequencies, drawn.min(axis=0), drawn.max(axis=0), color=look.SKY, alpha=0.5, lw=0)
+    curves.plot(found.frequencies, np.median(drawn, axis=0), color=look.BLUE, label="median, and all poses")
+    look.logarithmic(curves, "x")
+    curves.set(title="All motors at once, at each frequency", xlabel="rad/s", ylabel="disk margin [-]")
+    percent = 100.0 * (np.arange(len(found.radius)) + 1) / len(found.radius)
+    for motor, color in enumerate((look.SKY, *look.COLORS[1:4], *look.COLORS[5:], look.QUIET)):
+        own = np.sort(np.minimum(found.single.disk[:, motor], _LARGEST))
+        shares.plot(own, percent, color=color, lw=1.0, label=f"motor {motor} alone")
+    every = np.sort(np.minimum(found.all_at_once.disk, _LARGEST))
+    shares.plot(every, percent, color=look.BLUE, lw=2.0, label="all at once")
+    shares.set(title="Poses with less than that", xlabel="disk margin [-]", ylabel="%")
+    curves.set_ylim(0.0)
+    shares.set_xlim(0.0)
+    for panel in (curves, shares):
+        panel.legend()
+    look.save_figure(figure, path)

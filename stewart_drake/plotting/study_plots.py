@@ -1,0 +1,203 @@
+"""Figures of comparisons of controllers, of searches for gains, and of what tuners of settings cost."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator, LogLocator
+
+from stewart_drake.plotting import style as look
+
+Rows = Sequence[Mapping[str, Any]]
+Styles = Mapping[str, Mapping[str, Any]]
+
+_COLORS = (look.QUIET, look.YELLOW, look.ORANGE, look.BLUE, look.PURPLE, look.GREEN, look.TEXT, look.SKY)
+_LOOKS = tuple(zip(_COLORS, "v^Dos>h*", strict=True))
+_CROSS: dict[str, Any] = {"marker": "x", "markersize": 6.5, "markeredgewidth": 2.0, "linestyle": "none"}
+_DASHED: dict[str, Any] = {"color": look.TEXT, "linestyle": (0, (4, 3)), "linewidth": 0.9}
+_SMALLEST = 1e-6
+"""[mm] what is smaller is drawn here."""
+_PHASE_SHOWN = 1e-3
+"""Amplitude ratio below which a phase says nothing."""
+
+
+@look.styled
+def plot_rmse(rows: Rows) -> Figure:
+    """RMSE of the pose by reference and controller, a panel a condition, look.logarithmic; failures at the right edge.
+
+    Args:
+        rows: Of a comparison; `pose_rmse_mm` is drawn, of several seeds each.
+    """
+    styles = _styles(rows)
+    references: dict[str, list[str]] = {}
+    for row in rows:
+        references[row["condition"]] = list(dict.fromkeys([*references.get(row["condition"], []), row["reference"]]))
+    lanes = [max(2.5, len(styles)) * len(names) for names in references.values()]
+    height = 1.4 + 0.2 * sum(lanes) + 0.55 * len(lanes)
+    figure, axes = look.panels(len(lanes), 1, height, sharex=True, height_ratios=lanes)
+    values = [_drawn(row) for row in rows if _done(row)] or [1.0]
+    low, high = min(values) / 2.0, max(values) * 2.0
+    edge = high * (high / low) ** 0.05
+    for panel, (condition, names) in zip(axes.flat, references.items(), strict=True):
+        places = {name: place for place, name in enumerate(reversed(names))}
+        for place in range(0, len(names), 2):
+            panel.axhspan(place - 0.5, place + 0.5, color="#F4F6F8", zorder=0.0)
+        for row in (row for row in rows if row["condition"] == condition):
+            style, lane = styles[row["controller"]], list(styles).index(row["controller"])
+            y = places[row["reference"]] + (0.5 * (len(styles) - 1) - lane) * 0.8 / max(4, len(styles))
+            if _done(row):
+                panel.plot([low, _drawn(row)], [y, y], color=style["color"], linewidth=1.0, alpha=0.45)
+                panel.plot(_drawn(row), y, **style)
+            else:
+                panel.plot(edge, y, color=style["color"], **_CROSS)
+        look.logarithmic(panel, "x")
+        panel.xaxis.set_major_locator(LogLocator(numticks=12))
+        panel.set(title=condition, xlim=(low, high * (high / low) ** 0.09), ylim=(-0.5, len(names) - 0.5))
+        panel.set_yticks(list(places.values()), list(places), fontsize=10)
+        panel.tick_params(axis="y", length=0)
+        panel.grid(axis="y", visible=False)
+    axes[-1, 0].set_xlabel("pose RMSE [mm]")
+    _legend(figure, styles, [Line2D([], [], color=look.TEXT, label="failed", **_CROSS)])
+    return figure
+
+
+@look.styled
+def plot_error(rows: Rows, band: float) -> Figure:
+    """Size of the pose error over time on one reference, a panel a condition, look.logarithmic.
+
+    Args:
+        rows: With `trace`, see `runs.measure_run`.
+        band: [mm] drawn as the band within which a run counts as settled.
+    """
+    rows = [row for row in rows if row.get("trace") and len(row["trace"]["time"])]
+    styles = {name: {"color": style["color"]} for name, style in _styles(rows).items()}
+    conditions = list(dict.fromkeys(row["condition"] for row in rows))
+    figure, axes = look.panels(len(conditions), 1, 1.3 + 2.3 * len(conditions), sharex=True, sharey=True)
+    for panel, condition in zip(axes.flat, conditions, strict=True):
+        panel.axhline(band, **_DASHED)
+        for row in (row for row in rows if row["condition"] == condition):
+            color, time = styles[row["controller"]]["color"], row["trace"]["time"]
+            # What is exactly zero, such as the start, has no place on this axis; null was no number.
+            size = np.clip(np.array(row["trace"]["pose_mm"], dtype=float), 0.1 * _SMALLEST, look.LARGEST)
+            panel.plot(time, size, color=color, linewidth=1.5)
+            if row["status"] != "completed":
+                panel.plot(time[-1], size[-1], color=color, **_CROSS)
+        look.logarithmic(panel, "y")
+        panel.set(title=condition, ylabel="pose error [mm]")
+    sizes = [min(value, look.LARGEST) for row in rows for value in row["trace"]["pose_mm"] if value]
+    if sizes:
+        axes[0, 0].set_ylim(max(_SMALLEST, 0.3 * float(np.percentile(sizes, 2.0))), 2.0 * max(sizes))
+    axes[-1, 0].set_xlabel("time [s]")
+    _legend(figure, styles, [Line2D([], [], label=f"settled: {band:g} mm", **_DASHED)])
+    return figure
+
+
+@look.styled
+def plot_bands(rows: Rows) -> Figure:
+    """Closed-loop amplitude, phase and what is left of the motion over frequency, a column an axis.
+
+    Args:
+        rows: Of the bands of a comparison.
+    """
+    styles = _styles(rows)
+    names = list(dict.fromkeys(row["reference"] for row in rows))
+    figure, grid = look.panels(3, len(names), 8.6, sharex=True, sharey="row")
+    quantities = (("amplitude", "pose / reference [-]", 1.0), ("phase", "[deg]", 0.0), ("error", "[-]", 1.0))
+    for column, name in zip(grid.T, names, strict=True):
+        for controller, style in styles.items():
+            found = sorted(
+                (row["frequency_hz"], row["ratio"], row["phase_deg"])
+                for row in rows
+                if (row["controller"], row["reference"]) == (controller, name) and row.get("ratio") is not None
+            )
+            if not found:
+                continue
+            frequency, ratio, phase = np.array(found, dtype=float).T
+            ratio = ratio.clip(max=look.LARGEST)
+            phase = np.where(ratio > _PHASE_SHOWN, np.degrees(np.unwrap(np.radians(phase))), np.nan)
+            error = np.abs(1.0 - ratio * np.exp(1j * np.radians(phase)))
+            for panel, values in zip(column, (ratio, phase, error), strict=True):
+                panel.plot(frequency, values, **{**style, "linestyle": "-", "linewidth": 1.5, "markersize": 5.6})
+        for panel, (quantity, unit, level) in zip(column, quantities, strict=True):
+            look.logarithmic(panel, "xy" if quantity == "error" else "x")
+            panel.xaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0]))
+            panel.axhline(level, color=look.TEXT, linewidth=0.8, zorder=1.0)
+            panel.set(title=f"{name}: {quantity}", ylabel=unit if panel in grid[:, 0] else "")
+        column[-1].set_xlabel("frequency [Hz]")
+    _legend(figure, styles)
+    return figure
+
+
+@look.styled
+def plot_search(rows: Rows) -> Figure:
+    """Cost of every evaluation, and the least until then, a panel a controller, all on one look.logarithmic scale.
+
+    Args:
+        rows: See `tune.COLUMNS`.
+    """
+    names = list(dict.fromkeys(row["controller"] for row in rows))
+    beside = min(2, len(names))
+    lines = -(-len(names) // beside)
+    figure, axes = look.panels(lines, beside, 0.6 + 2.4 * lines, sharex=True, sharey=True)
+    for panel, name in zip(axes.flat, names, strict=False):
+        own = [row for row in rows if row["controller"] == name]
+        number, costs, best = ([row[key] for row in own] for key in ("evaluation", "cost", "best"))
+        panel.plot(number, costs, ".", color=look.QUIET, markersize=4.0)
+        panel.step(number, best, where="post", color=look.BLUE, linewidth=1.8)
+        look.logarithmic(panel, "y")
+        panel.set(title=f"{name}: {best[0]:.3g} to {best[-1]:.3g}", xlabel="evaluation", ylabel="cost [-]")
+    for panel in axes.flat[len(names) :]:
+        panel.set_axis_off()
+    return figure
+
+
+@look.styled
+def plot_costs(kinds: Sequence[str], ratios: Mapping[str, Any], against: str) -> Figure:
+    """Cost over that of one candidate, a line a kind.
+
+    Args:
+        kinds: Names of the lines.
+        ratios: Candidate -> (kinds, 3) ratio with both ends of its interval.
+        against: Whose cost is 1.
+    """
+    figure, ((panel,),) = look.panels(1, 1, 1.6 + 0.34 * len(kinds))
+    panel.axvline(1.0, color=look.TEXT, linewidth=1.2)
+    places = np.arange(len(kinds))[::-1]
+    for number, (name, each) in enumerate(ratios.items()):
+        color, marker = _LOOKS[(number + 3) % len(_LOOKS)]
+        value, low, high = np.array(each, dtype=float).T
+        at = places - 0.11 * (number - 0.5 * (len(ratios) - 1))
+        panel.hlines(at, low, high, color=color, linewidth=1.4)
+        panel.plot(value, at, marker, color=color, markersize=5.0, label=name)
+    look.logarithmic(panel, "x")
+    panel.set_yticks(places, kinds)
+    panel.set(title=f"Cost in situations not seen before, over that of: {against}", xlabel="ratio [-], less is better")
+    panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def _drawn(row: Mapping[str, Any]) -> float:
+    return min(max(row["pose_rmse_mm"], _SMALLEST), look.LARGEST)
+
+
+def _done(row: Mapping[str, Any]) -> bool:
+    return row["status"] == "completed" and row.get("pose_rmse_mm") is not None
+
+
+def _styles(rows: Rows) -> Styles:
+    """Look of each controller, in the order of the rows."""
+    common = {"markersize": 7.0, "markeredgecolor": "white", "markeredgewidth": 0.7, "linestyle": "none", "zorder": 3.0}
+    names = dict.fromkeys(row["controller"] for row in rows)
+    looks = zip(names, itertools.cycle(_LOOKS), strict=False)
+    return {name: {**common, "color": color, "marker": marker} for name, (color, marker) in looks}
+
+
+def _legend(figure: Figure, styles: Styles, more: Sequence[Line2D] = ()) -> None:
+    handles = [Line2D([], [], label=name, **style) for name, style in styles.items()]
+    columns = 3 if max(map(len, styles), default=0) > 24 else 4
+    look.legend_below(figure, [*handles, *more], columns, 9.0)

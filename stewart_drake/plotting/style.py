@@ -1,0 +1,129 @@
+"""What figures share: a style, names and units of the coordinates, panels, and how a figure becomes a file.
+
+Figures are plain objects made without pyplot: no backend is chosen, no window opens and no global setting changes.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import matplotlib.style
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
+
+from stewart_drake.errors import StewartDrakeError
+from stewart_drake.files.whole import write_atomically
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+DPI = 150
+"""[1/inch] resolution of saved figures."""
+LARGEST = 1e9
+"""What is larger, after a blow-up, is drawn here: matplotlib's arithmetic ends long before that of numbers."""
+BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"
+"""Okabe and Ito's palette, which people with any colour vision can tell apart."""
+COLORS = (BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW)
+QUIET, TEXT = "#8C8C8C", "#222222"
+
+COORDINATES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("X", "mm"), ("Y", "mm"), ("Z", "mm"))
+"""Names and units in figures; `SCALES` brings a pose to them."""
+SCALES = np.array([180.0 / np.pi] * 3 + [1e3] * 3)
+
+_STYLE: Any = ["default", Path(__file__).with_name("figure.mplstyle")]
+
+
+def styled(plot: Callable[P, T]) -> Callable[P, T]:
+    """A function that draws in the style of this package, whatever the user's matplotlib is set to."""
+
+    @wraps(plot)
+    def draw_styled(*args: P.args, **options: P.kwargs) -> T:
+        with matplotlib.style.context(_STYLE):
+            return plot(*args, **options)
+
+    return draw_styled
+
+
+def panels(rows: int, columns: int, height: float, width: float = 9.0, **subplots: Any) -> tuple[Figure, np.ndarray]:
+    """A figure of width and height [inch] and its panels (rows, columns) [Axes]."""
+    figure = Figure(figsize=(width, height))
+    axes: np.ndarray = figure.subplots(rows, columns, squeeze=False, **subplots)
+    quiet(axes.flat)
+    return figure, axes
+
+
+def quiet(axes: Any) -> None:
+    """Ticks and grids in quiet colours; they are made when a figure is shown, out of `styled`."""
+    for panel in axes:
+        panel.tick_params(which="both", color=QUIET, labelcolor=TEXT, labelsize=9)
+        panel.grid(color="#E6E6E6", linewidth=0.8)
+        panel.set_axisbelow(True)
+
+
+def logarithmic(panel: Axes, which: str) -> None:
+    """Logarithmic axes (`x`, `y` or both), with plain numbers at their decades and no ticks between."""
+    for name in which:
+        panel.set(**{f"{name}scale": "log"})
+        axis = panel.xaxis if name == "x" else panel.yaxis
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_locator(NullLocator())
+
+
+def legend_below(figure: Figure, handles: Sequence[Any], columns: int = 4, size: float = 10.0) -> None:
+    """One legend for all panels, below them."""
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=size)
+
+
+@styled
+def chart(
+    title: str,
+    x: str,
+    y: str,
+    curves: Mapping[str, tuple[Any, Any]],
+    style: str = "-",
+    decades: str = "",
+    height: float = 4.0,
+) -> Figure:
+    """Curves (x, y) by name in one panel; `decades` are the axes that are logarithmic; texts for y are named rows."""
+    figure, ((panel,),) = panels(1, 1, height)
+    for name, (along, values) in curves.items():
+        panel.plot(along, values, style, label=name)
+    logarithmic(panel, decades)
+    panel.set(title=title, xlabel=x, ylabel=y)
+    panel.legend()
+    return figure
+
+
+@styled
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Writes a figure as a PNG of 150 dots an inch; a reader sees the old file or the new one, never a half.
+
+    Raises:
+        ConfigurationError: The folder is missing or not writable.
+    """
+    stream = io.BytesIO()
+    # Without a date or version in it, the same log gives the same file.
+    figure.savefig(stream, format="png", dpi=DPI, facecolor="white", metadata={"Software": None})
+    write_atomically(Path(path), stream.getvalue())
+
+
+def draw(make: Callable[[], Figure], path: Path) -> str | None:
+    """Makes a figure and saves it; numbers are never lost for a picture's sake.
+
+    Returns:
+        Where it is beyond matplotlib, one line that says so; an older picture of that name is gone then.
+    """
+    try:
+        save_figure(make(), path)
+    except StewartDrakeError:
+        raise
+    except Exception as error:
+        path.unlink(missing_ok=True)
+        return f"{path.name} is left out: {type(error).__name__}: {' '.join(str(error).split())}"
+    return None

@@ -1,0 +1,170 @@
+"""What is checked before a run: that its motion keeps to the limits; and making a motion feasible."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.config import to_plain
+from stewart_drake.control.base import checked_legs
+from stewart_drake.control.user_controller import user_code
+from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError
+from stewart_drake.families import user_parts
+from stewart_drake.files.code import ControllerError, file_digests
+from stewart_drake.logs.log import MAX_ROWS
+from stewart_drake.planning.feasibility import (
+    SEARCH_RTOL,
+    FeasibilityReport,
+    bisect,
+    check_reference,
+    largest_scale,
+    refuse_turns,
+)
+from stewart_drake.planning.limits import Limits
+from stewart_drake.references import AdjustedReference, Reference
+from stewart_drake.robot import RobotParameters
+from stewart_drake.runs.engine import quiet
+from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
+from stewart_drake.scenario import Scenario
+
+_NUDGES = 100
+_PASSED: set[Any] = set()
+"""Motions that have passed: a search runs the same one a thousand times."""
+
+
+def refuse_too_long(scenario: Scenario) -> None:
+    """Refuses a run whose rows, one for each step of the plant, are too many for memory."""
+    step = scenario.plant.time_step
+    if scenario.duration > MAX_ROWS * step * (1.0 + 1e-9):
+        allowed = f"at most {MAX_ROWS * step:g} s at a plant.time_step of {step:g} s"
+        raise ConfigurationError("duration", scenario.duration, f"{allowed}: a row for each step is kept in memory")
+
+
+def check_scenario(scenario: Scenario) -> None:
+    """Checks that the reference keeps to the limits over the whole run, and that the robot can stand at its start.
+
+    Raises:
+        InfeasibleReferenceError: Names limit, time, leg and margin.
+        ConfigurationError: The start pose is out of reach or singular; the reference grows beyond all numbers, or a
+            pose is beyond half a turn; a recording cannot be read; the motion or its start would trip the safety layer.
+    """
+    told = (scenario.robot, scenario.model_robot, scenario.limits, scenario.safety, scenario.gravity)
+    moves = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
+    subject = (*told, *moves, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
+    # A user's code is asked again.
+    known = not user_parts(scenario)
+    if not (known and subject in _PASSED):
+        motion_report(scenario).raise_if_infeasible()
+        if scenario.safety is not None:
+            _check_safety(scenario, scenario.safety)
+        if known:
+            _PASSED.add(subject)
+    with quiet():
+        start = scenario.start()[0]
+        refuse_turns("initial_offset", start[None], np.zeros(1))
+        try:
+            checked_legs(scenario.robot, scenario.controller.near_singularity, start)
+        except RunFailure as failure:
+            key, value = "reference", start.tolist()
+            if any(scenario.initial_offset):
+                key, value = "initial_offset", list(scenario.initial_offset)
+            raise ConfigurationError(key, value, f"a start where the robot can stand ({failure})") from None
+
+
+def motion_report(scenario: Scenario) -> FeasibilityReport:
+    """`check_reference` of a scenario's whole run."""
+    motion = (scenario.robot, scenario.limits, scenario.reference, scenario.duration, scenario.gravity)
+    try:
+        # Where numbers overflow a limit is broken, or the check names the signal.
+        with user_code(scenario), quiet():
+            return check_reference(*motion)
+    except ControllerError as error:
+        raise ConfigurationError("reference", scenario.reference, f"a motion that does not raise ({error})") from None
+    except ConfigurationError as error:
+        if error.key not in ("pose", "pose_rate", "pose_acceleration"):
+            raise
+        raise ConfigurationError("reference", scenario.reference, f"a motion whose {error.key} stays finite") from None
+
+
+def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
+    """Refuses what the safety layer would stop, if everything goes well."""
+    robot, gravity = scenario.believed_robot, scenario.gravity
+    try:
+        with user_code(scenario), quiet():
+            time = sample_times(scenario.duration, scenario.controller.period)
+            motion = scenario.reference.evaluate(time)
+            refuse_motion(robot, safety, gravity, time, motion)
+            refuse_start(robot, safety, gravity, *scenario.start(), motion[0][0])
+    except ControllerError as error:
+        names = ", ".join(safety.monitor_names)
+        raise ConfigurationError("safety.monitors", names, f"monitors that do not raise ({error})") from None
+    except (UnreachablePoseError, np.linalg.LinAlgError) as failure:
+        key = "reference" if scenario.model_robot is None else "model_robot"
+        raise ConfigurationError(key, "this motion", f"one that the robot can do ({failure})") from None
+
+
+def fit_amplitude(
+    robot: RobotParameters, limits: Limits, reference: Reference, duration: float, gravity: float
+) -> tuple[Reference, float]:
+    """The motion made smaller about its centre (`references.center_of`) until it is feasible, and its size [-].
+
+    To a relative 1e-4, as `largest_scale` finds it, so that each smaller size tried is feasible too; the motion itself
+    and 1 if it is feasible. Arguments as in `check_reference`.
+    """
+    if check_reference(robot, limits, reference, duration, gravity).feasible:
+        return reference, 1.0
+    check_reference(robot, limits, adjusted(reference, scale=0.0), duration, gravity).raise_if_infeasible()
+    scale = largest_scale(robot, limits, lambda scale: adjusted(reference, scale=scale), duration, gravity)
+    return adjusted(reference, scale=scale), scale
+
+
+def fit_speed(
+    robot: RobotParameters, limits: Limits, reference: Reference, duration: float, gravity: float
+) -> tuple[Reference, float]:
+    """The motion made slower until it is feasible.
+
+    Slowed by k a crank's speed is 1/k, and its motor's torque static + (torque - static) / k^2, of what it was at the
+    same pose. Where standing still is feasible, every k above the smallest feasible one is therefore feasible too, and
+    bisection finds it. Limits of the poses alone do not depend on k.
+
+    Returns:
+        The motion that is feasible over slowdown * duration, and its slowdown >= 1 [-], to a relative 1e-4; the motion
+        itself and 1 if it is feasible.
+    """
+    samples_per_second = 500.0
+
+    def feasible(slowdown: float, rate: float = samples_per_second) -> bool:
+        slower = adjusted(reference, slowdown=slowdown)
+        return check_reference(robot, limits, slower, slowdown * duration, gravity, rate).feasible
+
+    if feasible(1.0):
+        return reference, 1.0
+    check_reference(robot, limits, _Still(reference), duration, gravity).raise_if_infeasible()
+    # On the way, at the same poses whatever the slowdown; in the end at the full rate.
+    speed = bisect(lambda speed: feasible(1.0 / speed, samples_per_second * speed), 0.0, 1.0)
+    if speed > 0.0:
+        for slowdown in (1.0 + SEARCH_RTOL * np.arange(_NUDGES)) / speed:
+            if feasible(float(slowdown)):
+                return adjusted(reference, slowdown=float(slowdown)), float(slowdown)
+    raise ConfigurationError("reference", reference, "a motion that is feasible at some speed above zero")
+
+
+def adjusted(reference: Reference, scale: float = 1.0, slowdown: float = 1.0) -> AdjustedReference:
+    """A motion made smaller and slower; one that is adjusted already is not wrapped again."""
+    if isinstance(reference, AdjustedReference):
+        return dataclasses.replace(reference, scale=scale * reference.scale, slowdown=slowdown * reference.slowdown)
+    motion: Any = reference
+    return AdjustedReference(motion=motion, scale=scale, slowdown=slowdown)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Still:
+    """A motion's poses, at each of them standing still."""
+
+    reference: Reference
+
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        pose, rate, acceleration = self.reference.evaluate(time)
+        return pose, np.zeros_like(rate), np.zeros_like(acceleration)

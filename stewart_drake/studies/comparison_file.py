@@ -1,0 +1,167 @@
+"""The file of a comparison: named controllers, references and conditions, each some changed keys of one scenario."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from stewart_drake.config import Count, Fraction, NotNegative, Positive, PositivePair, Section, Seed, Text
+from stewart_drake.control.objective import CostScales
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.studies.study import StudyFile, StudyName
+
+KINDS = ("controllers", "references", "conditions")
+_NAME = re.compile(r"[^|\x00-\x1f\x7f]{1,80}")
+
+Names = Annotated[tuple[Text, ...], Field(min_length=1)]
+
+
+class BestOf(Section):
+    """A row for the best of some controllers, picked again for each reference and condition."""
+
+    of: Names
+    """Names of controllers; the one with the smallest pose RMSE is taken. They have no row of their own."""
+
+
+class Product(Section):
+    """Every one of these controllers with every one of these references under every one of these conditions."""
+
+    controllers: Names
+    references: Names
+    conditions: Names
+
+
+class Bands(Section):
+    """Closed-loop amplitude and phase, one run for each controller, axis and frequency."""
+
+    controllers: tuple[Text, ...]
+    condition: Text
+    """Name of a condition."""
+    axes: tuple[Literal["roll", "pitch", "yaw", "X", "Y", "Z"], ...] = ("Z", "roll")
+    """One after the other."""
+    frequencies: tuple[Annotated[Positive, Field(le=100.0)], ...] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+    """[Hz]"""
+    largest_angle: Positive = 0.05
+    """[rad] amplitude, where half of the largest feasible one is not less."""
+    largest_travel: Positive = 0.005
+    """[m] amplitude, where half of the largest feasible one is not less."""
+    transient: NotNegative = 3.0
+    """[s] before the fit begins."""
+    window: Positive = 1.0
+    """[s] of the fit at least, in whole periods."""
+
+
+class TuneOptions(Section, key="tune"):
+    """Keys of controllers, searched by CMA-ES in their logarithms for the least cost over the comparison's own runs."""
+
+    controllers: dict[Text, dict[Text, PositivePair]]
+    """Name -> (scenario key -> lowest and highest value). The search starts from what the controller has."""
+    generations: Annotated[Count, Field(ge=1, le=10_000)] = 12
+    """Most of them, each of `population` settings; fewer where the search has converged."""
+    population: Annotated[Count, Field(ge=4, le=1000)] = 8
+    """Settings of a generation, the same for all controllers."""
+    spread: Fraction = 0.2
+    """Standard deviation of the first generation, as a share of the way from lowest to highest."""
+    seed: Annotated[Seed, Field(lt=2**32)] = 1
+    """Of the search."""
+    seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (1,)
+    """In place of the comparison's own: of the noise in the runs of the search."""
+    set: dict[Text, Any] = Field(default_factory=dict)
+    """Scenario key -> value, in the runs of the search alone."""
+
+    def rules(self) -> None:
+        if not self.controllers:
+            raise ConfigurationError("controllers", {}, "at least one name, with the keys to search")
+        for name, keys in self.controllers.items():
+            for key, (low, high) in keys.items():
+                if not low < high:
+                    raise ConfigurationError(f"controllers.{name}.{key}", [low, high], "a lowest below a highest value")
+
+
+class TunedFile(Section, key=""):
+    """What a search has found."""
+
+    name: Text
+    """Of the comparison."""
+    controllers: dict[Text, dict[Text, Positive]]
+    """Name -> (scenario key -> value)."""
+
+
+class CompareFile(StudyFile):
+    """Keys of a comparison file."""
+
+    name: StudyName = "comparison"
+    controllers: dict[Text, dict[Text, Any]]
+    """Name -> (scenario key -> value)."""
+    references: dict[Text, dict[Text, Any]]
+    """Name -> (scenario key -> value); `duration` and `initial_offset` go well here."""
+    conditions: dict[Text, dict[Text, Any]] = Field(default_factory=lambda: {"nominal": dict[str, Any]()})
+    """Name -> (scenario key -> value), changed last."""
+    best_of: dict[Text, BestOf] = Field(default_factory=dict)
+    """Name -> the controllers that it is the best of."""
+    runs: Annotated[tuple[Product, ...], Field(min_length=1)] | None = None
+    """What is run, at least one; null for all controllers on all references under all conditions."""
+    seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (0,)
+    """A run with the text {seed} among its values is done once with each, any other once with the first."""
+    layout: Literal["rows", "grid"] = "rows"
+    """Of the Markdown: a row a run, or a table for each condition with a column for each reference."""
+    band: Positive = 0.5
+    """[mm] of pose error, rotations times the characteristic length, within which a run counts as settled."""
+    traced: Text | None = None
+    """Reference whose error over time is drawn; null for the first."""
+    bands: Bands | None = None
+    """Tracked frequencies; null for none."""
+    cost: CostScales | None = None
+    """Scales of the cost of a run; null for no cost."""
+    tune: TuneOptions | None = None
+    """What `stewart-drake tune` searches; null for nothing."""
+    tuned: Text | None = None
+    """File, relative to this one, with values for keys of controllers, as `stewart-drake tune` writes it; `tune` itself
+    starts without them. Null for none."""
+    quick: Positive = 1.5
+    """[s] longest run under `--quick`, which also leaves but two of the frequencies."""
+
+    @property
+    def products(self) -> tuple[Product, ...]:
+        """What is run, and has a line in the tables: by default all, a best of several in the place of those."""
+        if self.runs is not None:
+            return self.runs
+        best_with = {
+            each: [best for best, found in self.best_of.items() if each in found.of] for each in self.controllers
+        }
+        names = dict.fromkeys(name for each, best in best_with.items() for name in (best or [each]))
+        return (
+            Product(controllers=tuple(names), references=tuple(self.references), conditions=tuple(self.conditions)),
+        )
+
+    def rules(self) -> None:
+        for kind in (*KINDS, "best_of"):
+            entries = getattr(self, kind)
+            if not entries and kind != "best_of":
+                raise ConfigurationError(kind, {}, "at least one name, with the scenario keys that it changes")
+            for name in entries:
+                if _NAME.fullmatch(name) is None:
+                    raise ConfigurationError(kind, name, "names of 1 to 80 characters, without |")
+        for name, best in self.best_of.items():
+            if name in self.controllers:
+                raise ConfigurationError(f"best_of.{name}", name, "a name that no controller has")
+            check_names(f"best_of.{name}.of", best.of, self.controllers)
+        for index, product in enumerate(self.runs or ()):
+            check_names(f"runs.{index}.controllers", product.controllers, [*self.controllers, *self.best_of])
+            check_names(f"runs.{index}.references", product.references, self.references)
+            check_names(f"runs.{index}.conditions", product.conditions, self.conditions)
+        if self.traced is not None:
+            check_names("traced", [self.traced], self.references)
+        if self.bands is not None:
+            check_names("bands.controllers", self.bands.controllers, self.controllers)
+            check_names("bands.condition", [self.bands.condition], self.conditions)
+
+
+def check_names(where: str, names: Iterable[str], allowed: Collection[str]) -> None:
+    """Refuses a name that is not allowed."""
+    for name in names:
+        if name not in allowed:
+            raise ConfigurationError(where, name, f"one of {', '.join(allowed)}")

@@ -1,0 +1,75 @@
+import dataclasses
+
+import pytest
+
+from stewart_drake.errors import InfeasibleReferenceError
+from stewart_drake.planning.feasibility import check_reference
+from stewart_drake.planning.limits import Limits
+from stewart_drake.references import (
+    AdjustedReference,
+    HeartbeatReference,
+    MinimumJerkReference,
+    SineReference,
+)
+from stewart_drake.robot import RobotParameters
+from stewart_drake.runs.checks import adjusted, fit_amplitude, fit_speed
+
+ROBOT, LIMITS, GRAVITY = RobotParameters(), Limits(), 9.81
+WEAK = dataclasses.replace(ROBOT, effort_limit=0.45)
+"""Weak enough that gravity takes most of the torque: 0.26 N m at home."""
+FAST = SineReference(angular_frequency=(14.0,) * 6)
+BEATS = HeartbeatReference(excursion=(0.0, 0.0, 0.0, 0.004, 0.0, 0.01), rate=2.0, premature_beats=(2,))
+REACH = MinimumJerkReference(
+    poses=((0.0, 0.0, 0.0, 0.0, 0.0, 0.3), (0.2, 0.0, 0.0, 0.05, 0.0, 0.34)), durations=(0.15,)
+)
+TOO_FAR = SineReference(amplitude=(0.0, 0.0, 0.0, 0.3, 0.0, 0.0))
+
+
+def feasible(robot, reference, duration):
+    return check_reference(robot, LIMITS, reference, duration, GRAVITY).feasible
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("robot", "reference", "duration"),
+    [(ROBOT, FAST, 1.0), (ROBOT, TOO_FAR, 4.0)],
+)
+def test_the_size_found_is_feasible_and_one_per_cent_more_is_not(robot, reference, duration):
+    fitted, scale = fit_amplitude(robot, LIMITS, reference, duration, GRAVITY)
+    assert 0.05 < scale < 1.0
+    assert fitted == AdjustedReference(motion=reference, scale=scale)
+    assert feasible(robot, fitted, duration)
+    assert not feasible(robot, adjusted(reference, scale=1.01 * scale), duration)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("robot", "reference", "duration"), [(WEAK, BEATS, 2.0), (WEAK, REACH, 0.4)])
+def test_the_speed_found_is_feasible_and_one_per_cent_more_is_not(robot, reference, duration):
+    fitted, slowdown = fit_speed(robot, LIMITS, reference, duration, GRAVITY)
+    assert 1.0 < slowdown < 20.0
+    assert fitted == AdjustedReference(motion=reference, slowdown=slowdown)
+    assert feasible(robot, fitted, slowdown * duration)
+    faster = slowdown / 1.01
+    assert not feasible(robot, adjusted(reference, slowdown=faster), faster * duration)
+    # Every slower motion is feasible as well.
+    for slower in (1.2 * slowdown, 3.0 * slowdown):
+        assert feasible(robot, adjusted(reference, slowdown=slower), slower * duration)
+
+
+def test_a_motion_bound_by_crank_speed_is_slowed_by_the_ratio_of_the_speeds():
+    fastest = 10.0 - check_reference(ROBOT, LIMITS, FAST, 1.0, GRAVITY).smallest["crank_speed"].margin
+    assert fit_speed(ROBOT, LIMITS, FAST, 1.0, GRAVITY)[1] == pytest.approx(fastest / 10.0, rel=5e-4)
+
+
+@pytest.mark.slow
+def test_what_is_adjusted_already_is_adjusted_further():
+    start = AdjustedReference(motion=FAST, scale=0.95, slowdown=0.5, fade_in=0.1)
+    fitted, factor = fit_speed(ROBOT, LIMITS, start, 1.0, GRAVITY)
+    assert fitted == dataclasses.replace(start, slowdown=0.5 * factor)
+
+
+def test_a_motion_out_of_reach_is_feasible_at_no_speed():
+    with pytest.raises(InfeasibleReferenceError) as caught:
+        fit_speed(ROBOT, LIMITS, TOO_FAR, 4.0, GRAVITY)
+    given = check_reference(ROBOT, LIMITS, TOO_FAR, 4.0, GRAVITY).first_violation
+    assert (caught.value.limit, caught.value.time, caught.value.leg) == (given.limit, given.time, given.leg)

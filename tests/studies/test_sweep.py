@@ -1,0 +1,250 @@
+"""What a sweep draws, what it refuses, and the command."""
+
+import dataclasses
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from conftest import alive
+from scipy.stats import truncnorm
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.yaml_files import shipped_folder
+from stewart_drake.studies.sweep import Sweep, SweepFile, load_sweep
+
+UNIFORM = {"kind": "uniform", "low": -1.0, "high": 1.0}
+PLAIN = {"scenario": "paper_fig7", "runs": 4, "distributions": {"initial_offset[0]": UNIFORM}}
+QUANTILES = np.linspace(0.0, 1.0, 1000, endpoint=False)
+
+
+def sweep(**changes):
+    return Sweep.from_dict({**PLAIN, **changes})
+
+
+def parsed(**data):
+    return SweepFile.from_dict({**PLAIN, "distributions": {"here": data}}).distributions["here"]
+
+
+def drawn_from(**data):
+    distribution = parsed(**data)
+    return np.array([distribution.at(q) for q in QUANTILES])
+
+
+@pytest.mark.parametrize(
+    ("mean", "std", "low", "high"), [(1.0, 2.0, None, None), (0.0, 1.0, -1.0, 2.0), (0.0, 1.0, 5.0, None)]
+)
+def test_a_normal_distribution_is_cut_off_and_has_its_shape_between(mean, std, low, high):
+    values = drawn_from(kind="normal", mean=mean, std=std, low=low, high=high)
+    a, b = (-np.inf if low is None else (low - mean) / std), (np.inf if high is None else (high - mean) / std)
+    np.testing.assert_allclose(values[1:], truncnorm.ppf(QUANTILES[1:], a, b, mean, std), rtol=1e-9, atol=1e-9)
+    assert np.isfinite(values[0])
+
+
+def test_uniform_and_loguniform_are_even_in_the_number_and_in_its_logarithm():
+    np.testing.assert_allclose(drawn_from(kind="uniform", low=-1.0, high=3.0), 4.0 * QUANTILES - 1.0, atol=1e-12)
+    np.testing.assert_allclose(drawn_from(kind="loguniform", low=0.1, high=10.0), 10.0 ** (2.0 * QUANTILES - 1.0))
+
+
+def test_integers_and_choices_come_equally_often():
+    values, counts = np.unique(drawn_from(kind="integers", low=-1, high=3), return_counts=True)
+    assert values.tolist() == [-1, 0, 1, 2, 3]
+    assert np.ptp(counts) <= 2
+    values, counts = np.unique(drawn_from(kind="choice", values=["a", "b"]), return_counts=True)
+    assert values.tolist() == ["a", "b"]
+    assert np.ptp(counts) <= 1
+
+
+SEVERAL = {
+    "initial_offset[0]": UNIFORM,
+    "initial_offset[5]": {"kind": "normal", "mean": 0.0, "std": 0.001},
+    "robot.platform_mass": {"kind": "uniform", "low": 0.8, "high": 1.2, "factor": True},
+    "tuner.omega_q": {"kind": "grid", "values": [0.5, 1.0, 2.0]},
+}
+
+
+def draws(s):
+    return [s.draw(index) for index in s.indices]
+
+
+@pytest.mark.parametrize("sampler", ["random", "sobol"])
+def test_a_run_is_the_same_whatever_the_number_of_runs(sampler):
+    few, many = (sweep(sampler=sampler, runs=runs, distributions=SEVERAL) for runs in (5, 77))
+    assert draws(few) == draws(many)[:5]
+    assert len({str(draw) for draw in draws(many)}) == 77
+    assert [few.run_seed(i) for i in range(5)] == [many.run_seed(i) for i in range(5)]
+
+
+def test_another_key_changes_nothing_about_the_draws_of_a_key():
+    alone, among = sweep(), sweep(distributions=dict(reversed(SEVERAL.items())))
+    assert [d["initial_offset[0]"] for d in draws(alone)] == [d["initial_offset[0]"] for d in draws(among)]
+
+
+def test_keys_and_runs_are_independent_and_the_seed_changes_all():
+    two = {"initial_offset[0]": UNIFORM, "initial_offset[1]": UNIFORM}
+    values = np.array([list(d.values()) for d in draws(sweep(runs=2000, distributions=two))])
+    assert abs(np.corrcoef(values.T)[0, 1]) < 0.08  # 3.6 standard deviations
+    assert abs(np.corrcoef(values[:-1, 0], values[1:, 0])[0, 1]) < 0.08
+    np.testing.assert_allclose(values.mean(axis=0), 0.0, atol=0.05)
+    other = np.array([list(d.values()) for d in draws(sweep(runs=2000, distributions=two, seed=1))])
+    assert not np.isin(values, other).any()
+
+
+def test_grids_run_through_all_their_combinations_the_first_key_fastest():
+    grids = {
+        "tuner.omega_q": {"kind": "grid", "values": [1.0, 2.0]},
+        "controller.solver": {"kind": "grid", "values": ["split", "drake"]},
+    }
+    s = Sweep.from_dict({"scenario": "paper_fig7", "distributions": grids})
+    assert s.runs == 4
+    assert [tuple(d.values()) for d in draws(s)] == [(1.0, "split"), (2.0, "split"), (1.0, "drake"), (2.0, "drake")]
+    assert dataclasses.replace(s, indices=range(5)).draw(4) == s.draw(0)
+
+
+def test_a_scenario_gets_what_was_drawn():
+    s = sweep(distributions={**SEVERAL, "robot.platform_inertia": {"kind": "choice", "values": [2.0], "factor": True}})
+    drawn, scenario = s.draw(1), s.scenario(1)
+    assert scenario.initial_offset == (drawn["initial_offset[0]"], 0.0, 0.0, 0.0, 0.0, drawn["initial_offset[5]"])
+    assert scenario.robot.platform_mass == s.base.robot.platform_mass * drawn["robot.platform_mass"]
+    assert scenario.robot.platform_inertia == tuple(2.0 * x for x in s.base.robot.platform_inertia)
+    assert scenario.tuner.omega_q == 1.0
+    assert scenario.model_robot is None
+    untouched = {"name", "robot", "initial_offset", "tuner", "log_period"}
+    assert {k: v for k, v in scenario.to_dict().items() if k not in untouched} == {
+        k: v for k, v in s.base.to_dict().items() if k not in untouched
+    }
+
+
+def test_with_mismatch_the_controller_keeps_the_robot_of_the_scenario():
+    masses = {"robot.platform_mass": {"kind": "uniform", "low": 2.0, "high": 3.0}}
+    s = sweep(mismatch=True, distributions=masses, set={"robot.rod_length": 0.41, "initial_offset[5]": 0.01})
+    scenario = s.scenario(0)
+    assert scenario.initial_offset == (0.0, 0.0, 0.0, 0.0, 0.0, 0.01)
+    assert scenario.robot.platform_mass == s.draw(0)["robot.platform_mass"]
+    assert scenario.model_robot == s.base.robot
+    assert (scenario.model_robot.platform_mass, scenario.model_robot.rod_length) == (1.0, 0.41)
+
+
+def test_paths_are_relative_to_the_sweep_file(tmp_path):
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "own.yaml").write_text("duration: 3.0\n")
+    text = "scenario: own.yaml\nruns: 2\nset: {tuner.weights_file: w.json}\ndistributions:\n"
+    text += "  gravity: {kind: uniform, low: 9, high: 10}\n"
+    (tmp_path / "deep" / "my sweep.yaml").write_text(text)
+    s = load_sweep(tmp_path / "deep" / "my sweep.yaml", runs=3)
+    assert (s.name, s.runs, s.base.duration) == ("my sweep", 3, 3.0)
+    assert s.base.tuner.weights_file == str(tmp_path / "deep" / "w.json")
+
+
+@pytest.mark.slow
+def test_the_shipped_sweeps_are_found_by_name_and_make_scenarios():
+    names = [path.stem for path in shipped_folder("sweeps").glob("*.yaml")]
+    assert "initial_offset" in names
+    for name in names:
+        s = load_sweep(name)
+        assert all(s.scenario(index).name == f"{name} {index}" for index in s.indices[:100])
+
+
+ANY = {"kind": "uniform", "low": 1, "high": 2}
+
+
+def only(key, **distribution):
+    return {"distributions": {key: distribution}}
+
+
+BAD = [
+    # changes, words that the line must have
+    ({"scenario": "paper_fig8"}, ["scenario", "'paper_fig8'", "paper_fig7"]),
+    ({"set": {"initial_offset[6]": 3}}, ["set.initial_offset[6]", "0 to 5"]),
+    ({"distributions": {}}, ["distributions", "at least one"]),
+    (only("gravity", kind="unifrom"), ["distributions.gravity.kind", "'unifrom'", "uniform"]),
+    (only("gravity", kind="uniform", low=2, high=1), ["distributions.gravity.high", "more than low, 2"]),
+    (only("gravity", kind="loguniform", low=0, high=1), ["distributions.gravity.low", "a positive number"]),
+    (only("gravity", kind="choice", values=["x"], factor=True), ["distributions.gravity.values", "'x'", "numbers"]),
+    (only("gravity", kind="choice", values=["9.81"]), ["distributions.gravity", "'9.81'", "a number"]),
+    (only("initial_offset", **ANY), ["distributions.initial_offset", "initial_offset[0]"]),
+    (only("model_robot.rod_mass", **ANY), ["model_robot.rod_mass", "mismatch: true"]),
+    (only("controller.solver", **ANY), ["controller.solver", "choice and grid"]),
+    (only("controller.solver", kind="choice", values=["sprit"]), ["controller.solver", "'sprit'", "split"]),
+    (only("tuner.window", **ANY), ["tuner.window", "'uniform'", "integers"]),
+]
+
+
+@pytest.mark.parametrize(("changes", "words"), BAD, ids=[str(words[:2]) for _, words in BAD])
+def test_bad_input_is_one_line_that_names_the_key(changes, words):
+    with pytest.raises(ConfigurationError) as caught:
+        sweep(**changes)
+    text = str(caught.value)
+    assert [word for word in words if word not in text] == [], text
+    assert "\n" not in text
+    assert len(text) < 700
+
+
+# --- the command ---
+
+TINY = """
+scenario: paper_fig7
+runs: {runs}
+set: {{duration: {duration}, tuner: {{kind: fixed}}, limits.clearance: null}}
+distributions:
+  initial_offset[0]: {{kind: uniform, low: -0.05, high: 0.05}}
+  initial_offset[5]: {{kind: choice, values: [0.0, 0.0, 0.3]}}
+"""
+
+
+def write(folder, name="tiny", runs=4, duration=0.05):
+    (folder / f"{name}.yaml").write_text(TINY.format(runs=runs, duration=duration))
+
+
+@pytest.mark.slow
+def test_a_sweep_leaves_its_table_prints_its_summary_and_goes_on(call, tmp_path):
+    write(tmp_path)
+    status, out, err = call("sweep", "tiny.yaml", "--workers", 2)
+    assert status == 0, err
+    files = {path.name for path in (tmp_path / "runs" / "tiny").iterdir()}
+    assert files == {"sweep.parquet", "sweep.csv", "study.json", "rows.jsonl"}
+    table = pq.read_table(tmp_path / "runs" / "tiny" / "sweep.parquet")
+    rejected = table.column("status").to_pylist().count("rejected")
+    assert table.num_rows == 4
+    assert 1 <= rejected <= 3
+    lines = {line.split("│")[1].strip(): line.split("│")[2].strip() for line in out.splitlines() if "│" in line}
+    assert lines["completed"] == str(4 - rejected)
+    assert lines["rejected, configuration"] == str(rejected)
+    assert lines["RMSE of rotation, percentiles 50 95 99, largest"].endswith("deg")
+    assert lines["table in"] == "runs/tiny/sweep.parquet"
+    assert "4 / 4 runs" in err
+    # Two more: the first four are not run again.
+    assert call("sweep", "tiny.yaml", "--runs", 6, "--quiet", "--workers", 1) == (0, "", "")
+    more = pq.read_table(tmp_path / "runs" / "tiny" / "sweep.parquet")
+    assert more.num_rows == 6
+    assert more.slice(0, 4).to_pylist() == table.to_pylist()
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for processes in /proc")
+def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(start, tmp_path):
+    write(tmp_path, runs=12, duration=0.3)
+    process = start("sweep", "tiny.yaml", "--workers", 2, "--out", "out")
+    rows = tmp_path / "out" / "rows.jsonl"
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline and (not rows.exists() or rows.read_bytes().count(b"\n") < 2):
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)  # what a terminal sends: to every process of the group
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert out == ""
+    assert "Traceback" not in err
+    kept = rows.read_bytes().splitlines()
+    assert 2 <= len(kept) < 12
+    assert f"interrupted; {len(kept)} of 12 runs are kept in out; the same command goes on from there" in err
+    while time.monotonic() < deadline and alive(process.pid):  # a worker may be a moment behind its caller
+        time.sleep(0.1)
+    assert alive(process.pid) == []
+    process = start("sweep", "tiny.yaml", "--workers", 2, "--out", "out", "--quiet")
+    assert process.communicate(timeout=120) == ("", "")
+    assert process.returncode == 0
+    assert rows.read_bytes().splitlines()[: len(kept)] == kept
+    assert pq.read_table(tmp_path / "out" / "sweep.parquet").column("index").to_pylist() == list(range(12))

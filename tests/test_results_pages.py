@@ -1,0 +1,290 @@
+"""Some numbers of each page of docs/results, recomputed and compared with what the page says: `make results`.
+
+A number of a page may differ by one unit of its last digit: another processor rounds otherwise; or by a share that a
+check names, where a few runs stand for the page's hundreds.
+"""
+
+import re
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from calibration_study import NOISE
+from calibration_study import poses as poses_at_random
+from identification_study import ROBOT_OF, motions
+from simulated_calibration import run_trial as calibrated
+from simulated_identification import Setting
+from simulated_identification import run_trial as identified
+from tuner_safety_study import LOOPS, setting_loops
+
+from stewart_drake import load_robot, load_scenario, run, run_metrics
+from stewart_drake.calibration.poses import plan_poses
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.kinematics import conditioning
+from stewart_drake.paper import kinematics, state_space
+from stewart_drake.paper.reproduce import Study, rows
+from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
+from stewart_drake.stability.margins import loop_margins
+from stewart_drake.studies.comparison import load_comparison
+from stewart_drake.studies.faults import FAULTS, FaultStudy
+from stewart_drake.studies.runs import execute
+from stewart_drake.studies.sweep import load_sweep
+from stewart_drake.studies.workers import Workers
+from stewart_drake.training.benchmark import Baselines, Benchmark, Case, always, cases_of, cells_for, with_setting
+from stewart_drake.training.situations import HELD_OUT, VALIDATION
+
+pytestmark = pytest.mark.slow
+RESULTS = Path(__file__).parents[1] / "docs" / "results"
+loaded = lru_cache(load_comparison)
+NAMED = "`make results` recomputes some of these numbers."
+"""What every page says."""
+POLICY = always({"tuner": {"kind": "policy"}})
+NOISY = 0.03
+"""Share by which runs with encoders may differ: one reading at the edge of a count changes what follows."""
+NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.(\d+))?(?:e([+-]\d+))?")
+
+
+def numbers(text):
+    """The numbers in a text, each with the unit of its last digit."""
+    return [(float(m[0]), 10.0 ** (int(m[2] or 0) - len(m[1] or ""))) for m in NUMBER.finditer(text)]
+
+
+class Page:
+    """A page of docs/results."""
+
+    def __init__(self, name):
+        self.text = (RESULTS / f"{name}.md").read_text()
+
+    def cell(self, *labels, column, under=""):
+        """The cell of a table's row that begins with some labels, in the first table below a text that has it."""
+        header = []
+        for line in self.text[self.text.index(under) :].splitlines():
+            cells = [cell.strip() for cell in line.strip("|").split(" | ")] if line.startswith("|") else []
+            if not header or not cells:
+                header = cells
+            if column in header and tuple(cells[: len(labels)]) == labels:
+                return cells[header.index(column)]
+        raise AssertionError(f"no row {labels} with a column {column}")
+
+    def after(self, words, count=1):
+        """As many numbers as a text is followed by, as a text."""
+        assert words in self.text
+        return " ".join(m[0] for m in list(NUMBER.finditer(self.text.partition(words)[2]))[:count])
+
+
+def assert_says(text, *values, within=0.0):
+    """That the numbers in a text are these, to their last digit or a share of them."""
+    printed = numbers(text)
+    assert len(printed) == len(values), text
+    for (number, unit), value in zip(printed, values, strict=True):
+        assert abs(number - value) <= max(unit, within * abs(number)), f"the page says {text}, computed are {values}"
+
+
+@pytest.fixture
+def page(request):
+    """The page that a test is named after."""
+    return Page(request.node.name.removeprefix("test_"))
+
+
+def compared(name, *labels):
+    """The row of one run of a comparison: controller, motion and condition."""
+    comparison = loaded(name)
+    named = [(cell.controller, cell.reference, cell.condition) for cell in comparison.cells]
+    return execute(comparison.task(named.index(labels)))
+
+
+def test_tracking(page):
+    failed = compared("tracking", "paper LQI, 1 / 1", "(37), (38)", "ideal sensing")
+    column = "RMSE [deg]"
+    assert_says(page.cell("paper LQI, 1 / 1", column=column), failed["outcome_time"])
+    labels = "exact model with an observer", "breathing", "the same with 0.3 kg unknown"
+    row = compared("tracking", *labels)
+    columns = {column: "rmse_norm_deg", "RMSE [mm]": "rmse_norm_mm", "change per tick [N m]": "torque_change_rms"}
+    for shown, key in columns.items():
+        assert_says(page.cell(*labels, column=shown), row[key], within=NOISY)
+
+
+def test_observer(page):
+    for controller in ("quiet observer", "observer, friction"):
+        labels = controller, "hold", "17 bits, 1 tick late"
+        row = compared("observer", *labels)
+        assert_says(page.cell(*labels, column="RMSE [mm]"), row["rmse_norm_mm"], within=NOISY)
+        shown = page.cell(*labels, column="change per tick [N m]")
+        assert_says(shown, row["torque_change_rms"], within=NOISY)
+
+
+def test_controllers(page):
+    failed = compared("controllers", "paper LQI, 1 / 1", "(37), (38)", "unknown payload")
+    cell = page.cell("paper LQI, 1 / 1", column="(37), (38)", under="unknown payload")
+    assert_says(cell, failed["outcome_time"])
+    for controller in ("exact-model LQI", "computed torque"):
+        row = compared("controllers", controller, "step", "encoders, delay, friction")
+        cell = page.cell(controller, column="step", under="**encoders, delay, friction")
+        assert_says(cell, row["rmse_norm_deg"], row["rmse_norm_mm"], within=NOISY)
+
+
+def test_fair_comparison(page):
+    for controller in ("exact-model LQI", "computed torque"):
+        row = compared("fair", controller, "hold", "as believed")
+        cell = page.cell(f"{controller}, tuned", column="hold", under="**as believed")
+        assert_says(cell, row["rmse_norm_deg"], row["rmse_norm_mm"], within=NOISY)
+
+
+def of_fault(page, overrides):
+    """Of one fault: how soon it is found, and how far the platform goes."""
+    fault = next(fault for fault in FAULTS if fault.name == "dead_motor_3")
+    study = FaultStudy.of([(fault, "paper")], overrides=overrides)
+    (row,) = study.tables([execute(study.task(0))])["faults"][1]
+    assert_says(page.cell("dead_motor_3", column="paper"), row["latency_ms"])
+    assert_says(page.cell("dead_motor_3", column="travel"), row["travel_deg"], row["travel_mm"], within=NOISY)
+    assert_says(page.cell("dead_motor_3", column="peak torque"), row["peak_torque"], within=NOISY)
+
+
+def test_faults(page):
+    of_fault(page, ())
+
+
+def test_faults_observer(page):
+    of_fault(page, ("estimator.kind=observer",))
+
+
+def test_margins(page):
+    """At the worst pose, which the page names."""
+    pose = [number for number, _ in numbers(page.after("worst pose, all at once: ", 6))]
+    changes = "estimator.kind=observer", "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
+    assert changes[1] in page.text
+    found = loop_margins(linear_loops(load_scenario("exact_breathing", changes), np.array([pose]))).all_at_once
+    column = "all at once: least"
+    assert_says(page.cell("disk margin [-]", column=column), found.disk[0])
+    assert_says(page.cell("gain up to [-]", column=column), found.gain_high[0])
+    assert_says(page.cell("phase [deg]", column=column), np.degrees(found.phase[0]))
+
+
+def test_monte_carlo(page):
+    """The table that is kept, and two of its runs again."""
+    kept = pq.read_table(RESULTS / "monte_carlo.parquet")
+    rmse = np.array(kept["rmse_norm_mm"].to_pylist())
+    row = page.text[page.text.index("| RMSE of position") :].partition("\n")[0].partition("[mm]")[2]
+    assert_says(row, *np.quantile(rmse, [0.5, 0.95, 0.99]), rmse.max())
+    sweep = load_sweep("monte_carlo")
+    for index in (0, int(rmse.argmax())):
+        again = execute(sweep.task(index))
+        for name in ("rmse_norm_mm", "rmse_norm_deg", "torque_change_rms"):
+            assert again[name] == pytest.approx(kept[name][index].as_py(), rel=NOISY)
+
+
+def test_robots(page):
+    for name in ("paper", "reachy_mini", "servo_hexapod"):
+        robot = load_robot(name)
+        assert_says(page.cell(name, column="torque at rest [N m]"), np.abs(static_torque(robot, robot.home_pose)).max())
+        shown = page.cell(name, column="conditioning at home, worst").partition(",")[0]
+        assert_says(shown, conditioning(robot, robot.home_pose))
+    figures = run_metrics(run(load_scenario("sway", ["robot=servo_hexapod"])))
+    cell = page.cell("servo_hexapod", column="error in motion [mm], [deg]")
+    assert_says(cell, figures["rmse_norm_mm"], figures["rmse_norm_deg"], within=NOISY)
+
+
+def log_costs(folder, engine, candidates, cases):
+    with Benchmark(folder, engine, Workers(0)) as benchmark:
+        return benchmark.log_costs(candidates, cases)
+
+
+def test_tuner(page, tmp_path):
+    """The robot at rest, where the draws hardly differ."""
+    found = Baselines.load()
+    candidates = with_setting(found.best), POLICY, always({"tuner": found.schedule})
+    best, policy, schedule = log_costs(tmp_path, "drake", candidates, [Case("hold", "paper", HELD_OUT[0])])
+    under = "By kind"
+    assert_says(page.cell("hold", "paper", column="best fixed", under=under), *np.exp(best), within=0.05)
+    for column, cost in (("policy", policy), ("schedule", schedule)):
+        ratio = page.cell("hold", "paper", column=column, under=under).partition(" ")[0]
+        assert_says(ratio, *np.exp(cost - best))
+
+
+def test_tuner_training(page, tmp_path):
+    """The worst kind of the shipped policy."""
+    cases = cases_of([("payload", "reachy_mini")], VALIDATION[100:120])
+    fixed, policy = log_costs(tmp_path, "reduced", [with_setting(Baselines.load().best), POLICY], cases)
+    assert_says(page.cell("stewart_drake/weights/policy.json", column="worst kind"), np.exp((policy - fixed).mean()))
+
+
+@pytest.mark.long
+def test_tuner_front(page, tmp_path):
+    """The policy at a kappa of 0, all 42 runs."""
+    cases = cases_of(cells_for("paper"), HELD_OUT[:3])
+    with Benchmark(tmp_path, "reduced", Workers(0)) as benchmark:
+        found = benchmark.run([always({"tuner": {"kind": "policy", "kappa": 0.0}})], cases)
+    for column, key in (("error [mm]", "rmse_norm_mm"), ("torque [N m]", "torque_change_rms")):
+        logs = np.log([row[key] for row in found])
+        assert_says(page.cell("0", column=column), np.exp(logs.mean()))
+
+
+@pytest.mark.long
+def test_tuner_safety(page):
+    """The setting that decays most slowly, at all poses."""
+    name = "Reachy Mini, 100 Hz, 1 tick"
+    shipped, delay = LOOPS[name]
+    scenario = load_scenario(shipped, ["tuner=block", "estimator=observer", delay])
+    setting = np.array([number for number, _ in numbers(page.cell(name, column="at"))])
+    (loops,) = setting_loops(scenario, poses_to_stand_at(scenario, 1000, seed=0), [setting])
+    radius = np.abs(np.linalg.eigvals(loops.closed)).max()
+    assert_says(page.cell(name, column="radius"), radius)
+    assert_says(page.cell(name, column="slowest decay [1/s]"), -np.log(radius) / scenario.controller.period)
+
+
+@pytest.mark.long
+def test_calibration(page):
+    """Five robots in place of a hundred: the widths of intervals hardly differ."""
+    robot = load_robot("paper")
+    limits = load_scenario("paper_fig7").limits
+    planned = plan_poses(robot, 60, limits, NOISE).targets
+    unseen = poses_at_random(robot, limits, 2)
+    trials = [calibrated(robot, planned, unseen, NOISE, seed) for seed in range(5)]
+    widths = 1e3 * np.median([trial.width for trial in trials], axis=(0, 1))
+    names = {
+        "crank length [mm]": 6,
+        "rod length [mm]": 7,
+        "motor axis about zero [mrad]": 8,
+        "homing offset [mrad]": 10,
+    }
+    for name, place in names.items():
+        assert_says(page.cell(name, column="`paper`, planned, estimated"), widths[place], within=0.1)
+
+
+@pytest.mark.long
+def test_identification(page):
+    """Four robots in place of two hundred, within half of the medians."""
+    designed, other = motions("paper")
+    row = {"column": "condition number, of motions at random"}
+    assert_says(page.cell("`paper`", **row), designed.condition, designed.random_condition)
+    encoders, rate, noise, coulomb, viscous, *_ = ROBOT_OF["paper"]
+    setting = Setting(load_robot("paper"), designed.reference, other.reference, rate, encoders, noise, coulomb, viscous)
+    trials = [identified(setting, seed) for seed in range(4)]
+    for column, key in (("Coulomb", "coulomb"), ("viscous", "viscous"), ("by what was found", "predicted")):
+        median = page.cell("`paper`", column=column).partition(",")[0]
+        assert_says(median, 100.0 * np.median([getattr(trial, key) for trial in trials]), within=0.5)
+
+
+def test_reproduction(page, tmp_path):
+    claims = [c for module in (kinematics, state_space) for c in module.reproduce(Study(False, folder=tmp_path)).claims]
+    for name, _, ours, verdict in rows(claims):
+        assert page.cell(name, column="verdict") == verdict
+        assert_says(page.cell(name, column="ours"), *(number for number, _ in numbers(ours)))
+
+
+def test_summary(page):
+    """Two rows of the table of the paper, and Reachy Mini's nod."""
+    cells = {"gravity | 1 / 1": "fixed", "gravity | network": "paper"}
+    for words, kind in cells.items():
+        figures = run_metrics(run(load_scenario("paper_fig7", [f"tuner={{kind: {kind}}}"])))
+        roll, height = figures["rmse_deg"][0], figures["rmse_mm"][2]
+        assert_says(page.after(f"| yes | {words}", 2), roll, height)
+    error = run_metrics(run(load_scenario("reachy_nod")))["rmse_norm_deg"]
+    assert_says(page.after("at 1 Hz with an error of"), error)
+
+
+def test_every_page_has_a_test_and_says_so():
+    pages = {path.stem: path.read_text() for path in RESULTS.glob("*.md")}
+    assert [name for name, text in pages.items() if f"test_{name}" not in globals() or NAMED not in text] == []
