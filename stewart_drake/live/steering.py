@@ -115,24 +115,16 @@ def nearest_allowed(
         around: (n, 6) [rad, m] what a motion adds to the pose; zeros (1, 6) for none.
     """
     here, wanted = np.asarray(here, dtype=float), np.asarray(wanted, dtype=float)
-    good, limit = 0.0, ""
+    low, high, limit = 0.0, 1.0, ""
+    # Each round looks closer at the stretch in which the first pose breaks a limit.
     for _ in range(4):
-        # Each round looks closer at the stretch in which the first pose breaks a limit.
-        shares = good + (1.0 - good) * np.linspace(0.0, 1.0, SAMPLES + 1)[1:] if not limit else _closer(good, bad)
+        shares = np.linspace(low, high, SAMPLES + 1)[1:]
         broken = _first_broken(robot, limits, here + shares[:, None] * (wanted - here), gravity, around)
         if broken is None:
-            good = float(shares[-1])
-            if not limit:
-                break
-            continue
+            return Reached(wanted, "")
         place, limit = broken
-        bad = float(shares[place])
-        good = float(shares[place - 1]) if place else good
-    return Reached(here + good * (wanted - here), limit)
-
-
-def _closer(good: float, bad: float) -> np.ndarray:
-    return good + (bad - good) * np.linspace(0.0, 1.0, SAMPLES + 1)[1:-1]
+        low, high = float(shares[place - 1]) if place else low, float(shares[place])
+    return Reached(here + low * (wanted - here), limit)
 
 
 def _first_broken(

@@ -55,7 +55,7 @@ const names = runs.map((run) => run.name);
 const plots = [
   trace("position error [mm]", names, runs.map((run) => [run.time, run.position_mm])),
   trace("rotation error [deg]", names, runs.map((run) => [run.time, run.rotation_deg])),
-  ...runs.map((run) => trace(runs.length > 1 ? `torque of ${run.name} [N m]` : "torque [N m]",
+  ...runs.filter((run) => run.torque.length).map((run) => trace(runs.length > 1 ? `torque of ${run.name} [N m]` : "torque [N m]",
     run.torque.map((_, leg) => `leg ${leg}`), [[run.time, ...run.torque]])),
 ];
 

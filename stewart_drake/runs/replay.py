@@ -89,6 +89,7 @@ def _shown(log: SimulationLog, frames_per_second: float) -> dict[str, Any]:
         gc.collect()
     traced = usable[:: max(1, len(usable) // MAX_POINTS)]
     rotation, position = error_norms(log)
+    torque = log.signals.get("torque_applied", np.zeros((len(log.time), 0)))
     lines = [(f"{log.status} at {log.end_time:g} s", log.status != "completed")]
     lines += [(line, True) for line in ([] if log.message is None else log.message.splitlines())]
     lines += [(f"warning at {each['time']:.3f} s: {each['text']}", False) for each in log.warnings]
@@ -99,7 +100,7 @@ def _shown(log: SimulationLog, frames_per_second: float) -> dict[str, Any]:
         "time": _digits(log.time[traced]),
         "rotation_deg": _digits(rotation[traced]),
         "position_mm": _digits(position[traced]),
-        "torque": [_digits(column) for column in log["torque_applied"][traced].T],
+        "torque": [_digits(column) for column in torque[traced].T],
     }
 
 

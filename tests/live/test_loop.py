@@ -68,7 +68,7 @@ def test_a_refused_change_leaves_the_loop_as_it_was() -> None:
 def test_a_loop_that_cannot_go_on_says_why_and_begins_anew() -> None:
     loop = LiveLoop(load_scenario("exact_fig7").replace(STILL))
     start = loop.pose
-    loop.push(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 3000.0]), 1.0)
+    loop.push(np.array([0.0, 0.0, 0.0, 500.0, 0.0, 0.0]), 2.0)
     loop.advance(2000)
     assert loop.ended
     loop.reset()
