@@ -28,7 +28,7 @@ from stewart_drake.paper.reproduce import Study, rows
 from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 from stewart_drake.stability.margins import loop_margins
 from stewart_drake.studies.comparison import load_comparison
-from stewart_drake.studies.faults import FAULTS, FaultStudy
+from stewart_drake.studies.faults import FAULTS, fault_study
 from stewart_drake.studies.runs import execute
 from stewart_drake.studies.sweep import load_sweep
 from stewart_drake.studies.workers import Workers
@@ -134,9 +134,9 @@ def test_fair_comparison(page):
 
 def of_fault(page, overrides):
     """Of one fault: how soon it is found, and how far the platform goes."""
-    fault = next(fault for fault in FAULTS if fault.name == "dead_motor_3")
-    study = FaultStudy.of([(fault, "paper")], overrides=overrides)
-    (row,) = study.tables([execute(study.task(0))])["faults"][1]
+    study = fault_study(overrides=overrides)
+    index = study.pairs.index((FAULTS["dead_motor_3"], "paper"))
+    (row,) = study.tables([execute(study.task(index))])["faults"][1]
     assert_says(page.cell("dead_motor_3", column="paper"), row["latency_ms"])
     assert_says(page.cell("dead_motor_3", column="travel"), row["travel_deg"], row["travel_mm"], within=NOISY)
     assert_says(page.cell("dead_motor_3", column="peak torque"), row["peak_torque"], within=NOISY)

@@ -32,7 +32,11 @@ class DrakeRun(Engine):
         self.state_names = self._loop.plant.state_names
         rod = scenario.plant.broken_rod
         # It breaks at the first step that begins at its time or later.
-        self._breaks = {} if rod is None else {math.ceil(rod.time / scenario.plant.time_step - 1e-6): rod.leg}
+        self._breaks = (
+            {}
+            if rod is None or rod.time > scenario.duration
+            else {math.ceil(rod.time / scenario.plant.time_step - 1e-6): rod.leg}
+        )
 
     def prepare(self) -> None:
         loop = self._loop
