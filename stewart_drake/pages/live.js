@@ -11,7 +11,7 @@ const tell = (command) => fetch("do", {
   method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(command),
 });
 
-let about, home, last = null, held = false;
+let about, home, last = null, held = false, traces = {};
 
 function slider(parent, name, unit, low, high, value) {
   const label = document.createElement("label");
@@ -42,6 +42,7 @@ function trace(title, unit, names) {
   }, data, box);
   new ResizeObserver(() => plot.setSize({ width: box.clientWidth - 12, height: 190 })).observe(box);
   return {
+    data,
     add(time, values) {
       if (data[0].length && time < data[0].at(-1)) data.forEach((each) => { each.length = 0; });
       data[0].push(time);
@@ -103,7 +104,7 @@ async function begin() {
   at("pause").addEventListener("click", () => tell({ do: "pause", on: !(last && last.paused) }));
   at("reset").addEventListener("click", () => location.reload(tell({ do: "reset" })));
 
-  const traces = {
+  traces = {
     error: trace("position error", "mm", ["position"]),
     angle: trace("rotation error", "deg", ["rotation"]),
     torque: trace("torque", "N m", [0, 1, 2, 3, 4, 5].map((leg) => `leg ${leg}`)),
