@@ -13,7 +13,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stewart_drake.cli import robot_commands, run_commands, study_commands  # noqa: F401 - fill `cli`
+from stewart_drake.cli import (  # noqa: F401 - fill `cli`
+    robot_commands,
+    run_commands,
+    study_commands,
+    view_commands,
+)
 from stewart_drake.cli.options import EXIT_BAD_INPUT, EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_RUN_FAILED, cli
 from stewart_drake.cli.terminal import drop_output, say
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at

@@ -56,7 +56,7 @@ def signals_of(scenario: Scenario, steps: np.ndarray, values: dict[str, np.ndarr
     return {name: signals[name] for name in SIGNALS if name in signals}
 
 
-_POSE, _CRANKS = (slice(at, at + 12) for at in (CHAIN_STATE.fields[name][1] // 8 for name in ("pose", "angles")))  # type: ignore[index]
+POSE, CRANKS = (slice(at, at + 12) for at in (CHAIN_STATE.fields[name][1] // 8 for name in ("pose", "angles")))  # type: ignore[index]
 
 
 class FastRun:
@@ -76,7 +76,7 @@ class FastRun:
         self._chain = ClosedChain(scenario.robot, scenario.plant, scenario.gravity)
         outside = {"plant": CHAIN_STATE.itemsize // 8, "wrench": 6}
         outside |= {source.signal: source.size for source in self._loop.sources}
-        self._running = Running(self._loop.parts, outside, {"plant_pose": _POSE, "crank_state": _CRANKS})
+        self._running = Running(self._loop.parts, outside, {"plant_pose": POSE, "crank_state": CRANKS})
         self._sources = [
             (self._running.signal(each.signal), InBlocks(each.evaluate, time_step)) for each in self._loop.sources
         ]
@@ -130,8 +130,8 @@ class FastRun:
 
     def signals(self) -> dict[str, np.ndarray]:
         rows = self._rows[: self._count]
-        values = {"loop_gap": np.zeros((len(rows), 6)), "crank_angle": rows[:, _CRANKS][:, :6].copy()}
-        values["pose"], values["pose_rate"] = (each.copy() for each in np.hsplit(rows[:, _POSE], 2))
+        values = {"loop_gap": np.zeros((len(rows), 6)), "crank_angle": rows[:, CRANKS][:, :6].copy()}
+        values["pose"], values["pose_rate"] = (each.copy() for each in np.hsplit(rows[:, POSE], 2))
         for name, signal in self._loop.logged.items():
             places = self._running.places
             values[name] = (

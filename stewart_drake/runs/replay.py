@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import gc
 import html
+import json
 import logging
 import math
+import re
+from collections.abc import Sequence
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydrake import geometry
@@ -18,6 +23,7 @@ from stewart_drake.config import Positive, check_value
 from stewart_drake.errors import ConfigurationError, drake_guard
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.log import SimulationLog
+from stewart_drake.logs.metrics import error_norms
 from stewart_drake.mechanics.kinematics import leg_geometry
 from stewart_drake.plant.multibody_plant import add_plant
 from stewart_drake.plant.plant_options import PlantOptions
@@ -25,20 +31,24 @@ from stewart_drake.robot import RobotParameters
 
 MAX_FRAMES = 9000
 """A longer recording gets fewer frames a second: at some 2 kB a frame, a browser opens no more than this with ease."""
+MAX_POINTS = 3000
+"""Of a trace."""
 _REPLAY_LENS, _PICTURE_LENS = 36.0, 32.0
 """[deg] vertical field of view; Meshcat's own 75 deg would distort a robot so near."""
 
 
-def write_replay(log: SimulationLog, path: str | Path, frames_per_second: float = 30.0) -> None:
-    """Writes the motion of a run as one HTML page that plays in any browser, offline.
+def write_replay(
+    logs: SimulationLog | Sequence[SimulationLog], path: str | Path, frames_per_second: float = 30.0
+) -> None:
+    """Writes the motion of one run or of several side by side as one HTML page that plays in any browser, offline.
 
-    The page starts to play when opened, in simulated time; `Open Controls`, `Animations` has the time slider. A green
-    translucent disc shows where the reference wants the platform. Each frame is the row of the log nearest to it in
-    time; between frames the browser interpolates.
+    The page has play and pause, a time slider, speed and loop, and traces of errors and torques whose cursor follows.
+    A green translucent disc shows where the reference wants the platform. Each frame is the row of the log nearest to
+    it in time; between frames the browser interpolates.
 
     Args:
-        log: A run, completed or not.
-        path: The page to write; about 2.5 MB and 2 kB for each frame.
+        logs: A run, completed or not, or several.
+        path: The page to write; about 2.5 MB a run and 2 kB for each frame.
         frames_per_second: [1/s] at most this; less where the run is so long that `MAX_FRAMES` would be exceeded.
 
     Raises:
@@ -47,6 +57,22 @@ def write_replay(log: SimulationLog, path: str | Path, frames_per_second: float 
         DrakeCheckError: Drake could not record, such as for want of a free port.
     """
     check_value("frames_per_second", frames_per_second, Positive)
+    runs = [_shown(log, frames_per_second) for log in ([logs] if isinstance(logs, SimulationLog) else logs)]
+    # A text in a script element must not end it.
+    data = json.dumps(runs).replace("<", "\\u003c")
+    page = {"title": html.escape(", ".join(run["name"] for run in runs)), "data": data}
+    page |= {"styles": _page_file("uPlot.min.css") + _page_file("replay.css")}
+    page |= {"plots": _page_file("uPlot.iife.min.js"), "script": _page_file("replay.js")}
+    text = re.sub(r"\{\{ (\w+) \}\}", lambda match: page[match[1]], _page_file("replay.html"))
+    write_atomically(Path(path), text.encode())
+
+
+def _page_file(name: str) -> str:
+    return (files("stewart_drake") / "pages" / name).read_text()
+
+
+def _shown(log: SimulationLog, frames_per_second: float) -> dict[str, Any]:
+    """What the page shows of a run."""
     # Without a state of Drake's own the robot is assembled at the platform's pose.
     usable = np.flatnonzero(np.isfinite(log.signals.get("plant_state", log["pose"])).all(axis=1))
     if len(usable) == 0:
@@ -61,16 +87,25 @@ def write_replay(log: SimulationLog, path: str | Path, frames_per_second: float 
     finally:
         # A Diagram and its systems refer to each other; until they are collected, Meshcat keeps its port.
         gc.collect()
-    name = html.escape(log.scenario.name)
-    lines = [] if log.message is None else log.message.splitlines()
-    lines += [f"warning: {each['name']}, t = {each['time']:.3f} s: {each['text']}" for each in log.warnings]
-    why = "".join(f"<br>{html.escape(line)}" for line in lines)
-    caption = (
-        '<div style="position: fixed; left: 16px; top: 12px; max-width: 60vw; font: 14px/1.5 sans-serif; color: #222; '
-        f'pointer-events: none"><b>{name}</b>: {log.status} at {log.end_time:g} s{why}<br>green disc: reference</div>'
-    )
-    page = page.replace("<title>Drake MeshCat</title>", f"<title>{name}</title>", 1)
-    write_atomically(Path(path), page.replace("</body>", f"{caption}\n</body>", 1).encode())
+    traced = usable[:: max(1, len(usable) // MAX_POINTS)]
+    rotation, position = error_norms(log)
+    torque = log.signals.get("torque_applied", np.zeros((len(log.time), 0)))
+    lines = [(f"{log.status} at {log.end_time:g} s", log.status != "completed")]
+    lines += [(line, True) for line in ([] if log.message is None else log.message.splitlines())]
+    lines += [(f"warning at {each['time']:.3f} s: {each['text']}", False) for each in log.warnings]
+    return {
+        "name": log.scenario.name,
+        "page": page,
+        "lines": lines,
+        "time": _digits(log.time[traced]),
+        "rotation_deg": _digits(rotation[traced]),
+        "position_mm": _digits(position[traced]),
+        "torque": [_digits(column) for column in torque[traced].T],
+    }
+
+
+def _digits(values: np.ndarray) -> list[float]:
+    return [float(f"{value:.5g}") for value in values]
 
 
 def nearest_rows(time: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -100,15 +135,7 @@ def _record(log: SimulationLog, frames: np.ndarray, rows: np.ndarray, rate: floa
         meshcat = geometry.Meshcat(geometry.MeshcatParams(host="localhost", show_stats_plot=False))
     finally:
         drake_log.setLevel(level)
-    meshcat.SetCamera(geometry.Meshcat.PerspectiveCamera(fov=_REPLAY_LENS))
-    meshcat.SetCameraPose(*_viewpoint(robot))
-    meshcat.SetProperty("/Background", "top_color", [1.0, 1.0, 1.0])
-    meshcat.SetProperty("/Background", "bottom_color", [0.80, 0.83, 0.87])
-    for path in ("/Grid", "/Axes"):
-        meshcat.SetProperty(path, "visible", False)
-    # Wider than the platform and thinner: it shows as a ring around a platform that tracks well.
-    disc = geometry.Cylinder(1.15 * robot.platform_radius, 0.4 * robot.link_radius)
-    meshcat.SetObject("reference", disc, geometry.Rgba(0.0, 0.62, 0.45, 0.4))
+    furnish(meshcat, robot)
     builder = DiagramBuilder()
     stewart = add_plant(builder, robot, PlantOptions(rod_joint=log.scenario.plant.rod_joint), visuals=True)
     geometry.MeshcatVisualizer.AddToBuilder(
@@ -132,6 +159,19 @@ def _record(log: SimulationLog, frames: np.ndarray, rows: np.ndarray, rate: floa
     meshcat.StopRecording()
     meshcat.PublishRecording()
     return str(meshcat.StaticHtml())
+
+
+def furnish(meshcat: geometry.Meshcat, robot: RobotParameters) -> None:
+    """Camera, background and the disc of the reference."""
+    meshcat.SetCamera(geometry.Meshcat.PerspectiveCamera(fov=_REPLAY_LENS))
+    meshcat.SetCameraPose(*_viewpoint(robot))
+    meshcat.SetProperty("/Background/<object>", "top_color", [1.0, 1.0, 1.0])
+    meshcat.SetProperty("/Background/<object>", "bottom_color", [0.80, 0.83, 0.87])
+    for path in ("/Grid", "/Axes"):
+        meshcat.SetProperty(path, "visible", False)
+    # Wider than the platform and thinner: it shows as a ring around a platform that tracks well.
+    disc = geometry.Cylinder(1.15 * robot.platform_radius, 0.4 * robot.link_radius)
+    meshcat.SetObject("reference", disc, geometry.Rgba(0.0, 0.62, 0.45, 0.4))
 
 
 def _viewpoint(robot: RobotParameters) -> tuple[np.ndarray, np.ndarray]:

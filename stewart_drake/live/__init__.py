@@ -1,0 +1,1 @@
+"""The robot in the browser in real time, steered by hand."""

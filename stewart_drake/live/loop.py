@@ -1,0 +1,153 @@
+"""A loop that goes on for ever while a person changes it: target, pushes, payload, faults, controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError, RunFailure
+from stewart_drake.live.steering import HandReference, Reached, nearest_allowed
+from stewart_drake.part import Running
+from stewart_drake.parts import Loop, loop_of
+from stewart_drake.plant.closed_chain import CHAIN_STATE, ClosedChain
+from stewart_drake.runs.engine import CRANKS, POSE
+from stewart_drake.sampling import on_grid, steps_per
+from stewart_drake.scenario import Scenario
+
+
+class LiveLoop:
+    """The loop of a scenario on the fast engine, changed while it runs.
+
+    Every change but a new target and a push is a change of the scenario: its loop is built again, and each part that
+    is still there keeps its state, as the robot does.
+
+    Args:
+        scenario: What to begin with.
+
+    Raises:
+        ConfigurationError: As `loop_of`; a controller that is a LeafSystem, which only Drake can run.
+
+    Attributes:
+        scenario: As changed until now.
+        steps: Of the plant, done since the beginning.
+        reference: The pose set by hand, and the motion about it.
+        ended: Why the loop cannot go on; empty while it can.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._begun = scenario
+        self.reset()
+
+    def reset(self) -> None:
+        """As at first."""
+        scenario = self._begun
+        self.steps, self.ended, self._push, self._push_ends = 0, "", np.zeros(6), -1
+        self._step = on_grid(scenario.plant.time_step)
+        self.reference = HandReference(scenario.reference, self._step)
+        self._build(scenario)
+        self._running.signal("plant").view(CHAIN_STATE)[:] = self._chain.initial(*scenario.start())
+
+    def change(self, changes: Mapping[str, Any]) -> None:
+        """Changes keys of the scenario, see `Scenario.replace`; a ConfigurationError leaves all as it was."""
+        before = self._running
+        self._build(self.scenario.replace(changes))
+        self._running.take_over(before)
+
+    def aim(self, pose: np.ndarray) -> Reached:
+        """Sends the hand to a pose (6,) [rad, m], or as far towards it as the robot can go."""
+        scenario, reference = self.scenario, self.reference
+        around = reference.excursions(scenario.duration)
+        here = reference.hand.state[0]
+        reached = nearest_allowed(scenario.robot, scenario.limits, here, pose, scenario.gravity, around)
+        reference.hand.target[:] = reached.pose
+        return reached
+
+    def move(self, on: bool) -> None:
+        """Lets the motion of the scenario come or go."""
+        self.reference.share.target[0] = float(on)
+
+    def push(self, wrench: np.ndarray, duration: float) -> None:
+        """Pushes the platform from now on.
+
+        Args:
+            wrench: (6,) [N m, N] moment about P and force, in B.
+            duration: [s].
+        """
+        self._push[:], self._push_ends = wrench, self.steps + round(duration / self._step)
+
+    def advance(self, steps: int) -> None:
+        """Some steps of the plant; none once the loop has ended."""
+        try:
+            for _ in range(steps if not self.ended else 0):
+                self._advance_one()
+        except RunFailure as failure:
+            self.ended = " ".join(str(failure).split())
+
+    def _advance_one(self) -> None:
+        running, time = self._running, self.time
+        running.time[0] = time
+        self._reference[:] = self.reference.at(time)
+        if self._reference_ahead is not None:
+            self._reference_ahead[:] = self.reference.at(time, self._ahead)
+        self._wrench[:] = self._push if self.steps < self._push_ends else 0.0
+        if self._wrench_source is not None:
+            self._wrench += self._wrench_source(np.array([time]))[0]
+        if self.steps % self._per_tick == 0:
+            running.tick()
+        else:
+            running.between()
+        if self.steps % self._per_tick == 0:
+            running.late()
+        self._chain.step(self._torque, self._wrench, self._state)
+        self.steps += 1
+        self.reference.advance()
+
+    @property
+    def time(self) -> float:
+        """[s] since the beginning."""
+        return self.steps * self._step
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(6,) [rad, m] of the platform."""
+        return self._state["pose"][0].copy()
+
+    @property
+    def wanted(self) -> np.ndarray:
+        """(6,) [rad, m] of the reference."""
+        return self._reference[:6].copy()
+
+    @property
+    def torque(self) -> np.ndarray:
+        """(6,) [N m] as the motors give it."""
+        limit = self.scenario.robot.effort_limits
+        return np.clip(self._torque, -limit, limit)
+
+    @property
+    def pushed(self) -> bool:
+        """Whether a push acts."""
+        return self.steps < self._push_ends
+
+    def logged(self, name: str) -> np.ndarray | None:
+        """A signal by its name in a log, such as `setting`; None where the loop has none."""
+        signal = self._loop.logged.get(name)
+        return self._running.signal(signal).copy() if isinstance(signal, str) else signal
+
+    def _build(self, scenario: Scenario) -> None:
+        loop: Loop = loop_of(scenario, split=True)
+        if any(part.system is not None for part in loop.parts):
+            raise ConfigurationError("controller", scenario.controller.kind, "one that is no LeafSystem, to run live")
+        chain = ClosedChain(scenario.robot, scenario.plant, scenario.gravity)
+        outside = {"plant": CHAIN_STATE.itemsize // 8, "wrench": 6}
+        outside |= {source.signal: source.size for source in loop.sources}
+        self.scenario, self._loop, self._chain = scenario, loop, chain
+        self._running = running = Running(loop.parts, outside, {"plant_pose": POSE, "crank_state": CRANKS})
+        self._per_tick = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
+        self._ahead = scenario.ahead * self._per_tick
+        sources = {source.signal: source.evaluate for source in loop.sources}
+        self._wrench_source = sources.get("wrench")
+        self._reference, self._wrench = running.signal("reference"), running.signal("wrench")
+        self._reference_ahead = running.signal("reference_ahead") if "reference_ahead" in sources else None
+        self._state, self._torque = running.signal("plant").view(CHAIN_STATE), running.signal(loop.torque)

@@ -1,0 +1,49 @@
+"""A live session with its page and its view."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stewart_drake.live.loop import LiveLoop
+from stewart_drake.live.server import LiveServer
+from stewart_drake.live.session import CONTROLLERS, LiveSession
+from stewart_drake.live.steering import nearest_allowed
+from stewart_drake.live.view import LiveView
+from stewart_drake.scenario import Scenario
+
+_FARTHEST = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
+
+
+def start_live(scenario: Scenario) -> tuple[LiveSession, LiveServer]:
+    """A session to `run`, and its server to `close`; the first tick is compiled on the way."""
+    view = LiveView(scenario)
+    warm = LiveLoop(scenario)
+    warm.advance(2)
+    session = LiveSession(scenario, view.show)
+    robot = scenario.robot
+    about = {
+        "name": scenario.name,
+        "meshcat": view.url,
+        "home": session.loop.reference.home.tolist(),
+        "room": _room(scenario, session.loop.reference.home).tolist(),
+        "payload": float(f"{0.5 * robot.platform_mass:.1g}"),
+        "encoders": scenario.sensors.reading_size == 6,
+        "kappa": hasattr(scenario.tuner, "kappa"),
+        "setting": session.loop.logged("setting") is not None,
+        "controllers": list(CONTROLLERS),
+    }
+    return session, LiveServer(session, about)
+
+
+def _room(scenario: Scenario, home: np.ndarray) -> np.ndarray:
+    """(6,) [rad, m] how far each axis alone can go from a pose, in its freer direction."""
+    room = np.zeros(6)
+    for axis in range(6):
+        for sign in (1.0, -1.0):
+            wanted = home.copy()
+            wanted[axis] += sign * _FARTHEST[axis]
+            end = nearest_allowed(
+                scenario.robot, scenario.limits, home, wanted, scenario.gravity, np.zeros((1, 6))
+            ).pose
+            room[axis] = max(room[axis], abs(end[axis] - home[axis]))
+    return room

@@ -1,0 +1,146 @@
+"""What a hand on a slider becomes: a smooth reference, kept within what the robot can do."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import expm
+
+from stewart_drake.planning.limits import PLACES, Limits, limit_margins
+from stewart_drake.references.basic import Reference
+from stewart_drake.robot import RobotParameters
+
+BANDWIDTH = 8.0
+"""[rad/s] of the filter behind the sliders: a move is over after about a second."""
+SAMPLES = 24
+"""Poses between here and the pose asked for that are checked, and times of the motion."""
+
+
+class SmoothValue:
+    """A value (n,) that follows a target through a filter with three equal poles; it never overshoots.
+
+    Its rate is continuous and its acceleration too, so that a controller with feedforward can follow it.
+
+    Args:
+        value: (n,) at first, at rest.
+        step: [s] between two calls of `advance`.
+        bandwidth: [rad/s] of the poles.
+    """
+
+    def __init__(self, value: np.ndarray, step: float, bandwidth: float = BANDWIDTH) -> None:
+        w = bandwidth
+        chain = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-(w**3), -3.0 * w**2, -3.0 * w]])
+        self._transition = expm(chain * step)
+        self.target = np.array(value, dtype=float)
+        self.state = np.zeros((3, len(self.target)))
+        self.state[0] = self.target
+
+    def advance(self) -> None:
+        """One step."""
+        self.state = self.after(1)
+
+    def after(self, steps: int) -> np.ndarray:
+        """Value, rate and acceleration (3, n) after some steps, if the target stays."""
+        ahead = self._transition if steps == 1 else np.linalg.matrix_power(self._transition, steps)
+        rest = np.zeros_like(self.state)
+        rest[0] = self.target
+        return rest + ahead @ (self.state - rest)
+
+
+class HandReference:
+    """The pose set by hand, with the motion of the scenario about it.
+
+    reference(t) = hand(t) + share(t) (motion(t) - motion(0)), hand and share each a `SmoothValue`.
+
+    Args:
+        motion: Of the scenario.
+        step: [s] between two calls of `advance`.
+    """
+
+    def __init__(self, motion: Reference, step: float) -> None:
+        self._motion, self._step = motion, step
+        self.home = motion.evaluate(0.0)[0]
+        self.hand, self.share = SmoothValue(self.home, step), SmoothValue(np.ones(1), step)
+
+    def advance(self) -> None:
+        """One step."""
+        self.hand.advance()
+        self.share.advance()
+
+    def at(self, time: float, ahead: int = 0) -> np.ndarray:
+        """Pose, rate and acceleration (18,) at a time [s], `ahead` steps from now."""
+        hand, share = (each.after(ahead) if ahead else each.state for each in (self.hand, self.share))
+        s, rate, acceleration = share[:, 0]
+        pose, velocity, force = self._motion.evaluate(time + ahead * self._step)
+        own = pose - self.home
+        return np.concatenate(
+            [
+                hand[0] + s * own,
+                hand[1] + rate * own + s * velocity,
+                hand[2] + acceleration * own + 2.0 * rate * velocity + s * force,
+            ]
+        )
+
+    def excursions(self, duration: float) -> np.ndarray:
+        """Samples (n, 6) of what the motion adds to the pose set by hand; zeros (1, 6) once it is off."""
+        if self.share.target[0] == 0.0:
+            return np.zeros((1, 6))
+        return self._motion.evaluate(np.linspace(0.0, duration, SAMPLES))[0] - self.home
+
+
+class Reached(NamedTuple):
+    """How far towards a pose the robot can go.
+
+    Attributes:
+        pose: (6,) [rad, m] the pose asked for, or the last allowed one on the straight way to it.
+        limit: What is at its limit there, as a text; empty where the pose asked for is allowed.
+    """
+
+    pose: np.ndarray
+    limit: str
+
+
+def nearest_allowed(
+    robot: RobotParameters, limits: Limits, here: np.ndarray, wanted: np.ndarray, gravity: float, around: np.ndarray
+) -> Reached:
+    """The pose asked for, or the last one on the straight way to it that keeps to the limits at rest.
+
+    Args:
+        robot: The robot.
+        limits: See `planning.limits`.
+        here: (6,) [rad, m] where the way begins.
+        wanted: (6,) [rad, m] where it shall end.
+        gravity: [m/s^2].
+        around: (n, 6) [rad, m] what a motion adds to the pose; zeros (1, 6) for none.
+    """
+    here, wanted = np.asarray(here, dtype=float), np.asarray(wanted, dtype=float)
+    low, high, limit = 0.0, 1.0, ""
+    # Each round looks closer at the stretch in which the first pose breaks a limit.
+    for _ in range(4):
+        shares = np.linspace(low, high, SAMPLES + 1)[1:]
+        broken = _first_broken(robot, limits, here + shares[:, None] * (wanted - here), gravity, around)
+        if broken is None:
+            return Reached(wanted, "")
+        place, limit = broken
+        low, high = float(shares[place - 1]) if place else low, float(shares[place])
+    return Reached(here + low * (wanted - here), limit)
+
+
+def _first_broken(
+    robot: RobotParameters, limits: Limits, way: np.ndarray, gravity: float, around: np.ndarray
+) -> tuple[int, str] | None:
+    """Index of the first pose of a way that breaks a limit, and which; None where all keep to them."""
+    poses = (way[:, None] + around).reshape(-1, 6)
+    still = np.zeros_like(poses)
+    margins = limit_margins(robot, limits, poses, still, still, gravity)
+    first: tuple[int, str] | None = None
+    for name, values in margins.items():
+        broken = ~(values >= 0.0)
+        if broken.any():
+            row = int(broken.any(axis=1).argmax())
+            place = row // len(around)
+            if first is None or place < first[0]:
+                _, where = PLACES[name][int(broken[row].argmax())]
+                first = place, f"{name.replace('_', ' ')} of {where}"
+    return first

@@ -1,0 +1,84 @@
+"""A loop that is changed while it runs."""
+
+import numpy as np
+import pytest
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.live.loop import LiveLoop
+from stewart_drake.runs.simulation import run
+from stewart_drake.scenario import load_scenario
+
+FAST = {"plant.engine": "reduced", "duration": 0.4}
+STILL = {**FAST, "reference": "hold"}
+
+
+@pytest.mark.parametrize("name", ["exact_fig7", "exact_heart"])
+def test_left_alone_it_is_the_run_of_its_scenario(name: str) -> None:
+    scenario = load_scenario(name).replace(FAST)
+    loop, log = LiveLoop(scenario), run(scenario, check=False)
+    loop.advance(len(log.time) - 1)
+    np.testing.assert_allclose(loop.pose, log["pose"][-1], atol=1e-7)
+
+
+def test_a_push_moves_the_platform_and_the_controller_brings_it_back() -> None:
+    loop = LiveLoop(load_scenario("exact_fig7").replace(STILL))
+    loop.advance(50)
+    before = loop.pose
+    loop.push(np.array([0.0, 0.0, 0.0, 5.0, 0.0, 0.0]), 0.1)
+    loop.advance(60)
+    assert loop.pushed
+    assert loop.pose[3] - before[3] > 2e-5
+    loop.advance(2000)
+    assert not loop.pushed
+    np.testing.assert_allclose(loop.pose, before, atol=1e-6)
+
+
+def test_a_payload_comes_without_a_jump_and_is_carried() -> None:
+    loop = LiveLoop(load_scenario("exact_fig7").replace(STILL))
+    loop.advance(100)
+    pose, torque = loop.pose, loop.torque
+    loop.change({"plant.payload_mass": 0.3})
+    np.testing.assert_array_equal(loop.pose, pose)
+    loop.advance(3000)
+    assert loop.torque.sum() > 1.05 * torque.sum()
+    np.testing.assert_allclose(loop.pose, pose, atol=1e-4)
+
+
+def test_a_dead_motor_gives_no_torque() -> None:
+    loop = LiveLoop(load_scenario("exact_fig7").replace(STILL))
+    loop.advance(20)
+    loop.change({"motors.dead": {"leg": 2}})
+    loop.advance(5)
+    assert loop.torque[2] == 0.0
+    assert (loop.torque[[0, 1, 3, 4, 5]] != 0.0).all()
+
+
+def test_a_refused_change_leaves_the_loop_as_it_was() -> None:
+    loop = LiveLoop(load_scenario("exact_fig7").replace(STILL))
+    loop.advance(5)
+    scenario, pose = loop.scenario, loop.pose
+    with pytest.raises(ConfigurationError, match="payload_mass"):
+        loop.change({"plant.payload_mass": -1.0})
+    assert loop.scenario is scenario
+    loop.advance(5)
+    assert not loop.ended
+    np.testing.assert_allclose(loop.pose, pose, atol=1e-6)
+
+
+def test_a_loop_that_cannot_go_on_says_why_and_begins_anew() -> None:
+    loop = LiveLoop(load_scenario("exact_fig7").replace(STILL))
+    start = loop.pose
+    loop.push(np.array([0.0, 0.0, 0.0, 500.0, 0.0, 0.0]), 2.0)
+    loop.advance(2000)
+    assert loop.ended
+    loop.reset()
+    assert loop.ended == ""
+    np.testing.assert_array_equal(loop.pose, start)
+
+
+def test_the_hand_moves_the_platform_to_its_target() -> None:
+    loop = LiveLoop(load_scenario("exact_fig7").replace(STILL))
+    wanted = loop.reference.home + [0.1, 0.0, 0.0, 0.0, 0.0, 0.01]
+    assert loop.aim(wanted).limit == ""
+    loop.advance(2500)
+    np.testing.assert_allclose(loop.pose, wanted, atol=1e-4)
