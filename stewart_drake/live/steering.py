@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from stewart_drake.planning.limits import PLACES, Limits, limit_margins
-from stewart_drake.references.basic import Reference
+from stewart_drake.references.motions import Reference
 from stewart_drake.robot import RobotParameters
 
 BANDWIDTH = 8.0
