@@ -36,7 +36,6 @@ ROOT = Path(__file__).parent.parent
 
 
 SHARED = ("cluster", "done", "collected", "wheel")
-"""Fixtures that take long. The tests of each go to one worker: others would make it again, or stand idle meanwhile."""
 
 
 # Before that of pytest-xdist, which looks for the groups.
@@ -51,7 +50,6 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(autouse=True, scope="session")
 def nobody_has_trusted_code(tmp_path_factory):
-    """Tests neither ask nor change what the user has trusted."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
@@ -59,7 +57,6 @@ def nobody_has_trusted_code(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def no_code_trusted_before():
-    """Each test begins with none."""
     code._TRUSTED.clear()
     code.store().unlink(missing_ok=True)
 
@@ -68,13 +65,11 @@ COMMAND = "from stewart_drake.cli.app import main; main()"
 
 
 def environment(**changes):
-    """In which a fresh Python finds this checkout, installed or not."""
     path = os.pathsep.join(filter(None, [str(ROOT), str(ROOT / "tests"), os.environ.get("PYTHONPATH")]))
     return {**os.environ, "PYTHONPATH": path, "COLUMNS": "200", **changes}
 
 
 def python(*arguments):
-    """Runs a fresh Python; stdout, or the test fails with its stderr."""
     command = [sys.executable, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT, env=environment())
     assert done.returncode == 0, done.stderr
@@ -83,7 +78,6 @@ def python(*arguments):
 
 @pytest.fixture
 def start(tmp_path):
-    """`start(*arguments)`: the command, or other code, in `tmp_path`; nothing of it outlives the test."""
     started = []
 
     def start(*args, code=COMMAND, **options):
@@ -103,7 +97,6 @@ def start(tmp_path):
 
 @pytest.fixture
 def shell(start):
-    """`shell(*arguments)`: `start` to its end; status, stdout, stderr."""
 
     def shell(*args, **options):
         process = start(*args, **options)
@@ -114,7 +107,6 @@ def shell(start):
 
 
 def once(tmp_path_factory, name, make):
-    """The folder `name` of this session, filled by `make(folder)`: once, whichever workers ask for it."""
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / name
     folder.mkdir(exist_ok=True)
@@ -127,7 +119,6 @@ def once(tmp_path_factory, name, make):
 
 
 def alive(group):
-    """Processes of a group that are not yet dead; zombies wait for whoever adopted them."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -140,12 +131,10 @@ def alive(group):
 
 
 def field_of(error):
-    """Key of a ConfigurationError without the places in lists at its end."""
     return re.sub(r"(\.\d+)+$", "", error.key)
 
 
 def make_network(seed=0, window=49, density="magnitude", gain=1.0):
-    """A 12-10-2 network with random weights; `gain` makes its answers steeper."""
     rng = np.random.default_rng(seed)
     return TunerNetwork(
         input_mean=rng.uniform(0.8, 1.2, 12),
@@ -163,7 +152,6 @@ def make_network(seed=0, window=49, density="magnitude", gain=1.0):
 
 
 def resealed(document):
-    """A changed document as JSON with a checksum that fits again, where it can have one."""
     rest = {key: value for key, value in document.items() if key != "checksum"}
     try:
         rest = seal(rest)
@@ -174,7 +162,6 @@ def resealed(document):
 
 @contextmanager
 def code_frozen():
-    """What is tested in this process must not depend on whether someone edits the package meanwhile."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(versions, "source_digest", lambda: "as it is")
         workers._own_source.cache_clear()
@@ -184,7 +171,6 @@ def code_frozen():
 
 @pytest.fixture
 def code_as_it_is():
-    """See `code_frozen`."""
     with code_frozen():
         yield
 
@@ -196,7 +182,6 @@ def network():
 
 @pytest.fixture
 def call(monkeypatch, capsys, tmp_path):
-    """The command within this process, in an empty folder: status, stdout, stderr."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
 

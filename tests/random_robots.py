@@ -12,7 +12,6 @@ from stewart_drake.robot import RobotParameters
 
 @cache
 def random_robot(seed):
-    """A robot whose six legs differ: cranks in any steep plane, both branches, mass off the joints' plane, any size."""
     rng = np.random.default_rng(seed)
     while True:
         try:

@@ -8,7 +8,6 @@ HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
 
 
 def random_scenario(seed):
-    """A run of 1.5 to 5 s of the paper's robot on the reduced engine, followed well, badly or not at all."""
     rng = np.random.default_rng(seed)
     duration = round(float(rng.uniform(1.5, 5.0)), 1)
     return Scenario.from_dict(
@@ -32,17 +31,14 @@ def random_scenario(seed):
 
 
 def between(rng, low, high):
-    """Uniform in the logarithm."""
     return float(low * (high / low) ** rng.random())
 
 
 def any_of(rng, choices):
-    """One of them."""
     return choices[int(rng.integers(len(choices)))]
 
 
 def _size(rng):
-    """(6,) [rad, m] of a motion along a few of the axes."""
     axes = rng.random(6) < 0.4
     axes[int(rng.integers(6))] = True
     sizes = [between(rng, 0.005, 0.15) for _ in range(3)] + [between(rng, 0.0005, 0.02) for _ in range(3)]
@@ -68,7 +64,6 @@ def _heart(rng, duration):
 
 
 def _path(rng, duration):
-    """One to three moves, over at some time of the run."""
     moves = int(rng.integers(1, 4))
     share = rng.uniform(0.2, 1.0) * duration / moves
     return {

@@ -36,7 +36,6 @@ TESTS = [
 ]
 ALWAYS = ["-q", "-n", "auto", "--hypothesis-seed=0", "--continue-on-collection-errors", "-o", "junit_family=xunit1"]
 LIMIT = 1200.0
-"""[s] for the tests of one defect; one that takes longer is caught."""
 BINARY = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.FloorDiv, ast.Mod, ast.Pow)
 ORDERED = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)
 OPPOSITE = {ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In}
@@ -44,7 +43,6 @@ NOTHING = ast.List(elts=[], ctx=ast.Load())
 
 
 def variants(node):
-    """What could stand in the place of an expression; [] for most."""
     match node:
         case ast.BinOp(op=op) if isinstance(op, BINARY):
             return [changed(node, op=other()) for other in BINARY if not isinstance(op, other)]
@@ -66,14 +64,12 @@ def variants(node):
 
 
 def changed(node, **parts):
-    """A copy of a node with some parts others."""
     other = copy.copy(node)
     vars(other).update(parts)
     return other
 
 
 def places(tree):
-    """(node, what could stand there) all over a module, but for annotations, strings and code for type checkers."""
     if isinstance(tree, ast.If) and "TYPE_CHECKING" in ast.unparse(tree.test):
         return
     for field, value in ast.iter_fields(tree):
@@ -95,7 +91,6 @@ def places(tree):
 
 
 def draw(count, seed):
-    """So many defects: a file, the longer the likelier, and a place in it; of each a row, and the changed source."""
     files = [path for path in sorted((ROOT / "stewart_drake").rglob("*.py")) if path.name != "__init__.py"]
     files = [path for path in files if "paper" not in path.parts]
     sources = [path.read_bytes() for path in files]
@@ -114,7 +109,6 @@ def draw(count, seed):
 
 
 def replaced(source, node, text):
-    """A module's source with a text in the place of a node; of a decorator with nothing, its @ included."""
     starts = [0]
     for line in source.splitlines(keepends=True):
         starts.append(starts[-1] + len(line))
@@ -123,7 +117,6 @@ def replaced(source, node, text):
 
 
 def tested(checkout, options):
-    """Names of the tests that fail in a copy, by file; and whether they ran to the end."""
     results = checkout.parent / "results.xml"
     results.unlink(missing_ok=True)
     call = [sys.executable, "-m", "pytest", *ALWAYS, f"--junitxml={results}", *options]
@@ -150,13 +143,11 @@ def tested(checkout, options):
 
 
 def left_behind(folder, names):
-    """What is no part of a copy: `runs` at the top alone, the package has a folder of that name."""
     top = {"runs"} if Path(folder) == ROOT else set()
     return {name for name in names if name in {".git", ".venv", "__pycache__", *top} or name.endswith("_cache")}
 
 
 def of_room(file):
-    """The tests of the room that a file of the package is in."""
     room = ROOT / "tests" / Path(file).parts[1]
     if room.is_dir():
         return [str(room.relative_to(ROOT))]
@@ -164,7 +155,6 @@ def of_room(file):
 
 
 def measure(row, checkout, options, already):
-    """A row with which tests caught its defect."""
     start = time.monotonic()
     failed, ended = tested(checkout, options)
     caught = [each for each in failed if each not in already]
@@ -178,7 +168,6 @@ def measure(row, checkout, options, already):
 
 
 def page(rows):
-    """The table in Markdown."""
     rows = [row for row in rows if row["id"]]
     lines = [
         "# Seeded defects",

@@ -43,7 +43,6 @@ def robot_of(which):
 
 
 def near_home(robot, count, seed=0):
-    """Poses (n, 6) about home, in reach."""
     rng = np.random.default_rng(seed)
     size = 0.1 * robot.characteristic_length
     pose = robot.home_pose + rng.uniform(-1.0, 1.0, (count, 6)) * ([0.1] * 3 + [size] * 3)

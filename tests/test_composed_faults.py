@@ -18,16 +18,12 @@ from stewart_drake.safety import HOLD, LEVELS, MONITORS, RAMP, SAFE_HOLD, Safety
 from stewart_drake.scenario import load_scenario
 
 SEQUENCES = int(os.environ.get("STEWART_DRAKE_SEQUENCES", "40"))
-"""Of faults; more of them for a longer search."""
 DURATION, TICK = 0.4, 0.001
 BOUNDS = math.radians(10.0), 0.03, 0.001
-"""[rad, m, m] beyond which a motion is lost: angle and distance from the reference, gap of the loops."""
 SAFETY = SafetyOptions()
 
 BASE = load_scenario("exact_fig7").replace({"duration": DURATION, "safety": {}})
 LIMIT = BASE.robot.effort_limit
-
-# --- what is drawn --------------------------------------------------------------------------------------------------
 
 
 def one(kind, **keys):
@@ -53,7 +49,6 @@ lasting = st.none() | st.integers(1, 60).map(lambda ticks: ticks * TICK)
 
 
 def two(kind, **keys):
-    """A fault of two legs."""
     return st.builds(
         lambda pair, rest: {"kind": kind, "leg": pair[0], "other": pair[1], **rest},
         st.permutations(range(6)),
@@ -104,16 +99,11 @@ FAULTS = st.one_of(
 LISTS = ("sensors.faults", "link.faults", "motors.faults", "disturbances")
 
 
-# --- what must hold -------------------------------------------------------------------------------------------------
-
-
 def taken_ticks(log):
-    """(n,) whether the layer did something else than pass the command on."""
     return log["safety"][:, 0] >= HOLD
 
 
 def check_what_the_layer_tells(log):
-    """Its report against the signal that it logged tick by tick."""
     level, monitor, leg = log["safety"].T
     told, tripped = log.safety, np.flatnonzero(taken_ticks(log))
     broke = log.status == "failed"
@@ -146,7 +136,6 @@ def check_what_the_layer_tells(log):
 
 
 def true_outcomes(log):
-    """What the status may be, from the signals alone: outcomes must tell the truth."""
     early = log.end_time < log.scenario.duration - 1e-9
     # Given up by the layer, or broken without it.
     if early if log.safety is None else log.safety["last"] == "end":
@@ -163,7 +152,6 @@ def true_outcomes(log):
 
 
 def moved(log):
-    """Whether the platform made at least a quarter of its reference's motion, where that is one, or was near it."""
     late = log.time >= 0.5 * log.scenario.duration - 1e-9
     scale = [log.scenario.robot.characteristic_length] * 3 + [1.0] * 3
     wanted, made, error = (
@@ -174,7 +162,6 @@ def moved(log):
 
 
 def check_torques(log, places):
-    """Within the motors' limit, and from tick to tick within the layer's rate where the motors do as they are told."""
     applied = log["torque_applied"]
     assert np.isfinite(applied).all()
     assert np.abs(applied).max(initial=0.0) <= LIMIT
@@ -189,16 +176,12 @@ def kinetic_energy(robot, pose, pose_rate):
 
 
 def check_energy(log):
-    """A healthy robot that the layer holds by honest readings comes to rest: its motion loses energy."""
     safe = log["safety"][:, 0] == SAFE_HOLD
     if safe.sum() < 10:
         return
     energy = kinetic_energy(log.scenario.robot, log["pose"][safe], log["pose_rate"][safe])
     # A hair for encoders, whose rates are late by half a tick.
     assert (energy[5:] <= 1.02 * energy[:-5] + 1e-5).all()
-
-
-# --- the runs -------------------------------------------------------------------------------------------------------
 
 
 # Four faults are few enough to be looked at as they were drawn; shrinking would take minutes.

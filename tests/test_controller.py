@@ -27,7 +27,6 @@ def short(name, changes=(), duration=0.1):
 
 
 def readings_of(log):
-    """What the controller's side read at each tick of a run: poses, or what encoders make of the cranks' angles."""
     sensors = log.scenario.sensors
     if not isinstance(sensors, EncoderOptions):
         return np.concatenate([log["pose"], log["pose_rate"]], axis=1)
@@ -40,7 +39,6 @@ def readings_of(log):
 
 
 def replayed(controller, log, names=("torque",)):
-    """Signals of a controller that reads what was read in a run, tick by tick; what goes to the motors as `out`."""
     period, out, said = controller.period, np.empty(6), {name: [] for name in (*names, "out")}
     for tick, reading in enumerate(readings_of(log)):
         controller.step(reading, tick * period, out)
@@ -165,8 +163,6 @@ def test_it_runs_where_drake_is_not_installed(name, changes):
 
 
 class Own(LeafSystem):
-    """A controller in a Diagram."""
-
     def __init__(self):
         super().__init__()
         self.DeclareVectorInputPort("measurement", 12)

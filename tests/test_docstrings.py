@@ -13,11 +13,9 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 TEXTS = {str(path.relative_to(PACKAGE)): path.read_text() for path in FILES}
 ENDINGS = {"json", "jsonl", "md", "parquet", "py", "sdf", "xml", "yaml"}
 OWN = {"mujoco", "options", "part", "stewart", "stewart_drake", "task"}
-"""An extra that may be missing, names in files, and variables that are spoken of where they stand."""
 
 
 def source_of(name):
-    """The text of all modules and packages of a name, and the names of the modules in such a package."""
     rooms = [path.parent for path in FILES if path.name == "__init__.py" and path.parent.name == name]
     files = [path for path in FILES if path.stem == name] + [room / "__init__.py" for room in rooms]
     return "\n".join(path.read_text() for path in files), [path.stem for room in rooms for path in room.glob("*.py")]

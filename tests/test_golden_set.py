@@ -12,7 +12,6 @@ METRIC, CHAOTIC = "runs/encoders/reduced/metrics/torque_rms", "shipped/paper_fig
 
 
 def kinds(node):
-    """Of a part of a scenario, by the schema that `stewart-drake schema` writes."""
     if "$ref" in node:
         node = SCHEMA["$defs"][node["$ref"].rpartition("/")[2]]
     own = node.get("properties", {}).get("kind", {})
@@ -53,7 +52,6 @@ def recording():
 
 
 def told(recording, changes):
-    """Names of what differs between the recording and one in which some values are others; OUT leaves one out."""
     after = {key: changes.get(key, value) for key, value in recording.items()}
     after = {key: value for key, value in after.items() if value is not OUT}
     return [key for _, key, _ in golden_set.differences(recording, after)]

@@ -22,7 +22,6 @@ COMPILING = sorted(
 
 
 def laws():
-    """All compiled functions of the package, by module and name."""
     for file in COMPILING:
         module = importlib.import_module(".".join(file.relative_to(SOURCE.parent).with_suffix("").parts))
         for name, value in vars(module).items():
@@ -62,7 +61,6 @@ print(g(1.0), sum(g.stats.cache_misses.values()), sum(g.stats.cache_hits.values(
 
 
 def answer(folder, factor, monkeypatch, cache):
-    """What a package of two laws, one of which calls the other, says to 1; what was compiled, and what was kept."""
     package = folder / "stewart_drake"
     package.mkdir(parents=True, exist_ok=True)
     (package / "__init__.py").touch()
@@ -76,7 +74,6 @@ def answer(folder, factor, monkeypatch, cache):
 
 @pytest.mark.slow
 def test_a_second_process_compiles_nothing_and_a_change_below_reaches_what_was_compiled_above(tmp_path, monkeypatch):
-    """The same files, the callee's changed; numba's own cache would answer as the first time."""
     cache = tmp_path / "cache"
     assert answer(tmp_path / "one", 2.0, monkeypatch, cache) == (2.0, 1, 0)
     assert answer(tmp_path / "one", 2.0, monkeypatch, cache) == (2.0, 0, 1)

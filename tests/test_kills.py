@@ -18,7 +18,6 @@ from stewart_drake.files.whole import locked_folder
 from stewart_drake.studies.study import INCIDENTAL
 
 KILLS = int(os.environ.get("STEWART_DRAKE_KILLS", "1"))
-"""Of a sweep: one mechanism stands under all studies."""
 SWEEP = """
 scenario: paper_fig7
 runs: 8
@@ -57,7 +56,6 @@ def finish(out):
 
 
 def alive(mark):
-    """Processes that carry a mark: a command, its workers and what watches over them."""
     found = []
     for environ in Path("/proc").glob("[0-9]*/environ"):
         try:
@@ -69,7 +67,6 @@ def alive(mark):
 
 
 def results(folder):
-    """What a sweep leaves, without what is incidental, and without what it only keeps for itself."""
     table = pq.read_table(folder / "sweep.parquet").drop([column.name for column in INCIDENTAL])
     return {path.name for path in folder.iterdir()}, table.to_pylist(), (folder / "study.json").read_bytes()
 

@@ -17,7 +17,6 @@ EXACT_GAINS = {
     "study = Study(quick=True)": """study = Study(quick=True)
 study.base = study.base.replace({"controller.solver": "split"})"""
 }
-"""The same gains in less than half the time."""
 SHORTER = {
     **dict.fromkeys((name for name in NAMES if name.startswith("paper/")), EXACT_GAINS),
     "02_build_the_diagram": {"DURATION = 3.2": "DURATION = 0.5"},
@@ -28,7 +27,6 @@ SHORTER = {
         '{"duration": 4.0}': '{"duration": 0.4}',
     },
 }
-"""What makes a notebook long and nothing else: each cell runs all the same."""
 CELL_TIMEOUT = 300  # [s], far above what any cell needs, for busy machines
 
 

@@ -33,7 +33,6 @@ REFUSED_AS = {
 
 
 def makers():
-    """The maker's solver with this package's numbers: branch, platform joint and motor frame of each leg."""
     solver = ReachyMiniRustKinematics(float(ROBOT.crank_lengths[0]), float(ROBOT.rod_lengths[0]))
     for leg in range(6):
         zero, quarter = ROBOT.crank_zero_directions[leg], ROBOT.crank_quarter_directions[leg]
@@ -50,7 +49,6 @@ def transforms(poses):
 
 
 def reachable(number, seed=0):
-    """Poses (number, 6) [rad, m] drawn from a box far larger than the head's workspace; those within reach."""
     rng = np.random.default_rng(seed)
     poses = HOME + rng.uniform(-1.0, 1.0, (3 * number, 6)) * [0.6, 0.6, 0.9, 0.03, 0.03, 0.03]
     poses = poses[reach_margin(ROBOT, poses).min(axis=-1) > 0.0][:number]
@@ -91,7 +89,6 @@ def test_forward_kinematics_is_the_makers_to_what_theirs_leaves():
 
 
 def commands(number, seed=3):
-    """Poses (number, 6) as a careless user sends them, and what each is: a half good ones."""
     rng = np.random.default_rng(seed)
     poses = HOME + rng.uniform(-1.0, 1.0, (number, 6)) * [0.05, 0.05, 0.05, 0.003, 0.003, 0.003]
     kinds = rng.choice(["good", "not_finite", "huge", "far", "jump"], number, p=[0.5, 0.1, 0.1, 0.15, 0.15])

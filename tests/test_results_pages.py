@@ -39,26 +39,20 @@ pytestmark = pytest.mark.slow
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 loaded = lru_cache(load_comparison)
 NAMED = "`make results` recomputes some of these numbers."
-"""What every page says."""
 POLICY = always({"tuner": {"kind": "policy"}})
 NOISY = 0.03
-"""Share by which runs with encoders may differ: one reading at the edge of a count changes what follows."""
 NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.(\d+))?(?:e([+-]\d+))?")
 
 
 def numbers(text):
-    """The numbers in a text, each with the unit of its last digit."""
     return [(float(m[0]), 10.0 ** (int(m[2] or 0) - len(m[1] or ""))) for m in NUMBER.finditer(text)]
 
 
 class Page:
-    """A page of docs/results."""
-
     def __init__(self, name):
         self.text = (RESULTS / f"{name}.md").read_text()
 
     def cell(self, *labels, column, under=""):
-        """The cell of a table's row that begins with some labels, in the first table below a text that has it."""
         header = []
         for line in self.text[self.text.index(under) :].splitlines():
             cells = [cell.strip() for cell in line.strip("|").split(" | ")] if line.startswith("|") else []
@@ -69,13 +63,11 @@ class Page:
         raise AssertionError(f"no row {labels} with a column {column}")
 
     def after(self, words, count=1):
-        """As many numbers as a text is followed by, as a text."""
         assert words in self.text
         return " ".join(m[0] for m in list(NUMBER.finditer(self.text.partition(words)[2]))[:count])
 
 
 def assert_says(text, *values, within=0.0):
-    """That the numbers in a text are these, to their last digit or a share of them."""
     printed = numbers(text)
     assert len(printed) == len(values), text
     for (number, unit), value in zip(printed, values, strict=True):
@@ -84,12 +76,10 @@ def assert_says(text, *values, within=0.0):
 
 @pytest.fixture
 def page(request):
-    """The page that a test is named after."""
     return Page(request.node.name.removeprefix("test_"))
 
 
 def compared(name, *labels):
-    """The row of one run of a comparison: controller, motion and condition."""
     comparison = loaded(name)
     named = [(cell.controller, cell.reference, cell.condition) for cell in comparison.cells]
     return execute(comparison.task(named.index(labels)))
@@ -133,7 +123,6 @@ def test_fair_comparison(page):
 
 
 def of_fault(page, overrides):
-    """Of one fault: how soon it is found, and how far the platform goes."""
     study = fault_study(overrides=overrides)
     index = study.pairs.index((FAULTS["dead_motor_3"], "paper"))
     (row,) = study.tables([execute(study.task(index))])["faults"][1]
@@ -151,7 +140,6 @@ def test_faults_observer(page):
 
 
 def test_margins(page):
-    """At the worst pose, which the page names."""
     pose = [number for number, _ in numbers(page.after("worst pose, all at once: ", 6))]
     changes = "estimator.kind=observer", "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
     assert changes[1] in page.text
@@ -163,7 +151,6 @@ def test_margins(page):
 
 
 def test_monte_carlo(page):
-    """The table that is kept, and two of its runs again."""
     kept = pq.read_table(RESULTS / "monte_carlo.parquet")
     rmse = np.array(kept["rmse_norm_mm"].to_pylist())
     row = page.text[page.text.index("| RMSE of position") :].partition("\n")[0].partition("[mm]")[2]
@@ -192,7 +179,6 @@ def log_costs(folder, engine, candidates, cases):
 
 
 def test_tuner(page, tmp_path):
-    """The robot at rest, where the draws hardly differ."""
     found = Baselines.load()
     candidates = with_setting(found.best), POLICY, always({"tuner": found.schedule})
     best, policy, schedule = log_costs(tmp_path, "drake", candidates, [Case("hold", "paper", HELD_OUT[0])])
@@ -204,7 +190,6 @@ def test_tuner(page, tmp_path):
 
 
 def test_tuner_training(page, tmp_path):
-    """The worst kind of the shipped policy."""
     cases = cases_of([("payload", "reachy_mini")], VALIDATION[100:120])
     fixed, policy = log_costs(tmp_path, "reduced", [with_setting(Baselines.load().best), POLICY], cases)
     assert_says(page.cell("stewart_drake/weights/policy.json", column="worst kind"), np.exp((policy - fixed).mean()))
@@ -212,7 +197,6 @@ def test_tuner_training(page, tmp_path):
 
 @pytest.mark.long
 def test_tuner_front(page, tmp_path):
-    """The policy at a kappa of 0, all 42 runs."""
     cases = cases_of(cells_for("paper"), HELD_OUT[:3])
     with Benchmark(tmp_path, "reduced", Workers(0)) as benchmark:
         found = benchmark.run([always({"tuner": {"kind": "policy", "kappa": 0.0}})], cases)
@@ -223,7 +207,6 @@ def test_tuner_front(page, tmp_path):
 
 @pytest.mark.long
 def test_tuner_safety(page):
-    """The setting that decays most slowly, at all poses."""
     name = "Reachy Mini, 100 Hz, 1 tick"
     shipped, delay = LOOPS[name]
     scenario = load_scenario(shipped, ["tuner=block", "estimator=observer", delay])
@@ -236,7 +219,6 @@ def test_tuner_safety(page):
 
 @pytest.mark.long
 def test_calibration(page):
-    """Five robots in place of a hundred: the widths of intervals hardly differ."""
     robot = load_robot("paper")
     limits = load_scenario("paper_fig7").limits
     planned = plan_poses(robot, 60, limits, NOISE).targets
@@ -255,7 +237,6 @@ def test_calibration(page):
 
 @pytest.mark.long
 def test_identification(page):
-    """Four robots in place of two hundred, within half of the medians."""
     designed, other = motions("paper")
     row = {"column": "condition number, of motions at random"}
     assert_says(page.cell("`paper`", **row), designed.condition, designed.random_condition)
@@ -275,7 +256,6 @@ def test_reproduction(page, tmp_path):
 
 
 def test_summary(page):
-    """Two rows of the table of the paper, and Reachy Mini's nod."""
     cells = {"gravity | 1 / 1": "fixed", "gravity | network": "paper"}
     for words, kind in cells.items():
         figures = run_metrics(run(load_scenario("paper_fig7", [f"tuner={{kind: {kind}}}"])))

@@ -21,7 +21,6 @@ PAIRS = [
     if slow > fast and math.isclose(slow / fast, round(slow / fast), rel_tol=1e-12)
 ]
 LAST = 8192.0
-"""[s] longer than the longest scenario."""
 
 
 def test_a_multiple_of_a_period_is_the_same_multiple_on_the_grid():
@@ -56,8 +55,6 @@ def test_off_the_grid_too_a_tick_never_comes_after_the_plants_step(time_step, ra
 
 
 class Recorder(LeafSystem):
-    """Writes down when its two periodic events fire."""
-
     def __init__(self, periods):
         super().__init__()
         self.times = {period: [] for period in periods}
