@@ -1,4 +1,3 @@
-import fcntl
 import json
 import os
 import re
@@ -6,7 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -106,18 +105,6 @@ def shell(start):
     return shell
 
 
-def once(tmp_path_factory, name, make):
-    base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / name
-    folder.mkdir(exist_ok=True)
-    with (folder / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / "made").exists():
-            make(folder)
-            (folder / "made").touch()
-    return folder
-
-
 def alive(group):
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
@@ -160,19 +147,13 @@ def resealed(document):
     return json.dumps(rest).encode()
 
 
-@contextmanager
-def code_frozen():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(versions, "source_digest", lambda: "as it is")
-        workers._own_source.cache_clear()
-        yield
-    workers._own_source.cache_clear()
-
-
 @pytest.fixture
-def code_as_it_is():
-    with code_frozen():
-        yield
+def code_as_it_is(monkeypatch):
+    # What is tested in this process must not depend on whether someone edits the package meanwhile.
+    monkeypatch.setattr(versions, "source_digest", lambda: "as it is")
+    workers._own_source.cache_clear()
+    yield
+    workers._own_source.cache_clear()
 
 
 @pytest.fixture

@@ -26,21 +26,7 @@ os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # sums in o
 import numpy as np
 import yaml
 
-from stewart_drake import (
-    MeasurementNoise,
-    Recording,
-    RobotParameters,
-    Scenario,
-    calibrate,
-    check_reference,
-    excite,
-    identify,
-    load_robot,
-    load_scenario,
-    plan_poses,
-    run,
-    run_metrics,
-)
+import stewart_drake as sd
 from stewart_drake.mechanics import dynamics, friction, kinematics
 from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque, task_inertia
 from stewart_drake.mechanics.force_map import crank_map, force_map, force_map_of_legs, rod_map
@@ -84,43 +70,33 @@ def cases():
     return yaml.safe_load((GOLDEN / "cases.yaml").read_text())
 
 
-def scenario_of(group, name, engine=None):
+def run_case(group, name, engine=None):
     data = dict(cases()[group][name])
     if group == "shipped":
         shipped = data.pop("scenario")
-        return load_scenario(shipped, [f"{key}={json.dumps(value)}" for key, value in data.items()])
-    return Scenario(**{**data, "plant": {**data.get("plant", {}), "engine": engine}})
-
-
-def run_case(group, name, engine=None):
-    log = run(scenario_of(group, name, engine), check=False)
-    found = {"metrics": run_metrics(log)}
-    for signal in SIGNALS:
-        try:
-            values = np.asarray(log[signal])
-        except KeyError:
-            continue
-        stride = max(1, (len(values) - 1) // ROWS)
-        found[signal] = np.concatenate([values[:-1:stride], values[-1:]])
+        scenario = sd.load_scenario(shipped, [f"{key}={json.dumps(value)}" for key, value in data.items()])
+    else:
+        scenario = sd.Scenario(**{**data, "plant": {**data.get("plant", {}), "engine": engine}})
+    log = sd.run(scenario, check=False)
+    found = {"metrics": sd.run_metrics(log)}
+    for signal in filter(log.__contains__, SIGNALS):
+        stride = max(1, (len(log[signal]) - 1) // ROWS)
+        found[signal] = np.concatenate([log[signal][:-1:stride], log[signal][-1:]])
     return found
 
 
 def motions(group):
-    times = np.linspace(0.0, 4.0, 41)
-    found = {}
-    for name, data in cases()[group].items():
-        if group == "references":
-            found[name] = np.hstack(Scenario(reference=data).reference.evaluate(times))
-        else:
-            found[name] = Scenario(disturbances=[data]).disturbances[0].evaluate(times)
-    return found
+    times, given = np.linspace(0.0, 4.0, 41), cases()[group].items()
+    if group == "references":
+        return {name: np.hstack(sd.Scenario(reference=data).reference.evaluate(times)) for name, data in given}
+    return {name: sd.Scenario(disturbances=[data]).disturbances[0].evaluate(times) for name, data in given}
 
 
 def robots():
     legs = [{"rod_length": 0.41}, {}, {"crank_length": 0.105}, {"platform_joint": [-0.09, 0.05, 0.004]}, {}, {}]
     own = {"legs": legs, "platform_center_of_mass": [0.003, -0.002, 0.004], "rotor_inertia": 1e-5}
-    chosen = {name: load_robot(name) for name in ("paper", "reachy_mini", "servo_hexapod")}
-    for name, robot in {**chosen, "uneven": RobotParameters(**own)}.items():
+    chosen = {name: sd.load_robot(name) for name in ("paper", "reachy_mini", "servo_hexapod")}
+    for name, robot in {**chosen, "uneven": sd.RobotParameters(**own)}.items():
         size = np.array([1.0] * 3 + [robot.characteristic_length] * 3)
         pose, rate, acceleration = size * np.random.default_rng(7).uniform(-1.0, 1.0, (3, 3, 4, 6))
         yield name, robot, robot.home_pose + 0.1 * pose, rate, 10.0 * acceleration
@@ -182,14 +158,14 @@ def motor_friction(angles, rate, mobility):
 
 
 def planning():
-    paper = load_scenario("paper_fig7")
+    paper = sd.load_scenario("paper_fig7")
     of_paper = paper.robot, paper.limits
 
     def scaled(scale, height=0.05):
-        return load_scenario("paper_fig7", [f"reference.amplitude=[{scale}, 0, 0, 0, 0, {height}]"]).reference
+        return sd.load_scenario("paper_fig7", [f"reference.amplitude=[{scale}, 0, 0, 0, 0, {height}]"]).reference
 
-    smallest = check_reference(*of_paper, paper.reference, 4.0).smallest
-    first = check_reference(*of_paper, scaled(1.0, 0.1), 4.0).first_violation
+    smallest = sd.check_reference(*of_paper, paper.reference, 4.0).smallest
+    first = sd.check_reference(*of_paper, scaled(1.0, 0.1), 4.0).first_violation
     found = {
         "smallest": {name: [each.margin, each.time, each.leg] for name, each in smallest.items()},
         "first_violation": [first.limit, first.margin, first.time, first.leg],
@@ -204,24 +180,24 @@ def planning():
 
 
 def calibration():
-    robot, poses = load_robot("servo_hexapod"), ROOT / "diagrams" / "calibration" / "poses.csv"
-    noise = MeasurementNoise(encoder=2.0 * math.pi / 2**14 / math.sqrt(12.0))
+    robot, poses = sd.load_robot("servo_hexapod"), ROOT / "diagrams" / "calibration" / "poses.csv"
+    noise = sd.MeasurementNoise(encoder=2.0 * math.pi / 2**14 / math.sqrt(12.0))
 
     def fitted(*hold):
-        result = calibrate(robot, poses, noise, hold=hold)
+        result = sd.calibrate(robot, poses, noise, hold=hold)
         values = np.array([row[-2:] for row in result.rows()])
         sizes = {"noise_ratio": result.noise_ratio, "error_sizes": result.error_sizes()}
         return {"value": values[:, 0], "half_width": values[:, 1], **sizes}
 
-    plan = plan_poses(robot, 20, noise=noise, candidates=200)
+    plan = sd.plan_poses(robot, 20, noise=noise, candidates=200)
     planned = {"angles": plan.targets.angles, "half_width": plan.half_width, "gain": plan.gain}
     return {"all": fitted(), "held": fitted("crank_length", "rod_length"), "plan": planned}
 
 
 def identification():
-    guess = RobotParameters()
-    true = RobotParameters(platform_mass=1.2, platform_center_of_mass=[0.01, 0.0, 0.02], rod_mass=0.09)
-    designed = excite(guess, seed=2, changes=30)
+    guess = sd.RobotParameters()
+    true = sd.RobotParameters(platform_mass=1.2, platform_center_of_mass=[0.01, 0.0, 0.02], rod_mass=0.09)
+    designed = sd.excite(guess, seed=2, changes=30)
     time = np.arange(0.0, 8.0, 0.004)
     motion = designed.reference.evaluate(time)
     angles = inverse_kinematics(guess, motion[0])
@@ -229,7 +205,7 @@ def identification():
     friction = 0.03 * np.tanh(rates / 0.01) + 0.01 * rates
     noise = np.random.default_rng(1).normal(0.0, 0.002, angles.shape)
     torque = inverse_dynamics(true, *motion) + friction + noise
-    result = identify(guess, [Recording(time, angles, torque)])
+    result = sd.identify(guess, [sd.Recording(time, angles, torque)])
     values = np.array([row[4:6] for row in result.rows()])
     predictions = [[each.guess, each.found, each.everywhere] for each in result.predictions]
     return {
@@ -254,14 +230,14 @@ def command(arguments, writes):
         return {name: read(out / name) for name in writes}
 
 
+def as_number(text):
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
 def read(path):
-
-    def as_number(text):
-        try:
-            return float(text)
-        except ValueError:
-            return text
-
     if path.suffix == ".json":
         document = json.loads(path.read_text())
         return document.get("numbers", document)
@@ -326,15 +302,11 @@ def flatten(key, value, arrays, numbers):
                 flatten(f"{key}/{name}", inner, arrays, numbers)
     elif isinstance(value, np.ndarray):
         arrays[key] = value.astype(float)
-    elif isinstance(value, (list, tuple)) and not is_numbers(value):
+    elif isinstance(value, (list, tuple)) and not all(isinstance(each, int | float | None) for each in value):
         for index, inner in enumerate(value):
             flatten(f"{key}/{index}", inner, arrays, numbers)
     else:
         numbers[key] = value
-
-
-def is_numbers(value):
-    return all(each is None or isinstance(each, (int, float)) for each in value)
 
 
 def recorded(folder, report):

@@ -24,7 +24,7 @@ def random_scenario(seed):
             "initial_offset": (rng.uniform(-0.01, 0.01, 6) * (rng.random() < 0.3)).tolist(),
             "command_delay": int(rng.integers(0, 3)),
             **any_of(rng, (_paper, _paper, _exact, _others))(rng),
-            **any_of(rng, (_ideal, _encoders))(rng),
+            **any_of(rng, (lambda _: {"sensors": {"kind": "ideal"}}, _encoders))(rng),
             "disturbances": [] if rng.random() < 0.6 else [_push(rng, duration)],
         }
     )
@@ -95,20 +95,14 @@ def _paper(rng):
 def _exact(rng):
     ranges = {"q_pose": (1e2, 1e6), "q_rate": (1.0, 100.0), "q_integral": (1.0, 1e8)}
     weights = {name: between(rng, *ends) for name, ends in ranges.items()}
-    controller = {"period": 0.001, "model": "exact", "weight_length": None, "solver": "split"}
-    return {
-        "controller": {**controller, "feedforward": "full", "feedforward_at": "reference"},
-        "tuner": {"kind": "block", **weights},
-    }
+    law = {"period": 0.001, "model": "exact", "weight_length": None, "solver": "split"}
+    law |= {"feedforward": "full", "feedforward_at": "reference"}
+    return {"controller": law, "tuner": {"kind": "block", **weights}}
 
 
 def _others(rng):
     computed = {"kind": "computed_torque", "natural_frequency": between(rng, 2.0, 100.0), "damping": 0.8}
     return {"controller": any_of(rng, ({"kind": "pid"}, computed))}
-
-
-def _ideal(_):
-    return {"sensors": {"kind": "ideal"}}
 
 
 def _encoders(rng):

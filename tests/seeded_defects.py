@@ -1,6 +1,6 @@
 """Seeded defects: small changes of the package, drawn with a seed, and which tests notice each of them.
 
-    python tests/seeded_defects.py [--count 40] [--seed 19] [--only 3 --only 7] [--list] [--whole] [-- PYTEST OPTIONS]
+    python tests/seeded_defects.py [--count 40] [--seed 19] [--whole] [-- PYTEST OPTIONS]
 
 Each defect is put into a copy of the checkout, and the fast tests of its room run there: those in the folder of tests
 that has the room's name, for a module outside of rooms those beside the folders. `--whole` runs all fast tests, those
@@ -28,11 +28,11 @@ from xml.etree import ElementTree
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "tests" / "seeded_defects.jsonl"
 TESTS = [
-    "-m",
-    "not slow and not long",
     "--hypothesis-profile=check",
     "--ignore=tests/benchmarks",
     "--ignore=tests/paper",
+    "-m",
+    "not slow and not long",
 ]
 ALWAYS = ["-q", "-n", "auto", "--hypothesis-seed=0", "--continue-on-collection-errors", "-o", "junit_family=xunit1"]
 LIMIT = 1200.0
@@ -190,23 +190,16 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--seed", type=int, default=19)
-    parser.add_argument("--only", type=int, action="append", help="defects of these numbers")
-    parser.add_argument("--list", action="store_true", help="say what would be changed, and run nothing")
     parser.add_argument("--whole", action="store_true", help="all fast tests for each, not those of its room alone")
     parser.add_argument("options", nargs="*", default=TESTS, help="of pytest, after --")
     given = parser.parse_args()
     defects = list(draw(given.count, given.seed))
-    if given.list:
-        for row, _ in defects:
-            print(f"{row['id']:3} {row['file']}:{row['line']}\n    {row['before']}\n    {row['after']}")
-        return
     rows = {row["id"]: row for row in map(json.loads, TABLE.read_text().splitlines())} if TABLE.exists() else {}
     with tempfile.TemporaryDirectory() as folder:
         checkout = Path(folder) / "copy"
         shutil.copytree(ROOT, checkout, ignore=left_behind)
         for row, source in [({"id": 0}, None), *defects]:
-            wanted = not row["id"] or not given.only or row["id"] in given.only
-            if not wanted or all(rows.get(row["id"], {}).get(key) == row[key] for key in row):
+            if all(rows.get(row["id"], {}).get(key) == row[key] for key in row):
                 continue
             if source is not None:
                 (checkout / row["file"]).write_bytes(source)

@@ -1,6 +1,5 @@
 """What the texts in the code name is there."""
 
-import ast
 import importlib.util
 import re
 from pathlib import Path
@@ -32,14 +31,3 @@ def test_what_a_text_refers_to_by_its_module_is_there():
             if not known and (source or importlib.util.find_spec(name) is None):
                 dead.append(f"{file}: {name}.{part}")
     assert dead == []
-
-
-def test_errors_stand_under_the_heading_that_they_belong_to():
-    beside = []
-    for file, text in TEXTS.items():
-        for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.FunctionDef | ast.ClassDef):
-                _, _, raised = (ast.get_docstring(node) or "").partition("\nRaises:\n")
-                if re.search(r"^[A-Z]\w+Error(, \w+)*: ", raised, re.MULTILINE):
-                    beside.append(f"{file}: {node.name}")
-    assert beside == []

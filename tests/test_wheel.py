@@ -25,14 +25,13 @@ def wheel(tmp_path_factory):
 def test_the_wheel_carries_what_the_package_reads(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
-    wanted = {
+    wanted = (
         "robots/reachy_mini.yaml",
         "sdf/stewart.sdf",
-        "sdf/package.xml",
         "scenarios/paper_fig7.yaml",
         "weights/tuner.json",
         "py.typed",
-    }
+    )
     assert {f"stewart_drake/{name}" for name in wanted} <= names
     assert not [name for name in names if name.startswith(("tests/", "notebooks/"))]
 

@@ -34,8 +34,8 @@ def compare(benchmark):
     # how often the function does its thing in a call. The base times itself, so that it may prepare something first.
     def run(name, function, base_name, base, per=1, base_per=1, inverse=False):
         mine, other = [], []
-        timed = lambda: mine.append(seconds(function))  # noqa: E731
-        benchmark.pedantic(timed, setup=lambda: other.append(base()), rounds=80, warmup_rounds=3)
+        begin = {"setup": lambda: other.append(base()), "rounds": 80, "warmup_rounds": 3}
+        benchmark.pedantic(lambda: mine.append(seconds(function)), **begin)
         mine, other = np.array(mine[3:]) / per, np.array(other[3:]) / base_per
         ratio = float(np.median(other / mine if inverse else mine / other))
         what = f"{base_name} / {name}" if inverse else f"{name} / {base_name}"

@@ -18,8 +18,9 @@ SPEC = {
 
 def measured(folder, workers):
     ends = {}
-    told = lambda done: ends.setdefault(done, time.perf_counter())  # noqa: E731
-    rows = run_study(Sweep.from_dict(SPEC), folder, Workers(workers), told).rows["sweep"]
+    sweep = Sweep.from_dict(SPEC)
+    made = run_study(sweep, folder, Workers(workers), lambda done: ends.setdefault(done, time.perf_counter()))
+    rows = made.rows["sweep"]
     order = [json.loads(line)["index"] for line in (folder / "rows.jsonl").read_text().splitlines()]
     return ends[float(RUNS)] - ends[float(WARM)], sum(rows[index]["wall_s"] for index in order[WARM:])
 

@@ -8,7 +8,6 @@ import warnings
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from conftest import code_frozen
 from joblib.externals.loky import get_reusable_executor
 from sweep_functions import deadly, faulty, killed_once, number, with_function
 
@@ -201,27 +200,27 @@ def test_more_runs_go_on_where_fewer_ended_or_were_interrupted_and_an_unfinished
     assert all(json.loads(line) for line in rows.read_text().splitlines())
 
 
+@pytest.mark.usefixtures("code_as_it_is")
 def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
-    with code_frozen():
-        run_study(sweep(runs=1), tmp_path, HERE)
-        before = (tmp_path / "rows.jsonl").read_bytes()
+    run_study(sweep(runs=1), tmp_path, HERE)
+    before = (tmp_path / "rows.jsonl").read_bytes()
 
-        def refused(words, **changes):
-            with pytest.raises(ConfigurationError) as caught:
-                run_study(sweep(runs=1, **changes), tmp_path, HERE)
-            assert [word for word in ("--out", "--restart", words) if word not in str(caught.value)] == []
-            assert (tmp_path / "rows.jsonl").read_bytes() == before
+    def refused(words, **changes):
+        with pytest.raises(ConfigurationError) as caught:
+            run_study(sweep(runs=1, **changes), tmp_path, HERE)
+        assert [word for word in ("--out", "--restart", words) if word not in str(caught.value)] == []
+        assert (tmp_path / "rows.jsonl").read_bytes() == before
 
-        refused("seed", seed=6)
-        refused("differs in scenario", set={**TINY, "duration": 0.06})
-        with monkeypatch.context() as patch:
-            patch.setattr(versions, "source_digest", lambda: "changed")
-            refused("differs in versions")
-        (tmp_path / "study.json").unlink()
-        refused("study.json that can be read")
-        (tmp_path / "own.csv").touch()
-        result = run_study(sweep(runs=1, seed=6), tmp_path, HERE, restart=True)
-        assert result.rows["sweep"][0]["seed"] == sweep(seed=6).run_seed(0)
-        assert (tmp_path / "own.csv").exists()
-        # Another name is no other sweep.
-        assert run_study(sweep(runs=1, seed=6, name="other"), tmp_path, HERE).rows == result.rows
+    refused("seed", seed=6)
+    refused("differs in scenario", set={**TINY, "duration": 0.06})
+    with monkeypatch.context() as patch:
+        patch.setattr(versions, "source_digest", lambda: "changed")
+        refused("differs in versions")
+    (tmp_path / "study.json").unlink()
+    refused("study.json that can be read")
+    (tmp_path / "own.csv").touch()
+    result = run_study(sweep(runs=1, seed=6), tmp_path, HERE, restart=True)
+    assert result.rows["sweep"][0]["seed"] == sweep(seed=6).run_seed(0)
+    assert (tmp_path / "own.csv").exists()
+    # Another name is no other sweep.
+    assert run_study(sweep(runs=1, seed=6, name="other"), tmp_path, HERE).rows == result.rows
