@@ -137,8 +137,7 @@ def tested(checkout, options):
     for case in ElementTree.parse(results).iter("testcase") if results.exists() else ():
         if case.find("failure") is not None or case.find("error") is not None:
             # A file that cannot be imported has but a name with dots.
-            where = case.get("file") or case.get("name", "").replace(".", "/") + ".py"
-            failed.append([where, case.get("name")])
+            failed.append([case.get("file") or case.get("name", "").replace(".", "/") + ".py", case.get("name")])
     return failed, ended
 
 

@@ -149,17 +149,6 @@ def test_of_several_problems_each_has_a_line_of_its_own(call, tmp_path):
     assert (status, out, sorted(keys)) == (2, "", ["duration", "gravty", "tuner.kind"])
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_output_that_cannot_be_written_is_no_traceback(start):
-    with Path("/dev/full").open("w") as full:
-        process = start("schema", stdout=full)
-        _, err = process.communicate(timeout=120)
-    assert process.returncode == 2
-    assert "Traceback" not in err
-    assert "standard output" in err
-
-
 @pytest.mark.usefixtures("without_pictures")
 def test_the_scenario_that_a_run_has_left_may_be_run_again_in_its_place(call):
     own, out = "out/scenario.yaml", ("--out", "out")

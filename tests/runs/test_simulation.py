@@ -1,12 +1,11 @@
 import gc
 import itertools
-import traceback
 
 import numpy as np
 import pytest
 
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, NotFiniteError
-from stewart_drake.logs.log import SIGNALS, load_log
+from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.kinematics import inverse_kinematics, leg_geometry
 from stewart_drake.runs.simulation import run
@@ -14,9 +13,6 @@ from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.systems.diagram import ClosedLoop
 from stewart_drake.systems.part_system import PartSystem
 
-OPTIONAL = {
-    *("block_weights", "setting", "measured_pose", "measured_pose_rate", "innovation", "disturbance", "safety"),
-}
 BRIEF = {"duration": 0.05, "tuner": {"kind": "fixed"}}
 
 
@@ -39,7 +35,6 @@ def test_the_main_job_runs_to_its_end_and_follows(main_job):
 
 def test_there_is_a_row_at_every_tick_both_ends_included(main_job):
     np.testing.assert_allclose(main_job.time, 0.005 * np.arange(101), rtol=1e-15)
-    assert set(main_job.signals) == set(SIGNALS) - OPTIONAL
     assert all(len(values) == 101 and np.isfinite(values).all() for values in main_job.values())
 
 
@@ -57,11 +52,10 @@ def test_the_robot_starts_assembled_at_the_references_pose_and_velocity_and_an_o
 def test_a_finer_log_shows_the_same_run_and_torques_held_between_ticks():
     coarse, fine = run(scenario(log_period=0.01)), run(scenario(log_period=0.001))
     assert (len(coarse.time), len(fine.time)) == (6, 51)
-    for name in set(SIGNALS) - OPTIONAL:
+    for name in coarse:
         np.testing.assert_array_equal(coarse[name], fine[name][::10], err_msg=name)
     np.testing.assert_array_equal(fine["torque"][:50].reshape(10, 5, 6).std(axis=1), 0.0)
     assert (np.diff(fine["torque"][::5], axis=0) != 0.0).all()
-    assert (np.diff(fine["pose"][:, 5]) != 0.0).all()
 
 
 def test_uncompensated_gravity_ends_in_a_dead_centre_and_keeps_its_log():
@@ -107,10 +101,9 @@ def breaking_at(monkeypatch, tick, error):
         (NotFiniteError("torque", np.array([np.nan])), "not_finite"),
         (SystemExit("condition 'x > 0' failed."), "drake_check"),
         (MemoryError(), "out_of_memory"),
-        (np.linalg.LinAlgError("Singular matrix"), "singular_matrix"),
         (KeyboardInterrupt(), "interrupted"),
     ],
-    ids=["ours", "drake's exit", "memory", "singular", "ctrl-c"],
+    ids=["ours", "drake's exit", "memory", "ctrl-c"],
 )
 def test_what_a_tick_raises_ends_the_run_with_its_time_and_whole_rows(monkeypatch, error, reason):
     breaking_at(monkeypatch, 4, error)
@@ -139,7 +132,7 @@ def test_ctrl_c_between_steps_keeps_the_log_and_runs_repeat_to_the_last_bit():
     assert (log.status, log.end_time, log.time[-1], len(log.time)) == ("interrupted", 0.1, 0.1, 21)
     times.clear()
     whole = run(scenario(duration=0.23), progress=times.append)
-    for name in set(SIGNALS) - OPTIONAL:
+    for name in whole:
         np.testing.assert_array_equal(log[name], whole[name][:21], err_msg=name)
     assert times[-1] == 0.23
     assert all(0.0 < later - earlier <= 0.05 + 1e-9 for earlier, later in itertools.pairwise([0.0, *times]))
@@ -183,12 +176,3 @@ def test_a_run_leaves_no_diagram_behind():
     before = alive()
     assert run(scenario(duration=0.02, sensors={"kind": "encoders"})).status == "completed"
     assert alive() == before
-
-
-def test_what_a_run_raises_holds_no_view_of_its_contexts():
-    # A notebook keeps the last traceback; pydrake hands a dead Context out again for a new one at its address.
-    with pytest.raises(ZeroDivisionError) as caught:
-        run(Scenario(duration=0.05), progress=lambda _: 1 / 0)
-    frames = [frame for frame, _ in traceback.walk_tb(caught.tb)]
-    assert any(frame.f_code.co_name == "_run_engine" for frame in frames)
-    assert not any("context" in frame.f_locals for frame in frames)

@@ -51,6 +51,7 @@ def outcomes(result):
 
 
 def same(result):
+    # What must not depend on where it was made.
     return result.tables["sweep"].drop([column.name for column in INCIDENTAL])
 
 
@@ -130,9 +131,7 @@ def test_processes_give_the_same_table_also_where_one_is_killed_or_they_are_worn
 def assert_two_died(result, reference):
     died = ("failed", "worker_died")
     assert outcomes(result) == {i: died if i in (1, 4) else ("completed", None) for i in range(6)}
-    for index in (0, 2, 3, 5):
-        assert same(result).slice(index, 1).equals(same(reference).slice(index, 1))
-    assert "alone in it" in result.rows["sweep"][1]["message"]
+    assert same(result).take([0, 2, 3, 5]).equals(same(reference).take([0, 2, 3, 5]))
 
 
 @pytest.mark.long

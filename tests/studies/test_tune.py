@@ -66,23 +66,20 @@ def done(tmp_path_factory):
 
 @pytest.mark.slow
 def test_a_search_betters_what_it_starts_from_and_the_verdict_says_so(done):
-    plan, result, folder, told = done
+    plan, result, _, told = done
     assert len(result.rows) == 2 * plan.evaluations
     assert plan.runs == told[-1] == 2 * 13 * 2 + 2 * 2 * 2 * 2
-    assert len((folder / "rows.jsonl").read_text().splitlines()) == 2 * 13 * 2
-    assert told == sorted(told)
     for name in plan.ranges:
         own = [row for row in result.rows if row["controller"] == name]
         assert own[0]["setting"] == plan.ranges[name].start
         np.testing.assert_array_equal([row["best"] for row in own], np.minimum.accumulate([row["cost"] for row in own]))
         assert own[-1]["best"] < 0.8 * own[0]["cost"]
-        verdict = result.verdict.rows["comparison"]
-        judged = {
-            way: mean_cost(row["cost"] for row in verdict if row["controller"] == f"{name}, {way}")
-            for way in (START, TUNED)
-        }
         # Other noise, the same motions.
-        assert judged[TUNED] < 0.9 * judged[START]
+        verdict = result.verdict.rows["comparison"]
+        start, tuned = (
+            mean_cost(row["cost"] for row in verdict if row["controller"] == f"{name}, {way}") for way in (START, TUNED)
+        )
+        assert tuned < 0.9 * start
         assert {row["seed"] for row in verdict} == {7, 8}
 
 
@@ -117,11 +114,6 @@ def test_interrupted_it_goes_on_and_finds_the_same(done, tmp_path):
     assert len(rows.read_text().splitlines()) == 38
     assert run_tuning(tuning(), tmp_path, Workers(0)).rows == result.rows
     assert len(rows.read_text().splitlines()) == 52
-    # More generations, and one controller alone, take what is there.
-    longer = run_tuning(tuning(budget=17, controllers=("torque",)), tmp_path, Workers(0))
-    assert longer.rows[:13] == [row for row in result.rows if row["controller"] == "torque"]
-    assert len(longer.rows) == 17
-    assert len(rows.read_text().splitlines()) == 52 + 4 * 2
 
 
 def test_in_the_search_alone_some_keys_are_others():
