@@ -34,7 +34,8 @@ if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
 ROOT = Path(__file__).parent.parent
 
 
-SHARED = ("cluster", "done", "collected", "wheel")
+# Fixtures that take long. The tests of each go to one worker: others would make it again, or stand idle meanwhile.
+SHARED = ("cluster", "done", "collected")
 
 
 # Before that of pytest-xdist, which looks for the groups.
@@ -64,6 +65,7 @@ COMMAND = "from stewart_drake.cli.app import main; main()"
 
 
 def environment(**changes):
+    # In which a fresh Python finds this checkout, installed or not.
     path = os.pathsep.join(filter(None, [str(ROOT), str(ROOT / "tests"), os.environ.get("PYTHONPATH")]))
     return {**os.environ, "PYTHONPATH": path, "COLUMNS": "200", **changes}
 
@@ -80,11 +82,9 @@ def start(tmp_path):
     started = []
 
     def start(*args, code=COMMAND, **options):
-        words = [each if isinstance(each, bytes) else str(each) for each in args]
-        given = [code] if isinstance(code, Path) else ["-c", code]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
         options = pipes | {"cwd": tmp_path, "env": environment()} | options
-        started.append(subprocess.Popen([sys.executable, *given, *words], **options))
+        started.append(subprocess.Popen([sys.executable, "-c", code, *map(str, args)], **options))
         return started[-1]
 
     yield start
@@ -103,18 +103,6 @@ def shell(start):
         return process.returncode, out, err
 
     return shell
-
-
-def alive(group):
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            state, _, of_group = stat.read_text().rpartition(")")[2].split()[:3]
-        except OSError:
-            continue
-        if int(of_group) == group and state != "Z":
-            found.append(stat.parent.name)
-    return found
 
 
 def field_of(error):

@@ -44,6 +44,7 @@ SIGNALS = (
     *("measured_pose", "measured_pose_rate", "innovation", "disturbance", "safety"),
 )
 
+# Name -> absolute tolerance, and relative to the largest number of the signal or list; the first that fits counts.
 TOLERANCES = (
     ("*/pose", 1e-9, 0.0),
     ("*/reference", 1e-9, 0.0),
@@ -59,6 +60,7 @@ TOLERANCES = (
     ("*", 1e-12, 1e-6),
 )
 
+# Keys of what tells about a machine, or in words.
 PASSING = {
     *("files", "git_revision", "host", "message", "poses_per_second", "real_time_factor", "scenario"),
     *("sha256", "simulation_s", "source", "text", "values", "versions", "wall_s", "worker"),

@@ -1,15 +1,12 @@
-"""Who imports whom, and that what the texts in the code name is there."""
+"""Who imports whom."""
 
 import graphlib
 import importlib.util
 import json
-import re
 from pathlib import Path
 
 import grimp
 from PIL import Image
-
-from stewart_drake.scenario import Scenario
 
 ROOT = Path(__file__).parents[1]
 
@@ -27,29 +24,3 @@ def test_picture_of_the_rooms_is_current():
     with Image.open(ROOT / "docs" / "images" / "plan.png") as picture:
         shown = json.loads(picture.text["Description"])
     assert shown == draw_plan.plan(), "run `make plan`"
-
-
-PACKAGE = ROOT / "stewart_drake"
-FILES = sorted(PACKAGE.rglob("*.py"))
-TEXTS = {str(path.relative_to(PACKAGE)): path.read_text() for path in FILES}
-ENDINGS = {"json", "jsonl", "md", "parquet", "py", "sdf", "xml", "yaml"}
-OWN = {"mujoco", "options", "part", "stewart", "stewart_drake", "task"}
-
-
-def source_of(name):
-    rooms = [path.parent for path in FILES if path.name == "__init__.py" and path.parent.name == name]
-    files = [path for path in FILES if path.stem == name] + [room / "__init__.py" for room in rooms]
-    return "\n".join(path.read_text() for path in files), [path.stem for room in rooms for path in room.glob("*.py")]
-
-
-def test_what_a_text_refers_to_by_its_module_is_there():
-    dead = []
-    for file, text in TEXTS.items():
-        for name, part in re.findall(r"(?<!`)`([a-z_]+)\.([A-Za-z_]+)`(?!`)", text):
-            if part in ENDINGS or name in OWN or name in Scenario.__pydantic_fields__:
-                continue
-            source, inside = source_of(name)
-            known = re.search(rf"\b{part}\b", source) or part in inside
-            if not known and (source or importlib.util.find_spec(name) is None):
-                dead.append(f"{file}: {name}.{part}")
-    assert dead == []

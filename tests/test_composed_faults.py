@@ -10,11 +10,10 @@ from hypothesis import strategies as st
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.mechanics.dynamics import task_inertia
-from stewart_drake.mechanics.kinematics import pose_rate_to_twist, rotation_angle, rotation_matrix
+from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix
 from stewart_drake.runs.checks import check_scenario
 from stewart_drake.runs.simulation import run
-from stewart_drake.safety import HOLD, LEVELS, MONITORS, RAMP, SAFE_HOLD, SafetyOptions
+from stewart_drake.safety import HOLD, LEVELS, MONITORS, RAMP, SafetyOptions
 from stewart_drake.scenario import load_scenario
 
 SEQUENCES = int(os.environ.get("STEWART_DRAKE_SEQUENCES", "40"))
@@ -159,16 +158,6 @@ def check_torques(log, places):
         assert change <= SAFETY.torque_rate * TICK * (1.0 + 1e-9)
 
 
-def check_energy(log):
-    safe = log["safety"][:, 0] == SAFE_HOLD
-    if safe.sum() < 10:
-        return
-    pose, twist = log["pose"][safe], pose_rate_to_twist(log["pose"][safe], log["pose_rate"][safe])
-    energy = 0.5 * np.einsum("ni,nij,nj->n", twist, task_inertia(log.scenario.robot, pose), twist)
-    # A hair for encoders, whose rates are late by half a tick.
-    assert (energy[5:] <= 1.02 * energy[:-5] + 1e-5).all()
-
-
 # Four faults are few enough to be looked at as they were drawn; shrinking would take minutes.
 @pytest.mark.long
 @settings(max_examples=SEQUENCES, print_blob=True, phases=(Phase.explicit, Phase.reuse, Phase.generate), deadline=None)
@@ -196,5 +185,3 @@ def test_composed_faults(motion, encoders, chosen):
     assert log.status in true_outcomes(log), (log.status, log.reason, log.message)
     assert (log.status == "completed") == (log.reason is None) == (log.outcome_time is None)
     check_torques(log, set(changes))
-    if not set(changes) & {"sensors.faults", "disturbances", "motors.faults", "motors.dead", "plant.broken_rod"}:
-        check_energy(log)

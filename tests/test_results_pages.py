@@ -40,7 +40,7 @@ RESULTS = Path(__file__).parents[1] / "docs" / "results"
 loaded = lru_cache(load_comparison)
 NAMED = "`make results` recomputes some of these numbers."
 POLICY = always({"tuner": {"kind": "policy"}})
-NOISY = 0.03
+NOISY = 0.03  # share by which runs with encoders may differ: a reading at the edge of a count changes what follows
 NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.(\d+))?(?:e([+-]\d+))?")
 
 

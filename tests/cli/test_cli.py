@@ -54,15 +54,20 @@ def test_a_run_from_the_shell_leaves_its_files_prints_its_table_and_needs_no_tor
 
 
 @pytest.mark.usefixtures("without_pictures")
-def test_the_scenario_as_run_runs_again_the_same_and_a_folder_with_brackets_is_printed_as_it_is(call, tmp_path):
-    status, out, _ = call("run", "paper_fig7", *QUICK, *FAST, "--set", "name=mine", "--out", "deep/[a] b")
+def test_the_scenario_as_run_runs_again_the_same_elsewhere_and_in_its_place(call):
+    own, out = "deep/[a] b/scenario.yaml", ("--out", "deep/[a] b")
+    status, said, _ = call("run", "paper_fig7", *QUICK, *FAST, "--set", "name=mine", *out)
     assert status == 0
-    assert "deep/[a] b" in out
-    assert call("run", "deep/[a] b/scenario.yaml", "--out", "second", "--quiet") == (0, "", "")
-    first, second = load_log("deep/[a] b"), load_log(tmp_path / "second")
+    assert "deep/[a] b" in said
+    assert call("run", own, "--out", "second", "--quiet") == (0, "", "")
+    first, second = load_log("deep/[a] b"), load_log("second")
     assert (first["torque"] == second["torque"]).all()
     assert first.scenario == second.scenario
     assert (first.scenario.name, first.scenario.tuner.kind) == ("mine", "fixed")
+    assert call("run", own, *out)[0] == 0
+    assert call("run", own, "--set", "duration=0.01", *out)[0] == 2
+    assert call("run", own, "--set", "duration=0.01", "--force", *out)[0] == 0
+    assert load_scenario(own).duration == 0.01
 
 
 def test_the_help_of_every_command_tells_its_arguments(call):
@@ -147,16 +152,6 @@ def test_of_several_problems_each_has_a_line_of_its_own(call, tmp_path):
     status, out, err = call("run", "wrong.yaml")
     keys = [line.split(":")[1].strip() for line in err.splitlines()]
     assert (status, out, sorted(keys)) == (2, "", ["duration", "gravty", "tuner.kind"])
-
-
-@pytest.mark.usefixtures("without_pictures")
-def test_the_scenario_that_a_run_has_left_may_be_run_again_in_its_place(call):
-    own, out = "out/scenario.yaml", ("--out", "out")
-    assert call("run", "paper_fig7", "--set", "duration=0.02", *out)[0] == 0
-    assert call("run", own, *out)[0] == 0
-    assert call("run", own, "--set", "duration=0.01", *out)[0] == 2
-    assert call("run", own, "--set", "duration=0.01", "--force", *out)[0] == 0
-    assert load_scenario(own).duration == 0.01
 
 
 @pytest.mark.slow

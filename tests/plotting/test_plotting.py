@@ -9,7 +9,7 @@ from made_logs import made_log
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plotting import draw, plot_states, plot_torques, save_figure
-from stewart_drake.plotting.study_plots import plot_costs, plot_error, plot_rmse, plot_search
+from stewart_drake.plotting.study_plots import plot_error, plot_rmse
 from stewart_drake.scenario import Scenario
 
 AXES = ("φ", "θ", "ψ", "X", "Y", "Z")
@@ -169,11 +169,3 @@ def test_a_failed_run_is_a_cross_at_the_edge_and_others_are_where_their_error_is
     (cross,) = (line for line in windy.lines if line.get_marker() == "x")
     assert 8.0 < cross.get_xdata()[0] < windy.get_xlim()[1]
     assert plot_error(rows[:2], 0.5).axes[0].get_yscale() == "log"
-
-
-def test_a_search_and_the_costs_of_tuners_are_drawn_as_they_are():
-    rows = [{"controller": "pid", "evaluation": k, "cost": 3.0 - k, "best": 3.0 - k} for k in range(3)]
-    assert plot_search(rows).axes[0].get_title(loc="left") == "pid: 3 to 1"
-    (axes,) = plot_costs(["hold", "fast"], {"policy": [(0.5, 0.4, 0.6), (1.2, 1.0, 1.4)]}, "best fixed").axes
-    np.testing.assert_allclose(axes.lines[1].get_xdata(), [0.5, 1.2])
-    assert [text.get_text() for text in axes.get_yticklabels()] == ["hold", "fast"]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import LeafSystem
 
+from stewart_drake import Controller
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
@@ -97,9 +98,18 @@ def test_a_log_is_written_and_read_and_runs_repeat_to_the_last_bit(tmp_path):
         np.testing.assert_array_equal(same[name], values, err_msg=name)
 
 
-@pytest.mark.parametrize(
-    ("given", "view"), [({"controller": LeafSystem}, None), ({}, object())], ids=["leafsystem", "view"]
-)
+class Own(LeafSystem):
+    def __init__(self):
+        super().__init__()
+        self.DeclareVectorInputPort("measurement", 12)
+        self.DeclareVectorInputPort("reference", 18)
+        self.DeclareVectorOutputPort("torque", 6, lambda _, output: output.SetZero())
+
+
+@pytest.mark.parametrize(("given", "view"), [({"controller": Own}, None), ({}, object())])
 def test_where_there_is_no_diagram_a_leafsystem_and_a_live_view_are_refused(given, view):
     with pytest.raises(ConfigurationError, match=r"^plant\.engine: expected drake, "):
         run(Scenario.from_dict({"duration": 0.05, "plant": {"engine": "reduced"}, **given}), meshcat=view)
+    if given:
+        with pytest.raises(ConfigurationError, match=r"^controller: .*no LeafSystem"):
+            Controller(Scenario(**given))

@@ -12,10 +12,9 @@ from matplotlib.image import imread
 from pydrake.math import RollPitchYaw
 from strategies import ROBOT
 
-from stewart_drake.errors import ConfigurationError, DrakeCheckError
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.runs import replay
 from stewart_drake.runs.replay import nearest_rows, render_png, write_replay
 from stewart_drake.scenario import Scenario
 
@@ -95,18 +94,6 @@ def test_every_frame_shows_the_nearest_row_and_no_row_twice(rows, period, rate):
     assert len(frames) >= min(rows, np.floor(time[-1] * rate) + 1) - 1
 
 
-def test_long_recordings_get_fewer_frames_not_a_shorter_time_and_rows_that_are_not_finite_none(tmp_path, monkeypatch):
-    monkeypatch.setattr(replay, "MAX_FRAMES", 11)
-    log = make_log(rows=501)
-    log["plant_state"][401:] = np.nan
-    rate, found = tracks(written(log, tmp_path))
-    assert rate < 30.0
-    for frames, values in found.values():
-        assert frames[-1] / rate == pytest.approx(2.0, abs=0.5 / rate)
-        assert len(frames) <= 11
-        assert np.isfinite(values).all()
-
-
 def test_page_names_the_run_and_needs_nothing_from_outside(page):
     assert "<title>made up</title>" in page
     assert "<b>made up</b>: completed at 0.5 s<br>green disc: reference</div>" in page
@@ -115,20 +102,6 @@ def test_page_names_the_run_and_needs_nothing_from_outside(page):
     script = page[page.index("</script>") :]
     assert not re.search(r"@import|url\(|importScripts|XMLHttpRequest|new WebSocket", script)
     assert all(target.startswith('"data:') for target in re.findall(r"fetch\(([^)]{0,10})", script))
-
-
-@pytest.mark.slow
-def test_a_failure_leaves_the_earlier_page(tmp_path, monkeypatch):
-    earlier = written(make_log(rows=1), tmp_path)
-
-    def fail(*_):
-        raise RuntimeError("Drake's own words")
-
-    monkeypatch.setattr(replay, "_viewpoint", fail)
-    with pytest.raises(DrakeCheckError, match="recording the replay: Drake's own words"):
-        written(make_log(rows=5), tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["replay.html"]
-    assert (tmp_path / "replay.html").read_text() == earlier
 
 
 def test_what_cannot_be_shown_is_refused_and_writes_nothing(tmp_path):

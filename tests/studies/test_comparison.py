@@ -1,4 +1,3 @@
-import dataclasses
 import math
 from itertools import product
 
@@ -10,7 +9,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metrics import FAILED
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.runs.simulation import run
-from stewart_drake.studies.comparison import AXES, Comparison, write_pictures
+from stewart_drake.studies.comparison import AXES, Comparison
 from stewart_drake.studies.runs import settling_time, sine_response
 from stewart_drake.studies.study import number, run_study
 from stewart_drake.studies.workers import Workers
@@ -134,19 +133,6 @@ def test_the_markdown_is_a_table_with_failures_and_the_chosen_one(done):
     assert pid[1] == f"{number(here['sine']['rmse_norm_deg'])}° {number(here['sine']['rmse_norm_mm'])} mm"
     (paper,) = [row for row in grid[0].rows if row[0] == "paper"]
     assert paper[1:4] == ("-", "-", "failed, crank_dead_centre at t = 0.260 s")
-
-
-@pytest.mark.slow
-def test_pictures_are_written_of_a_blow_up_too(done, tmp_path):
-    comparison, result, _ = done
-    rows = [
-        {**row, "pose_rmse_mm": 1e160, "trace": {**row["trace"], "pose_mm": [1e160] * len(row["trace"]["pose_mm"])}}
-        for row in result.rows["comparison"]
-    ]
-    bands = [{**row, "ratio": 1e160} for row in result.rows["bands"]]
-    blown = dataclasses.replace(result, rows={"comparison": rows, "bands": bands}, folder=tmp_path)
-    assert write_pictures(comparison, blown) == []
-    assert {path.name for path in tmp_path.iterdir()} == {"rmse.png", "error.png", "bands.png"}
 
 
 @pytest.mark.slow

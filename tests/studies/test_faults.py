@@ -1,11 +1,11 @@
 import dataclasses
+import math
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import linprog
 from strategies import ROBOT, poses
 
 from stewart_drake.mechanics.dynamics import static_torque
@@ -37,16 +37,15 @@ def fault_row(fault, motion):
 
 
 def bad_ending(fault, row):
+    monitor, latency = row["safety_monitor"], row["latency_ms"]
     if row["reaction"] not in fault.expected:
         return f"{row['reaction']}, not {fault.expected}: {row['message']}"
-    if row["safety_monitor"] is None:
-        return None
-    if row["safety_monitor"] not in fault.monitors:
-        return f"{row['safety_monitor']}, not {fault.monitors}"
-    if not row["latency_ms"] >= -1e-6:
-        return f"tripped {row['latency_ms']} ms before the fault"
-    late = fault.within is not None and row["latency_ms"] > 1e3 * fault.within + 1e-6
-    return f"{row['latency_ms']} ms, not within {fault.within} s" if late else None
+    if monitor is not None and monitor not in fault.monitors:
+        return f"{monitor}, not {fault.monitors}"
+    within = math.inf if fault.within is None else 1e3 * fault.within
+    if monitor is not None and not -1e-6 <= latency <= within + 1e-6:
+        return f"{latency} ms, not within {within} ms"
+    return None
 
 
 @pytest.mark.long
@@ -54,14 +53,8 @@ def bad_ending(fault, row):
 def test_a_fault_ends_as_the_catalogue_says(fault, motion):
     row = fault_row(fault, motion)
     assert bad_ending(fault, row) is None
-    # "unnoticed": nobody was told, but the outcome is.
-    of_reaction = {
-        "refused": {"rejected"},
-        "ramped": {"stopped"},
-        "ended": {"failed"},
-        "unnoticed": {"completed", "lost"},
-    }
-    assert row["status"] in of_reaction.get(row["reaction"], {"completed"})
+    statuses = {"refused": "rejected", "ramped": "stopped", "ended": "failed", "unnoticed": "completed or lost"}
+    assert row["status"] in statuses.get(row["reaction"], "completed")
     if row["reaction"] == "refused":
         return
     assert row["peak_torque"] <= base().robot.effort_limit
@@ -155,12 +148,6 @@ def test_a_line_has_an_end_for_each_motion_and_the_worst_figures():
     ]
 
 
-def largest_along(per_load, limit, dead, direction):
-    bounds, room = np.concatenate([per_load, -per_load]), np.full(12, limit)
-    done = linprog(-direction, A_ub=bounds, b_ub=room, A_eq=per_load[[dead]], b_eq=[0.0], bounds=[(None, None)] * 3)
-    return done.x
-
-
 @given(poses(0.7), st.integers(0, 5))
 def test_with_gravity_no_five_motors_hold_even_the_weight_but_for_chance(pose, dead):
     weight, jacobian = static_torque(ROBOT, pose), twist_jacobian(ROBOT, pose)
@@ -174,16 +161,3 @@ def test_with_gravity_no_five_motors_hold_even_the_weight_but_for_chance(pose, d
     nearest = -weight[dead] * normal / (normal @ normal)
     if np.abs(weight + per_force @ nearest).max() <= ROBOT.effort_limit:
         assert support == pytest.approx(distance)
-
-
-@pytest.mark.slow
-@given(poses(0.5), st.integers(0, 5), st.integers(0, 1000))
-def test_without_weight_the_largest_force_is_a_corner_that_no_direction_surpasses(pose, dead, seed):
-    jacobian = twist_jacobian(ROBOT, pose)
-    *held, force, moment = holdable_load(np.zeros(6), jacobian, ROBOT.effort_limit, dead)
-    assert held == [True, 0.0]
-    for columns, largest in ((slice(3, 6), force), (slice(0, 3), moment)):
-        per_load = -np.linalg.inv(jacobian.T)[:, columns]
-        direction = np.random.default_rng(seed).normal(size=3)
-        corner = largest_along(per_load, ROBOT.effort_limit, dead, direction)
-        assert np.linalg.norm(corner) <= largest * (1.0 + 1e-6)

@@ -169,12 +169,6 @@ def test_on_dask_the_table_is_the_same_and_a_run_that_kills_its_worker_the_same_
     assert os.getpid() not in result.tables["sweep"].column("worker").to_pylist()
 
 
-def test_without_dask_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with pytest.raises(ConfigurationError, match=r"stewart-drake\[dask\]"):
-        Workers(scheduler="tcp://127.0.0.1:8786")
-
-
 @pytest.mark.usefixtures("code_as_it_is")
 def test_more_runs_go_on_where_fewer_ended_or_were_interrupted_and_an_unfinished_line_is_dropped(tmp_path):
     ran, counts, rows = [], [], tmp_path / "rows.jsonl"

@@ -143,7 +143,6 @@ BAD = [
     # changes, words that the line must have
     ({"scenario": "paper_fig8"}, ["scenario", "'paper_fig8'", "paper_fig7"]),
     ({"set": {"initial_offset[6]": 3}}, ["set.initial_offset[6]", "0 to 5"]),
-    ({"distributions": {}}, ["distributions", "at least one"]),
     (only("gravity", kind="unifrom"), ["distributions.gravity.kind", "'unifrom'", "uniform"]),
     (only("gravity", kind="uniform", low=2, high=1), ["distributions.gravity.high", "more than low, 2"]),
     (only("initial_offset", **ANY), ["distributions.initial_offset", "initial_offset[0]"]),
