@@ -16,6 +16,7 @@ _KV = JacobianWrtVariable.kV
 
 @dataclass(frozen=True, eq=False)
 class TaskDynamics:
+    # inertia (6, 6) d(twist)/dt + bias (6,) = input_map (6, 6) T, in the twist [w, v] of P in B
     inertia: np.ndarray
     bias: np.ndarray
     input_map: np.ndarray
@@ -55,6 +56,7 @@ def _loop_rows(stewart, context):
     rows = [seat_rows - np.concatenate([rod_rows for rod_rows, _ in ends])]
     drift = [seat_drift - np.concatenate([rod_drift for _, rod_drift in ends])]
     if stewart.rod_joint == "ball":
+        # The rods' spins, which no motion of the platform brings and which have no inertia in common with it.
         world = plant.world_frame()
         rows += [plant.CalcJacobianAngularVelocity(context, _KV, rod, world, rod)[2:] for rod in rods]
         drift.append(np.zeros(6))
