@@ -13,7 +13,7 @@ from matplotlib.ticker import LogLocator
 from scipy.stats import qmc
 
 from stewart_drake.cli.terminal import progress_bar
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.plotting import save_figure
 from stewart_drake.plotting import style as look
 from stewart_drake.studies.study import markdown

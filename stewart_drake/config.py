@@ -31,7 +31,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from pydantic.errors import PydanticInvalidForJsonSchema
 from pydantic_core import ArgsKwargs, CoreSchema, InitErrorDetails, PydanticCustomError
 
-from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError
+from stewart_drake.errors import ConfigurationError
 
 TINY = float(np.finfo(float).tiny)
 """Smallest number whose reciprocal is finite: what counts as above 0."""
@@ -99,8 +99,6 @@ class Section:
     section_key: ClassVar[str] = ""
     own_keys: ClassVar[frozenset[str]] = frozenset()
     """Of sections with a `kind`: keys that mean something else in each kind, which a change of kind drops."""
-    kinds_with: ClassVar[Callable[[str], list[str]]] = staticmethod(lambda _: [])
-    """Of those: which kinds of the family have a key, for messages."""
     __pydantic_validator__: ClassVar[Any]
     __pydantic_fields__: ClassVar[Mapping[str, Any]]
     __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
@@ -166,7 +164,7 @@ class Section:
             error.key = error.key.removeprefix(f"{cls.section_key}.")
             raise as_problem(error) from None
         except ValidationError as error:
-            raise _in_words(error, schema_of(cls), cls.kinds_with) from None  # type: ignore[arg-type]
+            raise _in_words(error, schema_of(cls)) from None  # type: ignore[arg-type]
 
     @classmethod
     def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
@@ -296,33 +294,27 @@ def unknown(key: Any, keys: Sequence[str]) -> str:
 
 def as_problem(error: ConfigurationError) -> PydanticCustomError:
     """An error with a key of its own section as pydantic passes it on to the sections around it."""
-    context = {"key": error.key, "got": error.value, "allowed": error.allowed, "reason": error.reason}
+    context = {"key": error.key, "got": error.value, "allowed": error.allowed}
     return PydanticCustomError("rule", "expected {allowed}", context)
 
 
 def _told(error: ValidationError, section: str) -> ConfigurationError:
-    """Problems that are in our words already as one error: code that is not trusted first, then unknown keys."""
+    """Problems that are in our words already as one error, unknown keys first."""
     found: dict[str, ConfigurationError] = {}
     for report in error.errors(include_url=False):
         context = report["ctx"]
         keys = [section, *(shown(str(part)) for part in report["loc"] if part != "[key]"), context["key"]]
         problem = ConfigurationError(".".join(filter(None, keys)) or "scenario", context["got"], context["allowed"])
-        problem.reason = context["reason"]
         found[str(problem)] = problem
-    first, *others = sorted(
-        found.values(), key=lambda each: (each.reason != UNTRUSTED_CODE, not each.allowed.startswith("no such"))
-    )
+    first, *others = sorted(found.values(), key=lambda each: not each.allowed.startswith("no such"))
     first.others = tuple(others)
     return first
 
 
-def _in_words(
-    error: ValidationError, schema: Mapping[str, Any], kinds_with: Callable[[str], list[str]] = lambda _: []
-) -> ValidationError:
+def _in_words(error: ValidationError, schema: Mapping[str, Any]) -> ValidationError:
     """Pydantic's report on a section, or on one value, with what its JSON schema says."""
     lines: list[InitErrorDetails] = []
-    order = {key: place for place, key in enumerate(_options(schema, schema)[0].get("properties", {}))}
-    for report in sorted(error.errors(include_url=False), key=lambda each: order.get(str((*each["loc"], "")[0]), -1)):
+    for report in error.errors(include_url=False):
         kind, location, value = report["type"], report["loc"], report["input"]
         if kind == "rule":
             problem = PydanticCustomError("rule", "expected {allowed}", report["ctx"])
@@ -332,8 +324,6 @@ def _in_words(
                 location = location[:-1]
             value = None if required else value
             allowed = _allowed(kind, location, value, schema) + "; this key is required" * required
-            kinds = kinds_with(str(location[0])) if allowed.startswith("no such") and len(location) == 1 else []
-            allowed += f". It is a key of kind {either(kinds)}" if kinds else ""
             problem = as_problem(ConfigurationError("", value, allowed))
         lines.append(InitErrorDetails(type=problem, loc=location, input=value))
     return ValidationError.from_exception_data("section", lines)
@@ -350,8 +340,6 @@ def _allowed(kind: str, location: tuple[int | str, ...], value: Any, schema: Map
     expected = in_words(part, unit, schema)
     if kind == "finite_number":
         return expected.replace("number", "finite number", 1)
-    if isinstance(value, str) and "number" in expected and re.fullmatch(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*", value):
-        return f"{expected}; write it without quotes"
     return expected + meant(value, [str(each) for option in _options(schema, part) for each in _choices(option)])
 
 
@@ -434,7 +422,7 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 @lru_cache(maxsize=256)
 def schema_of(kind: Any) -> dict[str, Any]:
-    """JSON schema of a type, in which a family of kinds is but its words and `family`, the `families.Family` itself."""
+    """JSON schema of a type, in which a family of kinds is but its words."""
     try:
         return _adapter(kind).json_schema()
     except PydanticInvalidForJsonSchema:  # a user's own section may have what JSON has not

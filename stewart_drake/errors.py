@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 
-UNTRUSTED_CODE = "untrusted_code"
-"""`reason` of a `ConfigurationError` about code that may not run."""
 _MOST = 20
 """Further problems that a message shows."""
 
@@ -59,9 +57,7 @@ class ConfigurationError(StewartDrakeError):
     def within(self, place: str) -> ConfigurationError:
         """The same problems, with the place where they were found before each key."""
         others = tuple(each.within(place) for each in self.others)
-        error = ConfigurationError(f"{place}{self.key}", self.value, self.allowed, others=others)
-        error.reason = self.reason
-        return error
+        return ConfigurationError(f"{place}{self.key}", self.value, self.allowed, others=others)
 
 
 class InfeasibleReferenceError(ConfigurationError):

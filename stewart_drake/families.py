@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from contextvars import ContextVar
 from functools import cached_property
 from importlib import import_module
 from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import Field, GetJsonSchemaHandler
+from pydantic import Field, GetJsonSchemaHandler, TypeAdapter
 from pydantic_core import CoreSchema, core_schema
 
 from stewart_drake.config import Section, as_problem, check_plain, chosen, either, schema_of, to_plain
@@ -146,8 +147,10 @@ class Family(Table):
         schema_of.cache_clear()
 
     def spelled(self, data: Any) -> Any:
-        """A section as written, in full: a text that is a kind stands for a section of it; anything else as it is."""
-        if isinstance(data, str) and (self._is_own(data) or data in self.kinds):
+        """A section as written, in full; what stands for one is a kind, or a user's class or object."""
+        if isinstance(data, type) and issubclass(data, Section):
+            return data()
+        if not isinstance(data, Mapping) and (self._is_own(data) or data in self.kinds):
             data = {"kind": data}
         kind = data.get("kind") if isinstance(data, Mapping) else None
         if kind == "python" and self._own is not None and "system" in data:
@@ -175,73 +178,55 @@ class Family(Table):
         return isinstance(kind, (type, CodePath)) or any(hasattr(kind, method) for method in self._methods)
 
     def _validate(self, value: Any) -> Any:
-        if isinstance(value, type) and issubclass(value, Section) and value is not Section:
-            value = value()
-        elif not isinstance(value, (Mapping, Section, str)) and self._is_own(value):
-            value = {"kind": value}
         value = self.spelled(value)
-        section, kind = self.section_of(value), value.get("kind") if isinstance(value, Mapping) else None
-        if isinstance(value, Mapping) and section is not None:
-            section.kinds_with = self._kinds_with
-            own = {"kind": CodePath.of(kind)} if self._is_own(kind) else {}
-            return section.__pydantic_validator__.validate_python({**value, **own})
-        if isinstance(value, Mapping):
-            required = "" if "kind" in value else "; this key is required"
-            raise as_problem(ConfigurationError("kind", kind, f"{chosen(kind, self.words)}{required}"))
-        if section is not None:
+        section = self.section_of(value)
+        if section is None:
+            raise as_problem(self._refusal(value))
+        if not isinstance(value, Mapping):
             return value
-        if isinstance(value, Section):
-            raise as_problem(ConfigurationError("kind", getattr(value, "kind", None), either(self.words)))
-        allowed = chosen(value, self.words) if isinstance(value, str) else self._text
-        raise as_problem(ConfigurationError("", value, allowed))
+        own = {"kind": CodePath.of(value["kind"])} if self._is_own(value.get("kind")) else {}
+        return section.__pydantic_validator__.validate_python({**value, **own})
 
-    def _kinds_with(self, key: str) -> list[str]:
-        return [kind for kind in self.kinds if key in self[kind].__pydantic_fields__]
+    def _refusal(self, value: Any) -> ConfigurationError:
+        if not isinstance(value, (Mapping, Section)):
+            allowed = chosen(value, self.words) if isinstance(value, str) else self._text
+            return ConfigurationError("", value, allowed)
+        kind = value.get("kind") if isinstance(value, Mapping) else getattr(value, "kind", None)
+        required = "; this key is required" if isinstance(value, Mapping) and "kind" not in value else ""
+        return ConfigurationError("kind", kind, f"{chosen(kind, self.words)}{required}")
 
     @property
     def _text(self) -> str:
         return f"a section, with kind: {either(self.words)}, or a kind by itself"
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        # Messages need no more, and import no kind for it; `json_schema` puts the kinds in.
-        return {"$comment": self._text, "family": self}
-
-    def ways(self, reference: Callable[[Any], dict[str, Any]]) -> list[dict[str, Any]]:
-        """What a JSON schema takes, given how it refers to a section."""
-        needed = {kind: {} if kind == self.default else {"required": ["kind"]} for kind in self.kinds}
-        found = [{**reference(self[kind]), **needed[kind]} for kind in self.kinds]
-        fields = {kind: self[kind].__pydantic_fields__.values() for kind in self.kinds}
-        alone = [kind for kind in self.kinds if not any(field.is_required() for field in fields[kind])]
-        found += [{"enum": [*alone, *self._paths]}] if alone or self._paths else []
+        if not _COMPLETE.get():
+            return {"$comment": self._text}
+        ways: list[dict[str, Any]] = []
+        alone = list(self._paths)
+        for kind in self.kinds:
+            section = self[kind]
+            ways.append({**handler(section.__pydantic_core_schema__)})
+            if kind != self.default:
+                ways[-1]["required"] = ["kind"]
+            if not any(field.is_required() for field in section.__pydantic_fields__.values()):
+                alone.append(kind)
         if self._own is not None:
-            found += [reference(self._own_section), {"type": "string", "pattern": CLASS_PATH}]
-        return found
+            ways += [handler(self._own_section.__pydantic_core_schema__), {"type": "string", "pattern": CLASS_PATH}]
+        return {"$comment": self._text, "anyOf": [*ways, {"enum": alone}]}
+
+
+_COMPLETE: ContextVar[bool] = ContextVar("complete", default=False)
+"""Whether a JSON schema has every kind: messages need none, and import none for it."""
 
 
 def json_schema(root: Any) -> dict[str, Any]:
-    """JSON schema of a section for editors, with every kind of its families among the definitions."""
-    definitions: dict[str, Any] = {}
-
-    def complete(part: Any) -> Any:
-        if isinstance(part, list):
-            return [complete(each) for each in part]
-        if not isinstance(part, dict):
-            return part
-        for name, each in part.get("$defs", {}).items():
-            define(name, each)
-        found = {key: complete(each) for key, each in part.items() if key not in ("$defs", "family")}
-        return found | {"anyOf": part["family"].ways(reference)} if "family" in part else found
-
-    def define(name: str, schema: dict[str, Any]) -> None:
-        if name not in definitions:
-            definitions[name] = {}
-            definitions[name] = complete(schema)
-
-    def reference(section: Any) -> dict[str, Any]:
-        define(section.__name__, schema_of(section))
-        return {"$ref": f"#/$defs/{section.__name__}"}
-
-    return {**complete(schema_of(root)), "$defs": definitions}
+    """JSON schema of a section for editors, with every kind of its families."""
+    before = _COMPLETE.set(True)
+    try:
+        return TypeAdapter(root).json_schema()
+    finally:
+        _COMPLETE.reset(before)
 
 
 class UserMade(Section):

@@ -78,7 +78,8 @@ def njit(function: _F) -> _F:
     numba looks at a function's own file alone, not at those of what it calls. So machine code is kept in a folder for
     each state of all sources that compile anything; where there is no place for a cache, there is none.
     """
-    options: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+    # Nobody calls a law from C, so that entry is not compiled.
+    options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
     if _FOLDER is None:
         return numba.njit(**options)(function)
     before = _CONFIG.CACHE_DIR

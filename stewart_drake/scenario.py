@@ -120,7 +120,7 @@ class Scenario(Section):
 
     @classmethod
     def from_dict(cls, data: Any, key: str | None = None, trust_code: bool = False) -> Scenario:
-        """See `Section.from_dict`; with `trust_code`, code that it names is trusted now and whenever it is the same."""
+        """See `Section.from_dict`; with `trust_code`, code that it names may run."""
         with trusting_code(trust_code):
             return super().from_dict(data, key)
 
@@ -246,11 +246,10 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = (), trust_code: b
             such as `paper_fig7` is looked up among the scenarios of the package.
         overrides: `key=value` texts, keys dotted, values as YAML, see `Scenario.replace`; files among them are relative
             to the current folder.
-        trust_code: Trust the code that is named in it, and in `overrides`, now and whenever it is the same.
+        trust_code: Let the code run that is named in it and in `overrides`.
 
     Raises:
-        ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed; code that is not
-            trusted.
+        ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
     """
     path = find_file("scenario", path)
     data = anchored(read_mapping("scenario", path, 100), path.parent)

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import settings
 
 from stewart_drake.control.network import TunerNetwork
-from stewart_drake.files import code
 from stewart_drake.files.whole import seal
 from stewart_drake.logs import versions
 from stewart_drake.studies import workers
@@ -46,19 +45,6 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.xdist_group(name))
         if "report" in item.fixturenames:
             item.add_marker(pytest.mark.slow)
-
-
-@pytest.fixture(autouse=True, scope="session")
-def nobody_has_trusted_code(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
-        yield
-
-
-@pytest.fixture(autouse=True)
-def no_code_trusted_before():
-    code._TRUSTED.clear()
-    code.store().unlink(missing_ok=True)
 
 
 COMMAND = "from stewart_drake.cli.app import main; main()"

@@ -29,7 +29,6 @@ import yaml
 import stewart_drake as sd
 from stewart_drake.mechanics import dynamics, friction, kinematics
 from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque, task_inertia
-from stewart_drake.mechanics.force_map import crank_map, force_map, force_map_of_legs, rod_map
 from stewart_drake.mechanics.kinematics import inverse_kinematics, leg_geometry, pose_rate_to_twist, rotation_matrix
 from stewart_drake.planning.feasibility import amplitude_table, largest_scale
 from stewart_drake.planning.workspace import measure_poses
@@ -126,11 +125,11 @@ def mechanics():
             (kinematics.conditioning, robot, pose),
             (kinematics.line_conditioning, robot, legs),
             (kinematics.rod_lines, legs),
-            (rod_map, legs),
-            (crank_map, robot, legs, "statics"),
-            (crank_map, robot, legs, "printed"),
-            (force_map, robot, pose),
-            (force_map_of_legs, robot, legs, "printed"),
+            (dynamics.rod_map, legs),
+            (dynamics.crank_map, robot, legs, "statics"),
+            (dynamics.crank_map, robot, legs, "printed"),
+            (dynamics.force_map, robot, pose),
+            (dynamics.force_map_of_legs, robot, legs, "printed"),
             (kinematics.crank_rates, robot, legs, pose, rate),
             (kinematics.twist_jacobian, robot, pose),
             (kinematics.pose_jacobian, robot, pose),

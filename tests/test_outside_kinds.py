@@ -82,10 +82,8 @@ def checked_logged_and_plotted(scenario, tmp_path):
     return log
 
 
-@pytest.mark.parametrize(
-    "given", [ToyController, {"kind": ToyController, "period": 0.002, "arguments": {"stiffness": 1.0}}]
-)
-def test_a_controller_from_a_notebook_cell(given, tmp_path):
+def test_a_controller_from_a_notebook_cell(tmp_path):
+    given = {"kind": ToyController, "period": 0.002, "arguments": {"stiffness": 1.0}}
     scenario = Scenario.from_dict({**SHORT, "controller": given, "reference": {"kind": "hold"}})
     assert str(scenario.controller.kind) == "test_outside_kinds:ToyController"
     log = checked_logged_and_plotted(scenario, tmp_path)
@@ -247,8 +245,8 @@ class ToyMonitor:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("given", [ToyMonitor, ToyMonitor(), {"kind": ToyMonitor, "arguments": {"lowest": 0.3}}])
-def test_a_monitor_stops_a_run_by_its_name_and_refuses_a_motion_that_would_trip_it(given, tmp_path):
+def test_a_monitor_stops_a_run_by_its_name_and_refuses_a_motion_that_would_trip_it(tmp_path):
+    given = {"kind": ToyMonitor, "arguments": {"lowest": 0.3}}
     base = {**SHORT, "duration": 1.0, "reference": {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.302]}}
     push = {"kind": "step", "wrench": [0, 0, 0, 0, 0, -30.0], "time": 0.05}
     scenario = Scenario.from_dict({**base, "safety": {"monitors": [given]}})

@@ -3,7 +3,7 @@ import pytest
 
 from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.control.lqi import lqi_gain
-from stewart_drake.control.state_space import POSITION
+from stewart_drake.control.riccati import POSITION
 from stewart_drake.control.tuners import BlockTuner
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.mechanics.dynamics import pose_acceleration_map

@@ -84,7 +84,7 @@ def trust_flag(function: Callable[..., Any]) -> Callable[..., Any]:
     @click.option(
         "--trust-code",
         is_flag=True,
-        help="Run the code that the files and --set name; it is asked for again once that code has changed.",
+        help="Run the code that the files and --set name.",
     )
     @wraps(function)
     def command(*args: Any, trust_code: bool, **options: Any) -> Any:

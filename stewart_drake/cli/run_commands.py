@@ -24,7 +24,6 @@ from stewart_drake.cli.options import (
 from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.families import user_parts
-from stewart_drake.files.code import code_rule
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.logs.log import SimulationLog
@@ -49,13 +48,13 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
 
     Exit status: 0 completed, 2 bad input, 3 stopped, lost or failed (the log is kept), 130 interrupted.
     """
-    from stewart_drake.runs.checks import check_scenario, refuse_too_long
+    from stewart_drake.runs.checks import check_scenario, refuse_unrunnable
     from stewart_drake.runs.simulation import engine_of
     from stewart_drake.runs.simulation import run as simulate
 
     loaded = load_scenario(scenario, overrides)
     place = results_place(loaded, out, force)
-    refuse_too_long(loaded)
+    refuse_unrunnable(loaded)
     with shown_compiling(quiet):
         check_scenario(loaded)
     viewer = None
@@ -114,14 +113,12 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
 
     if out is not None and scale == retime:
         raise click.UsageError("--out needs one of --scale and --retime")
-    with code_rule("name"):
-        loaded = load_scenario(scenario, overrides)
+    loaded = load_scenario(scenario, overrides)
     for part in user_parts(loaded):
-        if part.code.digest is None:
-            raise part.code.refusal(part.code_key)
+        part.code.find(part.code_key)
     for code in dict.fromkeys(part.code for part in user_parts(loaded)):
         asks = "" if code.trusted else "; `run` asks for --trust-code"
-        click.echo(f"runs code: {code.file}:{code.name}, sha256 {str(code.digest)[:16]}{asks}")
+        click.echo(f"runs code: {code.file}:{code.name}{asks}")
     if user_parts((loaded.reference, loaded.safety)):
         if scale or retime:
             allowed = "a motion and monitors of the package, for --scale and --retime: check runs no user's code"

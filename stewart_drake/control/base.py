@@ -24,6 +24,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     robot_record,
     usable_legs,
 )
+from stewart_drake.mechanics.linear_algebra import all_finite
 from stewart_drake.part import Part, Setup
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import times
@@ -134,15 +135,6 @@ class Setpoint(NamedTuple):
     pose: np.ndarray
     pose_rate: np.ndarray
     pose_acceleration: np.ndarray
-
-
-@njit
-def all_finite(values: Any) -> bool:
-    """Whether all numbers of a vector are finite."""
-    for value in values:  # noqa: SIM110 - numba knows no generators here
-        if not np.isfinite(value):
-            return False
-    return True
 
 
 @njit

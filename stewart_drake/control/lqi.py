@@ -13,27 +13,30 @@ from stewart_drake.control.base import (
     REFERENCE,
     TORQUE,
     OwnControllerOptions,
-    all_finite,
     controller_part,
     failure,
     measured_legs,
 )
-from stewart_drake.control.riccati import RiccatiSolver, riccati_gain, solve_drake, split_gain, split_solution
-from stewart_drake.control.state_space import (
+from stewart_drake.control.riccati import (
     AXES,
     INTEGRAL,
     POSITION,
     RATE,
     STATES,
     Discretization,
+    RiccatiSolver,
     discretize,
     input_matrix,
+    riccati_gain,
+    solve_drake,
+    split_gain,
+    split_solution,
     state_matrix,
 )
 from stewart_drake.errors import ConfigurationError, RiccatiError
 from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics.dynamics import ForceMapKind
 from stewart_drake.mechanics.dynamics_laws import motion_torque, pose_acceleration_map, static_torque
-from stewart_drake.mechanics.force_map import ForceMapKind
 from stewart_drake.mechanics.kinematics_laws import (
     LEGS,
     NO_GAIN,
@@ -44,7 +47,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     legs_at,
     robot_record,
 )
-from stewart_drake.mechanics.linear_algebra import solve
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST
@@ -196,9 +199,9 @@ def lqi_tick(
     status, leg, margin = pose_problem(robots, setups, measurement, reference, weights, leg_records, problems, states)
     if status == OK:
         hold = setup.exact_hold == 1.0
-        done = split_solution(problem.map, setup.length, setup.period, problem.weights, hold, problem.gain)
+        done = split_solution(problem.map[:], setup.length, setup.period, problem.weights[:], hold, problem.gain[:])
         if done and problem.changed == 1.0:
-            done = split_solution(problem.map, setup.length, setup.period, state.weights, hold, problem.before)
+            done = split_solution(problem.map[:], setup.length, setup.period, state.weights[:], hold, problem.before[:])
         status = OK if done else NO_GAIN
     return command(robots, setups, measurement, reference, leg_records, problems, status, leg, margin, states)
 
@@ -222,11 +225,13 @@ def pose_problem(
         if not 0.0 < problem.weights[k] < np.inf:
             return NO_GAIN, -1, 0.0
     problem.changed = 0.0
-    if setup.bumpless == 1.0 and state.weights[0] != 0.0 and np.any(state.weights != problem.weights):
-        problem.changed = 1.0
+    if setup.bumpless == 1.0 and state.weights[0] != 0.0:
+        for k in range(4):
+            if state.weights[k] != problem.weights[k]:
+                problem.changed = 1.0
     if setup.exact_model == 0.0:
-        paper_acceleration_map(robot, legs, setup.printed_map == 1.0, problem.map)
-    elif not pose_acceleration_map(robot, legs, measurement[:6], problem.map):
+        paper_acceleration_map(robot, legs, setup.printed_map == 1.0, problem.map[:])
+    elif not pose_acceleration_map(robot, legs, measurement[:6], problem.map[:]):
         return PARALLEL, -1, margin
     return OK, -1, margin
 
@@ -292,9 +297,11 @@ def _feedforward(robot: Any, setup: Any, measurement: Any, reference: Any, legs:
         # M q''_d of (9) through the force map.
         paper_map, torque = np.empty((6, 6)), np.empty((6, 1))
         paper_acceleration_map(robot, legs, setup.printed_map == 1.0, paper_map)
-        torque[:, 0] = reference[12:]
+        for k in range(6):
+            torque[k, 0] = reference[12 + k]
         done = solve(paper_map, torque) != 0.0
-        force += torque[:, 0]
+        for k in range(6):
+            force[k] += torque[k, 0]
     return OK if done else PARALLEL, -1, 0.0
 
 
@@ -310,7 +317,7 @@ def _command(
                 column[i, 0] += problem.before[i, 12 + k] * integral[k]
         if not _integral_for(problem.gain, column):
             return NO_GAIN, -1, 0.0
-        integral[:] = column[:, 0]
+        copy_to(integral, column[:, 0])
     force, torque, cut = np.empty(6), np.empty(6), np.zeros((6, 1))
     status, leg, margin = _feedforward(robot, setup, measurement, reference, legs, force)
     if status != OK:
@@ -329,15 +336,20 @@ def _command(
     if saturated and setup.saturation == BACK_CALCULATION:
         if not _integral_for(problem.gain, cut):
             return NO_GAIN, -1, 0.0
-        integral += setup.back_share * cut[:, 0]
+        for k in range(6):
+            integral[k] += setup.back_share * cut[k, 0]
     for k in range(6):
         state.error[k] = measurement[k] - reference[k]
         if not (saturated and setup.saturation == CLAMP):
             integral[k] += setup.period * state.error[k]
         bound = setup.integral_limit[k]
         state.integral[k] = min(max(integral[k], -bound), bound)
-    state.torque[:], state.gain[:], state.feedforward[:] = torque, problem.gain, force
-    state.weights[:], state.held = problem.weights, 0.0
+    copy_to(state.torque[:], torque)
+    copy_to(state.feedforward[:], force)
+    copy_to(state.weights[:], problem.weights[:])
+    for i in range(6):
+        copy_to(state.gain[i], problem.gain[i])
+    state.held = 0.0
     return OK, -1, 0.0
 
 
@@ -353,7 +365,7 @@ def _bridged(robot: Any, setup: Any, measurement: Any, reference: Any, state: An
     state.held += 1.0
     torque = np.empty(6)
     for i in range(6):
-        torque[i] = state.feedforward[i] - _feedback(state.gain, measurement, reference, state.integral, i)
+        torque[i] = state.feedforward[i] - _feedback(state.gain, measurement, reference, state.integral[:], i)
     if all_finite(measurement) and all_finite(torque):
         for k in range(6):
             limit = np.inf if setup.saturation == NONE else robot.effort_limit[k]

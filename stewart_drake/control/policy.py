@@ -23,12 +23,12 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from stewart_drake.control.features import FEATURES, SETUP, TUNER_STATE, features, plausible
+from stewart_drake.control.features import FEATURES, SETUP, TUNER_STATE, CostScales, features, plausible
 from stewart_drake.control.network import load_weights, numbers, weights_bytes
-from stewart_drake.control.objective import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE, write_atomically
 from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics.linear_algebra import copy_to
 from stewart_drake.part import Part
 
 NAMES = ("speed", "damping", "integral", "disturbance")
@@ -112,8 +112,8 @@ def settle(setup: Any, wanted: Any, own: float, state: Any) -> None:
         change = wanted[k] - state.setting[k]
         state.setting[k] += min(max(change, -setup.step[k]), setup.step[k])
     state.setting[SIZE] = 1.0 - own
-    state.weights[:] = weights_of(setup.weights, state.setting)
-    state.disturbance[0] = disturbance_of(setup.disturbance, state.setting)
+    copy_to(state.weights[:], weights_of(setup.weights[:], state.setting[:]))
+    state.disturbance[0] = disturbance_of(setup.disturbance, state.setting[:])
 
 
 @njit
@@ -125,7 +125,7 @@ def policy_tick(
     Takes `SETUP`, the record of `Layers`, what `features` hears, and `TUNER_STATE` of the tick before, in place.
     """
     setup, state, heard, wanted, own = record(setups), record(states), np.empty(_COUNT), np.empty(SIZE), 0.0
-    wanted[:] = setup.centre
+    copy_to(wanted, setup.centre[:])
     if plausible(density, error, torque, innovation, reference):
         features(setup, density, error, torque, innovation, reference, state, heard)
         own = answer(record(policies), heard, wanted)

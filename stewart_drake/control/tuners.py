@@ -11,10 +11,11 @@ from pydantic import Field
 
 from stewart_drake.config import NotNegative, Positive, Real, Section, Text, Window
 from stewart_drake.control.base import INTEGRAL_WEIGHT, POSE_WEIGHT, RATE_WEIGHT
-from stewart_drake.control.density import DensityKind, density_part
 from stewart_drake.control.network import (
+    DensityKind,
     TunerNetwork,
     default_network_path,
+    density_part,
     load_network,
     network_part,
     read_weights,

@@ -22,7 +22,7 @@ from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.mechanics.kinematics_laws import NO_CONVERGENCE, NOT_FINITE, OK, PARALLEL, SERIAL
-from stewart_drake.mechanics.linear_algebra import solve
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
 
@@ -97,12 +97,12 @@ def _difference(robots: Any, setups: Any, angles: Any, leg_records: Any, states:
         status is not OK only `candidate` changes.
     """
     robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
-    pose, last = state.candidate, state.measurement
+    pose, last = state.candidate[:], state.measurement
     started, elapsed = state.started > 0.0, setup.period * (1.0 + state.held)
-    pose[:] = last[:6]
-    if not np.isfinite(angles).all():
+    copy_to(pose, last[:6])
+    if not all_finite(angles):
         return NOT_FINITE, -1, 0.0
-    if started and np.abs(angles - state.angles).max() > setup.max_speed * elapsed:
+    if started and (np.abs(angles - state.angles) > setup.max_speed * elapsed).any():
         return TOO_FAST, -1, 0.0
     error, steps = laws.forward_kinematics(robot, angles, pose, TOLERANCE, ITERATIONS)
     if not error <= TOLERANCE:
@@ -119,7 +119,7 @@ def _difference(robots: Any, setups: Any, angles: Any, leg_records: Any, states:
         if started:
             rate[i] += setup.smoothing * ((angles[i] - state.angles[i]) / elapsed - rate[i])
         twist[i, 0] = legs.lever[i] * rate[i]
-    side = solve(legs.line, twist)
+    side = solve(legs.line[:], twist)
     near = True
     for k in range(6):
         near = near and abs(pose[k] - last[k]) <= (setup.max_turn if k < 3 else setup.max_shift)
@@ -127,9 +127,10 @@ def _difference(robots: Any, setups: Any, angles: Any, leg_records: Any, states:
         return OTHER_MODE, -1, 0.0
     if side == 0.0:
         return PARALLEL, -1, 0.0
-    state.measurement[:6] = pose
+    copy_to(state.measurement[:6], pose)
     laws.rate_of(pose, twist[:, 0], state.measurement[6:])
-    state.angles[:], state.crank_rate[:] = angles, rate
+    copy_to(state.angles[:], angles)
+    copy_to(state.crank_rate[:], rate)
     state.held, state.side, state.started = 0.0, side, 1.0
     return OK, -1, 0.0
 

@@ -32,8 +32,7 @@ from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.mechanics.dynamics_laws import forward_dynamics, task_inertia
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, SERIAL, UNREACHABLE, dot, legs_at
-from stewart_drake.mechanics.linear_algebra import solve
-from stewart_drake.mechanics.spectral import spectral_factor
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve, spectral_factor
 from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
 
@@ -122,8 +121,9 @@ def kalman_gains(noise: float, disturbance: float, period: float) -> tuple[float
     """Gains of the steady Kalman filter of one crank, in closed form.
 
     With g = disturbance^2 h^5 / noise^2 and a = white^2 h^3 / noise^2 for a white acceleration, the spectrum of the
-    readings is proportional to u^3 + (a/4 + g/16) u^2 + (a + g/2) u + g, see `spectral`: disturbance and acceleration
-    reach the angle through h^2 (z + 1) / 2 d^3 and h^2 (z + 1) / 2 d^2, d = z - 1. Its factor has the filter's poles.
+    readings is proportional to u^3 + (a/4 + g/16) u^2 + (a + g/2) u + g, see `spectral_factor`: disturbance and
+    acceleration reach the angle through h^2 (z + 1) / 2 d^3 and h^2 (z + 1) / 2 d^2, d = z - 1. Its factor has the
+    filter's poles.
 
     Args:
         noise: [rad] standard deviation of a reading.
@@ -167,18 +167,20 @@ def _observe(
         Status, leg or -1, margin. SERIAL and PARALLEL are said of the pose in the state.
     """
     robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
-    cosine, sine = np.cos(reading[:6]), np.sin(reading[:6])
+    cosine, sine = np.empty(6), np.empty(6)
+    for i in range(6):
+        cosine[i], sine[i] = np.cos(reading[i]), np.sin(reading[i])
     if reading.size == 12:
         bad = legs_at(robot, reading[:6], legs)
-        if bad >= 0 and np.isfinite(reading[:6]).all():
+        if bad >= 0 and all_finite(reading[:6]):
             return UNREACHABLE, bad, legs.reach[bad]
         for i in range(6):
             cosine[i], sine[i] = (legs.cosine[i], legs.sine[i]) if bad < 0 else (np.nan, np.nan)
     for row in range(int(setup.delay)):
-        state.commands[row] = state.commands[row + 1]
+        copy_to(state.commands[row], state.commands[row + 1])
     # What is not a number no motor gives; the safety layer repeats the last command for it.
-    if np.isfinite(sent).all():
-        state.commands[int(setup.delay)] = sent
+    if all_finite(sent):
+        copy_to(state.commands[int(setup.delay)], sent)
     status, leg, margin = _correct(robot, setup, cosine, sine, reference, expected, state, legs)
     if status != OK:
         return status, leg, margin
@@ -192,12 +194,12 @@ def _correct(
     """Prediction and correction; pose and rate in the state become those of now."""
     h = setup.period
     pose, rate = state.measurement[:6].copy(), state.measurement[6:].copy()
-    status, leg, margin = predict(robot, setup, state.commands[0], state.disturbance, pose, rate, legs)
+    status, leg, margin = predict(robot, setup, state.commands[0], state.disturbance[:], pose, rate, legs)
     if status != OK:
         return status, leg, margin
     bad = legs_at(robot, pose, legs)
     if bad >= 0:
-        state.measurement[:6] = pose
+        copy_to(state.measurement[:6], pose)
         return SERIAL, bad, legs.reach[bad]
     to_angle, to_rate, to_disturbance = kalman_gains(setup.noise, expected, h)
     worst = 0
@@ -220,14 +222,15 @@ def _correct(
         turned[i, 1] = legs.lever[i] * to_rate * state.innovation[i]
     side = solve(lines, turned)
     if side != state.side:
-        state.measurement[:6] = pose
+        copy_to(state.measurement[:6], pose)
         return PARALLEL, -1, 0.0
     predicted = pose.copy()
     laws.rate_of(predicted, turned[:, 0], change)
     pose += change
     laws.rate_of(predicted, turned[:, 1], change)
     rate += change
-    state.measurement[:6], state.measurement[6:] = pose, rate
+    copy_to(state.measurement[:6], pose)
+    copy_to(state.measurement[6:], rate)
     if not _stands(setup, legs, expected, pose, reference):
         for i in range(6):
             state.disturbance[i] += to_disturbance * state.innovation[i]
@@ -244,7 +247,8 @@ def _stands(setup: Any, legs: Any, expected: float, pose: Any, reference: Any) -
     off, wanted = np.empty(6), np.empty(6)
     laws.angular_velocity(pose[:3], pose[:3] - reference[:3], off[:3])
     laws.angular_velocity(pose[:3], reference[6:9], wanted[:3])
-    off[3:], wanted[3:] = pose[3:] - reference[3:6], reference[9:12]
+    for k in range(3, 6):
+        off[k], wanted[k] = pose[k] - reference[k], reference[6 + k]
     for i in range(6):
         apart = dot(legs.line[i, :3], off[:3]) + dot(legs.line[i, 3:], off[3:])
         turning = dot(legs.line[i, :3], wanted[:3]) + dot(legs.line[i, 3:], wanted[3:])
@@ -259,9 +263,11 @@ def _look_ahead(robots: Any, setups: Any, leg_records: Any, states: Any) -> Any:
     """The rest of a tick: what will be when its command acts, and what the disturbance takes then."""
     robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
     ahead, inertia = state.ahead, np.empty((6, 6))
-    ahead[:] = state.measurement
+    copy_to(ahead[:], state.measurement[:])
     for row in range(1, int(setup.delay) + 1):
-        status, leg, margin = predict(robot, setup, state.commands[row], state.disturbance, ahead[:6], ahead[6:], legs)
+        status, leg, margin = predict(
+            robot, setup, state.commands[row], state.disturbance[:], ahead[:6], ahead[6:], legs
+        )
         if status != OK:
             return status, leg, margin
     bad = legs_at(robot, ahead[:6], legs)

@@ -12,7 +12,6 @@ import numpy as np
 
 from stewart_drake.control.policy import NAMES
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.code import code_rule
 from stewart_drake.files.tables import (
     column_name,
     need_pandas,
@@ -276,9 +275,7 @@ def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLo
     try:
         outcome = {name: about["outcome"][name] for name in _OUTCOME}
         outcome["warnings"] = tuple(outcome["warnings"])
-        # What is read is not run.
-        with code_rule("name"):
-            scenario = Scenario.from_dict(about["scenario"])
+        scenario = Scenario.from_dict(about["scenario"])
     except (KeyError, TypeError) as error:
         what = f"metadata that cannot be read ({type(error).__name__}: {error})"
         raise ConfigurationError(key, what, "a log written by this package") from None

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from stewart_drake.control.objective import CostScales, cost
+from stewart_drake.control.features import CostScales, cost
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
 from stewart_drake.families import UserMade
 from stewart_drake.files.whole import NOT_FINITE, plain_json

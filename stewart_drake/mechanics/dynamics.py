@@ -1,4 +1,6 @@
-"""Exact rigid-body dynamics of the closed chain in six task coordinates, for poses with any leading axes.
+"""Exact rigid-body dynamics of the closed chain in six task coordinates, and the paper's map from torques to a wrench.
+
+For poses with any leading axes.
 
 Model: platform of Table I, cranks turning about their motors, rods as rigid bodies without spin about their own axes.
 Coordinates: twist [w, v] of P in B. M(pose) d(twist)/dt + h(pose, twist) = J' T with J = d(theta)/d(twist).
@@ -6,18 +8,23 @@ Coordinates: twist [w, v] of P in B. M(pose) d(twist)/dt + h(pose, twist) = J' T
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.jit import njit, record
 from stewart_drake.mechanics import dynamics_laws as laws
-from stewart_drake.mechanics.batch import Robot, at_poses
+from stewart_drake.mechanics.kinematics import LegGeometry, Robot, at_poses, leg_geometry, rod_lines
 from stewart_drake.mechanics.kinematics_laws import LEGS, OK, PARALLEL, UNREACHABLE, legs_at
+from stewart_drake.robot import RobotParameters
 
 STANDARD_GRAVITY = 9.81
 """[m/s^2] the value of the reference computations and of Drake's default field."""
+ForceMapKind = Literal["printed", "statics"]
+_MOTION_TORQUE, _ACCELERATION, _BIAS, _INERTIA, _ACCELERATION_MAP = range(5)
 
 
 def static_torque(robot: Robot, pose: ArrayLike, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
@@ -50,7 +57,7 @@ def inverse_dynamics(
         numpy.linalg.LinAlgError: Exactly at a parallel singularity.
     """
     motion = {"pose": pose, "pose_rate": pose_rate, "pose_acceleration": pose_acceleration}
-    return at_poses(_motion_torques, robot, motion, (6,), gravity)
+    return _at_poses(_MOTION_TORQUE, robot, motion, gravity)[..., 0, :]
 
 
 def forward_dynamics(
@@ -77,78 +84,86 @@ def forward_dynamics(
         numpy.linalg.LinAlgError: Exactly at a singularity.
     """
     motion = {"pose": pose, "pose_rate": pose_rate, "torque": torque}
-    return at_poses(_forward_dynamics, robot, motion, (6,), gravity)
+    return _at_poses(_ACCELERATION, robot, motion, gravity)[..., 0, :]
 
 
 def task_bias(robot: Robot, pose: ArrayLike, twist: ArrayLike, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
     """h(pose, twist) (..., 6) [N m, N]: Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates."""
-    return at_poses(_task_biases, robot, {"pose": pose, "twist": twist}, (6,), gravity)
+    return _at_poses(_BIAS, robot, {"pose": pose, "twist": twist}, gravity)[..., 0, :]
 
 
 def task_inertia(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """M(pose) (..., 6, 6) [kg m^2, kg m, kg]: inertia of the closed chain as the platform feels it."""
-    return at_poses(_task_inertias, robot, {"pose": pose}, (6, 6))
+    return _at_poses(_INERTIA, robot, {"pose": pose})
 
 
 def pose_acceleration_map(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """E^-1 M^-1 J' (..., 6, 6): second derivative of the pose per unit of motor torque; M^-1 tau of (10), exact."""
-    return at_poses(_pose_acceleration_maps, robot, {"pose": pose}, (6, 6))
+    return _at_poses(_ACCELERATION_MAP, robot, {"pose": pose})
+
+
+def _at_poses(law: int, robot: Robot, inputs: Mapping[str, ArrayLike], gravity: float = 0.0) -> np.ndarray:
+    """A law's matrices (..., 6, 6), or vectors as (..., 1, 6), of a pose and up to two vectors (..., 6)."""
+    rows = 6 if law in (_INERTIA, _ACCELERATION_MAP) else 1
+    rest = {f"none {k}": np.zeros(6) for k in range(len(inputs), 3)}
+    return np.asarray(at_poses(_loop, robot, {**inputs, **rest}, (rows, 6), law, gravity))
 
 
 @njit
-def _motion_torques(robots: Any, gravity: float, poses: Any, rates: Any, accelerations: Any, made: Any) -> int:
-    robot, store, motion = record(robots), np.empty(1, LEGS), np.empty(12)
+def _loop(robots: Any, law: float, gravity: float, poses: Any, vectors: Any, others: Any, out: Any) -> int:
+    robot, store, motion, nothing = record(robots), np.empty(1, LEGS), np.empty(12), np.zeros(6)
     for n in range(len(poses)):
-        legs = record(store)
-        if legs_at(robot, poses[n], legs) >= 0:
+        legs, pose, vector, done = record(store), poses[n], vectors[n], True
+        if legs_at(robot, pose, legs) >= 0:
             return UNREACHABLE
-        motion[:6], motion[6:] = poses[n], rates[n]
-        if not laws.motion_torque(robot, legs, motion, accelerations[n], gravity, made[n]):
+        if law == _MOTION_TORQUE:
+            for k in range(6):
+                motion[k], motion[6 + k] = pose[k], vector[k]
+            done = laws.motion_torque(robot, legs, motion, others[n], gravity, out[n, 0])
+        elif law == _ACCELERATION:
+            done = laws.forward_dynamics(robot, legs, pose, vector, others[n], nothing, gravity, out[n, 0])
+        elif law == _BIAS:
+            laws.task_bias(robot, legs, vector, gravity, out[n, 0])
+        elif law == _INERTIA:
+            laws.task_inertia(robot, legs, out[n])
+        else:
+            done = laws.pose_acceleration_map(robot, legs, pose, out[n])
+        if not done:
             return PARALLEL
     return OK
 
 
-@njit
-def _forward_dynamics(robots: Any, gravity: float, poses: Any, rates: Any, torques: Any, made: Any) -> int:
-    robot, store, nothing = record(robots), np.empty(1, LEGS), np.zeros(6)
-    for n in range(len(poses)):
-        legs = record(store)
-        if legs_at(robot, poses[n], legs) >= 0:
-            return UNREACHABLE
-        if not laws.forward_dynamics(robot, legs, poses[n], rates[n], torques[n], nothing, gravity, made[n]):
-            return PARALLEL
-    return OK
+# --- the paper's force map -------------------------------------------------------------------------------------------
 
 
-@njit
-def _task_biases(robots: Any, gravity: float, poses: Any, twists: Any, made: Any) -> int:
-    robot, store = record(robots), np.empty(1, LEGS)
-    for n in range(len(poses)):
-        legs = record(store)
-        if legs_at(robot, poses[n], legs) >= 0:
-            return UNREACHABLE
-        laws.task_bias(robot, legs, twists[n], gravity, made[n])
-    return OK
+def rod_map(legs: LegGeometry) -> np.ndarray:
+    """tau_1 (..., 6, 6) of (14): wrench [M; F] of P in B from the six rod forces.
+
+    Deviation: e_M = (R^-1 p_i) x e_l; the print leaves p_i unrotated.
+    """
+    return rod_lines(legs).swapaxes(-1, -2)
 
 
-@njit
-def _task_inertias(robots: Any, poses: Any, made: Any) -> int:
-    robot, store = record(robots), np.empty(1, LEGS)
-    for n in range(len(poses)):
-        legs = record(store)
-        if legs_at(robot, poses[n], legs) >= 0:
-            return UNREACHABLE
-        laws.task_inertia(robot, legs, made[n])
-    return OK
+def crank_map(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
+    """Diagonal (..., 6) [1/m] of tau_2 of (16): force in a rod per unit of motor torque.
+
+    `printed` is (e_l . e_N) / |a|. Deviation: the statics of a massless crank and rod give 1 / (|a| (e_l . e_N)),
+    `statics`, infinite at a crank's dead centre; the two agree only where the rod lies along e_N.
+    """
+    cranks = robot.crank_lengths
+    if kind == "printed":
+        return legs.transmission / cranks
+    if kind != "statics":
+        raise ConfigurationError("force_map", kind, "statics or printed")
+    with np.errstate(divide="ignore"):
+        return 1.0 / (cranks * legs.transmission)
 
 
-@njit
-def _pose_acceleration_maps(robots: Any, poses: Any, made: Any) -> int:
-    robot, store = record(robots), np.empty(1, LEGS)
-    for n in range(len(poses)):
-        legs = record(store)
-        if legs_at(robot, poses[n], legs) >= 0:
-            return UNREACHABLE
-        if not laws.pose_acceleration_map(robot, legs, poses[n], made[n]):
-            return PARALLEL
-    return OK
+def force_map_of_legs(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
+    """Map tau of (18) from leg vectors that are already at hand; (..., 6, 6) [-, 1/m]."""
+    return rod_map(legs) * crank_map(robot, legs, kind)[..., None, :]
+
+
+def force_map(robot: RobotParameters, pose: ArrayLike, kind: ForceMapKind = "statics") -> np.ndarray:
+    """Map tau (..., 6, 6) of (18): wrench [moment; force] on the platform, in B, per unit of motor torque."""
+    return force_map_of_legs(robot, leg_geometry(robot, pose), kind)

@@ -12,14 +12,22 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.jit import njit
-from stewart_drake.mechanics.kinematics_laws import angular_velocity, cross, dot, euler_drift, euler_rates, turned
+from stewart_drake.mechanics.kinematics_laws import (
+    angular_velocity,
+    cross,
+    dot,
+    euler_drift,
+    euler_rates,
+    turned,
+    twist_of,
+)
 from stewart_drake.mechanics.linear_algebra import solve
 
 
 @njit
 def task_inertia(robot: Any, legs: Any, out: Any) -> None:
     """M (6, 6) [kg m^2, kg m, kg]: inertia of the closed chain as the platform feels it."""
-    turn = legs.rotation
+    turn = legs.rotation[:]
     out[:] = 0.0
     for j in range(3):
         for k in range(3):
@@ -28,7 +36,7 @@ def task_inertia(robot: Any, legs: Any, out: Any) -> None:
                     out[j, k] += turn[j, m] * robot.platform_tensor[m, n] * turn[k, n]
         out[3 + j, 3 + j] = robot.platform_mass
     moment = np.empty(3)
-    turned(turn, robot.platform_moment, moment)
+    turned(turn, robot.platform_moment[:], moment)
     x, y, z = moment[0], moment[1], moment[2]
     out[0, 4], out[0, 5], out[1, 3], out[1, 5], out[2, 3], out[2, 4] = -z, y, z, -x, -y, x
     # A rod is three things to its two ends: m/4 of their sum, and I/l^2 of their difference across the rod. Written out
@@ -73,7 +81,7 @@ def loads(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, wr
         wrench: (6,) [N m, N] out, about P in B.
         torque: (6,) [N m] out.
     """
-    turn, w, alpha = legs.rotation, twist[:3], twist_rate[:3]
+    turn, w, alpha = legs.rotation[:], twist[:3], twist_rate[:3]
     _platform_load(robot, turn, twist, twist_rate, gravity, wrench)
     arm_w, joint, speed, tip, arm_alpha, swing = (
         np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3),
@@ -122,14 +130,14 @@ def _platform_load(robot: Any, turn: Any, twist: Any, twist_rate: Any, gravity: 
         for m in range(3):
             body_w[k] += turn[m, k] * twist[m]
             body_alpha[k] += turn[m, k] * twist_rate[m]
-    turned(robot.platform_tensor, body_w, spin)
-    turned(robot.platform_tensor, body_alpha, load)
+    turned(robot.platform_tensor[:], body_w, spin)
+    turned(robot.platform_tensor[:], body_alpha, load)
     cross(body_w, spin, gyro)
     for k in range(3):
         load[k] += gyro[k]
     turned(turn, load, wrench[:3])
     centre, lifted, moment, swing = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    turned(turn, robot.platform_moment, centre)
+    turned(turn, robot.platform_moment[:], centre)
     for k in range(3):
         lifted[k] = twist_rate[3 + k] + (gravity if k == 2 else 0.0)
     cross(centre, lifted, moment)
@@ -147,9 +155,10 @@ def inverse_dynamics(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity
 
     Args: As of `loads`.
     """
-    wrench, matrix = np.empty((6, 1)), np.empty((6, 6))
-    loads(robot, legs, twist, twist_rate, gravity, wrench[:, 0], torque)
+    load, wrench, matrix = np.empty(6), np.empty((6, 1)), np.empty((6, 6))
+    loads(robot, legs, twist, twist_rate, gravity, load, torque)
     for i in range(6):
+        wrench[i, 0] = load[i]
         for k in range(6):
             matrix[k, i] = legs.line[i, k]
     if solve(matrix, wrench) == 0.0:
@@ -205,8 +214,7 @@ def forward_dynamics(
     `crank_acceleration` (6,) [rad/s^2] comes on top of what the torques do; of an observer. False at a singularity.
     """
     twist, bias, inertia, solution = np.empty(6), np.empty(6), np.empty((6, 6)), np.empty((6, 1))
-    angular_velocity(pose[:3], rate[:3], twist[:3])
-    twist[3:] = rate[3:]
+    twist_of(pose, rate, twist)
     task_bias(robot, legs, twist, gravity, bias)
     task_inertia(robot, legs, inertia)
     for k in range(6):
@@ -233,7 +241,7 @@ def pose_acceleration_map(robot: Any, legs: Any, pose: Any, out: Any) -> bool:
 
     The exact counterpart of M^-1 tau in (10); [rad/s^2/(N m), m/s^2/(N m)].
     """
-    inertia = np.empty((6, 6))
+    inertia, column = np.empty((6, 6)), np.empty(3)
     task_inertia(robot, legs, inertia)
     for i in range(6):
         for k in range(6):
@@ -241,5 +249,9 @@ def pose_acceleration_map(robot: Any, legs: Any, pose: Any, out: Any) -> bool:
     if solve(inertia, out) == 0.0:
         return False
     for i in range(6):
-        euler_rates(pose[:3], out[:3, i])
+        for k in range(3):
+            column[k] = out[k, i]
+        euler_rates(pose[:3], column)
+        for k in range(3):
+            out[k, i] = column[k]
     return True

@@ -6,18 +6,128 @@ twist is [w, v]: angular velocity of P and velocity of its origin, both in B. Ma
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stewart_drake.errors import ConfigurationError, ForwardKinematicsError
+from stewart_drake.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
 from stewart_drake.jit import njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
-from stewart_drake.mechanics.batch import Robot, at_poses, broadcast_rows, over_rows, reaches, robot_records
-from stewart_drake.mechanics.kinematics_laws import LEGS, OK, UNREACHABLE
+from stewart_drake.mechanics.kinematics_laws import LEGS, OK, UNREACHABLE, robot_record
 from stewart_drake.robot import RobotParameters
+
+CHUNK = 512
+"""Poses that are worth a thread: starting one takes as long as some fifty."""
+
+Loop = Callable[..., Any]
+"""Takes shared arguments, then arrays of as many rows as there are poses, those that it fills last. Returns `OK`, or
+another status where its law cannot go on at a pose."""
+Robot = RobotParameters | np.ndarray
+"""A robot, or its numbers as a `ROBOT` record (1,)."""
+
+
+# --- many poses ------------------------------------------------------------------------------------------------------
+
+
+def over_rows(loop: Loop, shared: tuple[Any, ...], rows: tuple[np.ndarray, ...]) -> int:
+    """Runs a loop over rows, in one chunk for each core where there are enough of them; the worst status."""
+
+    def run(start: int, stop: int) -> int:
+        with np.errstate(all="ignore"):  # of the same source uncompiled
+            return loop(*shared, *(each[start:stop] for each in rows)) or OK
+
+    count = len(rows[0])
+    chunks = min(os.cpu_count() or 1, count // CHUNK)
+    if chunks < 2:
+        return run(0, count)
+    edges = np.linspace(0, count, chunks + 1).astype(int).tolist()
+    # A pool that lives as long as the call: threads do not survive a fork.
+    with ThreadPoolExecutor(chunks) as pool:
+        return max(pool.map(run, edges[:-1], edges[1:]))
+
+
+def at_poses(
+    loop: Loop, robot: Robot, inputs: Mapping[str, Any], tail: tuple[int, ...], *numbers: float, kind: Any = float
+) -> Any:
+    """Values (..., *tail) at poses with any leading axes.
+
+    Args:
+        loop: Called with the robot's record, the numbers, rows of the inputs, and rows to fill.
+        robot: Whose.
+        inputs: Name -> (..., 6); leading axes broadcast. `pose` is among them, and finite.
+        tail: Shape of the value at one pose.
+        numbers: Single numbers.
+        kind: Type of the values.
+
+    Raises:
+        UnreachablePoseError: A rod cannot span; that of the worst leg of all poses.
+        ConfigurationError: Inputs that are not (..., 6), or a pose that is not finite.
+        numpy.linalg.LinAlgError: The law cannot go on at a singularity.
+    """
+    arrays = {name: np.asarray(value, dtype=float) for name, value in inputs.items()}
+    for name, array in arrays.items():
+        finite = name != "pose" or np.isfinite(array).all()
+        if array.shape[-1:] != (6,) or not finite:
+            wanted = "finite numbers" if name == "pose" else "numbers"
+            raise ConfigurationError(name, inputs[name], f"{wanted} of shape (..., 6)")
+    leading = np.broadcast_shapes(*(array.shape[:-1] for array in arrays.values()))
+    rows = [np.array(np.broadcast_to(each, (*leading, 6)), order="C").reshape(-1, 6) for each in arrays.values()]
+    values = np.empty((len(rows[0]), *tail), dtype=kind)
+    robots = robot_records(robot)
+    if over_rows(loop, (robots, *map(float, numbers)), (*rows, values)) != OK:
+        poses = rows[list(arrays).index("pose")]
+        reach = reach_margin(robots, poses)
+        row, leg = np.unravel_index(int(reach.argmin()), reach.shape)
+        if reach[row, leg] < 0.0:
+            raise UnreachablePoseError(poses[row].copy(), int(leg), float(reach[row, leg]))
+        raise np.linalg.LinAlgError("Singular matrix: the pose is singular")
+    return values.reshape((*leading, *tail))[()]
+
+
+def robot_records(robot: Robot) -> np.ndarray:
+    """The numbers of a robot, a `ROBOT` record that is not to be written to."""
+    if isinstance(robot, RobotParameters):
+        return robot_record(robot)
+    seen = robot.view()
+    seen.flags.writeable = False  # laws are compiled once for records of this kind
+    return seen
+
+
+@njit
+def _legs(robots: Any, poses: Any, legs: Any) -> int:
+    robot, status = record(robots), OK
+    for n in range(len(poses)):
+        if laws.legs_at(robot, poses[n], record(legs[n : n + 1])) >= 0:
+            status = UNREACHABLE
+    return status
+
+
+def _of_legs(
+    values: Callable[..., Any], robot: Robot, pose: ArrayLike, tail: tuple[int, ...], anywhere: bool = False
+) -> np.ndarray:
+    """Values (..., *tail) of the `LEGS` at poses: `values` takes LEGS (n,) and the poses (n, 6).
+
+    `anywhere`: whether they mean something out of reach too.
+    """
+
+    def loop(robots: np.ndarray, poses: np.ndarray, out: np.ndarray) -> int:
+        status = OK
+        for start in range(0, len(poses), CHUNK):
+            rows = slice(start, start + CHUNK)
+            legs = np.empty(len(poses[rows]), LEGS)
+            status = max(status, _legs(robots, poses[rows], legs))
+            out[rows] = values(legs, poses[rows])
+        return OK if anywhere else status
+
+    return at_poses(loop, robot, {"pose": pose}, tail)
+
+
+# --- orientations ----------------------------------------------------------------------------------------------------
 
 
 def rotation_matrix(rpy: ArrayLike) -> np.ndarray:
@@ -25,7 +135,14 @@ def rotation_matrix(rpy: ArrayLike) -> np.ndarray:
 
     Deviation: entry (3,1) of the print is a misprint; this is the matrix that it means.
     """
-    return _by_rows(_rotations, (3, 3), rpy)
+    rpy = np.asarray(rpy, dtype=float)
+    (sr, sp, sy), (cr, cp, cy) = (np.moveaxis(function(rpy), -1, 0) for function in (np.sin, np.cos))
+    rows = (
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def rotation_angle(rotation: np.ndarray) -> np.ndarray:
@@ -44,7 +161,12 @@ def roll_pitch_yaw(matrix: ArrayLike) -> np.ndarray:
 def euler_rate_matrix(rpy: ArrayLike) -> np.ndarray:
     """E (..., 3, 3) with w_B = E(rpy) d(rpy)/dt, of rpy (..., 3) [rad]; singular at pitch = +-pi/2."""
     rpy = np.asarray(rpy, dtype=float)
-    return _by_rows(_angular_velocities, (3,), rpy[..., None, :], np.eye(3)).swapaxes(-1, -2)
+    sp, cp, sy, cy = np.sin(rpy[..., 1]), np.cos(rpy[..., 1]), np.sin(rpy[..., 2]), np.cos(rpy[..., 2])
+    matrix = np.zeros((*rpy.shape, 3))
+    matrix[..., 0, 0], matrix[..., 0, 1] = cy * cp, -sy
+    matrix[..., 1, 0], matrix[..., 1, 1] = sy * cp, cy
+    matrix[..., 2, 0], matrix[..., 2, 2] = -sp, 1.0
+    return matrix
 
 
 def euler_rate_matrix_dot(rpy: ArrayLike, rpy_rate: ArrayLike) -> np.ndarray:
@@ -52,21 +174,25 @@ def euler_rate_matrix_dot(rpy: ArrayLike, rpy_rate: ArrayLike) -> np.ndarray:
     rpy, rate = np.asarray(rpy, dtype=float), np.asarray(rpy_rate, dtype=float)
     sp, cp, sy, cy = np.sin(rpy[..., 1]), np.cos(rpy[..., 1]), np.sin(rpy[..., 2]), np.cos(rpy[..., 2])
     pitch, yaw = rate[..., 1], rate[..., 2]
-    made = np.zeros((*np.broadcast_shapes(rpy.shape, rate.shape), 3))
-    made[..., 0, 0], made[..., 0, 1] = -sy * cp * yaw - cy * sp * pitch, -cy * yaw
-    made[..., 1, 0], made[..., 1, 1] = cy * cp * yaw - sy * sp * pitch, -sy * yaw
-    made[..., 2, 0] = -cp * pitch
-    return made
+    matrix = np.zeros((*np.broadcast_shapes(rpy.shape, rate.shape), 3))
+    matrix[..., 0, 0], matrix[..., 0, 1] = -sy * cp * yaw - cy * sp * pitch, -cy * yaw
+    matrix[..., 1, 0], matrix[..., 1, 1] = cy * cp * yaw - sy * sp * pitch, -sy * yaw
+    matrix[..., 2, 0] = -cp * pitch
+    return matrix
 
 
 def pose_rate_to_twist(pose: ArrayLike, pose_rate: ArrayLike) -> np.ndarray:
     """Twist [w, v] (..., 6) [rad/s, m/s] of P in B, from poses (..., 6) and their rates (..., 6)."""
-    return _by_rows(_twists, (6,), pose, pose_rate)
+    pose, rate = np.broadcast_arrays(np.asarray(pose, dtype=float), np.asarray(pose_rate, dtype=float))
+    spin = euler_rate_matrix(pose[..., :3]) @ rate[..., :3, None]
+    return np.concatenate([spin[..., 0], rate[..., 3:]], axis=-1)
 
 
 def twist_to_pose_rate(pose: ArrayLike, twist: ArrayLike) -> np.ndarray:
     """Inverse of `pose_rate_to_twist`; pitch away from +-pi/2."""
-    return _by_rows(_rates, (6,), pose, twist)
+    pose, twist = np.broadcast_arrays(np.asarray(pose, dtype=float), np.asarray(twist, dtype=float))
+    rate = np.linalg.solve(euler_rate_matrix(pose[..., :3]), twist[..., :3, None])
+    return np.concatenate([rate[..., 0], twist[..., 3:]], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -94,7 +220,9 @@ class LegGeometry:
 
 def reach_margin(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """1 - |C| / sqrt(A^2 + B^2) (..., 6) of each leg; negative where a rod cannot span, zero at a dead centre."""
-    return at_poses(reaches, robot, {"pose": pose}, (6,))
+    # So far off that squares leave floating point: beyond any reach.
+    reach = _of_legs(lambda legs, _: legs["reach"], robot, pose, (6,), anywhere=True)
+    return np.where(np.isnan(reach), -np.inf, reach)
 
 
 def inverse_kinematics(robot: Robot, pose: ArrayLike, branch: int | None = None) -> np.ndarray:
@@ -112,7 +240,7 @@ def inverse_kinematics(robot: Robot, pose: ArrayLike, branch: int | None = None)
         UnreachablePoseError: A rod cannot span; `.leg`, `.pose` and `.margin` say which, where and by how much.
         ConfigurationError: A branch other than -1 and +1, or a pose that is not finite or not (..., 6).
     """
-    return at_poses(_crank_angles, _with_branch(robot, branch), {"pose": pose}, (6,))
+    return _of_legs(lambda legs, _: np.arctan2(legs["sine"], legs["cosine"]), _with_branch(robot, branch), pose, (6,))
 
 
 def leg_geometry(robot: Robot, pose: ArrayLike, branch: int | None = None) -> LegGeometry:
@@ -135,11 +263,11 @@ def leg_geometry(robot: Robot, pose: ArrayLike, branch: int | None = None) -> Le
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cross product over the last axis; several times faster than numpy's on small arrays."""
     a, b = np.broadcast_arrays(a, b)
-    made = np.empty(a.shape)
+    product = np.empty(a.shape)
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
-        made[..., k] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
-    return made
+        product[..., k] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
+    return product
 
 
 def rod_lines(legs: LegGeometry) -> np.ndarray:
@@ -149,12 +277,18 @@ def rod_lines(legs: LegGeometry) -> np.ndarray:
 
 def twist_jacobian(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """d(theta)/d(twist) (..., 6, 6): crank rates from the twist of P; infinite at a crank's dead centre."""
-    return at_poses(_twist_jacobians, robot, {"pose": pose}, (6, 6))
+    return _of_legs(lambda legs, _: legs["line"] / legs["lever"][..., None], robot, pose, (6, 6))
 
 
 def pose_jacobian(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """d(theta)/d(pose) (..., 6, 6): crank rates from the pose's rate (Euler rates)."""
-    return at_poses(_pose_jacobians, robot, {"pose": pose}, (6, 6))
+
+    def values(legs: np.ndarray, poses: np.ndarray) -> np.ndarray:
+        jacobian = legs["line"] / legs["lever"][..., None]
+        jacobian[..., :3] = jacobian[..., :3] @ euler_rate_matrix(poses[:, :3])
+        return np.asarray(jacobian)
+
+    return _of_legs(values, robot, pose, (6, 6))
 
 
 def crank_rates(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
@@ -222,23 +356,20 @@ def conditioning(robot: Robot, pose: ArrayLike) -> np.ndarray:
 
     Zero at a parallel singularity; it says nothing about dead centres (see `LegGeometry.transmission`).
     """
-    return at_poses(_conditioning, robot, {"pose": pose}, ())
+    length = robot_records(robot)["length"][0]
+    return _of_legs(lambda legs, _: _conditioning(legs["line"].copy(), length), robot, pose, ())
 
 
 def line_conditioning(robot: RobotParameters, legs: LegGeometry) -> np.ndarray:
     """`conditioning` from leg vectors that are already at hand; (...) [-]."""
-    lines = rod_lines(legs)
-    lines[..., :3] /= robot.characteristic_length
-    sigma = np.linalg.svd(lines, compute_uv=False)
-    return sigma[..., -1] / sigma[..., 0]
+    return _conditioning(rod_lines(legs), robot.characteristic_length)
 
 
-def _by_rows(loop: Any, tail: tuple[int, ...], *inputs: ArrayLike) -> np.ndarray:
-    """Values of a loop that needs no robot."""
-    leading, rows = broadcast_rows(*(np.asarray(each, dtype=float) for each in inputs))
-    made = np.empty((len(rows[0]), *tail))
-    over_rows(loop, (), (*rows, made))
-    return made.reshape((*leading, *tail))
+def _conditioning(lines: np.ndarray, length: float) -> np.ndarray:
+    lines[..., :3] /= length
+    # At a pose out of reach, which is refused, lines may not be finite.
+    sigma = np.linalg.svd(np.nan_to_num(lines, posinf=0.0, neginf=0.0), compute_uv=False)
+    return np.asarray(sigma[..., -1] / sigma[..., 0])
 
 
 def _with_branch(robot: Robot, branch: int | None) -> Robot:
@@ -246,89 +377,9 @@ def _with_branch(robot: Robot, branch: int | None) -> Robot:
         return robot
     if branch not in (-1, 1):
         raise ConfigurationError("branch", branch, "-1 or 1, or None")
-    made = robot_records(robot).copy()
-    made["branch"] = branch
-    return made
-
-
-@njit
-def _rotations(rpy: Any, made: Any) -> None:
-    for n in range(len(rpy)):
-        laws.rotation(rpy[n], made[n])
-
-
-@njit
-def _angular_velocities(rpy: Any, rates: Any, made: Any) -> None:
-    for n in range(len(rpy)):
-        laws.angular_velocity(rpy[n], rates[n], made[n])
-
-
-@njit
-def _twists(poses: Any, rates: Any, made: Any) -> None:
-    for n in range(len(poses)):
-        laws.twist_of(poses[n], rates[n], made[n])
-
-
-@njit
-def _rates(poses: Any, twists: Any, made: Any) -> None:
-    for n in range(len(poses)):
-        laws.rate_of(poses[n], twists[n], made[n])
-
-
-@njit
-def _crank_angles(robots: Any, poses: Any, made: Any) -> int:
-    robot, store = record(robots), np.empty(1, LEGS)
-    for n in range(len(poses)):
-        legs = record(store)
-        if laws.legs_at(robot, poses[n], legs) >= 0:
-            return UNREACHABLE
-        for i in range(6):
-            made[n, i] = np.arctan2(legs.sine[i], legs.cosine[i])
-    return OK
-
-
-@njit
-def _legs(robots: Any, poses: Any, made: Any) -> int:
-    robot = record(robots)
-    for n in range(len(poses)):
-        if laws.legs_at(robot, poses[n], record(made[n : n + 1])) >= 0:
-            return UNREACHABLE
-    return OK
-
-
-@njit
-def _twist_jacobians(robots: Any, poses: Any, made: Any) -> int:
-    robot, store = record(robots), np.empty(1, LEGS)
-    for n in range(len(poses)):
-        legs = record(store)
-        if laws.legs_at(robot, poses[n], legs) >= 0:
-            return UNREACHABLE
-        laws.crank_jacobian(legs, made[n])
-    return OK
-
-
-@njit
-def _pose_jacobians(robots: Any, poses: Any, made: Any) -> int:
-    robot, store = record(robots), np.empty(1, LEGS)
-    for n in range(len(poses)):
-        legs = record(store)
-        if laws.legs_at(robot, poses[n], legs) >= 0:
-            return UNREACHABLE
-        laws.crank_jacobian(legs, made[n])
-        for i in range(6):
-            laws.euler_moment(poses[n, :3], made[n, i, :3])
-    return OK
-
-
-@njit
-def _conditioning(robots: Any, poses: Any, made: Any) -> int:
-    robot, store = record(robots), np.empty(1, LEGS)
-    for n in range(len(poses)):
-        legs = record(store)
-        if laws.legs_at(robot, poses[n], legs) >= 0:
-            return UNREACHABLE
-        made[n] = laws.conditioning(robot, legs, 1e-14)
-    return OK
+    changed = robot_records(robot).copy()
+    changed["branch"] = branch
+    return changed
 
 
 @njit

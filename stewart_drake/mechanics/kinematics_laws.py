@@ -17,6 +17,8 @@ from stewart_drake.robot import RobotParameters
 
 OK, UNREACHABLE, SERIAL, PARALLEL, NOT_FINITE, NO_CONVERGENCE, NO_GAIN = range(7)
 """How a law ended; its caller raises the error of that name, see `control.base.failure`."""
+QUICK = 1e-7
+"""Tolerance of `conditioning` that leaves seven digits."""
 
 ROBOT = fields(
     shaft=(6, 3), joint=(6, 3), crank_x=(6, 3), crank_y=(6, 3), crank_length=6, rod_length=6, branch=6,
@@ -41,7 +43,7 @@ reach: 1 - |C| / sqrt(A^2 + B^2), negative where a rod cannot span."""
 @lru_cache(maxsize=1024)
 def robot_record(robot: RobotParameters) -> np.ndarray:
     """The numbers of a robot, a `ROBOT` record; not to be written to."""
-    made = new_record(
+    numbers = new_record(
         ROBOT,
         shaft=robot.shaft_positions,
         joint=robot.platform_joints,
@@ -61,17 +63,17 @@ def robot_record(robot: RobotParameters) -> np.ndarray:
         platform_tensor=robot.platform_inertia_about_origin,
         platform_inertia=robot.platform_inertia,
     )
-    made.flags.writeable = False
-    return made
+    numbers.flags.writeable = False
+    return numbers
 
 
 def with_payload(robot: np.ndarray, mass: float, place: np.ndarray) -> np.ndarray:
     """A `ROBOT` record with a point mass [kg] at a place (3,) [m] in P as a part of the platform."""
-    made = robot.copy()
-    made["platform_mass"] += mass
-    made["platform_moment"] += mass * place
-    made["platform_tensor"] += mass * ((place @ place) * np.eye(3) - np.outer(place, place))
-    return made
+    loaded = robot.copy()
+    loaded["platform_mass"] += mass
+    loaded["platform_moment"] += mass * place
+    loaded["platform_tensor"] += mass * ((place @ place) * np.eye(3) - np.outer(place, place))
+    return loaded
 
 
 @njit
@@ -133,13 +135,15 @@ def euler_moment(rpy: Any, moment: Any) -> None:
 def twist_of(pose: Any, rate: Any, out: Any) -> None:
     """Twist [w, v] (6,) of P in B from a pose and its rate (6,)."""
     angular_velocity(pose[:3], rate[:3], out[:3])
-    out[3:6] = rate[3:6]
+    for k in range(3, 6):
+        out[k] = rate[k]
 
 
 @njit
 def rate_of(pose: Any, twist: Any, out: Any) -> None:
     """Rate of a pose (6,) from the twist; the inverse of `twist_of`."""
-    out[:] = twist
+    for k in range(6):
+        out[k] = twist[k]
     euler_rates(pose[:3], out[:3])
 
 
@@ -177,12 +181,13 @@ def legs_at(robot: Any, pose: Any, legs: Any) -> int:
     Returns:
         -1, or the leg whose reach is the least where it is negative or not a number.
     """
-    rotation(pose[:3], legs.rotation)
-    span = np.empty(3)
+    # A slice of a record's field is of the type that other arrays have: laws are compiled for that one alone.
+    turn, span = legs.rotation[:], np.empty(3)
+    rotation(pose[:3], turn)
     worst, leg = 0.0, -1
     for i in range(6):
         a, rod, x, y = robot.crank_length[i], robot.rod_length[i], robot.crank_x[i], robot.crank_y[i]
-        turned(legs.rotation, robot.joint[i], legs.arm[i])
+        turned(turn, robot.joint[i], legs.arm[i])
         for k in range(3):
             span[k] = legs.arm[i, k] + pose[3 + k] - robot.shaft[i, k]
         along, up, constant = 2.0 * a * dot(span, x), 2.0 * a * dot(span, y), dot(span, span) + a * a - rod * rod
@@ -201,7 +206,8 @@ def legs_at(robot: Any, pose: Any, legs: Any) -> int:
         legs.transmission[i] = dot(legs.e_l[i], legs.e_n[i])
         legs.lever[i] = a * legs.transmission[i]
         cross(legs.arm[i], legs.e_l[i], legs.line[i, :3])
-        legs.line[i, 3:] = legs.e_l[i]
+        for k in range(3):
+            legs.line[i, 3 + k] = legs.e_l[i, k]
     return leg
 
 
@@ -221,11 +227,11 @@ def crank_jacobian(legs: Any, out: Any) -> None:
 
 
 @njit
-def conditioning(robot: Any, legs: Any, tolerance: float = 1e-7) -> float:
+def conditioning(robot: Any, legs: Any, tolerance: float) -> float:
     """sigma_min / sigma_max of the rods' lines (14), rotations over the characteristic length [-].
 
     Zero at a parallel singularity; it says nothing about dead centres, see `LEGS.transmission`. `tolerance` is that of
-    `linear_algebra.singular_vectors`.
+    `linear_algebra.singular_vectors`; `QUICK` does for a check.
     """
     scaled, s, v = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
     for i in range(6):
@@ -233,7 +239,10 @@ def conditioning(robot: Any, legs: Any, tolerance: float = 1e-7) -> float:
             scaled[i, k] = legs.line[i, k] / robot.length
             scaled[i, 3 + k] = legs.line[i, 3 + k]
     singular_vectors(scaled, s, v, tolerance)
-    return s.min() / s.max()
+    smallest, largest = s[0], s[0]
+    for i in range(1, 6):
+        smallest, largest = min(smallest, s[i]), max(largest, s[i])
+    return smallest / largest
 
 
 @njit
@@ -252,7 +261,7 @@ def usable_legs(robot: Any, min_transmission: float, min_conditioning: float, po
             worst, leg = abs(legs.transmission[i]), i
     if worst < min_transmission:
         return SERIAL, leg, worst
-    ratio = conditioning(robot, legs)
+    ratio = conditioning(robot, legs, QUICK)
     if not ratio >= min_conditioning:
         return PARALLEL, -1, ratio
     return OK, -1, ratio
@@ -294,7 +303,8 @@ def forward_kinematics(robot: Any, theta: Any, pose: Any, tolerance: float, iter
                 rod[k] /= size
             cross(arm, rod, moment)
             euler_moment(pose[:3], moment)
-            rows[i, :3], rows[i, 3:] = moment, rod
+            for k in range(3):
+                rows[i, k], rows[i, 3 + k] = moment[k], rod[k]
         if error <= tolerance or iteration == iterations or not error < np.inf:
             return error, iteration
         if solve(rows, residual) == 0.0:

@@ -10,10 +10,9 @@ from functools import partial
 import numpy as np
 from pydrake.systems.analysis import Simulator
 
-from stewart_drake.control.state_space import mass_diagonal
+from stewart_drake.control.riccati import mass_diagonal
 from stewart_drake.errors import drake_guard
-from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.mechanics.force_map import crank_map, force_map_of_legs
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, crank_map, force_map_of_legs
 from stewart_drake.mechanics.kinematics import LegGeometry, cross, euler_rate_matrix, leg_geometry, rotation_matrix
 from stewart_drake.paper.reproduce import ANNOUNCED, SEED, Claim, Result, Study, quantiles
 from stewart_drake.planning.pose_box import NEAR, sample_poses

@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from stewart_drake.control.density import DensityKind
+from stewart_drake.control.network import DensityKind
 from stewart_drake.paper.nine_experiments import distinct
 from stewart_drake.paper.reproduce import PAIRS, Claim, Result, Study
 from stewart_drake.plotting.style import chart

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.control.lqi import lqi_gain
-from stewart_drake.control.state_space import acceleration_map
+from stewart_drake.control.riccati import acceleration_map
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics, tracking_error
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY

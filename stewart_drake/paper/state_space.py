@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from stewart_drake.control.riccati import riccati_gain, solve_drake, split_gain
-from stewart_drake.control.state_space import (
+from stewart_drake.control.riccati import (
     AXES,
     STATES,
     Discretization,
@@ -21,9 +20,12 @@ from stewart_drake.control.state_space import (
     input_matrix,
     mass_diagonal,
     output_matrix,
+    riccati_gain,
+    solve_drake,
+    split_gain,
     state_matrix,
 )
-from stewart_drake.mechanics.force_map import ForceMapKind, force_map, force_map_of_legs
+from stewart_drake.mechanics.dynamics import ForceMapKind, force_map, force_map_of_legs
 from stewart_drake.mechanics.kinematics import leg_geometry, reach_margin, rod_lines
 from stewart_drake.paper.reproduce import ANNOUNCED, RATIOS, SEED, WIDE, Claim, Result, Study
 from stewart_drake.planning.pose_box import NEAR, sample_poses

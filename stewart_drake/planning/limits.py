@@ -24,9 +24,9 @@ from pydantic import Field
 from stewart_drake.config import Positive, Section
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.jit import fields, njit, record
-from stewart_drake.mechanics.batch import over_rows
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.dynamics_laws import loads, twists_of_motion
+from stewart_drake.mechanics.kinematics import over_rows
 from stewart_drake.mechanics.kinematics_laws import (
     LEGS,
     conditioning,
@@ -35,6 +35,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     dot,
     legs_at,
     robot_record,
+    turned,
 )
 from stewart_drake.mechanics.linear_algebra import solve
 from stewart_drake.robot import RobotParameters
@@ -248,10 +249,9 @@ def _stroke(robot: RobotParameters, measures: np.ndarray) -> tuple[np.ndarray, n
 @njit
 def _rod_directions(legs: Any, made: Any) -> None:
     """Fills `MEASURES.rod`."""
-    lateral = np.empty(3)
+    lateral, to_platform = np.empty(3), np.ascontiguousarray(legs.rotation.T)
     for i in range(6):
-        for k in range(3):
-            made[i, k] = dot(legs.rotation[:, k], legs.e_l[i])
+        turned(to_platform, legs.e_l[i], made[i])
         cross(legs.e_n[i], legs.crank[i], lateral)
         made[6 + i, 0], made[6 + i, 1] = dot(legs.e_l[i], legs.crank[i]), dot(legs.e_l[i], lateral)
         made[6 + i, 2] = legs.transmission[i]
@@ -313,11 +313,11 @@ def strength(legs: Any, inverse: Any, torque: Any, limit: Any) -> Any:
     """
     force, moment = np.inf, np.inf
     for i in range(6):
-        spare, size = limit[i] - torque[i], abs(legs.lever[i])
+        spare, size, row = limit[i] - torque[i], abs(legs.lever[i]), inverse[:, i].copy()
         if not spare > 0.0:
             return 0.0, 0.0
-        force = min(force, spare / (size * np.sqrt(dot(inverse[3:, i], inverse[3:, i]))))
-        moment = min(moment, spare / (size * np.sqrt(dot(inverse[:3, i], inverse[:3, i]))))
+        force = min(force, spare / (size * np.sqrt(dot(row[3:], row[3:]))))
+        moment = min(moment, spare / (size * np.sqrt(dot(row[:3], row[:3]))))
     return force, moment
 
 
@@ -336,24 +336,26 @@ def _measure(
             m.reach[i] = -np.inf if np.isnan(legs.reach[i]) else legs.reach[i]
         if not within:
             continue
-        _rod_directions(legs, m.rod)
-        _link_distances(robot, legs, apart, m.distance)
+        _rod_directions(legs, m.rod[:])
+        _link_distances(robot, legs, apart, m.distance[:])
         lines = legs.line.copy()
         inverse[:] = 0.0
+        dead = False
         for i in range(6):
             inverse[i, i] = 1.0
+            dead = dead or legs.transmission[i] == 0.0
             m.transmission[i], m.angle[i] = abs(legs.transmission[i]), np.arctan2(legs.sine[i], legs.cosine[i])
         m.conditioning, m.side = conditioning(robot, legs, 1e-14), solve(lines, inverse)
-        if m.side == 0.0 or m.transmission.min() == 0.0:
+        if m.side == 0.0 or dead:
             m.speed[:], m.torque[:] = np.inf, np.inf
             m.force, m.moment = 0.0, 0.0
             continue
         twists_of_motion(poses[n], rates[n], accelerations[n], twist, twist_rate)
-        crank_rates(legs, twist, m.speed)
+        crank_rates(legs, twist, m.speed[:])
         loads(robot, legs, twist, twist_rate, gravity, wrench, own)
         for i in range(6):
             force = 0.0
             for k in range(6):
                 force += inverse[k, i] * wrench[k]
             m.torque[i], m.speed[i] = abs(legs.lever[i] * force + own[i]), abs(m.speed[i])
-        m.force, m.moment = strength(legs, inverse, m.torque, limit)
+        m.force, m.moment = strength(legs, inverse, m.torque[:], limit)

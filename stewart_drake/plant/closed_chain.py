@@ -16,7 +16,7 @@ from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import loads, task_inertia
 from stewart_drake.mechanics.friction import SWEEPS, drag_anchors, implicit_torque
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry, pose_rate_to_twist
-from stewart_drake.mechanics.linear_algebra import solve
+from stewart_drake.mechanics.linear_algebra import copy_to, solve
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.plant.sdf_model import home_frames
 from stewart_drake.robot import RobotParameters
@@ -73,13 +73,13 @@ def _step(robots: Any, frictions: Any, setups: Any, leg_records: Any, torque: An
         record(robots), record(frictions), record(setups), record(leg_records), record(states),
     )  # fmt: skip
     step = setup.step
-    bad = laws.legs_at(robot, state.pose, legs)
+    bad = laws.legs_at(robot, state.pose[:], legs)
     if bad >= 0:
         return bad, legs.reach[bad]
     jacobian, inertia, columns = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 7))
     load, own, still = np.empty(6), np.empty(6), np.zeros(6)
     task_inertia(robot, legs, inertia)
-    loads(robot, legs, state.twist, still, setup.gravity, load, own)
+    loads(robot, legs, state.twist[:], still, setup.gravity, load, own)
     laws.crank_jacobian(legs, jacobian)
     # M a = J' (torque - own) - load + wrench; beside it M^-1 J' for friction.
     for k in range(6):
@@ -102,13 +102,14 @@ def _step(robots: Any, frictions: Any, setups: Any, leg_records: Any, torque: An
     bad = laws.legs_at(robot, pose, legs)
     if bad >= 0:
         return bad, legs.reach[bad]
-    state.pose[:], state.twist[:] = pose, twist
-    laws.rate_of(pose, twist, state.pose_rate)
-    laws.crank_rates(legs, twist, state.crank_rate)
+    copy_to(state.pose[:], pose)
+    copy_to(state.twist[:], twist)
+    laws.rate_of(pose, twist, state.pose_rate[:])
+    laws.crank_rates(legs, twist, state.crank_rate[:])
     for i in range(6):
         ahead = np.arctan2(legs.sine[i], legs.cosine[i]) - state.angles[i]
         state.angles[i] += ahead - 2.0 * np.pi * np.rint(ahead / (2.0 * np.pi))
-    drag_anchors(friction, state.angles, step, state.anchor, state.slip)
+    drag_anchors(friction, state.angles[:], step, state.anchor[:], state.slip[:])
     return -1, 0.0
 
 

@@ -41,6 +41,7 @@ from stewart_drake.errors import ConfigurationError, drake_guard
 from stewart_drake.jit import njit, record
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import drag_anchors, level
+from stewart_drake.mechanics.linear_algebra import copy_to
 from stewart_drake.plant.plant_options import PlantOptions, platform_damping_limit
 from stewart_drake.plant.sdf_model import RodJoint, StateIndices, StateMap, home_frames, sdf_text
 from stewart_drake.robot import RobotParameters
@@ -266,7 +267,7 @@ def _pull(frictions: Any, before: Any, state: Any, cranks: Any, step: float, out
     Relief is the torques that take friction's from break-away to its level, along the slips.
     """
     friction = record(frictions)
-    out[:12] = before
+    copy_to(out[:12], before)
     drag_anchors(friction, state[cranks], step, out[:6], out[6:12])
     for i in range(6):
         slip = out[6 + i]

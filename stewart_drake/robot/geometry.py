@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -21,31 +21,17 @@ from stewart_drake.robot.leg import LARGEST, LEGS, PARALLEL, Signed3, Size, cran
 if TYPE_CHECKING:
     from stewart_drake.robot.robot_parameters import RobotParameters
 
-_HUGE = 30.0
-"""[m] no leg is larger: such a number is in millimetres."""
 _SLACK = 1e-6
 """[rad] by which directions of joints that meet in one point may seem out of order."""
 
 
 def check_geometry(robot: RobotParameters) -> None:
-    """Refuses directions that are not perpendicular unit vectors, lengths that no leg has, and a home that is none."""
+    """Refuses directions that are not perpendicular unit vectors, joints out of order, and a home that is none."""
     for leg, own in enumerate(robot.legs or ()):
-        for name in ("crank_zero_direction", "crank_quarter_direction"):
-            given = getattr(own, name)
-            if given is not None and abs(math.hypot(*given) - 1.0) > PARALLEL:
-                allowed = f"a vector of length 1, not {math.hypot(*given):.4g}"
-                raise ConfigurationError(f"robot.legs.{leg}.{name}", given, allowed)
         quarter = own.crank_quarter_direction or (0.0, 0.0, 1.0)
         if abs(np.dot(robot.crank_zero_directions[leg], quarter)) > PARALLEL:
             allowed = "a direction at a right angle to crank_zero_direction"
             raise ConfigurationError(f"robot.legs.{leg}.crank_quarter_direction", quarter, allowed)
-    for name, lengths in _sizes(robot).items():
-        leg = int(lengths.argmax())
-        given = getattr(robot.legs[leg], name) if robot.legs is not None else None
-        if lengths[leg] > _HUGE and (given is not None or name.endswith("length")):
-            allowed = f"at most {_HUGE:g} m; millimetres? {lengths[leg]:g} mm would be {lengths[leg] / 1e3:g} m"
-            key = f"robot.{name}" if given is None else f"robot.legs.{leg}.{name}"
-            raise ConfigurationError(key, getattr(robot, name) if given is None else given, allowed)
     check_order(robot.shaft_positions, robot.platform_joints)
     _check_home(robot)
 
@@ -76,19 +62,12 @@ def _check_home(robot: RobotParameters) -> None:
     margin = 1.0 - np.divide(np.abs(constant), size, out=np.full(LEGS, np.inf), where=size > 0.0)
     if not margin.min() > 0.0:
         leg = int(margin.argmin())
-        sizes = _sizes(robot)
-        own = [name for name in sizes if robot.legs is not None and getattr(robot.legs[leg], name) is not None]
-        # One number of its own is the likely cause; more of them say no more than the height.
-        key, what, given = "home_height", "a height", robot.home_height
-        if robot.legs is not None and len(own) == 1:
-            key, what, given = f"legs.{leg}.{own[0]}", "a value", getattr(robot.legs[leg], own[0])
         allowed = (
-            f"{what} with which leg {leg} closes at home: its joint is {np.linalg.norm(span[leg]):.4g} m from its "
+            f"a height with which leg {leg} closes at home: its joint is {np.linalg.norm(span[leg]):.4g} m from its "
             f"shaft, its crank {robot.crank_lengths[leg]:g} m and its rod {robot.rod_lengths[leg]:g} m long "
-            f"(margin {margin[leg]:.3g})"
+            f"(margin {margin[leg]:.3g}); are all lengths in metres?"
         )
-        lengths = {name: float(each[leg]) for name, each in sizes.items()} | {"home_height": abs(robot.home_height)}
-        raise ConfigurationError(f"robot.{key}", given, allowed + _meant(lengths))
+        raise ConfigurationError("robot.home_height", robot.home_height, allowed)
     theta = np.arctan2(up, along) + robot.branches * np.arccos(constant / size)
     low, high = np.clip(robot.crank_angle_ranges, -LARGEST, LARGEST).T
     beyond = np.abs(wrapped(theta - 0.5 * (low + high))) > 0.5 * (high - low)
@@ -96,26 +75,6 @@ def _check_home(robot: RobotParameters) -> None:
         leg = int(beyond.argmax())
         allowed = f"a range that holds the angle at home, {theta[leg]:.4g} rad"
         raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", (float(low[leg]), float(high[leg])), allowed)
-
-
-def _sizes(robot: RobotParameters) -> dict[str, np.ndarray]:
-    """(6,) [m] of what each leg may have of its own."""
-    return {
-        "rod_length": robot.rod_lengths,
-        "crank_length": robot.crank_lengths,
-        "shaft_position": np.linalg.norm(robot.shaft_positions, axis=-1),
-        "platform_joint": np.linalg.norm(robot.platform_joints, axis=-1),
-    }
-
-
-def _meant(lengths: dict[str, float]) -> str:
-    """What was perhaps meant by lengths of a leg that does not close; the middle one of five tells what is usual."""
-    usual = float(np.median(list(lengths.values())))
-    large = [name for name, size in lengths.items() if size > 100.0 * usual]
-    small = [name for name, size in lengths.items() if 100.0 * size < usual]
-    if large:
-        return f"; is {' or '.join(large)} in millimetres?"
-    return f"; are all but {' and '.join(small)} in millimetres?" if small else ""
 
 
 def wrapped(angle: Any) -> Any:
@@ -130,8 +89,11 @@ Cranks = Literal["outwards", "towards", "away"]
 _POSITIONS = ("shaft_x", "shaft_y", "shaft_z", "joint_x", "joint_y", "joint_z")
 _GROUPS = (("crank_x", "crank_y", "crank_z"), ("up_x", "up_y", "up_z"), ("low", "high"))
 _OTHERS = (*(name for group in _GROUPS for name in group), "crank_length", "rod_length", "branch")
-_LENGTHS = {"crank_length", "rod_length", "home_height", "link_radius", "characteristic_length"}
-_MASSES = {"platform_mass", "rod_mass", "crank_mass"}
+_LENGTHS: dict[str, Any] = dict.fromkeys(
+    ("crank_length", "rod_length", "home_height", "link_radius", "characteristic_length"), Size
+)
+_LENGTHS |= {"platform_center_of_mass": Signed3}
+_MASSES: dict[str, Any] = dict.fromkeys(("platform_mass", "rod_mass", "crank_mass"), Size)
 _MAX_BYTES = 1_000_000
 _LINK_RADIUS = 0.005 / 0.11
 """Of a link, over the characteristic length: as the paper's robot has it."""
@@ -155,10 +117,9 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
     check_value("cranks", cranks, Cranks)
     scale = 1e-3 if unit == "mm" else 1.0
     own = dict(parameters)
-    for name, given in parameters.items():
-        if name in _LENGTHS | _MASSES | {"platform_center_of_mass"}:
-            check_value(f"robot.{name}", given, Signed3 if name == "platform_center_of_mass" else Size)
-            own[name] = given if name in _MASSES else scale * np.array(given)
+    for name in parameters.keys() & (_LENGTHS | _MASSES).keys():
+        check_value(f"robot.{name}", own[name], (_LENGTHS | _MASSES)[name])
+        own[name] = scale * np.array(own[name]) if name in _LENGTHS else own[name]
     columns = _columns(table)
     # Whole millimetres in metres have a tail of rounding, which nobody wants to read.
     shafts, joints = (
@@ -197,49 +158,36 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
 
 def _columns(table: Any) -> dict[str, np.ndarray]:
     """Columns (6,) of a table by name."""
-    names, table = _read(Path(table)) if isinstance(table, (str, Path)) else (_POSITIONS, table)
+    names: Sequence[str] = _POSITIONS
+    what = "table"
+    if isinstance(table, (str, Path)):
+        what = f"table {table}"
+        text = read_checked(table, what, _MAX_BYTES).decode("utf-8-sig", "replace")
+        lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+        names, *table = [[cell.strip() for cell in row] for row in csv.reader(lines)] or [[]]
+        parts = [group for group in _GROUPS if set(group) & set(names)]
+        missing = [name for group in (_POSITIONS, *parts) for name in group if name not in names]
+        strange = [name for name in names if name not in (*_POSITIONS, *_OTHERS, "leg") or names.count(name) > 1]
+        if missing or strange:
+            wrong = f"without {', '.join(missing)}" if missing else f"with {', '.join(strange)}"
+            allowed = f"each once: {', '.join(_POSITIONS)}, and optionally, in groups, {', '.join(_OTHERS)}, leg"
+            raise ConfigurationError(f"{what}: header", wrong, allowed)
+    allowed = f"{LEGS} rows, one a leg, of {', '.join(names)}"
     try:
         values = np.asarray(table, dtype=float)
     except (TypeError, ValueError) as error:
-        raise ConfigurationError("table", table, f"a path, or numbers of shape (6, 6) ({error})") from None
+        raise ConfigurationError(what, str(error), allowed) from None
     if values.shape != (LEGS, len(names)):
-        allowed = f"{LEGS} rows, one a leg, of {', '.join(names)}"
-        raise ConfigurationError("table", values.shape, allowed)
+        raise ConfigurationError(what, values.shape, allowed)
     if not np.isfinite(values).all():
         leg, column = np.argwhere(~np.isfinite(values))[0]
-        raise ConfigurationError(f"table: {names[column]} of leg {leg}", float(values[leg, column]), "a finite number")
+        raise ConfigurationError(f"{what}: {names[column]} of leg {leg}", float(values[leg, column]), "a finite number")
     columns = dict(zip(names, values.T, strict=True))
     numbers = columns.pop("leg", np.arange(LEGS))
     if (np.diff(numbers) != 1.0).any() or numbers[0] not in (0.0, 1.0):
         allowed = "0 to 5, or 1 to 6, in this order: the first row is leg 0"
         raise ConfigurationError("table: leg", numbers.tolist(), allowed)
     return columns
-
-
-def _read(path: Path) -> tuple[tuple[str, ...], list[list[float]]]:
-    """Names and values of a CSV file with a header."""
-    what = f"table {path}"
-    text = read_checked(path, what, _MAX_BYTES).decode("utf-8-sig", "replace")
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    names, *rows = [tuple(cell.strip() for cell in row) for row in csv.reader(lines)] or [()]
-    parts = [group for group in _GROUPS if not names or set(group) & set(names)]
-    missing = [name for group in (_POSITIONS, *parts) for name in group if name not in names]
-    strange = [name for name in names if name not in (*_POSITIONS, *_OTHERS, "leg") or names.count(name) > 1]
-    if missing or strange:
-        wrong = f"without {', '.join(missing)}" if missing else f"with {', '.join(strange)}"
-        allowed = f"each once: {', '.join(_POSITIONS)}, and optionally, in groups, {', '.join(_OTHERS)}, leg"
-        raise ConfigurationError(f"{what}: header", wrong, allowed)
-    values: list[list[float]] = []
-    for leg, row in enumerate(rows):
-        if len(row) != len(names):
-            raise ConfigurationError(f"{what}: leg {leg}", f"{len(row)} numbers", f"{len(names)}, one a column")
-        values.append([])
-        for name, cell in zip(names, row, strict=True):
-            try:
-                values[-1].append(float(cell))
-            except ValueError:
-                raise ConfigurationError(f"{what}: {name} of leg {leg}", cell, "a number") from None
-    return names, values
 
 
 def _directions(columns: Mapping[str, np.ndarray], shafts: np.ndarray, cranks: Cranks) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from stewart_drake.config import NotNegative, Real, Section, one_for_six, plain
+from stewart_drake.config import NotNegative, Real, Section, one_for_six, plain, words
 from stewart_drake.errors import ConfigurationError
 
 LEGS = 6
@@ -18,6 +18,11 @@ SMALLEST, LARGEST = 1e-12, 1e6
 PARALLEL = 1e-6
 """How far directions may be from unit length and from perpendicular to each other; what is left is taken away."""
 Size = Annotated[Real, Field(ge=SMALLEST, le=LARGEST)]
+Length = Annotated[Real, Field(ge=SMALLEST, le=30.0), words("a length above 0 and at most 30 m; in millimetres?")]
+"""[m]"""
+Coordinate = Annotated[Real, Field(ge=-30.0, le=30.0)]
+"""[m]"""
+Position = tuple[Coordinate, Coordinate, Coordinate]
 Signed = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
 HalfAngle = Annotated[Real, Field(ge=SMALLEST, lt=math.pi / 3.0)]
 """[rad] of a pair of shafts or joints; pairs must not cross."""
@@ -37,17 +42,17 @@ Branch = Annotated[Literal[-1, 1], BeforeValidator(_sign)]
 class LegParameters(Section, key="robot.legs"):
     """What one leg has of its own; null is that of the symmetric robot."""
 
-    shaft_position: Signed3 | None = None
+    shaft_position: Position | None = None
     """[m] centre of the motor shaft in B."""
     crank_zero_direction: Signed3 | None = None
     """[-] unit vector in B along which the crank points at theta = 0."""
     crank_quarter_direction: Signed3 | None = None
     """[-] unit vector in B along which it points at theta = pi/2: up, if null. The motor axis is zero x quarter."""
-    platform_joint: Signed3 | None = None
+    platform_joint: Position | None = None
     """[m] joint centre in P."""
-    crank_length: Size | None = None
+    crank_length: Length | None = None
     """[m] shaft to crank tip."""
-    rod_length: Size | None = None
+    rod_length: Length | None = None
     """[m] crank tip to platform joint."""
     effort_limit: Size | None = None
     """[N m] largest torque of its motor."""
@@ -63,6 +68,10 @@ class LegParameters(Section, key="robot.legs"):
             allowed = "two angles [rad], rising, within one turn"
             allowed += "; degrees?" if max(-low, high) > 2.0 * math.pi else ""
             raise ConfigurationError("crank_angle_range", self.crank_angle_range, allowed)
+        for name in ("crank_zero_direction", "crank_quarter_direction"):
+            length = math.hypot(*(getattr(self, name) or (1.0,)))
+            if abs(length - 1.0) > PARALLEL:
+                raise ConfigurationError(name, getattr(self, name), f"a vector of length 1, not {length:.4g}")
 
 
 def _leg(given: Any) -> Any:

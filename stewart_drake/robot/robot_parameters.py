@@ -12,7 +12,7 @@ import numpy as np
 from stewart_drake.config import Section
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot.geometry import Cranks, Unit, check_geometry, from_table
-from stewart_drake.robot.leg import LEGS, Branch, HalfAngle, Moderate, Signed, Signed3, SixLegs, Size, Size3
+from stewart_drake.robot.leg import LEGS, Branch, HalfAngle, Length, Moderate, Signed, Signed3, SixLegs, Size, Size3
 
 _PAIR_ANGLES = np.arange(LEGS) // 2 * (2.0 * math.pi / 3.0)
 """(6,) [rad] direction c_k of each leg's pair."""
@@ -56,7 +56,7 @@ class RobotParameters(Section, key="robot"):
             directions of a crank are not perpendicular unit vectors, or the home pose cannot be assembled.
     """
 
-    shaft_circle_radius: Size = 0.20
+    shaft_circle_radius: Length = 0.20
     """[m] radius of the circle of the motor shafts."""
     shaft_height: Signed = -0.07
     """[m] z of the motor shafts in B."""
@@ -64,15 +64,15 @@ class RobotParameters(Section, key="robot"):
     """[rad] half of the angle between the two shafts of a pair, seen from the centre."""
     crank_plane_angle: Signed = 0.0
     """[rad] from the pair's direction to each crank's plane, about z, away from its partner: pi/2 is tangential."""
-    platform_joint_radius: Size = 0.11
+    platform_joint_radius: Length = 0.11
     """[m] radius of the circle of the platform's joints."""
     platform_half_angle: HalfAngle = math.radians(52.0)
     """[rad] half of the angle between the two platform joints of a pair."""
-    crank_length: Size = 0.11
+    crank_length: Length = 0.11
     """[m] shaft to crank tip; |a| in the paper."""
-    rod_length: Size = 0.404
+    rod_length: Length = 0.404
     """[m] crank tip to platform joint."""
-    home_height: Size = 0.30
+    home_height: Length = 0.30
     """[m] Z of P in B at the home pose; roll, pitch, yaw, X, Y are zero there."""
     branch: Branch = -1
     """Sign of the acos in the inverse kinematics: -1 (default) or +1."""

@@ -34,8 +34,10 @@ _PASSED: set[Any] = set()
 """Motions that have passed: a search runs the same one a thousand times."""
 
 
-def refuse_too_long(scenario: Scenario) -> None:
-    """Refuses a run whose rows, one for each step of the plant, are too many for memory."""
+def refuse_unrunnable(scenario: Scenario) -> None:
+    """Refuses code that is not trusted, and a run whose rows, one a step of the plant, are too many for memory."""
+    for part in user_parts(scenario):
+        part.code.check(part.code_key)
     step = scenario.plant.time_step
     if scenario.duration > MAX_ROWS * step * (1.0 + 1e-9):
         allowed = f"at most {MAX_ROWS * step:g} s at a plant.time_step of {step:g} s"

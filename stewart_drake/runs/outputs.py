@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.families import user_parts
-from stewart_drake.files.code import with_texts
+from stewart_drake.files.code import read_code, with_texts
 from stewart_drake.files.whole import read_checked, write_atomically
 from stewart_drake.files.yaml_files import MAX_BYTES, to_yaml
 from stewart_drake.logs.log import SimulationLog
@@ -188,10 +188,10 @@ def _own_files(scenario: Scenario) -> dict[str, bytes]:
     """The scenario as run, and the files of the user's classes that it runs."""
     files: dict[str, bytes] = {}
     here: dict[str, str] = {}
-    for code, key in [(part.code, part.code_key) for part in user_parts(scenario) if part.code.in_file]:
+    for code in [part.code for part in user_parts(scenario) if part.code.in_file]:
         # Of a log from elsewhere the code may be gone; then its results do without.
         with suppress(ConfigurationError):
-            content, path = code.read(key), f"{_CODE}/{Path(code.place).stem}"
+            content, path = read_code(code.place), f"{_CODE}/{Path(code.place).stem}"
             # Of two files of one name the second gets a number.
             names = (f"{path}.py", *(f"{path}_{number}.py" for number in range(2, len(files) + 2)))
             here[str(code)] = next(name for name in names if files.setdefault(name, content) == content)

@@ -23,7 +23,7 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import figures_of
 from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.runs.checks import check_scenario, refuse_too_long
+from stewart_drake.runs.checks import check_scenario, refuse_unrunnable
 from stewart_drake.runs.engine import Engine, FastRun, quiet
 from stewart_drake.safety import first_trip
 from stewart_drake.sampling import steps_per, times_of
@@ -73,7 +73,7 @@ def run(
         TypeError: Something else than a Scenario.
     """
     require_scenario(scenario)
-    refuse_too_long(scenario)
+    refuse_unrunnable(scenario)
     if check:
         check_scenario(scenario)
     # What lies on the disk now is what the run is made of.

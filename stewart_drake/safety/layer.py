@@ -15,6 +15,7 @@ from stewart_drake.errors import FAILURES, SafetyStop, failure_code
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import static_torque
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
 from stewart_drake.part import WELL, Part
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.limits import (
@@ -129,14 +130,14 @@ def _frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, stat
         state.encoders = 1.0
     if state.encoders == 0.0:
         if not (pose == state.readings).all():
-            state.anchors[0] = reference
-        state.readings[:] = pose
+            copy_to(state.anchors[0], reference)
+        copy_to(state.readings[:], pose)
         return -1 if (np.abs(reference - state.anchors[0]) > setup.frozen_pose).any() else _NOTHING_FROZEN
     limit, leg, farthest = setup.frozen_encoder, _NOTHING_FROZEN, 0.0
     for i in range(6):
         # NaN never equals itself; the monitor `measurement_not_finite` looks for it.
         if angles[i] != state.readings[i]:
-            state.anchors[i] = angles
+            copy_to(state.anchors[i], angles)
         # How far the last but one has turned: one that jumps would make all that stand still look frozen.
         most, travel = 0.0, 0.0
         for k in range(6):
@@ -149,7 +150,7 @@ def _frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, stat
             off = angles[i] - np.arctan2(legs.sine[i], legs.cosine[i])
             if legs.reach[i] < 0.0 or abs((off + np.pi) % (2.0 * np.pi) - np.pi) > 0.25 * limit:
                 leg, farthest = i, travel
-    state.readings[:] = angles
+    copy_to(state.readings[:], angles)
     return leg
 
 
@@ -175,7 +176,7 @@ def _tick(
     if leg != _NOTHING_FROZEN:
         health[0], health[1] = FROZEN, leg
     state.ticks += 1.0
-    is_measured = np.isfinite(rate).all() and np.isfinite(pose + setup.horizon * rate).all()
+    is_measured = all_finite(rate) and all_finite(pose + setup.horizon * rate)
     is_seen = is_measured and not _failed(setup, health[0])
     if is_seen:
         see(robot, setup, pose, rate, wanted, state.side, legs, seen)
@@ -184,7 +185,7 @@ def _tick(
         far = seen.least_transmission > USABLE_TRANSMISSION and abs(seen.conditioning) > USABLE_CONDITIONING
         torque = np.empty(6)
         if seen.reached > 0.0 and far and static_torque(robot, legs, setup.gravity, torque):
-            state.weight[:] = torque
+            copy_to(state.weight[:], torque)
     if state.safety[0] >= RAMP:
         return _stop(setup, is_seen, seen, state)
     monitor, level, leg, cause = QUIET, RAMP, -1, 0
@@ -212,7 +213,7 @@ def _tick(
         first[0], first[1], first[2], first[3], first[4] = monitor, level, leg, state.ticks - 1.0, cause
     if level == RAMP:
         return _stop(setup, is_seen, seen, state)
-    state.torque[:] = _led(setup, state.good, state)
+    copy_to(state.torque[:], _led(setup, state.good[:], state))
     return GOES_ON, 0.0
 
 
@@ -235,7 +236,7 @@ def _pass_on(setup: Any, command: Any, innovation: Any, state: Any) -> tuple[int
     acceleration = (largest - setup.innovation_noise) / setup.innovation_scale
     state.at_limit, state.too_fast = _counted(state.at_limit, full), _counted(state.too_fast, steep)
     state.unexplained = _counted(state.unexplained, acceleration > setup.innovation)
-    state.command[:] = command
+    copy_to(state.command[:], command)
     if state.at_limit * setup.period > setup.torque_limit_time + _ROUNDING:
         return TORQUE_LIMIT, (size / limit).argmax()
     if state.too_fast * setup.period > setup.torque_rate_time + _ROUNDING:
@@ -246,8 +247,8 @@ def _pass_on(setup: Any, command: Any, innovation: Any, state: Any) -> tuple[int
     torque = state.good.copy() if steep else np.minimum(np.maximum(command, -limit), limit)
     led = _led(setup, torque, state)
     if not (full or steep) and (led == torque).all():
-        state.good[:] = torque
-    state.torque[:] = led
+        copy_to(state.good[:], torque)
+    copy_to(state.torque[:], led)
     state.safety[0], state.safety[1], state.safety[2] = NONE, QUIET, -1.0
     state.held = max(0.0, state.held - REFILL)
     return QUIET, -1
@@ -278,15 +279,17 @@ def _stop(setup: Any, is_seen: bool, seen: Any, state: Any) -> Any:
         return BLIND, 0.0
     speed, elapsed, limit = np.zeros(6), state.since * setup.period, setup.most_torque
     if is_seen and seen.reached > 0.0:
-        speed[:] = seen.speed
-    fastest = np.abs(speed).max()
+        copy_to(speed, seen.speed[:])
+    fastest = 0.0
+    for i in range(6):
+        fastest = max(fastest, abs(speed[i]))
     if fastest > setup.most_speed:
         return RUNAWAY, fastest
     if elapsed > setup.ramp_time + setup.safe_hold_time + _ROUNDING:
         return HELD, 0.0
     share = min(1.0, elapsed / setup.ramp_time)
     wanted = (1.0 - share) * state.good + share * state.weight - setup.damping * speed
-    state.torque[:] = _led(setup, np.minimum(np.maximum(wanted, -limit), limit), state)
+    copy_to(state.torque[:], _led(setup, np.minimum(np.maximum(wanted, -limit), limit), state))
     state.safety[0] = SAFE_HOLD if share >= 1.0 else RAMP
     state.worst = max(state.worst, state.safety[0])
     state.held = 0.0 if is_seen else state.held + 1.0

@@ -12,7 +12,7 @@ from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.mechanics.linear_algebra import solve
+from stewart_drake.mechanics.linear_algebra import copy_to, solve
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.safety_options import MONITORS, SafetyInputs, SafetyOptions
 
@@ -96,6 +96,12 @@ def _angle(trace: float) -> float:
 
 
 @njit
+def _distance(pose: Any, other: Any) -> float:
+    """[m]."""
+    return np.sqrt((pose[3] - other[3]) ** 2 + (pose[4] - other[4]) ** 2 + (pose[5] - other[5]) ** 2)
+
+
+@njit
 def _left(limit: float, value: float) -> float:
     """What is left up to a limit; of one that is off infinity, whatever the value is."""
     return np.inf if limit == np.inf else limit - value
@@ -108,12 +114,12 @@ def see(robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: floa
     `side` is the sign of the rods' determinant at the start, 0 if that is now. The `LEGS` become those of the pose led
     ahead; where that is out of reach those of the pose, or else of home.
     """
-    home, wanted, margin, twist = setup.home, np.empty((3, 3)), seen.margin, np.empty(6)
+    home, wanted, margin, twist = setup.home[:], np.empty((3, 3)), seen.margin, np.empty(6)
     ahead, turn = pose + setup.horizon * rate, np.empty((3, 3))
     reached = laws.legs_at(robot, ahead, legs) < 0
     within, reach = reached, legs.reach.copy()
     angle = _angle(legs.rotation[0, 0] + legs.rotation[1, 1] + legs.rotation[2, 2])
-    distance = np.sqrt(((ahead[3:] - home[3:]) ** 2).sum())
+    distance = _distance(ahead, home)
     margin[0] = min(_left(setup.workspace[0], angle), _left(setup.workspace[1], distance))
     if not reached:
         # Of a pose that is itself out of reach there is nothing to say; any that is within will do.
@@ -125,7 +131,7 @@ def see(robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: floa
     if reached:
         seen.side = solve(legs.line.copy(), np.empty((6, 1)))
         crossed = side != 0.0 and seen.side != side
-        seen.conditioning = laws.conditioning(robot, legs) * (-1.0 if crossed else 1.0)
+        seen.conditioning = laws.conditioning(robot, legs, laws.QUICK) * (-1.0 if crossed else 1.0)
     margin[3] = np.inf if setup.conditioning == -np.inf else seen.conditioning - setup.conditioning
     laws.twist_of(pose, rate, twist)
     seen.least_transmission = np.inf
@@ -137,14 +143,14 @@ def see(robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: floa
         size = size if reach[i] >= 0.0 else 0.0
         seen.least_transmission = min(seen.least_transmission, size)
         margin[2, i] = size - setup.transmission
-    laws.crank_rates(legs, twist, seen.speed)
+    laws.crank_rates(legs, twist, seen.speed[:])
     if not within:
         seen.speed[:] = 0.0
     for i in range(6):
         margin[1, i] = _left(setup.crank_speed, abs(seen.speed[i]))
     laws.rotation(pose[:3], turn)
     laws.rotation(reference[:3], wanted)
-    angle, distance = _angle((turn * wanted).sum()), np.sqrt(((pose[3:] - reference[3:]) ** 2).sum())
+    angle, distance = _angle((turn * wanted).sum()), _distance(pose, reference)
     margin[4] = np.minimum(_left(setup.following_error[0], angle), _left(setup.following_error[1], distance))
 
 
@@ -157,7 +163,8 @@ def margins_along(
     robot, setup, legs, seen = record(robots), record(setups), record(leg_records), record(seens)
     for row in range(len(poses)):
         see(robot, setup, poses[row], rates[row], references[row], side, legs, seen)
-        out[row] = seen.margin
+        for k in range(len(LIMITS)):
+            copy_to(out[row, k], seen.margin[k])
     return seen.side
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from stewart_drake.config import Count, Fraction, NotNegative, Positive, PositivePair, Section, Seed, Text
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.studies.study import StudyFile, StudyName
 

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
-from stewart_drake.control.objective import CostScales
-from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError, RunFailure, raised_at
-from stewart_drake.files.code import CodePath, code_rule, file_digests
+from stewart_drake.control.features import CostScales
+from stewart_drake.errors import ConfigurationError, RunFailure, raised_at
+from stewart_drake.files.code import file_digests, trusting_code
 from stewart_drake.files.whole import NOT_FINITE, checksum, locked_folder, plain_json, write_atomically
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import MetricError, columns, error_norms, flat, run_cost, run_metrics
@@ -77,8 +77,8 @@ class Task:
     """What tells the run from others; `values` of its row."""
     measure: Measure | None = None
     function: RunFunction = simulate
-    code: frozenset[str] = frozenset()
-    """Keys of the user's code that it may run, see `CodePath.key`."""
+    trust_code: bool = False
+    """Whether code that the changes name may run."""
 
     def row(self, status: str, reason: str | None, message: str | None) -> Row:
         """A row of which nothing else is known."""
@@ -103,7 +103,7 @@ def _outcome(task: Task) -> Row:
     from stewart_drake.scenario import Scenario
 
     try:
-        with code_rule(task.code):
+        with trusting_code(task.trust_code):
             log = task.function(Scenario.from_dict(task.base).replace(task.changes))
         # A finite blow-up overflows in the squares; its row says so.
         with np.errstate(all="ignore"):
@@ -111,8 +111,6 @@ def _outcome(task: Task) -> Row:
     except KeyboardInterrupt:
         raise
     except ConfigurationError as error:
-        if error.reason == UNTRUSTED_CODE:
-            raise  # it has changed in the midst of the study
         return task.row("rejected", error.reason, str(error))
     except RunFailure as error:
         return {**task.row("failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}
@@ -299,18 +297,16 @@ def _unequal(one: Any, other: Any, name: str = "") -> list[str]:
     return [] if one == other else [name]
 
 
-def identity(
-    work: Mapping[str, Any], scenarios: Iterable[Scenario] = (), code: Iterable[CodePath] | None = None
-) -> dict[str, Any]:
+def identity(work: Mapping[str, Any], scenarios: Iterable[Scenario] = ()) -> dict[str, Any]:
     """What results depend on, in plain values, so that kept ones are known again: the work, its files, the code.
 
-    Of the networks of `scenarios` the weights count, and not what their file is called; for `code` see `file_digests`.
+    Of the networks of `scenarios` the weights count, and not what their file is called.
     """
     versions = collect_versions()
     texts = {text for scenario in scenarios if (text := scenario.tuner.content()) is not None}
     return {
         **work,
-        "files": file_digests(work, code),
+        "files": file_digests(work),
         "weights": sorted(hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts),
         "columns": checksum([asdict(column) for column in columns(*scenarios)])[:8],
         "kinds": checksum([each.added_code() for each in REGISTERED])[:8],

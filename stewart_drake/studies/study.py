@@ -17,8 +17,8 @@ from pydantic import Field
 
 from stewart_drake.config import NAME, NAME_WORDS, Section, Text
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.families import refuse_given, user_parts
-from stewart_drake.files.code import CodePath, anchored, code_named, trusting_code
+from stewart_drake.families import given_again, refuse_given, user_parts
+from stewart_drake.files.code import anchored, code_is_trusted, trusting_code
 from stewart_drake.files.tables import to_csv, to_parquet
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.files.yaml_files import find_file, read_mapping
@@ -86,6 +86,8 @@ class Study(ABC):
     name: str = field(kw_only=True)
     """For folders and titles."""
     indices: Sequence[int] = field(kw_only=True)
+    trust_code: bool = field(kw_only=True, default_factory=code_is_trusted)
+    """Whether code that it names beside `base` may run."""
 
     @abstractmethod
     def task(self, index: int) -> Task:
@@ -116,29 +118,28 @@ class Study(ABC):
 
     def scenario(self, index: int) -> Scenario:
         """The scenario of run `index`; ConfigurationError where its values do not make one."""
-        return vary(self.base, self.task(index).changes)
+        return self.vary(self.task(index).changes)
+
+    def vary(self, changes: Mapping[str, Any]) -> Scenario:
+        """See `vary`, of the scenario of all runs."""
+        with trusting_code(self.trust_code):
+            return vary(self.base, changes)
 
     def _task(self, index: int, changes: Mapping[str, Any], seed: int = 0, **more: Any) -> Task:
         """Run `index` with some keys changed; figures are those of every tick, whatever the scenario wants in a log."""
-        base, trusted = self._shared
         changes = {"name": f"{self.name} {index}", **changes, "log_period": None}
-        return Task(index, seed, base, changes, code=trusted, **more)
+        return Task(index, seed, self._base, changes, trust_code=self.trust_code, **more)
 
     @cached_property
-    def code(self) -> list[CodePath]:
-        """The user's code that the runs name, as it was when this was asked first: no row comes from another."""
-        return code_named(self.work)
-
-    @cached_property
-    def _shared(self) -> tuple[dict[str, Any], frozenset[str]]:
-        return self.base.to_dict(), frozenset(code.key for code in self.code if code.trusted)
+    def _base(self) -> dict[str, Any]:
+        values: dict[str, Any] = given_again(self.base)
+        return values
 
     def identity(self) -> dict[str, Any]:
         """What the rows depend on; the user's classes are loaded: one that lacks shows early."""
-        code, variants = self.code, self.variants
-        for part in {part.code: part for variant in variants for part in user_parts(variant)}.values():
+        for part in {part.code: part for variant in self.variants for part in user_parts(variant)}.values():
             part.load()
-        return identity(self.work, variants, code)
+        return identity(self.work, self.variants)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.config import Count, Flag, Positive, Real, Section, Seed, Text, check_plain, shown
-from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import Family, refuse_given
 from stewart_drake.files.whole import plain_json
 from stewart_drake.logs.metrics import Column, ValueKind
@@ -226,7 +226,7 @@ class Sweep(Study):
             if isinstance(distribution, Choice) and not distribution.factor:
                 for value in (each for each in distribution.values if isinstance(each, (str, dict, list))):
                     with suppress(ConfigurationError):  # a row says so
-                        found.append(vary(self.base, {key: value}))
+                        found.append(self.vary({key: value}))
         return found
 
     def tables(self, rows: Sequence[Row]) -> Tables:
@@ -306,7 +306,7 @@ class Sweep(Study):
             vary(self.base, {key: value})
         except ConfigurationError as error:
             path = ".".join(map(str, split_key(key)))
-            if error.key == path or error.key.startswith(f"{path}.") or error.reason == UNTRUSTED_CODE:
+            if error.key == path or error.key.startswith(f"{path}."):
                 raise ConfigurationError(f"distributions.{shown(key)}", error.value, error.allowed) from None
 
 

@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stewart_drake.config import is_finite
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.code import trusting_code
 from stewart_drake.files.whole import checksum, locked_folder, write_atomically
 from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.logs.metrics import FAILED, Column, mean_cost
@@ -157,7 +158,8 @@ class Tuning:
             for reference, condition in dict.fromkeys((cell.reference, cell.condition) for cell in cells):
                 runs.append({"controllers": list(named), "references": [reference], "conditions": [condition]})
         changed = {"controllers": controllers, "runs": runs, "best_of": {}, "tune": None, "tuned": None, "bands": None}
-        return Comparison.from_dict({**self.data, **changed}, self.folder, self.quick)
+        with trusting_code(self.comparison.trust_code):
+            return Comparison.from_dict({**self.data, **changed}, self.folder, self.quick)
 
 
 def load_tuning(

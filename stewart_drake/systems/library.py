@@ -12,10 +12,9 @@ from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.framework import Context, LeafSystem
 
 from stewart_drake.control.computed_torque import ComputedTorqueOptions, computed_torque_part
-from stewart_drake.control.density import DensityKind, density_part
 from stewart_drake.control.joint_pid import PidOptions, pid_part
 from stewart_drake.control.lqi import LqiOptions, lqi_part
-from stewart_drake.control.network import TunerNetwork, network_part
+from stewart_drake.control.network import DensityKind, TunerNetwork, density_part, network_part
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.disturbances import Disturbance, total_wrench
 from stewart_drake.hardware.estimator import difference_part

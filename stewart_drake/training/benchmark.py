@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from stewart_drake.config import Real, Section, Text
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.control.policy import disturbance_of, weights_of
 from stewart_drake.files.whole import PACKAGE, checksum, locked_folder, write_atomically
 from stewart_drake.files.yaml_files import read_mapping

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.config import Vector6
-from stewart_drake.control.density import DensityKind, density
+from stewart_drake.control.network import DensityKind, density
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.files.tables import parquet_about, read_columns, to_parquet, with_about
 from stewart_drake.files.whole import write_atomically

@@ -21,8 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.control.features import FEATURES, features
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import FEATURES, CostScales, features
 from stewart_drake.control.policy import SIZE, Chooser, Layers, Policy, policy_tick
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.errors import ConfigurationError
@@ -320,7 +319,7 @@ class Training:
             "method": "evolution on the fast engine",
             "data": f"situations of training/situations.py, seeds from {TRAINING[0]} on; chosen by those from "
             f"{VALIDATION[0]} on",
-            "cost": "J of control/objective.py at kappa 0; other kappa in half of the situations",
+            "cost": "J of control/features.py at kappa 0; other kappa in half of the situations",
             "options": {**dataclasses.asdict(self.options), "robots": list(self.options.robots)},
             "J_over_best_fixed_by_generation": [[int(at), round(math.exp(value), 3)] for at, value in state.history],
             "J_over_best_fixed": round(math.exp(mean_over_cells(ratio, self.validation)), 3),

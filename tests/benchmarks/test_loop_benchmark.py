@@ -10,8 +10,17 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from stewart_drake import Controller, RobotParameters, build_diagram, build_plant, load_scenario
-from stewart_drake.control.riccati import riccati_gain, split_solution
-from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE, STATES, discretize, input_matrix, state_matrix
+from stewart_drake.control.riccati import (
+    INTEGRAL,
+    POSITION,
+    RATE,
+    STATES,
+    discretize,
+    input_matrix,
+    riccati_gain,
+    split_solution,
+    state_matrix,
+)
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.sampling import on_grid

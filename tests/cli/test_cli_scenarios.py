@@ -1,6 +1,5 @@
 """The commands `check` and `margins`."""
 
-import hashlib
 import json
 
 import pyarrow.parquet as pq
@@ -42,19 +41,16 @@ def test_a_pose_beyond_half_a_turn_is_refused_with_what_was_meant(call, tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_code_that_a_scenario_runs_is_named_with_its_digest_and_not_run(call, tmp_path):
+def test_the_code_that_a_scenario_runs_is_named_and_not_run(call, tmp_path):
     folder = tmp_path / "given"
     folder.mkdir()
     (folder / "mine.py").write_text("raise AssertionError('it was run')\n")
     text = "controller: {kind: python, system: 'mine.py:Mine'}\nduration: 1\nreference: {kind: sine}\n"
     (folder / "mine.yaml").write_text(text)
-    sha = hashlib.sha256((folder / "mine.py").read_bytes()).hexdigest()[:16]
-    line = f"runs code: {folder / 'mine.py'}:Mine, sha256 {sha}"
+    line = f"runs code: {folder / 'mine.py'}:Mine"
     status, out, _ = call("check", "given/mine.yaml", "--scale", "--out", "fit.yaml")
     assert f"{line}; `run` asks for --trust-code\n" in out
     assert load_scenario("fit.yaml", trust_code=True).controller.code.file == folder / "mine.py"
-    # Now it is trusted.
-    assert f"{line}\n" in call("check", "given/mine.yaml")[1]
     status, out, err = call("check", "given/mine.yaml", "--set", "controller.kind=no_such_module:Popen")
     assert (status, out, err.count("\n")) == (2, "", 1)
 

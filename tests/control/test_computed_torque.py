@@ -7,7 +7,7 @@ from ticks import GRAVITY, REST, standing, ticked
 from stewart_drake.control.base import Setpoint
 from stewart_drake.control.computed_torque import ComputedTorqueOptions, computed_torque_part
 from stewart_drake.control.lqi import LqiOptions, lqi_gain
-from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE
+from stewart_drake.control.riccati import INTEGRAL, POSITION, RATE
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map
 

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from stewart_drake.control.density import MEAN_FLOOR, density, density_part
+from stewart_drake.control.network import MEAN_FLOOR, density, density_part
 from stewart_drake.errors import ConfigurationError
 
 # Away from the floor: zero itself, or a size at which a mean of one sample in fifty is still far above it.

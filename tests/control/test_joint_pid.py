@@ -8,7 +8,7 @@ from ticks import GRAVITY, REST, ticked
 from stewart_drake.control.base import Setpoint
 from stewart_drake.control.joint_pid import PidOptions, pid_part
 from stewart_drake.control.lqi import LqiOptions, lqi_gain
-from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE
+from stewart_drake.control.riccati import INTEGRAL, POSITION, RATE
 from stewart_drake.errors import NotFiniteError, SingularPoseError, UnreachablePoseError
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, static_torque, task_inertia
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian

@@ -9,7 +9,7 @@ from ticks import GRAVITY, REST, standing, ticked
 
 from stewart_drake.control.base import Setpoint
 from stewart_drake.control.lqi import LqiOptions, block_weights, lqi_gain, lqi_part
-from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE
+from stewart_drake.control.riccati import INTEGRAL, POSITION, RATE
 from stewart_drake.errors import NotFiniteError, RiccatiError, SingularPoseError, UnreachablePoseError
 from stewart_drake.mechanics.dynamics import inverse_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import conditioning, leg_geometry, reach_margin, twist_jacobian

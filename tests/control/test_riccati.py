@@ -7,19 +7,22 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from strategies import ROBOT, poses
 
-from stewart_drake.control.riccati import SMALLEST_SINGULAR_VALUE, chain_gain, riccati_gain, solve_drake, split_gain
-from stewart_drake.control.state_space import (
+from stewart_drake.control.riccati import (
     INTEGRAL,
     POSITION,
     RATE,
+    SMALLEST_SINGULAR_VALUE,
+    chain_gain,
     discretize,
     input_matrix,
     mass_diagonal,
+    riccati_gain,
+    solve_drake,
+    split_gain,
     state_matrix,
 )
 from stewart_drake.errors import ConfigurationError, RiccatiError
-from stewart_drake.mechanics.dynamics import pose_acceleration_map
-from stewart_drake.mechanics.force_map import force_map
+from stewart_drake.mechanics.dynamics import force_map, pose_acceleration_map
 
 PERIOD = 0.005
 METHODS = ("exact", "euler")

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from strategies import ROBOT, poses
 
-from stewart_drake.control.state_space import (
+from stewart_drake.control.riccati import (
     INTEGRAL,
     discretize,
     hautus_detectability,
@@ -19,7 +19,7 @@ from stewart_drake.control.state_space import (
     state_matrix,
 )
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics.force_map import force_map, force_map_of_legs
+from stewart_drake.mechanics.dynamics import force_map, force_map_of_legs
 from stewart_drake.mechanics.kinematics import leg_geometry, rod_lines
 
 A, C = state_matrix(), output_matrix()

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_logs import made_log
 
-from stewart_drake.control.objective import CostScales, cost
+from stewart_drake.control.features import CostScales, cost
 from stewart_drake.logs.metrics import (
     FAILED,
     METRICS,

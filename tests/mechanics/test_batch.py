@@ -8,7 +8,7 @@ import pytest
 from strategies import ROBOT
 
 from stewart_drake.errors import ConfigurationError, UnreachablePoseError
-from stewart_drake.mechanics import batch, dynamics, kinematics
+from stewart_drake.mechanics import dynamics, kinematics
 from stewart_drake.mechanics.kinematics_laws import robot_record, with_payload
 
 SIZE = [0.2, 0.2, 0.2, 0.03, 0.03, 0.01]
@@ -43,13 +43,13 @@ def test_poses_rates_and_accelerations_broadcast():
 def test_chunks_of_threads_give_what_one_loop_gives(monkeypatch):
     pose, rate = some_poses(50), some_poses(50, seed=2)
     alone = dynamics.forward_dynamics(ROBOT, pose, rate, rate)
-    monkeypatch.setattr(batch, "CHUNK", 7)
-    monkeypatch.setattr(batch.os, "cpu_count", lambda: 4)
+    monkeypatch.setattr(kinematics, "CHUNK", 7)
+    monkeypatch.setattr(kinematics.os, "cpu_count", lambda: 4)
     np.testing.assert_array_equal(dynamics.forward_dynamics(ROBOT, pose, rate, rate), alone)
 
 
 def test_of_all_chunks_the_worst_leg_is_named(monkeypatch):
-    monkeypatch.setattr(batch, "CHUNK", 5)
+    monkeypatch.setattr(kinematics, "CHUNK", 5)
     pose = some_poses(40)
     pose[3, 5], pose[33, 5] = 0.5, 0.6
     with pytest.raises(UnreachablePoseError) as caught:
@@ -64,7 +64,7 @@ def _in_a_fork(pose):
 
 
 def test_threads_run_again_in_a_forked_process(monkeypatch):
-    monkeypatch.setattr(batch, "CHUNK", 5)
+    monkeypatch.setattr(kinematics, "CHUNK", 5)
     pose = some_poses(40)
     here = kinematics.inverse_kinematics(ROBOT, pose)
     with multiprocessing.get_context("fork").Pool(1) as pool:

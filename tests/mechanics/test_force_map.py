@@ -8,7 +8,7 @@ from hypothesis import given
 from strategies import ROBOT, poses
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics.force_map import crank_map, force_map, force_map_of_legs
+from stewart_drake.mechanics.dynamics import crank_map, force_map, force_map_of_legs
 from stewart_drake.mechanics.kinematics import leg_geometry, twist_jacobian
 
 CASES = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["cases"]

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from stewart_drake.control.state_space import mass_diagonal
-from stewart_drake.mechanics.dynamics import task_inertia
-from stewart_drake.mechanics.force_map import force_map
+from stewart_drake.control.riccati import mass_diagonal
+from stewart_drake.mechanics.dynamics import force_map, task_inertia
 from stewart_drake.mechanics.kinematics import euler_rate_matrix, leg_geometry, rotation_matrix, twist_jacobian
 from stewart_drake.paper.force_map import (
     light_legs,

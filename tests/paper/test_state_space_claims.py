@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from stewart_drake.control.state_space import acceleration_map, input_matrix, state_matrix
+from stewart_drake.control.riccati import acceleration_map, input_matrix, state_matrix
 from stewart_drake.mechanics.kinematics import leg_geometry, line_conditioning, rod_lines
 from stewart_drake.paper.state_space import (
     compare_discretisations,

@@ -3,8 +3,7 @@ import pytest
 from strategies import ROBOT, ROBOTS
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.force_map import force_map
+from stewart_drake.mechanics.dynamics import force_map, static_torque
 from stewart_drake.mechanics.kinematics import leg_geometry, line_conditioning, reach_margin, rod_lines
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.planning.limits import Limits, limit_margins, measure_poses

@@ -8,7 +8,6 @@ import pytest
 from made_logs import made_log
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.code import trusting_code
 from stewart_drake.logs import versions
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
@@ -121,8 +120,7 @@ def test_a_controller_of_the_users_is_kept_with_its_results_which_can_be_run_aga
     code = tmp_path / "elsewhere" / "mine.py"
     code.parent.mkdir()
     code.write_text("one = 1\n")
-    with trusting_code():
-        log = made_log(scenario={"controller": {"kind": "python", "system": f"{code}:Mine"}})
+    log = made_log(scenario={"controller": {"kind": "python", "system": f"{code}:Mine"}})
     folder = write(log, tmp_path / "out")
     assert names(folder) == ALWAYS | {"code"}
     assert str(load_scenario(folder / "scenario.yaml").controller.kind) == f"{folder / 'code' / 'mine.py'}:Mine"

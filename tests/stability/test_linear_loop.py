@@ -5,9 +5,8 @@ import pytest
 
 from stewart_drake import run
 from stewart_drake.control.lqi import lqi_gain
-from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE
+from stewart_drake.control.riccati import INTEGRAL, POSITION, RATE
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.code import trusting_code
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import robot_record
@@ -127,7 +126,6 @@ def test_a_pose_that_cannot_be_held_is_left_out():
 def test_kinds_that_have_no_linear_loop_are_named(tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text("from stewart_drake.systems import LqiController as Mine\n")
     monkeypatch.chdir(tmp_path)
-    with trusting_code():
-        own = scenario("controller={kind: 'mine.py:Mine'}")
+    own = scenario("controller={kind: 'mine.py:Mine'}")
     with pytest.raises(ConfigurationError, match=r"controller\.kind: expected lqi, pid or"):
         linear_loops(own, POSE[None])

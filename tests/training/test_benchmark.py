@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.logs.metrics import FAILED, run_cost, run_metrics
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.workers import Workers

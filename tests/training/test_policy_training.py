@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.control.policy import answer, default_policy_path, load_policy
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.errors import ConfigurationError
