@@ -1,4 +1,3 @@
-import fcntl
 import json
 import os
 import re
@@ -6,7 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +33,8 @@ if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
 ROOT = Path(__file__).parent.parent
 
 
-SHARED = ("cluster", "done", "collected", "wheel")
-"""Fixtures that take long. The tests of each go to one worker: others would make it again, or stand idle meanwhile."""
+# Fixtures that take long. The tests of each go to one worker: others would make it again, or stand idle meanwhile.
+SHARED = ("cluster", "done", "collected")
 
 
 # Before that of pytest-xdist, which looks for the groups.
@@ -52,13 +51,12 @@ COMMAND = "from stewart_drake.cli.app import main; main()"
 
 
 def environment(**changes):
-    """In which a fresh Python finds this checkout, installed or not."""
+    # In which a fresh Python finds this checkout, installed or not.
     path = os.pathsep.join(filter(None, [str(ROOT), str(ROOT / "tests"), os.environ.get("PYTHONPATH")]))
     return {**os.environ, "PYTHONPATH": path, "COLUMNS": "200", **changes}
 
 
 def python(*arguments):
-    """Runs a fresh Python; stdout, or the test fails with its stderr."""
     command = [sys.executable, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT, env=environment())
     assert done.returncode == 0, done.stderr
@@ -67,15 +65,12 @@ def python(*arguments):
 
 @pytest.fixture
 def start(tmp_path):
-    """`start(*arguments)`: the command, or other code, in `tmp_path`; nothing of it outlives the test."""
     started = []
 
     def start(*args, code=COMMAND, **options):
-        words = [each if isinstance(each, bytes) else str(each) for each in args]
-        given = [code] if isinstance(code, Path) else ["-c", code]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
         options = pipes | {"cwd": tmp_path, "env": environment()} | options
-        started.append(subprocess.Popen([sys.executable, *given, *words], **options))
+        started.append(subprocess.Popen([sys.executable, "-c", code, *map(str, args)], **options))
         return started[-1]
 
     yield start
@@ -87,7 +82,6 @@ def start(tmp_path):
 
 @pytest.fixture
 def shell(start):
-    """`shell(*arguments)`: `start` to its end; status, stdout, stderr."""
 
     def shell(*args, **options):
         process = start(*args, **options)
@@ -97,39 +91,11 @@ def shell(start):
     return shell
 
 
-def once(tmp_path_factory, name, make):
-    """The folder `name` of this session, filled by `make(folder)`: once, whichever workers ask for it."""
-    base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / name
-    folder.mkdir(exist_ok=True)
-    with (folder / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / "made").exists():
-            make(folder)
-            (folder / "made").touch()
-    return folder
-
-
-def alive(group):
-    """Processes of a group that are not yet dead; zombies wait for whoever adopted them."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            state, _, of_group = stat.read_text().rpartition(")")[2].split()[:3]
-        except OSError:
-            continue
-        if int(of_group) == group and state != "Z":
-            found.append(stat.parent.name)
-    return found
-
-
 def field_of(error):
-    """Key of a ConfigurationError without the places in lists at its end."""
     return re.sub(r"(\.\d+)+$", "", error.key)
 
 
 def make_network(seed=0, window=49, density="magnitude", gain=1.0):
-    """A 12-10-2 network with random weights; `gain` makes its answers steeper."""
     rng = np.random.default_rng(seed)
     return TunerNetwork(
         input_mean=rng.uniform(0.8, 1.2, 12),
@@ -147,7 +113,6 @@ def make_network(seed=0, window=49, density="magnitude", gain=1.0):
 
 
 def resealed(document):
-    """A changed document as JSON with a checksum that fits again, where it can have one."""
     rest = {key: value for key, value in document.items() if key != "checksum"}
     try:
         rest = seal(rest)
@@ -156,21 +121,13 @@ def resealed(document):
     return json.dumps(rest).encode()
 
 
-@contextmanager
-def code_frozen():
-    """What is tested in this process must not depend on whether someone edits the package meanwhile."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(versions, "source_digest", lambda: "as it is")
-        workers._own_source.cache_clear()
-        yield
-    workers._own_source.cache_clear()
-
-
 @pytest.fixture
-def code_as_it_is():
-    """See `code_frozen`."""
-    with code_frozen():
-        yield
+def code_as_it_is(monkeypatch):
+    # What is tested in this process must not depend on whether someone edits the package meanwhile.
+    monkeypatch.setattr(versions, "source_digest", lambda: "as it is")
+    workers._own_source.cache_clear()
+    yield
+    workers._own_source.cache_clear()
 
 
 @pytest.fixture
@@ -180,7 +137,6 @@ def network():
 
 @pytest.fixture
 def call(monkeypatch, capsys, tmp_path):
-    """The command within this process, in an empty folder: status, stdout, stderr."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
 

@@ -5,10 +5,8 @@
     python tests/golden_set.py check                 # records anew and compares with tests/golden
 
 `--report` adds the numbers of `stewart-drake reproduce --quick` and of a small `stewart-drake workspace`, which take
-minutes more. The cases are data, in
-golden/cases.yaml; the recording is golden/numbers.json (outcomes, metrics, tables), golden/signals.npz (some twenty
-rows of each run, the last among them) and golden/report.json. Only names that a user has are used, so that it runs on
-any revision; `HOMES` says where they are.
+minutes more. The cases are data, in golden/cases.yaml; the recording is golden/numbers.json (outcomes, metrics,
+tables), golden/signals.npz (some twenty rows of each run, the last among them) and golden/report.json.
 """
 
 import csv
@@ -21,7 +19,6 @@ import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from functools import lru_cache
-from importlib import import_module
 from pathlib import Path
 
 os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # sums in one order
@@ -29,27 +26,16 @@ os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # sums in o
 import numpy as np
 import yaml
 
+import stewart_drake as sd
+from stewart_drake.mechanics import dynamics, friction, kinematics
+from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque, task_inertia
+from stewart_drake.mechanics.kinematics import inverse_kinematics, leg_geometry, pose_rate_to_twist, rotation_matrix
+from stewart_drake.planning.feasibility import amplitude_table, largest_scale
+from stewart_drake.planning.workspace import measure_poses
+
 ROOT = Path(__file__).resolve().parents[1]
 GOLDEN = ROOT / "tests" / "golden"
 ROWS = 20
-"""Of a run that are kept, beside the last."""
-
-HOMES = {
-    "stewart_drake": """
-        MeasurementNoise Recording RobotParameters Scenario calibrate check_reference excite identify load_robot
-        load_scenario plan_poses run run_metrics""",
-    "stewart_drake.mechanics.kinematics": """
-        conditioning crank_rates euler_rate_matrix euler_rate_matrix_dot forward_kinematics inverse_kinematics
-        leg_geometry line_conditioning pose_jacobian pose_rate_to_twist reach_margin rod_lines roll_pitch_yaw
-        rotation_angle rotation_matrix twist_jacobian twist_to_pose_rate""",
-    "stewart_drake.mechanics.dynamics": """
-        crank_map force_map force_map_of_legs forward_dynamics inverse_dynamics pose_acceleration_map rod_map
-        static_torque task_bias task_inertia""",
-    "stewart_drake.mechanics.friction": "drag_anchors friction_law implicit_torque",
-    "stewart_drake.planning.feasibility": "amplitude_table largest_scale",
-    "stewart_drake.planning.workspace": "measure_poses",
-}
-"""Module -> names that are used of it."""
 
 SIGNALS = (
     *("time", "pose", "pose_rate", "reference", "reference_rate", "reference_acceleration", "error", "integral"),
@@ -57,6 +43,7 @@ SIGNALS = (
     *("measured_pose", "measured_pose_rate", "innovation", "disturbance", "safety"),
 )
 
+# Name -> absolute tolerance, and relative to the largest number of the signal or list; the first that fits counts.
 TOLERANCES = (
     ("*/pose", 1e-9, 0.0),
     ("*/reference", 1e-9, 0.0),
@@ -71,204 +58,155 @@ TOLERANCES = (
     ("report/*", 1e-9, 1e-5),
     ("*", 1e-12, 1e-6),
 )
-"""Name -> absolute tolerance, and relative to the largest number of the signal or list; the first that fits counts."""
 
+# Keys of what tells about a machine, or in words.
 PASSING = {
     *("files", "git_revision", "host", "message", "poses_per_second", "real_time_factor", "scenario"),
     *("sha256", "simulation_s", "source", "text", "values", "versions", "wall_s", "worker"),
 }
-"""Keys of what tells about a machine, or in words."""
-
-
-def named(name):
-    """A function or class of the package."""
-    home = next(module for module, names in HOMES.items() if name in names.split())
-    return getattr(import_module(home), name)
-
-
-# --- what is recorded ---
 
 
 @lru_cache
 def cases():
-    """The document cases.yaml."""
     return yaml.safe_load((GOLDEN / "cases.yaml").read_text())
 
 
-def scenario_of(group, name, engine=None):
-    """A scenario among the cases."""
+def run_case(group, name, engine=None):
     data = dict(cases()[group][name])
     if group == "shipped":
         shipped = data.pop("scenario")
-        return named("load_scenario")(shipped, [f"{key}={json.dumps(value)}" for key, value in data.items()])
-    return named("Scenario")(**{**data, "plant": {**data.get("plant", {}), "engine": engine}})
-
-
-def run_case(group, name, engine=None):
-    """Rows and metrics of a run."""
-    log = named("run")(scenario_of(group, name, engine), check=False)
-    found = {"metrics": named("run_metrics")(log)}
-    for signal in SIGNALS:
-        try:
-            values = np.asarray(log[signal])
-        except KeyError:
-            continue
-        stride = max(1, (len(values) - 1) // ROWS)
-        found[signal] = np.concatenate([values[:-1:stride], values[-1:]])
+        scenario = sd.load_scenario(shipped, [f"{key}={json.dumps(value)}" for key, value in data.items()])
+    else:
+        scenario = sd.Scenario(**{**data, "plant": {**data.get("plant", {}), "engine": engine}})
+    log = sd.run(scenario, check=False)
+    found = {"metrics": sd.run_metrics(log)}
+    for signal in filter(log.__contains__, SIGNALS):
+        stride = max(1, (len(log[signal]) - 1) // ROWS)
+        found[signal] = np.concatenate([log[signal][:-1:stride], log[signal][-1:]])
     return found
 
 
 def motions(group):
-    """References or disturbances at fixed times."""
-    times = np.linspace(0.0, 4.0, 41)
-    found = {}
-    for name, data in cases()[group].items():
-        if group == "references":
-            found[name] = np.hstack(named("Scenario")(reference=data).reference.evaluate(times))
-        else:
-            found[name] = named("Scenario")(disturbances=[data]).disturbances[0].evaluate(times)
-    return found
+    times, given = np.linspace(0.0, 4.0, 41), cases()[group].items()
+    if group == "references":
+        return {name: np.hstack(sd.Scenario(reference=data).reference.evaluate(times)) for name, data in given}
+    return {name: sd.Scenario(disturbances=[data]).disturbances[0].evaluate(times) for name, data in given}
 
 
 def robots():
-    """Four robots and poses (3, 4, 6) near home of each, with rates and accelerations."""
     legs = [{"rod_length": 0.41}, {}, {"crank_length": 0.105}, {"platform_joint": [-0.09, 0.05, 0.004]}, {}, {}]
     own = {"legs": legs, "platform_center_of_mass": [0.003, -0.002, 0.004], "rotor_inertia": 1e-5}
-    chosen = {name: named("load_robot")(name) for name in ("paper", "reachy_mini", "servo_hexapod")}
-    for name, robot in {**chosen, "uneven": named("RobotParameters")(**own)}.items():
+    chosen = {name: sd.load_robot(name) for name in ("paper", "reachy_mini", "servo_hexapod")}
+    for name, robot in {**chosen, "uneven": sd.RobotParameters(**own)}.items():
         size = np.array([1.0] * 3 + [robot.characteristic_length] * 3)
         pose, rate, acceleration = size * np.random.default_rng(7).uniform(-1.0, 1.0, (3, 3, 4, 6))
         yield name, robot, robot.home_pose + 0.1 * pose, rate, 10.0 * acceleration
 
 
-def performed(asked):
-    """Key -> value, of functions without arguments: one that raises costs no other its place."""
-    return {key: perform(function) for key, function in asked.items()}
-
-
 def mechanics():
-    """Every public function of mechanics."""
     found = {}
     for name, robot, pose, rate, acceleration in robots():
-        legs, rpy = named("leg_geometry")(robot, pose), pose[..., :3]
-        angles, twist = named("inverse_kinematics")(robot, pose), named("pose_rate_to_twist")(pose, rate)
-        rotation, inertia = named("rotation_matrix")(rpy), named("task_inertia")(robot, pose)
-        torque = named("inverse_dynamics")(robot, pose, rate, acceleration)
+        legs, rpy = leg_geometry(robot, pose), pose[..., :3]
+        angles, twist = inverse_kinematics(robot, pose), pose_rate_to_twist(pose, rate)
+        rotation, inertia = rotation_matrix(rpy), task_inertia(robot, pose)
+        torque = inverse_dynamics(robot, pose, rate, acceleration)
         own = {key: getattr(legs, key) for key in ("rotation", "arm", "crank", "e_n", "e_l", "transmission")}
         own |= {"inverse_kinematics": angles, "pose_rate_to_twist": twist, "rotation_matrix": rotation}
         own |= {"task_inertia": inertia, "inverse_dynamics": torque}
         calls = (
-            ("inverse_kinematics", robot, robot.home_pose, 1),
-            ("forward_kinematics", robot, angles, robot.home_pose),
-            ("rotation_angle", rotation),
-            ("roll_pitch_yaw", rotation),
-            ("euler_rate_matrix", rpy),
-            ("euler_rate_matrix_dot", rpy, rate[..., :3]),
-            ("twist_to_pose_rate", pose, twist),
-            ("reach_margin", robot, pose),
-            ("conditioning", robot, pose),
-            ("line_conditioning", robot, legs),
-            ("rod_lines", legs),
-            ("rod_map", legs),
-            ("crank_map", robot, legs, "statics"),
-            ("crank_map", robot, legs, "printed"),
-            ("force_map", robot, pose),
-            ("force_map_of_legs", robot, legs, "printed"),
-            ("crank_rates", robot, legs, pose, rate),
-            ("twist_jacobian", robot, pose),
-            ("pose_jacobian", robot, pose),
-            ("static_torque", robot, pose),
-            ("static_torque", robot, pose, 3.7),
-            ("task_bias", robot, pose, twist),
-            ("pose_acceleration_map", robot, pose),
-            ("forward_dynamics", robot, pose, rate, torque),
+            (inverse_kinematics, robot, robot.home_pose, 1),
+            (kinematics.forward_kinematics, robot, angles, robot.home_pose),
+            (kinematics.rotation_angle, rotation),
+            (kinematics.roll_pitch_yaw, rotation),
+            (kinematics.euler_rate_matrix, rpy),
+            (kinematics.euler_rate_matrix_dot, rpy, rate[..., :3]),
+            (kinematics.twist_to_pose_rate, pose, twist),
+            (kinematics.reach_margin, robot, pose),
+            (kinematics.conditioning, robot, pose),
+            (kinematics.line_conditioning, robot, legs),
+            (kinematics.rod_lines, legs),
+            (dynamics.rod_map, legs),
+            (dynamics.crank_map, robot, legs, "statics"),
+            (dynamics.crank_map, robot, legs, "printed"),
+            (dynamics.force_map, robot, pose),
+            (dynamics.force_map_of_legs, robot, legs, "printed"),
+            (kinematics.crank_rates, robot, legs, pose, rate),
+            (kinematics.twist_jacobian, robot, pose),
+            (kinematics.pose_jacobian, robot, pose),
+            (static_torque, robot, pose),
+            (static_torque, robot, pose, 3.7),
+            (dynamics.task_bias, robot, pose, twist),
+            (dynamics.pose_acceleration_map, robot, pose),
+            (dynamics.forward_dynamics, robot, pose, rate, torque),
         )
-        own |= {
-            f"{at}_{function}": perform(lambda call, *given: named(call)(*given), function, *given)
-            for at, (function, *given) in enumerate(calls)
-        }
-        own["friction"] = perform(friction, angles, rate, np.linalg.inv(inertia))
+        own |= {f"{at}_{function.__name__}": function(*given) for at, (function, *given) in enumerate(calls)}
+        own["friction"] = motor_friction(angles, rate, np.linalg.inv(inertia))
         found[name] = own
     return found
 
 
-def friction(angles, rate, mobility):
-    """Friction of motors at the end of a step."""
-    law = named("friction_law")(0.02, 0.03, 0.01, 0.005, np.linspace(2e-4, 3e-4, 6), 1e-3)[0]
+def motor_friction(angles, rate, mobility):
+    law = friction.friction_law(0.02, 0.03, 0.01, 0.005, np.linspace(2e-4, 3e-4, 6), 1e-3)[0]
     found = {"anchor": angles.copy(), "implicit_torque": np.empty_like(angles)}
     for row in np.ndindex(angles.shape[:-1]):
         bristles = np.zeros(1, [("anchor", float, 6), ("slip", float, 6)])
         bristles["anchor"] = angles[row]
-        named("drag_anchors")(law, angles[row] + 0.01 * rate[row], 1e-3, bristles["anchor"][0], bristles["slip"][0])
+        friction.drag_anchors(law, angles[row] + 0.01 * rate[row], 1e-3, bristles["anchor"][0], bristles["slip"][0])
         torque = found["implicit_torque"][row]
-        named("implicit_torque")(law, bristles[0], angles[row], rate[row], mobility[row], 1e-3, 30, torque)
+        friction.implicit_torque(law, bristles[0], angles[row], rate[row], mobility[row], 1e-3, 30, torque)
         found["anchor"][row] = bristles["anchor"][0]
     return found
 
 
 def planning():
-    """Margins of motions and poses to the limits."""
-    paper = named("load_scenario")("paper_fig7")
+    paper = sd.load_scenario("paper_fig7")
     of_paper = paper.robot, paper.limits
 
     def scaled(scale, height=0.05):
-        return named("load_scenario")("paper_fig7", [f"reference.amplitude=[{scale}, 0, 0, 0, 0, {height}]"]).reference
+        return sd.load_scenario("paper_fig7", [f"reference.amplitude=[{scale}, 0, 0, 0, 0, {height}]"]).reference
 
-    def smallest():
-        report = named("check_reference")(*of_paper, paper.reference, 4.0)
-        return {name: [each.margin, each.time, each.leg] for name, each in report.smallest.items()}
-
-    def violation():
-        first = named("check_reference")(*of_paper, scaled(1.0, 0.1), 4.0).first_violation
-        return [first.limit, first.margin, first.time, first.leg]
-
-    def measures(robot, pose):
-        found = named("measure_poses")(robot, pose.reshape(-1, 6))
-        keys = ("reach", "transmission", "conditioning", "ball_swing", "universal_swing", "clearance", "holding_torque")
-        return {key: getattr(found, key) for key in (*keys, "force", "moment")}
-
-    found = performed(
-        {
-            "smallest": smallest,
-            "first_violation": violation,
-            "amplitude_table": lambda: named("amplitude_table")(*of_paper, [0.0, 1.0, 3.0], paper.gravity),
-            "largest_scale": lambda: named("largest_scale")(*of_paper, scaled, 4.0, paper.gravity),
-        }
-    )
-    return found | {name: perform(measures, robot, pose) for name, robot, pose, _, _ in robots()}
+    smallest = sd.check_reference(*of_paper, paper.reference, 4.0).smallest
+    first = sd.check_reference(*of_paper, scaled(1.0, 0.1), 4.0).first_violation
+    found = {
+        "smallest": {name: [each.margin, each.time, each.leg] for name, each in smallest.items()},
+        "first_violation": [first.limit, first.margin, first.time, first.leg],
+        "amplitude_table": amplitude_table(*of_paper, [0.0, 1.0, 3.0], paper.gravity),
+        "largest_scale": largest_scale(*of_paper, scaled, 4.0, paper.gravity),
+    }
+    keys = ("reach", "transmission", "conditioning", "ball_swing", "universal_swing", "clearance", "holding_torque")
+    for name, robot, pose, _, _ in robots():
+        measured = measure_poses(robot, pose.reshape(-1, 6))
+        found[name] = {key: getattr(measured, key) for key in (*keys, "force", "moment")}
+    return found
 
 
 def calibration():
-    """A calibration from the shipped poses, another with some parameters held, and a plan."""
-    robot, poses = named("load_robot")("servo_hexapod"), ROOT / "diagrams" / "calibration" / "poses.csv"
-    noise = named("MeasurementNoise")(encoder=2.0 * math.pi / 2**14 / math.sqrt(12.0))
+    robot, poses = sd.load_robot("servo_hexapod"), ROOT / "diagrams" / "calibration" / "poses.csv"
+    noise = sd.MeasurementNoise(encoder=2.0 * math.pi / 2**14 / math.sqrt(12.0))
 
     def fitted(*hold):
-        result = named("calibrate")(robot, poses, noise, hold=hold)
+        result = sd.calibrate(robot, poses, noise, hold=hold)
         values = np.array([row[-2:] for row in result.rows()])
         sizes = {"noise_ratio": result.noise_ratio, "error_sizes": result.error_sizes()}
         return {"value": values[:, 0], "half_width": values[:, 1], **sizes}
 
-    def planned():
-        plan = named("plan_poses")(robot, 20, noise=noise, candidates=200)
-        return {"angles": plan.targets.angles, "half_width": plan.half_width, "gain": plan.gain}
-
-    return performed({"all": fitted, "held": lambda: fitted("crank_length", "rod_length"), "plan": planned})
+    plan = sd.plan_poses(robot, 20, noise=noise, candidates=200)
+    planned = {"angles": plan.targets.angles, "half_width": plan.half_width, "gain": plan.gain}
+    return {"all": fitted(), "held": fitted("crank_length", "rod_length"), "plan": planned}
 
 
 def identification():
-    """A motion designed, and an identification from the torques that a robot needs for it."""
-    guess = named("RobotParameters")()
-    true = named("RobotParameters")(platform_mass=1.2, platform_center_of_mass=[0.01, 0.0, 0.02], rod_mass=0.09)
-    designed = named("excite")(guess, seed=2, changes=30)
+    guess = sd.RobotParameters()
+    true = sd.RobotParameters(platform_mass=1.2, platform_center_of_mass=[0.01, 0.0, 0.02], rod_mass=0.09)
+    designed = sd.excite(guess, seed=2, changes=30)
     time = np.arange(0.0, 8.0, 0.004)
     motion = designed.reference.evaluate(time)
-    angles = named("inverse_kinematics")(guess, motion[0])
-    rates = np.einsum("nij,nj->ni", named("pose_jacobian")(guess, motion[0]), motion[1])
+    angles = inverse_kinematics(guess, motion[0])
+    rates = np.einsum("nij,nj->ni", kinematics.pose_jacobian(guess, motion[0]), motion[1])
     friction = 0.03 * np.tanh(rates / 0.01) + 0.01 * rates
     noise = np.random.default_rng(1).normal(0.0, 0.002, angles.shape)
-    torque = named("inverse_dynamics")(true, *motion) + friction + noise
-    result = named("identify")(guess, [named("Recording")(time, angles, torque)])
+    torque = inverse_dynamics(true, *motion) + friction + noise
+    result = sd.identify(guess, [sd.Recording(time, angles, torque)])
     values = np.array([row[4:6] for row in result.rows()])
     predictions = [[each.guess, each.found, each.everywhere] for each in result.predictions]
     return {
@@ -281,7 +219,6 @@ def identification():
 
 
 def command(arguments, writes):
-    """Numbers that a command of stewart-drake writes; `cases.yaml: NAME` in the arguments is a part of the cases."""
     with tempfile.TemporaryDirectory() as folder:
         out, words = Path(folder) / "out", [str(each) for each in arguments]
         if words[1] in ("sweep", "comparison"):
@@ -294,15 +231,14 @@ def command(arguments, writes):
         return {name: read(out / name) for name in writes}
 
 
+def as_number(text):
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
 def read(path):
-    """A JSON document, or the rows of a CSV file."""
-
-    def as_number(text):
-        try:
-            return float(text)
-        except ValueError:
-            return text
-
     if path.suffix == ".json":
         document = json.loads(path.read_text())
         return document.get("numbers", document)
@@ -311,7 +247,6 @@ def read(path):
 
 
 def jobs():
-    """Key -> function and its arguments."""
     own = cases()
     found = {f"commands/{name}": (command, each["of"], each["writes"]) for name, each in own["commands"].items()}
     found["commands/sweep"] = (command, ["sweep", "sweep", "--workers", 1], ["sweep.csv"])
@@ -326,7 +261,6 @@ def jobs():
 
 
 def perform(function, *arguments):
-    """What a function gives; or that it raised, say for a name that the package has no more."""
     os.chdir(ROOT)  # paths among the cases are relative to it
     try:
         return function(*arguments)
@@ -335,7 +269,6 @@ def perform(function, *arguments):
 
 
 def record(folder, report):
-    """Writes the recording; returns 1 if something could not be recorded."""
     arrays, numbers, told = {}, {}, {}
     with ProcessPoolExecutor(2) as pool:
         waiting = {key: pool.submit(perform, *job) for key, job in jobs().items()}
@@ -352,7 +285,6 @@ def record(folder, report):
 
 
 def write(folder, arrays, numbers):
-    """Writes a recording, but for the report."""
     # One array a run: each has a header of its own in the file.
     layout, columns = {}, {}
     for key, values in arrays.items():
@@ -365,30 +297,20 @@ def write(folder, arrays, numbers):
 
 
 def flatten(key, value, arrays, numbers):
-    """Arrays by their key, and plain values by theirs; lists of numbers stay together."""
     if isinstance(value, dict):
         for name, inner in value.items():
             if name not in PASSING:
                 flatten(f"{key}/{name}", inner, arrays, numbers)
     elif isinstance(value, np.ndarray):
         arrays[key] = value.astype(float)
-    elif isinstance(value, (list, tuple)) and not is_numbers(value):
+    elif isinstance(value, (list, tuple)) and not all(isinstance(each, int | float | None) for each in value):
         for index, inner in enumerate(value):
             flatten(f"{key}/{index}", inner, arrays, numbers)
     else:
         numbers[key] = value
 
 
-def is_numbers(value):
-    """Whether a list has but numbers and gaps in it."""
-    return all(each is None or isinstance(each, (int, float)) for each in value)
-
-
-# --- what is compared ---
-
-
 def recorded(folder, report):
-    """Key -> array or plain value."""
     document = json.loads((folder / "numbers.json").read_text())
     found = document["numbers"]
     with np.load(folder / "signals.npz") as stored:
@@ -400,7 +322,6 @@ def recorded(folder, report):
 
 
 def difference(key, old, new):
-    """[(how many times the tolerance two values differ, name, in what words)]; empty where they do not."""
     try:
         a, b = np.array(old, dtype=float), np.array(new, dtype=float)
     except (TypeError, ValueError):
@@ -418,7 +339,6 @@ def difference(key, old, new):
 
 
 def differences(before, after):
-    """[(how many times its tolerance a value differs, its name, in what words)] of two recordings, the worst first."""
     own, found = cases(), []
     for key in before.keys() | after.keys():
         chaos = any(fnmatch.fnmatchcase(key, pattern) for pattern in own["chaotic"])
@@ -435,7 +355,6 @@ def differences(before, after):
 
 
 def compare(old, new, report=False):
-    """Prints what differs, the worst first; returns 1 if anything does."""
     differ = differences(recorded(old, report), recorded(new, report))
     for _, key, words in differ:
         print(f"{key}: {words}")

@@ -9,7 +9,6 @@ STATES = tuple(f"motor_{i}_q" for i in range(6)) + ("platform_qw", "platform_z",
 
 
 def made_log(rows=101, step=0.1, duration=10.0, scenario=None, **changes):
-    """A log of `rows` rows, `step` apart, zero but for time and weights; `changes` replaces signals or attributes."""
     scenario = Scenario.from_dict({"name": "made", "duration": duration, "tuner": {"kind": "fixed"}} | (scenario or {}))
     widths = {"plant_state": len(STATES)} | {name: len(s.components) for name, s in SIGNALS.items() if s.components}
     signals = {name: np.zeros((rows, widths.get(name, 0))) for name in SIGNALS}

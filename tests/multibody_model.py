@@ -16,24 +16,16 @@ _KV = JacobianWrtVariable.kV
 
 @dataclass(frozen=True, eq=False)
 class TaskDynamics:
-    """inertia (6, 6) d(twist)/dt + bias (6,) = input_map (6, 6) T, in the twist [w, v] of P in B."""
-
+    # inertia (6, 6) d(twist)/dt + bias (6,) = input_map (6, 6) T, in the twist [w, v] of P in B
     inertia: np.ndarray
     bias: np.ndarray
     input_map: np.ndarray
 
     def acceleration(self, torque):
-        """d(twist)/dt (6,) [rad/s^2, m/s^2] under motor torques (6,) [N m]."""
         return np.linalg.solve(self.inertia, self.input_map @ torque - self.bias)
 
 
 def task_dynamics(stewart, context):
-    """Dynamics of the closed chain at the state in a Context of `stewart.plant`, whose loops must be closed.
-
-    All bodies act, a rod's spin about its own axis included. Universal joints determine that spin; the closed form of
-    `dynamics` leaves it out. Ball joints leave it free: no load acts on it, so each rod keeps the spin that it has.
-    Dry friction of the motors is not in it: `T` is what reaches the cranks.
-    """
     plant, index = stewart.plant, stewart.indices
     nq = plant.num_positions()
     joints = np.concatenate([index.crank_rate, index.rod_rate.ravel()]) - nq
@@ -56,11 +48,6 @@ def task_dynamics(stewart, context):
 
 
 def _loop_rows(stewart, context):
-    """Rows J (18 or 24, nv) of what a closed robot's velocities obey, and dJ/dt v: platform's joints less rods' ends.
-
-    With ball joints the last six rows are the rods' spins: a motion of the platform brings none. Their dJ/dt v is left
-    at zero, because it would add spin alone, which has no inertia in common with such a motion.
-    """
     plant, robot = stewart.plant, stewart.robot
     platform, rods = plant.GetFrameByName("platform"), [plant.GetFrameByName(f"rod_{leg}") for leg in range(6)]
     seat_rows, seat_drift = _points(plant, context, platform, robot.platform_joints.T)
@@ -69,6 +56,7 @@ def _loop_rows(stewart, context):
     rows = [seat_rows - np.concatenate([rod_rows for rod_rows, _ in ends])]
     drift = [seat_drift - np.concatenate([rod_drift for _, rod_drift in ends])]
     if stewart.rod_joint == "ball":
+        # The rods' spins, which no motion of the platform brings and which have no inertia in common with it.
         world = plant.world_frame()
         rows += [plant.CalcJacobianAngularVelocity(context, _KV, rod, world, rod)[2:] for rod in rods]
         drift.append(np.zeros(6))
@@ -76,7 +64,6 @@ def _loop_rows(stewart, context):
 
 
 def _points(plant, context, frame, points):
-    """Velocity Jacobian (3 n, nv) and its drift (3 n,) in the world, of n points (3, n) [m] fixed in a frame."""
     world = plant.world_frame()
     rows = plant.CalcJacobianTranslationalVelocity(context, _KV, frame, points, world, world)
     drift = plant.CalcBiasTranslationalAcceleration(context, _KV, frame, points, world, world)

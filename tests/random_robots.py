@@ -12,27 +12,23 @@ from stewart_drake.robot import RobotParameters
 
 @cache
 def random_robot(seed):
-    """A robot whose six legs differ: cranks in any steep plane, both branches, mass off the joints' plane, any size."""
     rng = np.random.default_rng(seed)
     while True:
         try:
             robot = RobotParameters(**_drawn(rng))
         except ConfigurationError:
             continue
-        if conditioning(robot, robot.home_pose) > 0.1 and _transmission(robot) > 0.4:
+        transmission = np.abs(leg_geometry(robot, robot.home_pose).transmission).min()
+        if conditioning(robot, robot.home_pose) > 0.1 and transmission > 0.4:
             return robot
-
-
-def _transmission(robot):
-    return np.abs(leg_geometry(robot, robot.home_pose).transmission).min()
 
 
 def _drawn(rng):
     size = rng.uniform(0.05, 0.5)
     legs = []
     for leg in range(6):
-        angle = math.radians(120.0 * (leg // 2)) + (-1.0 if leg % 2 == 0 else 1.0) * rng.uniform(0.1, 0.5)
-        top = math.radians(120.0 * (leg // 2)) + (-1.0 if leg % 2 == 0 else 1.0) * rng.uniform(0.6, 1.0)
+        third, side = math.radians(120.0 * (leg // 2)), -1.0 if leg % 2 == 0 else 1.0
+        angle, top = third + side * rng.uniform(0.1, 0.5), third + side * rng.uniform(0.6, 1.0)
         yaw, tilt = rng.uniform(-math.pi, math.pi), rng.uniform(-0.5, 0.5)
         zero = np.array([math.cos(yaw), math.sin(yaw), 0.0])
         across = np.array([-zero[1], zero[0], 0.0])

@@ -8,7 +8,6 @@ HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
 
 
 def random_scenario(seed):
-    """A run of 1.5 to 5 s of the paper's robot on the reduced engine, followed well, badly or not at all."""
     rng = np.random.default_rng(seed)
     duration = round(float(rng.uniform(1.5, 5.0)), 1)
     return Scenario.from_dict(
@@ -25,24 +24,21 @@ def random_scenario(seed):
             "initial_offset": (rng.uniform(-0.01, 0.01, 6) * (rng.random() < 0.3)).tolist(),
             "command_delay": int(rng.integers(0, 3)),
             **any_of(rng, (_paper, _paper, _exact, _others))(rng),
-            **any_of(rng, (_ideal, _encoders))(rng),
+            **any_of(rng, (lambda _: {"sensors": {"kind": "ideal"}}, _encoders))(rng),
             "disturbances": [] if rng.random() < 0.6 else [_push(rng, duration)],
         }
     )
 
 
 def between(rng, low, high):
-    """Uniform in the logarithm."""
     return float(low * (high / low) ** rng.random())
 
 
 def any_of(rng, choices):
-    """One of them."""
     return choices[int(rng.integers(len(choices)))]
 
 
 def _size(rng):
-    """(6,) [rad, m] of a motion along a few of the axes."""
     axes = rng.random(6) < 0.4
     axes[int(rng.integers(6))] = True
     sizes = [between(rng, 0.005, 0.15) for _ in range(3)] + [between(rng, 0.0005, 0.02) for _ in range(3)]
@@ -68,7 +64,6 @@ def _heart(rng, duration):
 
 
 def _path(rng, duration):
-    """One to three moves, over at some time of the run."""
     moves = int(rng.integers(1, 4))
     share = rng.uniform(0.2, 1.0) * duration / moves
     return {
@@ -100,20 +95,14 @@ def _paper(rng):
 def _exact(rng):
     ranges = {"q_pose": (1e2, 1e6), "q_rate": (1.0, 100.0), "q_integral": (1.0, 1e8)}
     weights = {name: between(rng, *ends) for name, ends in ranges.items()}
-    controller = {"period": 0.001, "model": "exact", "weight_length": None, "solver": "split"}
-    return {
-        "controller": {**controller, "feedforward": "full", "feedforward_at": "reference"},
-        "tuner": {"kind": "block", **weights},
-    }
+    law = {"period": 0.001, "model": "exact", "weight_length": None, "solver": "split"}
+    law |= {"feedforward": "full", "feedforward_at": "reference"}
+    return {"controller": law, "tuner": {"kind": "block", **weights}}
 
 
 def _others(rng):
     computed = {"kind": "computed_torque", "natural_frequency": between(rng, 2.0, 100.0), "damping": 0.8}
     return {"controller": any_of(rng, ({"kind": "pid"}, computed))}
-
-
-def _ideal(_):
-    return {"sensors": {"kind": "ideal"}}
 
 
 def _encoders(rng):

@@ -1,6 +1,6 @@
 """Seeded defects: small changes of the package, drawn with a seed, and which tests notice each of them.
 
-    python tests/seeded_defects.py [--count 40] [--seed 19] [--only 3 --only 7] [--list] [--whole] [-- PYTEST OPTIONS]
+    python tests/seeded_defects.py [--count 40] [--seed 19] [--whole] [-- PYTEST OPTIONS]
 
 Each defect is put into a copy of the checkout, and the fast tests of its room run there: those in the folder of tests
 that has the room's name, for a module outside of rooms those beside the folders. `--whole` runs all fast tests, those
@@ -28,15 +28,14 @@ from xml.etree import ElementTree
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "tests" / "seeded_defects.jsonl"
 TESTS = [
-    "-m",
-    "not slow and not long",
     "--hypothesis-profile=check",
     "--ignore=tests/benchmarks",
     "--ignore=tests/paper",
+    "-m",
+    "not slow and not long",
 ]
 ALWAYS = ["-q", "-n", "auto", "--hypothesis-seed=0", "--continue-on-collection-errors", "-o", "junit_family=xunit1"]
 LIMIT = 1200.0
-"""[s] for the tests of one defect; one that takes longer is caught."""
 BINARY = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.FloorDiv, ast.Mod, ast.Pow)
 ORDERED = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)
 OPPOSITE = {ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In}
@@ -44,7 +43,6 @@ NOTHING = ast.List(elts=[], ctx=ast.Load())
 
 
 def variants(node):
-    """What could stand in the place of an expression; [] for most."""
     match node:
         case ast.BinOp(op=op) if isinstance(op, BINARY):
             return [changed(node, op=other()) for other in BINARY if not isinstance(op, other)]
@@ -66,14 +64,12 @@ def variants(node):
 
 
 def changed(node, **parts):
-    """A copy of a node with some parts others."""
     other = copy.copy(node)
     vars(other).update(parts)
     return other
 
 
 def places(tree):
-    """(node, what could stand there) all over a module, but for annotations, strings and code for type checkers."""
     if isinstance(tree, ast.If) and "TYPE_CHECKING" in ast.unparse(tree.test):
         return
     for field, value in ast.iter_fields(tree):
@@ -95,7 +91,6 @@ def places(tree):
 
 
 def draw(count, seed):
-    """So many defects: a file, the longer the likelier, and a place in it; of each a row, and the changed source."""
     files = [path for path in sorted((ROOT / "stewart_drake").rglob("*.py")) if path.name != "__init__.py"]
     files = [path for path in files if "paper" not in path.parts]
     sources = [path.read_bytes() for path in files]
@@ -114,7 +109,6 @@ def draw(count, seed):
 
 
 def replaced(source, node, text):
-    """A module's source with a text in the place of a node; of a decorator with nothing, its @ included."""
     starts = [0]
     for line in source.splitlines(keepends=True):
         starts.append(starts[-1] + len(line))
@@ -123,7 +117,6 @@ def replaced(source, node, text):
 
 
 def tested(checkout, options):
-    """Names of the tests that fail in a copy, by file; and whether they ran to the end."""
     results = checkout.parent / "results.xml"
     results.unlink(missing_ok=True)
     call = [sys.executable, "-m", "pytest", *ALWAYS, f"--junitxml={results}", *options]
@@ -144,19 +137,16 @@ def tested(checkout, options):
     for case in ElementTree.parse(results).iter("testcase") if results.exists() else ():
         if case.find("failure") is not None or case.find("error") is not None:
             # A file that cannot be imported has but a name with dots.
-            where = case.get("file") or case.get("name", "").replace(".", "/") + ".py"
-            failed.append([where, case.get("name")])
+            failed.append([case.get("file") or case.get("name", "").replace(".", "/") + ".py", case.get("name")])
     return failed, ended
 
 
 def left_behind(folder, names):
-    """What is no part of a copy: `runs` at the top alone, the package has a folder of that name."""
     top = {"runs"} if Path(folder) == ROOT else set()
     return {name for name in names if name in {".git", ".venv", "__pycache__", *top} or name.endswith("_cache")}
 
 
 def of_room(file):
-    """The tests of the room that a file of the package is in."""
     room = ROOT / "tests" / Path(file).parts[1]
     if room.is_dir():
         return [str(room.relative_to(ROOT))]
@@ -164,7 +154,6 @@ def of_room(file):
 
 
 def measure(row, checkout, options, already):
-    """A row with which tests caught its defect."""
     start = time.monotonic()
     failed, ended = tested(checkout, options)
     caught = [each for each in failed if each not in already]
@@ -178,7 +167,6 @@ def measure(row, checkout, options, already):
 
 
 def page(rows):
-    """The table in Markdown."""
     rows = [row for row in rows if row["id"]]
     lines = [
         "# Seeded defects",
@@ -201,23 +189,16 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--seed", type=int, default=19)
-    parser.add_argument("--only", type=int, action="append", help="defects of these numbers")
-    parser.add_argument("--list", action="store_true", help="say what would be changed, and run nothing")
     parser.add_argument("--whole", action="store_true", help="all fast tests for each, not those of its room alone")
     parser.add_argument("options", nargs="*", default=TESTS, help="of pytest, after --")
     given = parser.parse_args()
     defects = list(draw(given.count, given.seed))
-    if given.list:
-        for row, _ in defects:
-            print(f"{row['id']:3} {row['file']}:{row['line']}\n    {row['before']}\n    {row['after']}")
-        return
     rows = {row["id"]: row for row in map(json.loads, TABLE.read_text().splitlines())} if TABLE.exists() else {}
     with tempfile.TemporaryDirectory() as folder:
         checkout = Path(folder) / "copy"
         shutil.copytree(ROOT, checkout, ignore=left_behind)
         for row, source in [({"id": 0}, None), *defects]:
-            wanted = not row["id"] or not given.only or row["id"] in given.only
-            if not wanted or all(rows.get(row["id"], {}).get(key) == row[key] for key in row):
+            if all(rows.get(row["id"], {}).get(key) == row[key] for key in row):
                 continue
             if source is not None:
                 (checkout / row["file"]).write_bytes(source)

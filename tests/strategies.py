@@ -14,7 +14,6 @@ ALTERNATING = RobotParameters(legs=[{"branch": 1 if leg % 2 == 0 else -1} for le
 
 
 def _unequal() -> RobotParameters:
-    """No two legs alike, cranks in tilted planes, and a platform whose mass lies off its joints."""
     rng, legs = np.random.default_rng(3), []
     for leg in range(6):
         (yaw, tilt), shaft, joint = rng.uniform(-0.5, 0.5, 2), *rng.uniform(-0.012, 0.012, (2, 3))
@@ -49,20 +48,13 @@ _HALF_WIDTH = np.array([np.pi / 6, np.pi / 6, np.pi / 6, 0.06, 0.06, 0.02])
 
 
 def vectors(size: int, bound: float = 1.0) -> st.SearchStrategy[np.ndarray]:
-    """Vectors in a cube of half width `bound`."""
     return st.lists(st.floats(-bound, bound), min_size=size, max_size=size).map(np.array)
 
 
 def poses(size: float = 1.0, robot: RobotParameters = ROBOT) -> st.SearchStrategy[np.ndarray]:
-    """Poses within +-30 deg about each axis, +-60 mm in X and Y, Z 0.28 to 0.32 m, all at once, scaled by `size`.
-
-    Three in ten thousand corners of that region, angles and offsets together, are out of reach of the paper's robot;
-    those are left out.
-    """
     region = vectors(6).map(lambda unit: robot.home_pose + size * _HALF_WIDTH * unit)
     return region.filter(lambda pose: reach_margin(robot, pose).min() > 0.02)
 
 
 def robots_and_poses(size: float = 0.6) -> st.SearchStrategy[tuple[RobotParameters, np.ndarray]]:
-    """One of `ROBOTS` with a pose of its own."""
     return st.sampled_from(list(ROBOTS.values())).flatmap(lambda robot: st.tuples(st.just(robot), poses(size, robot)))

@@ -6,30 +6,14 @@ import pytest
 from multibody_model import task_dynamics
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.analysis import Simulator
 from random_robots import random_robot
 
-from stewart_drake import (
-    PlantOptions,
-    Scenario,
-    build_plant,
-    forward_dynamics,
-    forward_kinematics,
-    inverse_dynamics,
-    inverse_kinematics,
-    load_robot,
-    load_scenario,
-    run,
-    run_metrics,
-)
-from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.kinematics import pose_rate_to_twist, reach_margin
+from stewart_drake import PlantOptions, build_plant, load_robot, load_scenario, run, run_metrics
+from stewart_drake.mechanics.dynamics import forward_dynamics, inverse_dynamics
+from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics, pose_rate_to_twist, reach_margin
 from stewart_drake.mujoco_model import MujocoRobot
 from stewart_drake.plant.sdf_model import sdf_text
-from stewart_drake.runs.checks import check_scenario
 from stewart_drake.runs.replay import write_replay
-from stewart_drake.studies import robots as robot_table
-from stewart_drake.studies.comparison import load_comparison
 from stewart_drake.studies.faults import FAULTS, fault_study
 from stewart_drake.studies.runs import execute
 
@@ -43,7 +27,6 @@ def robot_of(which):
 
 
 def near_home(robot, count, seed=0):
-    """Poses (n, 6) about home, in reach."""
     rng = np.random.default_rng(seed)
     size = 0.1 * robot.characteristic_length
     pose = robot.home_pose + rng.uniform(-1.0, 1.0, (count, 6)) * ([0.1] * 3 + [size] * 3)
@@ -90,7 +73,7 @@ def test_its_sdf_stands_closed_at_home_and_moves_as_the_exact_model_says(which):
 @pytest.mark.parametrize("which", [*SHIPPED, *RANDOM])
 def test_mujoco_accelerates_it_as_drake_does(which):
     # Rotors behind gears would open the loops with accelerations of which MuJoCo leaves a ten-thousandth in the first
-    # step; what they do is told from the motion below.
+    # step; what they do is told from a motion, in plant/test_mujoco.py.
     robot = robot_of(which).replace(rotor_inertia=0.0)
     _, stewart = build_plant(robot, PlantOptions(time_step=STEP))
     engine = MujocoRobot(robot, options=PlantOptions(time_step=STEP))
@@ -105,26 +88,6 @@ def test_mujoco_accelerates_it_as_drake_does(which):
         stewart.plant.SetPositionsAndVelocities(context, state)
         expected = task_dynamics(stewart, context).acceleration(torque)
         np.testing.assert_allclose(engine.acceleration, expected, rtol=0.0, atol=1e-3 * np.abs(expected).max())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("which", [*SHIPPED, 0, 1, 2])
-def test_mujoco_moves_it_with_its_rotors_as_drake_does(which):
-    robot, count = robot_of(which), 500
-    diagram, stewart = build_plant(robot, PlantOptions(time_step=STEP))
-    engine = MujocoRobot(robot, options=PlantOptions(time_step=STEP))
-    torque = static_torque(robot, robot.home_pose) + 0.05 * robot.effort_limit * np.array([1, -0.5, 0.2, 0.4, -1, 0.3])
-    simulator = Simulator(diagram)
-    context = simulator.get_mutable_context()
-    stewart.set_state(context, robot.home_pose)
-    diagram.GetInputPort("torque").FixValue(context, torque)
-    simulator.AdvanceTo(count * STEP)
-    pose = stewart.pose_and_rate(diagram.GetOutputPort("state").Eval(context))[0]
-    engine.set_state(stewart, stewart.assemble(robot.home_pose))
-    engine.advance(torque, count)
-    way = np.linalg.norm(pose[3:] - robot.home_pose[3:])
-    assert way > 1e-5
-    assert np.abs(engine.platform[:3] - pose[3:]).max() < 0.01 * way
 
 
 @pytest.mark.long
@@ -154,51 +117,9 @@ def test_a_shipped_robot_holds_sways_and_is_replayed(name, tmp_path, call):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", SHIPPED)
-def test_a_shipped_robot_is_compared_and_its_motions_can_all_be_done(name):
-    comparison = load_comparison("tracking", True, name)
-    for index in range(comparison.runs):
-        check_scenario(comparison.scenario(index))
-    log = run(comparison.scenario(comparison.runs - 1))
-    assert log.status == "completed"
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", SHIPPED)
 def test_faults_of_a_shipped_robot_do_what_they_do_to_the_papers(name):
     plan = fault_study(quick=True, robot=name)
     for wanted in ("push_5N", "motor_reversed", "encoder_nan", "command_nan", "reference_refused"):
         index = next(i for i in plan.indices if plan.pairs[i][0].name == wanted)
         (row,) = plan.tables([execute(plan.task(index))])["faults"][1]
         assert row["reaction"] in FAULTS[wanted].expected, (wanted, row)
-
-
-@pytest.mark.long
-def test_the_table_of_robots_has_a_row_for_each(monkeypatch):
-    monkeypatch.setattr(robot_table, "SAMPLES", 2000)
-    monkeypatch.setattr(robot_table, "SCENARIO", "hold")
-    rows = robot_table.robot_rows({name: load_robot(name) for name in SHIPPED}, lambda _: None)
-    assert [row[0] for row in rows] == SHIPPED
-    assert all(len(row) == len(robot_table.HEADER) for row in rows)
-    page = robot_table.robots_page(rows)
-    assert all(f"| {name} |" in page for name in SHIPPED)
-
-
-def test_a_region_needs_no_feasible_motion(call, monkeypatch):
-    from stewart_drake.planning import workspace
-
-    class DoneError(Exception):
-        pass
-
-    def stop(*_, **__):
-        raise DoneError
-
-    monkeypatch.setattr(workspace, "study_poses", stop)
-    monkeypatch.setenv("STEWART_DRAKE_TRACEBACK", "")
-    status, _, error = call("workspace", "--set", "robot.platform_joint_radius=0.16", "--quiet")
-    assert "left out is the scenario's own motion: reference: breaks the limit joint_swing" in error
-    assert (status, "DoneError" in error) == (4, True)
-
-
-def test_a_scenario_of_a_random_robot_is_read_back():
-    scenario = Scenario(robot=random_robot(0), safety={}, tuner={"kind": "block"})
-    assert Scenario.from_dict(scenario.to_dict()) == scenario

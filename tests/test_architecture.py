@@ -1,4 +1,4 @@
-"""The plan of the house: who imports whom."""
+"""Who imports whom."""
 
 import graphlib
 import importlib.util

@@ -23,16 +23,12 @@ print(content.hexdigest())
 
 def numbers(folder, **changes):
     command = [sys.executable, "-c", RUN]
-    return subprocess.run(
-        command, cwd=folder, env=environment(**changes), stdout=subprocess.PIPE, text=True, check=True
-    ).stdout
+    done = subprocess.run(command, cwd=folder, env=environment(**changes), capture_output=True, text=True, check=True)
+    return done.stdout
 
 
 @pytest.mark.slow
 def test_numbers_are_the_same_to_the_bit_over_threads_hash_seeds_and_folders(tmp_path):
-    def threads(count):
-        return dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), count)
-
-    (tmp_path / "elsewhere").mkdir()
-    one = numbers(ROOT, PYTHONHASHSEED="0", **threads("1"))
-    assert one == numbers(tmp_path / "elsewhere", PYTHONHASHSEED="4294967295", **threads("4"))
+    threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    one = numbers(ROOT, PYTHONHASHSEED="0", **dict.fromkeys(threads, "1"))
+    assert one == numbers(tmp_path, PYTHONHASHSEED="4294967295", **dict.fromkeys(threads, "4"))

@@ -2,23 +2,21 @@
 
 import os
 import random
-import signal
 import subprocess
 import sys
 import time
 import uuid
+from contextlib import suppress
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from conftest import environment
+from conftest import COMMAND, environment
 
-from stewart_drake.cli.app import main
 from stewart_drake.files.whole import locked_folder
 from stewart_drake.studies.study import INCIDENTAL
 
 KILLS = int(os.environ.get("STEWART_DRAKE_KILLS", "1"))
-"""Of a sweep: one mechanism stands under all studies."""
 SWEEP = """
 scenario: paper_fig7
 runs: 8
@@ -26,11 +24,6 @@ set: {duration: 0.3, tuner: {kind: fixed}, limits.clearance: null}
 distributions:
   initial_offset[0]: {kind: uniform, low: -0.05, high: 0.05}
   initial_offset[5]: {kind: choice, values: [0.0, 0.0, 0.3]}
-"""
-MAIN = """
-if __name__ == "__main__":
-    from stewart_drake.cli.app import main
-    main()
 """
 ARGS = ["sweep", "sweep.yaml", "--workers", "2"]
 
@@ -44,10 +37,9 @@ def here(tmp_path, monkeypatch):
 
 def begin(out, mark):
     driver = out.parent / "driver.py"
-    driver.write_text(MAIN)
+    driver.write_text(f'if __name__ == "__main__":\n    {COMMAND}\n')
     command = [sys.executable, str(driver), *ARGS, "--out", str(out), "--quiet"]
-    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen(command, env=environment(KILL_TEST=mark), **pipes)
+    return subprocess.Popen(command, env=environment(KILL_TEST=mark), stderr=subprocess.PIPE, text=True)
 
 
 def finish(out):
@@ -57,19 +49,14 @@ def finish(out):
 
 
 def alive(mark):
-    """Processes that carry a mark: a command, its workers and what watches over them."""
     found = []
     for environ in Path("/proc").glob("[0-9]*/environ"):
-        try:
-            if f"KILL_TEST={mark}\0".encode() in environ.read_bytes():
-                found.append(int(environ.parent.name))
-        except OSError:
-            continue
+        with suppress(OSError):
+            found += [environ] if f"KILL_TEST={mark}\0".encode() in environ.read_bytes() else []
     return found
 
 
 def results(folder):
-    """What a sweep leaves, without what is incidental, and without what it only keeps for itself."""
     table = pq.read_table(folder / "sweep.parquet").drop([column.name for column in INCIDENTAL])
     return {path.name for path in folder.iterdir()}, table.to_pylist(), (folder / "study.json").read_bytes()
 
@@ -85,10 +72,9 @@ def test_a_study_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here):
         mark = uuid.uuid4().hex
         process = begin(here / "killed", mark)
         wait = chance.uniform(0.3, 1.0) * duration
-        try:
+        with suppress(subprocess.TimeoutExpired):
             process.wait(wait)
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGKILL)
+        process.kill()
         process.communicate()
         # The workers end by themselves: nothing goes on writing.
         limit = time.monotonic() + 20.0
@@ -99,12 +85,10 @@ def test_a_study_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here):
     assert results(here / "killed") == results(here / "whole")
 
 
-def test_the_second_of_two_processes_in_one_folder_is_refused(here, monkeypatch, capsys):
+def test_the_second_of_two_processes_in_one_folder_is_refused(here, call):
     (here / "out").mkdir()
-    monkeypatch.setattr(sys, "argv", ["stewart-drake", *ARGS, "--out", "out", "--quiet"])
-    with locked_folder(here / "out"), pytest.raises(SystemExit) as end:
-        main()
-    assert end.value.code == 2
+    with locked_folder(here / "out"):
+        status, _, err = call(*ARGS, "--out", "out", "--quiet")
     expected = "a folder that no other process is using, got 'out'"
-    assert capsys.readouterr().err == f"stewart-drake: --out: expected {expected}\n"
+    assert (status, err) == (2, f"stewart-drake: --out: expected {expected}\n")
     assert list((here / "out").iterdir()) == []

@@ -1,4 +1,3 @@
-import ast
 import os
 from pathlib import Path
 
@@ -12,12 +11,10 @@ NAMES = (
     *("paper/1_plant_and_kinematics", "paper/2_force_map", "paper/3_state_space", "paper/4_nine_experiments"),
     *("paper/5_data_and_network", "paper/6_tuner_in_the_loop", "paper/7_sensitivity_and_workspace"),
 )
-MAX_DEFINITION_LINES = 10
 EXACT_GAINS = {
     "study = Study(quick=True)": """study = Study(quick=True)
 study.base = study.base.replace({"controller.solver": "split"})"""
 }
-"""The same gains in less than half the time."""
 SHORTER = {
     **dict.fromkeys((name for name in NAMES if name.startswith("paper/")), EXACT_GAINS),
     "02_build_the_diagram": {"DURATION = 3.2": "DURATION = 0.5"},
@@ -28,7 +25,6 @@ SHORTER = {
         '{"duration": 4.0}': '{"duration": 0.4}',
     },
 }
-"""What makes a notebook long and nothing else: each cell runs all the same."""
 CELL_TIMEOUT = 300  # [s], far above what any cell needs, for busy machines
 
 
@@ -42,22 +38,13 @@ def code_cells(notebook):
     return [cell for cell in notebook.cells if cell.cell_type == "code"]
 
 
-def definitions(notebook):
-    kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
-    return [n for cell in code_cells(notebook) for n in ast.walk(ast.parse(cell.source)) if isinstance(n, kinds)]
-
-
-def files_in(folder):
-    return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
-
-
 def test_every_notebook_is_tested():
     found = {str(path.relative_to(FOLDER).with_suffix("")) for path in FOLDER.rglob("*.ipynb")}
     assert found == set(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_is_committed_without_outputs_or_traces_of_its_author_and_defines_little(name):
+def test_is_committed_without_outputs_or_traces_of_its_author(name):
     notebook = read(name)
     assert (notebook.nbformat, notebook.nbformat_minor) == (4, 5)
     assert notebook.metadata.kernelspec.name == "python3"
@@ -66,15 +53,11 @@ def test_is_committed_without_outputs_or_traces_of_its_author_and_defines_little
     assert all(cell.metadata == {} for cell in notebook.cells)
     assert all((cell.outputs, cell.execution_count) == ([], None) for cell in code_cells(notebook))
     assert any("from stewart_drake" in cell.source for cell in code_cells(notebook))
-    long = [d.name for d in definitions(notebook) if d.end_lineno - d.lineno >= MAX_DEFINITION_LINES]
-    assert long == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [NAMES[0], *(pytest.param(name, marks=pytest.mark.long) for name in NAMES[1:])])
 def test_runs_from_top_to_bottom(name, tmp_path):
-    before, here = files_in(FOLDER), tmp_path / "run"
-    here.mkdir()
     # The kernel picks its own backend for figures and keeps its history out of the user's home.
     environment = {key: value for key, value in os.environ.items() if key != "MPLBACKEND"}
     environment["IPYTHONDIR"] = str(tmp_path / "ipython")
@@ -84,7 +67,7 @@ def test_runs_from_top_to_bottom(name, tmp_path):
         place.source = place.source.replace(as_it_is, short)
 
     client = NotebookClient(
-        notebook, timeout=CELL_TIMEOUT, kernel_name="python3", resources={"metadata": {"path": str(here)}}
+        notebook, timeout=CELL_TIMEOUT, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
     )
     client.execute(env=environment)
 
@@ -92,5 +75,4 @@ def test_runs_from_top_to_bottom(name, tmp_path):
     assert any("image/png" in output.get("data", {}) for output in outputs)
     complaints = [o.text for o in outputs if o.get("name") == "stderr" and "warn" in o.text.lower()]
     assert complaints == []
-    assert list(here.iterdir()) == []
-    assert files_in(FOLDER) == before
+    assert {path.name for path in tmp_path.iterdir()} <= {"ipython"}

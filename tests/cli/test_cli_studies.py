@@ -1,6 +1,6 @@
 """The commands `compare`, `tune` and `tuner`."""
 
-import functools
+from contextlib import suppress
 
 import pytest
 from hypothesis import given
@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from stewart_drake.control.policy import default_policy_path, load_policy
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.yaml_files import shipped_folder
 
 TEXT = """
 scenario: paper_fig7
@@ -18,31 +17,17 @@ references: {hold: {reference: {kind: hold}}}
 """
 
 
-@pytest.fixture
-def compare(call):
-    """The subcommand."""
-    return functools.partial(call, "compare")
-
-
 @pytest.mark.slow
-def test_a_file_is_run_and_its_tables_are_shown_and_kept(compare, tmp_path, monkeypatch):
+def test_a_file_is_run_and_its_tables_are_shown_and_kept(call, tmp_path):
     (tmp_path / "mine.yaml").write_text(TEXT)
-    status, out, _ = compare("mine.yaml", "--workers", 1)
+    status, out, _ = call("compare", "mine.yaml", "--workers", 1)
     assert status == 0
     assert all(word in out for word in ("weak", "strong", "change per tick", "runs/mine"))
     names = {path.name for path in (tmp_path / "runs" / "mine").iterdir()}
     assert {"comparison.parquet", "comparison.csv", "comparison.md", "rmse.png", "error.png"} <= names
-    monkeypatch.setenv("COLUMNS", "80")
-    status, out, _ = compare("mine.yaml", "--workers", 1)
-    assert "change per tick" not in out
-    status, out, _ = compare("mine.yaml", "--quiet", "--quick", "--workers", 1)
+    status, out, _ = call("compare", "mine.yaml", "--quiet", "--quick", "--workers", 1)
     assert (status, out) == (0, "")
     assert (tmp_path / "runs" / "mine-quick").is_dir()
-
-
-def test_the_help_names_every_shipped_comparison(compare):
-    _, text, _ = compare("--help")
-    assert all(path.stem in text for path in shipped_folder("comparisons").glob("*.yaml"))
 
 
 TUNE = """
@@ -73,7 +58,6 @@ def test_a_search_that_cannot_be_done_says_why_in_a_line(call, tmp_path):
     for args, why in (
         (("tune", "mine.yaml", "--controller", "strong"), "--controller: expected one of weak"),
         (("tune", "mine.yaml", "--budget", 3), "--budget: expected at least 5"),
-        (("tune", "tracking"), "tune: expected a section"),
     ):
         status, out, err = call(*args)
         assert (status, out) == (2, "")
@@ -82,35 +66,22 @@ def test_a_search_that_cannot_be_done_says_why_in_a_line(call, tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
-# --- tuner --------------------------------------------------------------------------------------------------------
-
-
 def test_the_card_of_a_policy_says_box_and_provenance(call):
     status, out, err = call("tuner", "show")
     assert (status, err) == (0, "")
     rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in out.splitlines() if "│" in line]
     policy = load_policy()
     assert all(list(row) in rows for row in policy.box_rows())
-    told = " ".join(cell for row in rows for cell in row)
-    assert all(name in told for name, _ in policy.facts())
+    assert all(name in out for name, _ in policy.facts())
 
 
 @pytest.mark.parametrize("command", [("show",), ("judge", "--out", "verdict")])
-@pytest.mark.parametrize("content", [None, "{}"])
-def test_a_file_that_is_no_policy_is_refused_before_anything_is_written(call, tmp_path, command, content):
-    if content is not None:
-        (tmp_path / "mine.json").write_text(content)
+def test_a_file_that_is_no_policy_is_refused_before_anything_is_written(call, tmp_path, command):
+    (tmp_path / "mine.json").write_text("{}")
     status, out, err = call("tuner", *command, "mine.json")
-    assert (status, out) == (2, "")
+    assert (status, out, err.count("\n")) == (2, "", 1)
     assert "mine.json" in err
-    assert err.count("\n") == 1
     assert not (tmp_path / "verdict").exists()
-
-
-def test_one_seed_of_each_kind_gives_no_interval_and_is_refused(call):
-    status, out, err = call("tuner", "judge", "--seeds", 1)
-    assert (status, out) == (2, "")
-    assert "--seeds" in err
 
 
 CONTENT = default_policy_path().read_bytes()
@@ -122,10 +93,5 @@ def test_every_flipped_bit_is_refused_or_changes_nothing(tmp_path_factory, bit):
     content = bytearray(CONTENT)
     content[bit // 8] ^= 1 << bit % 8
     path.write_bytes(content)
-    said = ""
-    try:
-        found = load_policy(path).to_bytes()
-    except ConfigurationError as error:
-        found, said = CONTENT, str(error)
-    assert found == CONTENT
-    assert "\n" not in said
+    with suppress(ConfigurationError):
+        assert load_policy(path).to_bytes() == CONTENT

@@ -14,7 +14,6 @@ from stewart_drake.logs.log import AXIS_NAMES, SIGNALS, load_log
 
 @pytest.fixture
 def log():
-    """Every entry of every signal differs from every other."""
     start = made_log(rows=7)
     rng = np.random.default_rng(1)
     signals = {name: rng.normal(size=values.shape) for name, values in start.items()}
@@ -62,18 +61,13 @@ def test_a_log_saved_as_csv_loads_back_with_the_scenario_that_it_does_not_have(l
 
 
 def test_a_log_is_a_mapping_and_shows_itself_in_six_lines(log):
-    assert "pose" in log
-    assert "pos" not in log
     assert (list(log), len(log)) == (list(SIGNALS), len(SIGNALS))
     with pytest.raises(KeyError, match="pos; this log has time, pose, "):
         log["pos"]
-    assert log == log
     lines = repr(log).splitlines()
     assert len(lines) == 6
-    assert max(map(len, lines)) < 300
     assert "failed, crank_dead_centre at t = 0.650 s" in lines[0]
     assert lines[1].strip() == log.message
-    assert "saturation" in lines[5]
 
 
 def test_columns_say_their_units_and_parquet_has_frame_text_scenario_and_outcome(log):
@@ -85,9 +79,7 @@ def test_columns_say_their_units_and_parquet_has_frame_text_scenario_and_outcome
     assert schema.names[:7] == ["time_s", *(f"pose_{each}" for each in (*angles, *lengths))]
     expected = {
         "pose_rate_roll_rad_per_s": "rad/s", "reference_acceleration_z_m_per_s2": "m/s^2", "integral_x_m_s": "m s",
-        "torque_0_Nm": "N m", "loop_gap_0_m": "m", "weights_omega_q": "1", "disturbance_fx_N": "N",
-        "plant_state_motor_0_q_rad": "rad", "plant_state_platform_qw": "1",
-        "plant_state_platform_wx_rad_per_s": "rad/s",
+        "torque_0_Nm": "N m", "weights_omega_q": "1", "plant_state_motor_0_q_rad": "rad",
     }  # fmt: skip
     assert {name: schema.field(name).metadata[b"unit"].decode() for name in expected} == expected
     assert schema.field("pose_x_m").metadata[b"frame"] == b"P in B"
@@ -97,41 +89,29 @@ def test_columns_say_their_units_and_parquet_has_frame_text_scenario_and_outcome
     assert (run["outcome"]["reason"], run["outcome"]["leg"]) == ("crank_dead_centre", 2)
 
 
-def refused(path):
-    with pytest.raises(ConfigurationError) as caught:
-        load_log(path)
-    assert str(path) in str(caught.value)
-    assert str(caught.value).isprintable()
-    return str(caught.value)
-
-
 def test_what_is_no_log_is_named_in_one_line(log, tmp_path):
     path = tmp_path / "log.parquet"
-    assert "No such file" in refused(path)
+
+    def refused(words):
+        with pytest.raises(ConfigurationError, match=words) as caught:
+            load_log(path)
+        assert str(path) in str(caught.value)
+        assert str(caught.value).isprintable()
+
+    refused("No such file")
+    path.write_bytes(log.to_parquet()[:-1])
+    refused("a Parquet file from this package")
     table = pq.read_table(pa.BufferReader(log.to_parquet()))
     run = json.loads(table.schema.metadata[b"stewart_drake.run"])
-
-    def written(table, run):
-        pq.write_table(table.replace_schema_metadata({"stewart_drake.run": json.dumps(run)}), path)
-        return refused(path)
-
-    for content in (b"", b"time,pose\n0,0\n" * 100, log.to_parquet()[:-1]):
-        path.write_bytes(content)
-        assert "a Parquet file from this package" in refused(path)
-    pq.write_table(pa.table({"time_s": [0.0]}), path)
-    assert "one from this package" in refused(path)
-    assert "version 2" in written(table, {**run, "version": 2})
-    assert "metadata that cannot be read" in written(table, {"version": run["version"]})
-    for column, named in (("time_s", "time"), ("pose_x_m", "pose_x")):
-        assert f"no column of {named}" in written(table.drop_columns([column]), run)
-    assert "durration" in written(table, {**run, "scenario": {"durration": 1}})
-
-
-def test_the_ending_of_the_name_is_the_format(log, tmp_path):
-    for name in ("log", "log.xlsx", "log.parquet.gz", "parquet"):
-        with pytest.raises(ConfigurationError, match=r"a name that ends in \.parquet or \.csv"):
-            log.save(tmp_path / name)
-    assert list(tmp_path.iterdir()) == []
+    for columns, about, words in (
+        (table, {**run, "version": 2}, "version 2"),
+        (table.drop_columns(["pose_x_m"]), run, "no column of pose_x"),
+        (table, {**run, "scenario": {"durration": 1}}, "durration"),
+    ):
+        pq.write_table(columns.replace_schema_metadata({"stewart_drake.run": json.dumps(about)}), path)
+        refused(words)
+    with pytest.raises(ConfigurationError, match=r"a name that ends in \.parquet or \.csv"):
+        log.save(tmp_path / "log.xlsx")
 
 
 def test_a_log_becomes_a_frame_of_pandas_and_without_pandas_the_remedy_is_named(log, monkeypatch):

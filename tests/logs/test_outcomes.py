@@ -11,18 +11,15 @@ from stewart_drake.runs.simulation import run
 from stewart_drake.safety import LEVELS, MONITORS
 from stewart_drake.scenario import load_scenario
 
-STILL = {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.3]}
 TRIP = {"monitor": "deadline", "level": "hold", "time": 0.4, "leg": 2, "cause": None, "worst": "safe_hold"}
 TAKEN = {"monitor": "crank_speed", "time": 0.5, "leg": 1}
 
 
 def trip(last, worst="safe_hold"):
-    """What the safety layer tells: a deadline missed at first, and if it has the robot, a crank that was too fast."""
     return {**TRIP, "last": last, "worst": worst, "stopped": None if last in ("none", "hold") else TAKEN}
 
 
 def rows_of(**changes):
-    """Rows of a log made by hand."""
     log = made_log(**changes)
     return RunRows(log.scenario, log.signals)
 
@@ -41,16 +38,10 @@ HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
 TIMES = np.linspace(0.0, 10.0, 101)
 
 
-def swinging(share, reach=0.01, until=10.0, start=0.0):
-    """A reference that swings along Z every 2.5 s until some time, and then rests; a pose with a share of it."""
+def swinging(share, reach=0.01, until=10.0):
     swing = np.zeros((101, 6))
-    swing[:, 5] = np.where(
-        np.abs(TIMES - 0.5 * (start + until)) <= 0.5 * (until - start), reach * np.sin(0.8 * np.pi * TIMES), 0.0
-    )
+    swing[:, 5] = reach * np.sin(0.8 * np.pi * TIMES) * (until >= TIMES)
     return {"reference": HOME + swing, "pose": HOME + share * swing}
-
-
-# --- the rules, on logs made by hand ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -71,19 +62,11 @@ def test_an_error_that_leaves_its_bound_in_a_single_step_is_a_run_lost(signal, c
     assert verdict(scenario=off, **{signal: values}).status == "completed"
 
 
-def test_the_bound_that_was_left_first_gives_the_reason_and_the_message_has_the_largest_error():
-    pose, gap = np.zeros((101, 6)), np.zeros((101, 6))
-    pose[50:, 4], pose[70, 4], gap[40:, 1] = 0.04, 0.2, 0.002
-    outcome = verdict(pose=pose, loop_gap=gap)
-    assert (outcome.reason, outcome.outcome_time, outcome.leg) == ("loop_gap_bound", pytest.approx(4.0), 1)
-    assert "the largest was 200 mm" in verdict(pose=pose).message
-
-
 def test_a_start_that_is_off_has_to_come_back():
     pose = np.zeros((101, 6))
     pose[:20, 3] = 0.05
     assert verdict(pose=pose).status == "completed"
-    pose[60, 3] = 0.05
+    pose[60, 3] = np.nan
     assert verdict(pose=pose).outcome_time == pytest.approx(6.0)
     never = verdict(pose=np.full((101, 6), 0.05))
     assert (never.status, never.reason, never.outcome_time) == ("lost", "position_bound", 0.0)
@@ -92,13 +75,10 @@ def test_a_start_that_is_off_has_to_come_back():
 @pytest.mark.parametrize(
     ("share", "status", "warned"),
     [
-        (1.0, "completed", False),
         (0.55, "completed", False),
         (0.45, "completed", True),
-        (1.55, "completed", True),
         (2.05, "lost", False),
         (0.24, "lost", False),
-        (0.0, "lost", False),
     ],
 )
 def test_an_error_as_large_as_the_motion_is_a_run_lost_and_half_of_it_has_a_warning(share, status, warned):
@@ -113,21 +93,6 @@ def test_an_error_as_large_as_the_motion_is_a_run_lost_and_half_of_it_has_a_warn
         assert warnings["poorly_followed"]["number"] == rows.error_ratio
     off = {"bounds": {"error_ratio": None, "motion_ratio": None}}
     assert verdict(scenario=off, **swinging(share)).status == "completed"
-
-
-def test_a_platform_that_stands_still_is_lost_though_the_motion_is_over_before_errors_count():
-    signals = swinging(0.0, until=2.5)
-    assert rows_of(**signals).error_ratio == pytest.approx(1.0)
-    assert verdict(**signals).message == "the platform moved by 0.0% of its reference's motion; bound 25%"
-
-
-def test_an_end_at_rest_does_not_hide_what_was_before_and_the_message_says_where_it_was():
-    signals = swinging(-2.0, until=5.0)
-    signals["pose"][TIMES < 3.0] = signals["reference"][TIMES < 3.0]
-    outcome = verdict(**signals)
-    assert outcome.reason == "not_followed"
-    # Of 10 s the first 3 are for settling; what is left makes three windows.
-    assert outcome.message.startswith("from 3 to 5.333 s the RMS error was ")
 
 
 def test_rest_beside_a_motion_changes_nothing():
@@ -192,13 +157,6 @@ def test_what_the_safety_layer_does_is_no_error_of_the_controller():
     assert rows_of(**signals).error_ratio > 0.9
 
 
-def test_nan_poses_are_not_inside_of_any_bound():
-    assert verdict(pose=np.full((101, 6), np.nan)).status == "lost"
-    pose = np.zeros((101, 6))
-    pose[30:, 0] = np.nan
-    assert verdict(pose=pose).outcome_time == pytest.approx(3.0)
-
-
 @pytest.mark.parametrize("last", ["none", "hold", "ramp", "safe_hold"])
 def test_what_the_safety_layer_holds_at_the_end_is_stopped_however_small_the_error(last):
     # Held for a while, given back, and held again from 8 s on by the monitor of that time.
@@ -249,30 +207,16 @@ def test_warnings_name_what_a_completed_run_hides():
     found = {each["name"]: each for each in find_warnings(outcome.status, made, seen)}
     assert set(found) == {"safety_intervention", "saturation", "loop_gap"}
     assert (found["safety_intervention"]["time"], found["safety_intervention"]["number"]) == (4.0, 2)
-    assert found["saturation"]["time"] == pytest.approx(1.0)
-    assert found["saturation"]["number"] == pytest.approx(10 / 606)
-    assert found["loop_gap"]["time"] == pytest.approx(3.3)
-    assert found["loop_gap"]["number"] == pytest.approx(0.2)
-    for last in ("hold", "ramp", "safe_hold", "end"):
-        assert "safety_intervention" not in {each["name"] for each in find_warnings("stopped", made, trip(last))}
+    assert (found["saturation"]["time"], found["saturation"]["number"]) == pytest.approx((1.0, 10 / 606))
+    assert (found["loop_gap"]["time"], found["loop_gap"]["number"]) == pytest.approx((3.3, 0.2))
     assert find_warnings("completed", rows_of(pose=pose), None) == ()
 
 
-# --- runs ---------------------------------------------------------------------------------------------------------
-
-
-def exact(**changes):
-    return load_scenario("exact_fig7").replace({"duration": 0.6, "reference": STILL, **changes})
-
-
-def push(time, **keys):
-    return {"disturbances": [{"time": time, **keys}]}
-
-
 def test_figures_and_outcome_do_not_depend_on_which_rows_the_log_keeps():
-    blow = push(0.25, kind="impulse", impulse=[0, 0, 0, 0, 2.0, 0])
-    fast = {"plant.engine": "reduced", "plant.time_step": 0.0005}
-    logs = [run(exact(log_period=period, **fast, **blow)) for period in (0.0005, None, 0.6, 0.007)]
+    blow = {"kind": "impulse", "time": 0.25, "impulse": [0, 0, 0, 0, 2.0, 0]}
+    fast = {"plant.engine": "reduced", "plant.time_step": 0.0005, "duration": 0.6, "disturbances": [blow]}
+    still = load_scenario("exact_fig7").replace({"reference": {"kind": "hold"}, **fast})
+    logs = [run(still.replace({"log_period": period})) for period in (0.0005, None, 0.6, 0.007)]
     assert [len(log.time) for log in logs] == [1201, 601, 2, 86]
     figures = [{k: v for k, v in run_metrics(log).items() if k != "real_time_factor"} for log in logs]
     assert all(each == figures[0] for each in figures)

@@ -16,7 +16,6 @@ from stewart_drake.runs.checks import adjusted, fit_amplitude, fit_speed
 
 ROBOT, LIMITS, GRAVITY = RobotParameters(), Limits(), 9.81
 WEAK = dataclasses.replace(ROBOT, effort_limit=0.45)
-"""Weak enough that gravity takes most of the torque: 0.26 N m at home."""
 FAST = SineReference(angular_frequency=(14.0,) * 6)
 BEATS = HeartbeatReference(excursion=(0.0, 0.0, 0.0, 0.004, 0.0, 0.01), rate=2.0, premature_beats=(2,))
 REACH = MinimumJerkReference(
@@ -59,13 +58,6 @@ def test_the_speed_found_is_feasible_and_one_per_cent_more_is_not(robot, referen
 def test_a_motion_bound_by_crank_speed_is_slowed_by_the_ratio_of_the_speeds():
     fastest = 10.0 - check_reference(ROBOT, LIMITS, FAST, 1.0, GRAVITY).smallest["crank_speed"].margin
     assert fit_speed(ROBOT, LIMITS, FAST, 1.0, GRAVITY)[1] == pytest.approx(fastest / 10.0, rel=5e-4)
-
-
-@pytest.mark.slow
-def test_what_is_adjusted_already_is_adjusted_further():
-    start = AdjustedReference(motion=FAST, scale=0.95, slowdown=0.5, fade_in=0.1)
-    fitted, factor = fit_speed(ROBOT, LIMITS, start, 1.0, GRAVITY)
-    assert fitted == dataclasses.replace(start, slowdown=0.5 * factor)
 
 
 def test_a_motion_out_of_reach_is_feasible_at_no_speed():

@@ -4,30 +4,25 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import LeafSystem
 
+from stewart_drake import Controller
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
 
-WEIGHT = static_torque(Scenario().robot, Scenario().robot.home_pose)
-FAST = ("plant.engine=reduced",)
 ENCODERS = "sensors={kind: encoders, resolution_bits: 0}"
-"""Without counts: a reading that is rounded the other way is a difference that neither engine can help."""
 PUSH = "disturbances=[{kind: step, wrench: [0.02, 0, 0.03, 3, -2, -4], time: 0.2, until: 0.4}]"
 OBSERVER = "estimator={kind: observer}"
 HELD = "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
 
 
 def both(name, *changes):
-    """Logs of the two engines: the reduced one, and Drake."""
     scenario = load_scenario(name, changes)
     return run(scenario.replace({"plant.engine": "reduced"}), check=False), run(scenario, check=False)
 
 
 def apart(one, other):
-    """Largest distance [m] and angle [rad] between poses of two logs, over the rows that both have."""
     rows = min(len(one.time), len(other.time))
     between = one["pose"][:rows] - other["pose"][:rows]
     return [float(np.linalg.norm(part, axis=1).max()) for part in (between[:, 3:], between[:, :3])]
@@ -48,12 +43,6 @@ CASES = {
         1e-7,
         1e-6,
     ),
-    "late sensor": (
-        ("exact_breathing", HELD, "sensors={kind: ideal, faults: [{kind: late, delay: 0.002, time: 0.1}]}",
-         "safety={}"),
-        1e-6,
-        1e-5,
-    ),
     # Noise and counts: a reading at the edge of a count falls to the other side, and both go on from there.
     "noise": (("exact_breathing", HELD, "sensors.noise=2.0e-5", "command_delay=1"), 1e-5, 1e-4),
     # Soft loops at 200 Hz show the first order of both methods.
@@ -64,7 +53,6 @@ CASES = {
 @pytest.mark.slow
 @pytest.mark.parametrize(("given", "metres", "radians"), CASES.values(), ids=CASES.keys())
 def test_it_is_the_run_on_drakes_plant(given, metres, radians):
-    """Bounds are some times what is measured; the platform moves by centimetres."""
     mine, drake = both(given[0], "duration=0.8", *given[1:])
     assert (mine.status, mine.reason) == (drake.status, drake.reason)
     assert mine.status == "completed"
@@ -77,13 +65,9 @@ def test_it_is_the_run_on_drakes_plant(given, metres, radians):
     np.testing.assert_allclose(mine["crank_angle"], drake["crank_angle"], atol=20.0 * radians)
     assert mine["loop_gap"].max() == 0.0
     assert run_metrics(mine)["torque_rms"] == pytest.approx(run_metrics(drake)["torque_rms"], rel=0.2)
-    for name in ("disturbance", "block_weights"):
-        if name in drake.signals:
-            np.testing.assert_array_equal(mine[name], drake[name])
 
 
 ENDS = {
-    "jump": ("exact_breathing", HELD, "safety={}", "sensors.faults=[{leg: 2, kind: jump, size: 0.3, time: 0.2}]"),
     "falls": ("paper_fig7_uncompensated",),
     "dead motor": ("exact_breathing", HELD, ENCODERS, "safety={}", "motors={dead: {leg: 1, time: 0.2}}"),
 }
@@ -98,53 +82,34 @@ def test_it_ends_as_the_run_on_drakes_plant_ends(given):
     # A robot that falls does so a step sooner or later.
     assert mine.end_time == pytest.approx(drake.end_time, abs=0.003)
     assert mine.outcome_time == pytest.approx(drake.outcome_time, abs=0.003)
-    if drake.safety is None:
-        assert mine.safety is None
-    else:
-        assert {**mine.safety, "leg": 0} == {**drake.safety, "leg": 0}
+    assert (mine.safety or {}) | {"leg": 0} == (drake.safety or {}) | {"leg": 0}
 
 
-def test_a_log_is_written_read_and_replayed_and_runs_repeat_to_the_last_bit(tmp_path):
-    from stewart_drake.runs.replay import write_replay
-
-    scenario = load_scenario(
-        "exact_breathing", (HELD, *FAST, "duration=0.1", "sensors.noise=2.0e-5", "log_period=0.002")
-    )
-    log = run(scenario)
+def test_a_log_is_written_and_read_and_runs_repeat_to_the_last_bit(tmp_path):
+    changes = (HELD, "plant.engine=reduced", "duration=0.1", "sensors.noise=2.0e-5", "log_period=0.002")
+    scenario = load_scenario("exact_breathing", changes)
+    log, same = run(scenario), run(scenario, check=False)
     assert (log.status, len(log.time), log.state_names) == ("completed", 51, ())
     log.save(tmp_path / "log.parquet")
     again = load_log(tmp_path / "log.parquet")
     assert again.scenario.plant.engine == "reduced"
-    same = run(scenario, check=False)
     for name, values in log.signals.items():
         np.testing.assert_array_equal(again[name], values)
         np.testing.assert_array_equal(same[name], values, err_msg=name)
-    write_replay(again, tmp_path / "replay.html", frames_per_second=20.0)
-    assert (tmp_path / "replay.html").stat().st_size > 1e6
 
 
-def test_ctrl_c_keeps_whole_rows():
-    def progress(time):
-        if time >= 0.1:
-            raise KeyboardInterrupt
-
-    log = run(load_scenario("exact_breathing", (HELD, *FAST, "duration=1")), progress=progress, check=False)
-    assert (log.status, log.end_time, len(log.time)) == ("interrupted", 0.1, 101)
-
-
-class Push(LeafSystem):
-    """Has the ports of a controller."""
-
+class Own(LeafSystem):
     def __init__(self):
         super().__init__()
         self.DeclareVectorInputPort("measurement", 12)
         self.DeclareVectorInputPort("reference", 18)
-        self.DeclareVectorOutputPort("torque", 6, lambda _, output: output.SetFromVector(WEIGHT))
+        self.DeclareVectorOutputPort("torque", 6, lambda _, output: output.SetZero())
 
 
-def test_a_leafsystem_is_refused_where_there_is_no_diagram_and_so_is_a_live_view():
-    base = {"duration": 0.05, "plant": {"engine": "reduced"}}
-    with pytest.raises(ConfigurationError, match=r"^plant\.engine: expected drake, with a controller"):
-        run(Scenario.from_dict({**base, "controller": Push}))
-    with pytest.raises(ConfigurationError, match=r"^plant\.engine: expected drake, for a live view"):
-        run(Scenario.from_dict(base), meshcat=object())
+@pytest.mark.parametrize(("given", "view"), [({"controller": Own}, None), ({}, object())])
+def test_where_there_is_no_diagram_a_leafsystem_and_a_live_view_are_refused(given, view):
+    with pytest.raises(ConfigurationError, match=r"^plant\.engine: expected drake, "):
+        run(Scenario.from_dict({"duration": 0.05, "plant": {"engine": "reduced"}, **given}), meshcat=view)
+    if given:
+        with pytest.raises(ConfigurationError, match=r"^controller: .*no LeafSystem"):
+            Controller(Scenario(**given))

@@ -1,11 +1,8 @@
 import dataclasses
 import json
-import os
-import re
 import shutil
 from pathlib import Path
 
-import matplotlib.image
 import numpy as np
 import pytest
 from made_logs import made_log
@@ -14,9 +11,9 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs import versions
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.logs.versions import collect_versions, git_revision, source_digest
+from stewart_drake.logs.versions import source_digest
 from stewart_drake.runs import outputs
-from stewart_drake.runs.outputs import prepare_file, prepare_folder, write_run
+from stewart_drake.runs.outputs import prepare_file, write_run
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.systems.diagram import build_diagram
@@ -42,12 +39,6 @@ def test_a_run_leaves_all_its_files(tmp_path):
     assert (results.folder, results.left_out, names(folder.parent)) == (folder, (), {"down"})
     assert results.metrics == json.loads((folder / "metrics.json").read_text()) == run_metrics(log)
     assert load_scenario(folder / "scenario.yaml") == log.scenario
-    np.testing.assert_array_equal(load_log(folder)["plant_state"], log["plant_state"])
-    for name in ("states.png", "torques.png"):
-        picture = matplotlib.image.imread(folder / name)
-        assert min(picture.shape[:2]) > 500
-        assert picture[..., :3].std() > 0.01
-    assert (folder / "diagram.dot").read_text().startswith("digraph")
     empty = dataclasses.replace(log, signals={name: values[:0] for name, values in log.items()}, figures=None)
     assert write_run(empty, tmp_path / "empty").metrics["rmse_deg"] is None
     assert names(tmp_path / "empty") == ALWAYS
@@ -58,9 +49,6 @@ def test_without_a_place_each_run_gets_the_next_number(tmp_path, monkeypatch):
     for name in ("made", "made-2", "made-3"):
         assert write(made_log()) == Path("runs", name)
     assert names(tmp_path / "runs") == {"made", "made-2", "made-3"}
-    monkeypatch.setattr(outputs, "_draw", lambda *_: (str(write(made_log())),))
-    results = write_run(made_log())
-    assert (results.left_out, results.folder) == (("runs/made-4",), Path("runs", "made-5"))
 
 
 def test_a_place_of_the_same_scenario_is_replaced_and_what_is_the_users_own_stays(tmp_path):
@@ -90,7 +78,8 @@ def test_what_a_link_points_to_is_replaced_and_not_the_link(tmp_path):
     assert names(tmp_path / "large disk") == ALWAYS
 
 
-def test_a_place_that_cannot_be_is_refused_and_nothing_there_is_touched(tmp_path, monkeypatch):
+@pytest.mark.parametrize("force", [False, True])
+def test_a_place_that_cannot_be_is_refused_and_nothing_there_is_touched(tmp_path, monkeypatch, force):
     below, file = tmp_path / "below", tmp_path / "file"
     below.mkdir()
     file.write_text("mine")
@@ -98,48 +87,32 @@ def test_a_place_that_cannot_be_is_refused_and_nothing_there_is_touched(tmp_path
     monkeypatch.chdir(below)
     mine = "or one with the results of a run"
     for place, words in ((".", mine), ("..", mine), (file, "Not a directory"), (file / "x", "this is a file")):
-        for force in (False, True):
-            with pytest.raises(ConfigurationError, match=f"--out: .*{words}"):
-                write(made_log(), place, force=force)
-    monkeypatch.chdir(tmp_path)
-    for prepare in (prepare_folder, lambda path: prepare_file(path / "x")):
-        with pytest.raises(ConfigurationError, match=r"this is a file|Not a directory"):
-            prepare(file)
+        with pytest.raises(ConfigurationError, match=f"--out: .*{words}"):
+            write(made_log(), place, force=force)
     with pytest.raises(ConfigurationError, match="a file, not a folder"):
         prepare_file(below)
     assert (names(tmp_path), names(below)) == ({"below", "file"}, {"scenario.yaml"})
 
 
-@pytest.mark.parametrize("interrupt", [KeyboardInterrupt(), MemoryError()])
-def test_what_stops_the_pictures_costs_no_numbers(tmp_path, monkeypatch, interrupt):
-    def stop(*_):
-        raise interrupt
-
-    monkeypatch.setattr(outputs, "_draw", stop)
-    with pytest.raises(type(interrupt)):
-        write_run(made_log(), tmp_path / "out")
-    assert (names(tmp_path / "out"), names(tmp_path)) == (ALWAYS, {"out"})
-
-
-def test_a_full_disk_leaves_no_half_result_and_a_place_that_is_taken_meanwhile_loses_none(tmp_path, monkeypatch):
+def test_a_full_disk_leaves_no_half_result(tmp_path, monkeypatch):
     def full(path, _):
         raise ConfigurationError(str(path), "No space left on device", "a file in a writable folder")
 
-    with monkeypatch.context() as patch:
-        patch.setattr(outputs, "write_atomically", full)
-        with pytest.raises(ConfigurationError, match="No space left"):
-            write(made_log(), tmp_path / "out")
+    monkeypatch.setattr(outputs, "write_atomically", full)
+    with pytest.raises(ConfigurationError, match="No space left"):
+        write(made_log(), tmp_path / "out")
     assert names(tmp_path) == set()
 
+
+def test_a_place_that_is_taken_meanwhile_loses_no_results(tmp_path, monkeypatch):
     def taken(*_):
         write(made_log(scenario={"gravity": 0.0}), tmp_path / "out")
         return ()
 
     monkeypatch.setattr(outputs, "_draw", taken)
-    with pytest.raises(ConfigurationError, match=r"--force to replace them.*; the results are in .*part") as caught:
+    with pytest.raises(ConfigurationError, match=r"--force to replace them.*; the results are in .*part"):
         write_run(made_log(), tmp_path / "out")
     (part,) = names(tmp_path) - {"out"}
-    assert part in str(caught.value)
     assert load_log(tmp_path / part / "out").scenario.gravity != 0.0
 
 
@@ -160,37 +133,15 @@ def test_numbers_that_are_not_finite_are_null_with_a_reason(tmp_path):
     pose = np.zeros((101, 6))
     pose[80:, 2], pose[90:, 4] = np.inf, np.nan
     write(made_log(pose=pose), tmp_path / "out")
-
-    def refuse(text):
-        raise AssertionError(f"{text} is no JSON")
-
-    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text(), parse_constant=refuse)
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text(), parse_constant=pytest.fail)
     assert (metrics["rmse_deg"][2], metrics["finite"], metrics["rmse_deg"][0]) == (None, False, 0.0)
     assert (metrics["not_finite"]["rmse_deg.2"], metrics["not_finite"]["peak_mm.1"]) == ("inf", "nan")
 
 
-def test_the_graph_is_rendered_where_graphviz_is_installed_and_works(tmp_path, monkeypatch):
-    dot = tmp_path / "dot"
-    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    for out, script in (("good", 'echo "<svg>$(cat)</svg>"'), ("bad", "exit 1")):
-        dot.write_text(f"#!/bin/sh\n{script}\n")
-        dot.chmod(0o755)
-        folder = write(made_log(), tmp_path / out, graph="digraph {}")
-        assert (folder / "diagram.dot").read_text() == "digraph {}"
-        assert (folder / "diagram.svg").exists() == (out == "good")
-    assert (tmp_path / "good" / "diagram.svg").read_text() == "<svg>digraph {}</svg>\n"
-
-
-def test_versions_name_what_computed_and_the_digest_changes_with_the_code_alone(monkeypatch, tmp_path):
-    found = collect_versions()
-    assert found["drake"].startswith("1.")
-    assert found["git_revision"] is None or re.fullmatch(r"[0-9a-f]{40}(-dirty)?", found["git_revision"])
-    package = tmp_path / "package"
-    package.mkdir()
-    monkeypatch.setattr(versions, "PACKAGE", package)
+def test_the_digest_of_the_sources_changes_with_the_code_alone(monkeypatch, tmp_path):
+    monkeypatch.setattr(versions, "PACKAGE", tmp_path)
     digests = []
     for name, text in (("versions.py", "a = 1\n"), ("weights.json", "{}"), ("versions.py", "a = 2\n")):
-        (package / name).write_text(text)
+        (tmp_path / name).write_text(text)
         digests.append(source_digest())
     assert digests[0] == digests[1] != digests[2]
-    assert git_revision() is None

@@ -3,7 +3,6 @@ import ctypes.util
 import dataclasses
 import json
 import re
-from html.parser import HTMLParser
 
 import msgpack
 import numpy as np
@@ -14,18 +13,14 @@ from matplotlib.image import imread
 from pydrake.math import RollPitchYaw
 from strategies import ROBOT
 
-from stewart_drake.errors import ConfigurationError, DrakeCheckError
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.runs import replay
 from stewart_drake.runs.replay import nearest_rows, render_png, write_replay
 from stewart_drake.scenario import Scenario
 
-needs_egl = pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="Drake's renderer needs libEGL")
-
 
 def make_log(rows=101, period=0.005, **outcome):
-    """A log of the paper's reference, followed 2 mm too low."""
     scenario = Scenario.from_dict({"name": "made up", "duration": 10.0})
     time = period * np.arange(rows)
     reference, rate, _ = scenario.reference.evaluate(time)
@@ -48,7 +43,6 @@ def commands(page, run=0):
 
 
 def tracks(page):
-    """The recording: frames a second, and (path, property) -> frames (k,) and values (k, ...)."""
     (recording,) = (command for command in commands(page) if command["type"] == "set_animation")
     rates, found = set(), {}
     for animation in recording["animations"]:
@@ -65,22 +59,24 @@ def written(log, folder, **options):
     return (folder / "replay.html").read_text()
 
 
+LOG = make_log()
+
+
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
-    return written(make_log(), tmp_path_factory.mktemp("replay"))
+    return written(LOG, tmp_path_factory.mktemp("replay"))
 
 
-def test_platform_and_reference_move_as_logged(tmp_path):
-    log = make_log()
-    rate, found = tracks(written(log, tmp_path))
+def test_platform_and_reference_move_as_logged(page):
+    rate, found = tracks(page)
     assert rate == 30.0
     assert all(np.array_equal(frames, np.arange(16)) for frames, _ in found.values())
     (platform,) = {path for path, _ in found if path.endswith("platform")}
     for path, signal in ((platform, "pose"), ("/drake/reference", "reference")):
         frames, position = found[path, ".position"]
-        rows = np.abs(log.time[:, None] - frames / 30.0).argmin(axis=0)
-        np.testing.assert_allclose(position, log[signal][rows, 3:], atol=1e-12)
-        for quaternion, rpy in zip(found[path, ".quaternion"][1], log[signal][rows, :3], strict=True):
+        rows = np.abs(LOG.time[:, None] - frames / 30.0).argmin(axis=0)
+        np.testing.assert_allclose(position, LOG[signal][rows, 3:], atol=1e-12)
+        for quaternion, rpy in zip(found[path, ".quaternion"][1], LOG[signal][rows, :3], strict=True):
             wanted = RollPitchYaw(rpy).ToQuaternion()
             # Meshcat writes x, y, z, w; both signs are the same rotation.
             dot = np.dot(quaternion, [wanted.x(), wanted.y(), wanted.z(), wanted.w()])
@@ -105,39 +101,17 @@ def test_every_frame_shows_the_nearest_row_and_no_row_twice(rows, period, rate):
     assert len(frames) >= min(rows, np.floor(time[-1] * rate) + 1) - 1
 
 
-def test_long_recordings_get_fewer_frames_not_a_shorter_time_and_rows_that_are_not_finite_none(tmp_path, monkeypatch):
-    monkeypatch.setattr(replay, "MAX_FRAMES", 11)
-    log = make_log(rows=501)
-    log["plant_state"][401:] = np.nan
-    rate, found = tracks(written(log, tmp_path))
-    assert rate < 30.0
-    for frames, values in found.values():
-        assert frames[-1] / rate == pytest.approx(2.0, abs=0.5 / rate)
-        assert len(frames) <= 11
-        assert np.isfinite(values).all()
-
-
 def test_page_names_the_run_and_needs_nothing_from_outside(page):
     assert "<title>made up</title>" in page
     (run,) = shown(page)
     assert (run["name"], run["lines"]) == ("made up", [["completed at 0.5 s", False]])
     hidden = {each["path"] for each in commands(page) if each.get("property") == "visible" and not each["value"]}
     assert {"/Grid", "/Axes"} <= {path.removesuffix("/<object>") for path in hidden}
-    external = []
-
-    class Finder(HTMLParser):
-        def handle_starttag(self, tag, attributes):
-            names = ("src", "href", "data", "srcset", "poster")
-            external.extend(value for name, value in attributes if name in names)
-            external.extend([tag] if tag in {"link", "iframe", "object", "base"} else [])
-
     for text in (page, run["page"]):
-        Finder().feed(text)
+        assert re.findall(r'<[a-z]+ [^>]*\b(?:src|href|srcset|poster)=["\']?https?:', text) == []
         script = text[text.index("</script>") :]
         assert not re.search(r"@import|url\(|importScripts|XMLHttpRequest|new WebSocket", script)
         assert all(target.startswith(('"data:', '\\"data:')) for target in re.findall(r"fetch\(([^)]{0,10})", script))
-    # The empty icon, which keeps a browser from asking for one.
-    assert external == ["link", "data:,"] or external == ["data:,", "link"]
 
 
 def test_errors_and_torques_of_several_runs_stand_beside_their_robots(tmp_path):
@@ -154,47 +128,21 @@ def test_errors_and_torques_of_several_runs_stand_beside_their_robots(tmp_path):
     assert runs[1]["lines"] == [["stopped at 0.25 s", True], ["why", True], ["and where", True]]
 
 
-@pytest.mark.slow
-def test_a_page_is_made_without_a_word_and_a_failure_leaves_the_earlier_page(tmp_path, monkeypatch, capfd):
-    earlier = written(make_log(rows=1), tmp_path)
-    assert all(frames.tolist() == [0] for frames, _ in tracks(earlier)[1].values())
-    assert capfd.readouterr() == ("", "")
-
-    def fail(*_):
-        raise RuntimeError("Drake's own words")
-
-    monkeypatch.setattr(replay, "_viewpoint", fail)
-    with pytest.raises(DrakeCheckError, match="recording the replay: Drake's own words"):
-        written(make_log(rows=5), tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["replay.html"]
-    assert (tmp_path / "replay.html").read_text() == earlier
-    monkeypatch.undo()
-    failed = make_log(rows=3, status="failed", reason="crank_dead_centre", message="|e_l . e_N| <script> & more", leg=5)
-    text = written(failed, tmp_path)
-    assert "<script> & more" not in text
-    assert shown(text)[0]["lines"] == [["failed at 0.01 s", True], ["|e_l . e_N| <script> & more", True]]
-
-
 def test_what_cannot_be_shown_is_refused_and_writes_nothing(tmp_path):
     log = make_log(rows=3)
     nowhere = dataclasses.replace(log, signals={**log.signals, "plant_state": np.nan * log["plant_state"]})
     for bad, rows in ((nowhere, 3), (make_log(rows=0), 0)):
         with pytest.raises(ConfigurationError, match=f"log: expected .*got '{rows} rows'"):
             written(bad, tmp_path)
-    for rate in (0.0, -1.0, np.nan, np.inf):
-        with pytest.raises(ConfigurationError, match="frames_per_second"):
-            written(log, tmp_path, frames_per_second=rate)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
-@needs_egl
+@pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="Drake's renderer needs libEGL")
 def test_a_still_shows_the_whole_robot_on_white(tmp_path):
     render_png(ROBOT, ROBOT.home_pose, tmp_path / "robot.png", width=240, height=180, passes=1)
     image = imread(tmp_path / "robot.png")
     assert image.shape == (180, 240, 4)
     edges = [part.reshape(-1, 4) for part in (image[:2], image[-2:], image[:, :2], image[:, -2:])]
     assert np.mean(np.concatenate(edges).min(axis=-1) < 0.9) < 0.02
-    red, _, blue, _ = np.moveaxis(image, -1, 0)
-    assert 0.01 < np.mean(blue > red + 0.2) < 0.2, "the platform's disc"
-    assert 0.002 < np.mean(red > blue + 0.2) < 0.1, "the cranks"
+    assert 0.01 < np.mean(image[..., 2] > image[..., 0] + 0.2) < 0.2, "the platform's disc"

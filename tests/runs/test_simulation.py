@@ -1,23 +1,18 @@
 import gc
 import itertools
-import traceback
 
 import numpy as np
 import pytest
 
-from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, NotFiniteError, UnreachablePoseError
-from stewart_drake.logs.log import SIGNALS, load_log
+from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, NotFiniteError
+from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.kinematics import inverse_kinematics, leg_geometry
-from stewart_drake.runs import simulation
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.systems.diagram import ClosedLoop, build_diagram
+from stewart_drake.systems.diagram import ClosedLoop
 from stewart_drake.systems.part_system import PartSystem
 
-OPTIONAL = {
-    *("block_weights", "setting", "measured_pose", "measured_pose_rate", "innovation", "disturbance", "safety"),
-}
 BRIEF = {"duration": 0.05, "tuner": {"kind": "fixed"}}
 
 
@@ -25,33 +20,16 @@ def scenario(**changes):
     return Scenario.from_dict(BRIEF | changes)
 
 
-@pytest.fixture(scope="module")
-def main_job():
-    """The first half second of the main job."""
-    return run(load_scenario("paper_fig7", ["duration=0.5"]))
-
-
-# --- a run that goes well -----------------------------------------------------------------------------------------
-
-
-def test_the_main_job_runs_to_its_end_and_follows(main_job):
-    assert (main_job.status, main_job.reason, main_job.message, main_job.leg) == ("completed", None, None, None)
-    assert main_job.end_time == 0.5
-    assert main_job.wall_time > 0.0
+def test_the_main_job_runs_to_its_end_and_follows():
+    main_job = run(load_scenario("paper_fig7", ["duration=0.5"]))
+    assert (main_job.status, main_job.reason, main_job.end_time) == ("completed", None, 0.5)
     error = np.abs(main_job["pose"] - main_job["reference"])
     assert error[:, :3].max() < np.radians(1.0)
     assert error[:, 3:].max() < 0.005
     assert main_job["loop_gap"].max() < 1e-6
-
-
-def test_there_is_a_row_at_every_tick_both_ends_included(main_job):
+    # A row at every tick, both ends included.
     np.testing.assert_allclose(main_job.time, 0.005 * np.arange(101), rtol=1e-15)
-    assert set(main_job.signals) == set(SIGNALS) - OPTIONAL
-    for name in main_job.signals:
-        spec = SIGNALS[name]
-        shape = (101, len(main_job.state_names)) if name == "plant_state" else (101, len(spec.components))
-        assert main_job[name].shape == (shape if name != "time" else (101,)), name
-        assert np.isfinite(main_job[name]).all()
+    assert all(len(values) == 101 and np.isfinite(values).all() for values in main_job.values())
 
 
 def test_the_robot_starts_assembled_at_the_references_pose_and_velocity_and_an_offset_moves_it_alone():
@@ -65,46 +43,14 @@ def test_the_robot_starts_assembled_at_the_references_pose_and_velocity_and_an_o
     np.testing.assert_allclose(log["crank_angle"][0], inverse_kinematics(log.scenario.robot, pose + offset), atol=1e-12)
 
 
-def test_a_finer_log_shows_the_same_run_and_torques_held_between_ticks():
-    coarse, fine = run(scenario(log_period=0.01)), run(scenario(log_period=0.001))
-    assert (len(coarse.time), len(fine.time)) == (6, 51)
-    for name in set(SIGNALS) - OPTIONAL:
-        np.testing.assert_array_equal(coarse[name], fine[name][::10], err_msg=name)
-    np.testing.assert_array_equal(fine["torque"][:50].reshape(10, 5, 6).std(axis=1), 0.0)
-    assert (np.diff(fine["torque"][::5], axis=0) != 0.0).all()
-    assert (np.diff(fine["pose"][:, 5]) != 0.0).all()
-
-
-@pytest.mark.parametrize(("duration", "end", "rows"), [(0.0123, 0.012, 3), (0.005, 0.005, 2), (0.0509, 0.05, 11)])
-def test_a_duration_between_steps_ends_at_the_step_before(duration, end, rows):
-    log = run(scenario(duration=duration))
-    assert log.end_time == end
-    assert len(log.time) == rows
-    assert log.time[-1] == pytest.approx(0.005 * (rows - 1), abs=1e-15)
-
-
-def test_the_torque_applied_is_within_the_motors_limit():
-    log = run(scenario(robot={"effort_limit": 0.33}, limits={"torque_fraction": None}))
-    assert np.abs(log["torque"]).max() > 0.33
-    np.testing.assert_array_equal(log["torque_applied"], np.clip(log["torque"], -0.33, 0.33))
-    assert run_metrics(log)["torque_peak"] == 0.33
-
-
-# --- a run that breaks --------------------------------------------------------------------------------------------
-
-
 def test_uncompensated_gravity_ends_in_a_dead_centre_and_keeps_its_log():
     log = run(load_scenario("paper_fig7_uncompensated"))
     assert (log.status, log.reason) == ("failed", "crank_dead_centre")
     assert 0.2 < log.end_time < 0.32
     assert f"leg {log.leg}" in log.message
-    assert log.message.isprintable()
-
     # All rows up to the failure, and none after it.
     assert log.end_time - 0.005 - 1e-9 <= log.time[-1] <= log.end_time
-    np.testing.assert_allclose(log.time, 0.005 * np.arange(len(log.time)), atol=1e-12)
     assert {len(values) for values in log.signals.values()} == {len(log.time)}
-    assert all(np.isfinite(values).all() for values in log.signals.values())
 
     # It is the leg named whose crank was about to stand in line with its rod.
     transmission = np.abs(leg_geometry(log.scenario.robot, log["pose"][-1]).transmission)
@@ -122,27 +68,16 @@ def test_a_run_that_breaks_at_its_first_tick_has_a_log_without_rows(tmp_path):
     assert run_metrics(log)["torque_rms"] is None
 
 
-def counting(monkeypatch, called):
-    """Calls `called(time)` before each tick of the controller."""
-    real = PartSystem._ticked
+def breaking_at(monkeypatch, tick, error):
+    # The first tick of all is taken before the run, in which numba compiles.
+    count, real = itertools.count(-1), PartSystem._ticked
 
-    def ticked(self, context, *rest):
-        if self.part.name == "controller":
-            called(context.get_time())
-        return real(self, context, *rest)
+    def ticked(self, *rest):
+        if self.part.name == "controller" and next(count) == tick:
+            raise error
+        return real(self, *rest)
 
     monkeypatch.setattr(PartSystem, "_ticked", ticked)
-
-
-def breaking_at(monkeypatch, tick, error):
-    """Makes the controller raise at a tick of the run; the first of all is taken before, in which numba compiles."""
-    count = itertools.count(-1)
-
-    def called(_time):
-        if next(count) == tick:
-            raise error
-
-    counting(monkeypatch, called)
 
 
 @pytest.mark.parametrize(
@@ -151,10 +86,9 @@ def breaking_at(monkeypatch, tick, error):
         (NotFiniteError("torque", np.array([np.nan])), "not_finite"),
         (SystemExit("condition 'x > 0' failed."), "drake_check"),
         (MemoryError(), "out_of_memory"),
-        (np.linalg.LinAlgError("Singular matrix"), "singular_matrix"),
         (KeyboardInterrupt(), "interrupted"),
     ],
-    ids=["ours", "drake's exit", "memory", "singular", "ctrl-c"],
+    ids=["ours", "drake's exit", "memory", "ctrl-c"],
 )
 def test_what_a_tick_raises_ends_the_run_with_its_time_and_whole_rows(monkeypatch, error, reason):
     breaking_at(monkeypatch, 4, error)
@@ -180,30 +114,15 @@ def test_ctrl_c_between_steps_keeps_the_log_and_runs_repeat_to_the_last_bit():
             raise KeyboardInterrupt
 
     log = run(scenario(duration=0.23), progress=progress)
-    assert (log.status, log.reason, log.end_time) == ("interrupted", "interrupted", 0.1)
-    assert (log.time[-1], len(log.time)) == (0.1, 21)
+    assert (log.status, log.end_time, log.time[-1], len(log.time)) == ("interrupted", 0.1, 0.1, 21)
     times.clear()
     whole = run(scenario(duration=0.23), progress=times.append)
-    for name in set(SIGNALS) - OPTIONAL:
+    for name in whole:
         np.testing.assert_array_equal(log[name], whole[name][:21], err_msg=name)
     assert times[-1] == 0.23
     assert all(0.0 < later - earlier <= 0.05 + 1e-9 for earlier, later in itertools.pairwise([0.0, *times]))
 
 
-# --- found before the run -----------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def no_run(monkeypatch):
-    """Nothing may be built."""
-
-    def forbidden(*_args):
-        raise AssertionError("something was built")
-
-    monkeypatch.setattr(simulation, "engine_of", forbidden)
-
-
-@pytest.mark.usefixtures("no_run")
 def test_an_infeasible_reference_is_found_before_the_run_with_time_and_leg():
     with pytest.raises(InfeasibleReferenceError) as caught:
         run(scenario(duration=2.0, reference={"kind": "sine", "amplitude": [0, 0, 0, 0, 0, 0.5]}))
@@ -213,45 +132,15 @@ def test_an_infeasible_reference_is_found_before_the_run_with_time_and_leg():
     assert f"t = {error.time:.3f} s, leg {error.leg}" in str(error)
 
 
-@pytest.mark.usefixtures("no_run")
-@pytest.mark.parametrize("dz", [0.3, 1e308])
-def test_a_start_where_the_robot_cannot_stand_is_found_before_the_run(dz):
-    with pytest.raises(ConfigurationError) as caught:
-        run(scenario(initial_offset=[0, 0, 0, 0, 0, dz]))
+def test_a_start_where_the_robot_cannot_stand_is_found_before_the_run():
+    with pytest.raises(ConfigurationError, match="out of reach of leg") as caught:
+        run(scenario(initial_offset=[0, 0, 0, 0, 0, 0.3]))
     assert caught.value.key == "initial_offset"
-    assert "out of reach of leg" in str(caught.value)
-    assert str(caught.value).isprintable()
-
-
-def test_the_check_can_be_left_out():
-    tight = scenario(limits={"crank_speed": 0.01})
-    with pytest.raises(InfeasibleReferenceError):
-        run(tight)
-    assert run(tight, check=False).status == "completed"
-    with pytest.raises(UnreachablePoseError):
-        run(scenario(initial_offset=[0, 0, 0, 0, 0, 0.3]), check=False)
 
 
 def test_a_run_that_does_not_fit_into_memory_is_refused_before_it():
     with pytest.raises(ConfigurationError, match=r"duration: expected at most 2000 s at a plant.time_step"):
         run(scenario(duration=2001.0, log_period=1.0))
-
-
-@pytest.mark.parametrize("call", [run, build_diagram])
-def test_what_is_no_scenario_is_a_type_error_that_says_what_to_do(call):
-    with pytest.raises(TypeError, match="load_scenario"):
-        call("paper_fig7")
-
-
-def test_what_numba_compiles_is_no_part_of_the_run(monkeypatch):
-    ticks = []
-    counting(monkeypatch, ticks.append)
-    # A clock that counts ticks: the first of all, in which numba compiles, is taken before it starts.
-    monkeypatch.setattr(simulation.time, "perf_counter", lambda: float(len(ticks)))
-    log = run(load_scenario("exact_fig7", ["duration=0.01"]))
-    assert log.status == "completed"
-    assert ticks[:2] == [0.0, 0.0]
-    assert log.wall_time == len(ticks) - 1
 
 
 @pytest.mark.slow
@@ -263,15 +152,5 @@ def test_a_run_leaves_no_diagram_behind():
         return sum(issubclass(type(each), ClosedLoop) for each in gc.get_objects())
 
     before = alive()
-    log = run(Scenario.from_dict({"duration": 0.02, "tuner": {"kind": "fixed"}, "sensors": {"kind": "encoders"}}))
-    assert log.status == "completed"
+    assert run(scenario(duration=0.02, sensors={"kind": "encoders"})).status == "completed"
     assert alive() == before
-
-
-def test_what_a_run_raises_holds_no_view_of_its_contexts():
-    # A notebook keeps the last traceback; pydrake hands a dead Context out again for a new one at its address.
-    with pytest.raises(ZeroDivisionError) as caught:
-        run(Scenario(duration=0.05), progress=lambda _: 1 / 0)
-    frames = [frame for frame, _ in traceback.walk_tb(caught.tb)]
-    assert any(frame.f_code.co_name == "_run_engine" for frame in frames)
-    assert not any("context" in frame.f_locals for frame in frames)

@@ -1,7 +1,5 @@
-import csv
-import dataclasses
-import functools
 import math
+from itertools import product
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -11,13 +9,11 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metrics import FAILED
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.runs.simulation import run
-from stewart_drake.studies.comparison import AXES, BANDS, Comparison, load_comparison, write_pictures
+from stewart_drake.studies.comparison import AXES, Comparison
 from stewart_drake.studies.runs import settling_time, sine_response
 from stewart_drake.studies.study import number, run_study
 from stewart_drake.studies.workers import Workers
 
-SHIPPED = ("tracking", "controllers")
-shipped = functools.cache(functools.partial(load_comparison, quick=True))
 SMALL = {
     "name": "small",
     "scenario": "paper_fig7",
@@ -70,26 +66,12 @@ def test_every_run_that_is_asked_for_is_there_once():
     assert small().scenario(7).sensors.noise_seed == 4
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_comparisons_load_and_their_first_run_works(name):
-    comparison = shipped(name)
-    assert comparison.name == name
-    first = comparison.scenario(0)
-    log = run(first.replace({"duration": 0.1}))
-    # The paper's own law sags under gravity from the start.
-    assert log.status == "completed" or log.reason in ("crank_dead_centre", "position_bound")
-    assert all(comparison.scenario(index).duration <= 1.6 for index in range(0, comparison.runs, 40))
-
-
 @pytest.mark.slow
 def test_bands_move_one_axis_by_what_is_feasible_over_whole_periods():
     bands = {**SMALL["bands"], "axes": ["Z", "roll"], "frequencies": [0.5, 20.0], "transient": 1.0, "window": 0.7}
     comparison = small(bands=bands)
     cells = [(i, cell) for i, cell in enumerate(comparison.cells) if cell.frequency is not None]
-    assert [(cell.reference, cell.frequency) for _, cell in cells] == [
-        ("Z", 0.5), ("Z", 20.0), ("roll", 0.5), ("roll", 20.0),
-    ]  # fmt: skip
+    assert [(cell.reference, cell.frequency) for _, cell in cells] == list(product(["Z", "roll"], [0.5, 20.0]))
     for index, cell in cells:
         scenario = comparison.scenario(index)
         assert scenario.duration == pytest.approx(1.0 + cell.window)
@@ -110,21 +92,17 @@ def test_the_table_has_the_figures_and_failures_of_the_runs(done):
     row = by_run["pid", "sine", "nominal", 3]
     assert row["rmse_norm_mm"] == pytest.approx(1e3 * np.sqrt(np.mean(np.sum(error[:, 3:] ** 2, axis=1))))
     assert row["peak_norm_deg"] == pytest.approx(np.degrees(np.linalg.norm(error[:, :3], axis=1).max()))
-    assert row["torque_rms_second_half"] == pytest.approx(
-        np.sqrt(np.mean(log["torque_applied"][log.time >= 0.05 - 1e-9] ** 2))
-    )
-    assert row["settling_s"] == 0.0
     failed = by_run["paper", "long", "nominal", 3]
     assert (failed["status"], failed["reason"]) == ("failed", "crank_dead_centre")
     assert failed["settling_s"] is None
     assert by_run["stiff", "sine", "noise", 3]["rmse_norm_mm"] != by_run["stiff", "sine", "noise", 4]["rmse_norm_mm"]
     table = pq.read_table(folder / "comparison.parquet")
     names = [column.name for column in comparison.columns]
-    assert table.column_names == names
     assert table.to_pylist() == [{name: row.get(name) for name in names} for row in result.rows["comparison"]]
-    with (folder / "comparison.csv").open() as stream:
-        written = [row["controller"] for row in csv.DictReader(stream)]
-    assert written == [row["controller"] for row in result.rows["comparison"]]
+    (band,) = result.rows["bands"]
+    assert (band["controller"], band["reference"], band["frequency_hz"]) == ("pid", "Z", 20.0)
+    assert 0.9 < band["ratio"] < 1.3
+    assert -60.0 < band["phase_deg"] < -20.0
 
 
 @pytest.mark.slow
@@ -137,21 +115,9 @@ def test_best_of_names_the_controller_that_it_is(done):
         assert here["best"]["pose_rmse_mm"] == here[better]["pose_rmse_mm"]
 
 
-def test_bands_are_what_the_run_did(done):
-    _, result, _ = done
-    assert result.tables["bands"].column_names == [column.name for column in BANDS]
-    (band,) = result.rows["bands"]
-    assert (band["controller"], band["reference"], band["frequency_hz"]) == ("pid", "Z", 20.0)
-    assert 0.9 < band["ratio"] < 1.3
-    assert -60.0 < band["phase_deg"] < -20.0
-    assert band["rest"] < 0.3
-
-
 def test_the_markdown_is_a_table_with_failures_and_the_chosen_one(done):
     comparison, result, folder = done
     text = (folder / "comparison.md").read_text()
-    lines = [line for line in text.splitlines() if line.startswith("|")]
-    assert len({line.count("|") for line in lines[:3]}) == 1
     assert "best (stiff)" in text or "best (soft)" in text
     assert "failed, crank_dead_centre at t = 0.2" in text
     sheets = comparison.sheets(result.rows)
@@ -162,62 +128,33 @@ def test_the_markdown_is_a_table_with_failures_and_the_chosen_one(done):
     assert noisy[4] == number(max(both))
     grid = small(layout="grid").sheets(result.rows)
     assert [sheet.header[1] for sheet in grid] == ["sine", "sine", "20 Hz"]
-    assert {len(row) for sheet in grid for row in sheet.rows} == {len(sheet.header) for sheet in grid}
     (pid,) = [row for row in grid[0].rows if row[0] == "pid"]
     here = {row["reference"]: row for row in result.rows["comparison"] if row["controller"] == "pid"}
     assert pid[1] == f"{number(here['sine']['rmse_norm_deg'])}° {number(here['sine']['rmse_norm_mm'])} mm"
-    assert pid[-2:] == (number(max(row["saturated_fraction"] for row in here.values())), "0 of 2")
     (paper,) = [row for row in grid[0].rows if row[0] == "paper"]
     assert paper[1:4] == ("-", "-", "failed, crank_dead_centre at t = 0.260 s")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("value", [1.0, 1e160])
-def test_pictures_are_written_and_a_blow_up_is_drawn_within_bounds(done, tmp_path, value):
-    comparison, result, _ = done
-    if value != 1.0:
-        rows = [
-            {**row, "pose_rmse_mm": value, "trace": {**row["trace"], "pose_mm": [value] * len(row["trace"]["pose_mm"])}}
-            for row in result.rows["comparison"]
-        ]
-        bands = [{**row, "ratio": value} for row in result.rows["bands"]]
-        result = dataclasses.replace(result, rows={"comparison": rows, "bands": bands})
-    assert write_pictures(comparison, dataclasses.replace(result, folder=tmp_path)) == []
-    assert {path.name for path in tmp_path.iterdir()} == {"rmse.png", "error.png", "bands.png"}
-    assert all(path.stat().st_size > 10_000 for path in tmp_path.iterdir())
-
-
-@pytest.mark.slow
 def test_with_scales_a_run_has_a_cost_and_controllers_their_mean(tmp_path):
-    runs = [
-        {"controllers": ["pid"], "references": ["sine", "hold"], "conditions": ["nominal", "noise"]},
-        SMALL["runs"][2],
-    ]
+    runs = [{"controllers": ["pid"], "references": ["sine", "hold"], "conditions": ["nominal"]}, SMALL["runs"][2]]
     comparison = small(cost={"position": 0.5, "torque_change": 2.0}, runs=runs, best_of={}, bands=None)
     result = run_study(comparison, tmp_path, Workers(0))
     rows = result.rows["comparison"]
     for row in rows:
-        if row["status"] == "completed":
-            parts = row["rmse_norm_deg"] / 0.03, row["rmse_norm_mm"] / 0.5, row["torque_change_rms"] / 2.0
-            assert row["cost"] == pytest.approx(math.hypot(*parts))
-        else:
-            assert row["cost"] == FAILED
-    assert result.tables["comparison"]["cost"].to_pylist() == [row["cost"] for row in rows]
-    costs = {key: [r["cost"] for r in rows if (r["controller"], r["condition"]) == key] for key in
-             (("pid", "nominal"), ("pid", "noise"), ("paper", "nominal"))}  # fmt: skip
-    everything = costs["pid", "nominal"] + costs["pid", "noise"]
-    means = [number(float(np.mean(each))) for each in (costs["pid", "nominal"], costs["pid", "noise"], everything)]
-    assert comparison.sheets(result.rows)[0].rows == [("pid", *means), ("paper", "1000", "-", "1000")]
+        parts = row["rmse_norm_deg"] or 0.0, row["rmse_norm_mm"] or 0.0, row["torque_change_rms"] or 0.0
+        cost = math.hypot(*np.divide(parts, (0.03, 0.5, 2.0)))
+        assert row["cost"] == pytest.approx(cost if row["status"] == "completed" else FAILED)
+    mean = number(float(np.mean([row["cost"] for row in rows if row["controller"] == "pid"])))
+    assert comparison.sheets(result.rows)[0].rows == [("pid", mean, mean), ("paper", "1000", "1000")]
 
 
 def test_settling_of_an_exponential_decay_is_known_and_counts_the_last_time_outside_the_band():
     time = 0.001 * np.arange(12001)
     assert settling_time(time, np.exp(-0.5 * time), 0.05) == pytest.approx(np.log(20.0) / 0.5, abs=2e-3)
     time = np.arange(6.0)
-    assert settling_time(time, np.array([5.0, 0.0, 5.0, 0.0, 0.0, 0.0]), 1.0) == 3.0
-    assert settling_time(time, np.zeros(6), 1.0) == 0.0
-    assert settling_time(time, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 5.0]), 1.0) is None
-    assert settling_time(time, np.full(6, np.nan), 1.0) is None
+    for error, settled in (([5, 0, 5, 0, 0, 0], 3.0), ([0] * 6, 0.0), ([0, 0, 0, 0, 0, 5], None), ([np.nan] * 6, None)):
+        assert settling_time(time, np.array(error, dtype=float), 1.0) == settled
 
 
 @pytest.mark.parametrize(("ratio", "lag"), [(0.25, 2.0), (1.3, -0.4)])
@@ -238,13 +175,10 @@ CONTROLLER = {"controllers": {"a": {"controller.perod": 1.0}}, "best_of": {}, "r
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
-        ({"controllers": {}}, "controllers"),
         ({"references": {"a|b": {}}}, "references"),
         (CONTROLLER, "controller"),
         ({"runs": [{**SMALL["runs"][0], "controllers": ["x"]}]}, "runs.0.controllers"),
-        ({"best_of": {"pid": {"of": ["soft"]}}}, "best_of.pid"),
         ({"best_of": {"b": {"of": ["none"]}}}, "best_of.b.of"),
-        ({"bands": {**SMALL["bands"], "controllers": ["x"]}}, "bands.controllers"),
     ],
 )
 def test_bad_files_name_the_key(changes, key):

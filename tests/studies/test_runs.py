@@ -1,6 +1,5 @@
 """The one mechanism: runs become rows, on processes, on Dask or here, and are kept as they come."""
 
-import dataclasses
 import json
 import os
 import re
@@ -9,7 +8,6 @@ import warnings
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from conftest import code_frozen
 from joblib.externals.loky import get_reusable_executor
 from sweep_functions import deadly, faulty, killed_once, number, with_function
 
@@ -48,26 +46,18 @@ def sweep(function=simulate, **changes):
     return with_function(Sweep.from_dict({**SPEC, **changes}), function)
 
 
-def never(_):
-    pytest.fail("ran")
-
-
-def same(result):
-    """The part of a table that must not depend on where it was made."""
-    return result.tables["sweep"].drop([column.name for column in INCIDENTAL])
-
-
 def outcomes(result):
     return {row["index"]: (row["status"], row["reason"]) for row in result.rows["sweep"]}
 
 
+def same(result):
+    # What must not depend on where it was made.
+    return result.tables["sweep"].drop([column.name for column in INCIDENTAL])
+
+
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
-    """The tiny sweep in this process, one run after the other."""
     return run_study(sweep(), tmp_path_factory.mktemp("reference"), HERE)
-
-
-# --- rows and tables ---
 
 
 @pytest.mark.slow
@@ -75,20 +65,16 @@ def test_a_row_holds_what_was_drawn_and_the_figures_of_a_direct_run(reference):
     assert outcomes(reference) == dict.fromkeys(range(6), ("completed", None))
     study, table = sweep(), pq.read_table(reference.folder / "sweep.parquet")
     assert table.equals(reference.tables["sweep"], check_metadata=True)
-    about = json.loads(table.schema.metadata[b"stewart_drake.sweep"])
-    assert (about["sweep"]["runs"], about["sweep"]["scenario"]["duration"], about["engine"]) == (6, 0.05, None)
     row, drawn = table.to_pylist()[3], study.draw(3)
     # The log of every tick, whatever log_period says.
     log = run(study.scenario(3))
     metrics = run_metrics(log)
     assert (row["index"], row["seed"], row["status"]) == (3, study.run_seed(3), "completed")
     assert row["initial_offset[0]"] == log.scenario.initial_offset[0] == drawn["initial_offset[0]"]
-    assert row["robot.platform_mass"] == log.scenario.robot.platform_mass
     assert row["robot.platform_mass.factor"] == drawn["robot.platform_mass"]
     assert tuple(json.loads(row["robot.platform_inertia"])) == log.scenario.robot.platform_inertia
     assert [row[f"rmse_{a}_deg"] for a in ("roll", "pitch", "yaw")] == metrics["rmse_deg"]
-    for name in ("torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m", "end_time", "leg"):
-        assert row[name] == metrics[name]
+    assert [row[name] for name in ("torque_rms", "leg")] == [metrics[name] for name in ("torque_rms", "leg")]
     values = table.column("rmse_norm_deg").to_pylist()
     shown = dict(summary(reference.rows["sweep"]))["RMSE of rotation, percentiles 50 95 99, largest"].split()
     assert [float(text) for text in shown[:4]] == pytest.approx(np.percentile(values, [50, 95, 99, 100]), rel=1e-3)
@@ -96,41 +82,22 @@ def test_a_row_holds_what_was_drawn_and_the_figures_of_a_direct_run(reference):
 
 @pytest.mark.slow
 def test_what_a_run_raises_is_its_row(tmp_path):
-    result = run_study(sweep(faulty), tmp_path, HERE)
-    names = ("ZeroDivisionError", "SystemExit", "RecursionError", "MemoryError")
-    raised = {index: ("raised", name) for index, name in enumerate(names, 1)}
-    assert outcomes(result) == {0: ("completed", None), **raised, 5: ("completed", None)}
+    result = run_study(sweep(faulty, runs=4), tmp_path, HERE)
+    completed = ("completed", None)
+    raised = [("raised", name) for name in ("ZeroDivisionError", "SystemExit")]
+    assert list(outcomes(result).values()) == [completed, *raised, completed]
     assert re.fullmatch(r"mine \(sweep_functions\.py, line \d+\)", result.rows["sweep"][1]["message"])
 
 
 def test_refused_and_broken_runs_are_rows_with_their_reason(tmp_path):
     # Gravity and nothing but (34): after 0.26 s a crank is at its dead centre.
-    keys = {"duration": [0.4, 0.05, -1.0], "reference.center[5]": [0.3, 0.6]}
-    grids = {key: {"kind": "grid", "values": values} for key, values in keys.items()}
+    grids = {"duration": {"kind": "grid", "values": [0.4, 0.05, -1.0]}}
     spec = {"scenario": "paper_fig7_uncompensated", "set": TINY, "distributions": grids}
     result = run_study(Sweep.from_dict(spec), tmp_path, HERE)
-    refused, far = ("rejected", "configuration"), ("rejected", "infeasible_reference")
-    sagging = ("failed", "crank_dead_centre")
-    assert outcomes(result) == {0: sagging, 1: ("completed", None), 2: refused, 3: far, 4: far, 5: refused}
-    broken, *_, last = result.rows["sweep"]
-    assert "duration: expected " in last["message"]
-    assert 0.1 < broken["end_time"] < 0.4
-    assert broken["leg"] in range(6)
-
-
-def test_a_finite_blow_up_and_a_signal_that_is_not_finite_are_told_apart(tmp_path):
-    def broken(scenario):
-        log, what = simulate(scenario), number(scenario)
-        pose = log["pose"].copy()
-        pose[-1, 0] = (np.nan, 1e200)[what] if what < 2 else 0.0
-        return dataclasses.replace(log, signals={**log.signals, "pose": pose}, figures=None)
-
-    table = run_study(sweep(broken, runs=3), tmp_path, HERE).tables["sweep"]
-    assert table.column("finite").to_pylist() == [False, True, True]
-    assert table.column("rmse_norm_deg").to_pylist()[:2] == [None, None]
-    first, second, third = table.column("not_finite").to_pylist()
-    assert ("rmse_norm_deg nan" in first, "rmse_norm_deg inf" in second, third) == (True, True, None)
-    assert run_study(sweep(never, runs=3), tmp_path, HERE).tables["sweep"].equals(table)
+    ends = ("failed", "crank_dead_centre"), ("completed", None), ("rejected", "configuration")
+    assert tuple(outcomes(result).values()) == ends
+    assert "duration: expected " in result.rows["sweep"][2]["message"]
+    assert 0.1 < result.rows["sweep"][0]["end_time"] < 0.4
 
 
 @pytest.mark.slow
@@ -145,9 +112,6 @@ def test_a_sweep_on_the_reduced_engine_says_how_far_its_first_run_is_from_drakes
         other, off = map(float, re.search(rf"{name} (\S+) \(here (\S+) %\)", made.engine).groups())
         assert other == pytest.approx(drake[name], rel=0.01)
         assert off == pytest.approx(100.0 * (made.rows["sweep"][0][name] / drake[name] - 1.0), abs=0.06, rel=0.06)
-
-
-# --- workers ---
 
 
 @pytest.mark.slow
@@ -165,12 +129,9 @@ def test_processes_give_the_same_table_also_where_one_is_killed_or_they_are_worn
 
 
 def assert_two_died(result, reference):
-    """By `deadly`: runs 1 and 4, and the others are whole."""
     died = ("failed", "worker_died")
     assert outcomes(result) == {i: died if i in (1, 4) else ("completed", None) for i in range(6)}
-    for index in (0, 2, 3, 5):
-        assert same(result).slice(index, 1).equals(same(reference).slice(index, 1))
-    assert "alone in it" in result.rows["sweep"][1]["message"]
+    assert same(result).take([0, 2, 3, 5]).equals(same(reference).take([0, 2, 3, 5]))
 
 
 @pytest.mark.long
@@ -193,11 +154,10 @@ def cluster():
     distributed, dask = pytest.importorskip("distributed"), pytest.importorskip("dask")
     # Dask itself tries a task again that lost its worker, three times if left alone; once makes the tests shorter.
     patient = {"distributed.scheduler.allowed-failures": 1, "distributed.deploy.lost-worker-timeout": "120s"}
-    options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
     with dask.config.set(patient), warnings.catch_warnings():
         # On a busy machine it complains of a slow disk.
         warnings.simplefilter("ignore")
-        with distributed.LocalCluster(**options) as cluster:
+        with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
             yield cluster
 
 
@@ -207,15 +167,6 @@ def test_on_dask_the_table_is_the_same_and_a_run_that_kills_its_worker_the_same_
         result = run_study(sweep(deadly), tmp_path, where)
     assert_two_died(result, reference)
     assert os.getpid() not in result.tables["sweep"].column("worker").to_pylist()
-
-
-def test_without_dask_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with pytest.raises(ConfigurationError, match=r"stewart-drake\[dask\]"):
-        Workers(scheduler="tcp://127.0.0.1:8786")
-
-
-# --- what is on disk ---
 
 
 @pytest.mark.usefixtures("code_as_it_is")
@@ -242,32 +193,27 @@ def test_more_runs_go_on_where_fewer_ended_or_were_interrupted_and_an_unfinished
     assert all(json.loads(line) for line in rows.read_text().splitlines())
 
 
+@pytest.mark.usefixtures("code_as_it_is")
 def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
-    with code_frozen():
-        run_study(sweep(runs=1), tmp_path, HERE)
-        before = (tmp_path / "rows.jsonl").read_bytes()
+    run_study(sweep(runs=1), tmp_path, HERE)
+    before = (tmp_path / "rows.jsonl").read_bytes()
 
-        def refused(words, **changes):
-            with pytest.raises(ConfigurationError) as caught:
-                run_study(sweep(runs=1, **changes), tmp_path, HERE)
-            assert [word for word in ("--out", "--restart", words) if word not in str(caught.value)] == []
-            assert (tmp_path / "rows.jsonl").read_bytes() == before
+    def refused(words, **changes):
+        with pytest.raises(ConfigurationError) as caught:
+            run_study(sweep(runs=1, **changes), tmp_path, HERE)
+        assert [word for word in ("--out", "--restart", words) if word not in str(caught.value)] == []
+        assert (tmp_path / "rows.jsonl").read_bytes() == before
 
-        refused("seed", seed=6)
-        refused("differs in scenario", set={**TINY, "duration": 0.06})
-        with monkeypatch.context() as patch:
-            patch.setattr(versions, "source_digest", lambda: "changed")
-            refused("differs in versions")
-        (tmp_path / "study.json").unlink()
-        refused("study.json that can be read")
-        (tmp_path / "own.csv").touch()
-
-        def told(done):
-            # A restart makes room before anything is run, but for what is the user's own.
-            if done == 0.0:
-                assert {path.name for path in tmp_path.glob("*.*")} == {"own.csv", "rows.jsonl", "study.json", ".lock"}
-
-        result = run_study(sweep(runs=1, seed=6), tmp_path, HERE, told, restart=True)
-        assert result.rows["sweep"][0]["seed"] == sweep(seed=6).run_seed(0)
-        # Another name is no other sweep.
-        assert run_study(sweep(runs=1, seed=6, name="other"), tmp_path, HERE).rows == result.rows
+    refused("seed", seed=6)
+    refused("differs in scenario", set={**TINY, "duration": 0.06})
+    with monkeypatch.context() as patch:
+        patch.setattr(versions, "source_digest", lambda: "changed")
+        refused("differs in versions")
+    (tmp_path / "study.json").unlink()
+    refused("study.json that can be read")
+    (tmp_path / "own.csv").touch()
+    result = run_study(sweep(runs=1, seed=6), tmp_path, HERE, restart=True)
+    assert result.rows["sweep"][0]["seed"] == sweep(seed=6).run_seed(0)
+    assert (tmp_path / "own.csv").exists()
+    # Another name is no other sweep.
+    assert run_study(sweep(runs=1, seed=6, name="other"), tmp_path, HERE).rows == result.rows

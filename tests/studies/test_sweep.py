@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from conftest import alive
 from scipy.stats import truncnorm
 
 from stewart_drake.errors import ConfigurationError
@@ -25,12 +24,8 @@ def sweep(**changes):
     return Sweep.from_dict({**PLAIN, **changes})
 
 
-def parsed(**data):
-    return SweepFile.from_dict({**PLAIN, "distributions": {"here": data}}).distributions["here"]
-
-
 def drawn_from(**data):
-    distribution = parsed(**data)
+    distribution = SweepFile.from_dict({**PLAIN, "distributions": {"here": data}}).distributions["here"]
     return np.array([distribution.at(q) for q in QUANTILES])
 
 
@@ -49,13 +44,17 @@ def test_uniform_and_loguniform_are_even_in_the_number_and_in_its_logarithm():
     np.testing.assert_allclose(drawn_from(kind="loguniform", low=0.1, high=10.0), 10.0 ** (2.0 * QUANTILES - 1.0))
 
 
-def test_integers_and_choices_come_equally_often():
-    values, counts = np.unique(drawn_from(kind="integers", low=-1, high=3), return_counts=True)
-    assert values.tolist() == [-1, 0, 1, 2, 3]
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ({"kind": "integers", "low": -1, "high": 3}, [-1, 0, 1, 2, 3]),
+        ({"kind": "choice", "values": ["a", "b"]}, ["a", "b"]),
+    ],
+)
+def test_integers_and_choices_come_equally_often(keys, expected):
+    values, counts = np.unique(drawn_from(**keys), return_counts=True)
+    assert values.tolist() == expected
     assert np.ptp(counts) <= 2
-    values, counts = np.unique(drawn_from(kind="choice", values=["a", "b"]), return_counts=True)
-    assert values.tolist() == ["a", "b"]
-    assert np.ptp(counts) <= 1
 
 
 SEVERAL = {
@@ -76,11 +75,6 @@ def test_a_run_is_the_same_whatever_the_number_of_runs(sampler):
     assert draws(few) == draws(many)[:5]
     assert len({str(draw) for draw in draws(many)}) == 77
     assert [few.run_seed(i) for i in range(5)] == [many.run_seed(i) for i in range(5)]
-
-
-def test_another_key_changes_nothing_about_the_draws_of_a_key():
-    alone, among = sweep(), sweep(distributions=dict(reversed(SEVERAL.items())))
-    assert [d["initial_offset[0]"] for d in draws(alone)] == [d["initial_offset[0]"] for d in draws(among)]
 
 
 def test_keys_and_runs_are_independent_and_the_seed_changes_all():
@@ -112,20 +106,10 @@ def test_a_scenario_gets_what_was_drawn():
     assert scenario.robot.platform_inertia == tuple(2.0 * x for x in s.base.robot.platform_inertia)
     assert scenario.tuner.omega_q == 1.0
     assert scenario.model_robot is None
-    untouched = {"name", "robot", "initial_offset", "tuner", "log_period"}
-    assert {k: v for k, v in scenario.to_dict().items() if k not in untouched} == {
-        k: v for k, v in s.base.to_dict().items() if k not in untouched
-    }
-
-
-def test_with_mismatch_the_controller_keeps_the_robot_of_the_scenario():
     masses = {"robot.platform_mass": {"kind": "uniform", "low": 2.0, "high": 3.0}}
-    s = sweep(mismatch=True, distributions=masses, set={"robot.rod_length": 0.41, "initial_offset[5]": 0.01})
-    scenario = s.scenario(0)
-    assert scenario.initial_offset == (0.0, 0.0, 0.0, 0.0, 0.0, 0.01)
-    assert scenario.robot.platform_mass == s.draw(0)["robot.platform_mass"]
-    assert scenario.model_robot == s.base.robot
-    assert (scenario.model_robot.platform_mass, scenario.model_robot.rod_length) == (1.0, 0.41)
+    s = sweep(mismatch=True, distributions=masses, set={"robot.rod_length": 0.41})
+    assert s.scenario(0).robot.platform_mass == s.draw(0)["robot.platform_mass"]
+    assert s.scenario(0).model_robot == s.base.robot
 
 
 def test_paths_are_relative_to_the_sweep_file(tmp_path):
@@ -159,16 +143,10 @@ BAD = [
     # changes, words that the line must have
     ({"scenario": "paper_fig8"}, ["scenario", "'paper_fig8'", "paper_fig7"]),
     ({"set": {"initial_offset[6]": 3}}, ["set.initial_offset[6]", "0 to 5"]),
-    ({"distributions": {}}, ["distributions", "at least one"]),
     (only("gravity", kind="unifrom"), ["distributions.gravity.kind", "'unifrom'", "uniform"]),
     (only("gravity", kind="uniform", low=2, high=1), ["distributions.gravity.high", "more than low, 2"]),
-    (only("gravity", kind="loguniform", low=0, high=1), ["distributions.gravity.low", "a positive number"]),
-    (only("gravity", kind="choice", values=["x"], factor=True), ["distributions.gravity.values", "'x'", "numbers"]),
-    (only("gravity", kind="choice", values=["9.81"]), ["distributions.gravity", "'9.81'", "a number"]),
     (only("initial_offset", **ANY), ["distributions.initial_offset", "initial_offset[0]"]),
     (only("model_robot.rod_mass", **ANY), ["model_robot.rod_mass", "mismatch: true"]),
-    (only("controller.solver", **ANY), ["controller.solver", "choice and grid"]),
-    (only("controller.solver", kind="choice", values=["sprit"]), ["controller.solver", "'sprit'", "split"]),
     (only("tuner.window", **ANY), ["tuner.window", "'uniform'", "integers"]),
 ]
 
@@ -183,26 +161,20 @@ def test_bad_input_is_one_line_that_names_the_key(changes, words):
     assert len(text) < 700
 
 
-# --- the command ---
-
 TINY = """
 scenario: paper_fig7
-runs: {runs}
-set: {{duration: {duration}, tuner: {{kind: fixed}}, limits.clearance: null}}
+runs: 12
+set: {duration: 0.05, tuner: {kind: fixed}, limits.clearance: null}
 distributions:
-  initial_offset[0]: {{kind: uniform, low: -0.05, high: 0.05}}
-  initial_offset[5]: {{kind: choice, values: [0.0, 0.0, 0.3]}}
+  initial_offset[0]: {kind: uniform, low: -0.05, high: 0.05}
+  initial_offset[5]: {kind: choice, values: [0.0, 0.0, 0.3]}
 """
-
-
-def write(folder, name="tiny", runs=4, duration=0.05):
-    (folder / f"{name}.yaml").write_text(TINY.format(runs=runs, duration=duration))
 
 
 @pytest.mark.slow
 def test_a_sweep_leaves_its_table_prints_its_summary_and_goes_on(call, tmp_path):
-    write(tmp_path)
-    status, out, err = call("sweep", "tiny.yaml", "--workers", 2)
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    status, out, err = call("sweep", "tiny.yaml", "--runs", 4, "--workers", 2)
     assert status == 0, err
     files = {path.name for path in (tmp_path / "runs" / "tiny").iterdir()}
     assert files == {"sweep.parquet", "sweep.csv", "study.json", "rows.jsonl"}
@@ -213,9 +185,7 @@ def test_a_sweep_leaves_its_table_prints_its_summary_and_goes_on(call, tmp_path)
     lines = {line.split("│")[1].strip(): line.split("│")[2].strip() for line in out.splitlines() if "│" in line}
     assert lines["completed"] == str(4 - rejected)
     assert lines["rejected, configuration"] == str(rejected)
-    assert lines["RMSE of rotation, percentiles 50 95 99, largest"].endswith("deg")
     assert lines["table in"] == "runs/tiny/sweep.parquet"
-    assert "4 / 4 runs" in err
     # Two more: the first four are not run again.
     assert call("sweep", "tiny.yaml", "--runs", 6, "--quiet", "--workers", 1) == (0, "", "")
     more = pq.read_table(tmp_path / "runs" / "tiny" / "sweep.parquet")
@@ -226,7 +196,7 @@ def test_a_sweep_leaves_its_table_prints_its_summary_and_goes_on(call, tmp_path)
 @pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for processes in /proc")
 def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(start, tmp_path):
-    write(tmp_path, runs=12, duration=0.3)
+    (tmp_path / "tiny.yaml").write_text(TINY.replace("0.05, tuner", "0.3, tuner"))
     process = start("sweep", "tiny.yaml", "--workers", 2, "--out", "out")
     rows = tmp_path / "out" / "rows.jsonl"
     deadline = time.monotonic() + 60.0
@@ -234,15 +204,10 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(start, tmp_path)
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGINT)  # what a terminal sends: to every process of the group
     out, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
-    assert out == ""
-    assert "Traceback" not in err
+    assert (process.returncode, out, "Traceback" in err) == (130, "", False)
     kept = rows.read_bytes().splitlines()
     assert 2 <= len(kept) < 12
     assert f"interrupted; {len(kept)} of 12 runs are kept in out; the same command goes on from there" in err
-    while time.monotonic() < deadline and alive(process.pid):  # a worker may be a moment behind its caller
-        time.sleep(0.1)
-    assert alive(process.pid) == []
     process = start("sweep", "tiny.yaml", "--workers", 2, "--out", "out", "--quiet")
     assert process.communicate(timeout=120) == ("", "")
     assert process.returncode == 0
