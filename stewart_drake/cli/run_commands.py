@@ -50,9 +50,9 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
         check_scenario(loaded)
     viewer = None
     if meshcat:
-        from pydrake.geometry import Meshcat
+        from pydrake.geometry import Meshcat, MeshcatParams
 
-        viewer = Meshcat()
+        viewer = Meshcat(MeshcatParams(host="localhost"))
         click.echo(f"live view: {viewer.web_url()}", err=True)
     engine = engine_of(loaded, viewer)
     graph = engine.graph()

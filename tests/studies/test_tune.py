@@ -96,7 +96,6 @@ def test_what_is_found_goes_into_the_comparison(done):
     assert tuning(tuned="nowhere.yaml").start["pid"] == plan.start["pid"]
     table = pq.read_table(folder / "tune.parquet")
     assert table["cost"].to_pylist() == [row["cost"] for row in result.rows]
-    for name in plan.start:
     assert write_picture(result, folder) is None
     assert {"tune.md", "tune.png"} <= {path.name for path in folder.iterdir()}
 
@@ -141,7 +140,10 @@ def test_points_between_the_logarithms_of_the_bounds_are_settings_between_the_bo
         ({"controller.kp": [5, 9]}, r"^tune\.controllers\.pid: controller\.kp: expected .*got 4"),
         ({"duration": [0.1, 1e9]}, r"^tune\.controllers\.pid: duration: expected .*got 1"),
     ],
-    for name in plan.start:
+)
+def test_what_cannot_be_searched_is_refused_in_a_line(ranges, message):
+    with pytest.raises(ConfigurationError, match=message):
+        tuning(**tune_changed(controllers={"pid": ranges}))
 
 
 def test_points_stay_within_the_box_and_the_start_comes_first():
