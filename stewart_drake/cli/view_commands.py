@@ -31,10 +31,10 @@ def live(scenario: str, overrides: tuple[str, ...], browser: bool) -> None:
     loaded = load_scenario(scenario, overrides)
     with shown_compiling(quiet=False):
         session, server = start_live(loaded)
-    click.echo(f"{loaded.name} is live at {server.url} (Ctrl-C ends it)")
-    if browser:
-        webbrowser.open(server.url)
     try:
+        click.echo(f"{loaded.name} is live at {server.url} (Ctrl-C ends it)")
+        if browser:
+            webbrowser.open(server.url)
         session.run()
     except KeyboardInterrupt:
         click.echo()
