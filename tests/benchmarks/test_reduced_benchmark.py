@@ -17,7 +17,11 @@ OBSERVER = ("estimator={kind: observer}", "friction_compensation={coulomb: 0.01}
 
 @pytest.mark.parametrize(
     ("name", "changes"),
-    [("differences", ENCODERS), ("observer, safety", (*ENCODERS, *OBSERVER, "safety={}"))],
+    [
+        ("differences", ENCODERS),
+        ("observer", (*ENCODERS, *OBSERVER)),
+        ("observer, safety", (*ENCODERS, *OBSERVER, "safety={}")),
+    ],
 )
 def test_a_whole_run(benchmark, name, changes):
     scenario = load_scenario("exact_breathing", ("duration=2.5", "tuner=block", *changes))
