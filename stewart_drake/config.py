@@ -60,7 +60,6 @@ Text = Annotated[str, Strict()]
 NAME = r"^\w[\w .+-]*$"
 NAME_WORDS = words("letters, digits and _, and after the first of them space and . + - too")
 """Of a name that can be a folder's."""
-Vector3 = tuple[Real, Real, Real]
 Vector6 = tuple[Real, Real, Real, Real, Real, Real]
 """roll, pitch, yaw, X, Y, Z."""
 PositivePair = tuple[Positive, Positive]

@@ -49,6 +49,8 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     with shown_compiling(quiet):
         check_scenario(loaded)
     viewer = None
+    if meshcat and loaded.plant.engine == "reduced":
+        raise ConfigurationError("plant.engine", "reduced", "drake, for --meshcat; `stewart-drake live` shows both")
     if meshcat:
         from pydrake.geometry import Meshcat, MeshcatParams
 

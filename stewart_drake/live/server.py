@@ -57,6 +57,15 @@ class _Handler(BaseHTTPRequestHandler):
     session: LiveSession
     about: Mapping[str, Any]
 
+    def parse_request(self) -> bool:
+        """Refuses who came by another name than this machine's own, as a page of a foreign site would."""
+        if not super().parse_request():
+            return False
+        if self.headers.get("Host", "").rpartition(":")[0] not in ("localhost", "127.0.0.1"):
+            self.send_error(HTTPStatus.FORBIDDEN)
+            return False
+        return True
+
     def do_GET(self) -> None:
         """The page and its files, what it shows, and the rows as server-sent events."""
         name = self.path.lstrip("/") or "live.html"
@@ -77,7 +86,12 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get("Content-Type") != "application/json":
             self.send_error(HTTPStatus.UNSUPPORTED_MEDIA_TYPE)
             return
-        self.session.tell(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+        try:
+            command = json.loads(self.rfile.read(int(self.headers.get("Content-Length", 0))))
+        except ValueError:
+            self.send_error(HTTPStatus.BAD_REQUEST)
+            return
+        self.session.tell(command)
         self._answer(b"{}", "application/json")
 
     def log_message(self, *_: Any) -> None:

@@ -23,10 +23,12 @@ CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
         "controller": {"kind": "lqi", "model": "exact", "feedforward": "full", "feedforward_at": "reference"},
         "tuner": "block",
     },
-    "PID of each motor": {"controller": "joint_pid"},
+    "PID of each motor": {"controller": "pid"},
     "computed torque": {"controller": "computed_torque"},
 }
 """What can be chosen in the panel: name -> scenario key -> value."""
+PANEL = {"plant.payload_mass", "motors.dead", "sensors.faults", "tuner.kappa"}
+"""Keys of the scenario that the panel changes."""
 
 
 class LiveSession:
@@ -46,7 +48,9 @@ class LiveSession:
         self._do = {
             "aim": self._aim,
             "move": lambda told: self.loop.move(bool(told["on"])),
-            "push": lambda told: self.loop.push(np.array(told["wrench"], dtype=float), float(told["duration"])),
+            "push": lambda told: self.loop.push(
+                np.array(told["wrench"], dtype=float).reshape(6), float(told["duration"])
+            ),
             "change": self._change,
             "controller": self._choose,
             "pause": self._pause,
@@ -101,11 +105,14 @@ class LiveSession:
             self.message = f"not understood: {error}"
 
     def _aim(self, told: Mapping[str, Any]) -> None:
-        reached = self.loop.aim(np.array(told["pose"], dtype=float))
+        reached = self.loop.aim(np.array(told["pose"], dtype=float).reshape(6))
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
     def _change(self, told: Mapping[str, Any]) -> None:
+        # The page has these and no others: what asks must not name code, files or another robot.
+        if not set(told["keys"]) <= PANEL:
+            raise ValueError(f"keys {', '.join(told['keys'])}")
         self.loop.change(told["keys"])
 
     def _choose(self, told: Mapping[str, Any]) -> None:

@@ -21,14 +21,52 @@ from stewart_drake.control.riccati import (
     split_solution,
     state_matrix,
 )
-from stewart_drake.mechanics.dynamics import pose_acceleration_map
+from stewart_drake.mechanics.dynamics import pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.parts import loop_of
 from stewart_drake.sampling import on_grid
+from stewart_drake.systems import ReferenceSource, diagram
 
 ROBOT = RobotParameters()
-STEP, STEPS = on_grid(0.001), 50
+STEP = on_grid(0.001)
+STEPS = 50
+"""Plant steps in a round."""
 BLOCKS = np.array([4e5, 30.0, 4e7, 1.0])
 ALL = ["sensors.kind=encoders", "tuner={kind: paper}"]
+"""Encoders, forward kinematics, exact model, split gains, densities, network, log: everything at 1 kHz."""
+
+
+@pytest.fixture
+def compare(benchmark):
+    """Times a function and what it is compared with in turns, and prints the median of the ratios of neighbours.
+
+    In turns, because the speed of a machine changes from second to second by more than what is measured here. `per`:
+    how often the function does its thing in a call. The base times itself, so that it may prepare something first.
+    """
+
+    def run(name, function, base_name, base, rounds=80, per=1, base_per=1, inverse=False):
+        mine, other = [], []
+
+        def before():
+            other.append(base())
+
+        def timed():
+            begin = time.perf_counter()
+            function()
+            mine.append(time.perf_counter() - begin)
+
+        benchmark.pedantic(timed, setup=before, rounds=rounds, warmup_rounds=3)
+        mine, other = np.array(mine[3:]) / per, np.array(other[3:]) / base_per
+        ratio = float(np.median(other / mine if inverse else mine / other))
+        what = f"{base_name} / {name}" if inverse else f"{name} / {base_name}"
+        benchmark.extra_info[what] = round(ratio, 3)
+        print(
+            f"\n{what} = {ratio:.2f} (median; {name} {1e6 * np.median(mine):.1f} us, shortest {1e6 * mine.min():.1f}; "
+            f"{base_name} {1e6 * np.median(other):.1f} us, shortest {1e6 * other.min():.1f})"
+        )
+        assert ratio > 0.0
+
+    return run
 
 
 def seconds(function):
@@ -37,26 +75,12 @@ def seconds(function):
     return time.perf_counter() - begin
 
 
-@pytest.fixture
-def compare(benchmark):
-    # In turns, because the speed of a machine changes from second to second by more than what is measured here. `per`:
-    # how often the function does its thing in a call. The base times itself, so that it may prepare something first.
-    def run(name, function, base_name, base, per=1, base_per=1, inverse=False):
-        mine, other = [], []
-        begin = {"setup": lambda: other.append(base()), "rounds": 80, "warmup_rounds": 3}
-        benchmark.pedantic(lambda: mine.append(seconds(function)), **begin)
-        mine, other = np.array(mine[3:]) / per, np.array(other[3:]) / base_per
-        ratio = float(np.median(other / mine if inverse else mine / other))
-        what = f"{base_name} / {name}" if inverse else f"{name} / {base_name}"
-        benchmark.extra_info[what] = round(ratio, 3)
-        times = f"{name} {1e6 * np.median(mine):.1f} us, {base_name} {1e6 * np.median(other):.1f} us"
-        print(f"\n{what} = {ratio:.2f} (medians; {times})")
-        assert ratio > 0.0
-
-    return run
-
-
 class Loop:
+    """A closed loop, and beside it the plant alone that starts each round where the loop is, its torque held.
+
+    A step of a moving plant costs a fifth more than one at rest, so the plant alone must move alike.
+    """
+
     def __init__(self, *changes):
         self.loop = build_diagram(load_scenario("exact_fig7", changes))
         self.simulator = Simulator(self.loop, self.loop.create_start_context())
@@ -77,12 +101,35 @@ class Loop:
 
 
 def test_closed_loop(compare):
+    """tick_ratio: plant and control at 1 kHz."""
     loop = Loop(*ALL)
     compare("closed loop", loop.step, "plant alone", loop.plant_alone, per=STEPS, base_per=STEPS)
 
 
+def test_the_same_systems_doing_nothing(compare, monkeypatch):
+    """What the Diagram costs: the same systems, ports, events and log, their mathematics left out."""
+    hold = static_torque(ROBOT, ROBOT.home_pose)
+
+    def idle(part):
+        start = part.initial.copy()
+        if part.name == "controller":
+            start["torque"] = hold
+        return part._replace(initial=start, tick=lambda *_: None)
+
+    def idle_loop(scenario):
+        loop = loop_of(scenario)
+        return loop._replace(parts=tuple(map(idle, loop.parts)))
+
+    wanted = np.concatenate([ROBOT.home_pose, np.zeros(12)])
+    monkeypatch.setattr(diagram, "loop_of", idle_loop)
+    monkeypatch.setattr(ReferenceSource, "_calc", lambda _self, _context, output: output.SetFromVector(wanted))
+    loop = Loop("reference={kind: hold}", *ALL)
+    compare("idle loop", loop.step, "plant alone", loop.plant_alone, per=STEPS, base_per=STEPS)
+
+
 @pytest.mark.parametrize("observed", [False, True], ids=["differences", "observer"])
 def test_a_tick_of_the_controller(compare, observed):
+    """The controller's side without a Diagram: estimator, reference, regulator, densities, network."""
     changes = ["estimator={kind: observer}", "friction_compensation={coulomb: 0.01}"] if observed else []
     scenario = load_scenario("exact_fig7", [*ALL, "reference={kind: breathing}", *changes])
     controller, torque, count = Controller(scenario), np.empty(6), 256
@@ -97,6 +144,7 @@ def test_a_tick_of_the_controller(compare, observed):
 
 
 def test_riccati_equation(compare):
+    """riccati_ratio: Drake's 18-state equation, matrices made beforehand, over the split solution with its gain."""
     from pydrake.math import DiscreteAlgebraicRiccatiEquation
 
     acceleration_map = pose_acceleration_map(ROBOT, ROBOT.home_pose)
@@ -123,32 +171,38 @@ def test_riccati_equation(compare):
     )
 
 
-COMMAND = """
-import sys; sys.argv = ["stewart-drake", "run", "--help"]
-from stewart_drake.cli.app import main
-try:
-    main()
-except SystemExit:
-    pass
-"""
-DRAKE = "import pydrake.systems.analysis, pydrake.systems.primitives, pydrake.multibody.parsing, pydrake.geometry"
-LOOP = "from stewart_drake import load_scenario, build_diagram; build_diagram(load_scenario('paper_fig7'))"
-
-
 @pytest.mark.parametrize(
     ("what", "code", "needs"),
-    [("import", "import stewart_drake", "pass"), ("run --help", COMMAND, "pass"), ("building a loop", LOOP, DRAKE)],
+    [
+        ("import stewart_drake", "import stewart_drake", ""),
+        (
+            "stewart-drake run --help",
+            "import sys; sys.argv = ['stewart-drake', 'run', '--help']\n"
+            "from stewart_drake.cli.app import main\ntry:\n    main()\nexcept SystemExit:\n    pass",
+            "",
+        ),
+        (
+            "building a loop",
+            "from stewart_drake import load_scenario, build_diagram; build_diagram(load_scenario('paper_fig7'))",
+            "import pydrake.systems.analysis, pydrake.systems.primitives, pydrake.multibody.plant, "
+            "pydrake.multibody.parsing, pydrake.geometry",
+        ),
+    ],
 )
 def test_start_up(benchmark, what, code, needs):
-    # Over the pydrake modules that it needs; torch may not be among the rest.
-    def fastest(text):
-        return min(
-            seconds(lambda: subprocess.run([sys.executable, "-c", text], check=True, capture_output=True))
-            for _ in range(5)
-        )
+    """Seconds over those of the pydrake modules that it needs; torch may not be among the rest."""
+    check = "\nimport sys; assert 'torch' not in sys.modules"
 
-    base = fastest(needs)
-    own = fastest(f"{needs}\n{code}\nimport sys; assert 'torch' not in sys.modules")
+    def fastest(text):
+        def once():
+            begin = time.perf_counter()
+            subprocess.run([sys.executable, "-c", text], check=True, capture_output=True)
+            return time.perf_counter() - begin
+
+        return min(once() for _ in range(5))
+
+    base = fastest(needs or "pass")
+    own = fastest((needs + "\n" if needs else "") + code + check)
     benchmark.pedantic(lambda: None, rounds=1)
     benchmark.extra_info[f"{what}: seconds"] = round(own - base, 3)
     print(f"\n{what}: {own - base:.2f} s over {base:.2f} s")

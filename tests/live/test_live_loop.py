@@ -5,6 +5,7 @@ import pytest
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.live.loop import LiveLoop
+from stewart_drake.live.session import CONTROLLERS, LiveSession
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import load_scenario
 
@@ -82,3 +83,25 @@ def test_the_hand_moves_the_platform_to_its_target() -> None:
     assert loop.aim(wanted).limit == ""
     loop.advance(2500)
     np.testing.assert_allclose(loop.pose, wanted, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_every_controller_of_the_panel_takes_over_without_a_jump(name):
+    session = LiveSession(load_scenario("exact_fig7").replace(STILL), lambda _: None)
+    session.tell({"do": "controller", "name": name})
+    session.run(until=0.1)
+    assert (session.message, session.loop.ended) == ("", "")
+    assert np.abs(session.loop.pose - session.loop.wanted).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    "command",
+    [{"do": "change", "keys": {"controller": {"kind": "mine.py:Mine"}}}, {"do": "aim", "pose": [1.0]}, {"do": "dance"}],
+)
+def test_what_the_panel_does_not_say_changes_nothing(command):
+    session = LiveSession(load_scenario("exact_fig7").replace(STILL), lambda _: None)
+    scenario = session.loop.scenario
+    session.tell(command)
+    session.run(until=0.05)
+    assert session.message.startswith("not understood")
+    assert session.loop.scenario is scenario
