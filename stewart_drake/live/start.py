@@ -15,10 +15,13 @@ _FARTHEST = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
 
 
 def start_live(scenario: Scenario) -> tuple[LiveSession, LiveServer]:
-    """A session to `run`, and its server to `close`; the first tick is compiled on the way."""
+    """A session to `run`, and its server to `close`."""
     view = LiveView(scenario)
+    # Compiled here, none of the panel's controllers makes the robot wait.
     warm = LiveLoop(scenario)
-    warm.advance(2)
+    for changes in CONTROLLERS.values():
+        warm.change(changes)
+        warm.advance(2)
     session = LiveSession(scenario, view.show)
     robot = scenario.robot
     about = {
