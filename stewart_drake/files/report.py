@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
+from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
 from stewart_drake.files.tables import need_pandas
 
 
-class Report:
+class Report(ABC):
     """Base of results that have a row of numbers for each parameter, a summary, and a table of texts."""
 
     columns: ClassVar[tuple[str, ...]]
@@ -20,21 +21,21 @@ class Report:
     """What the report's picture shows."""
 
     @property
+    @abstractmethod
     def title(self) -> str:
         """Of what it is."""
-        raise NotImplementedError
 
+    @abstractmethod
     def rows(self) -> list[tuple[Any, ...]]:
         """A row of `columns` for each parameter, in SI units; the half width is that of the 95 % interval."""
-        raise NotImplementedError
 
+    @abstractmethod
     def summary(self) -> list[tuple[str, str]]:
         """What was found, as rows of two texts."""
-        raise NotImplementedError
 
+    @abstractmethod
     def table(self) -> tuple[list[str], list[list[str]]]:
         """Header and rows of texts: the parameters with their 95 % intervals."""
-        raise NotImplementedError
 
     def __repr__(self) -> str:
         return "\n".join([self.title, *(f"  {name}: {text}" for name, text in self.summary())])

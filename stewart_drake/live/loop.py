@@ -7,13 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError, RunFailure
+from stewart_drake.errors import RunFailure
 from stewart_drake.live.steering import HandReference, Reached, nearest_allowed
-from stewart_drake.part import Running
-from stewart_drake.parts import Loop, loop_of
-from stewart_drake.plant.closed_chain import CHAIN_STATE, ClosedChain
-from stewart_drake.runs.engine import CRANKS, POSE
-from stewart_drake.sampling import on_grid, steps_per
+from stewart_drake.runs.engine import FastLoop
+from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario
 
 
@@ -47,13 +44,13 @@ class LiveLoop:
         self._step = on_grid(scenario.plant.time_step)
         self.reference = HandReference(scenario.reference, self._step)
         self._build(scenario)
-        self._running.signal("plant").view(CHAIN_STATE)[:] = self._chain.initial(*scenario.start())
+        self._loop.begin()
 
     def change(self, changes: Mapping[str, Any]) -> None:
         """Changes keys of the scenario, see `Scenario.replace`; a ConfigurationError leaves all as it was."""
-        before = self._running
+        before = self._loop.running
         self._build(self.scenario.replace(changes))
-        self._running.take_over(before)
+        self._loop.running.take_over(before)
 
     def aim(self, pose: np.ndarray) -> Reached:
         """Sends the hand to a pose (6,) [rad, m], or as far towards it as the robot can go."""
@@ -86,21 +83,15 @@ class LiveLoop:
             self.ended = " ".join(str(failure).split())
 
     def _advance_one(self) -> None:
-        running, time = self._running, self.time
-        running.time[0] = time
+        time = self.time
         self._reference[:] = self.reference.at(time)
         if self._reference_ahead is not None:
             self._reference_ahead[:] = self.reference.at(time, self._ahead)
-        self._wrench[:] = self._push if self.steps < self._push_ends else 0.0
+        self._wrench[:] = self._push if self.pushed else 0.0
         if self._wrench_source is not None:
             self._wrench += self._wrench_source(np.array([time]))[0]
-        if self.steps % self._per_tick == 0:
-            running.tick()
-        else:
-            running.between()
-        if self.steps % self._per_tick == 0:
-            running.late()
-        self._chain.step(self._torque, self._wrench, self._state)
+        self._loop.answer(self.steps)
+        self._loop.move(self.steps)
         self.steps += 1
         self.reference.advance()
 
@@ -112,7 +103,7 @@ class LiveLoop:
     @property
     def pose(self) -> np.ndarray:
         """(6,) [rad, m] of the platform."""
-        return self._state["pose"][0].copy()
+        return self._loop.state["pose"][0].copy()
 
     @property
     def wanted(self) -> np.ndarray:
@@ -123,7 +114,7 @@ class LiveLoop:
     def torque(self) -> np.ndarray:
         """(6,) [N m] as the motors give it."""
         limit = self.scenario.robot.effort_limits
-        return np.clip(self._torque, -limit, limit)
+        return np.clip(self._loop.torque, -limit, limit)
 
     @property
     def pushed(self) -> bool:
@@ -132,22 +123,14 @@ class LiveLoop:
 
     def logged(self, name: str) -> np.ndarray | None:
         """A signal by its name in a log, such as `setting`; None where the loop has none."""
-        signal = self._loop.logged.get(name)
-        return self._running.signal(signal).copy() if isinstance(signal, str) else signal
+        signal = self._loop.parts.logged.get(name)
+        return self._loop.running.signal(signal).copy() if isinstance(signal, str) else signal
 
     def _build(self, scenario: Scenario) -> None:
-        loop: Loop = loop_of(scenario, split=True)
-        if any(part.system is not None for part in loop.parts):
-            raise ConfigurationError("controller", scenario.controller.kind, "one that is no LeafSystem, to run live")
-        chain = ClosedChain(scenario.robot, scenario.plant, scenario.gravity)
-        outside = {"plant": CHAIN_STATE.itemsize // 8, "wrench": 6}
-        outside |= {source.signal: source.size for source in loop.sources}
-        self.scenario, self._loop, self._chain = scenario, loop, chain
-        self._running = running = Running(loop.parts, outside, {"plant_pose": POSE, "crank_state": CRANKS})
-        self._per_tick = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
-        self._ahead = scenario.ahead * self._per_tick
-        sources = {source.signal: source.evaluate for source in loop.sources}
+        loop = FastLoop(scenario)
+        self.scenario, self._loop = scenario, loop
+        self._ahead = round(scenario.ahead * scenario.controller.period / scenario.plant.time_step)
+        sources = {source.signal: source.evaluate for source in loop.parts.sources}
         self._wrench_source = sources.get("wrench")
-        self._reference, self._wrench = running.signal("reference"), running.signal("wrench")
-        self._reference_ahead = running.signal("reference_ahead") if "reference_ahead" in sources else None
-        self._state, self._torque = running.signal("plant").view(CHAIN_STATE), running.signal(loop.torque)
+        self._reference, self._wrench = loop.running.signal("reference"), loop.running.signal("wrench")
+        self._reference_ahead = loop.running.signal("reference_ahead") if "reference_ahead" in sources else None

@@ -8,7 +8,7 @@ from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.server import LiveServer
 from stewart_drake.live.session import CONTROLLERS, LiveSession
 from stewart_drake.live.steering import nearest_allowed
-from stewart_drake.live.view import LiveView
+from stewart_drake.runs.replay import RobotView
 from stewart_drake.scenario import Scenario
 
 _FARTHEST = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
@@ -16,17 +16,17 @@ _FARTHEST = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
 
 def start_live(scenario: Scenario) -> tuple[LiveSession, LiveServer]:
     """A session to `run`, and its server to `close`."""
-    view = LiveView(scenario)
+    view = RobotView(scenario.robot)
     # Compiled here, none of the panel's controllers makes the robot wait.
     warm = LiveLoop(scenario)
     for changes in CONTROLLERS.values():
         warm.change(changes)
         warm.advance(2)
-    session = LiveSession(scenario, view.show)
+    session = LiveSession(scenario, lambda loop: view.show(loop.time, view.stewart.assemble(loop.pose), loop.wanted))
     robot = scenario.robot
     about = {
         "name": scenario.name,
-        "meshcat": view.url,
+        "meshcat": view.meshcat.web_url(),
         "home": session.loop.reference.home.tolist(),
         "room": _room(scenario, session.loop.reference.home).tolist(),
         "payload": float(f"{0.5 * robot.platform_mass:.1g}"),

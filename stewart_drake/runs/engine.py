@@ -56,32 +56,70 @@ def signals_of(scenario: Scenario, steps: np.ndarray, values: dict[str, np.ndarr
     return {name: signals[name] for name in SIGNALS if name in signals}
 
 
-POSE, CRANKS = (slice(at, at + 12) for at in (CHAIN_STATE.fields[name][1] // 8 for name in ("pose", "angles")))  # type: ignore[index]
+_POSE, _CRANKS = (slice(at, at + 12) for at in (CHAIN_STATE.fields[name][1] // 8 for name in ("pose", "angles")))  # type: ignore[index]
+
+
+class FastLoop:
+    """The parts of a scenario on the closed form of the robot, called in order; who has it writes signals of time.
+
+    Attributes:
+        scenario: What it runs.
+        parts: The loop, see `loop_of`.
+        running: The parts at work.
+        step: [s] of the plant.
+        state: `CHAIN_STATE` record of the robot.
+        torque: (6,) [N m] that the plant gets.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario, self.parts = scenario, loop_of(scenario, split=True)
+        if any(part.system is not None for part in self.parts.parts):
+            raise ConfigurationError("plant.engine", "reduced", "drake, with a controller that is a LeafSystem")
+        self.step = on_grid(scenario.plant.time_step)
+        self._per_tick = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
+        self._chain = ClosedChain(scenario.robot, scenario.plant, scenario.gravity)
+        outside = {"plant": CHAIN_STATE.itemsize // 8, "wrench": 6}
+        outside |= {source.signal: source.size for source in self.parts.sources}
+        self.running = Running(self.parts.parts, outside, {"plant_pose": _POSE, "crank_state": _CRANKS})
+        self.state = self.running.signal("plant").view(CHAIN_STATE)
+        self.torque, self._wrench = self.running.signal(self.parts.torque), self.running.signal("wrench")
+
+    def begin(self) -> None:
+        """Puts the robot where the scenario starts."""
+        self.state[:] = self._chain.initial(*self.scenario.start())
+
+    def answer(self, now: int) -> None:
+        """What the parts say at a step of the plant."""
+        self.running.time[0] = now * self.step
+        if now % self._per_tick == 0:
+            self.running.tick()
+        else:
+            self.running.between()
+
+    def move(self, now: int) -> None:
+        """The step itself, after the parts that act from the next tick on."""
+        if now % self._per_tick == 0:
+            self.running.late()
+        try:
+            self._chain.step(self.torque, self._wrench, self.state)
+        except RunFailure as failure:
+            failure.time = (now + 1) * self.step
+            raise
 
 
 class FastRun:
-    """The parts of a scenario called in order, on the closed form of the robot; late ones before the plant steps."""
+    """A run on a `FastLoop`, with a row for each step of the plant."""
 
     state_names: tuple[str, ...] = ()
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
         if meshcat is not None:
             raise ConfigurationError("plant.engine", "reduced", "drake, for a live view")
-        self.scenario, self._loop = scenario, loop_of(scenario, split=True)
-        if any(part.system is not None for part in self._loop.parts):
-            raise ConfigurationError("plant.engine", "reduced", "drake, with a controller that is a LeafSystem")
-        time_step = scenario.plant.time_step
-        self._step = on_grid(time_step)
-        self._per_tick = steps_per("controller.period", scenario.controller.period, time_step)
-        self._chain = ClosedChain(scenario.robot, scenario.plant, scenario.gravity)
-        outside = {"plant": CHAIN_STATE.itemsize // 8, "wrench": 6}
-        outside |= {source.signal: source.size for source in self._loop.sources}
-        self._running = Running(self._loop.parts, outside, {"plant_pose": POSE, "crank_state": CRANKS})
+        self.scenario, self._loop = scenario, FastLoop(scenario)
+        self._running, time_step = self._loop.running, scenario.plant.time_step
         self._sources = [
-            (self._running.signal(each.signal), InBlocks(each.evaluate, time_step)) for each in self._loop.sources
+            (self._running.signal(each.signal), InBlocks(each.evaluate, time_step)) for each in self._loop.parts.sources
         ]
-        self._state = self._running.signal("plant").view(CHAIN_STATE)
-        self._torque, self._wrench = self._running.signal(self._loop.torque), self._running.signal("wrench")
         self._rows = np.empty((int(scenario.duration / time_step + 1e-6) + 1, len(self._running.values)))
         self._now, self._count = 0, 0
 
@@ -90,49 +128,34 @@ class FastRun:
             # numba compiles in the first call of a function; what is wrong with that shows in the run itself.
             with suppress(StewartDrakeError), quiet():
                 first = FastRun(self.scenario)
-                first._begin()
+                first._loop.begin()
                 first.advance(1)
-        self._begin()
-
-    def _begin(self) -> None:
-        self._state[:] = self._chain.initial(*self.scenario.start())
+        self._loop.begin()
 
     def advance(self, step: int) -> None:
-        running = self._running
         if self._count == 0:
             self._row()
         while self._now < step:
-            if self._now % self._per_tick == 0:
-                running.late()
-            try:
-                self._chain.step(self._torque, self._wrench, self._state)
-            except RunFailure as failure:
-                failure.time = (self._now + 1) * self._step
-                raise
+            self._loop.move(self._now)
             self._now += 1
             self._row()
 
     def _row(self) -> None:
-        running, now = self._running, self._now
-        running.time[0] = now * self._step
         for signal, table in self._sources:
-            signal[:] = table.at(now)[1]
-        if now % self._per_tick == 0:
-            running.tick()
-        else:
-            running.between()
-        self._rows[self._count] = running.values
+            signal[:] = table.at(self._now)[1]
+        self._loop.answer(self._now)
+        self._rows[self._count] = self._running.values
         self._count += 1
 
     @property
     def time(self) -> float:
-        return self._now * self._step
+        return self._now * self._loop.step
 
     def signals(self) -> dict[str, np.ndarray]:
         rows = self._rows[: self._count]
-        values = {"loop_gap": np.zeros((len(rows), 6)), "crank_angle": rows[:, CRANKS][:, :6].copy()}
-        values["pose"], values["pose_rate"] = (each.copy() for each in np.hsplit(rows[:, POSE], 2))
-        for name, signal in self._loop.logged.items():
+        values = {"loop_gap": np.zeros((len(rows), 6)), "crank_angle": rows[:, _CRANKS][:, :6].copy()}
+        values["pose"], values["pose_rate"] = (each.copy() for each in np.hsplit(rows[:, _POSE], 2))
+        for name, signal in self._loop.parts.logged.items():
             places = self._running.places
             values[name] = (
                 rows[:, places[signal]].copy() if isinstance(signal, str) else np.tile(signal, (len(rows), 1))

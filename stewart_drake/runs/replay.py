@@ -27,6 +27,7 @@ from stewart_drake.logs.metrics import error_norms
 from stewart_drake.mechanics.kinematics import leg_geometry
 from stewart_drake.plant.multibody_plant import add_plant
 from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.plant.sdf_model import RodJoint
 from stewart_drake.robot import RobotParameters
 
 MAX_FRAMES = 9000
@@ -126,52 +127,58 @@ def nearest_rows(time: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]
 
 def _record(log: SimulationLog, frames: np.ndarray, rows: np.ndarray, rate: float) -> str:
     """The recording as the text of a page."""
-    robot = log.scenario.robot
-    # Drake announces every Meshcat; nobody can look at this one before it is gone.
-    drake_log = logging.getLogger("drake")
-    level = drake_log.level
-    drake_log.setLevel(logging.WARNING)
-    try:
-        meshcat = geometry.Meshcat(geometry.MeshcatParams(host="localhost", show_stats_plot=False))
-    finally:
-        drake_log.setLevel(level)
-    furnish(meshcat, robot)
-    builder = DiagramBuilder()
-    stewart = add_plant(builder, robot, PlantOptions(rod_joint=log.scenario.plant.rod_joint), visuals=True)
-    geometry.MeshcatVisualizer.AddToBuilder(
-        builder, stewart.scene_graph, meshcat, geometry.MeshcatVisualizerParams(prefix="robot")
-    )
-    diagram = builder.Build()
-    context = diagram.CreateDefaultContext()
-    plant_context = stewart.plant.GetMyMutableContextFromRoot(context)
-
-    meshcat.StartRecording(rate, set_visualizations_while_recording=False)
+    view, states = RobotView(log.scenario.robot, log.scenario.plant.rod_joint), log.signals.get("plant_state")
+    view.meshcat.StartRecording(rate, set_visualizations_while_recording=False)
     for frame, row in zip(frames, rows, strict=True):
+        state = view.stewart.assemble(log["pose"][row]) if states is None else states[row]
         # Meshcat rounds down to the frame; the middle of one is safe from rounding.
-        time = (frame + 0.5) / rate
-        context.SetTime(time)
-        whole = log.signals.get("plant_state")
-        state = stewart.assemble(log["pose"][row]) if whole is None else whole[row]
-        stewart.plant.SetPositionsAndVelocities(plant_context, state)
-        diagram.ForcedPublish(context)
-        reference = log["reference"][row]
-        meshcat.SetTransform("reference", RigidTransform(RollPitchYaw(reference[:3]), reference[3:]), time)
-    meshcat.StopRecording()
-    meshcat.PublishRecording()
-    return str(meshcat.StaticHtml())
+        view.show((frame + 0.5) / rate, state, log["reference"][row])
+    view.meshcat.StopRecording()
+    view.meshcat.PublishRecording()
+    return str(view.meshcat.StaticHtml())
 
 
-def furnish(meshcat: geometry.Meshcat, robot: RobotParameters) -> None:
-    """Camera, background and the disc of the reference."""
-    meshcat.SetCamera(geometry.Meshcat.PerspectiveCamera(fov=_REPLAY_LENS))
-    meshcat.SetCameraPose(*_viewpoint(robot))
-    meshcat.SetProperty("/Background/<object>", "top_color", [1.0, 1.0, 1.0])
-    meshcat.SetProperty("/Background/<object>", "bottom_color", [0.80, 0.83, 0.87])
-    for path in ("/Grid", "/Axes"):
-        meshcat.SetProperty(path, "visible", False)
-    # Wider than the platform and thinner: it shows as a ring around a platform that tracks well.
-    disc = geometry.Cylinder(1.15 * robot.platform_radius, 0.4 * robot.link_radius)
-    meshcat.SetObject("reference", disc, geometry.Rgba(0.0, 0.62, 0.45, 0.4))
+class RobotView:
+    """A robot and its reference in a Meshcat that only this machine can open.
+
+    Attributes:
+        meshcat: With our camera and background.
+        stewart: The plant that is drawn, with `assemble`.
+    """
+
+    def __init__(self, robot: RobotParameters, rod_joint: RodJoint = "universal") -> None:
+        # Drake announces every Meshcat; ours is seen in a page of our own.
+        drake_log = logging.getLogger("drake")
+        level = drake_log.level
+        drake_log.setLevel(logging.WARNING)
+        try:
+            meshcat = geometry.Meshcat(geometry.MeshcatParams(host="localhost", show_stats_plot=False))
+        finally:
+            drake_log.setLevel(level)
+        self.meshcat = meshcat
+        meshcat.SetCamera(geometry.Meshcat.PerspectiveCamera(fov=_REPLAY_LENS))
+        meshcat.SetCameraPose(*_viewpoint(robot))
+        meshcat.SetProperty("/Background/<object>", "top_color", [1.0, 1.0, 1.0])
+        meshcat.SetProperty("/Background/<object>", "bottom_color", [0.80, 0.83, 0.87])
+        for path in ("/Grid", "/Axes"):
+            meshcat.SetProperty(path, "visible", False)
+        # Wider than the platform and thinner: it shows as a ring around a platform that tracks well.
+        disc = geometry.Cylinder(1.15 * robot.platform_radius, 0.4 * robot.link_radius)
+        meshcat.SetObject("reference", disc, geometry.Rgba(0.0, 0.62, 0.45, 0.4))
+        builder = DiagramBuilder()
+        self.stewart = add_plant(builder, robot, PlantOptions(rod_joint=rod_joint), visuals=True)
+        parameters = geometry.MeshcatVisualizerParams(prefix="robot")
+        geometry.MeshcatVisualizer.AddToBuilder(builder, self.stewart.scene_graph, meshcat, parameters)
+        self._diagram = builder.Build()
+        self._context = self._diagram.CreateDefaultContext()
+        self._plant_context = self.stewart.plant.GetMyMutableContextFromRoot(self._context)
+
+    def show(self, time: float, state: np.ndarray, reference: np.ndarray) -> None:
+        """Draws the plant's state and the pose (6,) [rad, m] of the reference at a time [s] of the recording."""
+        self._context.SetTime(time)
+        self.stewart.plant.SetPositionsAndVelocities(self._plant_context, state)
+        self._diagram.ForcedPublish(self._context)
+        self.meshcat.SetTransform("reference", RigidTransform(RollPitchYaw(reference[:3]), reference[3:]), time)
 
 
 def _viewpoint(robot: RobotParameters) -> tuple[np.ndarray, np.ndarray]:
