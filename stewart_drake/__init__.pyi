@@ -39,6 +39,7 @@ from stewart_drake.robot import RobotParameters as RobotParameters
 from stewart_drake.robot.leg import LegParameters as LegParameters
 from stewart_drake.robot.robot_files import load_robot as load_robot
 from stewart_drake.robot.robot_files import save_robot as save_robot
+from stewart_drake.runs.pictures import write_film as write_film
 from stewart_drake.runs.simulation import run as run
 from stewart_drake.sampling import on_grid as on_grid
 from stewart_drake.scenario import AnnTuner as AnnTuner

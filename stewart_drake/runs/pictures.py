@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import math
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake import geometry
@@ -66,7 +68,7 @@ class Studio:
         self.width, self.height, self._film = width, height, film
         builder = DiagramBuilder()
         self.stewart = add_plant(builder, robot, PlantOptions(rod_joint=rod_joint), visuals=True)
-        self._scene_graph: geometry.SceneGraph = self.stewart.scene_graph
+        self._scene_graph: Any = self.stewart.scene_graph
         source = self._scene_graph.RegisterSource("studio")
         _add_floor(self._scene_graph, source, robot)
         self._disc: geometry.FrameId | None = None
@@ -179,7 +181,9 @@ def write_film(
         raise ConfigurationError("log", f"{len(log.time)} rows", "a log with at least one row of finite state")
     end = float(log.time[usable[-1]])
     rate = min(frames_per_second, MAX_FRAMES / max(end, 1e-9))
-    rows = usable[np.searchsorted(log.time[usable], np.arange(0.0, end + 0.5 / rate, 1.0 / rate)).clip(max=len(usable) - 1)]
+    rows = usable[
+        np.searchsorted(log.time[usable], np.arange(0.0, end + 0.5 / rate, 1.0 / rate)).clip(max=len(usable) - 1)
+    ]
     rotation, position = error_norms(log)
     frames: list[Image] = []
     with drake_guard("rendering the film"):
@@ -215,8 +219,6 @@ def _captioned(image: Image, name: str, time: float, rotation: float, position: 
 
 
 def _gif(frames: list[Image], rate: float) -> bytes:
-    import io
-
     from PIL import Image
 
     # One palette for all frames, without dithering: what does not move stays the same, and the file small.
@@ -225,14 +227,18 @@ def _gif(frames: list[Image], rate: float) -> bytes:
     stream = io.BytesIO()
     # A GIF counts time in hundredths of a second.
     reduced[0].save(
-        stream, "GIF", save_all=True, append_images=reduced[1:], duration=10 * round(100.0 / rate), loop=0, optimize=True
+        stream,
+        "GIF",
+        save_all=True,
+        append_images=reduced[1:],
+        duration=10 * round(100.0 / rate),
+        loop=0,
+        optimize=True,
     )
     return stream.getvalue()
 
 
 def _mp4(frames: list[Image], rate: float) -> bytes:
-    import tempfile
-
     width, height = (size - size % 2 for size in frames[0].size)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "film.mp4"
@@ -252,7 +258,7 @@ def _painted(color: geometry.Rgba) -> geometry.PerceptionProperties:
     return paint
 
 
-def _add_floor(scene_graph: geometry.SceneGraph, source: geometry.SourceId, robot: RobotParameters) -> None:
+def _add_floor(scene_graph: Any, source: geometry.SourceId, robot: RobotParameters) -> None:
     """A white disc just below the base, or below the cranks where they hang lower at home."""
     tips = robot.shaft_positions[:, 2] + robot.crank_lengths * leg_geometry(robot, robot.home_pose).crank[:, 2]
     top = min(robot.base_height - 6.0 * robot.link_radius, float(tips.min()) - 3.0 * robot.link_radius)
