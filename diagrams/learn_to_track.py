@@ -15,7 +15,7 @@ TASK, STEPS, EPISODES = "stewart_drake/Track-v0", 150_000, 20
 
 
 def mean_error(model: PPO | None) -> float:
-    """Position error [mm] over the second half of some episodes that no training has seen; no action without a model."""
+    """Position error [mm] over the second half of episodes that no training has seen; without a model no action."""
     environment = gymnasium.make(TASK)
     errors = []
     for seed in range(10_000, 10_000 + EPISODES):

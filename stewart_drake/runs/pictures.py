@@ -9,7 +9,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake import geometry
@@ -68,7 +68,8 @@ class Studio:
         self.width, self.height, self._film = width, height, film
         builder = DiagramBuilder()
         self.stewart = add_plant(builder, robot, PlantOptions(rod_joint=rod_joint), visuals=True)
-        self._scene_graph: Any = self.stewart.scene_graph
+        assert self.stewart.scene_graph is not None
+        self._scene_graph = self.stewart.scene_graph
         source = self._scene_graph.RegisterSource("studio")
         _add_floor(self._scene_graph, source, robot)
         self._disc: geometry.FrameId | None = None
@@ -258,7 +259,7 @@ def _painted(color: geometry.Rgba) -> geometry.PerceptionProperties:
     return paint
 
 
-def _add_floor(scene_graph: Any, source: geometry.SourceId, robot: RobotParameters) -> None:
+def _add_floor(scene_graph: geometry.SceneGraph, source: geometry.SourceId, robot: RobotParameters) -> None:
     """A white disc just below the base, or below the cranks where they hang lower at home."""
     tips = robot.shaft_positions[:, 2] + robot.crank_lengths * leg_geometry(robot, robot.home_pose).crank[:, 2]
     top = min(robot.base_height - 6.0 * robot.link_radius, float(tips.min()) - 3.0 * robot.link_radius)
