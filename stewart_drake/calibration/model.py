@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
+from scipy.linalg import null_space
+from scipy.spatial.transform import Rotation
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import newton, roll_pitch_yaw, rotation_matrix
@@ -56,30 +58,27 @@ LARGEST = 0.1  # [-] standard deviation of a direction, in `scales`, beyond whic
 CLOSED = 1e-12  # [m] rod-length error at which a pose counts as that of the readings
 STILL = np.eye(4)
 _NEWTON_STEPS = 40
-_STEP, _TINY = 1e-20, 1e-30
+_KEYS = ("shaft_position", "platform_joint", "crank_length", "rod_length")
+_KEYS += ("crank_zero_direction", "crank_quarter_direction")
+_STEP = 1e-5  # [m, rad]
 
 
 def exponential(turn: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad], of complex ones too."""
-    angle = np.sqrt(np.sum(turn * turn, axis=-1) + _TINY)[..., None, None]
-    x, y, z = np.moveaxis(turn, -1, 0)
-    o = np.zeros_like(x)
-    cross = np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*turn.shape, 3)
-    return np.eye(3) + np.sin(angle) / angle * cross + 2.0 * (np.sin(0.5 * angle) / angle) ** 2 * (cross @ cross)
+    """Rotation matrices (..., 3, 3) of rotation vectors (3,) or (n, 3) [rad]."""
+    return np.asarray(Rotation.from_rotvec(turn).as_matrix())
 
 
 def logarithm(rotation: np.ndarray) -> np.ndarray:
     """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), by less than half a turn."""
-    across = np.stack([rotation[..., i, j] - rotation[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
-    square = 0.25 * (3.0 - np.trace(rotation, axis1=-2, axis2=-1))
-    square = np.where(square.real < _TINY, _TINY, np.where(square.real > 1.0 - 1e-12, 1.0 - 1e-12, square))
-    sine = np.sqrt(square)  # Of half the angle.
-    return 0.5 * across * (np.arcsin(sine) / (sine * np.sqrt(1.0 - square)))[..., None]
+    across = 0.5 * np.stack([rotation[..., i, j] - rotation[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
+    sine, cosine = np.linalg.norm(across, axis=-1), 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0)
+    ratio = np.divide(np.arctan2(sine, cosine), sine, out=np.ones_like(sine), where=sine > 0.0)
+    return np.asarray(across * ratio[..., None])
 
 
 def transform(rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Frames (..., 4, 4) of rotations (..., 3, 3) and shifts (..., 3) [m]."""
-    frame = np.zeros((*shift.shape[:-1], 4, 4), dtype=np.result_type(rotation, shift))
+    frame = np.zeros((*shift.shape[:-1], 4, 4))
     frame[..., :3, :3], frame[..., :3, 3], frame[..., 3, 3] = rotation, shift, 1.0
     return frame
 
@@ -105,8 +104,8 @@ def difference(frame: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def derivative(function: Callable[[np.ndarray], np.ndarray], size: int) -> np.ndarray:
-    """Derivatives (..., size) at zero of a function (...) of `size` numbers, by imaginary steps: exact to rounding."""
-    return np.stack([function(1j * _STEP * row).imag for row in np.eye(size)], axis=-1) / _STEP
+    """Derivatives (..., size) at zero of a function (...) of `size` numbers, by central differences."""
+    return np.stack([function(row) - function(-row) for row in _STEP * np.eye(size)], axis=-1) / (2.0 * _STEP)
 
 
 def changed(guess: RobotParameters, change: np.ndarray) -> dict[str, np.ndarray]:
@@ -128,15 +127,16 @@ def changed(guess: RobotParameters, change: np.ndarray) -> dict[str, np.ndarray]
 
 def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
     own = changed(guess, change)
+    names = dict(zip(own, _KEYS, strict=True))
     ranges = guess.crank_angle_ranges + change[HOMING:OF_ROBOT:PER_LEG, None]
-    keys = ["shaft_position", "platform_joint", "crank_length", "rod_length"]
-    keys += ["crank_zero_direction", "crank_quarter_direction"]
-    legs: list[dict[str, Any]] = []
-    for leg in range(LEGS):
-        stops = ranges[leg] if np.isfinite(ranges[leg]).all() else None
-        values = (each[leg] for each in own.values())
-        kept = {"branch": int(guess.branches[leg]), "crank_angle_range": stops}
-        legs.append(dict(zip(keys, values, strict=True)) | kept)
+    legs: list[dict[str, Any]] = [
+        {
+            **{names[name]: values[leg] for name, values in own.items()},
+            "branch": int(guess.branches[leg]),
+            "crank_angle_range": ranges[leg] if np.isfinite(ranges[leg]).all() else None,
+        }
+        for leg in range(LEGS)
+    ]
     return guess.replace(legs=legs)
 
 
@@ -148,8 +148,6 @@ def scales(guess: RobotParameters) -> np.ndarray:
 
 def free_directions(guess: RobotParameters, known: Collection[FrameName], held: Collection[Name]) -> np.ndarray:
     """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change."""
-    from scipy.linalg import null_space
-
     if set(NAMES) <= set(held):
         raise ConfigurationError("hold", sorted(held), f"some of {', '.join(NAMES)}, not all")
     rows = [row for at, row in enumerate(np.eye(SIZE)[:OF_ROBOT]) if OF_LEG[at % PER_LEG].name in held]
@@ -210,7 +208,7 @@ class Model:
         crank = np.cos(angles)[..., None] * own["crank_x"] + np.sin(angles)[..., None] * own["crank_y"]
         rod = np.einsum("nij,lj->nli", at[:, :3, :3], own["joint"]) + at[:, None, :3, 3] - own["shaft"]
         rod = rod - own["crank_length"][:, None] * crank
-        return np.sqrt(np.sum(rod * rod, axis=-1)) - own["rod_length"]
+        return np.asarray(np.linalg.norm(rod, axis=-1) - own["rod_length"])
 
     def tracker_error(self, change: np.ndarray, at: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """Measured minus predicted poses of the marker (n, 6) [rad, m]."""

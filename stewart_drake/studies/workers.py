@@ -56,7 +56,7 @@ class Workers(AbstractContextManager["Workers"]):
 
     def executor(self) -> Executor:
         if self._client is not None:
-            client: Executor = self._client.get_executor(retries=0)
+            client: Executor = self._client.get_executor(pure=False, retries=0)
             return client
         return get_reusable_executor(  # type: ignore[no-any-return]
             self.count,
