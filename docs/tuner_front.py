@@ -65,7 +65,7 @@ def front(folder, policy, settings):
     entered = [*map(with_setting, settings), *(always({"tuner": {**policy, "kappa": kappa}}) for kappa in KAPPAS)]
     with (
         progress_bar("front", float(len(entered) * len(cases)), quiet=False, unit="runs") as advance,
-        Benchmark(folder, "reduced", tell=advance) as benchmark,
+        Benchmark(folder, "reduced", progress=advance) as benchmark,
     ):
         rows = benchmark.run(entered, cases)
     scales = [CostScales().at(kappa) for kappa in KAPPAS]

@@ -118,6 +118,11 @@ class _Start(NamedTuple):
     def score(self) -> float:
         return self.misfit if self.far <= _FAR else np.inf
 
+    def closures(self, angle: float = 0.0) -> np.ndarray:
+        """Errors (n, 6) [m] of the rods' lengths at readings that are larger by `angle` [rad]."""
+        at = self.model.platform(self.change, self.measurements.marker)
+        return self.model.closures(self.change, at, self.measurements.angles + angle)
+
 
 def _nearby(
     guess: RobotParameters,
@@ -259,34 +264,30 @@ def _explained(fit: Callable[[Measurements], _Start], guess: RobotParameters, me
         best = max(start.misfit / _BETTER, _MISFIT if start.score == np.inf else 0.0)
     except ConfigurationError as error:
         reason = error
-    if start is None or start.score > _MISFIT:
-        for table, *why in _others(guess, measurements, start):
-            try:
-                score = fit(Measurements(table[:, :6], table[:, 6:], measurements.source)).score
-            except ConfigurationError:
-                continue
-            if score < best:
-                best, reason = score, ConfigurationError(*why)
-                if score <= _MISFIT:
-                    break
-    if start is None or reason is not None:
-        assert reason is not None
+    for table, *why in _others(guess, measurements, start) if start is None or start.score > _MISFIT else ():
+        try:
+            score = fit(Measurements(table[:, :6], table[:, 6:], measurements.source)).score
+        except ConfigurationError:
+            continue
+        if score < best:
+            best, reason = score, ConfigurationError(*why)
+            if score <= _MISFIT:
+                break
+    if reason is not None:
         raise reason
+    assert start is not None
     if start.score == np.inf:
         own, off = OF_LEG[start.furthest % PER_LEG], abs(start.change[start.furthest])
         got = f"poses that tell a {own} of leg {start.furthest // PER_LEG} {off:.3g} {own.unit} off the guess"
         allowed = "readings of this robot; is it another one, or are two encoders swapped?"
         raise ConfigurationError(measurements.source, got, allowed)
-    model, angles = start.model, measurements.angles
-    at = model.platform(start.change, measurements.marker)
-    by_angle = derivative(lambda step: model.closures(start.change, at, angles + step[0]), 1)
+    by_angle = derivative(lambda step: start.closures(step[0]), 1)[..., 0]
     # By a leg's own angle its closure grows on the branch +1: the rod then pulls against the crank's motion.
-    wrong = (np.sign(by_angle[..., 0]) == -guess.branches).all(axis=0)
+    wrong = (np.sign(by_angle) == -guess.branches).all(axis=0)
     if wrong.any():
         leg = int(wrong.argmax())
-        branch = int(guess.branches[leg])
-        allowed = f"{-branch}: there the readings of {measurements.source} stand"
-        raise ConfigurationError(f"robot.legs.{leg}.branch", branch, allowed)
+        allowed = f"{-guess.branches[leg]}: there the readings of {measurements.source} stand"
+        raise ConfigurationError(f"robot.legs.{leg}.branch", int(guess.branches[leg]), allowed)
     return start
 
 
@@ -303,16 +304,15 @@ def _others(
     strays = _stray_rows(guess, measurements)
     suspects = [strays] if 0 < len(strays) <= _FEW * len(measurements) else []
     if start is not None:
-        at = start.model.platform(start.change, measurements.marker)
-        off = np.abs(start.model.closures(start.change, at, measurements.angles)).max(axis=-1)
+        off = np.abs(start.closures()).max(axis=-1)
         suspects += [[row] for row in np.argsort(-off)[:_ROWS].tolist()]
     for rows in suspects:
         got, allowed = "a pose that does not fit the others, which fit without it", "pose and readings at rest"
         yield np.delete(table, rows, axis=0), f"{source}: row {rows[0] + 1}", got, allowed
     for leg in range(LEGS):
         inverted = table * np.where(np.arange(12) == 6 + leg, -1.0, 1.0)
-        key, got = f"{source}: crank_angle_{leg}", "readings that fit with the other sign"
-        yield inverted, key, got, "angles that grow as the guess's crank angle does"
+        got, allowed = "readings that fit with the other sign", "angles that grow as the guess's crank angle does"
+        yield inverted, f"{source}: crank_angle_{leg}", got, allowed
 
 
 def _stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]:

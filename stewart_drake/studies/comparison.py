@@ -215,7 +215,8 @@ def write_pictures(comparison: Comparison, result: StudyResult) -> list[str]:
 def _table_cells(file: CompareFile, base: Scenario, parts: _Parts, quick: bool) -> list[Cell]:
     names: dict[tuple[str, ...], None] = {}
     for product in file.products:
-        controllers = [each for name in product.controllers for each in _members(file, name)]
+        members = (file.best_of[name].of if name in file.best_of else (name,) for name in product.controllers)
+        controllers = itertools.chain(*members)
         names |= dict.fromkeys(itertools.product(controllers, product.references, product.conditions))
     cells = []
     for controller, reference, condition in names:
@@ -232,10 +233,6 @@ def _table_cells(file: CompareFile, base: Scenario, parts: _Parts, quick: bool) 
                 seeded["duration"] = min(duration, file.quick)
             cells.append(Cell(controller, reference, condition, seed, seeded))
     return cells
-
-
-def _members(file: CompareFile, name: str) -> Sequence[str]:
-    return file.best_of[name].of if name in file.best_of else (name,)
 
 
 def _band_cells(bands: Bands, seed: int, base: Scenario, parts: _Parts, quick: bool) -> list[Cell]:

@@ -7,7 +7,6 @@ import math
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +22,7 @@ from stewart_drake.files.whole import plain_json
 from stewart_drake.logs.metrics import Column, ValueKind
 from stewart_drake.logs.metrics import columns as run_columns
 from stewart_drake.logs.outcomes import told
-from stewart_drake.scenario import Scenario, split_key, value_at
+from stewart_drake.scenario import split_key, value_at
 from stewart_drake.studies.runs import Row, Task
 from stewart_drake.studies.study import INCIDENTAL, Study, StudyFile, StudyName, Tables, load_study, vary, within
 
@@ -211,16 +210,6 @@ class Sweep(Study):
             for key, value in drawn.items()
         }
 
-    @property
-    def variants(self) -> list[Scenario]:
-        variants = [self.base]
-        for key, distribution in self.file.distributions.items():
-            if isinstance(distribution, Choice) and not distribution.factor:
-                for value in (each for each in distribution.values if isinstance(each, (str, dict, list))):
-                    with suppress(ConfigurationError):  # a row says so
-                        variants.append(self.vary({key: value}))
-        return variants
-
     def tables(self, rows: Sequence[Row]) -> Tables:
         factors = [key for key, distribution in self.file.distributions.items() if distribution.factor]
         varied: list[Column] = []
@@ -252,15 +241,14 @@ class Sweep(Study):
             return {key: value_at(data, key) for key in self.file.distributions}
 
     def _check(self, key: str, distribution: Distribution) -> None:
-        """Refuses a distribution whose middle does not suit the key; single values that do not are rows of the table."""
+        """Refuses a distribution whose middle does not suit the key; other values that do not are rows of the table."""
         current, where = self._values[key], f"distributions.{shown(key)}"
         if isinstance(current, list) and not distribution.factor and not isinstance(distribution, Choice):
             raise ConfigurationError(where, key, f"a component such as {key}[0], or factor: true, or the kind choice")
         try:
             vary(self.base, self._changes({key: distribution.at(0.5)}))
-        except (TypeError, np.exceptions.DTypePromotionError):
-            allowed = "a key that holds a number or numbers, to multiply"
-            raise ConfigurationError(where, current, allowed) from None
+        except TypeError:
+            raise ConfigurationError(where, current, "a key that holds a number or numbers, to multiply") from None
         except ConfigurationError as error:
             path = ".".join(map(str, split_key(key)))
             if error.key == path or error.key.startswith(f"{path}."):

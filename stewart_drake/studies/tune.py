@@ -151,8 +151,7 @@ def _start(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, fl
     with within(f"tune.controllers.{name}: "):
         for key, (low, high) in keys.items():
             start[key] = value_at(data, key)
-            for end in (low, high):
-                vary(scenario, {key: end})
+            vary(scenario, {key: high})
             if not is_finite(start[key]) or not low <= start[key] <= high:
                 allowed = f"a number from {low:g} to {high:g} in the controller's own keys, to start from"
                 raise ConfigurationError(key, start[key], allowed)
@@ -249,8 +248,7 @@ def _search(tuning: Tuning, name: str, kept: KeptRuns) -> list[Row]:
         high,
         generations=tuning.generations,
         population=options.population,
-        seed=options.seed,
-        spread=options.spread,
+        seed=1,
     )
     return rows
 

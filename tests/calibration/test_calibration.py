@@ -20,10 +20,8 @@ from stewart_drake.calibration.model import (
     STILL,
     Model,
     as_robot,
-    difference,
     exponential,
     free_directions,
-    moved,
     transform,
     transform_of,
 )
@@ -78,15 +76,6 @@ def test_derivatives_are_those_of_finite_differences(robot, seed):
         there = [change + step * way for step in (1e-4, -1e-4)]
         ahead, behind = (model.tracker_error(each, predicted(each), marker) for each in there)
         assert (ahead - behind) / 2e-4 == pytest.approx(slope @ way, abs=1e-8)
-
-
-@given(st.lists(st.floats(-1.7, 1.7), min_size=3, max_size=3).map(np.array))
-def test_rotation_vectors_are_logarithms_of_their_rotations(turn):
-    rotation = exponential(turn)
-    assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-14)
-    assert rotation @ turn == pytest.approx(turn, abs=1e-14)
-    step = np.concatenate([turn, [0.1, -0.2, 0.3]])
-    assert difference(moved(BASE, step), BASE) == pytest.approx(step, abs=1e-12)
 
 
 @given(many, st.integers(0, 1000))

@@ -1,4 +1,3 @@
-import math
 from itertools import product
 
 import numpy as np
@@ -6,7 +5,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.logs.metrics import FAILED
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.comparison import AXES, Comparison
@@ -132,20 +130,6 @@ def test_the_markdown_is_a_table_with_failures_and_the_chosen_one(done):
     assert pid[1] == f"{number(here['sine']['rmse_norm_deg'])}° {number(here['sine']['rmse_norm_mm'])} mm"
     (paper,) = [row for row in grid[0].rows if row[0] == "paper"]
     assert paper[1:4] == ("-", "-", "failed, crank_dead_centre at t = 0.260 s")
-
-
-@pytest.mark.slow
-def test_with_scales_a_run_has_a_cost_and_controllers_their_mean(tmp_path):
-    runs = [{"controllers": ["pid"], "references": ["sine", "hold"], "conditions": ["nominal"]}, SMALL["runs"][2]]
-    comparison = small(cost={"position": 0.5, "torque_change": 2.0}, runs=runs, best_of={}, bands=None)
-    result = run_study(comparison, tmp_path, Workers(0))
-    rows = result.rows["comparison"]
-    for row in rows:
-        parts = row["rmse_norm_deg"] or 0.0, row["rmse_norm_mm"] or 0.0, row["torque_change_rms"] or 0.0
-        cost = math.hypot(*np.divide(parts, (0.03, 0.5, 2.0)))
-        assert row["cost"] == pytest.approx(cost if row["status"] == "completed" else FAILED)
-    mean = number(float(np.mean([row["cost"] for row in rows if row["controller"] == "pid"])))
-    assert comparison.sheets(result.rows)[0].rows == [("pid", mean, mean), ("paper", "1000", "1000")]
 
 
 def test_settling_of_an_exponential_decay_is_known_and_counts_the_last_time_outside_the_band():

@@ -12,7 +12,6 @@ import pytest
 from scipy.stats import truncnorm
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.studies.sweep import Sweep, SweepFile, load_sweep
 
 UNIFORM = {"kind": "uniform", "low": -1.0, "high": 1.0}
@@ -120,15 +119,6 @@ def test_paths_are_relative_to_the_sweep_file(tmp_path):
     s = load_sweep(tmp_path / "deep" / "my sweep.yaml", runs=3)
     assert (s.name, s.runs, s.base.duration) == ("my sweep", 3, 3.0)
     assert s.base.tuner.weights_file == str(tmp_path / "deep" / "w.json")
-
-
-@pytest.mark.slow
-def test_the_shipped_sweeps_are_found_by_name_and_make_scenarios():
-    names = [path.stem for path in shipped_folder("sweeps").glob("*.yaml")]
-    assert "initial_offset" in names
-    for name in names:
-        s = load_sweep(name)
-        assert all(s.scenario(index).name == f"{name} {index}" for index in s.indices[:100])
 
 
 ANY = {"kind": "uniform", "low": 1, "high": 2}

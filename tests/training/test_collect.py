@@ -9,7 +9,6 @@ from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.references import SineBurstsReference
-from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario
 from stewart_drake.training import collect
 from stewart_drake.training.collect import (
@@ -58,14 +57,6 @@ def test_densities_are_35_and_36_of_the_logged_errors_and_torques(kind):
             limit = len(window)
             expected = np.clip([limit * x[-1] / sum(x) for x in part.T], -limit, limit)
             np.testing.assert_allclose(row, expected, rtol=1e-6)
-
-
-def test_densities_are_those_that_the_diagram_computes_while_it_runs(collected):
-    dataset, scenarios = collected
-    for index in (0, 5):
-        log = run(scenarios[index])
-        np.testing.assert_allclose(dataset.inputs[dataset.run == index], log["density"][:SAMPLES], rtol=1e-12)
-        np.testing.assert_array_equal(dataset.outputs[dataset.run == index], log["weights"][:SAMPLES])
 
 
 def log_of(rows, status="completed", pair=(1.0, 1.0), seed=3):
