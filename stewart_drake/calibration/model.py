@@ -54,7 +54,7 @@ PER_LEG, OF_ROBOT = len(OF_LEG), len(OF_LEG) * LEGS
 SIZE = OF_ROBOT + 12
 """Numbers in all: those of legs 0 to 5, then turn and shift of the tracker's frame, then those of the marker's."""
 SHAFT, JOINT, CRANK, ROD, HOMING = slice(0, 3), slice(3, 6), 6, 7, 10
-LARGEST = 0.1  # [-] standard deviation of a direction, in `scales`, beyond which it counts as not told
+LARGEST = 0.1  # [-] standard deviation of a direction, in `scales`, beyond which it counts as unidentifiable
 CLOSED = 1e-12  # [m] rod-length error at which a pose counts as that of the readings
 STILL = np.eye(4)
 _NEWTON_STEPS = 40
@@ -170,7 +170,8 @@ def free_directions(guess: RobotParameters, known: Collection[FrameName], held: 
 class Model:
     """A guess, `base` (4, 4): B in the tracker's frame, and `marker` (4, 4): the marker in P; changes count from them.
 
-    `at` (n, 4, 4) are poses of P in B, `seen` of the marker in the tracker's frame, `angles` (n, 6) [rad] the readings.
+    `at` (n, 4, 4) are poses of P in B, `observed` of the marker in the tracker's frame, `angles` (n, 6)
+    [rad] the readings.
     """
 
     guess: RobotParameters
@@ -184,9 +185,9 @@ class Model:
         base, marker = self.frames(change)
         return replace(self, base=base, marker=marker)
 
-    def platform(self, change: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    def platform(self, change: np.ndarray, observed: np.ndarray) -> np.ndarray:
         base, marker = self.frames(change)
-        return np.linalg.inv(base) @ seen @ np.linalg.inv(marker)
+        return np.linalg.inv(base) @ observed @ np.linalg.inv(marker)
 
     def predicted(self, change: np.ndarray, angles: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Poses of P in B that forward kinematics makes of readings, from poses near to them; errors (n,) [m] left."""
@@ -210,26 +211,28 @@ class Model:
         rod = rod - own["crank_length"][:, None] * crank
         return np.asarray(np.linalg.norm(rod, axis=-1) - own["rod_length"])
 
-    def tracker_error(self, change: np.ndarray, at: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    def tracker_error(self, change: np.ndarray, at: np.ndarray, observed: np.ndarray) -> np.ndarray:
         """Measured minus predicted poses of the marker (n, 6) [rad, m]."""
         base, marker = self.frames(change)
-        return difference(seen, base @ at @ marker)
+        return difference(observed, base @ at @ marker)
 
-    def closure_slope(self, change: np.ndarray, seen: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    def closure_slope(self, change: np.ndarray, observed: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Derivatives (n, 6, `SIZE`) of the closures at measured poses."""
-        of_legs = self._leg_slope(change, self.platform(change, seen), angles)
-        of_frames = derivative(lambda s: self.closures(change, self.platform(change + _frames(s), seen), angles), 12)
+        of_legs = self._leg_slope(change, self.platform(change, observed), angles)
+        of_frames = derivative(
+            lambda s: self.closures(change, self.platform(change + _frames(s), observed), angles), 12
+        )
         return np.concatenate([of_legs, of_frames], axis=-1)
 
     def tracker_slope(
-        self, change: np.ndarray, at: np.ndarray, angles: np.ndarray, seen: np.ndarray | None = None
+        self, change: np.ndarray, at: np.ndarray, angles: np.ndarray, observed: np.ndarray | None = None
     ) -> np.ndarray:
         """Derivatives (n, 6, `SIZE`) of the tracker's error at predicted poses; None: where it errs by nothing."""
-        if seen is None:
+        if observed is None:
             base, marker = self.frames(change)
-            seen = base @ at @ marker
-        of_frames = derivative(lambda step: self.tracker_error(change + _frames(step), at, seen), 12)
-        error_by_pose = derivative(lambda step: self.tracker_error(change, moved(at, step), seen), 6)
+            observed = base @ at @ marker
+        of_frames = derivative(lambda step: self.tracker_error(change + _frames(step), at, observed), 12)
+        error_by_pose = derivative(lambda step: self.tracker_error(change, moved(at, step), observed), 6)
         closure_by_pose = derivative(lambda step: self.closures(change, moved(at, step), angles), 6)
         # The pose moves so that all legs stay closed.
         of_legs = -error_by_pose @ np.linalg.solve(closure_by_pose, self._leg_slope(change, at, angles))

@@ -158,7 +158,8 @@ def run_study(
             if table.num_rows:
                 write_table(table, folder, name)
         if page := study.page(result.rows):
-            write_atomically(folder / f"{study.kind}.md", "\n".join(filter(None, (page, engine))).encode())
+            text = page if engine is None else f"{page}\n{engine}\n"
+            write_atomically(folder / f"{study.kind}.md", text.encode())
     return result
 
 

@@ -1,4 +1,4 @@
-"""Calibration: derivatives, conventions, what is told, and robots that are found again."""
+"""Calibration: derivatives, conventions, what is identifiable, and robots that are found again."""
 
 import functools
 
@@ -148,12 +148,12 @@ def test_what_poses_cannot_tell_is_named_and_kept():
     lifted = Measurements(pose, inverse_kinematics(ROBOT, pose))
     truth = deviating(ROBOT, np.random.default_rng(3), 2e-4, 2e-4)
     found = calibrate(ROBOT, measured(truth, lifted, NOISE, np.random.default_rng(0)), NOISE, FRAMES)
-    assert found.told == 66 - len(found.untold) < 66
-    named = {sentence.split(":")[0].removesuffix(" on its own") for sentence in found.untold}
+    assert found.identifiable == 66 - len(found.unidentifiable) < 66
+    named = {sentence.split(":")[0].removesuffix(" on its own") for sentence in found.unidentifiable}
     assert named <= {
         f"leg {leg} {name} {axis}".strip() for leg, name, axis, *_, width in found.rows() if width == np.inf
     }
-    # The told rest fits all the same.
+    # The rest fits all the same.
     assert found.noise_ratio < 1.3
 
 
@@ -179,8 +179,8 @@ def test_a_plan_keeps_to_the_limits_tells_more_than_chance_and_says_what_interva
     assert (plan.half_width[:OF_ROBOT] < plan.random_half_width[:OF_ROBOT]).mean() > 0.9
     assert inverse_kinematics(ROBOT, plan.targets.pose) == pytest.approx(plan.targets.angles)
     found = calibrate(ROBOT, measured(ROBOT, plan.targets, NOISE, np.random.default_rng(0)), NOISE)
-    told = found.half_width[:OF_ROBOT] / found.noise_ratio / plan.half_width[:OF_ROBOT]
-    assert told == pytest.approx(1.0, abs=0.1)
+    ratio = found.half_width[:OF_ROBOT] / found.noise_ratio / plan.half_width[:OF_ROBOT]
+    assert ratio == pytest.approx(1.0, abs=0.1)
     with pytest.raises(ConfigurationError, match="a limit conditioning that no way from home"):
         plan_poses(ROBOT, 20, Limits(conditioning=0.9))
 
