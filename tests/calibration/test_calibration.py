@@ -21,7 +21,6 @@ from stewart_drake.calibration.model import (
     Model,
     as_robot,
     exponential,
-    free_directions,
     transform,
     transform_of,
 )
@@ -90,20 +89,6 @@ def test_a_changed_robot_gives_its_change_back_and_reads_as_the_encoders_do(robo
     at, _ = Model(robot).predicted(change, near.angles, near.marker)
     pose = forward_kinematics(other, near.angles, near.pose)
     assert at == pytest.approx(transform_of(pose), abs=1e-9)
-
-
-@pytest.mark.parametrize(("known", "held", "count"), [((), (), 66), (("base",), (), 66), ((), ("rod_length",), 60)])
-def test_what_may_change_is_counted(known, held, count):
-    ways = free_directions(ROBOT, known, held)
-    assert ways.shape == (SIZE, count)
-    of_legs = ways[:OF_ROBOT].reshape(6, PER_LEG, -1)
-    for at, own in enumerate(OF_LEG):
-        assert (np.abs(of_legs[:, at]).max() < 1e-12) == (own.name in held)
-    if not known:
-        # Shafts neither shift nor turn as a whole.
-        assert of_legs[:, :3].sum(axis=0) == pytest.approx(0.0, abs=1e-12)
-        turned = np.cross(ROBOT.shaft_positions[:, :, None], of_legs[:, :3], axis=1).sum(axis=0)
-        assert turned == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -68,16 +68,6 @@ def test_the_catalogue_has_58_faults_and_its_monitors_exist():
     assert {monitor for fault in FAULTS.values() for monitor in fault.monitors} <= set(MONITORS)
 
 
-NEEDED = {
-    "measurement_not_finite": ("pose_nan", {"finite": False, "failures": False}),
-    "command_not_finite": ("command_nan", {"finite": False}),
-    "deadline": ("controller_hangs", {"deadline": None}),
-    "serial_singularity": ("to_dead_centre", {"transmission": None}),
-    "following_error": ("dead_motor_0", {"following_error": None}),
-    "torque_rate": ("command_chatter", {"torque_rate": None}),
-}
-
-
 @pytest.mark.slow
 def test_a_rows_figures_are_those_of_its_log():
     fault = FAULTS["command_nan"]
