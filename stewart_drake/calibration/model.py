@@ -58,9 +58,10 @@ LARGEST = 0.1  # [-] standard deviation of a direction, in `scales`, beyond whic
 CLOSED = 1e-12  # [m] rod-length error at which a pose counts as that of the readings
 STILL = np.eye(4)
 _NEWTON_STEPS = 40
-_KEYS = ("shaft_position", "platform_joint", "crank_length", "rod_length")
-_KEYS += ("crank_zero_direction", "crank_quarter_direction")
-_STEP = 1e-5  # [m, rad]
+_KEYS = (
+    *("shaft_position", "platform_joint", "crank_length", "rod_length"),
+    *("crank_zero_direction", "crank_quarter_direction"),
+)
 
 
 def exponential(turn: np.ndarray) -> np.ndarray:

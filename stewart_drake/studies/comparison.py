@@ -27,7 +27,6 @@ from stewart_drake.studies.runs import Measure, Row, Task, measure_band, measure
 from stewart_drake.studies.study import Sheet, Study, StudyResult, Tables, load_study, number, vary, within
 
 SEED = "{seed}"
-MAX_RUNS = 10_000
 AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
 LARGEST = (0.05,) * 3 + (0.005,) * 3
 """[rad, m] amplitude of a band, where half of the largest feasible one is not less."""
@@ -97,8 +96,6 @@ class Comparison(Study):
         cells = _table_cells(file, base, parts, quick)
         if file.bands is not None:
             cells += _band_cells(file.bands, file.seeds[0], base, parts, quick)
-        if len(cells) > MAX_RUNS:
-            raise ConfigurationError("runs", f"{len(cells)} runs", f"at most {MAX_RUNS}")
         return cls(base, file, tuple(cells), name=file.name, indices=range(len(cells)))
 
     def task(self, index: int) -> Task:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterable
 from typing import Annotated, Any, Literal
 
@@ -14,7 +13,6 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.studies.study import StudyFile, StudyName
 
 KINDS = ("controllers", "references", "conditions")
-_NAME = re.compile(r"[^|\x00-\x1f\x7f]{1,80}")
 
 Names = Annotated[tuple[Text, ...], Field(min_length=1)]
 
@@ -123,13 +121,9 @@ class CompareFile(StudyFile):
         return self.runs or (every,)
 
     def rules(self) -> None:
-        for kind in (*KINDS, "best_of"):
-            entries = getattr(self, kind)
-            if not entries and kind != "best_of":
+        for kind in KINDS:
+            if not getattr(self, kind):
                 raise ConfigurationError(kind, {}, "at least one name, with the scenario keys that it changes")
-            for name in entries:
-                if _NAME.fullmatch(name) is None:
-                    raise ConfigurationError(kind, name, "names of 1 to 80 characters, without |")
         if both := set(self.best_of) & set(self.controllers):
             raise ConfigurationError("best_of", min(both), "names that no controller has")
         lines = {"controllers": [*self.controllers, *self.best_of], "references": self.references}

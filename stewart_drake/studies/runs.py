@@ -231,11 +231,7 @@ class KeptRuns:
         self._progress(float(self._done))
 
         def keep(key: Key, row: Row) -> None:
-            line = json.dumps({"key": digests[key], **row}, allow_nan=False).encode() + b"\n"
-            try:
-                self._stream.write(line)
-            except OSError as error:
-                raise ConfigurationError(str(self.folder / ROWS), error.strerror, "a disk with room for it") from None
+            self._stream.write(json.dumps({"key": digests[key], **row}, allow_nan=False).encode() + b"\n")
             self._kept[digests[key]] = row
             self._done += 1
             self._progress(float(self._done))

@@ -58,7 +58,7 @@ class Workers(AbstractContextManager["Workers"]):
         if self._client is not None:
             client: Executor = self._client.get_executor(pure=False, retries=0)
             return client
-        return get_reusable_executor(  # type: ignore[no-any-return]
+        return get_reusable_executor(
             self.count,
             context="loky_init_main",
             timeout=IDLE_TIMEOUT,

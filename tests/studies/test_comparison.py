@@ -158,7 +158,7 @@ CONTROLLER = {"controllers": {"a": {"controller.perod": 1.0}}, "best_of": {}, "r
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
-        ({"references": {"a|b": {}}}, "references"),
+        ({"references": {}}, "references"),
         (CONTROLLER, "controller"),
         ({"runs": [{**SMALL["runs"][0], "controllers": ["x"]}]}, "runs.0.controllers"),
         ({"best_of": {"b": {"of": ["none"]}}}, "best_of.b.of"),
