@@ -62,6 +62,7 @@ _KEYS = (
     *("shaft_position", "platform_joint", "crank_length", "rod_length"),
     *("crank_zero_direction", "crank_quarter_direction"),
 )
+_STEP = 1e-5  # [m, rad]
 
 
 def exponential(turn: np.ndarray) -> np.ndarray:
