@@ -15,7 +15,7 @@ from stewart_drake.paper.reproduce import Claim, Result, Study, outcome, pair_of
 from stewart_drake.plotting.style import chart
 from stewart_drake.scenario import AnnTuner, Scenario
 
-DURATION = 6.28  # [s] two periods of (37), (38): errors are judged over the second
+DURATION = 6.28  # [s] two periods of (37), (38): errors count over the second
 BLOWN_UP = 2.0  # Times the unchanged pose RMSE beyond which a run that completes counts as blown up
 QUICK = (
     ("masses", "-20 %"),
