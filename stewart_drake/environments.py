@@ -22,7 +22,7 @@ from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.runs.engine import FastLoop
 from stewart_drake.sampling import InBlocks, times_of
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.training.policy_training import _GivenTuner as GivenTuner
+from stewart_drake.training.policy_training import GivenTuner
 from stewart_drake.training.situations import TRAINING, kinds_of, situation
 
 
