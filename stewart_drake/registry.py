@@ -28,8 +28,8 @@ REFERENCES = Family(
 CONTROLLERS = Family(
     {
         "lqi": "control.lqi:LqiOptions",
-        "pid": "control.joint_pid:PidOptions",
-        "computed_torque": "control.computed_torque:ComputedTorqueOptions",
+        "pid": "control.classical:PidOptions",
+        "computed_torque": "control.classical:ComputedTorqueOptions",
     },
     default="lqi",
     own="control.user_controller:PythonOptions",
@@ -38,7 +38,7 @@ CONTROLLERS = Family(
 TUNERS = Family(
     {
         "fixed": "control.tuners:FixedTuner",
-        "paper": "control.tuners:AnnTuner",
+        "paper": "control.tuners:PaperTuner",
         "block": "control.tuners:BlockTuner",
         "policy": "control.tuners:PolicyTuner",
         "schedule": "control.tuners:ScheduleTuner",

@@ -235,7 +235,6 @@ class TunerNetwork:
         return weights_bytes(FORMAT, VERSION, content)
 
     def save(self, path: str | Path) -> None:
-        """Writes `to_bytes` to a file."""
         write_atomically(Path(path), self.to_bytes())
 
 
@@ -249,14 +248,13 @@ def load_network(path: str | Path | None = None) -> TunerNetwork:
         ConfigurationError: The file is missing, no weights file, corrupt, or not of this version.
     """
 
-    def made(found: Any) -> TunerNetwork:
-        return TunerNetwork(**{name: found.get(name) for name in (*_SHAPES, "density", "window", "provenance")})
+    def network_of(content: Any) -> TunerNetwork:
+        return TunerNetwork(**{name: content.get(name) for name in (*_SHAPES, "density", "window", "provenance")})
 
-    return load_weights(default_network_path() if path is None else Path(path), FORMAT, VERSION, made)
+    return load_weights(default_network_path() if path is None else Path(path), FORMAT, VERSION, network_of)
 
 
 def default_network_path() -> Path:
-    """The trained tuner that the package carries."""
     return PACKAGE / "weights" / "tuner.json"
 
 

@@ -46,7 +46,6 @@ class PythonOptions(UserMade, ControllerOptions):
 
     @property
     def label(self) -> str:
-        """See `ControllerOptions.label`."""
         return f"controller {self.kind.name}"
 
     def load(self) -> Any:

@@ -15,6 +15,7 @@ from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
 from stewart_drake.part import WELL, Part
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.limits import (
+    AT_LIMIT_TIME,
     COMMAND,
     CONTROLLER,
     DEADLINE,
@@ -24,8 +25,10 @@ from stewart_drake.safety.limits import (
     READING,
     SEEN,
     SENSOR,
+    TOO_FAST_TIME,
     TORQUE_LIMIT,
     TORQUE_RATE,
+    UNEXPLAINED_TIME,
     broken,
     see,
     setup_of,
@@ -67,12 +70,6 @@ NOT_THERE = {
 
 
 @njit
-def _failed(setup: Any, cause: float) -> bool:
-    """Whether a sensor or controller has failed; a reading that is stuck has switches of its own."""
-    return cause == FROZEN or (setup.failures != 0.0 and cause != 0.0)
-
-
-@njit
 def _whole(value: float) -> int:
     return int(value) if np.isfinite(value) else -1
 
@@ -80,16 +77,16 @@ def _whole(value: float) -> int:
 @njit
 def _unusable(setup: Any, command: Any, is_measured: bool, age: float, sensor: Any, controller: Any) -> Any:
     """What is wrong with this tick's messages, apart from what they say: monitor or `QUIET`, leg or -1, cause or 0."""
-    if setup.finite != 0.0 and not is_measured:
+    if not is_measured:
         return MEASUREMENT, -1, 0
     stuck = sensor[0] == FROZEN
-    if not stuck and _failed(setup, sensor[0]):
+    if not stuck and sensor[0] != 0.0:
         return SENSOR, _whole(sensor[1]), _whole(sensor[0])
-    if _failed(setup, controller[0]):
+    if controller[0] != 0.0:
         return CONTROLLER, _whole(controller[1]), _whole(controller[0])
     largest, leg = 0.0, 0
     for i in range(6):
-        if setup.finite != 0.0 and not np.isfinite(command[i]):
+        if not np.isfinite(command[i]):
             return COMMAND, i, 0
         share = abs(command[i]) / setup.torque_limit[i]
         if share > largest:
@@ -156,7 +153,7 @@ def _tick(
         health[0], health[1] = FROZEN, leg
     state.ticks += 1.0
     is_measured = all_finite(rate) and all_finite(pose + setup.horizon * rate)
-    is_seen = is_measured and not _failed(setup, health[0])
+    is_seen = is_measured and health[0] == 0.0
     if is_seen:
         see(robot, setup, pose, rate, wanted, state.side, legs, seen)
         if state.side == 0.0:
@@ -216,11 +213,11 @@ def _pass_on(setup: Any, command: Any, innovation: Any, state: Any) -> tuple[int
     state.at_limit, state.too_fast = _counted(state.at_limit, full), _counted(state.too_fast, steep)
     state.unexplained = _counted(state.unexplained, acceleration > setup.innovation)
     copy_to(state.command[:], command)
-    if state.at_limit * setup.period > setup.torque_limit_time + _ROUNDING:
+    if state.at_limit * setup.period > AT_LIMIT_TIME + _ROUNDING:
         return TORQUE_LIMIT, (size / limit).argmax()
-    if state.too_fast * setup.period > setup.torque_rate_time + _ROUNDING:
+    if state.too_fast * setup.period > TOO_FAST_TIME + _ROUNDING:
         return TORQUE_RATE, change.argmax()
-    if state.unexplained * setup.period > setup.innovation_time + _ROUNDING:
+    if state.unexplained * setup.period > UNEXPLAINED_TIME + _ROUNDING:
         return INNOVATION, -1
     # Led after it, a command that chatters would leave a mean torque that nobody asked for.
     torque = state.good.copy() if steep else np.minimum(np.maximum(command, -limit), limit)
@@ -338,16 +335,16 @@ def first_trip(state: np.ndarray, period: float, names: Sequence[str] = MONITORS
     if monitor == 0.0:
         return None
 
-    def told(monitor: float, tick: float, leg: float) -> dict[str, Any]:
+    def trip(monitor: float, tick: float, leg: float) -> dict[str, Any]:
         time = round(float(tick) * period, 9)
         return {"monitor": names[int(monitor)], "time": time, "leg": int(leg) if leg >= 0.0 else None}
 
     last, by, at = now["safety"]
     return {
-        **told(monitor, tick, leg),
+        **trip(monitor, tick, leg),
         "level": LEVELS[int(level)],
         "cause": FAILURES[int(cause) - 1] if cause > 0.0 else None,
         "worst": LEVELS[int(now["worst"])],
         "last": LEVELS[int(last)],
-        "stopped": told(by, now["ticks"] - now["since"], at) if last >= RAMP else None,
+        "stopped": trip(by, now["ticks"] - now["since"], at) if last >= RAMP else None,
     }

@@ -36,14 +36,19 @@ SMALLEST = 1e-9  # Transmission at a dead centre, for the speed of that crank.
 
 SETUP = fields(
     period=(), gravity=(), horizon=(), home=6,
-    finite=(), failures=(), deadline=(), frozen_encoder=(), frozen_pose=6, innovation=(), innovation_noise=(),
-    innovation_scale=(), innovation_time=(), torque_limit=6, torque_limit_time=(), torque_change=(),
-    torque_rate_time=(), workspace=2, transmission=(), conditioning=(), crank_speed=(), following_error=2,
-    budget=(), ramp_time=(), safe_hold_time=(), damping=(), most_torque=6, most_speed=(),
+    deadline=(), frozen_encoder=(), frozen_pose=6, innovation=(), innovation_noise=(), innovation_scale=(),
+    torque_limit=6, torque_change=(), workspace=2, transmission=(), conditioning=(), crank_speed=(),
+    following_error=2, budget=(), ramp_time=(), safe_hold_time=(), damping=(), most_torque=6, most_speed=(),
 )  # fmt: skip
 """`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], what the innovation's
 noise is [rad] and what an acceleration leaves in it [s^2], torque_change: in a tick [N m], budget: ticks that may be
-held, most_torque: of a robot that stops [N m], most_speed: at which it is given up [rad/s]."""
+held, damping of each crank of a robot that stops [N m s/rad], most_torque of it [N m], most_speed: at which it is given
+up [rad/s]."""
+AT_LIMIT_TIME, TOO_FAST_TIME, UNEXPLAINED_TIME = 0.1, 0.01, 0.01
+"""[s] for which, in sum, commands may be at the torque limit or jump, and innovations be too large: a blow passes. Good
+ticks take away from the sum."""
+DAMPING = 0.7  # Of what a crank alone, its rod broken off, bears in torques held over a period.
+RUNAWAY, FASTEST = 2.0, 15.0  # [-] times the crank speed, or where that is off times this one [rad/s].
 
 SEEN = fields(reached=(), side=(), speed=6, least_transmission=(), conditioning=(), margin=(5, 6))
 """What a measurement means, led ahead. reached: whether that pose is within reach. side: sign of the rods' determinant.
@@ -62,7 +67,6 @@ def setup_of(
 ) -> np.ndarray:
     """`SETUP` record, see `safety_part`."""
     pose, rate, share = options.frozen_pose, options.torque_rate, options.torque_limit
-    fastest = 15.0 if options.crank_speed is None else options.crank_speed
     return new_record(
         SETUP,
         options,
@@ -79,9 +83,9 @@ def setup_of(
         transmission=-math.inf if options.transmission is None else options.transmission,
         conditioning=-math.inf if options.conditioning is None else options.conditioning,
         budget=options.budget(period),
-        damping=0.7 * options.largest_damping(robot, period) if options.damping is None else options.damping,
+        damping=DAMPING * 2.0 * float(robot.crank_axis_inertias.min()) / period,
         most_torque=(1.0 if share is None else share) * robot.effort_limits,
-        most_speed=options.runaway * fastest,
+        most_speed=RUNAWAY * (FASTEST if options.crank_speed is None else options.crank_speed),
     )
 
 
@@ -192,43 +196,34 @@ def refuse_motion(
     """Refuses a motion (n, 6) with two derivatives that, followed without error, would trip a monitor."""
     pose, rate, _ = motion
     inverse_kinematics(robot, pose)
-    _, start = _margins(robot, options, 0.0, (pose[:1], rate[:1], pose[:1]))
-    # The poses themselves, and what the layer looks at: the poses led ahead.
-    for horizon in (0.0, options.horizon):
-        by, _ = _margins(robot, options, horizon, (pose, rate, pose), start)
-        for row, (monitor, key, of_legs) in enumerate(LIMITS):
-            margin = by[:, row] if of_legs else by[:, row, :1]
-            if horizon == 0.0:
-                _refuse(key, getattr(options, key), margin, time)
-            else:
-                allowed = f"one that does not trip {MONITORS[monitor]} along the reference, as it does"
-                _refuse("horizon", options.horizon, margin, time, allowed)
-    torque = inverse_dynamics(robot, *motion, gravity)
-    for row in range(len(time) if options.monitors else 0):
-        trip = options.first_own(SafetyInputs(torque[row], pose[row], rate[row], pose[row]))
-        if trip is not None:
-            key = f"monitors.{trip[0] - len(MONITORS)}"
-            allowed = "one that the reference does not trip, as it does"
-            _refuse(key, options.monitor_names[trip[0]], np.full(1, -1.0), time[row : row + 1], allowed)
+    _, start = _margins(robot, options, pose[:1], rate[:1], pose[:1])
+    margins, _ = _margins(robot, options, pose, rate, pose, start)
+    for row, (_, key, of_legs) in enumerate(LIMITS):
+        _refuse(key, getattr(options, key), margins[:, row] if of_legs else margins[:, row, :1], time)
+    torque, step = inverse_dynamics(robot, *motion, gravity), np.diff(time, prepend=2.0 * time[0] - time[1])
     if options.torque_limit is not None:
-        step = np.diff(time, prepend=time[0] - (time[1] - time[0] if len(time) > 1 else 0.0))
         limit = options.torque_limit * robot.effort_limits
-        _refuse_for_long("torque_limit", options, np.abs(torque), limit, time, step, "N m")
-    if options.torque_rate is not None and len(time) > 1:
-        step = np.diff(time)
-        change = np.abs(np.diff(torque, axis=0)) / step[:, None]
-        _refuse_for_long("torque_rate", options, change, options.torque_rate, time[1:], step, "N m/s")
+        _refuse_for_long("torque_limit", options, np.abs(torque), limit, AT_LIMIT_TIME, time, step, "N m")
+    if options.torque_rate is not None:
+        change = np.abs(np.diff(torque, axis=0, prepend=torque[:1])) / step[:, None]
+        _refuse_for_long("torque_rate", options, change, options.torque_rate, TOO_FAST_TIME, time, step, "N m/s")
 
 
 def _refuse_for_long(
-    key: str, options: SafetyOptions, size: np.ndarray, limit: Any, time: np.ndarray, step: np.ndarray, unit: str
+    key: str,
+    options: SafetyOptions,
+    size: np.ndarray,
+    limit: Any,
+    longest: float,
+    time: np.ndarray,
+    step: np.ndarray,
+    unit: str,
 ) -> None:
     """Refuses a limit above which sizes (n, 6) are for longer than is allowed, counted as the layer does it."""
     beyond = size > limit
-    any_beyond = beyond.any(axis=1)
-    total = np.cumsum(np.where(any_beyond, step, -step))
+    total = np.cumsum(np.where(beyond.any(axis=1), step, -step))
     total -= np.minimum(np.minimum.accumulate(total), 0.0)
-    too_long = beyond & (total > getattr(options, f"{key}_time") + 1e-9)[:, None]
+    too_long = beyond & (total > longest + 1e-9)[:, None]
     allowed = f"enough for the motion, which needs up to {size.max():.3g} {unit}; the limit is exceeded for too long"
     _refuse(key, getattr(options, key), np.where(too_long, limit - size, 0.0), time, allowed)
 
@@ -242,32 +237,37 @@ def refuse_start(
     reference: np.ndarray,
 ) -> None:
     """Refuses a start at which a monitor would trip in the very first tick, or where the robot cannot be held."""
-    by, _ = _margins(robot, options, options.horizon, (pose[None], pose_rate[None], reference[None]))
-    trips = [MONITORS[limit[0]] for limit, margin in zip(LIMITS, by[0], strict=True) if not margin.min() >= 0.0]
+    margins, _ = _margins(robot, options, pose[None], pose_rate[None], reference[None])
+    trips = [MONITORS[limit[0]] for limit, margin in zip(LIMITS, margins[0], strict=True) if not margin.min() >= 0.0]
     if trips:
-        if np.array_equal(pose, reference):
-            # The motion itself has been looked at: it is the look ahead that leads out of bounds.
-            allowed = f"one whose first tick does not trip {trips[0]}"
-            raise ConfigurationError("safety.horizon", options.horizon, allowed)
         away = (pose - reference).tolist()
         raise ConfigurationError("initial_offset", away, f"a start that does not trip {trips[0]}")
+    torque = static_torque(robot, pose, gravity)
+    trip = options.first_own(SafetyInputs(torque, pose, pose_rate, reference))
+    if trip is not None:
+        name, place = options.monitor_names[trip[0]], trip[0] - len(MONITORS)
+        raise ConfigurationError(f"safety.monitors.{place}", name, "one that the start does not trip")
     if options.torque_limit is not None:
-        needed = np.abs(static_torque(robot, pose, gravity)[None])
+        needed = np.abs(torque[None])
         allowed = f"enough to stand at the start, which needs up to {needed.max():.3g} N m; the limit is exceeded"
         margin = options.torque_limit * robot.effort_limits - needed
         _refuse("torque_limit", options.torque_limit, margin, np.zeros(1), allowed)
 
 
 def _margins(
-    robot: RobotParameters, options: SafetyOptions, horizon: float, motion: tuple[np.ndarray, ...], side: float = 0.0
+    robot: RobotParameters,
+    options: SafetyOptions,
+    pose: np.ndarray,
+    rate: np.ndarray,
+    wanted: np.ndarray,
+    side: float = 0.0,
 ) -> tuple[np.ndarray, float]:
-    """Margins (n, 5, 6) of poses, rates and poses wanted, led ahead by a horizon [s], and the side at their end."""
+    """Margins (n, 5, 6) of poses, rates and poses wanted (n, 6), and the side at their end."""
     # Of these limits none asks for gravity or period.
-    out, setup = np.empty((len(motion[0]), len(LIMITS), 6)), setup_of(robot, options, 0.0, 1.0)
-    setup["horizon"] = horizon
-    poses, rates, wanted = (np.ascontiguousarray(each, dtype=float) for each in motion)
+    out, setup = np.empty((len(pose), len(LIMITS), 6)), setup_of(robot, options, 0.0, 1.0)
+    rows = (np.ascontiguousarray(each, dtype=float) for each in (pose, rate, wanted))
     own, legs, seen = laws.robot_record(robot), np.empty(1, laws.LEGS), np.empty(1, SEEN)
-    return out, margins_along(own, setup, poses, rates, wanted, side, legs, seen, out)
+    return out, margins_along(own, setup, *rows, side, legs, seen, out)
 
 
 def _refuse(

@@ -9,11 +9,9 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Flag, Fraction, Natural, NotNegative, Positive, PositivePair, Real, Section
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.config import Fraction, Natural, NotNegative, Positive, PositivePair, Section
 from stewart_drake.families import UserMade
 from stewart_drake.registry import OWN_MONITORS
-from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, TORQUE
 
 MONITORS = (
@@ -25,6 +23,8 @@ MONITORS = (
 MEANINGS = {"reading_stuck": "a sensor repeats itself, or friction holds what it reads"}
 """What a name leaves open, for the message of a run that the monitor ends."""
 
+HOLD_TIME = 0.03  # [s] for which the last good command is repeated at most.
+
 
 class SafetyOptions(Section, key="safety"):
     """Limits and reactions of the safety layer; a limit that is null is off.
@@ -34,10 +34,6 @@ class SafetyOptions(Section, key="safety"):
     to its characteristic length and effort limit.
     """
 
-    finite: Flag = True
-    """Commands and measurements must be finite."""
-    failures: Flag = True
-    """A tick of estimator or controller that fails is held like a late one; otherwise it ends the run at once."""
     deadline: Annotated[Natural, Field(le=1000)] | None = 2
     """Ticks for which no newer command may have arrived; a constant `command_delay` does not count."""
     frozen_encoder: Positive | None = 0.04
@@ -48,18 +44,12 @@ class SafetyOptions(Section, key="safety"):
     stays the same to the last bit."""
     innovation: Positive | None = 100.0
     """[rad/s^2] acceleration of a crank that an observer's model does not explain, as its innovations tell beyond their
-    noise: a rod that is lost, a motor that is dead, an encoder that lies."""
-    innovation_time: NotNegative = 0.01
-    """[s] for which innovations may be that large, in sum: a blow passes. Good ticks take away from the sum."""
+    noise, for more than 10 ms in sum: a rod that is lost, a motor that is dead, an encoder that lies."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
-    """[-] of the motors' limit; commands are cut there."""
-    torque_limit_time: NotNegative = 0.1
-    """[s] for which a command may be at the limit or beyond, in sum; good ticks take away from the sum."""
+    """[-] of the motors' limit; commands are cut there, and may be there or beyond for 0.1 s in sum."""
     torque_rate: Annotated[Positive | None, TORQUE] = 4000.0
-    """[N m/s] by which a motor's torque may change. In a tick whose command jumps further the last good one stands;
-    what comes next is led after at that rate."""
-    torque_rate_time: NotNegative = 0.01
-    """[s] for which commands may jump further, in sum; good ticks take away from the sum."""
+    """[N m/s] by which a motor's torque may change. In a tick whose command jumps further, for 10 ms in sum, the last
+    good one stands; what comes next is led after at that rate."""
     workspace: Annotated[PositivePair | None, LENGTH] = (1.2, 0.12)
     """[rad, m] farthest from the home pose: angle of the rotation, and distance of P."""
     transmission: Fraction | None = 0.1
@@ -73,43 +63,22 @@ class SafetyOptions(Section, key="safety"):
     following_error: Annotated[PositivePair | None, LENGTH] = (0.1, 0.02)
     """[rad, m] largest distance to the reference: angle of the rotation, and distance of P."""
     hold_ticks: Annotated[Natural, Field(le=20)] = 20
-    """Ticks for which the last good command is repeated at most, up to 20."""
-    hold_time: Annotated[NotNegative, Field(le=0.03)] = 0.03
-    """[s] for which it is, at most, up to 0.03."""
+    """Ticks for which the last good command is repeated at most, up to 20 and to 30 ms."""
     ramp_time: Positive = 0.02
     """[s] from the last good command to the safe hold: short, for the command may have been wrong for a while."""
-    damping: NotNegative | None = None
-    """[N m s/rad] of each crank while ramping and in the safe hold; null takes 0.7 of `largest_damping`."""
     safe_hold_time: Positive = 0.5
     """[s] after which a safe hold ends the run."""
     monitors: tuple[Annotated[Any, OWN_MONITORS], ...] = ()
     """Further monitors, each a class of the user's own by its import path, see `UserMonitor`."""
-    runaway: Annotated[Real, Field(ge=1.0)] = 2.0
-    """[-] times `crank_speed` (times 15 rad/s where that is off) at which a robot that is ramping or held is given up:
-    the run ends at once."""
 
     @property
     def monitor_names(self) -> tuple[str, ...]:
         """By the number in the log, those of `monitors` last."""
         return (*MONITORS, *(getattr(each, "name", each.kind) for each in self.monitors))
 
-    def check_against(self, robot: RobotParameters, period: float) -> None:
-        """Refuses damping that the cranks cannot bear at a control period [s], and a hold shorter than it."""
-        largest = self.largest_damping(robot, period)
-        if self.damping is not None and self.damping > largest:
-            allowed = f"at most {largest:.3g} N m s/rad at this control period"
-            raise ConfigurationError("safety.damping", self.damping, allowed)
-        if self.hold_time > 0.0 and self.hold_ticks > 0 and self.budget(period) == 0:
-            allowed = f"0 for no hold, or at least a control period, {period:g} s"
-            raise ConfigurationError("safety.hold_time", self.hold_time, allowed)
-
     def budget(self, period: float) -> int:
-        """Ticks that may be held."""
-        return min(self.hold_ticks, math.floor(self.hold_time / period + 1e-6))
-
-    def largest_damping(self, robot: RobotParameters, period: float) -> float:
-        """[N m s/rad] that a crank alone, its rod broken off, bears in torques held over a period."""
-        return 2.0 * float(robot.crank_axis_inertias.min()) / period
+        """Ticks of a period [s] that may be held."""
+        return min(self.hold_ticks, math.floor(HOLD_TIME / period + 1e-6))
 
     def first_own(self, inputs: SafetyInputs) -> tuple[int, int] | None:
         """Number and leg of the first of `monitors` that trips; None for none."""

@@ -8,7 +8,7 @@ Packard, Gahinet, IEEE Control Systems 40(5), 2020, skew 0; for mu Packard, Doyl
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import matrix_balance, schur
@@ -16,14 +16,10 @@ from scipy.optimize import minimize
 
 from stewart_drake.stability.linear_loop import LinearLoops
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-
 _SLOWEST = 0.1  # Of the slowest closed-loop pole's frequency, where the grid begins; it ends at Nyquist's.
 _SWEEPS = 5
 _POWER = 32.0  # Of the singular values whose sum stands for the largest one: that alone has corners.
 HEADER = ("", "one motor: least", "5 %", "median", "all at once: least", "5 %", "median")
-_POSE = ("roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m")
 
 
 class Margins(NamedTuple):
@@ -268,16 +264,3 @@ def document(loops: LinearLoops, found: LoopMargins) -> dict[str, Any]:
             for key, _, alone, together in quantities(found, loops.period)
         },
     }
-
-
-def rows(loops: LinearLoops, found: LoopMargins) -> pa.Table:
-    """A row for each pose: pose, spectral radius, margins of each motor and of all at once."""
-    import pyarrow as pa
-
-    columns = dict(zip(_POSE, loops.poses.T, strict=True)) | {"spectral_radius": found.radius}
-    for name, unit in (("disk", ""), ("gain_low", ""), ("gain_high", ""), ("phase", "_rad"), ("delay", "_s")):
-        one = getattr(found.single, name)
-        columns |= {f"{name}{unit}_motor_{motor}": one[:, motor] for motor in range(6)}
-        columns[f"{name}{unit}"] = getattr(found.all_at_once, name)
-    columns |= {"disk_not_above": found.not_above, "frequency_rad_s": found.frequency}
-    return pa.table({name: np.ascontiguousarray(values) for name, values in columns.items()})

@@ -1,4 +1,7 @@
-"""The LeafSystems of the loop, to wire by hand: parts in the shell of `PartSystem`, and what has no tick."""
+"""The LeafSystems of the loop, to wire by hand: parts in the shell of `PartSystem`, and what has no tick.
+
+Any other part runs in that shell too, such as `PartSystem(pid_part(options, robot, gravity), options.period)`.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +14,11 @@ from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.framework import Context, LeafSystem
 
-from stewart_drake.control.computed_torque import ComputedTorqueOptions, computed_torque_part
-from stewart_drake.control.joint_pid import PidOptions, pid_part
 from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.control.network import DensityKind, TunerNetwork, density_part, network_part
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.hardware import motors
 from stewart_drake.hardware.disturbances import Disturbance, total_wrench
-from stewart_drake.hardware.estimator import difference_part
 from stewart_drake.hardware.observer import ObserverOptions, observer_part
-from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
 from stewart_drake.plant.multibody_plant import StewartPlant
 from stewart_drake.references import Reference, in_blocks
 from stewart_drake.robot import RobotParameters
@@ -38,20 +36,6 @@ class LqiController(PartSystem, ports="measurement reference weights -> torque e
         if weights not in (2, 4):
             raise ConfigurationError("weights", weights, "2 or 4")
         super().__init__(lqi_part(options, robot, gravity, weights), options.period)
-
-
-class JointPid(PartSystem, ports="measurement reference -> torque error integral"):
-    """PID in the space of the cranks."""
-
-    def __init__(self, robot: RobotParameters, options: PidOptions, gravity: float) -> None:
-        super().__init__(pid_part(options, robot, gravity), options.period)
-
-
-class ComputedTorque(PartSystem, ports="measurement reference -> torque error integral"):
-    """Computed torque in the space of the platform."""
-
-    def __init__(self, robot: RobotParameters, options: ComputedTorqueOptions, gravity: float) -> None:
-        super().__init__(computed_torque_part(options, robot, gravity), options.period)
 
 
 class DensityFeatures(PartSystem, ports="error torque -> density"):
@@ -79,20 +63,6 @@ class AnnTuner(PartSystem, ports="density -> weights"):
         super().__init__(network_part(network, initial), period)
 
 
-class MotorEncoders(PartSystem, ports="crank_state -> reading"):
-    """Crank angles as the encoders read them, without faults."""
-
-    def __init__(self, options: EncoderOptions, period: float) -> None:
-        super().__init__(encoder_part(options), period)
-
-
-class PoseEstimator(PartSystem, ports="reading -> measurement"):
-    """Forward kinematics of the readings, and their differences; `start` as of `difference_part`: pose, rate."""
-
-    def __init__(self, robot: RobotParameters, options: EncoderOptions, period: float, *start: np.ndarray) -> None:
-        super().__init__(difference_part(robot, options, period, *start), period)
-
-
 class PlatformObserver(
     PartSystem, ports="reading sent reference disturbance -> measurement ahead compensation innovation"
 ):
@@ -102,27 +72,6 @@ class PlatformObserver(
         self, robot: RobotParameters, options: ObserverOptions, gravity: float, period: float, *start: Any, **more: Any
     ) -> None:
         super().__init__(observer_part(robot, options, gravity, period, *start, **more), period)
-
-
-class FrictionFeedforward(PartSystem, ports="reference -> against_friction"):
-    """Torque against the motors' friction along the reference."""
-
-    def __init__(self, robot: RobotParameters, options: motors.FrictionCompensation, period: float) -> None:
-        super().__init__(motors.friction_part(robot, options), period)
-
-
-class CommandLink(PartSystem, ports="torque -> torque age"):
-    """Passes a controller's commands on, or loses, delays and spoils them, at every step [s]; `initial` (6,) [N m]."""
-
-    def __init__(self, options: motors.LinkOptions, time_step: float, steps_per_tick: int, initial: np.ndarray) -> None:
-        super().__init__(motors.link_part(options, steps_per_tick, initial), time_step)
-
-
-class MotorDrive(PartSystem, ports="torque crank_state -> torque"):
-    """Torque of imperfect motors for the torque asked for, at every step [s] of the plant."""
-
-    def __init__(self, options: motors.MotorOptions, time_step: float) -> None:
-        super().__init__(motors.motor_part(options), time_step)
 
 
 class SafetyLayer(

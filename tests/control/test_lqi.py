@@ -161,18 +161,26 @@ def test_back_calculation_takes_off_z_what_was_cut_off_the_torque():
         np.testing.assert_allclose(output.gain[:, INTEGRAL] @ led_back, share * cut, rtol=1e-6, atol=1e-9)
 
 
-def test_a_singularity_ends_the_run_and_is_named():
-    pose = HOME + [0.15, -0.1, 0.1, 0.02, 0.01, 0.0]
-    transmission, ratio = np.abs(leg_geometry(ROBOT, pose).transmission), float(conditioning(ROBOT, pose))
-    for option, margin, said in (
-        ("min_transmission", transmission.min(), ("serial", "crank_dead_centre", transmission.argmin())),
-        ("min_conditioning", ratio, ("parallel", "parallel_singularity", None)),
-    ):
-        tick(pose, **{option: 0.999 * margin})
-        with pytest.raises(SingularPoseError) as caught:
-            tick(pose, **{option: 1.001 * margin})
-        assert (caught.value.kind, caught.value.reason, caught.value.leg) == said
-        assert caught.value.margin == pytest.approx(margin)
+@pytest.mark.parametrize(
+    ("axis", "beyond", "margin", "least", "said"),
+    [
+        (5, 0.13, lambda at: np.abs(leg_geometry(ROBOT, at).transmission).min(), 0.02, ("serial", "crank_dead_centre")),
+        (0, 1.4, lambda at: conditioning(ROBOT, at), 0.005, ("parallel", "parallel_singularity")),
+    ],
+)
+def test_a_singularity_ends_the_run_and_is_named(axis, beyond, margin, least, said):
+    def far(way):
+        return HOME + way * np.eye(6)[axis]
+
+    reached = np.linspace(0.0, beyond, 400)
+    reached = reached[[reach_margin(ROBOT, far(way)).min() > 0.0 for way in reached]]
+    first = int(np.argmax([margin(far(way)) < least for way in reached]))
+    edge = brentq(lambda way: margin(far(way)) - least, *reached[first - 1 : first + 1])
+    tick(far(edge - 1e-6))
+    with pytest.raises(SingularPoseError) as caught:
+        tick(far(edge + 1e-6))
+    assert (caught.value.kind, caught.value.reason) == said
+    assert caught.value.margin == pytest.approx(least, rel=0.01)
 
 
 def test_just_across_the_dead_centre_counts_as_there_and_far_out_as_unreachable():

@@ -72,7 +72,6 @@ def test_the_catalogue_has_58_faults_and_its_monitors_exist():
 
 NEEDED = {
     "measurement_not_finite": ("pose_nan", {"finite": False, "failures": False}),
-    "command_not_finite": ("command_nan", {"finite": False}),
     "deadline": ("controller_hangs", {"deadline": None}),
     "serial_singularity": ("to_dead_centre", {"transmission": None}),
     "following_error": ("dead_motor_0", {"following_error": None}),

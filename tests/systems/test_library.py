@@ -11,12 +11,8 @@ from hypothesis import strategies as st
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake import systems
-from stewart_drake.control.computed_torque import ComputedTorqueOptions
-from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.control.lqi import LqiOptions
-from stewart_drake.hardware.motors import FrictionCompensation, LinkOptions, MotorOptions
 from stewart_drake.hardware.observer import ObserverOptions
-from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
@@ -28,20 +24,12 @@ GRAVITY, PERIOD = 9.81, 0.001
 HOME, ZERO = ROBOT.home_pose, np.zeros(6)
 PLANTS = {kind: build_plant(ROBOT, PlantOptions(rod_joint=kind))[1] for kind in ("universal", "ball")}
 PLANT = PLANTS["universal"]
-ENCODERS = EncoderOptions(resolution_bits=17, rate_cutoff=80.0, noise=1e-4, hold_ticks=2)
 
 EVERY = [
     systems.AnnTuner(make_network(), PERIOD),
-    systems.CommandLink(LinkOptions(), PERIOD, 1, ZERO),
-    systems.ComputedTorque(ROBOT, ComputedTorqueOptions(), GRAVITY),
     systems.DensityFeatures(4, PERIOD),
-    systems.FrictionFeedforward(ROBOT, FrictionCompensation(coulomb=0.01), PERIOD),
-    systems.JointPid(ROBOT, PidOptions(), GRAVITY),
     systems.LqiController(ROBOT, LqiOptions(solver="split", period=PERIOD), GRAVITY),
-    systems.MotorDrive(MotorOptions(ripple=0.01), PERIOD),
-    systems.MotorEncoders(ENCODERS, PERIOD),
     systems.PlatformObserver(ROBOT, ObserverOptions(), GRAVITY, PERIOD, 2e-5, HOME, ZERO, ZERO, size=6),
-    systems.PoseEstimator(ROBOT, ENCODERS, PERIOD, HOME + 0.002),
     systems.SafetyLayer(ROBOT, SafetyOptions(), GRAVITY, PERIOD, ZERO),
 ]
 PLAIN = [PlatformWrench(PLANT, ()), systems.ReferenceSource(paper_reference()), systems.TaskSpaceSensor(PLANT)]
