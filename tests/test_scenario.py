@@ -9,8 +9,8 @@ from conftest import python
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
-from stewart_drake.control.classical import PidOptions
 
+from stewart_drake.control.classical import PidOptions
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import shipped_folder

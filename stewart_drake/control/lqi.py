@@ -126,12 +126,9 @@ def block_weights(weights: np.ndarray) -> np.ndarray:
 def lqi_gain(
     acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndarray, solver: RiccatiSolver | None = None
 ) -> np.ndarray:
-    """K (6, 18) of (31) for M^-1 tau (6, 6) at the present pose, u = -K [e; z] in the paper's state order.
+    """K (6, 18) of (31) for M^-1 tau (6, 6), u = -K [e; z] in the paper's state order; RiccatiError where none is.
 
     `weights` are two or four, see `block_weights`; `solver` another than the options'.
-
-    Raises:
-        RiccatiError: No stabilising solution.
     """
     solve_for = split_gain if (solver or options.solver) == "split" else drake_gain
     blocks = block_weights(weights).tolist()

@@ -29,15 +29,10 @@ MEAN_FLOOR = 1e-9
 
 @njit
 def density_of(samples: Any, signed: bool, out: Any) -> None:
-    """Density of the last sample of a window, (35), (36).
+    """Densities (k,) [-] of the last sample of a window (n, k), oldest first, n <= m + 1 (fewer while it fills).
 
-    `signed` is the print: x over the window's mean. Deviation: the print is singular where the signed sum crosses zero;
+    (35), (36), `signed`: x over the window's mean. Deviation: the print is singular where the signed sum crosses zero;
     the result is held within +-n there. Else |x| over the window's mean |x|, which lies in [0, n] by itself.
-
-    Args:
-        samples: (n, k) the window, oldest first, n <= m + 1 (fewer while it fills).
-        signed: Kind of density.
-        out: (k,) out [-].
     """
     count = samples.shape[0]
     for k in range(samples.shape[1]):

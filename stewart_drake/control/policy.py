@@ -72,15 +72,10 @@ def disturbance_of(base: float, setting: Any) -> float:
 
 @njit
 def answer(policy: Any, heard: Any, wanted: Any) -> float:
-    """What a policy wants.
+    """The setting (4,) that a policy wants, of the record of `Layers`, for features (13,).
 
-    Args:
-        policy: Record of `Layers`.
-        heard: (13,) features; one that is not finite counts as far outside of the training data.
-        wanted: (4,) setting, out.
-
-    Returns:
-        What of the answer is the policy's own: 1 within the training data, 0 far outside.
+    Returns what of the answer is the policy's own: 1 within the training data, 0 far outside, where a feature that is
+    not finite counts as being.
     """
     scaled, off = np.zeros(_COUNT), 0.0
     for k in range(_COUNT):
@@ -286,13 +281,10 @@ def load_policy(path: str | Path | None = None) -> Policy:
 
 
 def setting_part(chooser: Chooser, context: Any, weights: np.ndarray, kappa: float = 0.0) -> Part:
-    """A tuner of settings as a part of a loop: what a tick finds acts from the next one on.
+    """A tuner of settings as a part of a loop, for a `part.Setup`: what a tick finds acts from the next one on.
 
-    Args:
-        chooser: What wants a setting.
-        context: What it is built for, of `part.Setup`: period, noise, latency, robot, and disturbance of the base.
-        weights: (4,) those of the base.
-        kappa: [-] from stiff, -1, to quiet, 1: the scale of torque changes in the cost is divided by 10^kappa.
+    `weights` (4,) are those of the base; `kappa` [-] from stiff, -1, to quiet, 1: the scale of torque changes in the
+    cost is divided by 10^kappa.
     """
     law, own, centre, scales = chooser.law, chooser.numbers(), chooser.centre, CostScales()
     setup = new_record(

@@ -75,10 +75,7 @@ def discretize(
     `exact` uses that A of (25) is nilpotent, A^3 = 0, so that the matrix exponential is a polynomial of degree two.
     Deviation: the paper puts continuous A, B into the discrete equations (31), (32).
 
-    Args: A (18, 18) [1/s], B (..., 18, 6), the period [s], and `exact` or `euler`.
-
-    Returns:
-        A_d (18, 18), B_d (..., 18, 6).
+    Takes A (18, 18) [1/s], B (..., 18, 6), the period [s]; returns A_d and B_d of the same shapes.
     """
     identity = np.eye(a.shape[0])
     if method == "euler":
@@ -149,15 +146,8 @@ def chain_gain(s: float, period: float, weights: Any, exact_hold: bool, gain: An
     polynomial in d = z - 1 (as for a single input in K. J. Astrom, B. Wittenmark, Computer-Controlled Systems).
     No digits are lost to fast sampling, where all poles crowd at z = 1, nor to weights far apart.
 
-    Args:
-        s: > 0, per unit of u.
-        period: T [s].
-        weights: (4,) q_e, q_v, q_z, r, each > 0.
-        exact_hold: Zero-order hold; else Euler.
-        gain: (3,) out: k_e, k_v, k_z of u = -(k_e e + k_v v + k_z z).
-
-    Returns:
-        False where the numbers leave floating point.
+    Takes s > 0 per unit of u, T [s], weights (4,) q_e, q_v, q_z, r, each > 0, and whether the hold is of zero order, or
+    Euler's. gain: (3,) out, k_e, k_v, k_z of u = -(k_e e + k_v v + k_z z). False where numbers leave floating point.
     """
     t, g = period, s * s / weights[3]
     pose, rate, integral = g * (weights[0] * t**4), g * (weights[1] * t**2), g * (weights[2] * t**6)
@@ -185,16 +175,9 @@ def split_solution(
     With Q = diag(q_e I, q_v I, q_z I), R = r I and M^-1 tau = U S V', the coordinates U'e, U'e', U'z, V'u decouple; the
     six problems differ in s_i alone.
 
-    Args:
-        acceleration_map: (6, 6) M^-1 tau.
-        length: [m] by which rotations are multiplied in Q; 1 is the paper, which weighs radians like metres.
-        period: [s].
-        weights: (4,) q_e, q_v, q_z, r, each > 0.
-        exact_hold: Zero-order hold; else Euler.
-        gain: (6, 18) out, K in the paper's state order, u = -K x.
-
-    Returns:
-        False where the map is singular or the gain leaves floating point.
+    Takes M^-1 tau (6, 6), the length [m] by which rotations are multiplied in Q (1 is the paper, which weighs radians
+    like metres), and more as `chain_gain`. gain: (6, 18) out, K in the paper's state order, u = -K x. False where the
+    map is singular or the gain leaves floating point.
     """
     columns, s, v, chains = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty((6, 3))
     for i in range(6):

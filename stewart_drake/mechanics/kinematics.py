@@ -25,8 +25,7 @@ CHUNK = 512
 """Poses that are worth a thread: starting one takes as long as some fifty."""
 
 Loop = Callable[..., Any]
-"""Takes shared arguments, then arrays of as many rows as there are poses, those that it fills last. Returns `OK`, or
-another status where its law cannot go on at a pose."""
+"""Takes shared arguments, then rows, one for each pose, those that it fills last; returns `OK` or another status."""
 Robot = RobotParameters | np.ndarray
 """A robot, or its numbers as a `ROBOT` record (1,)."""
 
@@ -54,20 +53,10 @@ def over_rows(loop: Loop, shared: tuple[Any, ...], rows: tuple[np.ndarray, ...])
 def at_poses(
     loop: Loop, robot: Robot, inputs: Mapping[str, Any], tail: tuple[int, ...], *numbers: float, kind: Any = float
 ) -> Any:
-    """Values (..., *tail) at poses with any leading axes.
+    """Values (..., *tail) of a type at poses; `inputs` (..., 6) by name broadcast, a finite `pose` among them.
 
-    Args:
-        loop: Called with the robot's record, the numbers, rows of the inputs, and rows to fill.
-        robot: Whose.
-        inputs: Name -> (..., 6); leading axes broadcast. `pose` is among them, and finite.
-        tail: Shape of the value at one pose.
-        numbers: Single numbers.
-        kind: Type of the values.
-
-    Raises:
-        UnreachablePoseError: A rod cannot span; that of the worst leg of all poses.
-        ConfigurationError: Inputs that are not (..., 6), or a pose that is not finite.
-        numpy.linalg.LinAlgError: The law cannot go on at a singularity.
+    The loop takes the robot's record, the numbers, rows of the inputs, and rows to fill. Where it cannot go on:
+    UnreachablePoseError of the worst leg of all poses, or at a singularity numpy's LinAlgError.
     """
     arrays = {name: np.asarray(value, dtype=float) for name, value in inputs.items()}
     for name, array in arrays.items():
@@ -110,10 +99,7 @@ def _legs(robots: Any, poses: Any, legs: Any) -> int:
 def _of_legs(
     values: Callable[..., Any], robot: Robot, pose: ArrayLike, tail: tuple[int, ...], anywhere: bool = False
 ) -> np.ndarray:
-    """Values (..., *tail) of the `LEGS` at poses: `values` takes LEGS (n,) and the poses (n, 6).
-
-    `anywhere`: whether they mean something out of reach too.
-    """
+    """Values (..., *tail) of the `LEGS` (n,) and poses (n, 6); `anywhere`: they mean something out of reach too."""
 
     def loop(robots: np.ndarray, poses: np.ndarray, out: np.ndarray) -> int:
         status = OK
@@ -231,16 +217,7 @@ def inverse_kinematics(robot: Robot, pose: ArrayLike, branch: int | None = None)
 
 
 def leg_geometry(robot: Robot, pose: ArrayLike, branch: int | None = None) -> LegGeometry:
-    """Directions of cranks and rods at `pose`, Fig. 1.
-
-    Args:
-        robot: Geometry.
-        pose: (..., 6) [rad, m].
-        branch: As in `inverse_kinematics`.
-
-    Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
-    """
+    """Directions of cranks and rods at poses (..., 6) [rad, m], Fig. 1; else as `inverse_kinematics`."""
     legs = at_poses(_legs, _with_branch(robot, branch), {"pose": pose}, (), kind=LEGS)
     names = ("rotation", "arm", "crank", "e_n", "e_l", "transmission")
     theta = np.arctan2(legs["sine"], legs["cosine"])

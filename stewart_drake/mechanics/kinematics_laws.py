@@ -247,17 +247,10 @@ def conditioning(robot: Any, legs: Any, tolerance: float) -> float:
 
 @njit
 def forward_kinematics(robot: Any, theta: Any, pose: Any, tolerance: float, iterations: int) -> Any:
-    """Pose from crank angles by Newton's method on the six rod lengths.
+    """Pose (6,) from crank angles (6,), in the place of a guess, by Newton's method on the six rod lengths.
 
-    Args:
-        robot: `ROBOT` record.
-        theta: (6,) [rad].
-        pose: (6,) [rad, m] guess; becomes the pose.
-        tolerance: [m] largest error of a rod's length that is accepted.
-        iterations: Newton steps at most.
-
-    Returns:
-        Largest error of a rod's length that is left [m], NaN or not below the tolerance without convergence; the steps.
+    Returns the largest error of a rod's length that is left [m], NaN or not below the tolerance [m] without
+    convergence; the steps.
     """
     turn, tips, arm, rod = np.empty((3, 3)), np.empty((6, 3)), np.empty(3), np.empty(3)
     for i in range(6):

@@ -171,7 +171,7 @@ def reproduce(study: Study) -> Result:
     ranks = {
         stabilisability_rank(robot, pose, kind)
         for region, kind in itertools.product((NEAR, ANNOUNCED, WIDE), KINDS)
-        for pose in sample_poses(robot, region, study.pick(400, 60), rng).poses
+        for pose in sample_poses(robot, region, study.pick(400, 60), rng)
     }
     full = ranks == {STATES}
     detectable = _hautus(state_matrix().T, output_matrix().T)
@@ -216,7 +216,7 @@ def _singular(robot: RobotParameters, found: Singularity) -> dict[str, Any]:
 
 def _decay(study: Study, at_home: np.ndarray) -> list[dict[str, float]]:
     """Slowest decay of the error [rad/s] by ratio: at home, and the least and most of it in the near box."""
-    poses = sample_poses(study.base.robot, NEAR, study.pick(100, 15), np.random.default_rng(SEED), 1e-2).poses
+    poses = sample_poses(study.base.robot, NEAR, study.pick(100, 15), np.random.default_rng(SEED), 1e-2)
     maps, period, rows = acceleration_map(study.base.robot, poses), study.base.lqi.period, []
     for ratio in RATIOS:
         home, *rates = (slowest_decay(b, gain_of_ratio(b, period, ratio), period) for b in (at_home, *maps))

@@ -216,7 +216,7 @@ class Survey:
 
 def survey(robot: RobotParameters, limits: Limits, grid: Grid, gravity: float = STANDARD_GRAVITY) -> Survey:
     """Measures every cell of a grid."""
-    measures = measure_poses(robot, grid.poses, gravity, limit_bounds(robot, limits).get("torque"))
+    measures = measure_poses(robot, grid.poses, gravity)
     return Survey(grid, measures, utilisation(robot, limits, grid.poses, measures))
 
 
@@ -231,14 +231,13 @@ def way_out(
     bisections: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far (m,) along ways (m, 6) no limit is taken up by more than `most`; which one (m,) then is, or -1."""
-    torque = limit_bounds(robot, limits).get("torque")
     inner, outer = np.zeros(len(ways)), np.full(len(ways), steps[-1])
     limit = np.full(len(ways), -1)
 
     def look(rays: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """Moves the inner or the outer end of each of the rays to `radius`; the rays that were within."""
         pose = start + radius[:, None] * ways[rays]
-        use, cause = governing_limit(utilisation(robot, limits, pose, measure_poses(robot, pose, gravity, torque)))
+        use, cause = governing_limit(utilisation(robot, limits, pose, measure_poses(robot, pose, gravity)))
         out = use > most
         outer[rays[out]], limit[rays[out]], inner[rays[~out]] = radius[out], cause[out], radius[~out]
         return rays[~out]

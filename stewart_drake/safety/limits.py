@@ -201,31 +201,20 @@ def refuse_motion(
     for row, (_, key, of_legs) in enumerate(LIMITS):
         _refuse(key, getattr(options, key), margins[:, row] if of_legs else margins[:, row, :1], time)
     torque, step = inverse_dynamics(robot, *motion, gravity), np.diff(time, prepend=2.0 * time[0] - time[1])
-    if options.torque_limit is not None:
-        limit = options.torque_limit * robot.effort_limits
-        _refuse_for_long("torque_limit", options, np.abs(torque), limit, AT_LIMIT_TIME, time, step, "N m")
-    if options.torque_rate is not None:
-        change = np.abs(np.diff(torque, axis=0, prepend=torque[:1])) / step[:, None]
-        _refuse_for_long("torque_rate", options, change, options.torque_rate, TOO_FAST_TIME, time, step, "N m/s")
-
-
-def _refuse_for_long(
-    key: str,
-    options: SafetyOptions,
-    size: np.ndarray,
-    limit: Any,
-    longest: float,
-    time: np.ndarray,
-    step: np.ndarray,
-    unit: str,
-) -> None:
-    """Refuses a limit above which sizes (n, 6) are for longer than is allowed, counted as the layer does it."""
-    beyond = size > limit
-    total = np.cumsum(np.where(beyond.any(axis=1), step, -step))
-    total -= np.minimum(np.minimum.accumulate(total), 0.0)
-    too_long = beyond & (total > longest + 1e-9)[:, None]
-    allowed = f"enough for the motion, which needs up to {size.max():.3g} {unit}; the limit is exceeded for too long"
-    _refuse(key, getattr(options, key), np.where(too_long, limit - size, 0.0), time, allowed)
+    change = np.abs(np.diff(torque, axis=0, prepend=torque[:1])) / step[:, None]
+    for key, unit, size, scale, longest in (
+        ("torque_limit", "N m", np.abs(torque), robot.effort_limits, AT_LIMIT_TIME),
+        ("torque_rate", "N m/s", change, np.ones(6), TOO_FAST_TIME),
+    ):
+        given = getattr(options, key)
+        limit = np.inf if given is None else given * scale
+        # Counted as the layer does it.
+        beyond = size > limit
+        total = np.cumsum(np.where(beyond.any(axis=1), step, -step))
+        total -= np.minimum(np.minimum.accumulate(total), 0.0)
+        too_long = beyond & (total > longest + 1e-9)[:, None]
+        needs = f"enough for the motion, which needs up to {size.max():.3g} {unit}; the limit is exceeded for too long"
+        _refuse(key, given, np.where(too_long, limit - size, 0.0), time, needs)
 
 
 def refuse_start(

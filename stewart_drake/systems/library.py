@@ -41,12 +41,7 @@ class LqiController(PartSystem, ports="measurement reference weights -> torque e
 class DensityFeatures(PartSystem, ports="error torque -> density"):
     """Density of each input over a sliding window, (35), (36); answers within the tick.
 
-    The window lives in the Context: two runs of one Diagram never share it.
-
-    Args:
-        window: m of (35) [ticks]; means run over m + 1 samples.
-        period: [s] tick period.
-        kind: See `network.density`.
+    `window` is m of (35) [ticks]; means run over m + 1 samples, which live in the Context. The period is in [s].
     """
 
     def __init__(self, window: int, period: float, kind: DensityKind = "magnitude") -> None:

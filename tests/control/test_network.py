@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from strategies import vectors
 
-from stewart_drake.control.network import FORMAT, TunerNetwork, default_network_path, load_network, network_part
+from stewart_drake.control.network import TunerNetwork, load_network, network_part
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -105,12 +105,3 @@ def test_a_wrong_value_is_refused_under_its_key_in_a_file_and_in_python(tmp_path
     if name not in ("version", "provenance"):
         with pytest.raises(ConfigurationError, match=name):
             replace(network, **{name: value})
-
-
-def test_the_package_carries_a_tuner_and_says_where_it_comes_from():
-    network = load_network(default_network_path())
-    assert json.loads(default_network_path().read_text(), parse_constant=pytest.fail)["format"] == FORMAT
-    assert network.provenance["dataset_sha256"]
-    assert network.provenance["data"]["density"] == network.density
-    assert network.provenance["data"]["window"] == network.window
-    np.testing.assert_array_equal([network.omega_min, network.omega_max], [[0.1, 0.1], [10.0, 10.0]])

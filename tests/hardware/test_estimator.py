@@ -77,16 +77,6 @@ def test_the_pose_is_as_good_as_the_counts(pose, bits):
     assert (np.abs(found - pose) <= 1.1 * bound + 1e-9).all()
 
 
-def test_the_low_pass_is_of_first_order_with_the_corner_that_the_option_names():
-    cutoff, ticks = 30.0, 40
-    speed = np.array([1.0, -0.5, 0.3, 0.8, -0.2, 0.1])
-    readings = [at(HOME) + k * PERIOD * speed for k in range(ticks)]
-    # The step response of 1 / (1 + s / (2 pi f)), at the ticks.
-    law = 1.0 - np.exp(-2.0 * np.pi * cutoff * PERIOD * np.arange(ticks))
-    rates = run(ROBOT, EncoderOptions(resolution_bits=0, rate_cutoff=cutoff), readings, HOME)["crank_rate"]
-    np.testing.assert_allclose(rates, law[:, None] * speed, rtol=1e-9, atol=1e-11)
-
-
 @pytest.mark.parametrize("limits", [(0.2, 0.05), (10.0, 10.0)])
 def test_another_assembly_mode_of_the_same_cranks_is_refused(limits):
     # However far a step may be, its orientation gives it away: the lines of the legs are turned inside out.

@@ -200,12 +200,3 @@ def test_damping_takes_its_energy_on_every_axis(name, rod_joint):
     )
     assert lost > 1e-4
     assert lost == pytest.approx(dissipated, rel=0.02)
-
-
-def test_rods_that_cross_are_reported_and_pushed_apart():
-    crossed = Run(CROSSED, gravity=0.0, collision=True).to(0.002)
-    assert crossed.contacts == {frozenset({f"rod_{leg}", f"rod_{leg + 1}"}) for leg in (0, 2, 4)}
-    through = Run(CROSSED, gravity=0.0).to(0.002)
-    assert through.contacts == set()
-    np.testing.assert_allclose(through.pose, CROSSED, atol=1e-12)
-    assert np.abs(crossed.pose - CROSSED).max() > 1e-6

@@ -7,15 +7,13 @@ import pytest
 from conftest import field_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import ROBOT, poses, vectors
+from strategies import ROBOT
 
 from stewart_drake.errors import ConfigurationError, SafetyStop, failure_code
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import (
     forward_kinematics,
     inverse_kinematics,
-    leg_geometry,
-    twist_jacobian,
 )
 from stewart_drake.part import WELL
 from stewart_drake.safety import (
@@ -137,24 +135,6 @@ def test_a_good_tick_passes_the_command_on_to_the_last_bit():
     np.testing.assert_array_equal(first.torque, WEIGHT)
 
 
-@given(poses(0.8), vectors(6, 0.3))
-def test_the_leg_of_a_serial_singularity_and_the_crank_speed_are_those_of_the_kinematics(pose, rate):
-    transmission = np.abs(leg_geometry(ROBOT, pose).transmission)
-    narrow = SafetyOptions(transmission=min(0.999, transmission.min() * 1.0001), horizon=0.0)
-    done, _ = run([inputs(pose=pose)], narrow)
-    if transmission.min() < 0.99:
-        assert MONITORS[int(done[-1].monitor)] == "serial_singularity"
-        # Of legs that are alike to the last bits either will do.
-        assert transmission[int(done[-1].leg)] == pytest.approx(transmission.min(), rel=1e-12)
-    # Of Euler rates zero, so that the twist is the rate.
-    speed = np.abs(twist_jacobian(ROBOT, pose)[:, 3:] @ rate[3:])
-    moving = inputs(pose=pose, rate=np.concatenate([np.zeros(3), rate[3:]]))
-    for factor, trips in ((1.0001, False), (0.9999, True)):
-        if speed.max() > 1e-6:
-            done, _ = run([GOOD, moving], SafetyOptions(crank_speed=speed.max() * factor, horizon=0.0))
-            assert (MONITORS[int(done[-1].monitor)] == "crank_speed") == trips
-
-
 def test_crossing_a_parallel_singularity_between_two_ticks_is_seen():
     # On either side the conditioning is good; the determinant has changed its sign.
     wide = SafetyOptions(workspace=None, following_error=None, horizon=0.0)
@@ -182,12 +162,6 @@ def test_a_jump_is_held_for_a_tick_and_then_led_after_at_the_rate():
     done, _ = run([GOOD, GOOD, *[inputs(command=far)] * 6], options)
     np.testing.assert_allclose([m.torque[2] - WEIGHT[2] for m in done[1:]], [0, 0, 1, 2, 3, 3.5, 3.5], atol=1e-12)
     assert done[-1].trip is None
-
-
-def test_a_command_that_chatters_trips_and_leaves_no_mean_torque():
-    done, _ = run([GOOD, GOOD, *[inputs(command=WEIGHT + 4.5 * (-1.0) ** k) for k in range(20)]])
-    assert MONITORS[int(done[-1].monitor)] == "torque_rate"
-    np.testing.assert_allclose([m.torque for m in done], np.tile(WEIGHT, (len(done), 1)), atol=1e-12)
 
 
 BAD = inputs(command=np.full(6, np.nan))

@@ -30,7 +30,7 @@ SETTINGS = {"difference": [], "observer": ["estimator.kind=observer"], "pid": ["
 def loops(request):
     plain = ["estimator.kind=difference", "tuner={kind: block}"]
     made = load_scenario("exact_breathing", [*plain, *SETTINGS[request.param]])
-    return linear_loops(made, sample_poses(made.robot, NEAR, 5, np.random.default_rng(2)).poses)
+    return linear_loops(made, sample_poses(made.robot, NEAR, 5, np.random.default_rng(2)))
 
 
 @pytest.fixture(scope="module")

@@ -23,11 +23,6 @@ def error(log, since=0.5):
     return 1e3 * float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
-def test_it_is_nearer_than_differences():
-    differences = error(run(made(estimator={"kind": "difference"})))
-    assert error(run(made(friction_compensation={"coulomb": 0.01}))) < 0.25 * differences
-
-
 def test_gains_follow_period_and_delay():
     fast = load_scenario("exact_breathing", ["tuner={kind: block}"])
     slow = fast.replace({"controller.period": 0.01})
