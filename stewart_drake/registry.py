@@ -52,8 +52,8 @@ ESTIMATORS = Family(
     {"difference": "hardware.estimator:DifferenceOptions", "observer": "hardware.observer:ObserverOptions"},
     default="difference",
 )
-OWN_MONITORS = Family({}, own="safety.safety_options:UserMonitor", methods=("look",))
-"""Those of the user's own, under `safety.monitors`; the others stand in `safety.safety_options`."""
+OWN_MONITORS = Family({}, own="safety.limits:UserMonitor", methods=("look",))
+"""Those of the user's own, under `safety.monitors`; the others stand in `safety.limits`."""
 OWN_METRICS = Family({}, own="logs.metrics:UserMetric", methods=("of",))
 """Those of the user's own, under `metrics`; the others stand in `logs.metrics`."""
 DISTURBANCES = Family(

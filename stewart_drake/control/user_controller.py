@@ -79,15 +79,9 @@ class PythonOptions(UserMade, ControllerOptions):
         for side, ports in (("Input", inputs), ("Output", outputs)):
             for name, size in ports.items():
                 port = getattr(system, f"Get{side}Port")(name) if getattr(system, f"Has{side}Port")(name) else None
-                problem = ""
-                if port is None:
-                    problem = "it has no such port"
-                elif port.get_data_type() != PortDataType.kVectorValued:
-                    problem = "its own is abstract"
-                elif port.size() != size:
-                    problem = f"its own is ({port.size()},)"
-                if problem:
-                    expected = f"a LeafSystem with the {side.lower()} port {name} ({size},); {problem}"
+                vector = port is not None and port.get_data_type() == PortDataType.kVectorValued
+                if not vector or port.size() != size:
+                    expected = f"a LeafSystem with the {side.lower()} port {name} ({size},)"
                     raise ConfigurationError(self.code_key, self.code, expected)
         return Part("controller", inputs, tuple(outputs), system=system)
 

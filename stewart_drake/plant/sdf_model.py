@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from stewart_drake.config import check_value
 from stewart_drake.errors import ConfigurationError, SingularPoseError
-from stewart_drake.files.whole import PACKAGE, write_atomically
+from stewart_drake.files.whole import write_atomically
 from stewart_drake.mechanics.kinematics import cross, leg_geometry, pose_rate_to_twist, roll_pitch_yaw, rotation_matrix
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST, LEGS
@@ -119,14 +119,6 @@ def write_sdf(
         ConfigurationError: The folder is missing or not writable, or unknown `rod_joint`.
     """
     write_atomically(Path(path), sdf_text(robot, rod_joint=rod_joint, collision=collision).encode())
-
-
-def sdf_path() -> Path:
-    """The file `stewart.sdf` of the default robot, installed or in a checkout; `package.xml` lies beside it."""
-    for folder in (PACKAGE / "sdf", PACKAGE.parent / "sdf"):
-        if (folder / "stewart.sdf").is_file():
-            return folder / "stewart.sdf"
-    raise ConfigurationError("sdf", str(PACKAGE), "an installation or checkout that has sdf/stewart.sdf")
 
 
 def _upright(robot: RobotParameters, leg: int) -> bool:

@@ -14,26 +14,8 @@ from stewart_drake.mechanics.dynamics_laws import static_torque
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
 from stewart_drake.part import WELL, Part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.safety.limits import (
-    AT_LIMIT_TIME,
-    COMMAND,
-    CONTROLLER,
-    DEADLINE,
-    INNOVATION,
-    MEASUREMENT,
-    QUIET,
-    READING,
-    SEEN,
-    SENSOR,
-    TOO_FAST_TIME,
-    TORQUE_LIMIT,
-    TORQUE_RATE,
-    UNEXPLAINED_TIME,
-    broken,
-    see,
-    setup_of,
-)
-from stewart_drake.safety.safety_options import MEANINGS, MONITORS, SafetyInputs, SafetyOptions
+from stewart_drake.safety import limits
+from stewart_drake.safety.limits import MEANINGS, MONITORS, QUIET, SEEN, SafetyInputs, SafetyOptions
 
 LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
@@ -78,24 +60,24 @@ def _whole(value: float) -> int:
 def _unusable(setup: Any, command: Any, is_measured: bool, age: float, sensor: Any, controller: Any) -> Any:
     """What is wrong with this tick's messages, apart from what they say: monitor or `QUIET`, leg or -1, cause or 0."""
     if not is_measured:
-        return MEASUREMENT, -1, 0
+        return limits.MEASUREMENT, -1, 0
     stuck = sensor[0] == FROZEN
     if not stuck and sensor[0] != 0.0:
-        return SENSOR, _whole(sensor[1]), _whole(sensor[0])
+        return limits.SENSOR, _whole(sensor[1]), _whole(sensor[0])
     if controller[0] != 0.0:
-        return CONTROLLER, _whole(controller[1]), _whole(controller[0])
+        return limits.CONTROLLER, _whole(controller[1]), _whole(controller[0])
     largest, leg = 0.0, 0
     for i in range(6):
         if not np.isfinite(command[i]):
-            return COMMAND, i, 0
+            return limits.COMMAND, i, 0
         share = abs(command[i]) / setup.torque_limit[i]
         if share > largest:
             largest, leg = share, i
     if not age <= setup.deadline:
-        return DEADLINE, -1, 0
+        return limits.DEADLINE, -1, 0
     if largest > ABSURD:
-        return TORQUE_LIMIT, leg, 0
-    return (READING, int(sensor[1]), 0) if stuck else (QUIET, -1, 0)
+        return limits.TORQUE_LIMIT, leg, 0
+    return (limits.READING, int(sensor[1]), 0) if stuck else (QUIET, -1, 0)
 
 
 _NOTHING_FROZEN = -2
@@ -155,7 +137,7 @@ def _tick(
     is_measured = all_finite(rate) and all_finite(pose + setup.horizon * rate)
     is_seen = is_measured and health[0] == 0.0
     if is_seen:
-        see(robot, setup, pose, rate, wanted, state.side, legs, seen)
+        limits.see(robot, setup, pose, rate, wanted, state.side, legs, seen)
         if state.side == 0.0:
             state.side = seen.side
         far = seen.least_transmission > USABLE_TRANSMISSION and abs(seen.conditioning) > USABLE_CONDITIONING
@@ -166,7 +148,7 @@ def _tick(
         return _stop(setup, is_seen, seen, state)
     monitor, level, leg, cause = QUIET, RAMP, -1, 0
     if is_seen:
-        monitor, leg = broken(seen)
+        monitor, leg = limits.broken(seen)
     if monitor == QUIET:
         level = HOLD
         monitor, leg, cause = _unusable(setup, command, is_measured, age[0], health, controller)
@@ -213,12 +195,12 @@ def _pass_on(setup: Any, command: Any, innovation: Any, state: Any) -> tuple[int
     state.at_limit, state.too_fast = _counted(state.at_limit, full), _counted(state.too_fast, steep)
     state.unexplained = _counted(state.unexplained, acceleration > setup.innovation)
     copy_to(state.command[:], command)
-    if state.at_limit * setup.period > AT_LIMIT_TIME + _ROUNDING:
-        return TORQUE_LIMIT, (size / limit).argmax()
-    if state.too_fast * setup.period > TOO_FAST_TIME + _ROUNDING:
-        return TORQUE_RATE, change.argmax()
-    if state.unexplained * setup.period > UNEXPLAINED_TIME + _ROUNDING:
-        return INNOVATION, -1
+    if state.at_limit * setup.period > limits.AT_LIMIT_TIME + _ROUNDING:
+        return limits.TORQUE_LIMIT, (size / limit).argmax()
+    if state.too_fast * setup.period > limits.TOO_FAST_TIME + _ROUNDING:
+        return limits.TORQUE_RATE, change.argmax()
+    if state.unexplained * setup.period > limits.UNEXPLAINED_TIME + _ROUNDING:
+        return limits.INNOVATION, -1
     # Led after it, a command that chatters would leave a mean torque that nobody asked for.
     torque = state.good.copy() if steep else np.minimum(np.maximum(command, -limit), limit)
     led = _led(setup, torque, state)
@@ -286,7 +268,7 @@ def safety_part(
     `initial` (6,) [N m] are held where the very first command is bad; `quantum` [rad] is a count of the encoders; for
     `innovation_scale` see `EstimatorOptions.innovation_scale`.
     """
-    setup, none = setup_of(robot, options, gravity, period, quantum, innovation_scale), np.full((6, 6), np.nan)
+    setup, none = limits.setup_of(robot, options, gravity, period, quantum, innovation_scale), np.full((6, 6), np.nan)
     held = dict.fromkeys(("torque", "good", "weight", "command"), initial)
     first = new_record(_STATE, **held, safety=(NONE, QUIET, -1.0), readings=none[0], anchors=none)
     own, nothing, law = laws.robot_record(robot), np.zeros(2), cast(Any, _tick)

@@ -1,6 +1,5 @@
 """Margins against python-control, against loops that are perturbed, and against themselves."""
 
-import json
 import warnings
 
 import numpy as np
@@ -14,7 +13,6 @@ from stewart_drake.stability.linear_loop import LinearLoops, linear_loops
 from stewart_drake.stability.margins import (
     HEADER,
     balanced,
-    document,
     gain_of_disk,
     loop_margins,
     lower_bound,
@@ -151,10 +149,3 @@ def test_the_table_says_what_the_worst_pose_has(loops, found):
     assert float(said["gain down to [-]"][0]) == pytest.approx(found.single.gain_low.max(), rel=1e-2)
     assert float(said["delay [ms]"][0]) == pytest.approx(1e3 * found.single.delay.min(), rel=1e-2)
     assert float(said["phase [deg]"][5]) == pytest.approx(np.degrees(np.median(found.all_at_once.phase)), rel=1e-2)
-
-
-def test_the_document_has_the_same_numbers(loops, found):
-    said = json.loads(json.dumps(document(loops, found), allow_nan=False))
-    assert said["margins"]["disk"]["all_at_once"][0] == found.all_at_once.disk.min()
-    assert said["stable"] == said["poses"] == 5
-    assert said["worst_pose"] == loops.poses[found.all_at_once.disk.argmin()].tolist()
