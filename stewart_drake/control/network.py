@@ -128,8 +128,8 @@ def weights_bytes(kind: str, version: int, content: dict[str, Any]) -> bytes:
     return (json.dumps(seal({"format": kind, "version": version, **plain}), indent=1) + "\n").encode()
 
 
-def load_weights(path: Path, kind: str, version: int, made: Callable[[dict[str, Any]], _Read]) -> _Read:
-    """What is made of the content of a weights file of a kind and version; errors name the path."""
+def load_weights(path: Path, kind: str, version: int, build: Callable[[dict[str, Any]], _Read]) -> _Read:
+    """What is build of the content of a weights file of a kind and version; errors name the path."""
     key = f"weights file {path}"
     try:
         document = json.loads(read_weights(path))
@@ -145,7 +145,7 @@ def load_weights(path: Path, kind: str, version: int, made: Callable[[dict[str, 
         provenance = content.get("provenance", {})
         if not isinstance(provenance, dict):
             raise ConfigurationError("provenance", provenance, "a mapping")
-        return made({"provenance": {}, **content})
+        return build({"provenance": {}, **content})
     except ConfigurationError as error:
         raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
     except (ValueError, RecursionError) as error:

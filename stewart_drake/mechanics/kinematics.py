@@ -260,7 +260,7 @@ def forward_kinematics(
 ) -> np.ndarray:
     """Pose of the platform from the crank angles, by Newton's method on the six rod lengths.
 
-    The assembly mode found is the one nearest to the guess in Newton's sense.
+    The assembly mode is the one nearest to the guess in Newton's sense.
 
     Args:
         robot: Geometry.

@@ -224,13 +224,13 @@ def _stroke(robot: RobotParameters, measures: np.ndarray) -> tuple[np.ndarray, n
 
 
 @njit
-def _rod_directions(legs: Any, made: Any) -> None:
+def _rod_directions(legs: Any, out: Any) -> None:
     lateral, to_platform = np.empty(3), np.ascontiguousarray(legs.rotation.T)
     for i in range(6):
-        turned(to_platform, legs.e_l[i], made[i])
+        turned(to_platform, legs.e_l[i], out[i])
         cross(legs.e_n[i], legs.crank[i], lateral)
-        made[6 + i, 0], made[6 + i, 1] = dot(legs.e_l[i], legs.crank[i]), dot(legs.e_l[i], lateral)
-        made[6 + i, 2] = legs.transmission[i]
+        out[6 + i, 0], out[6 + i, 1] = dot(legs.e_l[i], legs.crank[i]), dot(legs.e_l[i], lateral)
+        out[6 + i, 2] = legs.transmission[i]
 
 
 @njit
@@ -258,7 +258,7 @@ def segment_distance(start: Any, way: Any, other_start: Any, other_way: Any) -> 
 
 
 @njit
-def _link_distances(robot: Any, legs: Any, apart: float, made: Any) -> None:
+def _link_distances(robot: Any, legs: Any, apart: float, out: Any) -> None:
     """Fills `MEASURES.distance`: cranks, then rods, in pairs, less `apart` [m]."""
     start, way = np.empty((12, 3)), np.empty((12, 3))
     for i in range(6):
@@ -270,7 +270,7 @@ def _link_distances(robot: Any, legs: Any, apart: float, made: Any) -> None:
     for i in range(12):
         for j in range(i + 1, 12):
             if j != i + 6:
-                made[pair] = segment_distance(start[i], way[i], start[j], way[j]) - apart
+                out[pair] = segment_distance(start[i], way[i], start[j], way[j]) - apart
                 pair += 1
 
 
@@ -294,12 +294,12 @@ def strength(legs: Any, inverse: Any, torque: Any, limit: Any) -> Any:
 
 
 @njit
-def _measure(robots: Any, gravity: float, apart: float, poses: Any, rates: Any, accelerations: Any, made: Any) -> None:
+def _measure(robots: Any, gravity: float, apart: float, poses: Any, rates: Any, accelerations: Any, out: Any) -> None:
     """Fills `MEASURES` records, which are NaN before."""
     robot, store, inverse = record(robots), np.empty(1, LEGS), np.empty((6, 6))
     twist, twist_rate, wrench, own = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
     for n in range(len(poses)):
-        legs, m = record(store), record(made[n : n + 1])
+        legs, m = record(store), record(out[n : n + 1])
         within = legs_at(robot, poses[n], legs) < 0
         for i in range(6):
             # So far off that squares leave floating point: beyond any reach.

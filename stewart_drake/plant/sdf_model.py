@@ -154,10 +154,17 @@ def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     form: Any = {"trim_blocks": True, "keep_trailing_newline": True}
-    made = Environment(loader=PackageLoader("stewart_drake.plant"), undefined=StrictUndefined, **form)
-    made.globals |= {"exact": _exact, "short": _short, "zip": zip, "pi": math.pi, "cos": math.cos, "sin": math.sin}
-    made.globals["inf"] = math.inf
-    return made
+    environment = Environment(loader=PackageLoader("stewart_drake.plant"), undefined=StrictUndefined, **form)
+    environment.globals |= {
+        "exact": _exact,
+        "short": _short,
+        "zip": zip,
+        "pi": math.pi,
+        "cos": math.cos,
+        "sin": math.sin,
+    }
+    environment.globals["inf"] = math.inf
+    return environment
 
 
 def _exact(*parts: Any) -> str:

@@ -15,7 +15,7 @@ from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
 from stewart_drake.part import WELL, Part
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety import limits
-from stewart_drake.safety.limits import MEANINGS, MONITORS, QUIET, SEEN, SafetyInputs, SafetyOptions
+from stewart_drake.safety.limits import MEANINGS, MONITORS, OBSERVED, QUIET, SafetyInputs, SafetyOptions
 
 LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
@@ -122,11 +122,11 @@ def _frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, stat
 @njit
 def _tick(
     robots: Any, setups: Any, command: Any, measurement: Any, reference: Any, age: Any, sensor: Any, controller: Any,
-    angles: Any, innovation: Any, pose_reading: Any, own: Any, leg_records: Any, seens: Any, states: Any,
+    angles: Any, innovation: Any, pose_reading: Any, own: Any, leg_records: Any, observations: Any, states: Any,
 ) -> Any:  # fmt: skip
     """One tick; `own` (2,): a user's monitor that trips, its leg. GOES_ON, BLIND, RUNAWAY or HELD; fastest crank."""
-    robot, setup, legs, seen, state = (
-        record(robots), record(setups), record(leg_records), record(seens), record(states),
+    robot, setup, legs, observed, state = (
+        record(robots), record(setups), record(leg_records), record(observations), record(states),
     )  # fmt: skip
     pose, rate, wanted, health = measurement[:6], measurement[6:], reference[:6], sensor.copy()
     read = pose_reading[:6] if pose_reading[0] == pose_reading[0] else pose
@@ -135,26 +135,26 @@ def _tick(
         health[0], health[1] = FROZEN, leg
     state.ticks += 1.0
     is_measured = all_finite(rate) and all_finite(pose + setup.horizon * rate)
-    is_seen = is_measured and health[0] == 0.0
-    if is_seen:
-        limits.see(robot, setup, pose, rate, wanted, state.side, legs, seen)
+    is_observed = is_measured and health[0] == 0.0
+    if is_observed:
+        limits.observe(robot, setup, pose, rate, wanted, state.side, legs, observed)
         if state.side == 0.0:
-            state.side = seen.side
-        far = seen.least_transmission > USABLE_TRANSMISSION and abs(seen.conditioning) > USABLE_CONDITIONING
+            state.side = observed.side
+        far = observed.least_transmission > USABLE_TRANSMISSION and abs(observed.conditioning) > USABLE_CONDITIONING
         torque = np.empty(6)
-        if seen.reached > 0.0 and far and static_torque(robot, legs, setup.gravity, torque):
+        if observed.reached > 0.0 and far and static_torque(robot, legs, setup.gravity, torque):
             copy_to(state.weight[:], torque)
     if state.safety[0] >= RAMP:
-        return _stop(setup, is_seen, seen, state)
+        return _stop(setup, is_observed, observed, state)
     monitor, level, leg, cause = QUIET, RAMP, -1, 0
-    if is_seen:
-        monitor, leg = limits.broken(seen)
+    if is_observed:
+        monitor, leg = limits.broken(observed)
     if monitor == QUIET:
         level = HOLD
         monitor, leg, cause = _unusable(setup, command, is_measured, age[0], health, controller)
     if monitor == QUIET:
         level = RAMP
-        if is_seen and own[0] > 0.0:
+        if is_observed and own[0] > 0.0:
             monitor, leg = int(own[0]), int(own[1])
         else:
             monitor, leg = _pass_on(setup, command, innovation, state)
@@ -170,7 +170,7 @@ def _tick(
         first = state.first
         first[0], first[1], first[2], first[3], first[4] = monitor, level, leg, state.ticks - 1.0, cause
     if level == RAMP:
-        return _stop(setup, is_seen, seen, state)
+        return _stop(setup, is_observed, observed, state)
     copy_to(state.torque[:], _led(setup, state.good[:], state))
     return GOES_ON, 0.0
 
@@ -229,15 +229,15 @@ def _led(setup: Any, torque: Any, state: Any) -> Any:
 
 
 @njit
-def _stop(setup: Any, is_seen: bool, seen: Any, state: Any) -> Any:
+def _stop(setup: Any, is_observed: bool, observed: Any, state: Any) -> Any:
     """Ramp and safe hold: from the last good command to the weight's torque, damped from the first tick on."""
     state.since += 1.0
-    if not is_seen and state.held >= setup.budget:
+    if not is_observed and state.held >= setup.budget:
         # Nobody can hold this robot without seeing it: an open loop falls over within half a second.
         return BLIND, 0.0
     speed, elapsed, limit = np.zeros(6), state.since * setup.period, setup.most_torque
-    if is_seen and seen.reached > 0.0:
-        copy_to(speed, seen.speed[:])
+    if is_observed and observed.reached > 0.0:
+        copy_to(speed, observed.speed[:])
     fastest = 0.0
     for i in range(6):
         fastest = max(fastest, abs(speed[i]))
@@ -250,7 +250,7 @@ def _stop(setup: Any, is_seen: bool, seen: Any, state: Any) -> Any:
     copy_to(state.torque[:], _led(setup, np.minimum(np.maximum(wanted, -limit), limit), state))
     state.safety[0] = SAFE_HOLD if share >= 1.0 else RAMP
     state.worst = max(state.worst, state.safety[0])
-    state.held = 0.0 if is_seen else state.held + 1.0
+    state.held = 0.0 if is_observed else state.held + 1.0
     return GOES_ON, 0.0
 
 
@@ -272,7 +272,7 @@ def safety_part(
     held = dict.fromkeys(("torque", "good", "weight", "command"), initial)
     first = new_record(_STATE, **held, safety=(NONE, QUIET, -1.0), readings=none[0], anchors=none)
     own, nothing, law = laws.robot_record(robot), np.zeros(2), cast(Any, _tick)
-    legs, seen = np.empty(1, laws.LEGS), np.empty(1, SEEN)
+    legs, observed = np.empty(1, laws.LEGS), np.empty(1, OBSERVED)
 
     def tick(*ports: np.ndarray) -> None:
         *inputs, state = ports
@@ -284,7 +284,7 @@ def safety_part(
                 SafetyInputs(command, measured[:6], measured[6:], wanted[:6], float(age[0]), *health)
             )
         asked = nothing if trip is None else np.array(trip, dtype=float)
-        status, fastest = law(own, setup, *inputs, asked, legs, seen, state)
+        status, fastest = law(own, setup, *inputs, asked, legs, observed, state)
         if status != GOES_ON:
             raise _stopped(options, period, status, fastest, state)
 

@@ -169,7 +169,7 @@ ticks take away from the sum."""
 DAMPING = 0.7  # Of what a crank alone, its rod broken off, bears in torques held over a period.
 RUNAWAY, FASTEST = 2.0, 15.0  # [-] times the crank speed, or where that is off times this one [rad/s].
 
-SEEN = fields(reached=(), side=(), speed=6, least_transmission=(), conditioning=(), margin=(5, 6))
+OBSERVED = fields(reached=(), side=(), speed=6, least_transmission=(), conditioning=(), margin=(5, 6))
 """What a measurement means, led ahead. reached: whether that pose is within reach. side: sign of the rods' determinant.
 speed: of the cranks [rad/s]; where the pose led ahead is out of reach those of the pose itself, and 0 where that is.
 conditioning: negative where the determinant has changed its sign. margin: by which each of `LIMITS` is kept, for each
@@ -227,13 +227,15 @@ def _left(limit: float, value: float) -> float:
 
 
 @njit
-def see(robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: float, legs: Any, seen: Any) -> None:
+def observe(
+    robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: float, legs: Any, observed: Any
+) -> None:
     """What a finite measurement of pose and rate (6,) means, beside the pose (6,) that is wanted.
 
     `side` is the sign of the rods' determinant at the start, 0 if that is now. The `LEGS` become those of the pose led
     ahead; where that is out of reach those of the pose, or else of home.
     """
-    home, wanted, margin, twist = setup.home[:], np.empty((3, 3)), seen.margin, np.empty(6)
+    home, wanted, margin, twist = setup.home[:], np.empty((3, 3)), observed.margin, np.empty(6)
     ahead, turn = pose + setup.horizon * rate, np.empty((3, 3))
     reached = laws.legs_at(robot, ahead, legs) < 0
     within, reach = reached, legs.reach.copy()
@@ -245,28 +247,28 @@ def see(robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: floa
         within = laws.legs_at(robot, pose, legs) < 0
         if not within:
             laws.legs_at(robot, home, legs)
-    seen.reached = 1.0 if reached else 0.0
-    seen.conditioning, seen.side = np.inf, side
+    observed.reached = 1.0 if reached else 0.0
+    observed.conditioning, observed.side = np.inf, side
     if reached:
-        seen.side = solve(legs.line.copy(), np.empty((6, 1)))
-        crossed = side != 0.0 and seen.side != side
-        seen.conditioning = laws.conditioning(robot, legs, laws.QUICK) * (-1.0 if crossed else 1.0)
-    margin[3] = np.inf if setup.conditioning == -np.inf else seen.conditioning - setup.conditioning
+        observed.side = solve(legs.line.copy(), np.empty((6, 1)))
+        crossed = side != 0.0 and observed.side != side
+        observed.conditioning = laws.conditioning(robot, legs, laws.QUICK) * (-1.0 if crossed else 1.0)
+    margin[3] = np.inf if setup.conditioning == -np.inf else observed.conditioning - setup.conditioning
     laws.twist_of(pose, rate, twist)
-    seen.least_transmission = np.inf
+    observed.least_transmission = np.inf
     for i in range(6):
         size = abs(legs.transmission[i])
         if size < SMALLEST:
             legs.lever[i] = SMALLEST * robot.crank_length[i] * (-1.0 if legs.transmission[i] < 0.0 else 1.0)
         # 0 where a rod does not span.
         size = size if reach[i] >= 0.0 else 0.0
-        seen.least_transmission = min(seen.least_transmission, size)
+        observed.least_transmission = min(observed.least_transmission, size)
         margin[2, i] = size - setup.transmission
-    laws.crank_rates(legs, twist, seen.speed[:])
+    laws.crank_rates(legs, twist, observed.speed[:])
     if not within:
-        seen.speed[:] = 0.0
+        observed.speed[:] = 0.0
     for i in range(6):
-        margin[1, i] = _left(setup.crank_speed, abs(seen.speed[i]))
+        margin[1, i] = _left(setup.crank_speed, abs(observed.speed[i]))
     laws.rotation(pose[:3], turn)
     laws.rotation(reference[:3], wanted)
     angle, distance = _angle((turn * wanted).sum()), _distance(pose, reference)
@@ -275,27 +277,27 @@ def see(robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: floa
 
 @njit
 def margins_along(
-    robots: Any, setups: Any, poses: Any, rates: Any, references: Any, side: float, leg_records: Any, seens: Any,
+    robots: Any, setups: Any, poses: Any, rates: Any, references: Any, side: float, leg_records: Any, observations: Any,
     out: Any,
 ) -> float:  # fmt: skip
     """Margins (n, 5, 6) of `LIMITS` for poses (n, 6) [rad, m], rates and poses wanted; the side at the last."""
-    robot, setup, legs, seen = record(robots), record(setups), record(leg_records), record(seens)
+    robot, setup, legs, observed = record(robots), record(setups), record(leg_records), record(observations)
     for row in range(len(poses)):
-        see(robot, setup, poses[row], rates[row], references[row], side, legs, seen)
+        observe(robot, setup, poses[row], rates[row], references[row], side, legs, observed)
         for k in range(len(LIMITS)):
-            copy_to(out[row, k], seen.margin[k])
-    return seen.side
+            copy_to(out[row, k], observed.margin[k])
+    return observed.side
 
 
 @njit
-def broken(seen: Any) -> tuple[int, int]:
+def broken(observed: Any) -> tuple[int, int]:
     """Monitor of the first limit that a measurement breaks, or `QUIET`; its leg or -1."""
     for row in range(5):
         leg = 0
         for i in range(1, 6):
-            if not seen.margin[row, i] >= seen.margin[row, leg]:
+            if not observed.margin[row, i] >= observed.margin[row, leg]:
                 leg = i
-        if not seen.margin[row, leg] >= 0.0:
+        if not observed.margin[row, leg] >= 0.0:
             return _OF_ROW[row, 0], leg if _OF_ROW[row, 1] else -1
     return QUIET, -1
 
@@ -373,9 +375,9 @@ def _margins(
     """Margins (n, 5, 6) of poses, rates and poses wanted (n, 6), and the side at their end."""
     # Of these limits none asks for gravity or period.
     out, setup = np.empty((len(pose), len(LIMITS), 6)), setup_of(robot, options, 0.0, 1.0)
-    rows = (np.ascontiguousarray(each, dtype=float) for each in (pose, rate, wanted))
-    own, legs, seen = laws.robot_record(robot), np.empty(1, laws.LEGS), np.empty(1, SEEN)
-    return out, margins_along(own, setup, *rows, side, legs, seen, out)
+    pose, rate, wanted = (np.ascontiguousarray(each, dtype=float) for each in (pose, rate, wanted))
+    own, legs, observed = laws.robot_record(robot), np.empty(1, laws.LEGS), np.empty(1, OBSERVED)
+    return out, margins_along(own, setup, pose, rate, wanted, side, legs, observed, out)
 
 
 def _refuse(
