@@ -129,7 +129,7 @@ def weights_bytes(kind: str, version: int, content: dict[str, Any]) -> bytes:
 
 
 def load_weights(path: Path, kind: str, version: int, build: Callable[[dict[str, Any]], _Read]) -> _Read:
-    """What is build of the content of a weights file of a kind and version; errors name the path."""
+    """What `build` makes of the content of a weights file of a kind and version; errors name the path."""
     key = f"weights file {path}"
     try:
         document = json.loads(read_weights(path))
