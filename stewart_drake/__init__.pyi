@@ -42,9 +42,9 @@ from stewart_drake.robot.robot_files import save_robot as save_robot
 from stewart_drake.runs.pictures import write_film as write_film
 from stewart_drake.runs.simulation import run as run
 from stewart_drake.sampling import on_grid as on_grid
-from stewart_drake.scenario import AnnTuner as AnnTuner
 from stewart_drake.scenario import BlockTuner as BlockTuner
 from stewart_drake.scenario import FixedTuner as FixedTuner
+from stewart_drake.scenario import PaperTuner as PaperTuner
 from stewart_drake.scenario import Scenario as Scenario
 from stewart_drake.scenario import load_scenario as load_scenario
 from stewart_drake.stability.linearize import linearize as linearize

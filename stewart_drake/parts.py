@@ -94,7 +94,7 @@ def setup_of(scenario: Scenario, split: bool = False) -> Setup:
         weights=tuner.weights,
         levels=tuner.levels,
         disturbance=scenario.estimator.expected,
-        guarded=scenario.safety is not None and scenario.safety.failures,
+        guarded=scenario.safety is not None,
         split=split,
     )
 

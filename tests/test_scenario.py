@@ -10,15 +10,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from stewart_drake.control.joint_pid import PidOptions
+from stewart_drake.control.classical import PidOptions
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.references import HoldReference
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.scenario import (
-    AnnTuner,
     FixedTuner,
+    PaperTuner,
     Scenario,
     load_scenario,
     scenario_schema,
@@ -65,7 +65,7 @@ def test_the_defaults_are_the_papers_run():
     np.testing.assert_allclose(pose[0], [math.pi / 6 * math.sin(0.6), 0, 0, 0, 0, 0.3 + 0.05 * math.sin(0.6)])
     assert (scenario.duration, scenario.controller.period, scenario.plant.time_step) == (10.0, 0.005, 0.001)
     assert scenario.gravity == 9.81
-    assert isinstance(scenario.tuner, AnnTuner)
+    assert isinstance(scenario.tuner, PaperTuner)
     assert (scenario.tuner.omega_q, scenario.tuner.omega_r) == (1.0, 1.0)
 
 

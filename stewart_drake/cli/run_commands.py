@@ -181,7 +181,7 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
     scenario's limits. Friction, saturation and counts of encoders are not linear, and left out; weights stay as at the
     start.
 
-    Writes margins.json, margins.parquet (a row for each pose) and margins.png.
+    Writes margins.json and margins.png.
 
     Exit status: 0 done, 2 bad input.
     """
@@ -192,15 +192,12 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
         loops = linear_loops(loaded, poses_to_stand_at(loaded, poses, seed))
     folder = prepare_folder(out)
 
-    import pyarrow.parquet as pq
-
     from stewart_drake.plotting.model_plots import plot_margins
     from stewart_drake.stability import margins as report
 
     found = report.loop_margins(loops)
     numbers = json.dumps(report.document(loops, found), indent=1, allow_nan=False) + "\n"
     write_atomically(folder / "margins.json", numbers.encode())
-    pq.write_table(report.rows(loops, found), folder / "margins.parquet")
     plot_margins(found, folder / "margins.png")
     if not quiet:
         title = f"{loaded.name}: margins at {len(loops.poses)} poses, beside {loaded.command_delay} ticks of delay"

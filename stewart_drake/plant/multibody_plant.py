@@ -215,10 +215,9 @@ def _state_indices(plant: MultibodyPlant, rod_joint: RodJoint) -> StateIndices:
 
 
 class MotorFriction(LeafSystem):
-    """What friction asks of the servos, see `mechanics.friction`; what it remembers comes in from outside.
+    """What friction asks of the servos, from `plant_state` and `bristles` (12,): anchors [rad], slips [rad/s] before.
 
-    Ports: in `plant_state`, `bristles` (12,), anchors [rad] and speeds [rad/s] before the last step; out `pull` (18,),
-    anchors, speeds and relief [N m] until the next.
+    The output `pull` (18,) has anchors, slips and relief [N m] until the next step.
     """
 
     def __init__(self, plant: MultibodyPlant, friction: np.ndarray) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.config import to_plain
-from stewart_drake.control.base import checked_legs
+from stewart_drake.control.base import check_start
 from stewart_drake.control.user_controller import user_code
 from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError
 from stewart_drake.families import user_parts
@@ -53,7 +53,7 @@ def check_scenario(scenario: Scenario) -> None:
         start = scenario.start()[0]
         feasibility.refuse_turns("initial_offset", start[None], np.zeros(1))
         try:
-            checked_legs(scenario.robot, scenario.controller.near_singularity, start)
+            check_start(scenario.robot, start)
         except RunFailure as failure:
             key, value = "reference", start.tolist()
             if any(scenario.initial_offset):

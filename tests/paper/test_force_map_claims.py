@@ -15,7 +15,7 @@ from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.robot import RobotParameters
 
 ROBOT = RobotParameters()
-POSES = np.vstack([ROBOT.home_pose, sample_poses(ROBOT, NEAR, 3, np.random.default_rng(4), 0.05).poses])
+POSES = np.vstack([ROBOT.home_pose, sample_poses(ROBOT, NEAR, 3, np.random.default_rng(4), 0.05)])
 
 
 def exact(robot, poses=POSES):

@@ -11,7 +11,7 @@ from stewart_drake.paper.nine_experiments import distinct, gains_along_reference
 from stewart_drake.paper.reproduce import PAIRS
 from stewart_drake.paper.sensitivity import changes, scaled_network
 from stewart_drake.planning.feasibility import check_reference
-from stewart_drake.scenario import AnnTuner, Scenario
+from stewart_drake.scenario import PaperTuner, Scenario
 from stewart_drake.training.collect import FREQUENCIES
 from stewart_drake.training.train import r_squared
 
@@ -74,6 +74,6 @@ def test_a_scaled_network_answers_so_much_more_within_a_range_so_much_higher(tmp
     densities[:100] = np.random.default_rng(4).uniform(0.0, 2.0, (100, 12))
     expected = network.weights(densities) * [1.0, 0.5]
     np.testing.assert_allclose(scaled_network(network, omega_r=0.5).weights(densities), expected, rtol=1e-12)
-    base = Scenario(tuner=AnnTuner())
+    base = Scenario(tuner=PaperTuner())
     half = base.replace(changes(base, tmp_path)["omega_R", "-50 %"]).load_tuner_network()
     np.testing.assert_allclose(half.weights(densities), expected, rtol=1e-12)

@@ -3,7 +3,7 @@ import pytest
 import scipy.linalg
 
 from stewart_drake.control.riccati import acceleration_map
-from stewart_drake.mechanics.kinematics import leg_geometry, line_conditioning, rod_lines
+from stewart_drake.mechanics.kinematics import conditioning, leg_geometry, rod_lines
 from stewart_drake.paper.state_space import (
     decay_limit,
     first_singularity,
@@ -34,8 +34,8 @@ def test_the_first_singular_pose_is_what_it_is_called(axis, sign, kind):
         assert np.abs(legs.transmission).min() > 0.1
     assert first_singularity(ROBOT, AXES[axis] * sign, 0.9 * found.distance) is None
     for back in np.linspace(0.01, 1.0, 7) * found.distance:
-        before = leg_geometry(ROBOT, found.pose(ROBOT, back))
-        assert min(np.abs(before.transmission).min(), line_conditioning(ROBOT, before)) > 1e-3
+        before = found.pose(ROBOT, back)
+        assert min(np.abs(leg_geometry(ROBOT, before).transmission).min(), conditioning(ROBOT, before)) > 1e-3
 
 
 def test_ranks_tell_serial_from_parallel():
