@@ -14,6 +14,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextvars import ContextVar
 from functools import lru_cache, wraps
 from typing import Annotated, Any, ClassVar, Self, dataclass_transform
 
@@ -28,8 +29,8 @@ from pydantic import (
     model_validator,
 )
 from pydantic.dataclasses import dataclass as checked_dataclass
-from pydantic.errors import PydanticInvalidForJsonSchema
-from pydantic_core import ArgsKwargs, CoreSchema, InitErrorDetails, PydanticCustomError
+from pydantic.json_schema import GenerateJsonSchema
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from stewart_drake.errors import ConfigurationError
 
@@ -84,6 +85,10 @@ SixNumbers = Annotated[Vector6, one_for_six(Real)]
 """Of one unit, in the same order; one number stands for all."""
 
 
+FILL: ContextVar[Callable[[type[Section], dict[str, Any]], dict[str, Any]] | None] = ContextVar("fill", default=None)
+"""Adds defaults that depend on the scenario around a section, such as its robot, to the keys that were given."""
+
+
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(dataclasses.field, Field))
 class Section:
     """Base of the sections: frozen, hashable, made by keywords; `SomeSection(...)` and `from_dict` obey the same rules.
@@ -98,6 +103,10 @@ class Section:
     section_key: ClassVar[str] = ""
     own_keys: ClassVar[frozenset[str]] = frozenset()
     """Of sections with a `kind`: keys that mean something else in each kind, which a change of kind drops."""
+    adapts: ClassVar[bool] = True
+    """Whether it, or a section in it, may have defaults that depend on the scenario, see `FILL`."""
+    kinds_with: ClassVar[Callable[[str], list[str]]] = lambda _: []
+    """The other kinds that have a key."""
     __pydantic_validator__: ClassVar[Any]
     __pydantic_fields__: ClassVar[Mapping[str, Any]]
     __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
@@ -123,7 +132,7 @@ class Section:
 
         @wraps(cls.__init__)
         def init(self: Section, /, **keys: Any) -> None:
-            given = ArgsKwargs((), {name: plain(value) for name, value in keys.items()})
+            given = {name: plain(value) for name, value in keys.items()}
             type(self)._validated(given, type(self).section_key, self_instance=self)
 
         cls.__init__ = init  # type: ignore[method-assign, assignment]
@@ -139,36 +148,45 @@ class Section:
         Raises:
             ConfigurationError: As for the class.
         """
-        made: Self = cls._validated(data, cls.section_key if key is None else key)
-        return made
+        result: Self = cls._validated(data, cls.section_key if key is None else key)
+        return result
 
     @classmethod
-    def _validated(cls, given: Any, key: str, **details: Any) -> Any:
+    def _validated(cls, data: Any, key: str, **details: Any) -> Any:
         # Numbers near the largest overflow to infinity, which the checks refuse; numpy need not say so as well.
         with np.errstate(all="ignore"):
             try:
-                return cls.__pydantic_validator__.validate_python(given, **details)
+                return cls.__pydantic_validator__.validate_python(data, **details)
             except ValidationError as error:
-                raise _told(error, key) from None
+                raise _as_one(error, key) from None
 
     @model_validator(mode="wrap")
     @classmethod
     def _checked(cls, data: Any, handler: Callable[[Any], Any]) -> Any:
-        """What pydantic finds in this section in our words, wherever it stands."""
+        """Remembers which keys were given; says what pydantic finds wrong in our words, wherever the section stands."""
+        fill = FILL.get()
+        if fill is not None and isinstance(data, cls) and cls.adapts:
+            data = data.given()
+        given = {name: value is None for name, value in data.items()} if isinstance(data, dict) else None
         try:
-            if isinstance(data, ArgsKwargs):
-                data = ArgsKwargs((), cls.prepared(data.kwargs or {}))
-            return handler(cls.prepared(data) if isinstance(data, dict) else data)
+            result = handler(data if fill is None or given is None else fill(cls, data))
         except ConfigurationError as error:
             error.key = error.key.removeprefix(f"{cls.section_key}.")
             raise as_problem(error) from None
         except ValidationError as error:
-            raise _in_words(error, schema_of(cls)) from None  # type: ignore[arg-type]
+            raise _in_words(error, schema_of(cls), cls.kinds_with) from None  # type: ignore[arg-type]
+        if given is not None:
+            vars(result)["_given"] = given
+        return result
 
-    @classmethod
-    def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Keys and values as given, made ready for the checks."""
-        return data
+    def given(self) -> dict[str, Any]:
+        """The keys that were given, and the kind, with their values: what is only a default is left out.
+
+        A null that was given is null here too, whatever the scenario has put in its place.
+        """
+        nulls: Mapping[str, bool] = vars(self)["_given"]
+        kind = {"kind": getattr(self, "kind")} if "kind" in self.__pydantic_fields__ else {}  # noqa: B009
+        return kind | {name: None if null else getattr(self, name) for name, null in nulls.items()}
 
     def to_dict(self) -> dict[str, Any]:
         """Every key with its value, in plain types."""
@@ -186,19 +204,14 @@ class Section:
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        made = handler(schema)
-        section = handler.resolve_ref_schema(made)
+        result = handler(schema)
+        section = handler.resolve_ref_schema(result)
         section["description"] = cls._text
         section["properties"] = {name: section["properties"][name] for name in cls.__pydantic_fields__}
         for name, field in cls.__pydantic_fields__.items():
             if field.description:
                 section["properties"][name].setdefault("description", field.description)
-        return made
-
-
-def by_default(section: Section) -> Any:
-    """A field whose default is this very section: it is frozen, so that all may share it."""
-    return Field(default_factory=lambda: section)
+        return result
 
 
 def plain(value: Any) -> Any:
@@ -210,17 +223,15 @@ def plain(value: Any) -> Any:
     return value
 
 
-def to_plain(value: Any, kept: type | tuple[()] = ()) -> Any:
-    """A value of a section in what JSON and YAML have; what is of the type `kept` stays as it is."""
-    if isinstance(value, kept):
-        return value
+def to_plain(value: Any) -> Any:
+    """A value of a section in what JSON and YAML have."""
     if isinstance(value, (str, os.PathLike)):
         return str(value)
     if isinstance(value, (list, tuple)):
-        return [to_plain(each, kept) for each in value]
+        return [to_plain(each) for each in value]
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-    return {key: to_plain(each, kept) for key, each in value.items()} if isinstance(value, Mapping) else value
+    return {key: to_plain(each) for key, each in value.items()} if isinstance(value, Mapping) else value
 
 
 def is_finite(value: Any) -> bool:
@@ -244,12 +255,37 @@ def check_value(key: str, value: Any, kind: Any) -> None:
     try:
         _adapter(kind).validate_python(plain(value))
     except ValidationError as error:
-        raise _told(_in_words(error, schema_of(kind)), key) from None
+        raise _as_one(_in_words(error, schema_of(kind)), key) from None
+
+
+@lru_cache(maxsize=256)
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    config: Any = None if isinstance(kind, type) and issubclass(kind, Section) else {"allow_inf_nan": False}
+    return TypeAdapter(kind, config=config)
+
+
+class _AnySchema(GenerateJsonSchema):
+    """A user's own section may have what JSON has not."""
+
+    def handle_invalid_for_json_schema(self, schema: Any, error_info: str) -> dict[str, Any]:  # noqa: ARG002
+        return {}
+
+
+@lru_cache(maxsize=256)
+def schema_of(kind: Any) -> dict[str, Any]:
+    """JSON schema of a type."""
+    return _adapter(kind).json_schema(schema_generator=_AnySchema)
 
 
 # --- what is wrong, in words ---
 
-_NOUNS = {"boolean": "true or false", "string": "a text", "number": "a number", "integer": "a whole number"}
+_NOUNS = {
+    "boolean": "true or false",
+    "string": "a text",
+    "number": "a number",
+    "integer": "a whole number",
+    "object": "a section",
+}
 _BOUNDS = {
     "exclusiveMinimum": "above {:g}",
     "minimum": "at least {:g}",
@@ -285,9 +321,9 @@ def chosen(given: Any, choices: Sequence[str]) -> str:
     return either(choices) + meant(given, choices)
 
 
-def unknown(key: Any, keys: Sequence[str]) -> str:
-    """What is said of a key that is none of those that are there."""
-    guess = meant(key, keys)
+def unknown(key: Any, keys: Sequence[str], kinds: Sequence[str] = ()) -> str:
+    """What is said of a key that is none of those that are there; `kinds` are others of the section that have it."""
+    guess = f"; kind {either(kinds)} has it." if kinds else meant(key, keys)
     return f"no such key{guess}{' The' if guess else '; the'} keys here are {', '.join(keys)}"
 
 
@@ -297,49 +333,45 @@ def as_problem(error: ConfigurationError) -> PydanticCustomError:
     return PydanticCustomError("rule", "expected {allowed}", context)
 
 
-def _told(error: ValidationError, section: str) -> ConfigurationError:
+def _as_one(error: ValidationError, section: str) -> ConfigurationError:
     """Problems that are in our words already as one error, unknown keys first."""
-    found: dict[str, ConfigurationError] = {}
+    problems: dict[str, ConfigurationError] = {}
     for report in error.errors(include_url=False):
         context = report["ctx"]
         keys = [section, *(shown(str(part)) for part in report["loc"] if part != "[key]"), context["key"]]
         problem = ConfigurationError(".".join(filter(None, keys)) or "scenario", context["got"], context["allowed"])
-        found[str(problem)] = problem
-    first, *others = sorted(found.values(), key=lambda each: not each.allowed.startswith("no such"))
+        problems[str(problem)] = problem
+    first, *others = sorted(problems.values(), key=lambda each: not each.allowed.startswith("no such"))
     first.others = tuple(others)
     return first
 
 
-def _in_words(error: ValidationError, schema: Mapping[str, Any]) -> ValidationError:
+def _in_words(
+    error: ValidationError, schema: Mapping[str, Any], kinds_with: Callable[[str], list[str]] = lambda _: []
+) -> ValidationError:
     """Pydantic's report on a section, or on one value, with what its JSON schema says."""
     lines: list[InitErrorDetails] = []
     for report in error.errors(include_url=False):
         kind, location, value = report["type"], report["loc"], report["input"]
         if kind == "rule":
             problem = PydanticCustomError("rule", "expected {allowed}", report["ctx"])
+        elif kind in ("unexpected_keyword_argument", "invalid_key"):
+            key = location[-1]
+            allowed = unknown(key, list(schema.get("properties", {})), kinds_with(str(key)))
+            problem = as_problem(ConfigurationError("", value, allowed))
         else:
             required = kind.startswith("missing") and isinstance(location[-1], str)
             if kind.startswith("missing") and not required:  # of a list that is too short
                 location = location[:-1]
             value = None if required else value
-            allowed = _allowed(kind, location, value, schema) + "; this key is required" * required
+            part, unit = _at(schema, location)
+            allowed = in_words(part, unit, schema) + "; this key is required" * required
+            if kind == "finite_number":
+                allowed = allowed.replace("number", "finite number", 1)
+            allowed += meant(value, [str(each) for option in _options(schema, part) for each in _choices(option)])
             problem = as_problem(ConfigurationError("", value, allowed))
         lines.append(InitErrorDetails(type=problem, loc=location, input=value))
     return ValidationError.from_exception_data("section", lines)
-
-
-def _allowed(kind: str, location: tuple[int | str, ...], value: Any, schema: Mapping[str, Any]) -> str:
-    """What would have been accepted at a place, for a kind of pydantic's errors."""
-    if kind == "invalid_key" or "[key]" in location:
-        return "keys that are texts"
-    if kind == "unexpected_keyword_argument":
-        section, _ = _at(schema, location[:-1])
-        return unknown(location[-1], list(_options(schema, section)[0].get("properties", {})))
-    part, unit = _at(schema, location)
-    expected = in_words(part, unit, schema)
-    if kind == "finite_number":
-        return expected.replace("number", "finite number", 1)
-    return expected + meant(value, [str(each) for option in _options(schema, part) for each in _choices(option)])
 
 
 def _at(schema: Mapping[str, Any], location: Sequence[int | str]) -> tuple[Mapping[str, Any], str]:
@@ -375,54 +407,31 @@ def _choices(schema: Mapping[str, Any]) -> list[Any]:
     return list(schema.get("enum", [schema["const"]] if "const" in schema else []))
 
 
-def describe(kind: Any) -> str:
-    """A type in words, with its bounds, and whether null will do."""
-    return in_words(schema_of(kind))
-
-
-def in_words(schema: Mapping[str, Any], unit: str = "", root: Mapping[str, Any] | None = None) -> str:
+def in_words(schema: Mapping[str, Any], unit: str, root: Mapping[str, Any]) -> str:
     """A part of a JSON schema in words: a positive number [s]; red or blue; a list of 6 numbers, or null."""
-    options = _options(root or schema, schema)
-    found = [_one_in_words(each, unit, root or schema) for each in options if each.get("type") != "null"]
-    return " or ".join(found) + ", or null" * (len(found) < len(options))
+    ways = []
+    options = _options(root, schema)
+    for option in (each for each in options if each.get("type") != "null"):
+        kind = option.get("type")
+        words = _noun(option, root)
+        if "$comment" not in option or kind == "string":
+            limits = [text.format(option[key]) for key, text in _BOUNDS.items() if option.get(key, TINY) != TINY]
+            words += f" {unit}" if unit and kind in ("number", "integer", "array") else ""
+            words += f", {' and '.join(limits)}" if limits else ""
+        ways.append(words)
+    return " or ".join(ways) + ", or null" * (len(ways) < len(options))
 
 
-def _one_in_words(schema: Mapping[str, Any], unit: str, root: Mapping[str, Any]) -> str:
-    kind, unit = str(schema.get("type")), f" {unit}" if unit else ""
-    noun = schema.get("$comment", _NOUNS.get(kind, "another value"))
-    if _choices(schema):
-        return either([str(each) for each in _choices(schema)])
-    if kind == "object" and "$comment" not in schema:
-        keys = list(schema.get("properties", {}))
-        return f"a section, with keys such as {', '.join(keys[:3])}" if keys else "a section"
+def _noun(schema: Mapping[str, Any], root: Mapping[str, Any]) -> str:
+    """What a value is called, without unit and bounds."""
+    if "$comment" in schema or _choices(schema):
+        return str(schema.get("$comment") or either([str(each) for each in _choices(schema)]))
+    kind = schema.get("type")
     if kind == "array":
-        fixed = schema.get("prefixItems")
-        least = f"at least {schema['minItems']} " if schema.get("minItems") else ""
-        inner = in_words(fixed[0] if fixed else schema.get("items", {}), "", root)
-        inner = re.sub(r"^a |, (with|at least|at most|above|below) .*", "", inner)
+        fixed = schema.get("prefixItems", ())
+        inside = _options(root, fixed[0] if fixed else schema.get("items", {}))
+        inner = " or ".join(_noun(each, root).partition(",")[0].removeprefix("a ") for each in inside)
         inner = re.sub(r"^((positive |whole )*(number|text|list|section|value))", r"\1s", inner)
-        return f"a list of {f'{len(fixed)} ' if fixed else least}{inner}{unit}"
-    if schema.get("minimum") == TINY:
-        noun, schema = noun.replace("a ", "a positive ", 1), {**schema, "minimum": None}
-    limits = [text.format(schema[key]) for key, text in _BOUNDS.items() if schema.get(key) is not None]
-    if "$comment" in schema and kind != "string":
-        return str(noun)
-    return f"{noun}{unit if kind in ('number', 'integer') else ''}{', ' if limits else ''}{' and '.join(limits)}"
-
-
-# --- JSON schema ---
-
-
-@lru_cache(maxsize=256)
-def _adapter(kind: Any) -> TypeAdapter[Any]:
-    config: Any = None if isinstance(kind, type) and issubclass(kind, Section) else {"allow_inf_nan": False}
-    return TypeAdapter(kind, config=config)
-
-
-@lru_cache(maxsize=256)
-def schema_of(kind: Any) -> dict[str, Any]:
-    """JSON schema of a type, in which a family of kinds is but its words."""
-    try:
-        return _adapter(kind).json_schema()
-    except PydanticInvalidForJsonSchema:  # a user's own section may have what JSON has not
-        return {}
+        count = f"{len(fixed)} " if fixed else f"at least {schema['minItems']} " if "minItems" in schema else ""
+        return f"a list of {count}{inner}"
+    return "a positive number" if schema.get("minimum") == TINY else _NOUNS.get(str(kind), "another value")

@@ -5,17 +5,16 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Iterator, Mapping
-from contextvars import ContextVar
 from functools import cached_property
 from importlib import import_module
 from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import Field, GetJsonSchemaHandler, TypeAdapter
+from pydantic import Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from stewart_drake.config import Section, as_problem, check_plain, chosen, either, schema_of, to_plain
+from stewart_drake.config import Section, as_problem, check_plain, chosen, either, schema_of
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code import CLASS_PATH, CodePath, path_of, source_of
 
@@ -44,10 +43,10 @@ class Table:
             self._lines[name] = _import(self._lines[name])
         return self._lines[name]
 
-    def add(self, name: str, made: Any) -> None:
+    def add(self, name: str, thing: Any) -> None:
         """Adds an object; a `ConfigurationError` where the name means something already."""
         self._refuse_known(name)
-        self._lines[name] = made
+        self._lines[name] = thing
         schema_of.cache_clear()
 
     def _refuse_known(self, name: str, key: str = "kind") -> None:
@@ -59,13 +58,13 @@ class Table:
 
         Results are kept under it: a kind with other code is another kind.
         """
-        found: dict[str, str] = {}
+        sources: dict[str, str] = {}
         for kind, line in self._lines.items():
             for part in line if isinstance(line, tuple) else (line,):
                 module = getattr(part, "__module__", _PACKAGE)
                 if module.partition(".")[0] != _PACKAGE:
-                    found[kind] = f"{found.get(kind, '')}{source_of(part)}{source_of(sys.modules.get(module))}"
-        return found
+                    sources[kind] = f"{sources.get(kind, '')}{source_of(part)}{source_of(sys.modules.get(module))}"
+        return sources
 
     def _validate(self, value: Any) -> Any:
         if isinstance(value, str) and value in self._lines:
@@ -106,9 +105,9 @@ class Family(Table):
 
     def but(self, *kinds: str) -> Family:
         """The same kinds, without some and without a default."""
-        made = Family(self._lines, None, self._own, self._methods, (*self._without, *kinds))
-        made._paths = self._paths
-        return made
+        family = Family(self._lines, None, self._own, self._methods, kinds)
+        family._paths = self._paths
+        return family
 
     @property
     def kinds(self) -> list[str]:
@@ -119,6 +118,14 @@ class Family(Table):
     def words(self) -> list[str]:
         """The kinds, and how a user's own is written."""
         return [*self.kinds, *self._paths, *([OWN] if self._own else [])]
+
+    def __getitem__(self, name: str) -> Any:
+        section = super().__getitem__(name)
+        section.kinds_with = self._kinds_with
+        return section
+
+    def _kinds_with(self, key: str) -> list[str]:
+        return [kind for kind in self.kinds if key in self[kind].__pydantic_fields__]
 
     def add(self, section: type[Section]) -> None:  # type: ignore[override]
         """Adds a kind: its section, whose `kind` has its name as the default; again too, as a cell of a notebook does.
@@ -153,17 +160,14 @@ class Family(Table):
         if not isinstance(data, Mapping) and (self._is_own(data) or data in self.kinds):
             data = {"kind": data}
         kind = data.get("kind") if isinstance(data, Mapping) else None
-        if kind == "python" and self._own is not None and "system" in data:
-            # Another way to write a path.
-            return {"kind": data["system"], **{key: data[key] for key in data if key not in ("kind", "system")}}
         return {**data, "kind": self._paths[kind]} if isinstance(kind, str) and kind in self._paths else data
 
     def section_of(self, data: Any) -> Any:
-        """Class of a section that is written, or made; None where it is not one of these."""
+        """Class of a section that is written, or of one that is one of these; None where it is not."""
         data = self.spelled(data)
         kind = data.get("kind", self.default) if isinstance(data, Mapping) else getattr(data, "kind", None)
-        found = self._own_section if self._is_own(kind) else self[kind] if kind in self.kinds else None
-        return found if isinstance(data, Mapping) or (found is not None and isinstance(data, found)) else None
+        section = self._own_section if self._is_own(kind) else self[kind] if kind in self.kinds else None
+        return section if isinstance(data, Mapping) or (section is not None and isinstance(data, section)) else None
 
     @property
     def _own_section(self) -> Any:
@@ -177,15 +181,17 @@ class Family(Table):
             return ":" in kind or kind in self._paths
         return isinstance(kind, (type, CodePath)) or any(hasattr(kind, method) for method in self._methods)
 
-    def _validate(self, value: Any) -> Any:
+    def section(self, value: Any) -> Any:
+        """The section that is written, or one that is there already, checked."""
         value = self.spelled(value)
         section = self.section_of(value)
         if section is None:
             raise as_problem(self._refusal(value))
-        if not isinstance(value, Mapping):
-            return value
-        own = {"kind": CodePath.of(value["kind"])} if self._is_own(value.get("kind")) else {}
-        return section.__pydantic_validator__.validate_python({**value, **own})
+        if isinstance(value, Mapping):
+            value = {**value, "kind": CodePath.of(value["kind"])} if self._is_own(value.get("kind")) else {**value}
+        return section.__pydantic_validator__.validate_python(value)
+
+    _validate = section
 
     def _refusal(self, value: Any) -> ConfigurationError:
         if not isinstance(value, (Mapping, Section)):
@@ -200,8 +206,6 @@ class Family(Table):
         return f"a section, with kind: {either(self.words)}, or a kind by itself"
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        if not _COMPLETE.get():
-            return {"$comment": self._text}
         ways: list[dict[str, Any]] = []
         alone = list(self._paths)
         for kind in self.kinds:
@@ -214,19 +218,6 @@ class Family(Table):
         if self._own is not None:
             ways += [handler(self._own_section.__pydantic_core_schema__), {"type": "string", "pattern": CLASS_PATH}]
         return {"$comment": self._text, "anyOf": [*ways, {"enum": alone}]}
-
-
-_COMPLETE: ContextVar[bool] = ContextVar("complete", default=False)
-"""Whether a JSON schema has every kind: messages need none, and import none for it."""
-
-
-def json_schema(root: Any) -> dict[str, Any]:
-    """JSON schema of a section for editors, with every kind of its families."""
-    before = _COMPLETE.set(True)
-    try:
-        return TypeAdapter(root).json_schema()
-    finally:
-        _COMPLETE.reset(before)
 
 
 class UserMade(Section):
@@ -245,7 +236,6 @@ class UserMade(Section):
     """Keyword arguments of the constructor, plain values."""
 
     def rules(self) -> None:
-        """See `Section.rules`."""
         check_plain("arguments", self.arguments)
 
     @property
@@ -260,13 +250,13 @@ class UserMade(Section):
 
     def load(self) -> Any:
         """The class, not called; a `ConfigurationError` where it is none, or cannot be loaded."""
-        found = self.code.load(self.code_key)
-        if not isinstance(found, type) and self.code.given is None:
-            raise ConfigurationError(self.code_key, self.code, f"a class, not a {type(found).__name__}")
-        return found if isinstance(found, type) else type(found)
+        loaded = self.code.load(self.code_key)
+        if not isinstance(loaded, type) and self.code.given is None:
+            raise ConfigurationError(self.code_key, self.code, f"a class, not a {type(loaded).__name__}")
+        return loaded if isinstance(loaded, type) else type(loaded)
 
     def construct(self, offered: Mapping[str, Any]) -> Any:
-        """The object: made with `arguments` and what the constructor names of `offered`, or as it was given."""
+        """The object: with `arguments` and what the constructor names of `offered`, or as it was given."""
         kind, given = self.load(), self.code.given
         if given is not None and not isinstance(given, type):
             return given
@@ -284,9 +274,9 @@ class UserMade(Section):
             raise self.refusal(f"one without {method}")
         return made
 
-    def refusal(self, found: str) -> ConfigurationError:
-        """The error that says what is asked of the class, and what was found instead."""
-        return ConfigurationError(self.code_key, self.code, f"a class whose {self.asked}, not {found}")
+    def refusal(self, answer: str) -> ConfigurationError:
+        """The error that says what is asked of the class, and what came instead."""
+        return ConfigurationError(self.code_key, self.code, f"a class whose {self.asked}, not {answer}")
 
     def numbers(self, answer: Any) -> np.ndarray:
         """An answer of the object as an array, else a `ConfigurationError`."""
@@ -296,9 +286,13 @@ class UserMade(Section):
             raise self.refusal(f"a {type(answer).__name__} that is not an array of numbers") from None
 
 
-def given_again(section: Any) -> Any:
-    """A section in plain values, except for its code, which need not be trusted anew."""
-    return to_plain(section, CodePath)
+def given_keys(value: Any) -> Any:
+    """What was given of a section, and of those in it, in plain values but for code, which need not be trusted anew."""
+    if isinstance(value, Section):
+        value = value.given()
+    if isinstance(value, (list, tuple)):
+        return [given_keys(each) for each in value]
+    return {key: given_keys(each) for key, each in value.items()} if isinstance(value, Mapping) else value
 
 
 def refuse_given(section: Any) -> None:
@@ -315,7 +309,7 @@ def user_parts(section: Any) -> list[UserMade]:
 
 def place_users(section: Any) -> None:
     """Tells the sections of a user's classes where they stand, for messages."""
-    for place, part in list(_placed(section)):
+    for place, part in _placed(section):
         vars(part)["place"] = place
 
 
@@ -323,7 +317,7 @@ def _placed(section: Any, place: str = "") -> Iterator[tuple[str, UserMade]]:
     if isinstance(section, UserMade):
         yield place, section
     if isinstance(section, (Section, tuple)):
-        named = vars(section).items() if isinstance(section, Section) else enumerate(section)
+        named = list(vars(section).items()) if isinstance(section, Section) else enumerate(section)
         for name, part in named:
             yield from _placed(part, f"{place}.{name}" if place else str(name))
 

@@ -102,7 +102,7 @@ WRONG = [
     ("name", {"name": ""}, "at least 1"),
     ("name", {"name": "a" * 101}, "at most 100"),
     ("name", {"name": "../up"}, "letters, digits"),
-    ("1", {1: 2}, "keys that are texts"),
+    ("1", {1: 2}, "no such key"),
 ]
 
 
@@ -179,7 +179,7 @@ def test_an_override_sets_one_key(text, key, value):
         ("reference.center[6]=3", "reference.center[6]", "center has components from 0 to 5"),
         ("initial_offset=3", "initial_offset", "a list of 6 numbers [rad, m]"),
         (".=3", ".", "a key such as"),
-        ("tuner.kappa=2", "tuner.kappa", "no such key, got 2; the keys here are kind, density, window"),
+        ("tuner.kappa=2", "tuner.kappa", "no such key, got 2; kind policy has it. The keys here are kind, density, window"),
         ("duration=", "duration", "a positive number [s]"),
     ],
 )

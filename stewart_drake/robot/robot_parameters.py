@@ -56,6 +56,8 @@ class RobotParameters(Section, key="robot"):
             directions of a crank are not perpendicular unit vectors, or the home pose cannot be assembled.
     """
 
+    adapts = False
+
     shaft_circle_radius: Length = 0.20
     """[m] radius of the circle of the motor shafts."""
     shaft_height: Signed = -0.07

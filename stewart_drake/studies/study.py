@@ -17,7 +17,7 @@ from pydantic import Field
 
 from stewart_drake.config import NAME, NAME_WORDS, Section, Text
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.families import given_again, refuse_given, user_parts
+from stewart_drake.families import given_keys, refuse_given, user_parts
 from stewart_drake.files.code import anchored, code_is_trusted, trusting_code
 from stewart_drake.files.tables import to_csv, to_parquet
 from stewart_drake.files.whole import write_atomically
@@ -122,7 +122,7 @@ class Study(ABC):
 
     @cached_property
     def _base(self) -> dict[str, Any]:
-        values: dict[str, Any] = given_again(self.base)
+        values: dict[str, Any] = given_keys(self.base)
         return values
 
     def identity(self) -> dict[str, Any]:

@@ -187,7 +187,7 @@ def test_overrides_are_taken_from_the_current_folder_and_the_file_from_its_own(t
         (tmp_path / name).mkdir()
         (tmp_path / name / "mine.py").write_text("one = 1\n")
     path = tmp_path / "there" / "scenario.yaml"
-    path.write_text("controller: {kind: python, system: mine.py:Mine}\n")
+    path.write_text("controller: mine.py:Mine\n")
     monkeypatch.chdir(tmp_path / "here")
     for overrides, folder in (((), "there"), (["controller.kind=mine.py:Mine"], "here")):
         loaded = load_scenario(path, overrides, trust_code=True)
