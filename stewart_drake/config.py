@@ -260,8 +260,7 @@ def check_value(key: str, value: Any, kind: Any) -> None:
 
 @lru_cache(maxsize=256)
 def _adapter(kind: Any) -> TypeAdapter[Any]:
-    config: Any = None if isinstance(kind, type) and issubclass(kind, Section) else {"allow_inf_nan": False}
-    return TypeAdapter(kind, config=config)
+    return TypeAdapter(kind, config=None if isinstance(kind, type) else {"allow_inf_nan": False})
 
 
 class _AnySchema(GenerateJsonSchema):

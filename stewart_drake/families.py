@@ -49,9 +49,9 @@ class Table:
         self._lines[name] = thing
         schema_of.cache_clear()
 
-    def _refuse_known(self, name: str, key: str = "kind") -> None:
+    def _refuse_known(self, name: str) -> None:
         if name in self._lines:
-            raise ConfigurationError(key, name, f"a name that no kind has, unlike {either(self.names)}")
+            raise ConfigurationError("kind", name, f"a name that no kind has, unlike {either(self.names)}")
 
     def added_code(self) -> dict[str, str]:
         """Kind -> source of what was added from outside of the package, and of the modules that it stands in.
@@ -81,14 +81,8 @@ class Table:
 class Family(Table):
     """The kinds of one part of a scenario: a union told apart by the key `kind`; in `Annotated`, the type of the part.
 
-    A text that is a kind stands for a section of nothing else.
-
-    Args:
-        lines: Kind -> its section: `module:name` in this package, or the class itself.
-        default: Kind where the key is absent; None where it is required.
-        own: Section for a user's own class, a `UserMade`, as `module:name`; None where there is none.
-        methods: What an object of the user's own has one of; none for classes alone.
-        without: Kinds that are not taken here.
+    A text that is a kind stands for a section of nothing else. `default` is the kind where the key is absent, `own` the
+    section for a user's own class, a `UserMade`, and `methods` what an object of the user's own has one of.
     """
 
     def __init__(
@@ -116,7 +110,7 @@ class Family(Table):
 
     @property
     def words(self) -> list[str]:
-        """The kinds, and how a user's own is written."""
+        """For messages."""
         return [*self.kinds, *self._paths, *([OWN] if self._own else [])]
 
     def __getitem__(self, name: str) -> Any:
@@ -128,22 +122,11 @@ class Family(Table):
         return [kind for kind in self.kinds if key in self[kind].__pydantic_fields__]
 
     def add(self, section: type[Section]) -> None:  # type: ignore[override]
-        """Adds a kind: its section, whose `kind` has its name as the default; again too, as a cell of a notebook does.
-
-        Raises:
-            ConfigurationError: No such default, or one of another kind; a method that its base asks for is missing.
-        """
-        field = getattr(section, "__pydantic_fields__", {}).get("kind")
-        kind, key = getattr(field, "default", None), f"{section.__name__}.kind"
-        if not isinstance(kind, str):
-            raise ConfigurationError(key, None, 'a name as its default, such as kind: str = "own"')
-        if kind in self._lines and path_of(self[kind]) != path_of(section):
-            self._refuse_known(kind, key)
-        missing = sorted(getattr(section, "__abstractmethods__", ()))
-        if missing:
-            raise ConfigurationError(section.__name__, None, f"a section with {', '.join(missing)}")
-        self._lines[kind] = section
-        schema_of.cache_clear()
+        """Adds a kind: its section, whose `kind` has its name as the default; again too, as a cell of a notebook does."""
+        kind = section.__pydantic_fields__["kind"].default
+        if kind in self._lines and path_of(self[kind]) == path_of(section):
+            del self._lines[kind]
+        super().add(kind, section)
 
     def register(self, name: str, path: str) -> None:
         """Lets a name stand for the import path of a user's own class, `module:Class`, wherever a kind does."""
@@ -160,6 +143,9 @@ class Family(Table):
         if not isinstance(data, Mapping) and (self._is_own(data) or data in self.kinds):
             data = {"kind": data}
         kind = data.get("kind") if isinstance(data, Mapping) else None
+        if kind == "python" and self._own is not None and "system" in data:
+            # Another way to write a path.
+            return {"kind": data["system"], **{key: data[key] for key in data if key not in ("kind", "system")}}
         return {**data, "kind": self._paths[kind]} if isinstance(kind, str) and kind in self._paths else data
 
     def section_of(self, data: Any) -> Any:

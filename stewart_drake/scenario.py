@@ -120,10 +120,9 @@ class Scenario(Section):
             return super().from_dict(data, key)
 
     def replace(self, changes: Mapping[str, Any]) -> Scenario:
-        """A scenario with some keys changed, checked again.
+        """The keys that were given with some of them changed, checked again: what was but a default is one anew.
 
-        Another `kind` drops the keys that only the old kind has. With another `robot`, not with single keys of it, or
-        another latency of the commands, what was but a default for the old one is that for the new one.
+        Another `kind` drops the keys that only the old kind has.
 
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as

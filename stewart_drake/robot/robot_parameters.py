@@ -112,7 +112,6 @@ class RobotParameters(Section, key="robot"):
     """[m] makes rotations and translations comparable in conditioning."""
 
     def rules(self) -> None:
-        """See `Section.rules`."""
         for name in ("rod_inertia", "crank_inertia", "platform_inertia", "base_inertia"):
             inertia = getattr(self, name)
             if 2.0 * max(inertia) > sum(inertia) * (1.0 + 1e-12):
@@ -130,7 +129,7 @@ class RobotParameters(Section, key="robot"):
     def from_table(
         cls, table: Any, *, unit: Unit = "m", cranks: Cranks = "outwards", **parameters: Any
     ) -> RobotParameters:
-        """A robot from measured positions, a row a leg; see `geometry.from_table` for what is found by itself.
+        """A robot from measured positions, a row a leg; `geometry.from_table` fills in what they leave open.
 
         Args:
             table: Path of a CSV file, or an array (6, 6) [m] of motor shafts in B and platform joints in P.
@@ -245,17 +244,13 @@ class RobotParameters(Section, key="robot"):
 
     def each_leg(self) -> list[dict[str, Any]]:
         """What each leg has, its own or that of the symmetric robot, in plain values as `legs` takes them."""
-        of = {
-            "shaft_position": self.shaft_positions.tolist(),
-            "crank_zero_direction": self.crank_zero_directions.tolist(),
-            "crank_quarter_direction": self.crank_quarter_directions.tolist(),
-            "platform_joint": self.platform_joints.tolist(),
-            "crank_length": self.crank_lengths.tolist(),
-            "rod_length": self.rod_lengths.tolist(),
-            "branch": [int(sign) for sign in self.branches],
-            "crank_angle_range": [each.tolist() if np.isfinite(each[0]) else None for each in self.crank_angle_ranges],
-        }
-        return [dict(zip(of, leg, strict=True)) for leg in zip(*of.values(), strict=True)]
+        names = "shaft_position", "crank_zero_direction", "crank_quarter_direction", "platform_joint"
+        names += "crank_length", "rod_length"
+        legs = [{name: getattr(self, f"{name}s")[leg].tolist() for name in names} for leg in range(LEGS)]
+        for leg, branch, angles in zip(legs, self.branches, self.crank_angle_ranges, strict=True):
+            leg["branch"] = int(branch)
+            leg["crank_angle_range"] = angles.tolist() if np.isfinite(angles[0]) else None
+        return legs
 
     def replace(self, **changes: Any) -> RobotParameters:
         """A robot with some parameters changed, validated again."""
