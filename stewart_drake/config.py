@@ -1,7 +1,7 @@
 """Typed sections of scenarios, sweeps and comparisons, on pydantic; and what is wrong with one, a line a problem.
 
-Constraints stand in the fields and make the JSON schema, and the words of a message come from that schema. A rule
-between fields is in the section's `rules`. A text under a field begins with its unit in brackets.
+Constraints stand in the fields and make the JSON schema. A rule between fields is in the section's `rules`. A text
+under a field begins with its unit in brackets, which messages repeat.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from functools import lru_cache, wraps
-from typing import Annotated, Any, ClassVar, Self, dataclass_transform
+from typing import Annotated, Any, ClassVar, Self, dataclass_transform, get_args, get_origin
 
 import numpy as np
 from pydantic import (
@@ -26,10 +26,10 @@ from pydantic import (
     Strict,
     TypeAdapter,
     ValidationError,
+    WrapValidator,
     model_validator,
 )
 from pydantic.dataclasses import dataclass as checked_dataclass
-from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from stewart_drake.errors import ConfigurationError
@@ -39,9 +39,16 @@ TINY = float(np.finfo(float).tiny)
 MAX_SEED = 2**63 - 1
 
 
-def words(text: str) -> Any:
-    """In `Annotated`: what a type is called in messages, where its bounds do not say it."""
-    return Field(json_schema_extra={"$comment": text})
+def words(text: str) -> WrapValidator:
+    """In `Annotated`, last: what is said of a value that the type does not take."""
+
+    def checked(value: Any, handler: Callable[[Any], Any]) -> Any:
+        try:
+            return handler(value)
+        except ValidationError:
+            raise as_problem(ConfigurationError("", value, text)) from None
+
+    return WrapValidator(checked)
 
 
 Real = Annotated[float, Strict()]
@@ -59,7 +66,7 @@ Window = Annotated[int, Strict(), Field(ge=1)]
 Flag = Annotated[bool, Strict()]
 Text = Annotated[str, Strict()]
 NAME = r"^\w[\w .+-]*$"
-NAME_WORDS = words("letters, digits and _, and after the first of them space and . + - too")
+NAME_WORDS = "letters, digits and _, and after the first of them space and . + - too"
 """Of a name that can be a folder's."""
 Vector6 = tuple[Real, Real, Real, Real, Real, Real]
 """roll, pitch, yaw, X, Y, Z."""
@@ -174,7 +181,7 @@ class Section:
             error.key = error.key.removeprefix(f"{cls.section_key}.")
             raise as_problem(error) from None
         except ValidationError as error:
-            raise _in_words(error, schema_of(cls), cls.kinds_with) from None  # type: ignore[arg-type]
+            raise _in_words(error, cls) from None
         if given is not None:
             vars(result)["_given"] = given
         return result
@@ -255,7 +262,7 @@ def check_value(key: str, value: Any, kind: Any) -> None:
     try:
         _adapter(kind).validate_python(plain(value))
     except ValidationError as error:
-        raise _as_one(_in_words(error, schema_of(kind)), key) from None
+        raise _as_one(_in_words(error, kind, kind), key) from None
 
 
 @lru_cache(maxsize=256)
@@ -263,36 +270,26 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind, config=None if isinstance(kind, type) else {"allow_inf_nan": False})
 
 
-class _AnySchema(GenerateJsonSchema):
-    """A user's own section may have what JSON has not."""
-
-    def handle_invalid_for_json_schema(self, schema: Any, error_info: str) -> dict[str, Any]:  # noqa: ARG002
-        return {}
-
-
-@lru_cache(maxsize=256)
-def schema_of(kind: Any) -> dict[str, Any]:
-    """JSON schema of a type."""
-    return _adapter(kind).json_schema(schema_generator=_AnySchema)
-
-
 # --- what is wrong, in words ---
 
 _NOUNS = {
-    "boolean": "true or false",
-    "string": "a text",
-    "number": "a number",
-    "integer": "a whole number",
-    "object": "a section",
+    "bool_type": "true or false",
+    "string_type": "a text",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "tuple_type": "a list",
+    "dict_type": "a section",
+    "dataclass_type": "a section",
+    "invalid_key": "keys that are texts",
+    "too_short": "a list of at least {min_length}",
+    "too_long": "a list of at most {max_length}",
+    "string_too_short": "a text of at least {min_length} characters",
+    "string_too_long": "a text of at most {max_length} characters",
 }
-_BOUNDS = {
-    "exclusiveMinimum": "above {:g}",
-    "minimum": "at least {:g}",
-    "exclusiveMaximum": "below {:g}",
-    "maximum": "at most {:g}",
-    "minLength": "at least {} characters",
-    "maxLength": "at most {} characters",
-}
+"""Kind of pydantic's error -> what it expected, before the unit."""
+_BOUNDS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
 
 
 def shown(key: str) -> str:
@@ -345,92 +342,55 @@ def _as_one(error: ValidationError, section: str) -> ConfigurationError:
     return first
 
 
-def _in_words(
-    error: ValidationError, schema: Mapping[str, Any], kinds_with: Callable[[str], list[str]] = lambda _: []
-) -> ValidationError:
-    """Pydantic's report on a section, or on one value, with what its JSON schema says."""
+def _in_words(error: ValidationError, section: Any, annotation: Any = None) -> ValidationError:
+    """Pydantic's report on a section, or on a value of a type, in our words."""
+    fields: Mapping[str, Any] = getattr(section, "__pydantic_fields__", {})
     lines: list[InitErrorDetails] = []
     for report in error.errors(include_url=False):
-        kind, location, value = report["type"], report["loc"], report["input"]
-        if kind == "rule":
-            problem = PydanticCustomError("rule", "expected {allowed}", report["ctx"])
-        elif kind in ("unexpected_keyword_argument", "invalid_key"):
-            key = location[-1]
-            allowed = unknown(key, list(schema.get("properties", {})), kinds_with(str(key)))
-            problem = as_problem(ConfigurationError("", value, allowed))
+        location, value, context = report["loc"], report["input"], report.get("ctx", {})
+        if report["type"] == "unexpected_keyword_argument":
+            key = str(location[-1])
+            problem = as_problem(ConfigurationError("", value, unknown(key, list(fields), section.kinds_with(key))))
+        elif report["type"] == "rule":
+            problem = PydanticCustomError("rule", "expected {allowed}", context)
         else:
-            required = kind.startswith("missing") and isinstance(location[-1], str)
-            if kind.startswith("missing") and not required:  # of a list that is too short
+            field = fields.get(str(location[0])) if location else None
+            text = getattr(field, "description", None) or ""
+            unit = text[1 : text.index("]")].removesuffix("-") if text.startswith("[") else ""
+            kind = getattr(field, "annotation", annotation)
+            if report["type"].startswith("missing") and isinstance(location[-1], str):
+                value, allowed = None, f"a value{unit and f' [{unit}]'}; this key is required"
+            else:
+                allowed = _expected(report["type"], context, kind, unit, location)
+                allowed += ", or null" * (type(None) in get_args(kind))
+                allowed += meant(value, re.findall("'([^']*)'", context.get("expected", "")))
+            if report["type"] == "missing" and not isinstance(location[-1], str):  # of a list that is too short
                 location = location[:-1]
-            value = None if required else value
-            part, unit = _at(schema, location)
-            allowed = in_words(part, unit, schema) + "; this key is required" * required
-            if kind == "finite_number":
-                allowed = allowed.replace("number", "finite number", 1)
-            allowed += meant(value, [str(each) for option in _options(schema, part) for each in _choices(option)])
             problem = as_problem(ConfigurationError("", value, allowed))
         lines.append(InitErrorDetails(type=problem, loc=location, input=value))
     return ValidationError.from_exception_data("section", lines)
 
 
-def _at(schema: Mapping[str, Any], location: Sequence[int | str]) -> tuple[Mapping[str, Any], str]:
-    """The part of a JSON schema at a place, and its unit."""
-    here, unit = schema, ""
-    for part in location:
-        inside: Any = None
-        for option in _options(schema, here):
-            if isinstance(part, int):
-                fixed = option.get("prefixItems", ())
-                inside = inside or (fixed[part] if part < len(fixed) else option.get("items"))
-                units = unit[1:-1].split(", ")
-                if len(units) > 1 and part < len(fixed):
-                    unit = f"[{units[part * len(units) // len(fixed)]}]"
-            else:
-                inside = inside or option.get("properties", {}).get(part) or option.get("additionalProperties")
-        here = inside if isinstance(inside, Mapping) else {}
-        text = here.get("description", "")
-        unit = text[: text.index("]") + 1] if text.startswith("[") else unit if isinstance(part, int) else ""
-    return here, unit.replace("[-]", "")
+def _expected(error: str, context: Mapping[str, Any], kind: Any, unit: str, location: Sequence[int | str]) -> str:
+    """What an error of pydantic expected at a place in a value of a type, with the unit."""
+    length = _length(kind)
+    if length and (error in ("tuple_type", "too_long") or (error == "missing" and isinstance(location[-1], int))):
+        return f"a list of {length}{unit and f' numbers [{unit}]'}"
+    if length and isinstance(location[-1], int):
+        units = unit.split(", ")
+        unit = units[location[-1] * len(units) // length]
+    unit = unit and f" [{unit}]"
+    for name, text in _BOUNDS.items():
+        if name in context:
+            noun = "a whole number" if isinstance(context[name], int) else "a number"
+            return f"a positive number{unit}" if context[name] == TINY else f"{noun}{unit}, {text} {context[name]:g}"
+    if "expected" in context:
+        return str(context["expected"]).replace("'", "")
+    return _NOUNS.get(error, "another value").format(**context) + unit
 
 
-def _options(root: Mapping[str, Any], schema: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """What a part of a schema may be, references followed."""
-    if "$ref" in schema:
-        return _options(root, root["$defs"][schema["$ref"].rpartition("/")[2]])
-    if "anyOf" in schema and "$comment" not in schema:
-        return [option for each in schema["anyOf"] for option in _options(root, each)]
-    return [schema]
-
-
-def _choices(schema: Mapping[str, Any]) -> list[Any]:
-    return list(schema.get("enum", [schema["const"]] if "const" in schema else []))
-
-
-def in_words(schema: Mapping[str, Any], unit: str, root: Mapping[str, Any]) -> str:
-    """A part of a JSON schema in words: a positive number [s]; red or blue; a list of 6 numbers, or null."""
-    ways = []
-    options = _options(root, schema)
-    for option in (each for each in options if each.get("type") != "null"):
-        kind = option.get("type")
-        words = _noun(option, root)
-        if "$comment" not in option or kind == "string":
-            limits = [text.format(option[key]) for key, text in _BOUNDS.items() if option.get(key, TINY) != TINY]
-            words += f" {unit}" if unit and kind in ("number", "integer", "array") else ""
-            words += f", {' and '.join(limits)}" if limits else ""
-        ways.append(words)
-    return " or ".join(ways) + ", or null" * (len(ways) < len(options))
-
-
-def _noun(schema: Mapping[str, Any], root: Mapping[str, Any]) -> str:
-    """What a value is called, without unit and bounds."""
-    if "$comment" in schema or _choices(schema):
-        return str(schema.get("$comment") or either([str(each) for each in _choices(schema)]))
-    kind = schema.get("type")
-    if kind == "array":
-        fixed = schema.get("prefixItems", ())
-        inside = _options(root, fixed[0] if fixed else schema.get("items", {}))
-        inner = " or ".join(_noun(each, root).partition(",")[0].removeprefix("a ") for each in inside)
-        inner = re.sub(r"^((positive |whole )*(number|text|list|section|value))", r"\1s", inner)
-        count = f"{len(fixed)} " if fixed else f"at least {schema['minItems']} " if "minItems" in schema else ""
-        return f"a list of {count}{inner}"
-    return "a positive number" if schema.get("minimum") == TINY else _NOUNS.get(str(kind), "another value")
+def _length(kind: Any) -> int:
+    """Numbers in the list of fixed length that is in a type; 0 without one."""
+    parts = get_args(kind)
+    fixed = get_origin(kind) is tuple and ... not in parts
+    return len(parts) if fixed else next(filter(None, map(_length, parts)), 0)

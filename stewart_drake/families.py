@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from stewart_drake.config import Section, as_problem, check_plain, chosen, either, schema_of
+from stewart_drake.config import Section, as_problem, check_plain, chosen, either
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code import CLASS_PATH, CodePath, path_of, source_of
 
@@ -47,7 +47,6 @@ class Table:
         """Adds an object; a `ConfigurationError` where the name means something already."""
         self._refuse_known(name)
         self._lines[name] = thing
-        schema_of.cache_clear()
 
     def _refuse_known(self, name: str) -> None:
         if name in self._lines:
@@ -134,7 +133,6 @@ class Family(Table):
             raise ConfigurationError(name, path, "module:Class, of a part that may be a class of your own")
         self._refuse_known(name)
         self._paths[name] = path
-        schema_of.cache_clear()
 
     def spelled(self, data: Any) -> Any:
         """A section as written, in full; what stands for one is a kind, or a user's class or object."""
@@ -181,15 +179,12 @@ class Family(Table):
 
     def _refusal(self, value: Any) -> ConfigurationError:
         if not isinstance(value, (Mapping, Section)):
-            allowed = chosen(value, self.words) if isinstance(value, str) else self._text
+            allowed = f"a section, with kind: {either(self.words)}, or a kind by itself"
+            allowed = chosen(value, self.words) if isinstance(value, str) else allowed
             return ConfigurationError("", value, allowed)
         kind = value.get("kind") if isinstance(value, Mapping) else getattr(value, "kind", None)
         required = "; this key is required" if isinstance(value, Mapping) and "kind" not in value else ""
         return ConfigurationError("kind", kind, f"{chosen(kind, self.words)}{required}")
-
-    @property
-    def _text(self) -> str:
-        return f"a section, with kind: {either(self.words)}, or a kind by itself"
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         ways: list[dict[str, Any]] = []
@@ -203,7 +198,7 @@ class Family(Table):
                 alone.append(kind)
         if self._own is not None:
             ways += [handler(self._own_section.__pydantic_core_schema__), {"type": "string", "pattern": CLASS_PATH}]
-        return {"$comment": self._text, "anyOf": [*ways, {"enum": alone}]}
+        return {"anyOf": [*ways, {"enum": alone}]}
 
 
 class UserMade(Section):

@@ -20,9 +20,9 @@ from stewart_drake.config import (
     Section,
     Text,
     Vector6,
-    schema_of,
     shown,
     unknown,
+    words,
 )
 from stewart_drake.control.base import ControllerOptions
 from stewart_drake.control.lqi import LqiOptions
@@ -60,7 +60,7 @@ class Scenario(Section):
         ConfigurationError: Names the key, the value and what is allowed.
     """
 
-    name: Annotated[Text, Field(min_length=1, max_length=100, pattern=NAME), NAME_WORDS] = "scenario"
+    name: Annotated[Text, Field(min_length=1, max_length=100, pattern=NAME), words(f"at most 100 {NAME_WORDS}")] = "scenario"
     """Used for the output folder and titles: letters, digits and, after the first, space and . + - too."""
     duration: Annotated[Positive, Field(le=1e6)] = 10.0
     """[s] simulated time; at most 1e9 steps of the plant. A run ends with the last whole step."""
@@ -266,7 +266,7 @@ def scenario_schema() -> dict[str, Any]:
             name += "_"
         return {"$ref": f"#/$defs/{name}"}
 
-    schema = dict(schema_of(Scenario))
+    schema = TypeAdapter(Scenario).json_schema()
     for name, section in schema.pop("$defs", {}).items():
         sections[name] = {key: moved(each) for key, each in section.items()}
     schema = {key: moved(each) for key, each in schema.items()}

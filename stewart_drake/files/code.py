@@ -169,7 +169,7 @@ class CodePath(os.PathLike[str]):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: Any) -> dict[str, Any]:
-        return {"type": "string", "pattern": CLASS_PATH, "$comment": _WORDS}
+        return {"type": "string", "pattern": CLASS_PATH,}
 
 
 def path_of(given: Any) -> str:

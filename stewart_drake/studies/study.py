@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self, Ty
 
 from pydantic import Field
 
-from stewart_drake.config import NAME, NAME_WORDS, Section, Text
+from stewart_drake.config import NAME, NAME_WORDS, Section, Text, words
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.families import given_keys, refuse_given, user_parts
 from stewart_drake.files.code import anchored, code_is_trusted, trusting_code
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 T = TypeVar("T")
-StudyName = Annotated[Text, Field(min_length=1, max_length=80, pattern=NAME), NAME_WORDS]
+StudyName = Annotated[Text, Field(min_length=1, max_length=80, pattern=NAME), words(f"at most 80 {NAME_WORDS}")]
 Tables = Mapping[str, tuple[Sequence[Column], list[Row]]]
 """Name of a table -> its columns, and its rows, which may say more."""
 INCIDENTAL = (
