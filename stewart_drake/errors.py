@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+
 class StewartDrakeError(Exception):
     """Base of every error that this package raises on purpose."""
 

@@ -121,7 +121,7 @@ class Family(Table):
         return [kind for kind in self.kinds if key in self[kind].__pydantic_fields__]
 
     def add(self, section: type[Section]) -> None:  # type: ignore[override]
-        """Adds a kind: its section, whose `kind` has its name as the default; again too, as a cell of a notebook does."""
+        """Adds a kind: its section, whose `kind` has its name as the default; again too, as in a notebook."""
         kind = section.__pydantic_fields__["kind"].default
         if kind in self._lines and path_of(self[kind]) == path_of(section):
             del self._lines[kind]
@@ -217,6 +217,7 @@ class UserMade(Section):
     """Keyword arguments of the constructor, plain values."""
 
     def rules(self) -> None:
+        """Arguments are plain values."""
         check_plain("arguments", self.arguments)
 
     @property

@@ -39,7 +39,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.planning.limits import Bounds, Limits
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
-from stewart_drake.registry import CONTROLLERS, ESTIMATORS, OWN_METRICS, REFERENCES, SENSORS, TUNERS
+from stewart_drake.registry import CONTROLLERS, ESTIMATORS, OWN_METRICS, SENSORS, TUNERS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST
 from stewart_drake.robot.robot_files import AnyRobot, robot_section
@@ -60,7 +60,7 @@ class Scenario(Section):
         ConfigurationError: Names the key, the value and what is allowed.
     """
 
-    name: Annotated[Text, Field(min_length=1, max_length=100, pattern=NAME), words(f"at most 100 {NAME_WORDS}")] = "scenario"
+    name: Annotated[Text, Field(max_length=100, pattern=NAME), words(f"at most 100 {NAME_WORDS}")] = "scenario"
     """Used for the output folder and titles: letters, digits and, after the first, space and . + - too."""
     duration: Annotated[Positive, Field(le=1e6)] = 10.0
     """[s] simulated time; at most 1e9 steps of the plant. A run ends with the last whole step."""
@@ -195,6 +195,7 @@ class Scenario(Section):
         return pose + np.array(self.initial_offset), rate
 
     def rules(self) -> None:
+        """Periods fit each other, and the tuner its estimator."""
         place_users(self)
         steps = steps_per("controller.period", self.controller.period, self.plant.time_step)
         if self.tuner.listens and not self.estimator.expected:

@@ -176,7 +176,11 @@ def test_an_override_sets_one_key(text, key, value):
         ("reference.center[6]=3", "reference.center[6]", "center has components from 0 to 5"),
         ("initial_offset=3", "initial_offset", "a list of 6 numbers [rad, m]"),
         (".=3", ".", "a key such as"),
-        ("tuner.kappa=2", "tuner.kappa", "no such key, got 2; kind policy has it. The keys here are kind, density, window"),
+        (
+            "tuner.kappa=2",
+            "tuner.kappa",
+            "no such key, got 2; kind policy has it. The keys here are kind, density",
+        ),
         ("duration=-1", "duration", "a positive number [s]"),
     ],
 )

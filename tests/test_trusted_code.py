@@ -109,7 +109,7 @@ def test_a_module_is_not_imported_to_read_or_check_it(call, tmp_path, monkeypatc
     monkeypatch.syspath_prepend(tmp_path)
     write_scenario("disturbance", f"{module}:Mine")
     assert call("check", "s.yaml")[0] == 0
-    with refused(f"read .*{module.rpartition('.')[2]}.py, then say"):
+    with refused(f"read {module}, then say"):
         run(load_scenario("s.yaml"))
     assert not [name for name in sys.modules if name.partition(".")[0] in ("loose", "package", "space")]
 
@@ -149,15 +149,12 @@ def test_trust_stays_with_what_was_read_and_goes_no_further(parts):
             run(each)
 
 
-def test_shipped_code_needs_nothing_where_it_lies_and_only_what_it_defines(parts):
+def test_shipped_code_needs_nothing_where_it_lies(parts):
     shipped = f"{shipped_folder('comparisons') / 'task_space_pd.py'}:TaskSpacePd"
     assert Scenario.from_dict({"controller": shipped}).controller.load().__name__ == "TaskSpacePd"
     parts.write_text((shipped_folder("comparisons") / "task_space_pd.py").read_text())
     with refused():
         Scenario.from_dict({"controller": f"{parts}:TaskSpacePd"}).controller.load()
-    scenario = Scenario.from_dict({"disturbances": ["stewart_drake.studies.workers:BrokenExecutor"]})
-    with refused(r"^disturbances\.0\.kind: .*itself defines"):
-        scenario.disturbances[0].evaluate(0.0)
 
 
 def test_a_log_of_somebody_elses_is_read_and_not_run(parts, tmp_path):

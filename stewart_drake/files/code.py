@@ -25,7 +25,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from stewart_drake.config import as_problem, meant
 from stewart_drake.errors import ConfigurationError, RunFailure
-from stewart_drake.files.whole import check_file, digest, read_checked
+from stewart_drake.files.whole import digest, read_checked
 from stewart_drake.files.yaml_files import shipped_folder
 
 _LARGEST = 1_000_000
@@ -55,19 +55,12 @@ def code_is_trusted() -> bool:
 
 @dataclass(frozen=True, repr=False)
 class CodePath(os.PathLike[str]):
-    """A class or object by its import path, or itself where it was given in Python; the type of a key.
+    """A class or object by its import path, or itself where it was given in Python; the type of a key."""
 
-    Attributes:
-        place: Its module, or the whole path of its file.
-        name: Of the class.
-        given: What was given in Python; None otherwise.
-        trusted: Whether it may run.
-    """
-
-    place: str
+    place: str  # Its module, or the whole path of its file.
     name: str
-    given: Any = field(default=None, hash=False)
-    trusted: bool = field(default=True, compare=False)
+    given: Any = field(default=None, hash=False)  # In Python; None otherwise.
+    trusted: bool = field(default=True, compare=False)  # Whether it may run.
 
     @classmethod
     def of(cls, given: Any) -> Any:
@@ -108,20 +101,17 @@ class CodePath(os.PathLike[str]):
             return self.place
         return _FILES if self.in_file else self.place.partition(".")[0]
 
+    def find(self, key: str) -> None:
+        """Raises a `ConfigurationError` where its file is missing; `key` is where it stands."""
+        if self.in_file and not os.path.isfile(self.place):  # noqa: PTH113 - it never raises
+            raise ConfigurationError(key, self, f"{_WORDS}, of a file that can be read")
+
     def check(self, key: str) -> None:
-        """Raises a `ConfigurationError` where its file is missing, or it is not trusted; `key` is where it stands."""
+        """Raises a `ConfigurationError` where its file is missing, or it is not trusted."""
         self.find(key)
         if not self.trusted:
             allowed = f"code that you trust; read {self.place}, then say --trust-code (trust_code=True)"
             raise ConfigurationError(key, self, allowed)
-
-    def find(self, key: str) -> None:
-        """Raises a `ConfigurationError` where its file is missing."""
-        if self.in_file:
-            try:
-                check_file(self.place, key, _LARGEST)
-            except ConfigurationError:
-                raise ConfigurationError(key, self, f"{_WORDS}, of a file that can be read") from None
 
     def load(self, key: str) -> Any:
         """What the path names, whatever it is; see `check`."""
@@ -130,11 +120,9 @@ class CodePath(os.PathLike[str]):
         self.check(key)
         with self.blamed(key, "code that can be imported"):
             module = _run_file(self.place) if self.in_file else importlib.import_module(self.place)
-        found = getattr(module, self.name, None)
-        if found is None:
-            names = [name for name in vars(module) if not name.startswith("_")]
-            raise ConfigurationError(key, self, f"a name that {self.place} defines{meant(self.name, names)}")
-        return found
+        if not hasattr(module, self.name):
+            raise ConfigurationError(key, self, f"a name that {self.place} defines{meant(self.name, vars(module))}")
+        return getattr(module, self.name)
 
     @contextmanager
     def blamed(self, key: str, allowed: str) -> Iterator[None]:
@@ -169,7 +157,10 @@ class CodePath(os.PathLike[str]):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: Any) -> dict[str, Any]:
-        return {"type": "string", "pattern": CLASS_PATH,}
+        return {
+            "type": "string",
+            "pattern": CLASS_PATH,
+        }
 
 
 def path_of(given: Any) -> str:
@@ -228,12 +219,9 @@ class UserCode(AbstractContextManager[None]):
     """Turns what a user's code raises in a run into `ControllerError`, which ends the run and keeps its log.
 
     What ends a run by itself passes, and so does Ctrl-C, and what no frame of the user's is part of: that is Drake's
-    verdict (see `drake_guard`), or a mistake in this package.
+    verdict (see `drake_guard`), or a mistake in this package. `own` are the user's modules, or packages of them.
 
     A class: a generator under `contextmanager` would let StopIteration pass.
-
-    Args:
-        own: Names of the user's modules, or of the packages that they are in; none where no code is the user's.
     """
 
     def __init__(self, *own: str) -> None:
@@ -247,7 +235,9 @@ class UserCode(AbstractContextManager[None]):
         if frames or trace.tb_next is None:
             # Of an endless recursion the first frames say enough.
             lines = traceback.format_exception(type(error), error, frames[0], limit=20) if frames else []
-            raise ControllerError(f"the user's code raised {_in_a_line(error, frames)}", "".join(lines).rstrip()) from error
+            raise ControllerError(
+                f"the user's code raised {_in_a_line(error, frames)}", "".join(lines).rstrip()
+            ) from error
 
 
 def _frames(trace: TracebackType | None, packages: tuple[str, ...]) -> list[TracebackType]:

@@ -1,8 +1,18 @@
 """Reference motions q(t) with exact first and second derivatives; poses are [roll, pitch, yaw, X, Y, Z] of P in B."""
 
 from stewart_drake.references.motions import (
-    AdjustedReference, AnyReference, HoldReference, MinimumJerkReference, Reference, SineBurstsReference, SineReference,
-    SplineReference, SumReference, center_of, in_blocks, paper_reference,
+    AdjustedReference,
+    AnyReference,
+    HoldReference,
+    MinimumJerkReference,
+    Reference,
+    SineBurstsReference,
+    SineReference,
+    SplineReference,
+    SumReference,
+    center_of,
+    in_blocks,
+    paper_reference,
 )  # fmt: skip
 from stewart_drake.references.recorded import RecordedReference
 from stewart_drake.references.surgical import BreathingReference, HeartbeatReference, TremorReference

@@ -58,6 +58,7 @@ class LegParameters(Section, key="robot.legs"):
     """[rad] lowest and highest theta, within one turn; the plant has stops there. Null: none."""
 
     def rules(self) -> None:
+        """Angles rise, directions are unit vectors."""
         low, high = self.crank_angle_range or (-math.pi, math.pi)
         if not low < high <= low + 2.0 * math.pi:
             allowed = "two angles [rad], rising, within one turn"
@@ -107,6 +108,7 @@ class FrictionOptions(Section, key="plant.friction"):
     """[N m s/rad] beside it, in proportion to speed."""
 
     def rules(self) -> None:
+        """What breaks a motor away is not less than what it slides with."""
         for above, below in zip(self.break_away or (), self.coulomb, strict=False):
             if above < below:
                 raise ConfigurationError("break_away", above, f"at least `coulomb`, {below:g} N m")

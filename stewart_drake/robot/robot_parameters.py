@@ -112,6 +112,7 @@ class RobotParameters(Section, key="robot"):
     """[m] makes rotations and translations comparable in conditioning."""
 
     def rules(self) -> None:
+        """Inertias are those of bodies, and the robot can stand at home."""
         for name in ("rod_inertia", "crank_inertia", "platform_inertia", "base_inertia"):
             inertia = getattr(self, name)
             if 2.0 * max(inertia) > sum(inertia) * (1.0 + 1e-12):

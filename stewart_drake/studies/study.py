@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 T = TypeVar("T")
-StudyName = Annotated[Text, Field(min_length=1, max_length=80, pattern=NAME), words(f"at most 80 {NAME_WORDS}")]
+StudyName = Annotated[Text, Field(max_length=80, pattern=NAME), words(f"at most 80 {NAME_WORDS}")]
 Tables = Mapping[str, tuple[Sequence[Column], list[Row]]]
 """Name of a table -> its columns, and its rows, which may say more."""
 INCIDENTAL = (
