@@ -290,20 +290,6 @@ def test_a_metric_by_its_path_is_computed_in_its_runs_alone(tmp_path):
     assert run_metrics(run(Scenario(**SHORT, metrics=[mine])))["mine"] > 10
 
 
-@pytest.mark.parametrize(
-    ("of", "parts", "kind", "words"),
-    [
-        (lambda _: {"height": 1.0}, (), "number", r"\{'height': 1.0\}, not a value of kind number"),
-        (lambda _: [1.0, 2.0], ("a_x", "a_y", "a_z"), "number", "not 3 values of kind number"),
-        (lambda _: 1.5, (), "whole", "1.5, not a value of kind whole"),
-    ],
-)
-def test_a_metric_of_another_form_than_it_says_is_refused_by_its_name(of, parts, kind, words):
-    metric = Metric("mine", "1", "a number", of, "steps", parts=parts, kind=kind)
-    with pytest.raises(MetricError, match=f"^metric mine: `of` returned .*{words}"):
-        run(Scenario(**SHORT, metrics=[metric]))
-
-
 def test_what_was_given_in_python_is_refused_where_results_are_kept():
     own = Scenario.from_dict(SHORT).replace({"reference": ToyReference(0.002)})
     drawn = {"gravity": {"kind": "uniform", "low": 9.0, "high": 10.0}}

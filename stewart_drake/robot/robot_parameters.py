@@ -245,8 +245,8 @@ class RobotParameters(Section, key="robot"):
 
     def each_leg(self) -> list[dict[str, Any]]:
         """What each leg has, its own or that of the symmetric robot, in plain values as `legs` takes them."""
-        names = "shaft_position", "crank_zero_direction", "crank_quarter_direction", "platform_joint"
-        names += "crank_length", "rod_length"
+        positions = ("shaft_position", "platform_joint", "crank_zero_direction", "crank_quarter_direction")
+        names = (*positions, "crank_length", "rod_length")
         legs = [{name: getattr(self, f"{name}s")[leg].tolist() for name in names} for leg in range(LEGS)]
         for leg, branch, angles in zip(legs, self.branches, self.crank_angle_ranges, strict=True):
             leg["branch"] = int(branch)

@@ -41,25 +41,14 @@ def refused(load, path):
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_a_damaged_file_is_loaded_or_refused_in_plain_words(tmp_path, name):
+@pytest.mark.parametrize("damage", [lambda good: good[: len(good) // 2] + b"\xff[", lambda _: b"[" * 5000, lambda _: b"\x00"])
+def test_a_damaged_file_is_refused_in_plain_words(tmp_path, name, damage):
     make, load = KINDS[name]
-    path, good, rng = tmp_path / name, make(), np.random.default_rng(1)
+    path, good = tmp_path / name, make()
     path.write_bytes(good)
     assert not refused(load, path)
-    bad = 0
-    for number in range(40):
-        content = bytearray(good)
-        start, end = sorted(rng.integers(0, len(content) + 1, 2).tolist())
-        if number % 4 == 0:
-            for place in rng.integers(0, 8 * len(content), 3):
-                content[place // 8] ^= 1 << (place % 8)
-        elif number % 4 == 1:
-            del content[start:end]
-        else:
-            content[start:end] = [b"9" * 5000, b"[" * 5000, b"{a: " * 5000, b"1e999", b"\x00"][number % 5]
-        path.write_bytes(content)
-        bad += refused(load, path)
-    assert bad > 5
+    path.write_bytes(damage(good))
+    assert refused(load, path)
 
 
 @pytest.mark.parametrize("name", KINDS)
