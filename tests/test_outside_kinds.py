@@ -6,7 +6,6 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from pydrake.systems.framework import LeafSystem
 
 from stewart_drake.config import NotNegative, Positive
 from stewart_drake.control.base import ControllerOptions
@@ -29,21 +28,6 @@ from stewart_drake.studies.sweep import Sweep, SweepFile
 
 SHORT = {"duration": 0.1, "tuner": {"kind": "fixed"}}
 HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
-
-
-class ToyController(LeafSystem):
-    """The robot's weight at home, and a spring."""
-
-    def __init__(self, robot, gravity, stiffness=0.5):
-        super().__init__()
-        self.weight, self.stiffness = static_torque(robot, robot.home_pose, gravity), stiffness
-        self.DeclareVectorInputPort("measurement", 12)
-        self.DeclareVectorInputPort("reference", 18)
-        self.DeclareVectorOutputPort("torque", 6, self._calc)
-
-    def _calc(self, context, output):
-        away = self.GetInputPort("measurement").Eval(context)[5] - self.GetInputPort("reference").Eval(context)[5]
-        output.SetFromVector(self.weight - self.stiffness * away)
 
 
 class ToyReference:
@@ -80,16 +64,6 @@ def checked_logged_and_plotted(scenario, tmp_path):
     assert plot_states(again).axes
     assert plot_torques(again).axes
     return log
-
-
-def test_a_controller_from_a_notebook_cell(tmp_path):
-    given = {"kind": ToyController, "period": 0.002, "arguments": {"stiffness": 1.0}}
-    scenario = Scenario.from_dict({**SHORT, "controller": given, "reference": {"kind": "hold"}})
-    assert str(scenario.controller.kind) == "test_outside_kinds:ToyController"
-    log = checked_logged_and_plotted(scenario, tmp_path)
-    assert np.abs(log["torque"]).max() > 0.01
-    longer = scenario.replace({"duration": 0.11, "controller.period": 0.001})
-    assert run(longer).status == "completed"
 
 
 @pytest.mark.parametrize(
@@ -305,8 +279,6 @@ def test_a_copy_keeps_what_was_given_in_python_and_another_object_is_another_sce
         assert copy.reference.made is one
         assert copy.replace({"log_period": 0.002}).reference.made is one
     assert dataclasses.replace(scenario.reference).made is one
-    controlled = Scenario(**SHORT, controller=ToyController)
-    assert dataclasses.replace(controlled.controller, period=0.002).load() is ToyController
     assert type(scenario.to_dict()["reference"]["kind"]) is str
 
 

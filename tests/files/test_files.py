@@ -41,7 +41,9 @@ def refused(load, path):
 
 
 @pytest.mark.parametrize("name", KINDS)
-@pytest.mark.parametrize("damage", [lambda good: good[: len(good) // 2] + b"\xff[", lambda _: b"[" * 5000, lambda _: b"\x00"])
+@pytest.mark.parametrize(
+    "damage", [lambda good: good[: len(good) // 2] + b"\xff[", lambda _: b"[" * 5000, lambda _: b"\x00"]
+)
 def test_a_damaged_file_is_refused_in_plain_words(tmp_path, name, damage):
     make, load = KINDS[name]
     path, good = tmp_path / name, make()
