@@ -10,7 +10,6 @@ import dataclasses
 import difflib
 import inspect
 import json
-import math
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -241,14 +240,6 @@ def to_plain(value: Any) -> Any:
     return {key: to_plain(each) for key, each in value.items()} if isinstance(value, Mapping) else value
 
 
-def is_finite(value: Any) -> bool:
-    """Whether a value is a finite number; a truth value, or a text that looks like one, is not."""
-    try:
-        return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    except OverflowError:
-        return False
-
-
 def check_plain(key: str, value: Any) -> None:
     """Raises a `ConfigurationError` for what is not plain values, such as a file can hold."""
     try:
@@ -354,31 +345,31 @@ def _in_words(error: ValidationError, section: Any, annotation: Any = None) -> V
         elif report["type"] == "rule":
             problem = PydanticCustomError("rule", "expected {allowed}", context)
         else:
-            field = fields.get(str(location[0])) if location else None
+            field, last = (fields.get(str(location[0])), location[-1]) if location else (None, "")
             text = getattr(field, "description", None) or ""
             unit = text[1 : text.index("]")].removesuffix("-") if text.startswith("[") else ""
             kind = getattr(field, "annotation", annotation)
-            if report["type"].startswith("missing") and isinstance(location[-1], str):
+            if report["type"].startswith("missing") and isinstance(last, str):
                 value, allowed = None, f"a value{unit and f' [{unit}]'}; this key is required"
             else:
-                allowed = _expected(report["type"], context, kind, unit, location)
+                allowed = _expected(report["type"], context, kind, unit, last)
                 allowed += ", or null" * (type(None) in get_args(kind))
                 allowed += meant(value, re.findall("'([^']*)'", context.get("expected", "")))
-            if report["type"] == "missing" and not isinstance(location[-1], str):  # of a list that is too short
+            if report["type"] == "missing" and isinstance(last, int):  # of a list that is too short
                 location = location[:-1]
             problem = as_problem(ConfigurationError("", value, allowed))
         lines.append(InitErrorDetails(type=problem, loc=location, input=value))
     return ValidationError.from_exception_data("section", lines)
 
 
-def _expected(error: str, context: Mapping[str, Any], kind: Any, unit: str, location: Sequence[int | str]) -> str:
-    """What an error of pydantic expected at a place in a value of a type, with the unit."""
+def _expected(error: str, context: Mapping[str, Any], kind: Any, unit: str, last: int | str) -> str:
+    """What an error of pydantic expected in a value of a type, with the unit; `last` is an index in a list or a key."""
     length = _length(kind)
-    if length and (error in ("tuple_type", "too_long") or (error == "missing" and isinstance(location[-1], int))):
+    if length and error in ("tuple_type", "too_long", "missing"):
         return f"a list of {length}{unit and f' numbers [{unit}]'}"
-    if length and isinstance(location[-1], int):
+    if length and isinstance(last, int):
         units = unit.split(", ")
-        unit = units[location[-1] * len(units) // length]
+        unit = units[last * len(units) // length]
     unit = unit and f" [{unit}]"
     for name, text in _BOUNDS.items():
         if name in context:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -66,9 +65,7 @@ def parse_yaml(text: str, key: str) -> Any:
     yaml = _yaml()
     yaml.Composer = _PlainComposer
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            return yaml.load(text)
+        return yaml.load(text)
     except Exception as error:
         # Of a tag that does not fit its value (`!!bool 3`) the loader lets KeyError, IndexError and others escape.
         mark = getattr(error, "problem_mark", None)
