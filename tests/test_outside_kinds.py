@@ -11,7 +11,7 @@ from stewart_drake.config import NotNegative, Positive
 from stewart_drake.control.base import ControllerOptions
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
-from stewart_drake.hardware.faults import EncoderFault, FaultKind
+from stewart_drake.hardware.faults import FaultKind
 from stewart_drake.hardware.sensors import SensorOptions
 from stewart_drake.jit import fields, new_record
 from stewart_drake.logs.log import load_log
@@ -191,19 +191,6 @@ def test_results_are_kept_under_the_code_of_added_kinds(added_fault, monkeypatch
         named(ENCODER_FAULTS, "doubled", FaultKind(lambda fault, now: np.multiply.at(now.says, fault.channels, 3.0))),
     ]
     assert len({before, *others}) == 3
-
-
-@pytest.mark.usefixtures("added_fault")
-def test_a_kind_of_fault():
-    sensors = {"kind": "encoders", "faults": [{"kind": "doubled", "leg": 2, "time": 0.05}]}
-    scenario = Scenario.from_dict({**SHORT, "reference": {"kind": "hold"}, "sensors": sensors, "safety": {}})
-    trip = run(scenario).safety
-    assert trip is not None
-    assert trip["time"] == pytest.approx(0.05, abs=0.011)
-    with pytest.raises(ConfigurationError, match=r"did you mean doubled\?"):
-        EncoderFault(kind="dubled", leg=0)
-    with pytest.raises(ConfigurationError, match="no kind has"):
-        ENCODER_FAULTS.add("freeze", FaultKind(print))
 
 
 class ToyMonitor:
