@@ -113,7 +113,7 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
         part.code.find(part.code_key)
     for code in dict.fromkeys(part.code for part in user_parts(loaded)):
         asks = "" if code.trusted else "; `run` asks for --trust-code"
-        click.echo(f"runs code: {code.file}:{code.name}{asks}")
+        click.echo(f"runs code: {code}{asks}")
     if user_parts((loaded.reference, loaded.safety)):
         if scale or retime:
             allowed = "a motion and monitors of the package, for --scale and --retime: check runs no user's code"
@@ -244,7 +244,7 @@ def workspace(
     base = load_scenario(scenario, overrides)
     center = base.robot.home_pose if pose is None else np.array(pose)
     check_center(base.robot, center)
-    base.load_tuner_network()
+    base.tuner.network()
     try:
         check_scenario(base)
     except ConfigurationError as error:

@@ -40,7 +40,7 @@ def scaled_network(network: TunerNetwork, omega_q: float = 1.0, omega_r: float =
 def changes(base: Scenario, folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
     """Factor and its new value -> keys of the scenario; bodies are those of the robot, not of the model."""
     robot, believed = base.robot, {"model_robot": asdict(base.believed_robot)}
-    network, window = base.load_tuner_network(), isinstance(base.tuner, PaperTuner)
+    network, window = base.tuner.network(), isinstance(base.tuner, PaperTuner)
 
     def bodies(name: str, factor: float) -> dict[str, Any]:
         keys = [f"{body}_{name}" for body in ("platform", "rod", "crank")]

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self, Ty
 
 from pydantic import Field
 
-from stewart_drake.config import NAME, NAME_WORDS, Section, Text
+from stewart_drake.config import NAME, NAME_WORDS, Section, Text, words
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.families import given_again, refuse_given, user_parts
+from stewart_drake.families import given_keys, refuse_given, user_parts
 from stewart_drake.files.code import anchored, code_is_trusted, trusting_code
 from stewart_drake.files.tables import to_csv, to_parquet
 from stewart_drake.files.whole import write_atomically
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 T = TypeVar("T")
-StudyName = Annotated[Text, Field(min_length=1, max_length=80, pattern=NAME), NAME_WORDS]
+StudyName = Annotated[Text, Field(max_length=80, pattern=NAME), words(f"at most 80 {NAME_WORDS}")]
 Tables = Mapping[str, tuple[Sequence[Column], list[Row]]]
 """Name of a table -> its columns, and its rows, which may say more."""
 INCIDENTAL = (
@@ -122,7 +122,8 @@ class Study(ABC):
 
     @cached_property
     def _base(self) -> dict[str, Any]:
-        return dict(given_again(self.base))
+        values: dict[str, Any] = given_keys(self.base)
+        return values
 
     def identity(self) -> dict[str, Any]:
         """What kept rows are known by; the user's classes are loaded: one that lacks shows early."""

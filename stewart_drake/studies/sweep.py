@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Count, Flag, Positive, Real, Section, Seed, Text, check_plain, is_finite, shown
+from stewart_drake.config import Count, Flag, Positive, Real, Section, Seed, Text, check_plain, shown
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import Family, refuse_given
 from stewart_drake.files.whole import plain_json
@@ -117,7 +117,9 @@ class Choice(_Distribution):
 
     def rules(self) -> None:
         check_plain("values", self.values)
-        if self.factor and not all(map(is_finite, self.values)):
+        if self.factor and not all(
+            isinstance(each, (int, float)) and not isinstance(each, bool) for each in self.values
+        ):
             raise ConfigurationError("values", self.values, "numbers, to multiply by")
 
     def at(self, quantile: float) -> Any:

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.config import is_finite
 from stewart_drake.control.features import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code import trusting_code
@@ -152,7 +151,7 @@ def _start(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, fl
         for key, (low, high) in keys.items():
             start[key] = value_at(data, key)
             vary(scenario, {key: high})
-            if not is_finite(start[key]) or not low <= start[key] <= high:
+            if not isinstance(start[key], (int, float)) or not low <= start[key] <= high:
                 allowed = f"a number from {low:g} to {high:g} in the controller's own keys, to start from"
                 raise ConfigurationError(key, start[key], allowed)
     return start

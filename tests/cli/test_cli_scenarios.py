@@ -50,7 +50,7 @@ def test_the_code_that_a_scenario_runs_is_named_and_not_run(call, tmp_path):
     status, out, _ = call("check", "given/mine.yaml", "--scale", "--out", "fit.yaml")
     assert f"{line}; `run` asks for --trust-code\n" in out
     assert load_scenario("fit.yaml", trust_code=True).controller.code.file == folder / "mine.py"
-    status, out, err = call("check", "given/mine.yaml", "--set", "controller.kind=no_such_module:Popen")
+    status, out, err = call("check", "given/mine.yaml", "--set", "controller.kind=no_such_file.py:Popen")
     assert (status, out, err.count("\n")) == (2, "", 1)
 
 

@@ -92,7 +92,7 @@ def test_one_clear_error_before_the_run(written, text, words):
     assert words in str(caught.value)
 
 
-@pytest.mark.parametrize("error", ["KeyError('x')", "SystemExit(3)", "type('Mute', (Exception,), {'__str__': None})()"])
+@pytest.mark.parametrize("error", ["KeyError('x')", "SystemExit(3)"])
 def test_whatever_it_raises_keeps_the_log_and_is_shown_with_its_line(written, error):
     raised = f"        if context.get_time() > 0.05:\n            raise {error}\n        output.Set"
     text = GOOD.replace("        output.Set", raised)

@@ -75,5 +75,5 @@ def test_a_scaled_network_answers_so_much_more_within_a_range_so_much_higher(tmp
     expected = network.weights(densities) * [1.0, 0.5]
     np.testing.assert_allclose(scaled_network(network, omega_r=0.5).weights(densities), expected, rtol=1e-12)
     base = Scenario(tuner=PaperTuner())
-    half = base.replace(changes(base, tmp_path)["omega_R", "-50 %"]).load_tuner_network()
+    half = base.replace(changes(base, tmp_path)["omega_R", "-50 %"]).tuner.network()
     np.testing.assert_allclose(half.weights(densities), expected, rtol=1e-12)
