@@ -32,6 +32,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.units import in_unit, or_text, smaller_unit
 
 TINY = float(np.finfo(float).tiny)
 """Smallest number whose reciprocal is finite: what counts as above 0."""
@@ -55,6 +56,8 @@ Real = Annotated[float, Strict()]
 Count = Annotated[int, Strict()]
 Positive = Annotated[float, Strict(), Field(ge=TINY)]
 NotNegative = Annotated[float, Strict(), Field(ge=0.0)]
+Period = Annotated[float, Strict(), Field(ge=TINY, le=1.0)]
+"""[s] of a controller."""
 Fraction = Annotated[float, Strict(), Field(gt=0.0, lt=1.0)]
 Share = Annotated[float, Strict(), Field(ge=0.0, le=1.0)]
 LegNumber = Annotated[int, Strict(), Field(ge=0, le=5), words("a leg from 0 to 5")]
@@ -175,6 +178,8 @@ class Section:
             data = data.given()
         given = {name: value is None for name, value in data.items()} if isinstance(data, dict) else None
         try:
+            if isinstance(data, dict):
+                data = {name: in_unit(value, name, cls.unit_of(name)) for name, value in data.items()}
             result = handler(data if fill is None or given is None else fill(cls, data))
         except ConfigurationError as error:
             error.key = error.key.removeprefix(f"{cls.section_key}.")
@@ -184,6 +189,12 @@ class Section:
         if given is not None:
             vars(result)["_given"] = given
         return result
+
+    @classmethod
+    def unit_of(cls, name: str) -> str:
+        """What stands in brackets before the text of a field, such as `rad, m`; empty without."""
+        text = getattr(cls.__pydantic_fields__.get(name), "description", None) or ""
+        return text[1 : text.index("]")].removesuffix("-") if text.startswith("[") else ""
 
     def given(self) -> dict[str, Any]:
         """The keys that were given, and the kind, with their values: what is only a default is left out.
@@ -215,6 +226,8 @@ class Section:
         section["description"] = cls._text
         section["properties"] = {name: section["properties"][name] for name in cls.__pydantic_fields__}
         for name, field in cls.__pydantic_fields__.items():
+            if cls.unit_of(name):
+                section["properties"][name] = or_text(section["properties"][name])
             if field.description:
                 section["properties"][name].setdefault("description", field.description)
         return result
@@ -346,8 +359,7 @@ def _in_words(error: ValidationError, section: Any, annotation: Any = None) -> V
             problem = PydanticCustomError("rule", "expected {allowed}", context)
         else:
             field, last = (fields.get(str(location[0])), location[-1]) if location else (None, "")
-            text = getattr(field, "description", None) or ""
-            unit = text[1 : text.index("]")].removesuffix("-") if text.startswith("[") else ""
+            unit = section.unit_of(str(location[0])) if field is not None else ""
             kind = getattr(field, "annotation", annotation)
             if report["type"].startswith("missing") and isinstance(last, str):
                 value, allowed = None, f"a value{unit and f' [{unit}]'}; this key is required"
@@ -355,6 +367,7 @@ def _in_words(error: ValidationError, section: Any, annotation: Any = None) -> V
                 allowed = _expected(report["type"], context, kind, unit, last)
                 allowed += ", or null" * (type(None) in get_args(kind))
                 allowed += meant(value, re.findall("'([^']*)'", context.get("expected", "")))
+                allowed += _fitting_unit(value, context, unit)
             if report["type"] == "missing" and isinstance(last, int):  # of a list that is too short
                 location = location[:-1]
             problem = as_problem(ConfigurationError("", value, allowed))
@@ -380,8 +393,35 @@ def _expected(error: str, context: Mapping[str, Any], kind: Any, unit: str, last
     return _NOUNS.get(error, "another value").format(**context) + unit
 
 
+def _fitting_unit(value: Any, context: Mapping[str, Any], unit: str) -> str:
+    if "le" not in context and "lt" not in context:
+        return ""
+    return smaller_unit(value, unit, lambda each: each <= context.get("le", context.get("lt")))
+
+
 def _length(kind: Any) -> int:
     """Numbers in the list of fixed length that is in a type; 0 without one."""
     parts = get_args(kind)
     fixed = get_origin(kind) is tuple and ... not in parts
     return len(parts) if fixed else next(filter(None, map(_length, parts)), 0)
+
+
+def unit_hints(section: Any, largest: Mapping[str, float], key: str = "") -> list[str]:
+    """A sentence for each number of a section that is larger than its unit allows, but not in a smaller one."""
+    hints = []
+    for name in section.__pydantic_fields__:
+        value, units = getattr(section, name), section.unit_of(name).split(", ")
+        place = f"{key or section.section_key}.{name}"
+        if isinstance(value, tuple) and value and isinstance(value[0], Section):
+            hints += [hint for k, each in enumerate(value) for hint in unit_hints(each, largest, f"{place}[{k}]")]
+        if isinstance(value, Section):
+            hints += unit_hints(value, largest, place)
+        flat = list(np.ravel(np.array(value, dtype=object))) if isinstance(value, (int, float, tuple)) else []
+        length = 6 if len(flat) % 6 == 0 else max(1, len(flat))
+        for index, number in enumerate(flat):
+            unit = units[index % length * len(units) // length]
+            most = largest.get(unit, float("inf"))
+            if isinstance(number, (int, float)) and abs(number) > most:
+                other = smaller_unit(float(number), unit, lambda each, most=most: abs(each) <= most)  # type: ignore[misc]
+                hints.append(f"{place} has {number:g} {unit}{other}")
+    return hints

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from stewart_drake.config import Positive, Section
+from stewart_drake.config import Period, Section
 from stewart_drake.errors import NotFiniteError, RiccatiError, RunFailure, SingularPoseError, UnreachablePoseError
 from stewart_drake.jit import new_record, njit, record
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, task_inertia
@@ -40,7 +40,7 @@ class ControllerOptions(Section, ABC, key="controller"):
     own_keys = frozenset({"feedforward", "saturation"})
     kind: str
     """Of controller."""
-    period: Positive
+    period: Period
     """[s] control period, > 0, a whole multiple of the plant's time step."""
 
     @property

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from stewart_drake.config import NotNegative, Positive
+from stewart_drake.config import NotNegative, Period, Positive
 from stewart_drake.control.base import (
     AT_REFERENCE,
     DERIVATIVE,
@@ -45,7 +45,7 @@ class PidOptions(ControllerOptions):
     """
 
     kind: Literal["pid"] = "pid"
-    period: Positive = 0.001
+    period: Period = 0.001
     kp: Annotated[NotNegative, PROPORTIONAL] = 37.3
     """[N m/rad]"""
     ki: Annotated[NotNegative, INTEGRAL] = 316.0
@@ -146,7 +146,7 @@ class ComputedTorqueOptions(ControllerOptions):
     """
 
     kind: Literal["computed_torque"] = "computed_torque"
-    period: Positive = 0.001
+    period: Period = 0.001
     natural_frequency: Annotated[Positive, FREQUENCY] = 93.8
     """[rad/s] omega of e'' + 2 damping omega e' + omega^2 (e + integral_frequency z) = 0."""
     damping: Positive = 0.785

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, cast, get_args
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Flag, Natural, Positive, PositivePair
+from stewart_drake.config import Flag, Natural, Period, Positive, PositivePair
 from stewart_drake.control.base import (
     AT_REFERENCE,
     REFERENCE,
@@ -40,7 +40,7 @@ class LqiOptions(ControllerOptions):
 
     kind: Literal["lqi"] = "lqi"
     """The default kind."""
-    period: Positive = 0.005
+    period: Period = 0.005
     model: Literal["paper", "exact"] = "paper"
     """paper: (9), the platform's mass alone, moments as accelerations of Euler angles. exact: inertia of the whole
     closed chain at the measured pose."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Positive
+from stewart_drake.config import Period
 from stewart_drake.control.base import ControllerOptions, Measurement, Setpoint
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.families import UserMade, user_parts
@@ -41,7 +41,7 @@ class PythonOptions(UserMade, ControllerOptions):
     arguments: dict[str, Any] = Field(default_factory=dict)
     """Keyword arguments of the constructor, plain values. `robot` (as the controller believes it), `period` and
     `gravity` are added where the constructor names them."""
-    period: Positive = 0.001
+    period: Period = 0.001
     """[s] period of the log, of a delay and of the tuner; the controller should tick with it."""
 
     @property

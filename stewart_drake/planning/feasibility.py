@@ -105,7 +105,7 @@ def refuse_turns(key: str, pose: np.ndarray, time: np.ndarray) -> None:
     if abs(angle) < math.tau or abs(same) < _WHOLE_TURN:
         hint = f"{round(same, 3) + 0.0:g} is the same orientation"
     else:
-        hint = f"did you mean {math.radians(angle):.3g}?"
+        hint = f"did you mean {angle:g} deg?"
     got = f"{('roll', 'pitch', 'yaw')[axis]} {angle:.4g} rad at t = {time[sample]:.3f} s"
     allowed = f"roll, pitch and yaw within half a turn ({angle:.4g} rad is {math.degrees(angle):.4g} deg: {hint})"
     raise ConfigurationError(key, got, allowed)
