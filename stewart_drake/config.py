@@ -174,7 +174,7 @@ class Section:
     def _checked(cls, data: Any, handler: Callable[[Any], Any]) -> Any:
         """Remembers which keys were given; says what pydantic finds wrong in our words, wherever the section stands."""
         fill = FILL.get()
-        if fill is not None and isinstance(data, cls) and cls.adapts:
+        if fill is not None and isinstance(data, cls) and data.adapts:
             data = data.given()
         given = {name: value is None for name, value in data.items()} if isinstance(data, dict) else None
         try:

@@ -199,7 +199,7 @@ class TuneEnvironment(_Environment):
         setting = _Setting(self.policy)
         base = {name: getattr(drawn.tuner, name) for name in ("q_pose", "q_rate", "q_integral", "r")}
         tuner = GivenTuner(**base)
-        vars(tuner)["given"] = setting
+        vars(tuner)["chosen_by"] = setting
         self._setting = setting
         self.episode = _Episode(drawn.replace({"plant.engine": "reduced", "tuner": tuner}))
         return self._observe(), {"situation": drawn.name}

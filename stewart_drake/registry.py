@@ -23,7 +23,7 @@ REFERENCES = Family(
     },
     default="sine",
     own="references.recorded:UserReference",
-    methods=("evaluate",),
+    methods=("evaluate", "__call__"),
 )
 CONTROLLERS = Family(
     {

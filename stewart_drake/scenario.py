@@ -194,6 +194,12 @@ class Scenario(Section):
         pose, rate, _ = self.reference.evaluate(0.0)
         return pose + np.array(self.initial_offset), rate
 
+    def linearize(self, pose: Any = None) -> Any:
+        """The plant and the loop near a pose (6,) [rad, m], as matrices; see `stewart_drake.linearize`."""
+        from stewart_drake import linearize
+
+        return linearize(self, pose)
+
     def rules(self) -> None:
         """Periods fit each other, and the tuner its estimator."""
         place_users(self)

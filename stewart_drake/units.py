@@ -21,6 +21,7 @@ UNITS: Mapping[str, tuple[str, float]] = {
     **{"kg m^2": ("kg m^2", 1.0), "g mm^2": ("kg m^2", 1e-9)},
 }
 """What may stand behind a number in a text, as in `30 deg` -> the unit that it is a multiple of, and its size."""
+_TEXT = r"^[-+.\d]+ *[A-Za-z]"
 _MEASURE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z][\w/^ ]*?)\s*")
 
 
@@ -54,7 +55,7 @@ def or_text(schema: Any) -> Any:
     if not isinstance(schema, dict):
         return schema
     changed = {key: or_text(each) for key, each in schema.items()}
-    return {**changed, "type": ["number", "string"]} if changed.get("type") == "number" else changed
+    return {**changed, "type": ["number", "string"], "pattern": _TEXT} if changed.get("type") == "number" else changed
 
 
 def smaller_unit(value: Any, unit: str, fits: Callable[[float], bool]) -> str:

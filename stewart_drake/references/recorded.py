@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -20,6 +21,7 @@ from stewart_drake.sampling import unwrapped
 QUANTITIES = (("time", "s"), *POSE)
 MAX_RECORDING_BYTES = 100_000_000
 MAX_RECORDING_ROWS = 1_000_000
+DIFFERENCE = 1e-4  # [s] of differences of a pose that is given alone.
 
 
 class RecordedReference(Section, key="reference"):
@@ -82,9 +84,18 @@ def load_recording(path: str | Path) -> np.ndarray:
 
 
 class UserReference(UserMade, key="reference"):
-    """What a class of the user's own says with `evaluate(time)`, as in `Reference`, of one time."""
+    """What a class of the user's own says with `evaluate(time)`, as in `Reference`, of one time [s].
+
+    A plain function of the time that gives the pose (6,) alone will do: its rate and acceleration are then differences
+    over `DIFFERENCE`, so that it must be smooth.
+    """
 
     asked = "evaluate(t) returns pose, rate and acceleration, (6,) each"
+
+    def construct(self, offered: Mapping[str, Any]) -> Any:
+        loaded = self.code.load(self.code_key)
+        made = loaded if inspect.isfunction(loaded) else super().construct(offered)
+        return made if hasattr(made, "evaluate") or not callable(made) else _PoseFunction(self, made)
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         times = np.asarray(time, dtype=float)
@@ -99,3 +110,23 @@ class UserReference(UserMade, key="reference"):
         if [part.shape for part in parts] != [(6,)] * 3:
             raise self.refusal(", ".join(str(part.shape) for part in parts) or "nothing")
         return parts
+
+
+class _PoseFunction:
+    """A function from time [s] to pose (6,) as a motion, by central differences; it is not asked before 0."""
+
+    def __init__(self, section: UserReference, pose: Callable[[float], Any]) -> None:
+        self._section, self._pose = section, pose
+
+    def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        middle, h = max(time, DIFFERENCE), DIFFERENCE
+        before, here, after = (self._at(each) for each in (middle - h, middle, middle + h))
+        acceleration = (after - 2.0 * here + before) / h**2
+        rate = (after - before) / (2.0 * h) - (middle - time) * acceleration
+        return self._at(time), rate, acceleration
+
+    def _at(self, time: float) -> np.ndarray:
+        pose = self._section.numbers(self._pose(time))
+        if pose.shape != (6,):
+            raise self._section.refusal(f"a function that gives {pose.shape}, not a pose (6,)")
+        return pose

@@ -14,7 +14,7 @@ from stewart_drake.control.user_controller import user_code
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, RunFailure, UnreachablePoseError
 from stewart_drake.families import user_parts
 from stewart_drake.files.code import ControllerError, file_digests
-from stewart_drake.logs.log import MAX_ROWS
+from stewart_drake.logs.log import AXIS_NAMES, MAX_ROWS
 from stewart_drake.planning import feasibility
 from stewart_drake.planning.limits import Limits
 from stewart_drake.references import AdjustedReference, Reference
@@ -53,8 +53,11 @@ def check_scenario(scenario: Scenario) -> None:
             motion_report(scenario).raise_if_infeasible()
         except InfeasibleReferenceError as error:
             hints = unit_hints(scenario.reference, _LARGEST)
-            error.allowed += "; " + "; ".join(hints or [f"`stewart-drake check` with {_REMEDY.get(error.limit, _SMALLER)}"])
+            error.allowed += "; " + "; ".join(
+                hints or [f"`stewart-drake check` with {_REMEDY.get(error.limit, _SMALLER)}"]
+            )
             raise
+        _check_rates(scenario)
         if scenario.safety is not None:
             _check_safety(scenario, scenario.safety)
         if known:
@@ -69,6 +72,27 @@ def check_scenario(scenario: Scenario) -> None:
             if any(scenario.initial_offset):
                 key, value = "initial_offset", list(scenario.initial_offset)
             raise ConfigurationError(key, value, f"a start where the robot can stand ({failure})") from None
+
+
+def _check_rates(scenario: Scenario) -> None:
+    """Refuses a user's motion whose rate, or acceleration, is not the derivative of what it belongs to."""
+    if not user_parts(scenario.reference):
+        return
+    h = 1e-5
+    times = np.linspace(h, max(scenario.duration - h, h), 41)
+    with user_code(scenario), quiet():
+        here, before, after = (scenario.reference.evaluate(times + shift) for shift in (0.0, -h, h))
+    for order, name in ((1, "rate"), (2, "acceleration")):
+        moves, says = (after[order - 1] - before[order - 1]) / (2.0 * h), here[order]
+        apart = np.abs(moves - says)
+        wrong = apart > 1e-2 * np.abs(says).max(axis=0) + 1e-3
+        # Where a motion has a corner nothing is wrong.
+        if wrong.any(axis=1).mean() > 0.2:
+            row, axis = np.unravel_index(np.argmax(np.where(wrong, apart, 0.0)), apart.shape)
+            unit = ("rad" if axis < 3 else "m") + ("/s" if order == 1 else "/s^2")
+            got = f"{AXIS_NAMES[axis]} {says[row, axis]:.4g} {unit} at t = {times[row]:.3f} s"
+            allowed = f"a motion whose {name} is the derivative of its {'pose' if order == 1 else 'rate'}"
+            raise ConfigurationError("reference", got, f"{allowed}, there {moves[row, axis]:.4g} {unit}")
 
 
 def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:

@@ -6,6 +6,7 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +23,7 @@ from stewart_drake.runs.checks import check_scenario, refuse_unrunnable
 from stewart_drake.runs.engine import FastRun, quiet
 from stewart_drake.safety import first_trip
 from stewart_drake.sampling import steps_per, times_of
-from stewart_drake.scenario import Scenario, require_scenario
+from stewart_drake.scenario import Scenario, load_scenario, require_scenario
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -45,18 +46,18 @@ def engine_of(scenario: Scenario, meshcat: Meshcat | None) -> Engine:
 
 
 def run(
-    scenario: Scenario,
+    scenario: Scenario | str | Path,
     progress: Callable[[float], None] | None = None,
     meshcat: Meshcat | None = None,
     check: bool = True,
     engine: Engine | None = None,
 ) -> SimulationLog:
-    """Simulates a scenario.
+    """Simulates a scenario, `run("paper_fig7")`.
 
     A run that breaks midway does not raise: its log so far comes back, with how it ended, see `outcomes.Status`.
 
     Args:
-        scenario: What to run.
+        scenario: What to run; a file, or the name of a shipped one, is read.
         progress: Called with the simulated time [s] now and then; what it raises passes, but for KeyboardInterrupt,
             which ends the run as Ctrl-C does.
         meshcat: Shows the run while it happens.
@@ -67,6 +68,8 @@ def run(
         ConfigurationError: Found before the run: what is no run, or none that the robot can do.
         UnreachablePoseError: The start pose is out of reach, with `check` off.
     """
+    if isinstance(scenario, (str, Path)):
+        scenario = load_scenario(scenario)
     require_scenario(scenario)
     refuse_unrunnable(scenario)
     if check:

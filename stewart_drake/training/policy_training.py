@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from datetime import date
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -83,7 +83,7 @@ def episode_cost(chooser: Chooser, case: Case) -> float:
     scenario = _fast(case)
     q_pose, q_rate, q_integral, r = scenario.tuner.weights
     tuner = GivenTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=case.kappa)
-    vars(tuner)["given"] = chooser
+    vars(tuner)["chosen_by"] = chooser
     log = simulate_unchecked(scenario.replace({"tuner": tuner}))
     return log_cost({"status": log.status, **measure_parts(log)}, CostScales().at(case.kappa))
 
@@ -103,8 +103,12 @@ def _fast(case: Case) -> Scenario:
 
 
 class GivenTuner(PolicyTuner):
+    """A tuner whose settings come from an object, `vars(tuner)["chosen_by"]`, in place of a policy file."""
+
+    adapts: ClassVar[bool] = False
+
     def chooser(self) -> Chooser:  # type: ignore[override]
-        given: Chooser = vars(self)["given"]
+        given: Chooser = vars(self)["chosen_by"]
         return given
 
 

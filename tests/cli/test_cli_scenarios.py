@@ -25,8 +25,8 @@ def test_a_shipped_motion_can_be_done_and_every_margin_is_shown(call, tmp_path):
 
 
 BEYOND = {
-    "reference={kind: hold, pose: [0, 0, 45, 0, 0, 0.31]}": "yaw 45 rad at t = 0.000 s, did you mean 0.785?",
-    "reference={kind: sine, amplitude: [30, 0, 0, 0, 0, 0]}": "roll 30 rad, did you mean 0.524?",
+    "reference={kind: hold, pose: [0, 0, 45, 0, 0, 0.31]}": "yaw 45 rad at t = 0.000 s, did you mean 45 deg?",
+    "reference={kind: sine, amplitude: [30, 0, 0, 0, 0, 0]}": "roll 30 rad, did you mean 30 deg?",
     "initial_offset=[0, 0, 12.5664, 0, 0, 0]": "720 deg: 0 is the same orientation",
 }
 

@@ -16,6 +16,7 @@ from stewart_drake.references import (
     TremorReference,
     paper_reference,
 )
+from stewart_drake.scenario import Scenario
 
 CENTER = (0.1, -0.05, 0.2, 0.01, -0.02, 0.3)
 
@@ -74,3 +75,14 @@ def test_what_makes_no_sense_is_refused_by_name(kind, keys, key):
     with pytest.raises(ConfigurationError) as caught:
         kind(**keys)
     assert field_of(caught.value) == f"reference.{key}"
+
+
+def test_a_function_of_the_pose_alone_is_a_motion_with_rates_by_differences():
+    def wave(t):
+        return np.array(CENTER) + [0.1 * np.sin(2.0 * t), 0.0, 0.0, 0.0, 0.0, 0.01 * np.cos(3.0 * t)]
+
+    times = np.linspace(0.0, 1.0, 7)
+    pose, rate, acceleration = Scenario(reference=wave).reference.evaluate(times)
+    np.testing.assert_allclose(pose[:, 0], 0.1 + 0.1 * np.sin(2.0 * times), atol=1e-15)
+    np.testing.assert_allclose(rate[:, 0], 0.2 * np.cos(2.0 * times), atol=1e-7)
+    np.testing.assert_allclose(acceleration[:, 5], -0.09 * np.cos(3.0 * times), atol=1e-5)

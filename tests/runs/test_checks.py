@@ -1,8 +1,9 @@
 import dataclasses
 
+import numpy as np
 import pytest
 
-from stewart_drake.errors import InfeasibleReferenceError
+from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.planning.limits import Limits
 from stewart_drake.references import (
@@ -12,7 +13,8 @@ from stewart_drake.references import (
     SineReference,
 )
 from stewart_drake.robot import RobotParameters
-from stewart_drake.runs.checks import adjusted, fit_amplitude, fit_speed
+from stewart_drake.runs.checks import adjusted, check_scenario, fit_amplitude, fit_speed
+from stewart_drake.scenario import Scenario
 
 ROBOT, LIMITS, GRAVITY = RobotParameters(), Limits(), 9.81
 WEAK = dataclasses.replace(ROBOT, effort_limit=0.45)
@@ -65,3 +67,16 @@ def test_a_motion_out_of_reach_is_feasible_at_no_speed():
         fit_speed(ROBOT, LIMITS, TOO_FAR, 4.0, GRAVITY)
     given = check_reference(ROBOT, LIMITS, TOO_FAR, 4.0, GRAVITY).first_violation
     assert (caught.value.limit, caught.value.time, caught.value.leg) == (given.limit, given.time, given.leg)
+
+
+class Slow:
+    """A motion that says half of its own rate."""
+
+    def evaluate(self, t):
+        home, up = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3]), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.01])
+        return home + np.sin(t) * up, 0.5 * np.cos(t) * up, -np.sin(t) * up
+
+
+def test_a_motion_whose_rates_do_not_fit_its_poses_is_named():
+    with pytest.raises(ConfigurationError, match=r"rate is the derivative of its pose, there .* got 'z 0.005 m/s"):
+        check_scenario(Scenario(reference=Slow(), duration=1.0))
