@@ -21,7 +21,7 @@ _LOOKS = tuple(zip(_COLORS, "v^Dos>h*", strict=True))
 _CROSS: dict[str, Any] = {"marker": "x", "markersize": 6.5, "markeredgewidth": 2.0, "linestyle": "none"}
 _DASHED: dict[str, Any] = {"color": look.TEXT, "linestyle": (0, (4, 3)), "linewidth": 0.9}
 _SMALLEST = 1e-6  # [mm] what is smaller is drawn here
-_PHASE_SHOWN = 1e-3
+_PHASE_SHOWN = 1e-3  # Ratio of amplitudes; below -60 dB there is no phase to speak of
 
 
 @look.styled
@@ -88,32 +88,31 @@ def plot_error(rows: Rows, band: float) -> Figure:
 
 @look.styled
 def plot_bands(rows: Rows) -> Figure:
-    """Closed-loop amplitude, phase and what is left of the motion over frequency, a column an axis."""
+    """Bode plot of the closed loop, from reference to pose: magnitude and phase over frequency, a column an axis."""
     styles = _styles(rows)
     names = list(dict.fromkeys(row["reference"] for row in rows))
-    figure, grid = look.panels(3, len(names), 8.6, sharex=True, sharey="row")
-    quantities = (("amplitude", "pose / reference [-]", 1.0), ("phase", "[deg]", 0.0), ("error", "[-]", 1.0))
-    for column, name in zip(grid.T, names, strict=True):
+    figure, grid = look.panels(2, len(names), 6.2, sharex=True, sharey="row")
+    for (magnitude, phase), name in zip(grid.T, names, strict=True):
         for controller, style in styles.items():
             found = sorted(
                 (row["frequency_hz"], row["ratio"], row["phase_deg"])
                 for row in rows
-                if (row["controller"], row["reference"]) == (controller, name) and row.get("ratio") is not None
+                if (row["controller"], row["reference"]) == (controller, name) and row.get("ratio")
             )
-            if not found:
-                continue
-            frequency, ratio, phase = np.array(found, dtype=float).T
-            ratio = ratio.clip(max=look.LARGEST)
-            phase = np.where(ratio > _PHASE_SHOWN, np.degrees(np.unwrap(np.radians(phase))), np.nan)
-            error = np.abs(1.0 - ratio * np.exp(1j * np.radians(phase)))
-            for panel, values in zip(column, (ratio, phase, error), strict=True):
-                panel.plot(frequency, values, **{**style, "linestyle": "-", "linewidth": 1.5, "markersize": 5.6})
-        for panel, (quantity, unit, level) in zip(column, quantities, strict=True):
-            look.logarithmic(panel, "xy" if quantity == "error" else "x")
+            if found:
+                frequency, ratio, angle = np.array(found, dtype=float).T
+                line = {**style, "linestyle": "-", "linewidth": 1.5, "markersize": 5.6}
+                magnitude.plot(frequency, 20.0 * np.log10(ratio.clip(_PHASE_SHOWN, look.LARGEST)), **line)
+                angle = np.where(ratio > _PHASE_SHOWN, np.degrees(np.unwrap(np.radians(angle))), np.nan)
+                phase.plot(frequency, angle, **line)
+        for panel in (magnitude, phase):
+            look.logarithmic(panel, "x")
             panel.xaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0]))
-            panel.axhline(level, color=look.TEXT, linewidth=0.8, zorder=1.0)
-            panel.set(title=f"{name}: {quantity}", ylabel=unit if panel in grid[:, 0] else "")
-        column[-1].set_xlabel("frequency [Hz]")
+            panel.axhline(0.0, color=look.TEXT, linewidth=0.8, zorder=1.0)
+        magnitude.set(title=f"{name}, from reference to pose")
+        phase.set(xlabel="frequency [Hz]")
+    grid[0, 0].set_ylabel("magnitude [dB]")
+    grid[1, 0].set_ylabel("phase [deg]")
     _legend(figure, styles)
     return figure
 

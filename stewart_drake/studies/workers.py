@@ -19,9 +19,8 @@ from joblib import Parallel, delayed
 from joblib.externals.loky import get_reusable_executor
 from joblib.externals.loky.backend import context
 
-from stewart_drake.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.errors import ConfigurationError, StewartDrakeError, quiet_libraries
 from stewart_drake.logs import versions
-from stewart_drake.runs.engine import quiet_libraries
 
 K = TypeVar("K", bound=Hashable)
 T = TypeVar("T")
