@@ -180,7 +180,7 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
     from stewart_drake.paper.workspace import motion_numbers
     from stewart_drake.planning.workspace import KINDS, check_center, slices, study_poses
     from stewart_drake.plotting import save_figure
-    from stewart_drake.plotting.workspace_plots import plot_capability, plot_slices
+    from stewart_drake.plotting.workspace_plots import plot_capability
     from stewart_drake.runs.checks import check_scenario
 
     base = load_scenario(scenario, overrides)
@@ -202,9 +202,8 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
     write_atomically(out / "workspace.json", (json.dumps(numbers, indent=1, allow_nan=False) + "\n").encode())
     save_figure(draw(), figures / "torques.png")
     for kind, shown in zip(KINDS, (-1, 2), strict=True):
-        cuts = slices(*of_base, surveys[kind], 220)
-        save_figure(plot_slices(cuts), figures / f"{kind}-slices.png")
-        save_figure(plot_capability(cuts[shown]), figures / f"{kind}-capability.png")
+        cut = slices(*of_base, surveys[kind], 220)[shown]
+        save_figure(plot_capability(cut), figures / f"{kind}-capability.png")
     rows = []
     for kind, scale, unit in (("position", 1e3, "L"), ("orientation", 100.0, "% of all")):
         found = numbers["workspaces"][kind]

@@ -191,10 +191,10 @@ def judge(file: Path | None, seeds: int, **options: Any) -> None:
     policy = {"kind": "policy", **({} if file is None else {"weights_file": str(file)})}
     entered = candidates(baselines, {"policy": {"tuner": policy}, "schedule": {"tuner": baselines.schedule}})
     runs = len(entered) * len(cells_for()) * seeds
-    with _under_way("tuner verdict", runs, **options) as (folder, *way):
-        verdict = assess(entered, folder, seeds, "drake", *way)
-        write_picture(verdict, folder)
-    tell((folder / "verdict.md").read_text())
+    with _under_way("tuner verdict", runs, **options) as way:
+        verdict = assess(entered, way[0], seeds, "drake", *way[1:])
+        write_picture(verdict, way[0])
+    tell((way[0] / "verdict.md").read_text())
 
 
 @command("collect")

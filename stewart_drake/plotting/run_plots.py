@@ -18,7 +18,7 @@ from stewart_drake.logs.metrics import INTEGRAL_TIME, run_metrics, tracking_erro
 from stewart_drake.plotting import style as look
 
 _AXIS_COLORS = (look.ORANGE, look.GREEN, look.BLUE)  # Axis 1, 2, 3 as in RGB triads
-_LINES = ("-", ":", "-.", "--")  # Of one run after the other
+_LINES: tuple[Any, ...] = ("-", ":", "-.", "--")  # Of one run after the other
 _FAILURE = "#B2182B"
 _NEAR_LIMIT = 0.8  # Share of a motor's limit from which on limits are drawn
 _SHOWN = 0.1  # Of the largest motion or error: an axis with less is left out
@@ -140,9 +140,9 @@ def plot_torques(log: SimulationLog) -> Figure:
     near = bool((peak >= _NEAR_LIMIT * limits).any())
     figure, axes = _figure([log], "motor torques", 6, 2.6, sharey=True)
     for leg, (axis, limit) in enumerate(zip(axes, limits.tolist(), strict=True)):
-        curves, colors = {"applied": applied[:, leg]}, (look.BLUE,)
+        curves, colors = {"applied": applied[:, leg]}, [look.BLUE]
         if np.any(commanded[:, leg] != applied[:, leg]):
-            curves, colors = {"commanded": commanded[:, leg], **curves}, (look.ORANGE, *colors)
+            curves, colors = {"commanded": commanded[:, leg], **curves}, [look.ORANGE, *colors]
         _draw(axis, log, _Panel(f"Motor {leg}", "" if leg % 2 else "torque [N m]", curves, colors, 0.02, held=True))
         axis.axhline(0.0, color=look.QUIET, linewidth=0.8, zorder=1.0)
         for level in (-limit, limit) if near else ():
@@ -153,7 +153,8 @@ def plot_torques(log: SimulationLog) -> Figure:
         # A controller that asks for far more than the motors have must not flatten what they gave.
         low, high = axes[0].get_ylim()
         axes[0].set_ylim(max(low, -1.4 * limits.max()), min(high, 1.4 * limits.max()))
-    entries = {each.get_label(): each for axis in axes for each in axis.lines if each.get_label()[0] != "_"}
+    lines = [line for axis in axes for line in axis.lines]
+    entries = {line.get_label(): line for line in lines if not str(line.get_label()).startswith("_")}
     if len(entries) > 1:
         look.legend_below(figure, list(entries.values()), 3)
     return figure

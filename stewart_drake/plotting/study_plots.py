@@ -28,32 +28,27 @@ _PHASE_SHOWN = 1e-3  # Ratio of amplitudes; below -60 dB there is no phase to sp
 def plot_rmse(rows: Rows) -> Figure:
     """RMSE of the pose by reference and controller, a panel a condition; failures at the right edge."""
     styles = _styles(rows)
-    references: dict[str, list[str]] = {}
-    for row in rows:
-        references[row["condition"]] = list(dict.fromkeys([*references.get(row["condition"], []), row["reference"]]))
-    lanes = [max(2.5, len(styles)) * len(names) for names in references.values()]
+    conditions: dict[str, list[str]] = {}
+    for row in reversed(rows):
+        conditions[row["condition"]] = list(dict.fromkeys([*conditions.get(row["condition"], []), row["reference"]]))
+    lanes = [max(2.5, len(styles)) * len(references) for references in conditions.values()][::-1]
     height = 1.4 + 0.2 * sum(lanes) + 0.55 * len(lanes)
     figure, axes = look.panels(len(lanes), 1, height, sharex=True, height_ratios=lanes)
     values = [_drawn(row) for row in rows if _done(row)] or [1.0]
     low, high = min(values) / 2.0, max(values) * 2.0
-    edge = high * (high / low) ** 0.05
-    for panel, (condition, names) in zip(axes.flat, references.items(), strict=True):
-        places = {name: place for place, name in enumerate(reversed(names))}
-        for place in range(0, len(names), 2):
-            panel.axhspan(place - 0.5, place + 0.5, color="#F4F6F8", zorder=0.0)
+    for panel, (condition, references) in zip(axes.flat[::-1], conditions.items(), strict=True):
         for row in (row for row in rows if row["condition"] == condition):
             style, lane = styles[row["controller"]], list(styles).index(row["controller"])
-            y = places[row["reference"]] + (0.5 * (len(styles) - 1) - lane) * 0.8 / max(4, len(styles))
+            y = references.index(row["reference"]) + (0.5 * (len(styles) - 1) - lane) * 0.8 / max(4, len(styles))
             if _done(row):
                 panel.plot([low, _drawn(row)], [y, y], color=style["color"], linewidth=1.0, alpha=0.45)
                 panel.plot(_drawn(row), y, **style)
             else:
-                panel.plot(edge, y, color=style["color"], **_CROSS)
+                panel.plot(high * (high / low) ** 0.05, y, color=style["color"], **_CROSS)
         look.logarithmic(panel, "x")
         panel.xaxis.set_major_locator(LogLocator(numticks=12))
-        panel.set(title=condition, xlim=(low, high * (high / low) ** 0.09), ylim=(-0.5, len(names) - 0.5))
-        panel.set_yticks(list(places.values()), list(places), fontsize=10)
-        panel.tick_params(axis="y", length=0)
+        panel.set(title=condition, xlim=(low, high * (high / low) ** 0.09), ylim=(-0.5, len(references) - 0.5))
+        panel.set_yticks(range(len(references)), references, fontsize=10)
         panel.grid(axis="y", visible=False)
     axes[-1, 0].set_xlabel("pose RMSE [mm]")
     _legend(figure, styles, [Line2D([], [], color=look.TEXT, label="failed", **_CROSS)])
@@ -67,15 +62,15 @@ def plot_error(rows: Rows, band: float) -> Figure:
     styles = {name: {"color": style["color"]} for name, style in _styles(rows).items()}
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
     figure, axes = look.panels(len(conditions), 1, 1.3 + 2.3 * len(conditions), sharex=True, sharey=True)
+    for row in rows:
+        panel, color = axes[conditions.index(row["condition"]), 0], styles[row["controller"]]["color"]
+        # What is exactly zero, such as the start, has no place on this axis; null was no number.
+        size = np.clip(np.array(row["trace"]["pose_mm"], dtype=float), 0.1 * _SMALLEST, look.LARGEST)
+        panel.plot(row["trace"]["time"], size, color=color, linewidth=1.5)
+        if row["status"] != "completed":
+            panel.plot(row["trace"]["time"][-1], size[-1], color=color, **_CROSS)
     for panel, condition in zip(axes.flat, conditions, strict=True):
         panel.axhline(band, **_DASHED)
-        for row in (row for row in rows if row["condition"] == condition):
-            color, time = styles[row["controller"]]["color"], row["trace"]["time"]
-            # What is exactly zero, such as the start, has no place on this axis; null was no number.
-            size = np.clip(np.array(row["trace"]["pose_mm"], dtype=float), 0.1 * _SMALLEST, look.LARGEST)
-            panel.plot(time, size, color=color, linewidth=1.5)
-            if row["status"] != "completed":
-                panel.plot(time[-1], size[-1], color=color, **_CROSS)
         look.logarithmic(panel, "y")
         panel.set(title=condition, ylabel="pose error [mm]")
     sizes = [min(value, look.LARGEST) for row in rows for value in row["trace"]["pose_mm"] if value]

@@ -6,7 +6,7 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from stewart_drake.scenario import Scenario, require_scenario
 if TYPE_CHECKING:
     from stewart_drake.runs.drake_run import DrakeRun
 
-    Engine = FastRun | DrakeRun
+Engine: TypeAlias = "FastRun | DrakeRun"
 
 CHUNK = 0.05  # [s] simulated time between two calls of `progress`.
 

@@ -6,7 +6,6 @@ A candidate changes the scenario of a case; a cell is a kind of situations with 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 

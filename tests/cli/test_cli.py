@@ -3,7 +3,6 @@ import re
 import shlex
 import signal
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
