@@ -49,7 +49,12 @@ COMMANDS = {
     "tuner": About("study", "show", "Look at the tuners of settings, and assess them"),
     "tuner show": About("study", "", "Print the card of a policy: its box, what it hears, its training"),
     "tuner judge": About("study", "runs/tuner.json", "Set a policy against its rivals in new situations"),
-    "schema": About("run", "> schema.json", "Print the JSON schema of scenario files, for editors"),
+    "list": About("lookup", "scenarios", "List scenarios, comparisons, sweeps, robots and kinds"),
+    "explain": About("lookup", "controller.period", "Explain a key: unit, default, bounds, what it does"),
+    "init": About("lookup", "mine.yaml", "Write a scenario to begin with, with a comment on each key"),
+    "doctor": About("lookup", "", "Check what is installed here, and how fast it is"),
+    "schema": About("lookup", "> schema.json", "Print the JSON schema of scenario files, for editors"),
+    "completion": About("lookup", "bash", "Print what makes a shell complete commands and names"),
 }
 
 
@@ -163,6 +168,20 @@ def out_file(default: str) -> Callable[[Any], Any]:
 def trust_flag(function: Any) -> Any:
     words = "Run the code that files and --set name."
     return click.option("--trust-code", is_flag=True, expose_value=False, callback=_trust, help=words)(function)
+
+
+def names(kind: str) -> Callable[[click.Context, click.Parameter, str], list[str]]:
+    """For a shell to complete: files of a kind that the package has; the shell's own are paths."""
+
+    def complete(_: click.Context, __: click.Parameter, begun: str) -> list[str]:
+        from stewart_drake.files.yaml_files import shipped_folder
+
+        return [path.stem for path in shipped_folder(kind).glob("*.yaml") if path.stem.startswith(begun)]
+
+    return complete
+
+
+SCENARIO: Any = {"shell_complete": names("scenarios")}
 
 
 def overrides(example: str = "duration=2") -> Callable[[Any], Any]:

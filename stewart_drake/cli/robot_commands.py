@@ -13,7 +13,7 @@ import click
 from stewart_drake.calibration.model import FRAMES, NAMES, FrameName, Name
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
-from stewart_drake.cli.terminal import print_table, progress_bar, tell
+from stewart_drake.cli.terminal import print_table, progress_bar, tell, working
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import parse_yaml, to_yaml
 from stewart_drake.identification.parameters import KINDS, Kind
@@ -194,13 +194,17 @@ def calibrate(
     guess = load_robot(robot)
     if plan is not None:
         limits = load_scenario("paper_fig7", [f"robot={json.dumps(robot)}", *overrides]).limits
-        planned, out = plan_poses(guess, plan, limits, noise, known_frames, hold), out or Path("runs/poses.csv")
+        out = out or Path("runs/poses.csv")
+        with working("choosing poses"):
+            planned = plan_poses(guess, plan, limits, noise, known_frames, hold)
         write_text(out, planned.targets.to_csv())
         header, rows = planned.table()
         print_table(f"largest 95 % interval of any leg to expect of {plan} poses, +-", rows, header)
         tell(f"poses in {out}; once they are measured: stewart-drake calibrate {out} --robot {robot}")
     elif poses is not None:
-        found, out = fit(guess, poses, noise, known_frames, hold), out or Path("runs/calibrated.yaml")
+        out = out or Path("runs/calibrated.yaml")
+        with working("fitting"):
+            found = fit(guess, poses, noise, known_frames, hold)
         tables = {"residuals.csv": found.residuals_csv}
         _write_result(found, str(poses), out, report_folder, "calibration.png", plot_calibration, tables)
         header, rows = found.table()
@@ -247,7 +251,8 @@ def identify(logs: tuple[Path, ...], robot: str, out: Path, report_folder: Path 
     from stewart_drake.identification.identified import identify as fit
     from stewart_drake.plotting.model_plots import plot_identification
 
-    found = fit(load_robot(robot), logs, **options | {"ask": options["ask"] or ASKED})
+    with working("fitting"):
+        found = fit(load_robot(robot), logs, **options | {"ask": options["ask"] or ASKED})
     title, tables = ", ".join(map(str, logs)), {"friction.yaml": found.friction_file}
     _write_result(found, title, out, report_folder, "identification.png", plot_identification, tables)
     header, rows = found.table()
@@ -270,7 +275,8 @@ def excite(robot: str, out: Path, duration: float, hold: tuple[Kind, ...], overr
     differences = ("estimator.kind=difference", "friction_compensation=null", "tuner={kind: block}")
     own = (f"robot={json.dumps(robot)}", "plant.motor_friction=0", *differences, f"duration={duration!r}")
     scenario = load_scenario("exact_breathing", (*own, *overrides))
-    found = design(guess, scenario.limits, hold, gravity=scenario.gravity)
+    with working("designing"):
+        found = design(guess, scenario.limits, hold, gravity=scenario.gravity)
     check_reference(guess, scenario.limits, found.reference, duration, scenario.gravity).raise_if_infeasible()
     designed = scenario.replace({"name": "excitation", "reference": found.reference.to_dict()})
     write_text(out, to_yaml(designed.to_dict()))
@@ -280,3 +286,4 @@ def excite(robot: str, out: Path, duration: float, hold: tuple[Kind, ...], overr
         ("scenario in", str(out)),
     ]
     print_table(f"excitation of {robot}", rows)
+    tell(f"next: stewart-drake run {out}")

@@ -13,7 +13,7 @@ import click
 
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
-from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling, tell
+from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling, tell, working
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.families import user_parts
 from stewart_drake.files.whole import write_atomically
@@ -22,11 +22,11 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import metrics_of
 from stewart_drake.logs.outcomes import told
 from stewart_drake.runs.outputs import Results, prepare_folder, results_place, write_run
-from stewart_drake.scenario import load_scenario, scenario_schema
+from stewart_drake.scenario import load_scenario
 
 
 @command("run")
-@click.argument("scenario")
+@click.argument("scenario", **opt.SCENARIO)
 @click.option("--out", type=opt.PATH, help="Folder for the results [default: runs/NAME, or runs/NAME-2, ...].")
 @opt.overrides()
 @click.option("--force", is_flag=True, help="Replace the results of another scenario in the folder.")
@@ -69,10 +69,14 @@ def _print_run(log: SimulationLog, results: Results) -> None:
     factor = metrics["real_time_factor"]
     rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(results.folder))]
     print_table(log.scenario.name, rows, data=metrics)
+    shown = results.folder / "replay.html"
+    if shown.exists():
+        other = "run exact_fig7" if log.scenario.name == "paper_fig7" else "live"
+        tell(f"open {shown}; try: stewart-drake {other}")
 
 
 @command("check")
-@click.argument("scenario")
+@click.argument("scenario", **opt.SCENARIO)
 @opt.overrides()
 @click.option("--scale", is_flag=True, help="If it cannot be done, find how much smaller it can.")
 @click.option("--retime", is_flag=True, help="If it cannot be done, find how much slower it can.")
@@ -106,13 +110,15 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     changes: dict[str, Any] = {}
     if scale:
         try:
-            changes["reference"], factor = fit_amplitude(*motion)
+            with working("looking for the largest size"):
+                changes["reference"], factor = fit_amplitude(*motion)
             tell(f"feasible at {factor:.4f} of its size")
         except InfeasibleReferenceError as error:
             tell(f"feasible at no size; resting in its centre, {error}")
     if retime:
         try:
-            changes["reference"], factor = fit_speed(*motion)
+            with working("looking for the highest speed"):
+                changes["reference"], factor = fit_speed(*motion)
             changes["duration"] = factor * loaded.duration
             tell(f"feasible {factor:.4f} times slower, over {changes['duration']:.4g} s")
         except InfeasibleReferenceError as error:
@@ -123,13 +129,8 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     check_scenario(loaded)
 
 
-@command("schema")
-def schema() -> None:
-    click.echo(json.dumps(scenario_schema(), indent=2))
-
-
 @command("margins")
-@click.argument("scenario", default="exact_breathing")
+@click.argument("scenario", default="exact_breathing", **opt.SCENARIO)
 @opt.out_folder("runs/margins")
 @click.option("--poses", type=click.IntRange(1, 100_000), default=1000, help="Drawn from the near box.")
 @opt.overrides("estimator.kind=observer")
@@ -145,7 +146,7 @@ def margins(scenario: str, out: Path, poses: int, overrides: tuple[str, ...]) ->
     from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 
     loaded = load_scenario(scenario, overrides)
-    with shown_compiling():
+    with shown_compiling(), working(f"{poses} poses"):
         loops = linear_loops(loaded, poses_to_stand_at(loaded, poses, 0))
     folder = prepare_folder(out)
 

@@ -65,7 +65,7 @@ def _print_sheets(sheets: Sequence[Sheet], *lines: str | None) -> None:
 
 
 @command("sweep")
-@click.argument("sweep")
+@click.argument("sweep", shell_complete=opt.names("sweeps"))
 @opt.out_folder()
 @click.option("--runs", type=click.IntRange(1), help="In place of the number in the file; run i stays the same.")
 @study_options
@@ -87,7 +87,7 @@ def sweep(sweep: str, runs: int | None, **options: Any) -> None:
 
 
 @command("compare")
-@click.argument("comparison", default="tracking")
+@click.argument("comparison", default="tracking", shell_complete=opt.names("comparisons"))
 @opt.out_folder()
 @quick_flag
 @sized_option
@@ -109,7 +109,7 @@ def compare(comparison: str, quick: bool, robot: str | None, **options: Any) -> 
 
 
 @command("tune")
-@click.argument("comparison")
+@click.argument("comparison", shell_complete=opt.names("comparisons"))
 @opt.out_folder()
 @click.option("--controller", "controllers", multiple=True, metavar="NAME", help="Of those to search [default: all].")
 @click.option("--budget", type=click.IntRange(1), help="Evaluations of each controller, in place of those in the file.")

@@ -13,7 +13,7 @@ import click
 
 QUIET, AS_JSON = "stewart_drake.quiet", "stewart_drake.json"
 """What the options `--quiet` and `--json` leave in a command's context."""
-_TEXT_WIDTH = 14  # Of a column of texts that has to fold
+_WORD = 32  # Of a column that folds: as wide as its longest word, up to this
 
 
 def _asked(option: str) -> Any:
@@ -68,33 +68,47 @@ def progress_bar(title: str, total: float, unit: str = "s") -> Iterator[Callable
         bar.stop()
 
 
+def _moving(title: str) -> tuple[Any, Any]:
+    """A bar that moves for as long as something takes, gone afterwards; and its task."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    bar = Progress(*columns, console=console(stderr=True), transient=True, disable=bool(_asked(QUIET)))
+    return bar, bar.add_task(title, total=None)
+
+
+@contextmanager
+def working(title: str) -> Iterator[None]:
+    """A moving bar for work that does not say how far it is."""
+    with _moving(title)[0]:
+        yield
+
+
 @contextmanager
 def shown_compiling() -> Iterator[None]:
-    """A line that moves with every law that numba compiles, where the cache does not have it; nothing where it has."""
+    """A bar that moves while numba compiles, where the cache does not have a law; nothing where it has."""
     from numba.core import event
-    from rich.status import Status
 
-    if _asked(QUIET):
-        yield
-        return
-    status, depth, laws = Status("", console=console(stderr=True)), 0, 0
+    (bar, task), depth, laws = _moving(""), 0, 0
 
     class Line(event.Listener):
         def on_start(self, event: Any) -> None:  # noqa: ARG002
             nonlocal depth, laws
             depth, laws = depth + 1, laws + 1
-            status.update(f"compiling, once on this machine: {laws} laws")
-            status.start()
+            bar.update(task, description=f"compiling, once on this machine: {laws} laws")
+            bar.start()
 
         def on_end(self, event: Any) -> None:  # noqa: ARG002
             nonlocal depth
             depth -= 1
             if depth == 0:
-                status.stop()
+                bar.stop()
 
-    with event.install_listener("numba:compile", Line()), status:
-        status.stop()
-        yield
+    with event.install_listener("numba:compile", Line()):
+        try:
+            yield
+        finally:
+            bar.stop()
 
 
 def drop_output() -> None:
@@ -120,22 +134,30 @@ def print_table(
     tables = _asked(AS_JSON)
     if tables is not None:
         plain = [[_plain(cell) for cell in row] for row in rows]
-        named: Any = [dict(zip(header, row, strict=True)) for row in plain] if any(header) else dict(plain)
-        tables[title] = named if data is None else data
+        if data is None and any(header):
+            data = [dict(zip(header, row, strict=True)) for row in plain]
+        tables[title] = dict(plain) if data is None else data  # type: ignore[arg-type]
         return
     from rich.markup import escape
     from rich.table import Table
 
     right = range(1, len(header)) if numbers is None else numbers
-    terminal, least = console(), []
+    terminal = console()
+    widths, longest = [], []
     for place, column in enumerate(zip(header, *rows, strict=True)):
-        width = max(map(len, column))
-        least.append(3 + (width if place in right and any(header) else min(width, _TEXT_WIDTH)))
-    shown = max(2, sum(end < terminal.width for end in itertools.accumulate(least)))
-    table = Table(title=escape(title), title_justify="left", show_header=any(header))
+        longest.append(max(map(len, column)))
+        words = max(len(word) for cell in column for word in (cell.split() or [""]))
+        widths.append(longest[-1] if place in right and any(header) else min(words, _WORD))
+    shown = max(2, sum(end < terminal.width for end in itertools.accumulate(3 + width for width in widths)))
+    for _ in range(terminal.width - 1 - sum(3 + width for width in widths[:shown])):
+        # What is left goes to the column that lacks most.
+        place = max(range(shown), key=lambda place: longest[place] - widths[place])
+        widths[place] += longest[place] > widths[place]
+    terminal.print(title, style="bold", markup=False, soft_wrap=True)
+    table = Table(show_header=any(header))
     for place, name in enumerate(header[:shown]):
         side: Any = "right" if place in right else "left"
-        table.add_column(escape(name), justify=side, overflow="fold", no_wrap=place in right and any(header))
+        table.add_column(escape(name), justify=side, overflow="fold", width=widths[place])
     for row in rows:
         table.add_row(*map(escape, row[:shown]))
     terminal.print(table)

@@ -281,7 +281,8 @@ def metrics_of(*scenarios: Scenario) -> list[Metric]:
     for metric in (own.made for scenario in scenarios for own in scenario.metrics):
         if metric not in found:
             # A sweep has a column for each key of the scenario that it varies.
-            taken = {each.name for each in (*found, *_columns(found))} | set(type(scenarios[0]).__pydantic_fields__)
+            taken = {each.name for each in found} | {column.name for column in _columns(found)}
+            taken |= set(type(scenarios[0]).__pydantic_fields__)
             for name in (metric.name, *metric.parts):
                 if name in taken:
                     raise ConfigurationError("metric", name, "a name that no metric or column has")
