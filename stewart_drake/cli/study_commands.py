@@ -30,7 +30,7 @@ def study_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """What all commands of many runs take."""
     for option in (
         opt.trust_flag,
-        click.option("--restart", is_flag=True, help="Throw away what an earlier call left in the folder."),
+        click.option("--restart", is_flag=True, help="Do not go on from what an earlier call has left."),
         click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster to run on, e.g. tcp://host:8786."),
         click.option("--workers", type=click.IntRange(1, 1024), help="Processes [default: one per core, at most 8]."),
     ):
@@ -73,8 +73,7 @@ def sweep(sweep: str, runs: int | None, **options: Any) -> None:
     """SWEEP is a YAML file, or the name of a shipped one such as initial_offset.
 
     Writes sweep.parquet and .csv: one row a run, with the values drawn, how it went and how well. A run that is
-    refused, breaks or kills its worker is a row with its reason. What is done is kept in OUT, and an interrupted sweep
-    goes on from it.
+    refused, breaks or kills its worker is a row with its reason.
     """
     from stewart_drake.studies.study import run_study
     from stewart_drake.studies.sweep import load_sweep, summary
@@ -95,8 +94,7 @@ def sweep(sweep: str, runs: int | None, **options: Any) -> None:
 def compare(comparison: str, quick: bool, robot: str | None, **options: Any) -> None:
     """COMPARISON is a YAML file or one of tracking, controllers, fair, observer [default: tracking].
 
-    Writes comparison.parquet, .csv and .md (tables for a README), bands.parquet and .csv, and pictures. A run that
-    fails is a row with its reason. What is done is kept in OUT, and an interrupted comparison goes on from it.
+    Writes comparison.parquet, .csv and .md (tables for a README), bands.parquet and .csv, and pictures.
     """
     from stewart_drake.studies.comparison import load_comparison, write_pictures
     from stewart_drake.studies.study import run_study
@@ -120,8 +118,7 @@ def tune(comparison: str, controllers: tuple[str, ...], budget: int | None, quic
 
     Every controller gets the same search (CMA-ES) over the same runs; then those before and after are compared as the
     file says, in OUT/verdict-*. Writes tuned.yaml (for `tuned` of the comparison), tune.parquet and .csv (a row an
-    evaluation), tune.md and tune.png. What is done is kept in OUT, and an interrupted search goes on from it; with
-    another --budget or --controller too.
+    evaluation), tune.md and tune.png.
     """
     from stewart_drake.studies.tune import load_tuning, run_tuning, write_picture
 
@@ -140,10 +137,7 @@ def tune(comparison: str, controllers: tuple[str, ...], budget: int | None, quic
 @opt.overrides("estimator.kind=observer")
 @study_options
 def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], **options: Any) -> None:
-    """Writes faults.parquet, .csv and .md; --quick is the held platform alone, a third of the runs.
-
-    What is done is kept in OUT, and an interrupted table goes on from it.
-    """
+    """Writes faults.parquet, .csv and .md; --quick is the held platform alone, a third of the runs."""
     from stewart_drake.studies.faults import fault_study, holdable_lines, sheet
     from stewart_drake.studies.study import run_study
 
@@ -180,8 +174,7 @@ def show(file: Path | None) -> None:
 def judge(file: Path | None, seeds: int, **options: Any) -> None:
     """Settings that stay and other tuners, in situations that none of them has seen, on Drake's plant.
 
-    FILE is a policy's weights file [default: the shipped one]. Writes verdict.md, .parquet, .csv and .png. What is done
-    is kept in OUT, and an interrupted verdict goes on from it.
+    FILE is a policy's weights file [default: the shipped one]. Writes verdict.md, .parquet, .csv and .png.
     """
     from stewart_drake.control.policy import load_policy
     from stewart_drake.training.benchmark import Baselines, assess, candidates, cells_for, write_picture

@@ -6,7 +6,6 @@ from pydrake.systems.framework import LeafSystem
 
 from stewart_drake import Controller
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
@@ -81,19 +80,6 @@ def test_it_ends_as_the_run_on_drakes_plant_ends(given):
     assert mine.end_time == pytest.approx(drake.end_time, abs=0.003)
     assert mine.outcome_time == pytest.approx(drake.outcome_time, abs=0.003)
     assert (mine.safety or {}) | {"leg": 0} == (drake.safety or {}) | {"leg": 0}
-
-
-def test_a_log_is_written_and_read_and_runs_repeat_to_the_last_bit(tmp_path):
-    changes = (HELD, "plant.engine=reduced", "duration=0.1", "sensors.noise=2.0e-5", "log_period=0.002")
-    scenario = load_scenario("exact_breathing", changes)
-    log, same = run(scenario), run(scenario, check=False)
-    assert (log.status, len(log.time), log.state_names) == ("completed", 51, ())
-    log.save(tmp_path / "log.parquet")
-    again = load_log(tmp_path / "log.parquet")
-    assert again.scenario.plant.engine == "reduced"
-    for name, values in log.signals.items():
-        np.testing.assert_array_equal(again[name], values)
-        np.testing.assert_array_equal(same[name], values, err_msg=name)
 
 
 class Own(LeafSystem):

@@ -48,15 +48,11 @@ def test_uncompensated_gravity_ends_in_a_dead_centre_and_keeps_its_log():
     assert (log.status, log.reason) == ("failed", "crank_dead_centre")
     assert 0.2 < log.end_time < 0.32
     assert f"leg {log.leg}" in log.message
-    # All rows up to the failure, and none after it.
     assert log.end_time - 0.005 - 1e-9 <= log.time[-1] <= log.end_time
-    assert {len(values) for values in log.signals.values()} == {len(log.time)}
-
     # It is the leg named whose crank was about to stand in line with its rod.
     transmission = np.abs(leg_geometry(log.scenario.robot, log["pose"][-1]).transmission)
     assert transmission.argmin() == log.leg
     assert transmission.min() < 0.2
-    assert log["pose"][-1, 5] < log["reference"][-1, 5] - 0.05
 
 
 def test_a_run_that_breaks_at_its_first_tick_has_a_log_without_rows(tmp_path):
