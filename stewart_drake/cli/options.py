@@ -59,7 +59,7 @@ COMMANDS = {
 
 
 def _quiet(context: click.Context, _: click.Parameter, given: bool) -> None:
-    context.meta[QUIET] = given
+    context.meta[QUIET] = given or context.meta.get(QUIET, False)
 
 
 def _json(context: click.Context, _: click.Parameter, given: bool) -> None:

@@ -174,4 +174,5 @@ def _plain(cell: str) -> float | str:
 
 def print_json(tables: dict[str, Any]) -> None:
     """The tables of a command: one alone as it is, several by title."""
-    click.echo(json.dumps(next(iter(tables.values())) if len(tables) == 1 else tables, indent=1, default=str))
+    if tables:
+        click.echo(json.dumps(next(iter(tables.values())) if len(tables) == 1 else tables, indent=1, default=str))
