@@ -22,6 +22,7 @@ _LINES: tuple[Any, ...] = ("-", ":", "-.", "--")  # Of one run after the other
 _FAILURE = "#B2182B"
 _NEAR_LIMIT = 0.8  # Share of a motor's limit from which on limits are drawn
 _SHOWN = 0.1  # Of the largest motion or error: an axis with less is left out
+_SMALLEST = 1e-9  # [m] of a motion or error
 _SYMBOLS = (r"$\phi$", r"$\theta$", r"$\psi$", "X", "Y", "Z")
 _GROUPS = (("deg", (0, 1, 2)), ("mm", (3, 4, 5)))
 
@@ -72,7 +73,7 @@ def _largest(logs: Sequence[SimulationLog], values: Sequence[np.ndarray]) -> np.
     """Which of the axes (n, 6) [rad, m] have at least a tenth of the largest of all."""
     size = np.array([logs[0].scenario.robot.characteristic_length] * 3 + [1.0] * 3)
     extent = size * np.max([np.nanmax(np.abs(each), axis=0) for each in values], axis=0)
-    return np.flatnonzero((extent >= _SHOWN * extent.max()) & (extent > 0.0))
+    return np.flatnonzero((extent >= _SHOWN * extent.max()) & (extent > _SMALLEST))
 
 
 def _state_panels(
@@ -92,7 +93,7 @@ def _state_panels(
     for name, values, quantity in (("Error", error, "error [{}]"), ("Integral state", integral, "z [{} s]")):
         for unit, group in _GROUPS:
             axes = [axis for axis in group if axis in erring]
-            if not axes or not values[:, axes].any():
+            if not axes or (name != "Error" and not values[:, axes].any()):
                 continue
             rmse = metrics[f"rmse_{unit}"] if alone and name == "Error" else None
             # Noise far below what matters must not fill a panel, nor a small error vanish in it.

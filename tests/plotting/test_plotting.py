@@ -143,6 +143,8 @@ def test_a_single_row_is_a_dot_and_an_empty_log_is_refused(plot):
     figure = plot(dataclasses.replace(make_log(rows=1), status="failed"))
     drawn = [line for axes in figure.axes for line in axes.lines if len(line.get_xdata()) == 1]
     assert {line.get_marker() for line in drawn} == {"o"}
+    still = make_log(rows=1)
+    assert plot(dataclasses.replace(still, signals={**still.signals, "pose": still["reference"]})).axes
     with pytest.raises(ConfigurationError, match=r"log: expected .*got 'no rows'"):
         plot(make_log(rows=0))
 
