@@ -72,8 +72,9 @@ def _moving(title: str) -> tuple[Any, Any]:
     """A bar that moves for as long as something takes, gone afterwards; and its task."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    bar = Progress(*columns, console=console(stderr=True), transient=True, disable=bool(_asked(QUIET)))
+    columns, terminal = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()), console(stderr=True)
+    unseen = bool(_asked(QUIET)) or not terminal.is_terminal
+    bar = Progress(*columns, console=terminal, transient=True, disable=unseen)
     return bar, bar.add_task(title, total=None)
 
 
