@@ -148,7 +148,7 @@ def print_table(
     for place, column in enumerate(zip(header, *rows, strict=True)):
         longest.append(max(map(len, column)))
         words = max(len(word) for cell in column for word in (cell.split() or [""]))
-        widths.append(longest[-1] if place in right and any(header) else min(words, _WORD))
+        widths.append(longest[-1] if place in right and any(header) else min(words, max(_WORD, terminal.width // 3)))
     shown = max(2, sum(end < terminal.width for end in itertools.accumulate(3 + width for width in widths)))
     for _ in range(terminal.width - 1 - sum(3 + width for width in widths[:shown])):
         # What is left goes to the column that lacks most.
