@@ -88,7 +88,8 @@ identification: install
 
 # The robots that are shipped, and that of docs/your_robot.md.
 robots: install
-	$(BIN)/stewart-drake robots --out docs/images/robots
+	for name in paper reachy_mini servo_hexapod; do \
+	  $(BIN)/stewart-drake robots show $$name --quiet --picture docs/images/robots/$$name.png; done
 	$(BIN)/stewart-drake robots from-table docs/your_robot.csv --unit mm --cranks towards --set crank_length=30 \
 	  --set rod_length=180 --out docs/your_robot.yaml
 	$(BIN)/stewart-drake robots show docs/your_robot.yaml --picture docs/images/robots/your_robot.png

@@ -125,7 +125,7 @@ def find(benchmark):
 def main(folder: Path) -> None:
     """Writes the file."""
     with (
-        progress_bar("baselines", 13_000.0, quiet=False, unit="runs") as advance,
+        progress_bar("baselines", 13_000.0, unit="runs") as advance,
         Benchmark(folder, "reduced", progress=advance) as benchmark,
     ):
         found = find(benchmark)

@@ -64,7 +64,7 @@ def front(folder, policy, settings):
     cases = cases_of(cells_for("paper"), HELD_OUT[:SEEDS])
     entered = [*map(with_setting, settings), *(always({"tuner": {**policy, "kappa": kappa}}) for kappa in KAPPAS)]
     with (
-        progress_bar("front", float(len(entered) * len(cases)), quiet=False, unit="runs") as advance,
+        progress_bar("front", float(len(entered) * len(cases)), unit="runs") as advance,
         Benchmark(folder, "reduced", progress=advance) as benchmark,
     ):
         rows = benchmark.run(entered, cases)

@@ -26,7 +26,7 @@ def main(files: list[str], folder: Path = Path("runs/tuner-training")) -> None:
     policies = policies or {"shipped": {"kind": "policy"}}
     entered = [with_setting(Baselines.load().best), *(always({"tuner": policy}) for policy in policies.values())]
     with (
-        progress_bar("policies", float(len(entered) * len(cases)), quiet=False, unit="runs") as advance,
+        progress_bar("policies", float(len(entered) * len(cases)), unit="runs") as advance,
         Benchmark(folder, "reduced", progress=advance) as benchmark,
     ):
         fixed, *others = benchmark.log_costs(entered, cases)

@@ -7,7 +7,9 @@ Two families matter to a caller. `ConfigurationError` is bad input, found before
 from __future__ import annotations
 
 import copyreg
+import sys
 import traceback
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -236,3 +238,12 @@ def _shown(value: Any) -> str:
     except Exception:  # whatever its own __repr__ may raise; Python refuses to write out thousands of digits
         text = f"<{type(value).__name__}>"
     return text if len(text) <= 120 else f"{text[:117]}..."
+
+
+@contextmanager
+def quiet_libraries() -> Iterator[None]:
+    """Keeps libraries' warnings about numbers off the terminal, which our checks find; Python's -W shows them."""
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        if not sys.warnoptions:
+            warnings.simplefilter("ignore")
+        yield

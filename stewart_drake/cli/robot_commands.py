@@ -12,71 +12,60 @@ import click
 
 from stewart_drake.calibration.model import FRAMES, NAMES, FrameName, Name
 from stewart_drake.cli import options as opt
-from stewart_drake.cli.options import cli
-from stewart_drake.cli.terminal import print_table, progress_bar
+from stewart_drake.cli.options import command
+from stewart_drake.cli.terminal import print_table, progress_bar, tell, working
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import write_atomically
 from stewart_drake.files.yaml_files import parse_yaml, to_yaml
 from stewart_drake.identification.parameters import KINDS, Kind
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
-from stewart_drake.runs.outputs import prepare_file
+from stewart_drake.runs.outputs import prepare_file, write_text
 from stewart_drake.scenario import Scenario, load_scenario
 
 _PASSES = 16  # Pictures under different lights that are averaged.
 _OWN = ("platform_mass", "rod_mass", "crank_mass", "rotor_inertia", "effort_limit")
 """What no table says and no robot shares with another."""
 
-robot_option = click.option("--robot", help="Name or YAML file [default: that of the scenario].")
-scenario_option = click.option("--scenario", default="hold", help="Take robot and plant of this scenario.")
 report_option = click.option(
     "--report", "report_folder", type=opt.OUT_FOLDER, help="Folder for a page, tables, a picture."
 )
 hold_option = click.option("--hold", multiple=True, type=click.Choice(KINDS), help="Keep these parameters as they are.")
 
 
-@cli.group(invoke_without_command=True)
-@click.option("--out", type=opt.OUT_FOLDER, help="Folder for a picture of each, NAME.png.")
+@command("robots", kind=opt.Group, invoke_without_command=True)
 @click.pass_context
-def robots(context: click.Context, out: Path | None) -> None:
-    """List the robots that a scenario can name, `robot: NAME`; with --out a picture of each."""
+def robots(context: click.Context) -> None:
+    """A scenario says `robot: NAME`."""
     if context.invoked_subcommand is not None:
         return
     rows = []
     for name in robot_names():
         robot = load_robot(name)
         size = f"{2e3 * robot.base_radius:.0f} mm across, {1e3 * (robot.home_height - robot.base_height):.0f} mm high"
-        picture = [] if out is None else [_draw(name, out / f"{name}.png")]
-        rows.append([name, robot_about(name), size, f"{robot.platform_mass:.3g} kg", *picture])
-    header = ("robot", "what it is", "size", "platform", "picture")
-    print_table("robots", rows, header[: len(rows[0])], numbers=())
+        rows.append((name, robot_about(name), size, f"{robot.platform_mass:.3g} kg"))
+    print_table("robots", rows, ("robot", "what it is", "size", "platform"), numbers=())
 
 
-@robots.command("show")
+@command("robots show")
 @click.argument("robot")
 @click.option("--picture", type=opt.OUT_FILE, help="Draw it at home to this PNG.")
 def show(robot: str, picture: Path | None) -> None:
-    """Print the numbers of ROBOT with their units: a name, or a YAML file; with what follows from them at home."""
+    """ROBOT is a name or a YAML file."""
     from stewart_drake.planning.robot_sheet import robot_sheets
 
-    for title, header, rows in robot_sheets(load_robot(robot)):
+    loaded = load_robot(robot)
+    for title, header, rows in robot_sheets(loaded):
         print_table(f"{robot}: {title}", rows, header, numbers=())
     if picture is not None:
-        click.echo(f"picture in {_draw(robot, picture)}")
+        from stewart_drake.runs.pictures import render_png
+
+        prepare_file(picture)
+        render_png(loaded, loaded.home_pose, picture, width=800, height=600, passes=_PASSES)
+        tell(f"picture in {picture}")
 
 
-def _draw(name: str, path: Path) -> str:
-    """Draws a robot at home, and says where."""
-    from stewart_drake.runs.pictures import render_png
-
-    robot = load_robot(name)
-    prepare_file(path)
-    render_png(robot, robot.home_pose, path, width=800, height=600, passes=_PASSES)
-    return str(path)
-
-
-@robots.command("from-table")
-@click.argument("table", type=opt.IN_FILE)
+@command("robots from-table")
+@click.argument("table", type=opt.PATH)
 @click.option("--unit", default="m", help="Of all lengths, in the table and after --set: m or mm.")
 @click.option(
     "--cranks",
@@ -87,7 +76,7 @@ def _draw(name: str, path: Path) -> str:
 @click.option("--about", default="", help="One line on the robot.")
 @opt.out_file("robot.yaml")
 def from_table(table: Path, unit: Any, cranks: Any, overrides: tuple[str, ...], about: str, out: Path) -> None:
-    """Make a robot's YAML file from TABLE, a CSV file with a row a leg: shaft_x, shaft_y, shaft_z, joint_x, ..."""
+    """TABLE is a CSV file with a row a leg: shaft_x, shaft_y, shaft_z, joint_x, joint_y, joint_z."""
     parameters = {}
     for text in overrides:
         key, separator, value = text.partition("=")
@@ -96,65 +85,64 @@ def from_table(table: Path, unit: Any, cranks: Any, overrides: tuple[str, ...], 
         parameters[key.strip()] = parse_yaml(value, f"--set {key.strip()}")
     robot = RobotParameters.from_table(table, unit=unit, cranks=cranks, **parameters)
     save_robot(robot, out, about)
-    click.echo(f"robot in {out}: home at Z = {robot.home_height:.4g} m")
-    unsaid = [f"{name} = {getattr(robot, name):g}" for name in _OWN if name not in parameters]
-    if unsaid:
-        click.echo(f"not given, so taken from the paper's robot [kg, kg m^2, N m]: {', '.join(unsaid)}")
+    tell(f"robot in {out}: home at Z = {robot.home_height:.4g} m")
+    missing = [f"{name} = {getattr(robot, name):g}" for name in _OWN if name not in parameters]
+    if missing:
+        tell(f"not given, so taken from the paper's robot [kg, kg m^2, N m]: {', '.join(missing)}")
 
 
-@robots.command("table")
+@command("robots table")
 @click.argument("names", nargs=-1)
 @opt.out_file("robots.md")
-@opt.quiet_flag
-def table(names: tuple[str, ...], out: Path, quiet: bool) -> None:
-    """Compare robots in a table: workspace, conditioning, tracking, torque; Markdown. NAMES or files [default: all]."""
+def table(names: tuple[str, ...], out: Path) -> None:
+    """NAMES, or files [default: all], also in conditioning and size; written as Markdown."""
     from stewart_drake.studies.robots import HEADER, robot_rows, robots_page
 
     chosen = {name: load_robot(name) for name in names or robot_names()}
     prepare_file(out)
-    with progress_bar("robots", float(len(chosen)), quiet, unit="robots") as advance:
+    with progress_bar("robots", float(len(chosen)), unit="robots") as advance:
         rows = robot_rows(chosen, advance)
-    write_atomically(out, robots_page(rows).encode())
-    if not quiet:
-        print_table("robots", rows, HEADER, numbers=())
-        click.echo(f"table in {out}")
+    write_text(out, robots_page(rows))
+    print_table("robots", rows, HEADER, numbers=())
+    tell(f"table in {out}")
 
 
-def _loaded(scenario: str, robot: str | None, overrides: tuple[str, ...]) -> Scenario:
-    return load_scenario(scenario, (*([] if robot is None else [f"robot={robot}"]), *overrides))
+def _model_options(write: Callable[[Scenario], str]) -> Callable[..., None]:
+    """Options and end of a command that writes a scenario's robot for another program."""
+
+    @click.argument("out", type=opt.OUT_FILE)
+    @click.option("--robot", help="Name or YAML file [default: that of the scenario].")
+    @click.option("--scenario", default="hold", help="Take robot and plant of this scenario.")
+    @opt.overrides("plant.motor_damping=0.01")
+    def model(out: Path, robot: str | None, scenario: str, overrides: tuple[str, ...]) -> None:
+        own = [] if robot is None else [f"robot={json.dumps(robot)}"]
+        write_text(out, write(load_scenario(scenario, (*own, *overrides))))
+        tell(f"robot in {out}")
+
+    model.__doc__ = write.__doc__
+    return model
 
 
-@cli.command("write-sdf")
-@click.argument("out", type=opt.OUT_FILE)
-@robot_option
-@scenario_option
-@opt.overrides("robot.rod_length=0.42")
-@opt.trust_flag
-@click.option("--collision/--no-collision", default=True, help="With collision geometry.")
-def write_sdf_command(out: Path, robot: str | None, scenario: str, overrides: tuple[str, ...], collision: bool) -> None:
-    """Write a robot, with the scenario's plant.rod_joint, as an SDF file."""
-    from stewart_drake.plant.sdf_model import write_sdf
+@command("write-sdf")
+@_model_options
+def write_sdf(scenario: Scenario) -> str:
+    """With the scenario's plant.rod_joint."""
+    from stewart_drake.plant.sdf_model import sdf_text
 
-    loaded = _loaded(scenario, robot, overrides)
-    write_sdf(loaded.robot, out, rod_joint=loaded.plant.rod_joint, collision=collision)
+    return sdf_text(scenario.robot, rod_joint=scenario.plant.rod_joint)
 
 
-@cli.command("write-mjcf")
-@click.argument("out", type=opt.OUT_FILE)
-@robot_option
-@scenario_option
-@opt.overrides("plant.motor_damping=0.01")
-@opt.trust_flag
-def write_mjcf_command(out: Path, robot: str | None, scenario: str, overrides: tuple[str, ...]) -> None:
-    """Write a robot as an MJCF file for MuJoCo, with the scenario's time step, gravity and friction of the motors."""
+@command("write-mjcf")
+@_model_options
+def write_mjcf(scenario: Scenario) -> str:
+    """With the scenario's time step, gravity and friction of the motors."""
     from stewart_drake.mujoco_model import mjcf_text
 
-    loaded = _loaded(scenario, robot, overrides)
-    write_atomically(out, mjcf_text(loaded.robot, loaded.gravity, loaded.plant).encode())
+    return mjcf_text(scenario.robot, scenario.gravity, scenario.plant)
 
 
-@cli.command()
-@click.argument("poses", required=False, type=opt.IN_FILE)
+@command("calibrate")
+@click.argument("poses", required=False, type=opt.PATH)
 @opt.guess_option
 @click.option(
     "--out", type=opt.OUT_FILE, help="File to write [default: runs/calibrated.yaml; with --plan runs/poses.csv]."
@@ -164,7 +152,6 @@ def write_mjcf_command(out: Path, robot: str | None, scenario: str, overrides: t
 @click.option("--position-noise", type=float, default=2e-5, help="Of the tracker [m].")
 @click.option("--rotation-noise", type=float, default=1e-4, help="Of the tracker [rad].")
 @click.option("--encoder-bits", type=click.IntRange(4, 40), default=17, help="Counts a turn.")
-@click.option("--encoder-noise", type=float, help="Of a reading [rad] [default: that of the bits' steps].")
 @click.option(
     "--known-frame",
     "known_frames",
@@ -174,8 +161,6 @@ def write_mjcf_command(out: Path, robot: str | None, scenario: str, overrides: t
 )
 @click.option("--hold", multiple=True, type=click.Choice(NAMES), help="Keep these parameters as they are.")
 @opt.overrides("limits.clearance=0.01")
-@opt.trust_flag
-@opt.quiet_flag
 def calibrate(
     poses: Path | None,
     robot: str,
@@ -185,23 +170,18 @@ def calibrate(
     position_noise: float,
     rotation_noise: float,
     encoder_bits: int,
-    encoder_noise: float | None,
     known_frames: tuple[FrameName, ...],
     hold: tuple[Name, ...],
     overrides: tuple[str, ...],
-    quiet: bool,
 ) -> None:
-    """Geometry and homing offsets of a robot from measured POSES and its encoders' readings.
+    """POSES is a CSV file with a row for each pose at rest.
 
-    POSES is a CSV file with a row for each pose at rest: pose_roll_rad, pose_pitch_rad, pose_yaw_rad, pose_x_m,
-    pose_y_m, pose_z_m of the tracker's marker in the tracker's frame (or _deg, _mm) and crank_angle_0_rad to
-    crank_angle_5_rad, the readings (or _deg). Where the tracker stands, and where on the platform its marker is, need
-    not be known.
+    Columns: pose_roll_rad, pose_pitch_rad, pose_yaw_rad, pose_x_m, pose_y_m, pose_z_m of the tracker's marker in the
+    tracker's frame (or _deg, _mm) and crank_angle_0_rad to crank_angle_5_rad, the readings (or _deg). Where the tracker
+    stands, and where on the platform its marker is, need not be known.
 
-    With --plan it writes poses to measure in that form: within the limits of the robot, and such as tell most.
-    --set changes those limits.
-
-    Exit status: 0 done, 2 bad input.
+    With --plan it writes poses to measure in that form: within the limits of the robot, which --set changes, and such
+    as tell most.
     """
     from stewart_drake.calibration.fit import calibrate as fit
     from stewart_drake.calibration.poses import MeasurementNoise, plan_poses
@@ -209,106 +189,84 @@ def calibrate(
 
     if (poses is None) == (plan is None):
         raise click.UsageError("either POSES or --plan N")
-    if poses is not None and overrides:
-        raise click.UsageError("--set changes limits of the poses to plan: it goes with --plan")
-    if plan is not None and report_folder is not None:
-        raise click.UsageError("--report goes with POSES")
-    of_bits = 2.0 * math.pi / 2**encoder_bits / math.sqrt(12.0)
-    encoder = of_bits if encoder_noise is None else encoder_noise
+    encoder = 2.0 * math.pi / 2**encoder_bits / math.sqrt(12.0)
     noise = MeasurementNoise(position=position_noise, rotation=rotation_noise, encoder=encoder)
     guess = load_robot(robot)
     if plan is not None:
         limits = load_scenario("paper_fig7", [f"robot={json.dumps(robot)}", *overrides]).limits
-        planned = plan_poses(guess, plan, limits, noise, known_frames, hold)
-        opt.write_text(out or Path("runs/poses.csv"), planned.targets.to_csv())
+        out = out or Path("runs/poses.csv")
+        with working("choosing poses"):
+            planned = plan_poses(guess, plan, limits, noise, known_frames, hold)
+        write_text(out, planned.targets.to_csv())
         header, rows = planned.table()
-        title = f"largest 95 % interval of any leg to expect of {plan} poses, +-"
+        print_table(f"largest 95 % interval of any leg to expect of {plan} poses, +-", rows, header)
+        tell(f"poses in {out}; once they are measured: stewart-drake calibrate {out} --robot {robot}")
     elif poses is not None:
-        found = fit(guess, poses, noise, known_frames, hold)
         out = out or Path("runs/calibrated.yaml")
-        more = {"residuals.csv": found.residuals_csv}
-        facts = _write_found(found, out, report_folder, "calibration.png", plot_calibration, more)
-        if not quiet:
-            print_table(f"{poses}", facts)
+        with working("fitting"):
+            found = fit(guess, poses, noise, known_frames, hold)
+        tables = {"residuals.csv": found.residuals_csv}
+        _write_result(found, str(poses), out, report_folder, "calibration.png", plot_calibration, tables)
         header, rows = found.table()
-        title = "change against the guess, 95 % interval"
-    if not quiet:
-        print_table(title, rows, header)
+        print_table("change against the guess, 95 % interval", rows, header)
 
 
-def _write_found(
+def _write_result(
     found: Any,
+    title: str,
     out: Path,
     folder: Path | None,
     picture: str,
     plot: Callable[..., Any],
-    more: dict[str, Callable[[], str]],
-) -> list[tuple[str, str]]:
-    """Writes the robot's file and the report; the summary, and where they are."""
-    opt.write_text(out, found.robot_file())
+    tables: dict[str, Callable[[], str]],
+) -> None:
+    """Writes the robot's file and the report, and prints the summary."""
+    write_text(out, found.robot_file())
     facts = [*found.summary(), ("robot in", str(out))]
     if folder is not None:
-        for name, text in {"parameters.csv": found.to_csv, **more}.items():
-            opt.write_text(folder / name, text())
+        for name, text in {"parameters.csv": found.to_csv, **tables}.items():
+            write_text(folder / name, text())
         plot(found, folder / picture)
-        opt.write_text(folder / "report.md", found.to_markdown(picture))
+        write_text(folder / "report.md", found.to_markdown(picture))
         facts.append(("report in", str(folder)))
-    return facts
+    print_table(title, facts)
 
 
-@cli.command()
-@click.argument("logs", nargs=-1, required=True, type=opt.IN_FILE)
+@command("identify")
+@click.argument("logs", nargs=-1, required=True, type=opt.PATH)
 @opt.guess_option
 @opt.out_file("runs/identified.yaml")
 @report_option
-@click.option("--validate", multiple=True, type=opt.IN_FILE, help="A log that is only predicted.")
+@click.option("--validate", multiple=True, type=opt.PATH, help="A log that is only predicted.")
 @hold_option
 @click.option("--ask", multiple=True, type=click.Choice(KINDS), help="Refuse logs that do not tell these.")
-@click.option("--bandwidth", type=float, help="Of the filter [Hz] [default: a twelfth of the rows' rate, at most 15].")
 @click.option("--torque-lag", "lag", type=float, default=0.0, help="Of a CSV file's torques [s].")
-@opt.quiet_flag
-def identify(
-    logs: tuple[Path, ...], robot: str, out: Path, report_folder: Path | None, quiet: bool, **options: Any
-) -> None:
-    """Masses, inertias, friction and torque constants of a robot from LOGS of its crank angles and torques.
+def identify(logs: tuple[Path, ...], robot: str, out: Path, report_folder: Path | None, **options: Any) -> None:
+    """A log is a results folder or log of `run`, or a CSV file with a row for each instant, at an even rate.
 
-    A log is a results folder or log of `run`, or a CSV file with a row for each instant, at an even rate: time_s,
-    crank_angle_0_rad to crank_angle_5_rad (or _deg), torque_0_Nm to torque_5_Nm. `excite` designs a motion that tells
-    most. Without --ask the platform's mass and all friction must be told.
-
-    Exit status: 0 done, 2 bad input, 3 no bodies could have such torques.
+    Its columns: time_s, crank_angle_0_rad to crank_angle_5_rad (or _deg), torque_0_Nm to torque_5_Nm. `excite` designs
+    a motion that tells most. Without --ask the platform's mass and all friction must be told.
     """
     from stewart_drake.identification.estimate import ASKED
     from stewart_drake.identification.identified import identify as fit
     from stewart_drake.plotting.model_plots import plot_identification
 
-    found = fit(load_robot(robot), logs, **options | {"ask": options["ask"] or ASKED})
-    more = {"friction.yaml": found.friction_file}
-    facts = _write_found(found, out, report_folder, "identification.png", plot_identification, more)
-    if not quiet:
-        print_table(", ".join(map(str, logs)), facts)
-        header, rows = found.table()
-        print_table("parameters, 95 % intervals", rows, header, (1, 2))
+    with working("fitting"):
+        found = fit(load_robot(robot), logs, **options | {"ask": options["ask"] or ASKED})
+    title, tables = ", ".join(map(str, logs)), {"friction.yaml": found.friction_file}
+    _write_result(found, title, out, report_folder, "identification.png", plot_identification, tables)
+    header, rows = found.table()
+    print_table("parameters, 95 % intervals", rows, header, (1, 2))
 
 
-@cli.command()
+@command("excite")
 @opt.guess_option
 @opt.out_file("runs/excitation.yaml")
 @click.option("--duration", type=click.FloatRange(min=5.0), default=60.0, help="Of the run [s].")
 @hold_option
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="Of the random motions.")
 @opt.overrides("limits.crank_speed=5")
-@opt.trust_flag
-@opt.quiet_flag
-def excite(
-    robot: str, out: Path, duration: float, hold: tuple[Kind, ...], seed: int, overrides: tuple[str, ...], quiet: bool
-) -> None:
-    """Design a motion within the robot's limits that tells its parameters, as a scenario that `run` runs.
-
-    --set changes the scenario: its limits, encoders, or controller.
-
-    Exit status: 0 done, 2 bad input.
-    """
+def excite(robot: str, out: Path, duration: float, hold: tuple[Kind, ...], overrides: tuple[str, ...]) -> None:
+    """Within its limits, and written as a scenario that `run` runs; --set changes limits, encoders, or controller."""
     from stewart_drake.identification.excitation import excite as design
     from stewart_drake.planning.feasibility import check_reference
 
@@ -317,15 +275,15 @@ def excite(
     differences = ("estimator.kind=difference", "friction_compensation=null", "tuner={kind: block}")
     own = (f"robot={json.dumps(robot)}", "plant.motor_friction=0", *differences, f"duration={duration!r}")
     scenario = load_scenario("exact_breathing", (*own, *overrides))
-    found = design(guess, scenario.limits, hold, gravity=scenario.gravity, seed=seed)
+    with working("designing"):
+        found = design(guess, scenario.limits, hold, gravity=scenario.gravity)
     check_reference(guess, scenario.limits, found.reference, duration, scenario.gravity).raise_if_infeasible()
-    opt.write_text(
-        out, to_yaml(scenario.replace({"name": "excitation", "reference": found.reference.to_dict()}).to_dict())
-    )
-    if not quiet:
-        rows = [
-            ("condition number", f"{found.condition:.4g}"),
-            ("of motions at random", f"{found.random_condition:.4g}, median"),
-            ("scenario in", str(out)),
-        ]
-        print_table(f"excitation of {robot}", rows)
+    designed = scenario.replace({"name": "excitation", "reference": found.reference.to_dict()})
+    write_text(out, to_yaml(designed.to_dict()))
+    rows = [
+        ("condition number", f"{found.condition:.4g}"),
+        ("of motions at random", f"{found.random_condition:.4g}, median"),
+        ("scenario in", str(out)),
+    ]
+    print_table(f"excitation of {robot}", rows)
+    tell(f"next: stewart-drake run {out}")

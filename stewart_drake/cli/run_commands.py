@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 import math
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import click
 
 from stewart_drake.cli import options as opt
-from stewart_drake.cli.options import cli
-from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling
+from stewart_drake.cli.options import command
+from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling, tell, working
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.families import user_parts
 from stewart_drake.files.whole import write_atomically
@@ -21,24 +22,16 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import metrics_of
 from stewart_drake.logs.outcomes import told
 from stewart_drake.runs.outputs import Results, prepare_folder, results_place, write_run
-from stewart_drake.scenario import load_scenario, scenario_schema
-
-EXIT_DIFFERENT = 1
+from stewart_drake.scenario import load_scenario
 
 
-@cli.command()
-@click.argument("scenario")
-@click.option("--out", type=opt.OutPath(), help="Folder for the results [default: runs/NAME, or runs/NAME-2, ...].")
+@command("run")
+@click.argument("scenario", **opt.SCENARIO)
+@click.option("--out", type=opt.PATH, help="Folder for the results [default: runs/NAME, or runs/NAME-2, ...].")
 @opt.overrides()
 @click.option("--force", is_flag=True, help="Replace the results of another scenario in the folder.")
-@opt.trust_flag
-@click.option("--meshcat", is_flag=True, help="Show the run live in a browser.")
-@opt.quiet_flag
-def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool, meshcat: bool, quiet: bool) -> None:
-    """Simulate SCENARIO: a YAML file, or the name of a shipped one such as paper_fig7.
-
-    Exit status: 0 completed, 2 bad input, 3 stopped, lost or failed (the log is kept), 130 interrupted.
-    """
+def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool) -> None:
+    """SCENARIO is a YAML file, or the name of a shipped one such as paper_fig7."""
     from stewart_drake.runs.checks import check_scenario, refuse_unrunnable
     from stewart_drake.runs.simulation import engine_of
     from stewart_drake.runs.simulation import run as simulate
@@ -46,27 +39,16 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     loaded = load_scenario(scenario, overrides)
     place = results_place(loaded, out, force)
     refuse_unrunnable(loaded)
-    with shown_compiling(quiet):
+    with shown_compiling():
         check_scenario(loaded)
-    viewer = None
-    if meshcat and loaded.plant.engine == "reduced":
-        raise ConfigurationError("plant.engine", "reduced", "drake, for --meshcat; `stewart-drake live` shows both")
-    if meshcat:
-        from pydrake.geometry import Meshcat, MeshcatParams
-
-        viewer = Meshcat(MeshcatParams(host="localhost"))
-        click.echo(f"live view: {viewer.web_url()}", err=True)
-    engine = engine_of(loaded, viewer)
+    engine = engine_of(loaded)
     graph = engine.graph()
     # Only now, with everything checked, does anything appear on the disk.
     prepare_folder(place.parent, out)
-    with shown_compiling(quiet), progress_bar(loaded.name, loaded.duration, quiet) as advance:
+    with shown_compiling(), progress_bar(loaded.name, loaded.duration) as advance:
         log = simulate(loaded, progress=advance, check=False, engine=engine)
     results = write_run(log, out, graph, force=force)
-    if not quiet:
-        _print_run(log, results)
-    for line in results.left_out:
-        say(line)
+    _print_run(log, results)
     if log.status != "completed":
         why = (log.message or "").removeprefix(f"{log.reason}: ")
         say(f"{told(log.status, log.reason, log.outcome_time)}: {why}")
@@ -86,24 +68,21 @@ def _print_run(log: SimulationLog, results: Results) -> None:
     rows += [(f"warning: {each['name']}", f"{each['text']}, t = {each['time']:.3f} s") for each in log.warnings]
     factor = metrics["real_time_factor"]
     rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(results.folder))]
-    print_table(log.scenario.name, rows)
+    print_table(log.scenario.name, rows, data=metrics)
+    shown = results.folder / "replay.html"
+    if shown.exists():
+        other = "run exact_fig7" if log.scenario.name == "paper_fig7" else "live"
+        tell(f"open {shown}; try: stewart-drake {other}")
 
 
-@cli.command()
-@click.argument("scenario")
+@command("check")
+@click.argument("scenario", **opt.SCENARIO)
 @opt.overrides()
 @click.option("--scale", is_flag=True, help="If it cannot be done, find how much smaller it can.")
 @click.option("--retime", is_flag=True, help="If it cannot be done, find how much slower it can.")
-@click.option(
-    "--out",
-    type=opt.OUT_FILE,
-    help="Write the scenario with the motion so made feasible; with one of --scale, --retime.",
-)
+@click.option("--out", type=opt.OUT_FILE, help="Write the scenario so made feasible; with one of --scale, --retime.")
 def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None) -> None:
-    """Check the motion of SCENARIO against its limits, over the whole run, and name its code; nothing is run.
-
-    Exit status: 0 it can be done as it stands, 2 it cannot, or bad input.
-    """
+    """The motion of SCENARIO over the whole run; its code is named and not run. Exit status 2: it cannot be done."""
     from stewart_drake.runs.checks import check_scenario, fit_amplitude, fit_speed, motion_report
 
     if out is not None and scale == retime:
@@ -113,159 +92,117 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
         part.code.find(part.code_key)
     for code in dict.fromkeys(part.code for part in user_parts(loaded)):
         asks = "" if code.trusted else "; `run` asks for --trust-code"
-        click.echo(f"runs code: {code}{asks}")
+        tell(f"runs code: {code}{asks}")
     if user_parts((loaded.reference, loaded.safety)):
         if scale or retime:
             allowed = "a motion and monitors of the package, for --scale and --retime: check runs no user's code"
             raise ConfigurationError("SCENARIO", scenario, allowed)
-        click.echo("the motion or a monitor is a user's code, which check does not run: `run` checks the motion first")
+        tell("the motion or a monitor is a user's code, which check does not run: `run` checks the motion first")
         return
-    report = motion_report(loaded)
-    motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
-    changes: dict[str, Any] = {}
-    found: list[str] = []
-    if scale:
-        try:
-            changes["reference"], factor = fit_amplitude(*motion)
-            found.append(f"feasible at {factor:.4f} of its size")
-        except InfeasibleReferenceError as error:
-            found.append(f"feasible at no size; resting in its centre, {error}")
-    if retime:
-        try:
-            changes["reference"], factor = fit_speed(*motion)
-            changes["duration"] = factor * loaded.duration
-            found.append(f"feasible {factor:.4f} times slower, over {changes['duration']:.4g} s")
-        except InfeasibleReferenceError as error:
-            found.append(f"feasible at no speed; standing still, {error}")
-    if out is not None and changes:
-        write_atomically(out, to_yaml(loaded.replace(changes).to_dict()).encode())
-        found.append(f"scenario in {out}")
-    rows = []
-    for name, worst in report.smallest.items():
+    rows, numbers = [], {}
+    for name, worst in motion_report(loaded).smallest.items():
         allowed = f"{'>=' if '>=' in worst.allowed else '<='} {worst.bound:.4g} {worst.unit}"
         margin = f"{'broken ' if worst.margin < 0.0 else ''}{worst.margin:.4g}"
         rows.append((name, allowed, margin, f"{worst.time:.3f} s", worst.where))
-    # Last, so that a reader who leaves early costs nothing but the text.
+        numbers[name] = asdict(worst) | {"unit": worst.unit}
     header = ("limit", "allowed", "smallest margin", "at", "where")
-    print_table(f"{loaded.name}, {loaded.duration:g} s", rows, header, numbers=(1, 2, 3))
-    for line in found:
-        click.echo(line)
+    print_table(f"{loaded.name}, {loaded.duration:g} s", rows, header, numbers=(1, 2, 3), data=numbers)
+    motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
+    changes: dict[str, Any] = {}
+    if scale:
+        try:
+            with working("looking for the largest size"):
+                changes["reference"], factor = fit_amplitude(*motion)
+            tell(f"feasible at {factor:.4f} of its size")
+        except InfeasibleReferenceError as error:
+            tell(f"feasible at no size; resting in its centre, {error}")
+    if retime:
+        try:
+            with working("looking for the highest speed"):
+                changes["reference"], factor = fit_speed(*motion)
+            changes["duration"] = factor * loaded.duration
+            tell(f"feasible {factor:.4f} times slower, over {changes['duration']:.4g} s")
+        except InfeasibleReferenceError as error:
+            tell(f"feasible at no speed; standing still, {error}")
+    if out is not None and changes:
+        write_atomically(out, to_yaml(loaded.replace(changes).to_dict()).encode())
+        tell(f"scenario in {out}")
     check_scenario(loaded)
 
 
-@cli.command()
-@click.option("--out", type=opt.OUT_FILE, help="File to write [default: standard output].")
-def schema(out: Path | None) -> None:
-    """JSON schema of scenario files, for editors."""
-    text = json.dumps(scenario_schema(), indent=2) + "\n"
-    if out is None:
-        click.echo(text, nl=False)
-    else:
-        write_atomically(out, text.encode())
-
-
-@cli.command()
-@click.argument("scenario", default="exact_breathing")
+@command("margins")
+@click.argument("scenario", default="exact_breathing", **opt.SCENARIO)
 @opt.out_folder("runs/margins")
 @click.option("--poses", type=click.IntRange(1, 100_000), default=1000, help="Drawn from the near box.")
-@click.option("--seed", type=click.IntRange(0), default=0, help="Of the poses.")
 @opt.overrides("estimator.kind=observer")
-@opt.trust_flag
-@opt.quiet_flag
-def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[str, ...], quiet: bool) -> None:
-    """Stability margins of the linear loop of SCENARIO, a file or a shipped name [default: exact_breathing].
+def margins(scenario: str, out: Path, poses: int, overrides: tuple[str, ...]) -> None:
+    """SCENARIO is a file or a shipped name [default: exact_breathing].
 
     At poses at rest the loop, with sensors, estimator, controller and delay, is broken at the six motors' torques:
     gain, phase, delay and disk margins, one motor at a time and all at once. The poses are drawn from the near box: up
     to 30 deg about each axis, 60 mm in X and Y and 50 mm in Z about home, shifts by the robot's size, within the
     scenario's limits. Friction, saturation and counts of encoders are not linear, and left out; weights stay as at the
-    start.
-
-    Writes margins.json and margins.png.
-
-    Exit status: 0 done, 2 bad input.
+    start. Writes margins.json and margins.png.
     """
     from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 
     loaded = load_scenario(scenario, overrides)
-    with shown_compiling(quiet):
-        loops = linear_loops(loaded, poses_to_stand_at(loaded, poses, seed))
+    with shown_compiling(), working(f"{poses} poses"):
+        loops = linear_loops(loaded, poses_to_stand_at(loaded, poses, 0))
     folder = prepare_folder(out)
 
     from stewart_drake.plotting.model_plots import plot_margins
     from stewart_drake.stability import margins as report
 
     found = report.loop_margins(loops)
-    numbers = json.dumps(report.document(loops, found), indent=1, allow_nan=False) + "\n"
-    write_atomically(folder / "margins.json", numbers.encode())
+    numbers = report.document(loops, found)
+    write_atomically(folder / "margins.json", (json.dumps(numbers, indent=1, allow_nan=False) + "\n").encode())
     plot_margins(found, folder / "margins.png")
-    if not quiet:
-        title = f"{loaded.name}: margins at {len(loops.poses)} poses, beside {loaded.command_delay} ticks of delay"
-        print_table(title, report.table(found, loops.period), report.HEADER)
-        print_table("", [*report.facts(loops, found), ("results in", str(folder))])
+    title = f"{loaded.name}: margins at {len(loops.poses)} poses, beside {loaded.command_delay} ticks of delay"
+    print_table(title, report.table(found, loops.period), report.HEADER, data=numbers)
+    print_table("poses", [*report.facts(loops, found), ("results in", str(folder))])
 
 
-@cli.command()
+@command("workspace")
 @opt.out_folder("runs/workspace")
-@click.option(
-    "--samples", type=click.IntRange(1_000, 10_000_000), default=1_000_000, help="Poses in each of the two workspaces."
-)
-@click.option(
-    "--pose",
-    type=float,
-    nargs=6,
-    metavar="ROLL PITCH YAW X Y Z",
-    help="Fixed orientation [rad] and fixed position [m] [default: home].",
-)
+@click.option("--samples", type=click.IntRange(1000, 10**7), default=10**6, help="Poses in each of the two workspaces.")
 @click.option("--scenario", default="paper_fig7", help="Take robot, limits and controller of this scenario.")
 @opt.overrides("limits.clearance=0.01")
-@opt.trust_flag
-@opt.quiet_flag
-def workspace(
-    out: Path, samples: int, pose: tuple[float, ...] | None, scenario: str, overrides: tuple[str, ...], quiet: bool
-) -> None:
-    """Where the robot can go, what it can do there, and what controlled motions visit.
+def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]) -> None:
+    """Writes workspace.json and figures/, about home.
 
-    Writes workspace.json and figures/: positions at a fixed orientation and orientations at a fixed position, within
-    reach, joint swing, clearance, conditioning and motor torque, with serial and parallel singularities told apart; and
-    the region of states and torques that motions visit.
-
-    Exit status: 0 done, 2 bad input, 130 interrupted.
+    Positions at a fixed orientation and orientations at a fixed position, within reach, joint swing, clearance,
+    conditioning and motor torque, with serial and parallel singularities told apart; and the region of states and
+    torques that motions visit.
     """
-    import numpy as np
-
     from stewart_drake.paper.reproduce import Study
     from stewart_drake.paper.workspace import motion_numbers
     from stewart_drake.planning.workspace import KINDS, check_center, slices, study_poses
     from stewart_drake.plotting import save_figure
-    from stewart_drake.plotting.workspace_plots import plot_capability, plot_slices
+    from stewart_drake.plotting.workspace_plots import plot_capability
     from stewart_drake.runs.checks import check_scenario
 
     base = load_scenario(scenario, overrides)
-    center = base.robot.home_pose if pose is None else np.array(pose)
-    check_center(base.robot, center)
+    check_center(base.robot, base.robot.home_pose)
     base.tuner.network()
     try:
         check_scenario(base)
     except ConfigurationError as error:
         # A region of poses needs no motion.
         say(f"left out is the scenario's own motion: {error}")
-    prepare_folder(out)
+    figures = prepare_folder(out / "figures", out)
     of_base = base.robot, base.limits, base.gravity
-    with progress_bar("workspace", 100.0, quiet, unit="%") as advance:
-        numbers, surveys = study_poses(*of_base, center, samples, 20_000, lambda share: advance(60.0 * share))
+    with progress_bar("workspace", 100.0, unit="%") as advance:
+        numbers, surveys = study_poses(
+            *of_base, base.robot.home_pose, samples, 20_000, lambda share: advance(60.0 * share)
+        )
         motions, draw = motion_numbers(Study(base=base, progress=lambda share: advance(60.0 + 40.0 * share)))
     numbers |= {"motions": motions}
     write_atomically(out / "workspace.json", (json.dumps(numbers, indent=1, allow_nan=False) + "\n").encode())
-    figures = out / "figures"
-    figures.mkdir(exist_ok=True)
     save_figure(draw(), figures / "torques.png")
     for kind, shown in zip(KINDS, (-1, 2), strict=True):
-        cuts = slices(*of_base, surveys[kind], 220)
-        save_figure(plot_slices(cuts), figures / f"{kind}-slices.png")
-        save_figure(plot_capability(cuts[shown]), figures / f"{kind}-capability.png")
-    if quiet:
-        return
+        cut = slices(*of_base, surveys[kind], 220)[shown]
+        save_figure(plot_capability(cut), figures / f"{kind}-capability.png")
     rows = []
     for kind, scale, unit in (("position", 1e3, "L"), ("orientation", 100.0, "% of all")):
         found = numbers["workspaces"][kind]
@@ -277,31 +214,24 @@ def workspace(
     way, turn = (numbers["workspaces"][kind]["inscribed_radius"] for kind in ("position", "orientation"))
     rows.append(("free in every direction", f"{1e3 * way:.0f} mm, {math.degrees(turn):.0f} deg"))
     rows += [(f"torque of {name}", f"{of['peak_torque']:.3f} N m, {of['status']}") for name, of in motions.items()]
-    print_table(f"numbers and figures in {out}", rows)
+    print_table(f"numbers and figures in {out}", rows, data=numbers)
 
 
-@cli.command()
+@command("reproduce")
 @click.option("--quick", is_flag=True, help="Smaller sizes, a minute or two.")
-@click.option("--out", type=opt.OutPath(), help="Folder for numbers.json and figures/ [default: none is written].")
-@opt.quiet_flag
-def reproduce(quick: bool, out: Path | None, quiet: bool) -> None:
-    """Test the paper claim by claim: a table of claim, paper, ours, verdict.
-
-    The table is compared with the one that this package has; what differs is named.
-
-    Exit status: 0 done, 1 a number differs, 2 bad input, 130 interrupted.
-    """
+@click.option("--out", type=opt.PATH, help="Folder for numbers.json and figures/ [default: none is written].")
+def reproduce(quick: bool, out: Path | None) -> None:
+    """A table of claim, paper, ours, verdict, compared with the one that this package has; what differs is named."""
     from stewart_drake.paper.reproduce import differences, rows
     from stewart_drake.paper.reproduce import reproduce as results_of
 
     if out is not None:
         prepare_folder(out)
-    with progress_bar("reproduction", 100.0, quiet, unit="%") as advance:
+    with progress_bar("reproduction", 100.0, unit="%") as advance:
         results = results_of(quick, out, lambda share, name: advance(100.0 * share, name.replace("_", " ")))
     claims = [claim for result in results.values() for claim in result.claims]
-    if not quiet:
-        print_table("The paper, claim by claim", rows(claims), ("claim", "paper", "ours", "verdict"))
+    print_table("The paper, claim by claim", rows(claims), ("claim", "paper", "ours", "verdict"))
     different = differences(claims, "quick" if quick else "full")
     for line in different:
         say(line)
-    sys.exit(EXIT_DIFFERENT if different else 0)
+    sys.exit(opt.EXIT_DIFFERENT if different else 0)

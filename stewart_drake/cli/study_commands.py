@@ -2,162 +2,162 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from stewart_drake.cli import options as opt
-from stewart_drake.cli.options import cli
-from stewart_drake.cli.terminal import console, print_table, progress_bar, say
+from stewart_drake.cli.options import command
+from stewart_drake.cli.terminal import print_table, progress_bar, say, tell
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.runs.outputs import prepare_file
+from stewart_drake.runs.outputs import prepare_file, prepare_folder
 from stewart_drake.studies.workers import Workers
 
 if TYPE_CHECKING:
     from stewart_drake.studies.study import Sheet
 
+sized_option = click.option(
+    "--robot", help="Name or YAML file: motions, loads and faults in its size [default: that of the file]."
+)
+quick_flag = click.option("--quick", is_flag=True, help="Few and short runs: to look at, not to quote.")
 
-@cli.command()
-@click.argument("sweep")
+
+def study_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """What all commands of many runs take."""
+    for option in (
+        opt.trust_flag,
+        click.option("--restart", is_flag=True, help="Do not go on from what an earlier call has left."),
+        click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster to run on, e.g. tcp://host:8786."),
+        click.option("--workers", type=click.IntRange(1, 1024), help="Processes [default: one per core, at most 8]."),
+    ):
+        function = option(function)
+    return function
+
+
+@contextmanager
+def _under_way(
+    name: str, runs: int, out: Path | None, workers: int | None, scheduler: str | None, restart: bool
+) -> Iterator[tuple[Path, Workers, Callable[[float], None], bool]]:
+    """The folder, where the runs go, what is told how many are done, and `restart`; Ctrl-C keeps what is done."""
+    if scheduler is not None and workers is not None:
+        allowed = "no value with --scheduler: the cluster sets the number of workers"
+        raise ConfigurationError("--workers", workers, allowed)
+    where = Workers(workers, scheduler)
+    folder = prepare_folder(out if out is not None else Path("runs") / name)
+    try:
+        with where, progress_bar(name, float(runs), unit="runs") as advance:
+            yield folder, where, advance, restart
+    except KeyboardInterrupt:
+        say(f"interrupted; finished runs are kept in {folder}; the same command goes on from there")
+        sys.exit(opt.EXIT_INTERRUPTED)
+
+
+def _print_sheets(sheets: Sequence[Sheet], *lines: str | None) -> None:
+    for each in sheets:
+        print_table(each.title, each.rows, each.header)
+    for line in lines:
+        if line is not None:
+            tell(line)
+
+
+@command("sweep")
+@click.argument("sweep", shell_complete=opt.names("sweeps"))
 @opt.out_folder()
 @click.option("--runs", type=click.IntRange(1), help="In place of the number in the file; run i stays the same.")
-@opt.study_options
-def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
-    """Run SWEEP many times over: a YAML file, or the name of a shipped one such as initial_offset.
+@study_options
+def sweep(sweep: str, runs: int | None, **options: Any) -> None:
+    """SWEEP is a YAML file, or the name of a shipped one such as initial_offset.
 
     Writes sweep.parquet and .csv: one row a run, with the values drawn, how it went and how well. A run that is
-    refused, breaks or kills its worker is a row with its reason. What is done is kept in OUT, and an interrupted sweep
-    goes on from it.
-
-    Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
+    refused, breaks or kills its worker is a row with its reason.
     """
     from stewart_drake.studies.study import run_study
     from stewart_drake.studies.sweep import load_sweep, summary
 
     loaded = load_sweep(sweep, runs)
-    with opt.under_way(loaded.name, loaded.runs, **options) as (folder, where, progress):
-        made = run_study(loaded, folder, where, progress, restart)
-    if not options["quiet"]:
-        print_table(loaded.name, [*summary(made.rows["sweep"]), ("table in", str(folder / "sweep.parquet"))])
-        if made.engine is not None:
-            click.echo(made.engine)
+    with _under_way(loaded.name, loaded.runs, **options) as way:
+        result = run_study(loaded, *way)
+    print_table(loaded.name, summary(result.rows["sweep"]))
+    _print_sheets((), result.engine, f"table in {result.folder / 'sweep.parquet'}")
 
 
-@cli.command()
-@click.argument("comparison", default="tracking")
+@command("compare")
+@click.argument("comparison", default="tracking", shell_complete=opt.names("comparisons"))
 @opt.out_folder()
-@click.option("--quick", is_flag=True, help="Short runs and few bands: figures to look at, not to quote.")
-@opt.sized_option
-@opt.study_options
-def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **options: Any) -> None:
-    """Compare controllers: COMPARISON is a YAML file or one of tracking, controllers, fair, observer.
+@quick_flag
+@sized_option
+@study_options
+def compare(comparison: str, quick: bool, robot: str | None, **options: Any) -> None:
+    """COMPARISON is a YAML file or one of tracking, controllers, fair, observer [default: tracking].
 
-    Without one it is tracking.
-
-    Writes comparison.parquet, .csv and .md (tables for a README), bands.parquet and .csv, and pictures. A run that
-    fails is a row with its reason. What is done is kept in OUT, and an interrupted comparison goes on from it.
-
-    Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
+    Writes comparison.parquet, .csv and .md (tables for a README), bands.parquet and .csv, and pictures.
     """
     from stewart_drake.studies.comparison import load_comparison, write_pictures
     from stewart_drake.studies.study import run_study
 
-    loaded, ending = load_comparison(comparison, quick, robot), "-quick" if quick else ""
-    with opt.under_way(f"{loaded.name}{ending}", loaded.runs, **options) as (folder, where, progress):
-        result = run_study(loaded, folder, where, progress, restart)
-        for line in write_pictures(loaded, result):
-            say(line)
-    if options["quiet"]:
-        return
-    print_sheets(loaded.sheets(result.rows))
-    if result.engine is not None:
-        click.echo(result.engine)
-    click.echo(f"tables and pictures in {folder}")
+    loaded = load_comparison(comparison, quick, robot)
+    with _under_way(f"{loaded.name}{'-quick' if quick else ''}", loaded.runs, **options) as way:
+        result = run_study(loaded, *way)
+        write_pictures(loaded, result)
+    _print_sheets(loaded.sheets(result.rows), result.engine, f"tables and pictures in {result.folder}")
 
 
-@cli.command()
-@click.argument("comparison")
+@command("tune")
+@click.argument("comparison", shell_complete=opt.names("comparisons"))
 @opt.out_folder()
 @click.option("--controller", "controllers", multiple=True, metavar="NAME", help="Of those to search [default: all].")
 @click.option("--budget", type=click.IntRange(1), help="Evaluations of each controller, in place of those in the file.")
-@click.option("--quick", is_flag=True, help="Short runs and two generations: to see that all is well.")
-@opt.study_options
-def tune(
-    comparison: str, controllers: tuple[str, ...], budget: int | None, quick: bool, restart: bool, **options: Any
-) -> None:
-    """Search the gains of controllers for the least cost: COMPARISON is a file with `tune` in it, or a name as fair.
+@quick_flag
+@study_options
+def tune(comparison: str, controllers: tuple[str, ...], budget: int | None, quick: bool, **options: Any) -> None:
+    """COMPARISON is a file with `tune` in it, or a name as fair.
 
     Every controller gets the same search (CMA-ES) over the same runs; then those before and after are compared as the
     file says, in OUT/verdict-*. Writes tuned.yaml (for `tuned` of the comparison), tune.parquet and .csv (a row an
-    evaluation), tune.md and tune.png. What is done is kept in OUT, and an interrupted search goes on from it; with
-    another --budget or --controller too.
-
-    Exit status: 0 all is searched, 2 bad input, 3 no workers are left, 130 interrupted.
+    evaluation), tune.md and tune.png.
     """
     from stewart_drake.studies.tune import load_tuning, run_tuning, write_picture
 
-    loaded, ending = load_tuning(comparison, controllers, budget, quick), "-tune-quick" if quick else "-tune"
-    with opt.under_way(f"{loaded.name}{ending}", loaded.runs, **options) as (folder, where, progress):
-        result = run_tuning(loaded, folder, where, progress, restart)
-        line = write_picture(result, folder)
-        if line is not None:
-            say(line)
-    if options["quiet"]:
-        return
-    print_sheets(result.sheets)
-    click.echo(f"settings in {folder / 'tuned.yaml'}, tables of the verdict in {result.verdict.folder}")
+    loaded = load_tuning(comparison, controllers, budget, quick)
+    with _under_way(f"{loaded.name}{'-tune-quick' if quick else '-tune'}", loaded.runs, **options) as way:
+        result = run_tuning(loaded, *way)
+        write_picture(result, way[0])
+    where = f"settings in {way[0] / 'tuned.yaml'}, tables of the verdict in {result.verdict.folder}"
+    _print_sheets(result.sheets, where)
 
 
-@cli.command()
+@command("faults")
 @opt.out_folder("runs/faults")
-@click.option("--quick", is_flag=True, help="The held platform alone, a third of the runs.")
-@opt.sized_option
+@quick_flag
+@sized_option
 @opt.overrides("estimator.kind=observer")
-@opt.study_options
-def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], restart: bool, **options: Any) -> None:
-    """Inject every fault into a running loop and write what the safety layer makes of it: faults.parquet, .csv and .md.
-
-    What is done is kept in OUT, and an interrupted table goes on from it.
-
-    Exit status: 0 every fault has its row, 2 bad input, 3 no workers are left, 130 interrupted.
-    """
+@study_options
+def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], **options: Any) -> None:
+    """Writes faults.parquet, .csv and .md; --quick is the held platform alone, a third of the runs."""
     from stewart_drake.studies.faults import fault_study, holdable_lines, sheet
     from stewart_drake.studies.study import run_study
 
     plan = fault_study(quick, robot, overrides)
-    with opt.under_way(plan.name, plan.runs, **options) as (folder, where, progress):
-        rows = run_study(plan, folder, where, progress, restart).rows["faults"]
-    if options["quiet"]:
-        return
-    print_sheets([sheet(rows)])
-    click.echo("with a dead motor, the wrench that the other five hold at rest:")
-    for text in (*(f"  {line}" for line in holdable_lines(rows)), f"table in {folder / 'faults.md'}"):
-        click.echo(text)
+    with _under_way(plan.name, plan.runs, **options) as way:
+        rows = run_study(plan, *way).rows["faults"]
+    holdable = [f"  {line}" for line in holdable_lines(rows)]
+    words = "with a dead motor, the wrench that the other five hold at rest:"
+    _print_sheets([sheet(rows)], words, *holdable, f"table in {way[0] / 'faults.md'}")
 
 
-def print_sheets(sheets: Sequence[Sheet]) -> None:
-    """Tables on the terminal, with as many of their columns as it has room for; their files have all."""
-    for each in sheets:
-        lengths = [max(map(len, column)) + 3 for column in zip(each.header, *each.rows, strict=True)]
-        shown = max(2, sum(end < console().width for end in itertools.accumulate(lengths)))
-        print_table(each.title, [row[:shown] for row in each.rows], each.header[:shown])
-
-
-@cli.group()
+@command("tuner", kind=opt.Group)
 def tuner() -> None:
-    """Look at the tuners of settings, and assess them."""
+    pass
 
 
-@tuner.command("show")
-@click.argument("file", required=False, type=opt.IN_FILE)
+@command("tuner show")
+@click.argument("file", required=False, type=opt.PATH)
 def show(file: Path | None) -> None:
-    """Print the card of a policy: its box, what it hears, and where it comes from. FILE [default: the shipped one].
-
-    Exit status: 0 shown, 2 no policy file, or not as it was written.
-    """
+    """FILE is a policy's weights file [default: the shipped one]."""
     from stewart_drake.control.policy import BOX_HEADER, default_policy_path, load_policy
 
     path = default_policy_path() if file is None else file
@@ -166,24 +166,15 @@ def show(file: Path | None) -> None:
     print_table(path.name, policy.facts(), numbers=())
 
 
-@tuner.command()
-@click.argument("file", required=False, type=opt.IN_FILE)
+@command("tuner judge")
+@click.argument("file", required=False, type=opt.PATH)
 @opt.out_folder("runs/tuner-verdict")
 @click.option("--seeds", type=click.IntRange(2), default=14, help="Of each kind of each robot.")
-@click.option(
-    "--engine",
-    type=click.Choice(["drake", "reduced"]),
-    default="drake",
-    help="The plant: Drake's, or the closed form of the robot, several times faster.",
-)
-@opt.study_options
-def judge(file: Path | None, seeds: int, engine: Any, restart: bool, **options: Any) -> None:
-    """Assess a trained policy against settings that stay and other tuners, in situations that none of them has seen.
+@study_options
+def judge(file: Path | None, seeds: int, **options: Any) -> None:
+    """Settings that stay and other tuners, in situations that none of them has seen, on Drake's plant.
 
-    FILE is a policy's weights file [default: the shipped one]. Writes verdict.md, .parquet, .csv and .png. What is done
-    is kept in OUT, and an interrupted verdict goes on from it.
-
-    Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
+    FILE is a policy's weights file [default: the shipped one]. Writes verdict.md, .parquet, .csv and .png.
     """
     from stewart_drake.control.policy import load_policy
     from stewart_drake.training.benchmark import Baselines, assess, candidates, cells_for, write_picture
@@ -193,34 +184,27 @@ def judge(file: Path | None, seeds: int, engine: Any, restart: bool, **options: 
     policy = {"kind": "policy", **({} if file is None else {"weights_file": str(file)})}
     entered = candidates(baselines, {"policy": {"tuner": policy}, "schedule": {"tuner": baselines.schedule}})
     runs = len(entered) * len(cells_for()) * seeds
-    with opt.under_way("tuner verdict", runs, **options) as (folder, where, progress):
-        verdict = assess(entered, folder, seeds, engine, where, progress, restart)
-        line = write_picture(verdict, folder)
-        if line is not None:
-            say(line)
-    if not options["quiet"]:
-        click.echo((folder / "verdict.md").read_text(), nl=False)
+    with _under_way("tuner verdict", runs, **options) as way:
+        verdict = assess(entered, way[0], seeds, "drake", *way[1:])
+        write_picture(verdict, way[0])
+    tell((way[0] / "verdict.md").read_text())
 
 
-@cli.command()
+@command("collect")
 @opt.out_file("runs/dataset.parquet")
-@opt.quiet_flag
-def collect(out: Path, quiet: bool) -> None:
-    """Run the paper's nine experiments and write the tuner's training data (14,400 samples).
-
-    Exit status: 0 done, 2 bad input, 3 an experiment broke, 130 interrupted.
-    """
+def collect(out: Path) -> None:
+    """A Parquet file of 14,400 samples."""
     from stewart_drake.training.collect import collect_dataset
 
     prepare_file(out)
-    with progress_bar("nine experiments", 9.0, quiet, unit="runs") as advance:
+    with progress_bar("nine experiments", 9.0, unit="runs") as advance:
         dataset = collect_dataset(progress=advance, workers=Workers())
     dataset.save(out)
-    click.echo(f"{len(dataset.inputs)} samples in {out}")
+    tell(f"{len(dataset.inputs)} samples in {out}; next: stewart-drake train {out}")
 
 
-@cli.command()
-@click.argument("dataset", type=opt.IN_FILE, required=False)
+@command("train")
+@click.argument("dataset", type=opt.PATH, default="runs/dataset.parquet")
 @opt.out_file("runs/tuner.json")
 @click.option(
     "--tuner",
@@ -229,47 +213,22 @@ def collect(out: Path, quiet: bool) -> None:
     help="paper: the network of the paper, on DATASET. policy: by evolution on the fast engine, an hour on two cores.",
 )
 @click.option("--seed", type=click.IntRange(0), default=0, help="Of everything that is drawn.")
-@click.option("--epochs", type=click.IntRange(1), help="Of the paper's: passes over the data [default: 2000].")
-@click.option(
-    "--split",
-    type=click.Choice(["samples", "runs"]),
-    help="Of the paper's: what is held back for validation, samples at random, which leak between runs [default], or "
-    "whole runs.",
-)
-@click.option("--generations", type=click.IntRange(1), help="Of the policy: steps of evolution [default: 150].")
-@opt.quiet_flag
-def train(
-    dataset: Path | None, out: Path, tuner: str, seed: int, epochs: int | None, split: Any, generations: int | None,
-    quiet: bool,
-) -> None:  # fmt: skip
-    """Train a tuner and write its file.
+def train(dataset: Path, out: Path, tuner: str, seed: int) -> None:
+    """The paper's: the 12-10-2 network on DATASET, by back-propagation.
 
-    The paper's: the 12-10-2 network on DATASET [default: runs/dataset.parquet] by back-propagation. The policy: in the
-    loop, on situations of two robots, on all cores; interrupted, the same command goes on from its last generation.
-
-    Exit status: 0 done, 2 bad input, 3 no workers are left, 130 interrupted.
+    The policy: in the loop, on situations of two robots, on all cores; interrupted, the same command goes on from its
+    last generation.
     """
-    foreign: dict[str, object] = {"--generations": generations}
-    if tuner == "policy":
-        foreign = {"DATASET": dataset, "--split": split, "--epochs": epochs}
-    for option, given in foreign.items():
-        if given is not None:
-            allowed = f"nothing: it goes with --tuner {'paper' if tuner == 'policy' else 'policy'}"
-            raise ConfigurationError(option, str(given), allowed)
-    if tuner == "policy":
-        title, rows = _train_policy(out, seed, generations or 150, quiet)
-    else:
-        title, rows = _train_paper(dataset or Path("runs/dataset.parquet"), out, seed, epochs or 2000, split, quiet)
-    if not quiet:
-        print_table(title, rows)
+    title, rows = _train_policy(out, seed) if tuner == "policy" else _train_paper(dataset, out, seed)
+    print_table(title, rows)
 
 
-def _train_policy(out: Path, seed: int, generations: int, quiet: bool) -> tuple[str, list[tuple[str, str]]]:
+def _train_policy(out: Path, seed: int) -> tuple[str, list[tuple[str, str]]]:
     from stewart_drake.training.policy_training import PolicyOptions, train_policy
 
     prepare_file(out)
-    options, state = PolicyOptions(seed=seed, generations=generations), out.with_name(f"{out.name}.state")
-    with progress_bar("policy", float(generations), quiet, unit="generations") as advance:
+    options, state = PolicyOptions(seed=seed), out.with_name(f"{out.name}.state")
+    with progress_bar("policy", float(options.generations), unit="generations") as advance:
         policy = train_policy(options, state, lambda done, word: advance(done, f"policy: {word}"))
     policy.save(out)
     card = policy.provenance
@@ -278,18 +237,16 @@ def _train_policy(out: Path, seed: int, generations: int, quiet: bool) -> tuple[
     return title, [(name, f"{value:.3f}") for name, value in ratios.items()]
 
 
-def _train_paper(
-    dataset: Path, out: Path, seed: int, epochs: int, split: Literal["samples", "runs"] | None, quiet: bool
-) -> tuple[str, list[tuple[str, str]]]:
+def _train_paper(dataset: Path, out: Path, seed: int) -> tuple[str, list[tuple[str, str]]]:
     from stewart_drake.training.collect import load_dataset
 
     data = load_dataset(dataset)
 
     from stewart_drake.training.train import TrainingOptions, train_network
 
-    options = TrainingOptions(seed=seed, epochs=epochs, split=split or "samples")
+    options = TrainingOptions(seed=seed)
     prepare_file(out)
-    with progress_bar("training", float(epochs), quiet, unit="epochs") as advance:
+    with progress_bar("training", float(options.epochs), unit="epochs") as advance:
         result = train_network(data, options, progress=advance)
     result.network.save(out)
     return f"tuner in {out}", [(name, f"{value:.4g}") for name, value in result.scores.items()]

@@ -1,13 +1,24 @@
-"""What the commands show on the terminal: progress bars and tables."""
+"""What the commands show on the terminal: bars of progress, tables, lines; with `--json` the tables as JSON."""
 
 from __future__ import annotations
 
+import itertools
+import json
 import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import IO, Any
+from typing import Any
 
 import click
+
+QUIET, AS_JSON = "stewart_drake.quiet", "stewart_drake.json"
+"""What the options `--quiet` and `--json` leave in a command's context."""
+_WORD = 32  # Of a column that folds: as wide as its longest word, up to this
+
+
+def _asked(option: str) -> Any:
+    context = click.get_current_context(silent=True)
+    return None if context is None else context.meta.get(option)
 
 
 def say(text: str) -> None:
@@ -15,8 +26,20 @@ def say(text: str) -> None:
     click.echo(f"stewart-drake: {' '.join(text.split())}", err=True)
 
 
+def tell(text: str) -> None:
+    """What a command has written, and what to do with it: a line beside the tables."""
+    if not _asked(QUIET):
+        click.echo(text, err=_asked(AS_JSON) is not None)
+
+
+def console(stderr: bool = False) -> Any:
+    from rich.console import Console
+
+    return Console(stderr=stderr, highlight=False)
+
+
 @contextmanager
-def progress_bar(title: str, total: float, quiet: bool, unit: str = "s") -> Iterator[Callable[..., None]]:
+def progress_bar(title: str, total: float, unit: str = "s") -> Iterator[Callable[..., None]]:
     """A bar of simulated seconds (or of runs, epochs); yields what takes how much is done, and what is done now."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -28,7 +51,7 @@ def progress_bar(title: str, total: float, quiet: bool, unit: str = "s") -> Iter
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=console(stderr=True),
-        disable=quiet,
+        disable=bool(_asked(QUIET)),
         # A refresh thread would take the interpreter from the simulation at every step.
         auto_refresh=False,
     )
@@ -45,65 +68,112 @@ def progress_bar(title: str, total: float, quiet: bool, unit: str = "s") -> Iter
         bar.stop()
 
 
-@contextmanager
-def shown_compiling(quiet: bool) -> Iterator[None]:
-    """A line that moves with every law that numba compiles, where the cache does not have it; nothing where it has."""
-    from numba.core import event
-    from rich.status import Status
+def _moving(title: str) -> tuple[Any, Any]:
+    """A bar that moves for as long as something takes, gone afterwards; and its task."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    status, depth, laws = Status("", console=console(stderr=True)), 0, 0
+    columns, terminal = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()), console(stderr=True)
+    unseen = bool(_asked(QUIET)) or not terminal.is_terminal
+    bar = Progress(*columns, console=terminal, transient=True, disable=unseen)
+    return bar, bar.add_task(title, total=None)
+
+
+@contextmanager
+def working(title: str) -> Iterator[None]:
+    """A moving bar for work that does not say how far it is."""
+    with _moving(title)[0]:
+        yield
+
+
+@contextmanager
+def shown_compiling() -> Iterator[None]:
+    """A bar that moves while numba compiles, where the cache does not have a law; nothing where it has."""
+    from numba.core import event
+
+    (bar, task), depth, laws = _moving(""), 0, 0
 
     class Line(event.Listener):
         def on_start(self, event: Any) -> None:  # noqa: ARG002
             nonlocal depth, laws
             depth, laws = depth + 1, laws + 1
-            status.update(f"compiling, once on this machine: {laws} laws")
-            status.start()
+            bar.update(task, description=f"compiling, once on this machine: {laws} laws")
+            bar.start()
 
         def on_end(self, event: Any) -> None:  # noqa: ARG002
             nonlocal depth
             depth -= 1
             if depth == 0:
-                status.stop()
+                bar.stop()
 
-    if quiet:
-        yield
-        return
     with event.install_listener("numba:compile", Line()):
         try:
             yield
         finally:
-            status.stop()
+            bar.stop()
 
 
-def console(stderr: bool = False) -> Any:
-    """Terminal that wraps and colours; where nobody reads any more, what is written is lost and nothing else."""
-    from rich.console import Console
-
-    class Patient(Console):
-        def on_broken_pipe(self) -> None:
-            drop_output(self.file)
-
-    return Patient(stderr=stderr)
-
-
-def drop_output(stream: IO[str]) -> None:
-    """From here on a stream goes nowhere, so that its buffer does no harm at exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+def drop_output() -> None:
+    """From here on standard output goes nowhere, so that its buffer does no harm at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
 def print_table(
-    title: str, rows: Iterable[Sequence[str]], header: Sequence[str] = ("", ""), numbers: Collection[int] | None = None
+    title: str,
+    rows: Iterable[Sequence[Any]],
+    header: Sequence[str] = ("", ""),
+    numbers: Collection[int] | None = None,
+    data: Any = None,
 ) -> None:
-    """A table on standard output, without empty headers; columns `numbers` stand right, None for all but the first."""
+    """A table on standard output, with as many of its columns as the terminal has room for.
+
+    Columns `numbers` stand right and never fold, None for all but the first. With `--json` it is `data`, or where that
+    is None the rows by their header.
+    """
+    if _asked(QUIET):
+        return
+    rows = [[str(cell) for cell in row] for row in rows]
+    tables = _asked(AS_JSON)
+    if tables is not None:
+        plain = [[_plain(cell) for cell in row] for row in rows]
+        if data is None and any(header):
+            data = [dict(zip(header, row, strict=True)) for row in plain]
+        tables[title] = dict(plain) if data is None else data  # type: ignore[arg-type]
+        return
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=escape(title), title_justify="left", show_header=any(header))
     right = range(1, len(header)) if numbers is None else numbers
-    for place, name in enumerate(header):
+    terminal = console()
+    widths, longest = [], []
+    for place, column in enumerate(zip(header, *rows, strict=True)):
+        longest.append(max(map(len, column)))
+        words = max(len(word) for cell in column for word in (cell.split() or [""]))
+        widths.append(longest[-1] if place in right and any(header) else min(words, max(_WORD, terminal.width // 3)))
+    shown = max(2, sum(end < terminal.width for end in itertools.accumulate(3 + width for width in widths)))
+    for _ in range(terminal.width - 1 - sum(3 + width for width in widths[:shown])):
+        # What is left goes to the column that lacks most.
+        place = max(range(shown), key=lambda place: longest[place] - widths[place])
+        widths[place] += longest[place] > widths[place]
+    terminal.print(title, style="bold", markup=False, soft_wrap=True)
+    table = Table(show_header=any(header))
+    for place, name in enumerate(header[:shown]):
         side: Any = "right" if place in right else "left"
-        table.add_column(escape(name), justify=side, overflow="fold", no_wrap=place == 0 and numbers is not None)
+        table.add_column(escape(name), justify=side, overflow="fold", width=widths[place])
     for row in rows:
-        table.add_row(*map(escape, row))
-    console().print(table)
+        table.add_row(*map(escape, row[:shown]))
+    terminal.print(table)
+    if shown < len(header):
+        tell(f"a wider terminal, or --json, also shows: {', '.join(header[shown:])}")
+
+
+def _plain(cell: str) -> float | str:
+    try:
+        return float(cell)
+    except ValueError:
+        return cell
+
+
+def print_json(tables: dict[str, Any]) -> None:
+    """The tables of a command: one alone as it is, several by title."""
+    if tables:
+        click.echo(json.dumps(next(iter(tables.values())) if len(tables) == 1 else tables, indent=1, default=str))

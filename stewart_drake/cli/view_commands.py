@@ -7,21 +7,20 @@ from pathlib import Path
 
 import click
 
-from stewart_drake.cli.options import IN_FILE, cli, out_file, overrides, trust_flag
-from stewart_drake.cli.terminal import shown_compiling
+from stewart_drake.cli.options import PATH, command, out_file, overrides
+from stewart_drake.cli.terminal import shown_compiling, tell
 from stewart_drake.logs.log import load_log
 from stewart_drake.scenario import load_scenario
 
 browser_flag = click.option("--browser/--no-browser", default=True, help="Open the page.")
 
 
-@cli.command()
+@command("live")
 @click.argument("scenario", default="exact_fig7")
 @overrides("plant.payload_mass=0.2")
-@trust_flag
 @browser_flag
 def live(scenario: str, overrides: tuple[str, ...], browser: bool) -> None:
-    """Steer SCENARIO in the browser, in real time [default: exact_fig7].
+    """SCENARIO is a file or a shipped name [default: exact_fig7].
 
     Sliders for the platform, pushes, a payload, a dead motor, a frozen encoder, another controller; traces of errors
     and torques. The page is served to this machine alone. Ctrl-C ends it.
@@ -29,7 +28,7 @@ def live(scenario: str, overrides: tuple[str, ...], browser: bool) -> None:
     from stewart_drake.live.start import start_live
 
     loaded = load_scenario(scenario, overrides)
-    with shown_compiling(quiet=False):
+    with shown_compiling():
         session, server = start_live(loaded)
     try:
         click.echo(f"{loaded.name} is live at {server.url} (Ctrl-C ends it)")
@@ -42,18 +41,18 @@ def live(scenario: str, overrides: tuple[str, ...], browser: bool) -> None:
         server.close()
 
 
-@cli.command()
-@click.argument("logs", nargs=-1, required=True, type=IN_FILE)
+@command("replay")
+@click.argument("logs", nargs=-1, required=True, type=PATH)
 @out_file("runs/replay.html")
 @browser_flag
 def replay(logs: tuple[Path, ...], out: Path, browser: bool) -> None:
-    """Show runs side by side as one page: LOGS are results folders of `run`, or their logs."""
+    """LOGS are results folders of `run`, or their logs."""
     from stewart_drake.runs.outputs import prepare_file
     from stewart_drake.runs.replay import write_replay
 
     shown = [load_log(log) for log in logs]
     prepare_file(out)
     write_replay(shown, out)
-    click.echo(f"page in {out}")
+    tell(f"page in {out}")
     if browser:
         webbrowser.open(out.absolute().as_uri())

@@ -32,38 +32,37 @@ _LARGEST = 10**10  # [byte] of a file.
 
 
 class SignalSpec(NamedTuple):
-    """What a signal is: components (none for a scalar), the unit of each, in which frame or about what, and a text."""
+    """What a signal is: components (none for a scalar), the unit of each, and a text."""
 
     components: tuple[str, ...]
     units: tuple[str, ...]
-    frame: str
     text: str
 
 
 def _axes(angle: str, length: str, text: str) -> SignalSpec:
-    return SignalSpec(AXIS_NAMES, (angle,) * 3 + (length,) * 3, "P in B", text)
+    return SignalSpec(AXIS_NAMES, (angle,) * 3 + (length,) * 3, text)
 
 
-def _legs(unit: str, frame: str, text: str) -> SignalSpec:
-    return SignalSpec(LEG_NAMES, (unit,) * 6, frame, f"{text}, by leg 0..5")
+def _legs(unit: str, text: str) -> SignalSpec:
+    return SignalSpec(LEG_NAMES, (unit,) * 6, f"{text}, by leg 0..5")
 
 
 def _plain(components: tuple[str, ...], text: str) -> SignalSpec:
-    return SignalSpec(components, ("1",) * len(components), "", text)
+    return SignalSpec(components, ("1",) * len(components), text)
 
 
 SIGNALS: Mapping[str, SignalSpec] = {
-    "time": SignalSpec((), ("s",), "", "simulated time"),
-    "pose": _axes("rad", "m", "pose of the platform"),
+    "time": SignalSpec((), ("s",), "simulated time"),
+    "pose": _axes("rad", "m", "pose of the platform, P in B"),
     "pose_rate": _axes("rad/s", "m/s", "Euler rates and velocity of the platform"),
     "reference": _axes("rad", "m", "reference pose"),
     "reference_rate": _axes("rad/s", "m/s", "rate of the reference"),
     "reference_acceleration": _axes("rad/s^2", "m/s^2", "acceleration of the reference"),
     "error": _axes("rad", "m", "pose minus reference at the latest tick; with an observer, when its command acts"),
     "integral": _axes("rad s", "m s", "integral state z after the latest tick"),
-    "torque": _legs("N m", "about the motor axis", "torque commanded by the controller"),
-    "torque_applied": _legs("N m", "about the motor axis", "torque at the motors, delayed and within their limit"),
-    "crank_angle": _legs("rad", "about the motor axis", "theta, from the horizontal"),
+    "torque": _legs("N m", "torque commanded by the controller, about the motor axis"),
+    "torque_applied": _legs("N m", "torque at the motors, delayed and within their limit"),
+    "crank_angle": _legs("rad", "theta, from the horizontal"),
     "weights": _plain(("omega_q", "omega_r"), "weights in force"),
     "block_weights": _plain(("q_pose", "q_rate", "q_integral", "r"), "block weights in force, in place of `weights`"),
     "setting": _plain(
@@ -73,43 +72,39 @@ SIGNALS: Mapping[str, SignalSpec] = {
     "density": _plain(
         (*(f"error_{axis}" for axis in AXIS_NAMES), *(f"torque_{leg}" for leg in LEG_NAMES)), "density features"
     ),
-    "loop_gap": _legs("m", "a length", "distance from rod end to platform joint"),
+    "loop_gap": _legs("m", "distance from rod end to platform joint"),
     "measured_pose": _axes("rad", "m", "pose that is measured or estimated; the true one without this signal"),
     "measured_pose_rate": _axes("rad/s", "m/s", "its rate"),
-    "innovation": _legs("rad", "about the motor axis", "readings less what the observer expected"),
+    "innovation": _legs("rad", "readings less what the observer expected"),
     "disturbance": SignalSpec(
-        ("mx", "my", "mz", "fx", "fy", "fz"), ("N m",) * 3 + ("N",) * 3, "P in B", "wrench from outside on the platform"
+        ("mx", "my", "mz", "fx", "fy", "fz"), ("N m",) * 3 + ("N",) * 3, "wrench from outside on the platform"
     ),
     "safety": _plain(
         ("level", "monitor", "leg"),
         "state of the safety layer: numbers in safety.LEVELS and safety.MONITORS, leg or -1",
     ),
-    "plant_state": SignalSpec((), (), "", "positions and velocities of the MultibodyPlant"),
+    "plant_state": SignalSpec((), (), "positions and velocities of the MultibodyPlant"),
 }
 """Every signal of a log, where the scenario has it: block_weights stand in place of `weights`, setting where a tuner of
 settings is, the measured pose beside the true one where there are encoders, an observer or a sensor that fails,
 innovation with an observer. `plant_state` has one column per entry of the plant's state, named by Drake."""
 
 
-def _columns(name: str, state_names: tuple[str, ...]) -> list[tuple[str, str, str, str]]:
-    """Name without its unit, unit, frame and text of each column of a signal."""
+def _columns(name: str, state_names: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Name without its unit, and unit of each column of a signal."""
     spec = SIGNALS[name]
     if name == "plant_state":
-        return [(f"{name}_{entry}", *_state_entry(entry)) for entry in state_names]
+        return [(f"{name}_{entry}", _state_unit(entry)) for entry in state_names]
     names = [f"{name}_{component}" for component in spec.components] or [name]
-    return [(column, unit, spec.frame, spec.text) for column, unit in zip(names, spec.units, strict=True)]
+    return list(zip(names, spec.units, strict=True))
 
 
-def _state_entry(name: str) -> tuple[str, str, str]:
-    """Unit, frame and text of an entry of the plant's state, from the name that Drake gives it."""
+def _state_unit(name: str) -> str:
+    """Unit of an entry of the plant's state, from the name that Drake gives it."""
     joint, _, quantity = name.rpartition("_")
-    if joint == "platform":
-        unit = "1" if quantity[0] == "q" else {"w": "rad/s", "v": "m/s"}.get(quantity[0], "m")
-        return unit, "P in B", "quaternion, position, angular velocity or velocity of the platform"
-    unit = "rad/s" if quantity[0] == "w" else "rad"
-    if joint.startswith("motor"):
-        return unit, "about the motor axis, from home", "crank_angle less its value at home, or its speed"
-    return unit, "rod in crank, from home", "angle or speed of the joint between crank and rod"
+    if joint == "platform" and quantity[0] != "w":
+        return "1" if quantity[0] == "q" else "m/s" if quantity[0] == "v" else "m"
+    return "rad/s" if quantity[0] == "w" else "rad"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -177,14 +172,14 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return {name: getattr(self, name) for name in _OUTCOME} | {"warnings": list(self.warnings)}
 
     def table(self) -> pa.Table:
-        """The signals as an Arrow table, with unit, frame and text in each field's metadata."""
+        """The signals as an Arrow table, with unit and text in each field's metadata."""
         import pyarrow as pa
 
         arrays, named = [], []
         for signal, values in self.signals.items():
             columns = _columns(signal, self.state_names)
-            for column, (name, unit, frame, text) in zip(np.atleast_2d(values.T), columns, strict=True):
-                about = {"unit": unit, "frame": frame, "text": text}
+            for column, (name, unit) in zip(np.atleast_2d(values.T), columns, strict=True):
+                about = {"unit": unit, "text": SIGNALS[signal].text}
                 arrays.append(pa.array(column))
                 named.append(pa.field(tables.column_name(name, unit), pa.float64(), nullable=False, metadata=about))
         return pa.Table.from_arrays(arrays, schema=pa.schema(named))
@@ -234,7 +229,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
             components = self.state_names if name == "plant_state" else spec.components
             if name != "time":
                 dimension = dimensions.get(components, f"{name}_component")
-                about = {"text": spec.text, "frame": spec.frame, "units": list(spec.units)}
+                about = {"text": spec.text, "units": list(spec.units)}
                 signal = xarray.DataArray(values, dims=("time", dimension), attrs=about)
                 variables[name] = signal.assign_coords({dimension: list(components)})
         made = xarray.Dataset(variables, coords={"time": ("time", self.time, {"units": "s"})})
@@ -330,7 +325,7 @@ def _read_signals(path: Path, key: str) -> tuple[dict[str, np.ndarray], tuple[st
     state_names = tuple(name.removeprefix("plant_state_") for name in columns if name.startswith("plant_state_"))
     signals: dict[str, np.ndarray] = {}
     for signal in SIGNALS:
-        wanted = [name for name, *_ in _columns(signal, state_names)]
+        wanted = [name for name, _ in _columns(signal, state_names)]
         missing = [name for name in wanted if name not in columns]
         if wanted and not missing:
             signals[signal] = columns[signal] if wanted == [signal] else np.stack([columns[n] for n in wanted], axis=-1)

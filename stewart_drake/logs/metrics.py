@@ -33,10 +33,10 @@ _TYPES: dict[ValueKind, tuple[type, ...]] = {
 class Column:
     """A column of a table."""
 
-    name: str  # Of the column.
+    name: str
     unit: str  # 1 for a ratio, empty for what has none.
-    text: str  # What it says.
-    kind: ValueKind = "number"  # What its values are; `json` for values that are lists, written as text.
+    text: str
+    kind: ValueKind = "number"  # Of its values; `json` for lists, written as text.
 
 
 class MetricError(StewartDrakeError):
@@ -76,37 +76,34 @@ class Metric:
         if not getattr(rows, self.over):
             return None
         try:
-            found = self.of(rows)
+            value = self.of(rows)
         except Exception as error:
             raise MetricError(f"metric {self.name}: {type(error).__name__}: {error}{raised_at(error)}") from error
-        found = found.tolist() if isinstance(found, (np.ndarray, np.generic)) else found
-        if found is None:
+        value = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+        if value is None:
             return None
-        fits = not self.parts or (isinstance(found, (list, tuple)) and len(found) == len(self.parts))
-        each = found if self.parts and fits else [found]
-        if not fits or any(value is not None and type(value) not in _TYPES[self.kind] for value in each):
+        fits = not self.parts or (isinstance(value, (list, tuple)) and len(value) == len(self.parts))
+        each = value if self.parts and fits else [value]
+        if not fits or any(one is not None and type(one) not in _TYPES[self.kind] for one in each):
             count = f"{len(self.parts)} values" if self.parts else "a value"
-            said = f"`of` returned {reprlib.repr(found)}, not {count} of kind {self.kind}"
-            raise MetricError(f"metric {self.name}: {said}")
-        return found
+            words = f"`of` returned {reprlib.repr(value)}, not {count} of kind {self.kind}"
+            raise MetricError(f"metric {self.name}: {words}")
+        return value
 
-    def columns(self) -> tuple[Column, ...]:
+    def columns(self) -> list[Column]:
         half = ", second half of the planned duration" if self.over.startswith("late") else ""
         if not self.parts:
-            return (Column(self.name, self.unit, self.text + half, self.kind),)
+            return [Column(self.name, self.unit, self.text + half, self.kind)]
         units = self.unit.split(", ")
-        each = np.repeat(units, len(self.parts) // len(units)).tolist()
-        return tuple(
-            Column(part, unit, f"{self.text}, {part.split('_')[1]}{half}")
-            for part, unit in zip(self.parts, each, strict=True)
-        )
+        named = zip(self.parts, np.repeat(units, len(self.parts) // len(units)).tolist(), strict=True)
+        return [Column(part, unit, f"{self.text}, {part.split('_')[1]}{half}") for part, unit in named]
 
     def shown(self, value: Any) -> str:
         """A value as text, with its unit."""
-        values = value if isinstance(value, list) else [value]
-        if value is None or not values:
+        if value is None or value == []:
             return "-"
         unit = "" if self.unit == "1" else f" {self.unit}"
+        values = value if isinstance(value, list) else [value]
         return "  ".join("-" if each is None else format(each, self.form) for each in values) + unit
 
 
@@ -284,7 +281,7 @@ def metrics_of(*scenarios: Scenario) -> list[Metric]:
     for metric in (own.made for scenario in scenarios for own in scenario.metrics):
         if metric not in found:
             # A sweep has a column for each key of the scenario that it varies.
-            taken = {each.name for each in found} | {each.name for each in _columns(found)}
+            taken = {each.name for each in found} | {column.name for column in _columns(found)}
             taken |= set(type(scenarios[0]).__pydantic_fields__)
             for name in (metric.name, *metric.parts):
                 if name in taken:

@@ -21,39 +21,34 @@ _LOOKS = tuple(zip(_COLORS, "v^Dos>h*", strict=True))
 _CROSS: dict[str, Any] = {"marker": "x", "markersize": 6.5, "markeredgewidth": 2.0, "linestyle": "none"}
 _DASHED: dict[str, Any] = {"color": look.TEXT, "linestyle": (0, (4, 3)), "linewidth": 0.9}
 _SMALLEST = 1e-6  # [mm] what is smaller is drawn here
-_PHASE_SHOWN = 1e-3
+_PHASE_SHOWN = 1e-3  # Ratio of amplitudes; below -60 dB there is no phase to speak of
 
 
 @look.styled
 def plot_rmse(rows: Rows) -> Figure:
     """RMSE of the pose by reference and controller, a panel a condition; failures at the right edge."""
     styles = _styles(rows)
-    references: dict[str, list[str]] = {}
-    for row in rows:
-        references[row["condition"]] = list(dict.fromkeys([*references.get(row["condition"], []), row["reference"]]))
-    lanes = [max(2.5, len(styles)) * len(names) for names in references.values()]
+    conditions: dict[str, list[str]] = {}
+    for row in reversed(rows):
+        conditions[row["condition"]] = list(dict.fromkeys([*conditions.get(row["condition"], []), row["reference"]]))
+    lanes = [max(2.5, len(styles)) * len(references) for references in conditions.values()][::-1]
     height = 1.4 + 0.2 * sum(lanes) + 0.55 * len(lanes)
     figure, axes = look.panels(len(lanes), 1, height, sharex=True, height_ratios=lanes)
     values = [_drawn(row) for row in rows if _done(row)] or [1.0]
     low, high = min(values) / 2.0, max(values) * 2.0
-    edge = high * (high / low) ** 0.05
-    for panel, (condition, names) in zip(axes.flat, references.items(), strict=True):
-        places = {name: place for place, name in enumerate(reversed(names))}
-        for place in range(0, len(names), 2):
-            panel.axhspan(place - 0.5, place + 0.5, color="#F4F6F8", zorder=0.0)
+    for panel, (condition, references) in zip(axes.flat[::-1], conditions.items(), strict=True):
         for row in (row for row in rows if row["condition"] == condition):
             style, lane = styles[row["controller"]], list(styles).index(row["controller"])
-            y = places[row["reference"]] + (0.5 * (len(styles) - 1) - lane) * 0.8 / max(4, len(styles))
+            y = references.index(row["reference"]) + (0.5 * (len(styles) - 1) - lane) * 0.8 / max(4, len(styles))
             if _done(row):
                 panel.plot([low, _drawn(row)], [y, y], color=style["color"], linewidth=1.0, alpha=0.45)
                 panel.plot(_drawn(row), y, **style)
             else:
-                panel.plot(edge, y, color=style["color"], **_CROSS)
+                panel.plot(high * (high / low) ** 0.05, y, color=style["color"], **_CROSS)
         look.logarithmic(panel, "x")
         panel.xaxis.set_major_locator(LogLocator(numticks=12))
-        panel.set(title=condition, xlim=(low, high * (high / low) ** 0.09), ylim=(-0.5, len(names) - 0.5))
-        panel.set_yticks(list(places.values()), list(places), fontsize=10)
-        panel.tick_params(axis="y", length=0)
+        panel.set(title=condition, xlim=(low, high * (high / low) ** 0.09), ylim=(-0.5, len(references) - 0.5))
+        panel.set_yticks(range(len(references)), references, fontsize=10)
         panel.grid(axis="y", visible=False)
     axes[-1, 0].set_xlabel("pose RMSE [mm]")
     _legend(figure, styles, [Line2D([], [], color=look.TEXT, label="failed", **_CROSS)])
@@ -67,15 +62,15 @@ def plot_error(rows: Rows, band: float) -> Figure:
     styles = {name: {"color": style["color"]} for name, style in _styles(rows).items()}
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
     figure, axes = look.panels(len(conditions), 1, 1.3 + 2.3 * len(conditions), sharex=True, sharey=True)
+    for row in rows:
+        panel, color = axes[conditions.index(row["condition"]), 0], styles[row["controller"]]["color"]
+        # What is exactly zero, such as the start, has no place on this axis; null was no number.
+        size = np.clip(np.array(row["trace"]["pose_mm"], dtype=float), 0.1 * _SMALLEST, look.LARGEST)
+        panel.plot(row["trace"]["time"], size, color=color, linewidth=1.5)
+        if row["status"] != "completed":
+            panel.plot(row["trace"]["time"][-1], size[-1], color=color, **_CROSS)
     for panel, condition in zip(axes.flat, conditions, strict=True):
         panel.axhline(band, **_DASHED)
-        for row in (row for row in rows if row["condition"] == condition):
-            color, time = styles[row["controller"]]["color"], row["trace"]["time"]
-            # What is exactly zero, such as the start, has no place on this axis; null was no number.
-            size = np.clip(np.array(row["trace"]["pose_mm"], dtype=float), 0.1 * _SMALLEST, look.LARGEST)
-            panel.plot(time, size, color=color, linewidth=1.5)
-            if row["status"] != "completed":
-                panel.plot(time[-1], size[-1], color=color, **_CROSS)
         look.logarithmic(panel, "y")
         panel.set(title=condition, ylabel="pose error [mm]")
     sizes = [min(value, look.LARGEST) for row in rows for value in row["trace"]["pose_mm"] if value]
@@ -88,32 +83,31 @@ def plot_error(rows: Rows, band: float) -> Figure:
 
 @look.styled
 def plot_bands(rows: Rows) -> Figure:
-    """Closed-loop amplitude, phase and what is left of the motion over frequency, a column an axis."""
+    """Bode plot of the closed loop, from reference to pose: magnitude and phase over frequency, a column an axis."""
     styles = _styles(rows)
     names = list(dict.fromkeys(row["reference"] for row in rows))
-    figure, grid = look.panels(3, len(names), 8.6, sharex=True, sharey="row")
-    quantities = (("amplitude", "pose / reference [-]", 1.0), ("phase", "[deg]", 0.0), ("error", "[-]", 1.0))
-    for column, name in zip(grid.T, names, strict=True):
+    figure, grid = look.panels(2, len(names), 6.2, sharex=True, sharey="row")
+    for (magnitude, phase), name in zip(grid.T, names, strict=True):
         for controller, style in styles.items():
             found = sorted(
                 (row["frequency_hz"], row["ratio"], row["phase_deg"])
                 for row in rows
-                if (row["controller"], row["reference"]) == (controller, name) and row.get("ratio") is not None
+                if (row["controller"], row["reference"]) == (controller, name) and row.get("ratio")
             )
-            if not found:
-                continue
-            frequency, ratio, phase = np.array(found, dtype=float).T
-            ratio = ratio.clip(max=look.LARGEST)
-            phase = np.where(ratio > _PHASE_SHOWN, np.degrees(np.unwrap(np.radians(phase))), np.nan)
-            error = np.abs(1.0 - ratio * np.exp(1j * np.radians(phase)))
-            for panel, values in zip(column, (ratio, phase, error), strict=True):
-                panel.plot(frequency, values, **{**style, "linestyle": "-", "linewidth": 1.5, "markersize": 5.6})
-        for panel, (quantity, unit, level) in zip(column, quantities, strict=True):
-            look.logarithmic(panel, "xy" if quantity == "error" else "x")
+            if found:
+                frequency, ratio, angle = np.array(found, dtype=float).T
+                line = {**style, "linestyle": "-", "linewidth": 1.5, "markersize": 5.6}
+                magnitude.plot(frequency, 20.0 * np.log10(ratio.clip(_PHASE_SHOWN, look.LARGEST)), **line)
+                angle = np.where(ratio > _PHASE_SHOWN, np.degrees(np.unwrap(np.radians(angle))), np.nan)
+                phase.plot(frequency, angle, **line)
+        for panel in (magnitude, phase):
+            look.logarithmic(panel, "x")
             panel.xaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0]))
-            panel.axhline(level, color=look.TEXT, linewidth=0.8, zorder=1.0)
-            panel.set(title=f"{name}: {quantity}", ylabel=unit if panel in grid[:, 0] else "")
-        column[-1].set_xlabel("frequency [Hz]")
+            panel.axhline(0.0, color=look.TEXT, linewidth=0.8, zorder=1.0)
+        magnitude.set(title=f"{name}, from reference to pose")
+        phase.set(xlabel="frequency [Hz]")
+    grid[0, 0].set_ylabel("magnitude [dB]")
+    grid[1, 0].set_ylabel("phase [deg]")
     _legend(figure, styles)
     return figure
 

@@ -14,7 +14,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from stewart_drake.errors import StewartDrakeError
 from stewart_drake.files.whole import write_atomically
 
 P = ParamSpec("P")
@@ -100,15 +99,3 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     # Without a date or version in it, the same log gives the same file.
     figure.savefig(stream, format="png", dpi=DPI, facecolor="white", metadata={"Software": None})
     write_atomically(Path(path), stream.getvalue())
-
-
-def draw(make: Callable[[], Figure], path: Path) -> str | None:
-    """Makes a figure and saves it; a line instead of an error where it is beyond matplotlib."""
-    try:
-        save_figure(make(), path)
-    except StewartDrakeError:
-        raise
-    except Exception as error:
-        path.unlink(missing_ok=True)
-        return f"{path.name} is left out: {type(error).__name__}: {' '.join(str(error).split())}"
-    return None

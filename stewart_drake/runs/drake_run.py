@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydrake.systems.analysis import Simulator, SimulatorStatus
 
 from stewart_drake.errors import RunFailure, StewartDrakeError, drake_guard
-from stewart_drake.runs.engine import quiet, signals_of
+from stewart_drake.runs.engine import signals_of
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario
 from stewart_drake.systems.diagram import ClosedLoop
-
-if TYPE_CHECKING:
-    from pydrake.geometry import Meshcat
 
 SUBSTEPS = 10  # Parts of the plant's step in which continuous state of a user's controller is integrated.
 _PEERS = "_pydrake_internal_ref_cycle_peers"
@@ -25,8 +22,8 @@ _PEERS = "_pydrake_internal_ref_cycle_peers"
 class DrakeRun:
     """The loop of a scenario as a Diagram; peaks and bounds need every step of the plant, whatever the log keeps."""
 
-    def __init__(self, scenario: Scenario, meshcat: Meshcat | None) -> None:
-        self.scenario, self._loop = scenario, ClosedLoop(scenario, meshcat, scenario.plant.time_step)
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario, self._loop = scenario, ClosedLoop(scenario, log_period=scenario.plant.time_step)
         self._step, self._now = on_grid(scenario.plant.time_step), -1
         self.state_names = self._loop.plant.state_names
         rod = scenario.plant.broken_rod
@@ -40,7 +37,7 @@ class DrakeRun:
         if self.scenario.controller.code is None:
             # numba compiles in the first call of a function: half a minute on a new machine, so a Context of its own
             # takes the first tick. What is wrong with that shows in the run itself, with a log.
-            with suppress(StewartDrakeError), drake_guard("compiling"), quiet():
+            with suppress(StewartDrakeError), drake_guard("compiling"), np.errstate(all="ignore"):
                 first = Simulator(loop, loop.create_start_context())
                 first.Initialize()
                 first.AdvancePendingEvents()

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Protocol
+from contextlib import suppress
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,23 +14,6 @@ from stewart_drake.parts import loop_of
 from stewart_drake.plant.closed_chain import CHAIN_STATE, ClosedChain
 from stewart_drake.sampling import InBlocks, on_grid, steps_per, times_of
 from stewart_drake.scenario import Scenario
-
-if TYPE_CHECKING:
-    from pydrake.geometry import Meshcat
-
-
-def quiet() -> np.errstate:
-    """Numbers near the largest overflow on the way to an end with a name; numpy need not say so as well."""
-    return np.errstate(all="ignore")
-
-
-@contextmanager
-def quiet_libraries() -> Iterator[None]:
-    """Keeps libraries' warnings about numbers off the terminal, which our checks find; Python's -W shows them."""
-    with quiet(), warnings.catch_warnings():
-        if not sys.warnoptions:
-            warnings.simplefilter("ignore")
-        yield
 
 
 def signals_of(scenario: Scenario, steps: np.ndarray, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -126,9 +106,7 @@ class FastRun:
 
     state_names: tuple[str, ...] = ()
 
-    def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
-        if meshcat is not None:
-            raise ConfigurationError("plant.engine", "reduced", "drake, for a live view")
+    def __init__(self, scenario: Scenario) -> None:
         self.scenario, self._loop = scenario, FastLoop(scenario)
         self._running, time_step = self._loop.running, scenario.plant.time_step
         self._sources = [
@@ -140,7 +118,7 @@ class FastRun:
     def prepare(self) -> None:
         if self.scenario.controller.code is None:
             # numba compiles in the first call of a function; what is wrong with that shows in the run itself.
-            with suppress(StewartDrakeError), quiet():
+            with suppress(StewartDrakeError), np.errstate(all="ignore"):
                 first = FastRun(self.scenario)
                 first._loop.begin()
                 first.advance(1)

@@ -9,34 +9,29 @@ import shutil
 import subprocess
 import tempfile
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from stewart_drake.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import user_parts
 from stewart_drake.files.code import read_code, with_texts
-from stewart_drake.files.whole import read_checked, write_atomically
-from stewart_drake.files.yaml_files import MAX_BYTES, to_yaml
+from stewart_drake.files.whole import write_atomically
+from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.scenario import Scenario
 
 _AS_RUN = "# As run by stewart-drake: every key, defaults included.\n"
 _CODE = "code"  # Folder with the files of the user's classes.
-_FILES = (
-    *("log.parquet", "metrics.json", "scenario.yaml", _CODE, "diagram.dot", "diagram.svg"),
-    *("states.png", "torques.png", "replay.html"),
-)
-"""All that a results folder may hold; what else is in it is the user's own, and stays."""
+_PICTURES = ("diagram.dot", "diagram.svg", "states.png", "torques.png", "replay.html")
+"""What a run may leave or not; else what is in a results folder is the user's own, and stays."""
 
 
 class Results(NamedTuple):
-    """What a run has left: where, its metrics, and a line for each picture that could not be made."""
+    """What a run has left: where, and its metrics."""
 
     folder: Path
     metrics: dict[str, Any]
-    left_out: tuple[str, ...] = ()
 
 
 def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
@@ -56,8 +51,14 @@ def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
 def prepare_file(path: Path) -> None:
     """Makes sure, before anything is computed, that a file can be written afterwards; its folder is made."""
     prepare_folder(path.parent, path)
-    if os.path.isdir(path):  # noqa: PTH112 - never raises, unlike `Path.is_dir`
+    if path.is_dir():
         raise ConfigurationError("--out", str(path), "a file, not a folder")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a file as a whole, and its folder where there is none."""
+    prepare_file(path)
+    write_atomically(path, text.encode())
 
 
 def results_place(scenario: Scenario, out: str | Path | None = None, force: bool = False) -> Path:
@@ -65,18 +66,16 @@ def results_place(scenario: Scenario, out: str | Path | None = None, force: bool
     if out is None:
         names = itertools.chain([scenario.name], (f"{scenario.name}-{number}" for number in itertools.count(2)))
         return next(place for name in names if not os.path.lexists(place := Path("runs") / name))
-    place, own = Path(os.path.realpath(out)), _own_files(scenario)["scenario.yaml"]
+    place = Path(os.path.realpath(out))
     try:
         if not place.exists() or not any(place.iterdir()):
             return place
-        before = read_checked(place / "scenario.yaml", "scenario.yaml", MAX_BYTES)
+        before = (place / "scenario.yaml").read_bytes() if (place / "scenario.yaml").is_file() else b""
     except OSError as error:
         raise ConfigurationError("--out", str(out), f"a folder that can be written to ({error.strerror})") from None
-    except ConfigurationError:
-        before = b""
     if not before.startswith(_AS_RUN.encode()):
         raise ConfigurationError("--out", str(out), "a new or empty folder, or one with the results of a run")
-    if before != own and not force:
+    if before != _own_files(scenario)["scenario.yaml"] and not force:
         allowed = "a folder without the results of another scenario, or --force to replace them"
         raise ConfigurationError("--out", str(out), allowed)
     return place
@@ -94,77 +93,62 @@ def write_run(
     Files: metrics.json (strict JSON), log.parquet, scenario.yaml, states.png, torques.png, replay.html, diagram.dot and
     .svg; with classes of the user's from files code/, so that scenario.yaml can be run again.
     """
-    place = results_place(log.scenario, out, force)
-    metrics = run_metrics(log)
-    beside = Path(tempfile.mkdtemp(".part", f".{place.name}.", prepare_folder(place.parent, out)))
-    part = beside / place.name
-    left_out: tuple[str, ...] = ()
-    try:
-        part.mkdir()
-        files = {
-            "log.parquet": log.to_parquet(),
-            "metrics.json": (json.dumps(metrics, indent=2, allow_nan=False) + "\n").encode(),
-            **_own_files(log.scenario),
-        }
-        if graph is not None:
-            files["diagram.dot"], dot = graph.encode(), shutil.which("dot")
-            with suppress(OSError, subprocess.SubprocessError):
-                if dot is not None:
-                    done = subprocess.run(
-                        [dot, "-Tsvg"], input=graph.encode(), capture_output=True, timeout=60, check=True
-                    )
-                    files["diagram.svg"] = done.stdout
+    place, metrics = results_place(log.scenario, out, force), run_metrics(log)
+    files = {
+        "log.parquet": log.to_parquet(),
+        "metrics.json": (json.dumps(metrics, indent=2, allow_nan=False) + "\n").encode(),
+        **_own_files(log.scenario),
+    }
+    with tempfile.TemporaryDirectory(".part", f".{place.name}.", prepare_folder(place.parent, out)) as beside:
+        part = Path(beside, place.name)
         for name, content in files.items():
-            (part / name).parent.mkdir(exist_ok=True)
+            (part / name).parent.mkdir(parents=True, exist_ok=True)
             write_atomically(part / name, content)
-    except BaseException:
-        shutil.rmtree(beside, ignore_errors=True)
-        raise
-    try:
-        if pictures and len(log.time):
-            left_out = _draw(log, part)
-    finally:
         try:
-            place = _put(part, log.scenario, out, force)
-        except (ConfigurationError, OSError) as error:
-            why = error.allowed if isinstance(error, ConfigurationError) else f"a place to rename to ({error.strerror})"
-            raise ConfigurationError("--out", str(place), f"{why}; the results are in {part}") from None
-        shutil.rmtree(beside)
-    return Results(place, metrics, left_out)
+            if graph is not None:
+                _draw_graph(graph, part)
+            if pictures and len(log.time):
+                _draw(log, part)
+        finally:
+            place = _put(part, place, log.scenario, numbered=out is None)
+    return Results(place, metrics)
 
 
-def _put(part: Path, scenario: Scenario, out: str | Path | None, force: bool) -> Path:
-    """Renames a folder to its place, or its files into one that is there."""
-    while True:
-        place = results_place(scenario, out, force)
-        if out is not None and place.exists():
-            break
+def _put(part: Path, place: Path, scenario: Scenario, numbered: bool) -> Path:
+    """Renames a folder to its place, or its files into the one that is there."""
+    while not place.exists() or numbered:
         try:
             return part.rename(place)
         except OSError:
-            # Another run has just taken that number.
-            if out is not None or not place.exists():
+            if not place.exists():
                 raise
-    for name in _FILES:
-        (shutil.rmtree if (place / name).is_dir() else partial(Path.unlink, missing_ok=True))(place / name)
+            # Another run has just taken that number.
+            place = results_place(scenario)
+    shutil.rmtree(place / _CODE, ignore_errors=True)
+    for name in _PICTURES:
+        (place / name).unlink(missing_ok=True)
     for path in part.iterdir():
-        path.rename(place / path.name)
+        path.replace(place / path.name)
     return place
 
 
-def _draw(log: SimulationLog, folder: Path) -> tuple[str, ...]:
-    """Plots and replay; a line for each that cannot be made."""
+def _draw_graph(graph: str, folder: Path) -> None:
+    (folder / "diagram.dot").write_text(graph)
+    with suppress(OSError, subprocess.SubprocessError):
+        command = ["dot", "-Tsvg", "-o", str(folder / "diagram.svg"), str(folder / "diagram.dot")]
+        subprocess.run(command, capture_output=True, timeout=60, check=True)
+
+
+def _draw(log: SimulationLog, folder: Path) -> None:
     # matplotlib and Meshcat take a second to load; a sweep that wants numbers alone does without.
-    from stewart_drake.plotting import draw, plot_states, plot_torques
+    from stewart_drake.plotting import plot_states, plot_torques, save_figure
     from stewart_drake.runs.replay import write_replay
 
-    figures = {"states.png": plot_states, "torques.png": plot_torques}
-    lines = [draw(partial(plot, log), folder / name) for name, plot in figures.items()]
-    try:
+    save_figure(plot_states(log), folder / "states.png")
+    save_figure(plot_torques(log), folder / "torques.png")
+    # Of a run without a finite state there is nothing to replay.
+    with suppress(ConfigurationError):
         write_replay(log, folder / "replay.html")
-    except StewartDrakeError as error:
-        lines.append(f"replay.html is left out: {error}")
-    return tuple(line for line in lines if line is not None)
 
 
 def _own_files(scenario: Scenario) -> dict[str, bytes]:

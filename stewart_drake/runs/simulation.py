@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -20,35 +20,32 @@ from stewart_drake.logs.metrics import figures_of
 from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.runs.checks import check_scenario, refuse_unrunnable
-from stewart_drake.runs.engine import FastRun, quiet
+from stewart_drake.runs.engine import FastRun
 from stewart_drake.safety import first_trip
 from stewart_drake.sampling import steps_per, times_of
 from stewart_drake.scenario import Scenario, load_scenario, require_scenario
 
 if TYPE_CHECKING:
-    from pydrake.geometry import Meshcat
-
     from stewart_drake.runs.drake_run import DrakeRun
 
-    Engine = FastRun | DrakeRun
+Engine: TypeAlias = "FastRun | DrakeRun"
 
 CHUNK = 0.05  # [s] simulated time between two calls of `progress`.
 
 
-def engine_of(scenario: Scenario, meshcat: Meshcat | None) -> Engine:
+def engine_of(scenario: Scenario) -> Engine:
     """The engine that `plant.engine` asks for."""
     if scenario.plant.engine == "reduced":
-        return FastRun(scenario, meshcat)
+        return FastRun(scenario)
     # The closed form needs no Drake, which takes seconds to import.
     from stewart_drake.runs.drake_run import DrakeRun
 
-    return DrakeRun(scenario, meshcat)
+    return DrakeRun(scenario)
 
 
 def run(
     scenario: Scenario | str | Path,
     progress: Callable[[float], None] | None = None,
-    meshcat: Meshcat | None = None,
     check: bool = True,
     engine: Engine | None = None,
 ) -> SimulationLog:
@@ -60,7 +57,6 @@ def run(
         scenario: What to run; a file, or the name of a shipped one, is read.
         progress: Called with the simulated time [s] now and then; what it raises passes, but for KeyboardInterrupt,
             which ends the run as Ctrl-C does.
-        meshcat: Shows the run while it happens.
         check: Check the reference against `scenario.limits` first.
         engine: What `engine_of` has made of the scenario, closed afterwards; None makes one.
 
@@ -74,7 +70,7 @@ def run(
     refuse_unrunnable(scenario)
     if check:
         check_scenario(scenario)
-    engine = engine_of(scenario, meshcat) if engine is None else engine
+    engine = engine_of(scenario) if engine is None else engine
     # What lies on the disk now is what the run is made of.
     files = file_digests(scenario.to_dict())
     try:
@@ -101,7 +97,7 @@ def _run_engine(
     try:
         for done in (*range(chunk, total, chunk), total):
             # What `progress` raises is not ours, so it stays outside of the guard.
-            with drake_guard("simulation"), guard, quiet():
+            with drake_guard("simulation"), guard, np.errstate(all="ignore"):
                 engine.advance(done)
             if progress is not None:
                 progress(_nominal(engine.time, time_step))
@@ -117,7 +113,7 @@ def _run_engine(
         trip = first_trip(engine.safety_state(), scenario.controller.period, scenario.safety.monitor_names)
     when = ended_by.time if isinstance(ended_by, RunFailure) else None
     end_time = _nominal(engine.time if when is None else when, time_step)
-    with quiet():
+    with np.errstate(all="ignore"):
         # Metrics and outcome are those of every step of the plant, whatever rows the log keeps.
         rows = RunRows(scenario, engine.signals())
         outcome = assess(rows, trip, end_time, ended_by)

@@ -189,9 +189,9 @@ def load_comparison(
     return load_study("comparison", path, partial(Comparison.from_dict, quick=quick, robot=robot), trust_code)
 
 
-def write_pictures(comparison: Comparison, result: StudyResult) -> list[str]:
+def write_pictures(comparison: Comparison, result: StudyResult) -> None:
     # matplotlib takes a second to load.
-    from stewart_drake.plotting import draw
+    from stewart_drake.plotting import save_figure
     from stewart_drake.plotting.study_plots import plot_bands, plot_error, plot_rmse
 
     rows, bands = comparison.shown(result.rows["comparison"]), result.rows["bands"]
@@ -202,8 +202,8 @@ def write_pictures(comparison: Comparison, result: StudyResult) -> list[str]:
     if any(row.get("ratio") is not None for row in bands):
         figures["bands"] = partial(plot_bands, bands)
     with locked_folder(result.folder):
-        lines = [draw(figure, result.folder / f"{name}.png") for name, figure in figures.items()]
-    return [line for line in lines if line is not None]
+        for name, draw in figures.items():
+            save_figure(draw(), result.folder / f"{name}.png")
 
 
 # --- runs ---

@@ -199,13 +199,13 @@ def run_tuning(
     return TuneResult(rows, tuned, assessed, sheets)
 
 
-def write_picture(result: TuneResult, folder: Path) -> str | None:
+def write_picture(result: TuneResult, folder: Path) -> None:
     # matplotlib takes a second to load.
-    from stewart_drake.plotting import draw
+    from stewart_drake.plotting import save_figure
     from stewart_drake.plotting.study_plots import plot_search
 
     with locked_folder(folder):
-        return draw(partial(plot_search, result.rows), folder / "tune.png")
+        save_figure(plot_search(result.rows), folder / "tune.png")
 
 
 def setting_at(keys: Iterable[str], point: np.ndarray) -> Setting:

@@ -17,9 +17,8 @@ from typing import Any, TypeVar
 
 from joblib.externals.loky import get_reusable_executor
 
-from stewart_drake.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.errors import ConfigurationError, StewartDrakeError, quiet_libraries
 from stewart_drake.logs import versions
-from stewart_drake.runs.engine import quiet_libraries
 
 K = TypeVar("K", bound=Hashable)
 T = TypeVar("T")

@@ -6,7 +6,6 @@ A candidate changes the scenario of a case; a cell is a kind of situations with 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -270,13 +269,13 @@ def page(verdict: Verdict) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_picture(verdict: Verdict, folder: Path) -> str | None:
+def write_picture(verdict: Verdict, folder: Path) -> None:
     # matplotlib takes a second to load.
-    from stewart_drake.plotting import draw
+    from stewart_drake.plotting import save_figure
     from stewart_drake.plotting.study_plots import plot_costs
 
     names = [name for name in verdict.names if name != BEST_FIXED]
     ratios = {name: [estimate([each]) for each in verdict.of(name)] for name in names}
     labels = [kind if robot == "paper" else f"{kind}, {robot}" for kind, robot in cells_of(verdict.cases)]
     with locked_folder(folder):
-        return draw(partial(plot_costs, labels, ratios, BEST_FIXED), folder / "verdict.png")
+        save_figure(plot_costs(labels, ratios, BEST_FIXED), folder / "verdict.png")

@@ -93,7 +93,6 @@ def test_margins_are_printed_and_written_and_the_same_poses_give_the_same_bytes(
     assert (folder / "margins.png").read_bytes().startswith(b"\x89PNG")
     least = f"{said['margins']['disk']['all_at_once'][0]:.3g}"
     assert least in next(line for line in out.splitlines() if "disk margin" in line)
-    for out, seed in (("one", 0), ("two", 0), ("three", 1)):
-        assert call("margins", "--poses", 3, "--seed", seed, "--out", out, "--quiet") == (0, "", "")
-    one, two, three = ((tmp_path / name / "margins.json").read_bytes() for name in ("one", "two", "three"))
-    assert one == two != three
+    for out in ("one", "two"):
+        assert call("margins", "--poses", 3, "--out", out, "--quiet") == (0, "", "")
+    assert (tmp_path / "one" / "margins.json").read_bytes() == (tmp_path / "two" / "margins.json").read_bytes()

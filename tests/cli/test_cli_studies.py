@@ -1,5 +1,6 @@
 """The commands `compare`, `tune` and `tuner`."""
 
+import json
 from contextlib import suppress
 
 import pytest
@@ -72,7 +73,8 @@ def test_the_card_of_a_policy_says_box_and_provenance(call):
     rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in out.splitlines() if "│" in line]
     policy = load_policy()
     assert all(list(row) in rows for row in policy.box_rows())
-    assert all(name in out for name, _ in policy.facts())
+    tables = json.loads(call("tuner", "show", "--json")[1])
+    assert list(tables["policy.json"]) == [name for name, _ in policy.facts()]
 
 
 @pytest.mark.parametrize("command", [("show",), ("judge", "--out", "verdict")])

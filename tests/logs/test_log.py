@@ -82,7 +82,6 @@ def test_columns_say_their_units_and_parquet_has_frame_text_scenario_and_outcome
         "torque_0_Nm": "N m", "weights_omega_q": "1", "plant_state_motor_0_q_rad": "rad",
     }  # fmt: skip
     assert {name: schema.field(name).metadata[b"unit"].decode() for name in expected} == expected
-    assert schema.field("pose_x_m").metadata[b"frame"] == b"P in B"
     assert all(field.metadata[b"text"] and field.type == pa.float64() for field in schema)
     run = json.loads(schema.metadata[b"stewart_drake.run"])
     assert run["scenario"] == log.scenario.to_dict()

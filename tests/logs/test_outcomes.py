@@ -95,14 +95,6 @@ def test_an_error_as_large_as_the_motion_is_a_run_lost_and_half_of_it_has_a_warn
     assert verdict(scenario=off, **swinging(share)).status == "completed"
 
 
-def test_rest_beside_a_motion_changes_nothing():
-    away = np.zeros((1501, 6))
-    away[:101, 3] = 0.025 * np.sin(np.clip(0.25 * np.pi * TIMES, 0.0, np.pi)) ** 2  # out and back in 4 s
-    rows = rows_of(rows=1501, duration=150.0, reference=away, pose=0.8 * away)
-    assert assess(rows, None, 150.0, None).status == "completed"
-    assert rows.error_ratio == pytest.approx(0.2, rel=0.2)
-
-
 def test_a_motion_that_is_over_before_errors_count_is_compared_too():
     signals = swinging(-0.5, until=2.5)
     outcome = verdict(**signals)
@@ -119,8 +111,6 @@ def test_a_motion_that_is_over_before_errors_count_is_compared_too():
     [
         (2.9, 10.0, "completed"),
         (4.5, 10.0, "lost"),
-        (0.55, 1.0, "completed"),
-        (0.75, 1.0, "lost"),
         (0.49, 0.49, "completed"),
     ],
 )
@@ -128,16 +118,6 @@ def test_the_first_3_s_or_six_tenths_are_for_settling_and_half_a_second_has_no_t
     signals, time = swinging(1.0), 0.1 * duration * TIMES
     signals["pose"][until > time, 0] += 0.15
     assert verdict(duration=duration, time=time, **signals).status == status
-
-
-def test_angles_count_as_lengths():
-    # 0.1 rad at the characteristic length of 0.11 m is 11 mm.
-    signals = swinging(1.0)
-    signals["pose"][:, 1] = 0.1 * np.sin(0.8 * np.pi * TIMES)
-    turning = {name: np.roll(values - HOME, 2, axis=1) / 0.11 for name, values in swinging(0.4).items()}
-    angled, turned, moved = (rows_of(**each).error_ratio for each in (signals, turning, swinging(0.4)))
-    assert angled == pytest.approx(1.1, rel=0.05)
-    assert turned == pytest.approx(moved, rel=1e-9)
 
 
 @pytest.mark.parametrize(("reach", "status"), [(0.38e-3, "completed"), (0.49e-3, "lost")])

@@ -8,8 +8,8 @@ from made_logs import made_log
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.plotting import draw, plot_states, plot_torques, save_figure
-from stewart_drake.plotting.study_plots import plot_error, plot_rmse
+from stewart_drake.plotting import plot_states, plot_torques, save_figure
+from stewart_drake.plotting.study_plots import plot_bands, plot_error, plot_rmse
 from stewart_drake.scenario import Scenario
 
 AXES = ("φ", "θ", "ψ", "X", "Y", "Z")
@@ -31,10 +31,6 @@ def make_log(rows=400, tuner="fixed", **changes):
     return made_log(rows, scenario={"name": "made up", "tuner": {"kind": tuner}}, **signals | changes)
 
 
-def panel(figure, title):
-    return [axes for axes in figure.axes if axes.get_title(loc="left") == title]
-
-
 def lines(axes):
     symbols = {r"$\phi$": "φ", r"$\theta$": "θ", r"$\psi$": "ψ", r"$\omega_Q$": "omega_q", r"$\omega_R$": "omega_r"}
     return {
@@ -44,55 +40,61 @@ def lines(axes):
     }
 
 
-def in_unit(log, signal, axis):
-    values = log[signal][:, axis]
-    return np.degrees(values) if axis < 3 else 1000.0 * values
-
-
-def test_states_errors_and_integrals_are_drawn_for_every_axis_in_degrees_or_millimetres():
+def test_states_are_drawn_for_the_axes_that_move_and_errors_for_those_that_err():
     log = make_log()
     figure = plot_states(log)
-    titles = ["Roll", "Pitch and yaw", "Pitch and yaw", "X and Y", "X and Y", "Height"]
-    for axis, symbol in enumerate(AXES):
-        column, unit = (0, "deg") if axis < 3 else (1, "mm")
-        pose, reference = in_unit(log, "pose", axis), in_unit(log, "reference", axis)
-        (axes,) = panel(figure, titles[axis])
-        np.testing.assert_allclose(lines(axes)[symbol], np.stack([log.time, pose], axis=1))
-        dashed = [line.get_ydata() for line in axes.lines if line.get_linestyle() == "--"]
-        assert any(np.allclose(values, reference) for values in dashed)
-        assert f"[{unit}]" in axes.get_ylabel()
-        errors, integrals = (
-            panel(figure, title)[column] for title in ("Error and RMS", "Integral state (dotted: 5 s)")
-        )
-        np.testing.assert_allclose(lines(errors)[symbol][:, 1], pose - reference)
-        np.testing.assert_allclose(lines(integrals)[symbol][:, 1], in_unit(log, "integral", axis))
-        assert (errors.get_ylabel(), integrals.get_ylabel()) == (f"error [{unit}]", f"z [{unit} s]")
-    for axes, key in zip(panel(figure, "Error and RMS"), ("rmse_deg", "rmse_mm"), strict=True):
-        shown = [float(text.get_text().split()[-1]) for text in axes.get_legend().get_texts()]
-        np.testing.assert_allclose(shown, run_metrics(log)[key], rtol=5e-2)
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles == ["Roll", "Z", "Error", "Error", "Integral state", "Integral state", *titles[6:]]
+    for axes, axis, scale, unit in ((figure.axes[0], 0, np.degrees(1.0), "deg"), (figure.axes[1], 5, 1e3, "mm")):
+        pose, reference = axes.lines
+        np.testing.assert_allclose(pose.get_ydata(), scale * log["pose"][:, axis])
+        np.testing.assert_allclose(reference.get_ydata(), scale * log["reference"][:, axis])
+        assert (axes.get_ylabel(), reference.get_linestyle()) == (f"pose [{unit}]", "--")
+    error = log["pose"] - log["reference"]
+    for axes, axis in zip([figure.axes[2]] * 3 + [figure.axes[3]] * 3, range(6), strict=True):
+        scale = np.degrees(1.0) if axis < 3 else 1e3
+        np.testing.assert_allclose(lines(axes)[AXES[axis]][:, 1], scale * error[:, axis])
+    shown = [float(text.get_text().split()[-1]) for text in figure.axes[3].get_legend().get_texts()]
+    np.testing.assert_allclose(shown, run_metrics(log)["rmse_mm"], rtol=5e-2)
+    # What errs by less than a tenth of the largest is left out.
+    error[:, :5] *= 0.01
+    figure = plot_states(make_log(pose=log["reference"] + error))
+    assert [axes.get_title(loc="left") for axes in figure.axes[:4]] == ["Roll", "Z", "Error", "Integral state"]
+    assert list(lines(figure.axes[2])) == ["Z"]
 
 
-def test_weights_and_their_ratio_are_drawn_on_logarithmic_axes_and_nothing_is_empty_without():
+def test_weights_and_settings_are_drawn_where_they_change_and_nothing_is_empty():
     log = make_log(tuner="paper")
-    figure = plot_states(log)
-    (both,) = panel(figure, "Output of the ANN")
-    drawn = lines(both)
-    np.testing.assert_array_equal(drawn["omega_q"][:, 1], log["weights"][:, 0])
-    np.testing.assert_array_equal(drawn["omega_r"][:, 1], log["weights"][:, 1])
-    (ratio,) = panel(figure, "Ratio of the weights, on which alone the gain depends")
+    without = {name: values for name, values in log.signals.items() if name not in ("weights", "setting")}
+    setting = np.zeros((400, 5)) + np.linspace(0.0, 1.0, 400)[:, None] * [1.0, 0.0, 1.0, 1.0, 0.0]
+    both, ratio = plot_states(dataclasses.replace(log, signals={**without, "weights": log["weights"]})).axes[-2:]
+    np.testing.assert_array_equal(lines(both)["omega_q"][:, 1], log["weights"][:, 0])
     np.testing.assert_allclose(ratio.lines[0].get_ydata(), log["weights"][:, 0] / log["weights"][:, 1])
     assert both.get_yscale() == ratio.get_yscale() == "log"
-    without = {name: values for name, values in log.signals.items() if "weights" not in name}
-    figure = plot_states(dataclasses.replace(log, signals=without))
-    assert len(figure.axes) == 8
-    assert all(axes.lines for axes in figure.axes)
+    for more, last in (
+        ({}, "Integral state"),
+        ({"weights": np.ones((400, 2))}, "Integral state"),
+        ({"setting": setting}, "Tuner"),
+    ):
+        figure = plot_states(dataclasses.replace(log, signals={**without, **more}))
+        drawn = [axes for axes in figure.axes if axes.axison]
+        assert drawn[-1].get_title(loc="left") == last
+        assert all(axes.lines for axes in drawn)
+
+
+def test_several_runs_share_their_panels():
+    one, two = make_log(), make_log(rows=200)
+    axes = plot_states([one, two]).axes[0]
+    assert [len(line.get_xdata()) for line in axes.lines] == [400, 400, 200, 200]
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == [r"$\phi$", "reference"]
 
 
 def test_each_motor_has_its_panel_with_torque_rms_and_peak_on_one_scale():
     log = make_log()
     figure = plot_torques(log)
     for leg in range(6):
-        (axes,) = panel(figure, f"Motor {leg}")
+        axes = figure.axes[leg]
+        assert axes.get_title(loc="left") == f"Motor {leg}"
         applied = log["torque_applied"][:, leg]
         np.testing.assert_array_equal(lines(axes)["applied"][:, 1], applied)
         rms, peak = np.sqrt(np.mean(applied**2)), np.abs(applied).max()
@@ -132,7 +134,7 @@ def test_a_blow_up_is_drawn_within_bounds(plot, value, rows, tmp_path):
     for name in ("pose", "integral", "torque", "torque_applied", "weights"):
         signals[name][-rows:] = value
     figure = plot(dataclasses.replace(log, signals=signals, status="failed", reason="crank_dead_centre"))
-    assert draw(lambda: figure, tmp_path / "x.png") is None
+    save_figure(figure, tmp_path / "x.png")
     assert all(np.isfinite(axes.get_ylim()).all() for axes in figure.axes)
 
 
@@ -141,6 +143,8 @@ def test_a_single_row_is_a_dot_and_an_empty_log_is_refused(plot):
     figure = plot(dataclasses.replace(make_log(rows=1), status="failed"))
     drawn = [line for axes in figure.axes for line in axes.lines if len(line.get_xdata()) == 1]
     assert {line.get_marker() for line in drawn} == {"o"}
+    still = make_log(rows=1)
+    assert plot(dataclasses.replace(still, signals={**still.signals, "pose": still["reference"]})).axes
     with pytest.raises(ConfigurationError, match=r"log: expected .*got 'no rows'"):
         plot(make_log(rows=0))
 
@@ -159,6 +163,17 @@ def run(controller, rmse, condition="calm", status="completed"):
     trace = {"time": [0.0, 1.0], "pose_mm": [0.0, rmse]}
     named = {"controller": controller, "condition": condition, "reference": "sine", "status": status}
     return {**named, "pose_rmse_mm": rmse, "trace": trace}
+
+
+def test_the_plot_of_bands_is_a_bode_plot():
+    rows = [
+        {"controller": "lqi", "reference": "roll", "frequency_hz": f, "ratio": 1.0 / f, "phase_deg": -90.0 * f}
+        for f in (1.0, 10.0)
+    ]
+    magnitude, phase = plot_bands(rows).axes
+    assert {magnitude.get_xscale(), phase.get_xscale()} == {"log"}
+    np.testing.assert_allclose(magnitude.lines[0].get_ydata(), [0.0, -20.0])
+    assert (magnitude.get_ylabel(), phase.get_ylabel()) == ("magnitude [dB]", "phase [deg]")
 
 
 def test_a_failed_run_is_a_cross_at_the_edge_and_others_are_where_their_error_is():

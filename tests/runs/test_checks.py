@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.planning.limits import Limits
 from stewart_drake.references import (
@@ -60,13 +60,6 @@ def test_the_speed_found_is_feasible_and_one_per_cent_more_is_not(robot, referen
 def test_a_motion_bound_by_crank_speed_is_slowed_by_the_ratio_of_the_speeds():
     fastest = 10.0 - check_reference(ROBOT, LIMITS, FAST, 1.0, GRAVITY).smallest["crank_speed"].margin
     assert fit_speed(ROBOT, LIMITS, FAST, 1.0, GRAVITY)[1] == pytest.approx(fastest / 10.0, rel=5e-4)
-
-
-def test_a_motion_out_of_reach_is_feasible_at_no_speed():
-    with pytest.raises(InfeasibleReferenceError) as caught:
-        fit_speed(ROBOT, LIMITS, TOO_FAR, 4.0, GRAVITY)
-    given = check_reference(ROBOT, LIMITS, TOO_FAR, 4.0, GRAVITY).first_violation
-    assert (caught.value.limit, caught.value.time, caught.value.leg) == (given.limit, given.time, given.leg)
 
 
 class Slow:

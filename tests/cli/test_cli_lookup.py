@@ -1,0 +1,70 @@
+"""The commands `list`, `explain`, `init`, `doctor` and `completion`."""
+
+import json
+
+import pytest
+
+from stewart_drake.files.yaml_files import shipped_folder
+from stewart_drake.scenario import load_scenario
+
+
+def test_what_there_is_to_choose_from_is_listed(call):
+    lists = json.loads(call("list", "--json")[1])
+    assert set(lists) == {"scenarios", "comparisons", "sweeps", "robots", "kinds"}
+    for kind in ("scenarios", "comparisons", "sweeps", "robots"):
+        names = {path.stem for path in shipped_folder(kind).glob("*.yaml")}
+        assert {row["name"] for row in lists[kind]} == names
+        assert all(row["what it is"] for row in lists[kind])
+    assert {"key": "tuner", "kind": "policy"}.items() <= next(
+        r for r in lists["kinds"] if r["kind"] == "policy"
+    ).items()
+    assert list(json.loads(call("list", "robots", "--json")[1])[0]) == ["name", "what it is"]
+
+
+@pytest.mark.parametrize(
+    ("key", "expected"),
+    [
+        ("gravity", {"unit": "m/s^2", "default": 9.81, "allowed": "a number, at least 0 and at most 1e+06"}),
+        ("payload_mass", {"key": "plant.payload_mass", "unit": "kg", "default": 0.0}),
+        ("tuner.kappa", {"of kind": "policy", "allowed": "a number, at least -1 and at most 1"}),
+    ],
+)
+def test_a_key_is_explained(call, key, expected):
+    assert expected.items() <= json.loads(call("explain", key, "--json")[1]).items()
+
+
+def test_of_a_section_every_key_is_explained_and_of_a_typo_what_was_meant(call):
+    rows = json.loads(call("explain", "limits", "--json")[1])
+    assert [row["key"] for row in rows] == ["limits", *load_scenario("hold").limits.to_dict()]
+    periods = {row["of kind"]: row["default"] for row in json.loads(call("explain", "controller.period", "--json")[1])}
+    assert periods["lqi"] == 0.005
+    assert "did you mean gravity?" in call("explain", "gravty")[2]
+
+
+def test_a_scenario_to_begin_with_has_a_comment_on_each_key_and_runs(call, tmp_path):
+    assert call("init", "mine.yaml")[1] == "scenario in mine.yaml; next: stewart-drake run mine.yaml\n"
+    assert load_scenario(tmp_path / "mine.yaml").tuner.kind == "policy"
+    lines = (tmp_path / "mine.yaml").read_text().splitlines()
+    assert next(line for line in lines if line.startswith("duration")) == "duration: 10.0  # [s] simulated time"
+    assert call("check", "mine.yaml")[0] == 0
+    status, _, err = call("init", "mine.yaml")
+    assert (status, err.count("\n")) == (2, 1)
+
+
+@pytest.mark.slow
+def test_the_doctor_knows_versions_speed_and_cache(call):
+    facts = json.loads(call("doctor", "--json")[1])
+    assert {"python", "drake", "graphviz", "compiled laws", "cores", "this folder"} <= set(facts)
+    assert facts["a tick of exact_breathing, fast engine"].endswith(" us of 1000 us")
+
+
+def test_a_shell_completes_commands_and_names(call, monkeypatch):
+    assert "_STEWART_DRAKE_COMPLETE" in call("completion", "bash")[1]
+    for words, completed in (
+        ("stewart-drake expl", "explain"),
+        ("stewart-drake run paper_fig7_u", "paper_fig7_uncompensated"),
+    ):
+        monkeypatch.setenv("COMP_WORDS", words)
+        monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
+        monkeypatch.setenv("_STEWART_DRAKE_COMPLETE", "bash_complete")
+        assert call()[1].split() == [f"plain,{completed}"]
