@@ -39,6 +39,7 @@ nb_merge_streams = True
 autodoc_member_order = "bysource"
 autodoc_inherit_docstrings = False
 napoleon_custom_sections = [("Keys", "params_style"), "Deviation"]
+napoleon_use_ivar = True
 napoleon_use_rtype = False
 default_role = "code"
 
@@ -46,7 +47,9 @@ default_role = "code"
 def formula(translator, node):
     """TeX as MathML, which browsers draw themselves."""
     display = "block" if isinstance(node, nodes.math_block) else "inline"
-    translator.body.append(convert(node.astext(), display=display))
+    mathml = convert(node.astext(), display=display)
+    # A bar is a fence here, with no space around it.
+    translator.body.append(mathml.replace("<mo>&#x0007C;</mo>", '<mo lspace="0" rspace="0" stretchy="false">|</mo>'))
     raise nodes.SkipNode
 
 
