@@ -16,6 +16,7 @@ import reference  # noqa: E402
 
 project = "stewart-drake"
 author = "The stewart-drake developers"
+project_copyright = f"{author}, BSD 3-Clause licence"
 release = importlib.metadata.version(project)
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["_build", "**/runs", "**/.ipynb_checkpoints"]
