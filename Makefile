@@ -52,7 +52,7 @@ lint: install
 bench: install
 	$(BIN)/pytest tests/benchmarks -p no:xdist -s -q --benchmark-quiet
 
-# The documentation site, docs/_build/html/index.html, with the notebooks executed: a quarter of an hour.
+# The documentation site, docs/_build/html/index.html, with the notebooks executed: some five minutes.
 SPHINX := $(ONE_THREAD) $(BIN)/python -m sphinx -E -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html
 docs: install
 	$(SPHINX) -D nb_execution_mode=force

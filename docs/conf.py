@@ -36,6 +36,8 @@ nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_execution_in_temp = True
 nb_merge_streams = True
+nb_output_stderr = "remove"  # what libraries say on the way
+nb_render_markdown_format = "myst"  # tables
 
 autodoc_member_order = "bysource"
 autodoc_inherit_docstrings = False
@@ -46,11 +48,13 @@ default_role = "code"
 
 
 def formula(translator, node):
-    """TeX as MathML, which browsers draw themselves."""
+    """TeX as MathML, which browsers draw themselves; bars are fences, and functions stand apart."""
     display = "block" if isinstance(node, nodes.math_block) else "inline"
     mathml = convert(node.astext(), display=display)
-    # A bar is a fence here, with no space around it.
-    translator.body.append(mathml.replace("<mo>&#x0007C;</mo>", '<mo lspace="0" rspace="0" stretchy="false">|</mo>'))
+    mathml = mathml.replace("<mo>&#x0007C;</mo>", '<mo lspace="0" rspace="0" stretchy="false">|</mo>')
+    space = '<mspace width="0.167em"/>'
+    mathml = re.sub(r"(?<!<msub>)(?<!<msup>)(<mi>(?:sin|cos|tan|log|atan2|arccos)</mi>)", rf"{space}\1{space}", mathml)
+    translator.body.append(mathml)
     raise nodes.SkipNode
 
 
