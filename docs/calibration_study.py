@@ -1,6 +1,6 @@
 """Measures what a calibration is worth, and writes docs/results/calibration.md: `make calibration`.
 
-For each setting: robots that are off in every parameter, 60 measured poses, other poses to judge by.
+For each setting: robots that are off in every parameter, 60 measured poses, other poses to assess it by.
 """
 
 import time

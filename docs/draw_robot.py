@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from stewart_drake import RobotParameters
-from stewart_drake.runs.replay import render_png
+from stewart_drake.runs.pictures import render_png
 
 picture = Path(__file__).parent / "images" / "robot.png"
 render_png(RobotParameters(), np.array([np.radians(20), 0, 0, 0, 0, 0.33]), picture, passes=32)

@@ -1,4 +1,4 @@
-"""Robots that are not quite what was drawn, tracker and encoders simulated, and calibrations judged by the truth."""
+"""Robots that are not quite what was drawn, tracker and encoders simulated, and what their calibrations are worth."""
 
 import math
 from collections.abc import Collection
@@ -64,9 +64,9 @@ def measured(
     """
     pose = forward_kinematics(robot, targets.angles, targets.pose)
     step = noise.encoder * math.sqrt(12.0)
-    seen = base @ transform_of(pose) @ marker
-    turn = exponential(noise.rotation * rng.standard_normal((len(pose), 3))) @ seen[:, :3, :3]
-    place = seen[:, :3, 3] + noise.position * rng.standard_normal((len(pose), 3))
+    observed = base @ transform_of(pose) @ marker
+    turn = exponential(noise.rotation * rng.standard_normal((len(pose), 3))) @ observed[:, :3, :3]
+    place = observed[:, :3, 3] + noise.position * rng.standard_normal((len(pose), 3))
     angles = np.rint(targets.angles / step) * step
     return Measurements(np.concatenate([roll_pitch_yaw(turn), place], axis=-1), angles, "simulated poses")
 
@@ -129,7 +129,7 @@ def change_to(guess: RobotParameters, robot: RobotParameters) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One robot's calibration, judged by the truth.
+    """One robot's calibration, compared with the truth.
 
     Attributes:
         before: [m, rad] RMS error of unseen poses' position and rotation by the guess.
@@ -161,7 +161,7 @@ def run_trial(
     Args:
         guess: What it was drawn as.
         targets: Poses that are measured.
-        unseen: Poses at which it is judged, by encoder readings with their steps.
+        unseen: Poses at which it is assessed, by encoder readings with their steps.
         noise: Of tracker and encoders.
         seed: Of the deviations, the frames and the noise.
         known_frames: As for `calibrate`.
@@ -171,11 +171,11 @@ def run_trial(
     base = transform(exponential(rng.uniform(-2.0, 2.0, 3)), rng.uniform(-3.0, 3.0, 3))
     marker = transform(exponential(rng.uniform(-1.0, 1.0, 3)), rng.uniform(-0.05, 0.05, 3))
     base, marker = (STILL if "base" in known_frames else base), (STILL if "platform" in known_frames else marker)
-    seen = measured(truth, targets, noise, rng, base, marker)
-    found = calibrate(guess, seen, noise, known_frames)
+    observed = measured(truth, targets, noise, rng, base, marker)
+    found = calibrate(guess, observed, noise, known_frames)
     tracker_free = MeasurementNoise(position=1e-300, rotation=1e-300, encoder=noise.encoder)
     right = measured(truth, unseen, tracker_free, rng, base, marker)
-    believed = located(guess, seen, known_frames)
+    believed = located(guess, observed, known_frames)
     same = aligned(truth, guess, known_frames)
     off = (found.change - change_to(guess, same))[:OF_ROBOT].reshape(LEGS, PER_LEG)
     width = found.half_width[:OF_ROBOT].reshape(LEGS, PER_LEG)

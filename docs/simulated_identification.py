@@ -1,4 +1,4 @@
-"""Robots that are not quite what was drawn, what their logs would say, and identifications judged by the truth."""
+"""Robots that are not quite what was drawn, what their logs would say, and what their identifications are worth."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -113,14 +113,14 @@ class Setting(NamedTuple):
     Attributes:
         guess: What the robots were drawn as.
         motion: By which they are identified.
-        unseen: By which they are judged.
+        unseen: By which they are assessed.
         rate: [Hz] of the logs.
         encoders: Of the readings.
         torque_noise: [N m] standard deviation of each torque.
         coulomb: [N m] of a motor, in the middle.
         viscous: [N m s/rad] likewise.
         duration: [s] of the log that is fitted.
-        judged: [s] of that of the unseen motion.
+        validation: [s] of that of the unseen motion.
     """
 
     guess: RobotParameters
@@ -132,11 +132,11 @@ class Setting(NamedTuple):
     coulomb: float
     viscous: float
     duration: float = 60.0
-    judged: float = 20.0
+    validation: float = 20.0
 
 
 class Trial(NamedTuple):
-    """One robot's identification, judged by the truth.
+    """One robot's identification, compared with the truth.
 
     Attributes:
         payload: [-] error of the payload's mass over it.
@@ -169,11 +169,11 @@ def run_trial(setting: Setting, seed: int) -> Trial:
     truth = deviating(guess, rng, setting.coulomb, setting.viscous)
     logs = [
         recorded(guess, truth, motion, seconds, setting.rate, setting.encoders, setting.torque_noise, rng)
-        for motion, seconds in ((setting.motion, setting.duration), (setting.unseen, setting.judged))
+        for motion, seconds in ((setting.motion, setting.duration), (setting.unseen, setting.validation))
     ]
     found = identify(guess, logs[:1], validate=logs[1:])
     values, width = found.estimate.values, found.half_width
-    off = np.abs(values - of_robot(guess) - found.estimate.told(truth - of_robot(guess)))
+    off = np.abs(values - of_robot(guess) - found.estimate.identifiable_part(truth - of_robot(guess)))
     load = truth - of_robot(guess)
     mass, place = found.payload
 

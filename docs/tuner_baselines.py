@@ -126,7 +126,7 @@ def main(folder: Path) -> None:
     """Writes the file."""
     with (
         progress_bar("baselines", 13_000.0, quiet=False, unit="runs") as advance,
-        Benchmark(folder, "reduced", tell=advance) as benchmark,
+        Benchmark(folder, "reduced", progress=advance) as benchmark,
     ):
         found = find(benchmark)
     SHIPPED.write_text(to_yaml(found.to_dict()))

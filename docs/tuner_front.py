@@ -65,7 +65,7 @@ def front(folder, policy, settings):
     entered = [*map(with_setting, settings), *(always({"tuner": {**policy, "kappa": kappa}}) for kappa in KAPPAS)]
     with (
         progress_bar("front", float(len(entered) * len(cases)), quiet=False, unit="runs") as advance,
-        Benchmark(folder, "reduced", tell=advance) as benchmark,
+        Benchmark(folder, "reduced", progress=advance) as benchmark,
     ):
         rows = benchmark.run(entered, cases)
     scales = [CostScales().at(kappa) for kappa in KAPPAS]
@@ -87,7 +87,9 @@ def picture(cloud, policy, fixed):
     """Error [mm] against change of torque [N m], (n, 2) each: settings that stay, the policy, the best of them."""
     figure, ((panel,),) = look.panels(1, 1, 5.0)
     panel.plot(cloud[:, 1], cloud[:, 0], ".", color=look.QUIET, markersize=6.0, label="settings that stay")
-    panel.plot(fixed[:, 1], fixed[:, 0], "D", color=look.ORANGE, markersize=6.0, label="the best of them at a taste")
+    panel.plot(
+        fixed[:, 1], fixed[:, 0], "D", color=look.ORANGE, markersize=6.0, label="the best of them at a smoothness"
+    )
     panel.plot(policy[:, 1], policy[:, 0], "o-", color=look.BLUE, label="policy")
     for kappa, (error, change) in zip(KAPPAS, policy, strict=True):
         place = {"textcoords": "offset points", "ha": "right", "va": "top"}

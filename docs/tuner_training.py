@@ -27,7 +27,7 @@ def main(files: list[str], folder: Path = Path("runs/tuner-training")) -> None:
     entered = [with_setting(Baselines.load().best), *(always({"tuner": policy}) for policy in policies.values())]
     with (
         progress_bar("policies", float(len(entered) * len(cases)), quiet=False, unit="runs") as advance,
-        Benchmark(folder, "reduced", tell=advance) as benchmark,
+        Benchmark(folder, "reduced", progress=advance) as benchmark,
     ):
         fixed, *others = benchmark.log_costs(entered, cases)
     rows = []

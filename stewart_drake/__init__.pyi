@@ -39,13 +39,15 @@ from stewart_drake.robot import RobotParameters as RobotParameters
 from stewart_drake.robot.leg import LegParameters as LegParameters
 from stewart_drake.robot.robot_files import load_robot as load_robot
 from stewart_drake.robot.robot_files import save_robot as save_robot
+from stewart_drake.runs.pictures import write_film as write_film
 from stewart_drake.runs.simulation import run as run
 from stewart_drake.sampling import on_grid as on_grid
-from stewart_drake.scenario import AnnTuner as AnnTuner
 from stewart_drake.scenario import BlockTuner as BlockTuner
 from stewart_drake.scenario import FixedTuner as FixedTuner
+from stewart_drake.scenario import PaperTuner as PaperTuner
 from stewart_drake.scenario import Scenario as Scenario
 from stewart_drake.scenario import load_scenario as load_scenario
+from stewart_drake.stability.linearize import linearize as linearize
 from stewart_drake.systems.diagram import ClosedLoop as ClosedLoop
 from stewart_drake.systems.diagram import build_diagram as build_diagram
 

@@ -1,7 +1,7 @@
 """Typed sections of scenarios, sweeps and comparisons, on pydantic; and what is wrong with one, a line a problem.
 
-Constraints stand in the fields and make the JSON schema, and the words of a message come from that schema. A rule
-between fields is in the section's `rules`. A text under a field begins with its unit in brackets.
+Constraints stand in the fields and make the JSON schema. A rule between fields is in the section's `rules`. A text
+under a field begins with its unit in brackets, which messages repeat.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ import dataclasses
 import difflib
 import inspect
 import json
-import math
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextvars import ContextVar
 from functools import lru_cache, wraps
-from typing import Annotated, Any, ClassVar, Self, dataclass_transform
+from typing import Annotated, Any, ClassVar, Self, dataclass_transform, get_args, get_origin
 
 import numpy as np
 from pydantic import (
@@ -25,22 +25,30 @@ from pydantic import (
     Strict,
     TypeAdapter,
     ValidationError,
+    WrapValidator,
     model_validator,
 )
 from pydantic.dataclasses import dataclass as checked_dataclass
-from pydantic.errors import PydanticInvalidForJsonSchema
-from pydantic_core import ArgsKwargs, CoreSchema, InitErrorDetails, PydanticCustomError
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.units import in_unit, or_text, smaller_unit
 
 TINY = float(np.finfo(float).tiny)
 """Smallest number whose reciprocal is finite: what counts as above 0."""
 MAX_SEED = 2**63 - 1
 
 
-def words(text: str) -> Any:
-    """In `Annotated`: what a type is called in messages, where its bounds do not say it."""
-    return Field(json_schema_extra={"$comment": text})
+def words(text: str) -> WrapValidator:
+    """In `Annotated`, last: what is said of a value that the type does not take."""
+
+    def checked(value: Any, handler: Callable[[Any], Any]) -> Any:
+        try:
+            return handler(value)
+        except ValidationError:
+            raise as_problem(ConfigurationError("", value, text)) from None
+
+    return WrapValidator(checked)
 
 
 Real = Annotated[float, Strict()]
@@ -48,6 +56,8 @@ Real = Annotated[float, Strict()]
 Count = Annotated[int, Strict()]
 Positive = Annotated[float, Strict(), Field(ge=TINY)]
 NotNegative = Annotated[float, Strict(), Field(ge=0.0)]
+Period = Annotated[float, Strict(), Field(ge=TINY, le=1.0)]
+"""[s] of a controller."""
 Fraction = Annotated[float, Strict(), Field(gt=0.0, lt=1.0)]
 Share = Annotated[float, Strict(), Field(ge=0.0, le=1.0)]
 LegNumber = Annotated[int, Strict(), Field(ge=0, le=5), words("a leg from 0 to 5")]
@@ -58,7 +68,7 @@ Window = Annotated[int, Strict(), Field(ge=1)]
 Flag = Annotated[bool, Strict()]
 Text = Annotated[str, Strict()]
 NAME = r"^\w[\w .+-]*$"
-NAME_WORDS = words("letters, digits and _, and after the first of them space and . + - too")
+NAME_WORDS = "letters, digits and _, and after the first of them space and . + - too"
 """Of a name that can be a folder's."""
 Vector6 = tuple[Real, Real, Real, Real, Real, Real]
 """roll, pitch, yaw, X, Y, Z."""
@@ -84,6 +94,10 @@ SixNumbers = Annotated[Vector6, one_for_six(Real)]
 """Of one unit, in the same order; one number stands for all."""
 
 
+FILL: ContextVar[Callable[[type[Section], dict[str, Any]], dict[str, Any]] | None] = ContextVar("fill", default=None)
+"""Adds defaults that depend on the scenario around a section, such as its robot, to the keys that were given."""
+
+
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(dataclasses.field, Field))
 class Section:
     """Base of the sections: frozen, hashable, made by keywords; `SomeSection(...)` and `from_dict` obey the same rules.
@@ -98,6 +112,10 @@ class Section:
     section_key: ClassVar[str] = ""
     own_keys: ClassVar[frozenset[str]] = frozenset()
     """Of sections with a `kind`: keys that mean something else in each kind, which a change of kind drops."""
+    adapts: ClassVar[bool] = True
+    """Whether it, or a section in it, may have defaults that depend on the scenario, see `FILL`."""
+    kinds_with: ClassVar[Callable[[str], list[str]]] = lambda _: []
+    """The other kinds that have a key."""
     __pydantic_validator__: ClassVar[Any]
     __pydantic_fields__: ClassVar[Mapping[str, Any]]
     __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
@@ -123,7 +141,7 @@ class Section:
 
         @wraps(cls.__init__)
         def init(self: Section, /, **keys: Any) -> None:
-            given = ArgsKwargs((), {name: plain(value) for name, value in keys.items()})
+            given = {name: plain(value) for name, value in keys.items()}
             type(self)._validated(given, type(self).section_key, self_instance=self)
 
         cls.__init__ = init  # type: ignore[method-assign, assignment]
@@ -139,36 +157,53 @@ class Section:
         Raises:
             ConfigurationError: As for the class.
         """
-        made: Self = cls._validated(data, cls.section_key if key is None else key)
-        return made
+        result: Self = cls._validated(data, cls.section_key if key is None else key)
+        return result
 
     @classmethod
-    def _validated(cls, given: Any, key: str, **details: Any) -> Any:
+    def _validated(cls, data: Any, key: str, **details: Any) -> Any:
         # Numbers near the largest overflow to infinity, which the checks refuse; numpy need not say so as well.
         with np.errstate(all="ignore"):
             try:
-                return cls.__pydantic_validator__.validate_python(given, **details)
+                return cls.__pydantic_validator__.validate_python(data, **details)
             except ValidationError as error:
-                raise _told(error, key) from None
+                raise _as_one(error, key) from None
 
     @model_validator(mode="wrap")
     @classmethod
     def _checked(cls, data: Any, handler: Callable[[Any], Any]) -> Any:
-        """What pydantic finds in this section in our words, wherever it stands."""
+        """Remembers which keys were given; says what pydantic finds wrong in our words, wherever the section stands."""
+        fill = FILL.get()
+        if fill is not None and isinstance(data, cls) and cls.adapts:
+            data = data.given()
+        given = {name: value is None for name, value in data.items()} if isinstance(data, dict) else None
         try:
-            if isinstance(data, ArgsKwargs):
-                data = ArgsKwargs((), cls.prepared(data.kwargs or {}))
-            return handler(cls.prepared(data) if isinstance(data, dict) else data)
+            if isinstance(data, dict):
+                data = {name: in_unit(value, name, cls.unit_of(name)) for name, value in data.items()}
+            result = handler(data if fill is None or given is None else fill(cls, data))
         except ConfigurationError as error:
             error.key = error.key.removeprefix(f"{cls.section_key}.")
             raise as_problem(error) from None
         except ValidationError as error:
-            raise _in_words(error, schema_of(cls)) from None  # type: ignore[arg-type]
+            raise _in_words(error, cls) from None
+        if given is not None:
+            vars(result)["_given"] = given
+        return result
 
     @classmethod
-    def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Keys and values as given, made ready for the checks."""
-        return data
+    def unit_of(cls, name: str) -> str:
+        """What stands in brackets before the text of a field, such as `rad, m`; empty without."""
+        text = getattr(cls.__pydantic_fields__.get(name), "description", None) or ""
+        return text[1 : text.index("]")].removesuffix("-") if text.startswith("[") else ""
+
+    def given(self) -> dict[str, Any]:
+        """The keys that were given, and the kind, with their values: what is only a default is left out.
+
+        A null that was given is null here too, whatever the scenario has put in its place.
+        """
+        nulls: Mapping[str, bool] = vars(self)["_given"]
+        kind = {"kind": getattr(self, "kind")} if "kind" in self.__pydantic_fields__ else {}  # noqa: B009
+        return kind | {name: None if null else getattr(self, name) for name, null in nulls.items()}
 
     def to_dict(self) -> dict[str, Any]:
         """Every key with its value, in plain types."""
@@ -186,19 +221,16 @@ class Section:
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        made = handler(schema)
-        section = handler.resolve_ref_schema(made)
+        result = handler(schema)
+        section = handler.resolve_ref_schema(result)
         section["description"] = cls._text
         section["properties"] = {name: section["properties"][name] for name in cls.__pydantic_fields__}
         for name, field in cls.__pydantic_fields__.items():
+            if cls.unit_of(name):
+                section["properties"][name] = or_text(section["properties"][name])
             if field.description:
                 section["properties"][name].setdefault("description", field.description)
-        return made
-
-
-def by_default(section: Section) -> Any:
-    """A field whose default is this very section: it is frozen, so that all may share it."""
-    return Field(default_factory=lambda: section)
+        return result
 
 
 def plain(value: Any) -> Any:
@@ -210,25 +242,15 @@ def plain(value: Any) -> Any:
     return value
 
 
-def to_plain(value: Any, kept: type | tuple[()] = ()) -> Any:
-    """A value of a section in what JSON and YAML have; what is of the type `kept` stays as it is."""
-    if isinstance(value, kept):
-        return value
+def to_plain(value: Any) -> Any:
+    """A value of a section in what JSON and YAML have."""
     if isinstance(value, (str, os.PathLike)):
         return str(value)
     if isinstance(value, (list, tuple)):
-        return [to_plain(each, kept) for each in value]
+        return [to_plain(each) for each in value]
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-    return {key: to_plain(each, kept) for key, each in value.items()} if isinstance(value, Mapping) else value
-
-
-def is_finite(value: Any) -> bool:
-    """Whether a value is a finite number; a truth value, or a text that looks like one, is not."""
-    try:
-        return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    except OverflowError:
-        return False
+    return {key: to_plain(each) for key, each in value.items()} if isinstance(value, Mapping) else value
 
 
 def check_plain(key: str, value: Any) -> None:
@@ -244,20 +266,34 @@ def check_value(key: str, value: Any, kind: Any) -> None:
     try:
         _adapter(kind).validate_python(plain(value))
     except ValidationError as error:
-        raise _told(_in_words(error, schema_of(kind)), key) from None
+        raise _as_one(_in_words(error, kind, kind), key) from None
+
+
+@lru_cache(maxsize=256)
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind, config=None if isinstance(kind, type) else {"allow_inf_nan": False})
 
 
 # --- what is wrong, in words ---
 
-_NOUNS = {"boolean": "true or false", "string": "a text", "number": "a number", "integer": "a whole number"}
-_BOUNDS = {
-    "exclusiveMinimum": "above {:g}",
-    "minimum": "at least {:g}",
-    "exclusiveMaximum": "below {:g}",
-    "maximum": "at most {:g}",
-    "minLength": "at least {} characters",
-    "maxLength": "at most {} characters",
+_NOUNS = {
+    "bool_type": "true or false",
+    "string_type": "a text",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "tuple_type": "a list",
+    "dict_type": "a section",
+    "dataclass_type": "a section",
+    "invalid_key": "keys that are texts",
+    "too_short": "a list of at least {min_length}",
+    "too_long": "a list of at most {max_length}",
+    "string_too_short": "a text of at least {min_length} characters",
+    "string_too_long": "a text of at most {max_length} characters",
 }
+"""Kind of pydantic's error -> what it expected, before the unit."""
+_BOUNDS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
 
 
 def shown(key: str) -> str:
@@ -285,9 +321,9 @@ def chosen(given: Any, choices: Sequence[str]) -> str:
     return either(choices) + meant(given, choices)
 
 
-def unknown(key: Any, keys: Sequence[str]) -> str:
-    """What is said of a key that is none of those that are there."""
-    guess = meant(key, keys)
+def unknown(key: Any, keys: Sequence[str], kinds: Sequence[str] = ()) -> str:
+    """What is said of a key that is none of those that are there; `kinds` are others of the section that have it."""
+    guess = f"; kind {either(kinds)} has it." if kinds else meant(key, keys)
     return f"no such key{guess}{' The' if guess else '; the'} keys here are {', '.join(keys)}"
 
 
@@ -297,132 +333,95 @@ def as_problem(error: ConfigurationError) -> PydanticCustomError:
     return PydanticCustomError("rule", "expected {allowed}", context)
 
 
-def _told(error: ValidationError, section: str) -> ConfigurationError:
+def _as_one(error: ValidationError, section: str) -> ConfigurationError:
     """Problems that are in our words already as one error, unknown keys first."""
-    found: dict[str, ConfigurationError] = {}
+    problems: dict[str, ConfigurationError] = {}
     for report in error.errors(include_url=False):
         context = report["ctx"]
         keys = [section, *(shown(str(part)) for part in report["loc"] if part != "[key]"), context["key"]]
         problem = ConfigurationError(".".join(filter(None, keys)) or "scenario", context["got"], context["allowed"])
-        found[str(problem)] = problem
-    first, *others = sorted(found.values(), key=lambda each: not each.allowed.startswith("no such"))
+        problems[str(problem)] = problem
+    first, *others = sorted(problems.values(), key=lambda each: not each.allowed.startswith("no such"))
     first.others = tuple(others)
     return first
 
 
-def _in_words(error: ValidationError, schema: Mapping[str, Any]) -> ValidationError:
-    """Pydantic's report on a section, or on one value, with what its JSON schema says."""
+def _in_words(error: ValidationError, section: Any, annotation: Any = None) -> ValidationError:
+    """Pydantic's report on a section, or on a value of a type, in our words."""
+    fields: Mapping[str, Any] = getattr(section, "__pydantic_fields__", {})
     lines: list[InitErrorDetails] = []
     for report in error.errors(include_url=False):
-        kind, location, value = report["type"], report["loc"], report["input"]
-        if kind == "rule":
-            problem = PydanticCustomError("rule", "expected {allowed}", report["ctx"])
+        location, value, context = report["loc"], report["input"], report.get("ctx", {})
+        if report["type"] == "unexpected_keyword_argument":
+            key = str(location[-1])
+            problem = as_problem(ConfigurationError("", value, unknown(key, list(fields), section.kinds_with(key))))
+        elif report["type"] == "rule":
+            problem = PydanticCustomError("rule", "expected {allowed}", context)
         else:
-            required = kind.startswith("missing") and isinstance(location[-1], str)
-            if kind.startswith("missing") and not required:  # of a list that is too short
+            field, last = (fields.get(str(location[0])), location[-1]) if location else (None, "")
+            unit = section.unit_of(str(location[0])) if field is not None else ""
+            kind = getattr(field, "annotation", annotation)
+            if report["type"].startswith("missing") and isinstance(last, str):
+                value, allowed = None, f"a value{unit and f' [{unit}]'}; this key is required"
+            else:
+                allowed = _expected(report["type"], context, kind, unit, last)
+                allowed += ", or null" * (type(None) in get_args(kind))
+                allowed += meant(value, re.findall("'([^']*)'", context.get("expected", "")))
+                allowed += _fitting_unit(value, context, unit)
+            if report["type"] == "missing" and isinstance(last, int):  # of a list that is too short
                 location = location[:-1]
-            value = None if required else value
-            allowed = _allowed(kind, location, value, schema) + "; this key is required" * required
             problem = as_problem(ConfigurationError("", value, allowed))
         lines.append(InitErrorDetails(type=problem, loc=location, input=value))
     return ValidationError.from_exception_data("section", lines)
 
 
-def _allowed(kind: str, location: tuple[int | str, ...], value: Any, schema: Mapping[str, Any]) -> str:
-    """What would have been accepted at a place, for a kind of pydantic's errors."""
-    if kind == "invalid_key" or "[key]" in location:
-        return "keys that are texts"
-    if kind == "unexpected_keyword_argument":
-        section, _ = _at(schema, location[:-1])
-        return unknown(location[-1], list(_options(schema, section)[0].get("properties", {})))
-    part, unit = _at(schema, location)
-    expected = in_words(part, unit, schema)
-    if kind == "finite_number":
-        return expected.replace("number", "finite number", 1)
-    return expected + meant(value, [str(each) for option in _options(schema, part) for each in _choices(option)])
+def _expected(error: str, context: Mapping[str, Any], kind: Any, unit: str, last: int | str) -> str:
+    """What an error of pydantic expected in a value of a type, with the unit; `last` is an index in a list or a key."""
+    length = _length(kind)
+    if length and error in ("tuple_type", "too_long", "missing"):
+        return f"a list of {length}{unit and f' numbers [{unit}]'}"
+    if length and isinstance(last, int):
+        units = unit.split(", ")
+        unit = units[last * len(units) // length]
+    unit = unit and f" [{unit}]"
+    for name, text in _BOUNDS.items():
+        if name in context:
+            noun = "a whole number" if isinstance(context[name], int) else "a number"
+            return f"a positive number{unit}" if context[name] == TINY else f"{noun}{unit}, {text} {context[name]:g}"
+    if "expected" in context:
+        return str(context["expected"]).replace("'", "")
+    return _NOUNS.get(error, "another value").format(**context) + unit
 
 
-def _at(schema: Mapping[str, Any], location: Sequence[int | str]) -> tuple[Mapping[str, Any], str]:
-    """The part of a JSON schema at a place, and its unit."""
-    here, unit = schema, ""
-    for part in location:
-        inside: Any = None
-        for option in _options(schema, here):
-            if isinstance(part, int):
-                fixed = option.get("prefixItems", ())
-                inside = inside or (fixed[part] if part < len(fixed) else option.get("items"))
-                units = unit[1:-1].split(", ")
-                if len(units) > 1 and part < len(fixed):
-                    unit = f"[{units[part * len(units) // len(fixed)]}]"
-            else:
-                inside = inside or option.get("properties", {}).get(part) or option.get("additionalProperties")
-        here = inside if isinstance(inside, Mapping) else {}
-        text = here.get("description", "")
-        unit = text[: text.index("]") + 1] if text.startswith("[") else unit if isinstance(part, int) else ""
-    return here, unit.replace("[-]", "")
+def _fitting_unit(value: Any, context: Mapping[str, Any], unit: str) -> str:
+    if "le" not in context and "lt" not in context:
+        return ""
+    return smaller_unit(value, unit, lambda each: each <= context.get("le", context.get("lt")))
 
 
-def _options(root: Mapping[str, Any], schema: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """What a part of a schema may be, references followed."""
-    if "$ref" in schema:
-        return _options(root, root["$defs"][schema["$ref"].rpartition("/")[2]])
-    if "anyOf" in schema and "$comment" not in schema:
-        return [option for each in schema["anyOf"] for option in _options(root, each)]
-    return [schema]
+def _length(kind: Any) -> int:
+    """Numbers in the list of fixed length that is in a type; 0 without one."""
+    parts = get_args(kind)
+    fixed = get_origin(kind) is tuple and ... not in parts
+    return len(parts) if fixed else next(filter(None, map(_length, parts)), 0)
 
 
-def _choices(schema: Mapping[str, Any]) -> list[Any]:
-    return list(schema.get("enum", [schema["const"]] if "const" in schema else []))
-
-
-def describe(kind: Any) -> str:
-    """A type in words, with its bounds, and whether null will do."""
-    return in_words(schema_of(kind))
-
-
-def in_words(schema: Mapping[str, Any], unit: str = "", root: Mapping[str, Any] | None = None) -> str:
-    """A part of a JSON schema in words: a positive number [s]; red or blue; a list of 6 numbers, or null."""
-    options = _options(root or schema, schema)
-    found = [_one_in_words(each, unit, root or schema) for each in options if each.get("type") != "null"]
-    return " or ".join(found) + ", or null" * (len(found) < len(options))
-
-
-def _one_in_words(schema: Mapping[str, Any], unit: str, root: Mapping[str, Any]) -> str:
-    kind, unit = str(schema.get("type")), f" {unit}" if unit else ""
-    noun = schema.get("$comment", _NOUNS.get(kind, "another value"))
-    if _choices(schema):
-        return either([str(each) for each in _choices(schema)])
-    if kind == "object" and "$comment" not in schema:
-        keys = list(schema.get("properties", {}))
-        return f"a section, with keys such as {', '.join(keys[:3])}" if keys else "a section"
-    if kind == "array":
-        fixed = schema.get("prefixItems")
-        least = f"at least {schema['minItems']} " if schema.get("minItems") else ""
-        inner = in_words(fixed[0] if fixed else schema.get("items", {}), "", root)
-        inner = re.sub(r"^a |, (with|at least|at most|above|below) .*", "", inner)
-        inner = re.sub(r"^((positive |whole )*(number|text|list|section|value))", r"\1s", inner)
-        return f"a list of {f'{len(fixed)} ' if fixed else least}{inner}{unit}"
-    if schema.get("minimum") == TINY:
-        noun, schema = noun.replace("a ", "a positive ", 1), {**schema, "minimum": None}
-    limits = [text.format(schema[key]) for key, text in _BOUNDS.items() if schema.get(key) is not None]
-    if "$comment" in schema and kind != "string":
-        return str(noun)
-    return f"{noun}{unit if kind in ('number', 'integer') else ''}{', ' if limits else ''}{' and '.join(limits)}"
-
-
-# --- JSON schema ---
-
-
-@lru_cache(maxsize=256)
-def _adapter(kind: Any) -> TypeAdapter[Any]:
-    config: Any = None if isinstance(kind, type) and issubclass(kind, Section) else {"allow_inf_nan": False}
-    return TypeAdapter(kind, config=config)
-
-
-@lru_cache(maxsize=256)
-def schema_of(kind: Any) -> dict[str, Any]:
-    """JSON schema of a type, in which a family of kinds is but its words."""
-    try:
-        return _adapter(kind).json_schema()
-    except PydanticInvalidForJsonSchema:  # a user's own section may have what JSON has not
-        return {}
+def unit_hints(section: Any, largest: Mapping[str, float], key: str = "") -> list[str]:
+    """A sentence for each number of a section that is larger than its unit allows, but not in a smaller one."""
+    hints = []
+    for name in section.__pydantic_fields__:
+        value, units = getattr(section, name), section.unit_of(name).split(", ")
+        place = f"{key or section.section_key}.{name}"
+        if isinstance(value, tuple) and value and isinstance(value[0], Section):
+            hints += [hint for k, each in enumerate(value) for hint in unit_hints(each, largest, f"{place}[{k}]")]
+        if isinstance(value, Section):
+            hints += unit_hints(value, largest, place)
+        flat = list(np.ravel(np.array(value, dtype=object))) if isinstance(value, (int, float, tuple)) else []
+        length = 6 if len(flat) % 6 == 0 else max(1, len(flat))
+        for index, number in enumerate(flat):
+            unit = units[index % length * len(units) // length]
+            most = largest.get(unit, float("inf"))
+            if isinstance(number, (int, float)) and abs(number) > most:
+                other = smaller_unit(float(number), unit, lambda each, most=most: abs(each) <= most)  # type: ignore[misc]
+                hints.append(f"{place} has {number:g} {unit}{other}")
+    return hints

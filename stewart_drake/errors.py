@@ -15,9 +15,6 @@ from typing import Any
 
 import numpy as np
 
-_MOST = 20
-"""Further problems that a message shows."""
-
 
 class StewartDrakeError(Exception):
     """Base of every error that this package raises on purpose."""
@@ -37,8 +34,8 @@ class ConfigurationError(StewartDrakeError):
     Attributes:
         key: Dotted name of the scenario key, parameter or file.
         value: What was given.
-        allowed: What would have been accepted, after `; ` a hint. With `no such` it begins where the key is wrong.
-        others: Further problems of the same file or section; each has a line of its own in the message.
+        allowed: What would have been accepted, after `; ` a hint; with `no such` it begins where the key is wrong.
+        others: Further problems of the same file or section, a line each.
     """
 
     reason = "configuration"
@@ -50,9 +47,7 @@ class ConfigurationError(StewartDrakeError):
         super().__init__(" ".join(f"{key}: {expected}, got {_shown(value)}{semicolon}{hint}".split()))
 
     def __str__(self) -> str:
-        left_out = len(self.others) - _MOST
-        more = [f"and {left_out} more problems"] if left_out > 0 else []
-        return "\n".join([super().__str__(), *map(str, self.others[:_MOST]), *more])
+        return "\n".join([super().__str__(), *map(str, self.others)])
 
     def within(self, place: str) -> ConfigurationError:
         """The same problems, with the place where they were found before each key."""

@@ -5,17 +5,16 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Iterator, Mapping
-from contextvars import ContextVar
 from functools import cached_property
 from importlib import import_module
 from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import Field, GetJsonSchemaHandler, TypeAdapter
+from pydantic import Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from stewart_drake.config import Section, as_problem, check_plain, chosen, either, schema_of, to_plain
+from stewart_drake.config import Section, as_problem, check_plain, chosen, either
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code import CLASS_PATH, CodePath, path_of, source_of
 
@@ -44,28 +43,27 @@ class Table:
             self._lines[name] = _import(self._lines[name])
         return self._lines[name]
 
-    def add(self, name: str, made: Any) -> None:
+    def add(self, name: str, thing: Any) -> None:
         """Adds an object; a `ConfigurationError` where the name means something already."""
         self._refuse_known(name)
-        self._lines[name] = made
-        schema_of.cache_clear()
+        self._lines[name] = thing
 
-    def _refuse_known(self, name: str, key: str = "kind") -> None:
+    def _refuse_known(self, name: str) -> None:
         if name in self._lines:
-            raise ConfigurationError(key, name, f"a name that no kind has, unlike {either(self.names)}")
+            raise ConfigurationError("kind", name, f"a name that no kind has, unlike {either(self.names)}")
 
     def added_code(self) -> dict[str, str]:
         """Kind -> source of what was added from outside of the package, and of the modules that it stands in.
 
         Results are kept under it: a kind with other code is another kind.
         """
-        found: dict[str, str] = {}
+        sources: dict[str, str] = {}
         for kind, line in self._lines.items():
             for part in line if isinstance(line, tuple) else (line,):
                 module = getattr(part, "__module__", _PACKAGE)
                 if module.partition(".")[0] != _PACKAGE:
-                    found[kind] = f"{found.get(kind, '')}{source_of(part)}{source_of(sys.modules.get(module))}"
-        return found
+                    sources[kind] = f"{sources.get(kind, '')}{source_of(part)}{source_of(sys.modules.get(module))}"
+        return sources
 
     def _validate(self, value: Any) -> Any:
         if isinstance(value, str) and value in self._lines:
@@ -82,14 +80,8 @@ class Table:
 class Family(Table):
     """The kinds of one part of a scenario: a union told apart by the key `kind`; in `Annotated`, the type of the part.
 
-    A text that is a kind stands for a section of nothing else.
-
-    Args:
-        lines: Kind -> its section: `module:name` in this package, or the class itself.
-        default: Kind where the key is absent; None where it is required.
-        own: Section for a user's own class, a `UserMade`, as `module:name`; None where there is none.
-        methods: What an object of the user's own has one of; none for classes alone.
-        without: Kinds that are not taken here.
+    A text that is a kind stands for a section of nothing else. `default` is the kind where the key is absent, `own` the
+    section for a user's own class, a `UserMade`, and `methods` what an object of the user's own has one of.
     """
 
     def __init__(
@@ -106,9 +98,9 @@ class Family(Table):
 
     def but(self, *kinds: str) -> Family:
         """The same kinds, without some and without a default."""
-        made = Family(self._lines, None, self._own, self._methods, (*self._without, *kinds))
-        made._paths = self._paths
-        return made
+        family = Family(self._lines, None, self._own, self._methods, kinds)
+        family._paths = self._paths
+        return family
 
     @property
     def kinds(self) -> list[str]:
@@ -117,26 +109,23 @@ class Family(Table):
 
     @property
     def words(self) -> list[str]:
-        """The kinds, and how a user's own is written."""
+        """For messages."""
         return [*self.kinds, *self._paths, *([OWN] if self._own else [])]
 
-    def add(self, section: type[Section]) -> None:  # type: ignore[override]
-        """Adds a kind: its section, whose `kind` has its name as the default; again too, as a cell of a notebook does.
+    def __getitem__(self, name: str) -> Any:
+        section = super().__getitem__(name)
+        section.kinds_with = self._kinds_with
+        return section
 
-        Raises:
-            ConfigurationError: No such default, or one of another kind; a method that its base asks for is missing.
-        """
-        field = getattr(section, "__pydantic_fields__", {}).get("kind")
-        kind, key = getattr(field, "default", None), f"{section.__name__}.kind"
-        if not isinstance(kind, str):
-            raise ConfigurationError(key, None, 'a name as its default, such as kind: str = "own"')
-        if kind in self._lines and path_of(self[kind]) != path_of(section):
-            self._refuse_known(kind, key)
-        missing = sorted(getattr(section, "__abstractmethods__", ()))
-        if missing:
-            raise ConfigurationError(section.__name__, None, f"a section with {', '.join(missing)}")
-        self._lines[kind] = section
-        schema_of.cache_clear()
+    def _kinds_with(self, key: str) -> list[str]:
+        return [kind for kind in self.kinds if key in self[kind].__pydantic_fields__]
+
+    def add(self, section: type[Section]) -> None:  # type: ignore[override]
+        """Adds a kind: its section, whose `kind` has its name as the default; again too, as in a notebook."""
+        kind = section.__pydantic_fields__["kind"].default
+        if kind in self._lines and path_of(self[kind]) == path_of(section):
+            del self._lines[kind]
+        super().add(kind, section)
 
     def register(self, name: str, path: str) -> None:
         """Lets a name stand for the import path of a user's own class, `module:Class`, wherever a kind does."""
@@ -144,7 +133,6 @@ class Family(Table):
             raise ConfigurationError(name, path, "module:Class, of a part that may be a class of your own")
         self._refuse_known(name)
         self._paths[name] = path
-        schema_of.cache_clear()
 
     def spelled(self, data: Any) -> Any:
         """A section as written, in full; what stands for one is a kind, or a user's class or object."""
@@ -159,11 +147,11 @@ class Family(Table):
         return {**data, "kind": self._paths[kind]} if isinstance(kind, str) and kind in self._paths else data
 
     def section_of(self, data: Any) -> Any:
-        """Class of a section that is written, or made; None where it is not one of these."""
+        """Class of a section that is written, or of one that is one of these; None where it is not."""
         data = self.spelled(data)
         kind = data.get("kind", self.default) if isinstance(data, Mapping) else getattr(data, "kind", None)
-        found = self._own_section if self._is_own(kind) else self[kind] if kind in self.kinds else None
-        return found if isinstance(data, Mapping) or (found is not None and isinstance(data, found)) else None
+        section = self._own_section if self._is_own(kind) else self[kind] if kind in self.kinds else None
+        return section if isinstance(data, Mapping) or (section is not None and isinstance(data, section)) else None
 
     @property
     def _own_section(self) -> Any:
@@ -177,31 +165,28 @@ class Family(Table):
             return ":" in kind or kind in self._paths
         return isinstance(kind, (type, CodePath)) or any(hasattr(kind, method) for method in self._methods)
 
-    def _validate(self, value: Any) -> Any:
+    def section(self, value: Any) -> Any:
+        """The section that is written, or one that is there already, checked."""
         value = self.spelled(value)
         section = self.section_of(value)
         if section is None:
             raise as_problem(self._refusal(value))
-        if not isinstance(value, Mapping):
-            return value
-        own = {"kind": CodePath.of(value["kind"])} if self._is_own(value.get("kind")) else {}
-        return section.__pydantic_validator__.validate_python({**value, **own})
+        if isinstance(value, Mapping):
+            value = {**value, "kind": CodePath.of(value["kind"])} if self._is_own(value.get("kind")) else {**value}
+        return section.__pydantic_validator__.validate_python(value)
+
+    _validate = section
 
     def _refusal(self, value: Any) -> ConfigurationError:
         if not isinstance(value, (Mapping, Section)):
-            allowed = chosen(value, self.words) if isinstance(value, str) else self._text
+            allowed = f"a section, with kind: {either(self.words)}, or a kind by itself"
+            allowed = chosen(value, self.words) if isinstance(value, str) else allowed
             return ConfigurationError("", value, allowed)
         kind = value.get("kind") if isinstance(value, Mapping) else getattr(value, "kind", None)
         required = "; this key is required" if isinstance(value, Mapping) and "kind" not in value else ""
         return ConfigurationError("kind", kind, f"{chosen(kind, self.words)}{required}")
 
-    @property
-    def _text(self) -> str:
-        return f"a section, with kind: {either(self.words)}, or a kind by itself"
-
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        if not _COMPLETE.get():
-            return {"$comment": self._text}
         ways: list[dict[str, Any]] = []
         alone = list(self._paths)
         for kind in self.kinds:
@@ -213,20 +198,7 @@ class Family(Table):
                 alone.append(kind)
         if self._own is not None:
             ways += [handler(self._own_section.__pydantic_core_schema__), {"type": "string", "pattern": CLASS_PATH}]
-        return {"$comment": self._text, "anyOf": [*ways, {"enum": alone}]}
-
-
-_COMPLETE: ContextVar[bool] = ContextVar("complete", default=False)
-"""Whether a JSON schema has every kind: messages need none, and import none for it."""
-
-
-def json_schema(root: Any) -> dict[str, Any]:
-    """JSON schema of a section for editors, with every kind of its families."""
-    before = _COMPLETE.set(True)
-    try:
-        return TypeAdapter(root).json_schema()
-    finally:
-        _COMPLETE.reset(before)
+        return {"anyOf": [*ways, {"enum": alone}]}
 
 
 class UserMade(Section):
@@ -245,7 +217,7 @@ class UserMade(Section):
     """Keyword arguments of the constructor, plain values."""
 
     def rules(self) -> None:
-        """See `Section.rules`."""
+        """Arguments are plain values."""
         check_plain("arguments", self.arguments)
 
     @property
@@ -260,13 +232,13 @@ class UserMade(Section):
 
     def load(self) -> Any:
         """The class, not called; a `ConfigurationError` where it is none, or cannot be loaded."""
-        found = self.code.load(self.code_key)
-        if not isinstance(found, type) and self.code.given is None:
-            raise ConfigurationError(self.code_key, self.code, f"a class, not a {type(found).__name__}")
-        return found if isinstance(found, type) else type(found)
+        loaded = self.code.load(self.code_key)
+        if not isinstance(loaded, type) and self.code.given is None:
+            raise ConfigurationError(self.code_key, self.code, f"a class, not a {type(loaded).__name__}")
+        return loaded if isinstance(loaded, type) else type(loaded)
 
     def construct(self, offered: Mapping[str, Any]) -> Any:
-        """The object: made with `arguments` and what the constructor names of `offered`, or as it was given."""
+        """The object: with `arguments` and what the constructor names of `offered`, or as it was given."""
         kind, given = self.load(), self.code.given
         if given is not None and not isinstance(given, type):
             return given
@@ -284,9 +256,9 @@ class UserMade(Section):
             raise self.refusal(f"one without {method}")
         return made
 
-    def refusal(self, found: str) -> ConfigurationError:
-        """The error that says what is asked of the class, and what was found instead."""
-        return ConfigurationError(self.code_key, self.code, f"a class whose {self.asked}, not {found}")
+    def refusal(self, answer: str) -> ConfigurationError:
+        """The error that says what is asked of the class, and what came instead."""
+        return ConfigurationError(self.code_key, self.code, f"a class whose {self.asked}, not {answer}")
 
     def numbers(self, answer: Any) -> np.ndarray:
         """An answer of the object as an array, else a `ConfigurationError`."""
@@ -296,9 +268,13 @@ class UserMade(Section):
             raise self.refusal(f"a {type(answer).__name__} that is not an array of numbers") from None
 
 
-def given_again(section: Any) -> Any:
-    """A section in plain values, except for its code, which need not be trusted anew."""
-    return to_plain(section, CodePath)
+def given_keys(value: Any) -> Any:
+    """What was given of a section, and of those in it, in plain values but for code, which need not be trusted anew."""
+    if isinstance(value, Section):
+        value = value.given()
+    if isinstance(value, (list, tuple)):
+        return [given_keys(each) for each in value]
+    return {key: given_keys(each) for key, each in value.items()} if isinstance(value, Mapping) else value
 
 
 def refuse_given(section: Any) -> None:
@@ -315,7 +291,7 @@ def user_parts(section: Any) -> list[UserMade]:
 
 def place_users(section: Any) -> None:
     """Tells the sections of a user's classes where they stand, for messages."""
-    for place, part in list(_placed(section)):
+    for place, part in _placed(section):
         vars(part)["place"] = place
 
 
@@ -323,7 +299,7 @@ def _placed(section: Any, place: str = "") -> Iterator[tuple[str, UserMade]]:
     if isinstance(section, UserMade):
         yield place, section
     if isinstance(section, (Section, tuple)):
-        named = vars(section).items() if isinstance(section, Section) else enumerate(section)
+        named = list(vars(section).items()) if isinstance(section, Section) else enumerate(section)
         for name, part in named:
             yield from _placed(part, f"{place}.{name}" if place else str(name))
 

@@ -29,11 +29,7 @@ _CONFIG: Any = numba.config
 
 
 def fields(**shapes: int | tuple[int, ...]) -> np.dtype:
-    """Type of a record of named numbers, all float64.
-
-    Args:
-        shapes: Name -> size of a vector, or shape of an array; () for a single number.
-    """
+    """Type of a record of float64 numbers: name -> size of a vector, or shape of an array; () for a single number."""
     return np.dtype([(name, np.float64, shape) for name, shape in shapes.items()])
 
 
@@ -41,9 +37,6 @@ def new_record(kind: np.dtype, options: Any = None, **values: Any) -> np.ndarray
     """A structured array (1,) with named values; what is not given is that attribute of the options, or zero.
 
     An attribute that is None, a limit that is off, is infinite.
-
-    Raises:
-        ValueError: A name that the record does not have, or a value of another shape.
     """
     result = np.zeros(1, dtype=kind)
     for name in kind.names or ():
@@ -64,11 +57,7 @@ else:
 
     @numba.njit(inline="always")
     def record(array: Any) -> Any:
-        """The record of a structured array (1,), with its fields as attributes; a view.
-
-        A compiled record does not keep its array alive. Of an array that is made in the same function take it inside
-        the loop that uses it, or hand the array to another function and take it there.
-        """
+        """The record of a structured array (1,), with its fields as attributes; a view."""
         return array[0]
 
 

@@ -24,8 +24,8 @@ WELL = (0.0, -1.0)
 class Part(NamedTuple):
     """A part of the loop.
 
-    An input is the signal of its name that was said last: in the same instant by a part before it in the list, or at
-    the tick before by a part after it, or by a late one.
+    An input is the last signal of its name: of the same instant by a part before it in the list, or of the tick before
+    by a part after it, or by a late one.
 
     Attributes:
         name: In the Diagram and in messages.
@@ -70,48 +70,28 @@ class Setup(NamedTuple):
     """What the parts of a scenario's kinds are made for: robot, clock and neighbours.
 
     The sections of sensors, estimators, controllers and tuners have a method `parts(setup)`.
-
-    Attributes:
-        robot: As the controller believes it to be.
-        gravity: [m/s^2].
-        period: [s] of the ticks.
-        time_step: [s] of the plant.
-        pose: (6,) [rad, m] at the start.
-        pose_rate: (6,) [rad/s, m/s] likewise.
-        still: (6,) [N m] at the motors until the first command arrives.
-        delay: [ticks] of the commands.
-        ahead: [ticks] by which the controller sees state and reference ahead of time.
-        latency: [s] from a reading to its torque, as believed.
-        sensors: Options of the sensors.
-        reading: Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
-        noise: [rad] of a reading, as an observer believes it.
-        friction: [N m] largest break-away torque that the motors are believed to have.
-        weights: Of the tuner at the start.
-        levels: What the tuner makes of the disturbance that an observer expects: shares at the start, and the least.
-        disturbance: [rad/s^2 per sqrt(s)] that an observer expects; 0 without one.
-        guarded: Whether a tick that fails does not end the run.
-        split: Whether an LQI takes the compiled split solution whatever its options say.
     """
 
-    robot: RobotParameters
-    gravity: float
-    period: float
-    time_step: float
-    pose: np.ndarray
-    pose_rate: np.ndarray
-    still: np.ndarray
-    delay: int
-    ahead: int
-    latency: float
-    sensors: Any
-    reading: int
-    noise: float
-    friction: float
-    weights: tuple[float, ...]
+    robot: RobotParameters  # As the controller believes it to be.
+    gravity: float  # [m/s^2].
+    period: float  # [s] of the ticks.
+    time_step: float  # [s] of the plant.
+    pose: np.ndarray  # (6,) [rad, m] at the start.
+    pose_rate: np.ndarray  # (6,) [rad/s, m/s] likewise.
+    still: np.ndarray  # (6,) [N m] at the motors until the first command arrives.
+    delay: int  # [ticks] of the commands.
+    ahead: int  # [ticks] by which the controller sees state and reference ahead of time.
+    latency: float  # [s] from a reading to its torque, as believed.
+    sensors: Any  # Options of the sensors.
+    reading: int  # Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
+    noise: float  # [rad] of a reading, as an observer believes it.
+    friction: float  # [N m] largest break-away torque that the motors are believed to have.
+    weights: tuple[float, ...]  # Of the tuner at the start.
+    # What the tuner makes of the disturbance that an observer expects: shares at the start, and the least.
     levels: tuple[float, float]
-    disturbance: float
-    guarded: bool
-    split: bool
+    disturbance: float  # [rad/s^2 per sqrt(s)] that an observer expects; 0 without one.
+    guarded: bool  # Whether a tick that fails does not end the run.
+    split: bool  # Whether an LQI takes the compiled split solution whatever its options say.
 
 
 def guarded(part: Part) -> Part:

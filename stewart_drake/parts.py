@@ -58,12 +58,7 @@ class Loop(NamedTuple):
 
 
 def loop_of(scenario: Scenario, split: bool = False) -> Loop:
-    """The loop of a scenario.
-
-    Args:
-        scenario: What to run.
-        split: Whether an LQI takes the compiled split solution of its Riccati equation whatever its options say; where
-            there is no Drake there is no other.
+    """The loop of a scenario; with `split` an LQI takes the compiled solution of its Riccati equation in any case.
 
     Raises:
         ConfigurationError: A weights file that is missing or corrupt; a user's code that cannot be used; an observer
@@ -94,7 +89,7 @@ def setup_of(scenario: Scenario, split: bool = False) -> Setup:
         weights=tuner.weights,
         levels=tuner.levels,
         disturbance=scenario.estimator.expected,
-        guarded=scenario.safety is not None and scenario.safety.failures,
+        guarded=scenario.safety is not None,
         split=split,
     )
 

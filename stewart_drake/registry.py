@@ -28,8 +28,8 @@ REFERENCES = Family(
 CONTROLLERS = Family(
     {
         "lqi": "control.lqi:LqiOptions",
-        "pid": "control.joint_pid:PidOptions",
-        "computed_torque": "control.computed_torque:ComputedTorqueOptions",
+        "pid": "control.classical:PidOptions",
+        "computed_torque": "control.classical:ComputedTorqueOptions",
     },
     default="lqi",
     own="control.user_controller:PythonOptions",
@@ -38,7 +38,7 @@ CONTROLLERS = Family(
 TUNERS = Family(
     {
         "fixed": "control.tuners:FixedTuner",
-        "paper": "control.tuners:AnnTuner",
+        "paper": "control.tuners:PaperTuner",
         "block": "control.tuners:BlockTuner",
         "policy": "control.tuners:PolicyTuner",
         "schedule": "control.tuners:ScheduleTuner",
@@ -52,8 +52,8 @@ ESTIMATORS = Family(
     {"difference": "hardware.estimator:DifferenceOptions", "observer": "hardware.observer:ObserverOptions"},
     default="difference",
 )
-OWN_MONITORS = Family({}, own="safety.safety_options:UserMonitor", methods=("look",))
-"""Those of the user's own, under `safety.monitors`; the others stand in `safety.safety_options`."""
+OWN_MONITORS = Family({}, own="safety.limits:UserMonitor", methods=("look",))
+"""Those of the user's own, under `safety.monitors`; the others stand in `safety.limits`."""
 OWN_METRICS = Family({}, own="logs.metrics:UserMetric", methods=("of",))
 """Those of the user's own, under `metrics`; the others stand in `logs.metrics`."""
 DISTURBANCES = Family(

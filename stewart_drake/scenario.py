@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter
 
 from stewart_drake.config import (
     NAME,
@@ -19,17 +20,15 @@ from stewart_drake.config import (
     Section,
     Text,
     Vector6,
-    by_default,
-    is_finite,
     shown,
     unknown,
+    words,
 )
 from stewart_drake.control.base import ControllerOptions
 from stewart_drake.control.lqi import LqiOptions
-from stewart_drake.control.network import TunerNetwork
-from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
+from stewart_drake.control.tuners import BlockTuner, FixedTuner, PaperTuner, Tuner
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.families import Family, given_again, json_schema, place_users
+from stewart_drake.families import Family, place_users
 from stewart_drake.files.code import ROBOT_KEYS, anchored, trusting_code
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
 from stewart_drake.hardware.disturbances import AnyDisturbance
@@ -40,15 +39,15 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.planning.limits import Bounds, Limits
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
-from stewart_drake.registry import CONTROLLERS, ESTIMATORS, OWN_METRICS, REFERENCES, SENSORS, TUNERS
+from stewart_drake.registry import CONTROLLERS, ESTIMATORS, OWN_METRICS, SENSORS, TUNERS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST
 from stewart_drake.robot.robot_files import AnyRobot, robot_section
-from stewart_drake.robot.robot_scale import PAPER, fill, without_own
+from stewart_drake.robot.robot_scale import PAPER, defaults_of
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
 
-__all__ = ["AnnTuner", "BlockTuner", "FixedTuner", "IdealSensors", "Scenario", "load_scenario", "scenario_schema"]
+__all__ = ["BlockTuner", "FixedTuner", "IdealSensors", "PaperTuner", "Scenario", "load_scenario", "scenario_schema"]
 
 MAX_STEPS = 10**9
 """Of the plant in a run: beyond it sample times, which are stretched slightly, would lose their step."""
@@ -61,45 +60,45 @@ class Scenario(Section):
         ConfigurationError: Names the key, the value and what is allowed.
     """
 
-    name: Annotated[Text, Field(min_length=1, max_length=100, pattern=NAME), NAME_WORDS] = "scenario"
+    name: Annotated[Text, Field(max_length=100, pattern=NAME), words(f"at most 100 {NAME_WORDS}")] = "scenario"
     """Used for the output folder and titles: letters, digits and, after the first, space and . + - too."""
     duration: Annotated[Positive, Field(le=1e6)] = 10.0
     """[s] simulated time; at most 1e9 steps of the plant. A run ends with the last whole step."""
     gravity: Annotated[NotNegative, Field(le=LARGEST)] = STANDARD_GRAVITY
     """[m/s^2] along -z of B; 0 for none."""
-    robot: AnyRobot = by_default(RobotParameters())
+    robot: AnyRobot = Field(default_factory=lambda: PAPER)
     """Geometry, masses and limits of the simulated robot; or its name, or a YAML file with the same keys."""
     model_robot: AnyRobot | None = None
     """The robot as the controller believes it to be; null for the truth."""
-    plant: PlantOptions = by_default(PlantOptions())
+    plant: PlantOptions = Field(default_factory=PlantOptions)
     """The simulated robot."""
-    motors: MotorOptions = by_default(MotorOptions())
+    motors: MotorOptions = Field(default_factory=MotorOptions)
     """How its motors differ from ideal ones."""
     disturbances: tuple[AnyDisturbance, ...] = ()
     """Wrenches from outside on the platform; they add up."""
-    reference: AnyReference = by_default(SineReference())
+    reference: AnyReference = Field(default_factory=SineReference)
     """The motion to follow."""
     initial_offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """[rad, m] start pose minus the reference's; the start velocity is the reference's."""
-    controller: Annotated[ControllerOptions, CONTROLLERS] = by_default(LqiOptions())
+    controller: Annotated[ControllerOptions, CONTROLLERS] = Field(default_factory=LqiOptions)
     """What computes the torques; without `kind`, the LQI."""
-    tuner: Annotated[Tuner, TUNERS] = by_default(AnnTuner())
+    tuner: Annotated[Tuner, TUNERS] = Field(default_factory=PaperTuner)
     """Where the weights come from; without effect for controllers that take none."""
-    sensors: Annotated[SensorOptions, SENSORS] = by_default(IdealSensors())
+    sensors: Annotated[SensorOptions, SENSORS] = Field(default_factory=IdealSensors)
     """What is read of the robot."""
-    estimator: Annotated[EstimatorOptions, ESTIMATORS] = by_default(DifferenceOptions())
+    estimator: Annotated[EstimatorOptions, ESTIMATORS] = Field(default_factory=DifferenceOptions)
     """What makes of it the pose and rate that the controller sees."""
     friction_compensation: FrictionCompensation | None = None
     """Friction of the motors that every command makes up for; null for none."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
     """Control periods from a tick to its torque at the motors; until the first arrives they hold the start pose."""
-    link: LinkOptions = by_default(LinkOptions())
+    link: LinkOptions = Field(default_factory=LinkOptions)
     """The link that carries the commands to the motors: what it drops, delays or corrupts. It comes after the delay."""
     safety: SafetyOptions | None = None
     """What stands between the commands and the motors; null for nothing."""
-    bounds: Bounds = by_default(Bounds())
+    bounds: Bounds = Field(default_factory=Bounds)
     """Bounds that the run must stay within for its motion to count as followed; they decide the outcome."""
-    limits: Limits = by_default(Limits())
+    limits: Limits = Field(default_factory=Limits)
     """Limits that the reference must stay within; checked before the run."""
     metrics: tuple[Annotated[Any, OWN_METRICS], ...] = ()
     """Further metrics of the run, each a `Metric` by its import path: module:name or path/to/file.py:name."""
@@ -107,28 +106,23 @@ class Scenario(Section):
     """[s] between log rows, a whole multiple of plant.time_step, at most duration; null takes controller.period."""
 
     @classmethod
-    def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """With those defaults that come from the robot."""
-        data = {key: _FAMILIES[key].spelled(value) if key in _FAMILIES else value for key, value in data.items()}
-        try:
-            robot, believed = (_ROBOT.validate_python(data.get(key)) for key in ROBOT_KEYS)
-        except (ValidationError, ConfigurationError):
-            # The checks will say what is wrong with it.
-            return data
-        data = data if robot is None else {**data, "robot": robot}
-        return _with_defaults(data, robot or PAPER, believed or robot or PAPER)
+    def _validated(cls, data: Any, key: str, **details: Any) -> Any:
+        if not isinstance(data, dict):
+            return super()._validated(data, key, **details)
+        data, defaults = _with_robots(data)
+        with defaults:
+            return super()._validated(data, key, **details)
 
     @classmethod
     def from_dict(cls, data: Any, key: str | None = None, trust_code: bool = False) -> Scenario:
-        """See `Section.from_dict`; with `trust_code`, code that it names may run."""
+        """A scenario from plain values; with `trust_code`, code that it names may run."""
         with trusting_code(trust_code):
             return super().from_dict(data, key)
 
     def replace(self, changes: Mapping[str, Any]) -> Scenario:
-        """A scenario with some keys changed, checked again.
+        """The keys that were given with some of them changed, checked again: what was but a default is one anew.
 
-        Another `kind` drops the keys that only the old kind has. With another `robot`, not with single keys of it, or
-        another latency of the commands, what was but a default for the old one is that for the new one.
+        Another `kind` drops the keys that only the old kind has.
 
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as
@@ -137,16 +131,7 @@ class Scenario(Section):
         Raises:
             ConfigurationError: As for the class.
         """
-        data: dict[str, Any] = {name: getattr(self, name) for name in self.__pydantic_fields__}
-        # Plain values count as given, what a section has by default does not.
-        data |= {name: given_again(data[name]) for name in _OF_ROBOT}
-        if any(key in changes for key in (*ROBOT_KEYS, *_OF_LATENCY)):
-            latency = _latency(data)
-            for name in _OF_ROBOT:
-                if data[name] is not None:
-                    robot = self.believed_robot if name in _BELIEVED else self.robot
-                    data[name] = without_own(getattr(self, name), data[name], robot, latency)
-        return _changed(data, changes)
+        return _changed(self.given(), changes)
 
     def __repr__(self) -> str:
         """What it is about, in ten lines; `to_yaml` has every key."""
@@ -199,10 +184,6 @@ class Scenario(Section):
         """[s] between log rows."""
         return self.controller.period if self.log_period is None else self.log_period
 
-    def load_tuner_network(self) -> TunerNetwork | None:
-        """The network that this scenario names, or None where the weights are fixed; see `Tuner.network`."""
-        return self.tuner.network()
-
     @property
     def ahead(self) -> int:
         """[ticks] by which the controller sees state and reference ahead of time; 0 without an observer."""
@@ -214,16 +195,12 @@ class Scenario(Section):
         return pose + np.array(self.initial_offset), rate
 
     def rules(self) -> None:
-        """See `Section.rules`."""
+        """Periods fit each other, and the tuner its estimator."""
         place_users(self)
-        steps = steps_per("controller.period", self.controller.period, self.plant.time_step)
+        steps_per("controller.period", self.controller.period, self.plant.time_step)
         if self.tuner.listens and not self.estimator.expected:
             allowed = f"observer, for tuner.kind {self.tuner.kind}"
             raise ConfigurationError("estimator.kind", self.estimator.kind, allowed)
-        if self.link.late_steps > steps:
-            raise ConfigurationError("link.late_steps", self.link.late_steps, f"at most one control period, {steps}")
-        if self.safety is not None:
-            self.safety.check_against(self.believed_robot, self.controller.period)
         largest = MAX_STEPS * self.plant.time_step
         if self.duration > largest * (1.0 + 1e-9):
             raise ConfigurationError(
@@ -270,10 +247,27 @@ def require_scenario(value: object) -> None:
 
 
 def scenario_schema() -> dict[str, Any]:
-    """JSON schema of a scenario file, for editors."""
-    schema = json_schema(Scenario)
-    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
-    return schema
+    """JSON schema of a scenario file, for editors: each section once, under `$defs`."""
+    sections: dict[str, Any] = {}
+
+    def moved(node: Any) -> Any:
+        if isinstance(node, list):
+            return [moved(each) for each in node]
+        if not isinstance(node, dict):
+            return node
+        node = {key: moved(each) for key, each in node.items()}
+        if "properties" not in node or "title" not in node:
+            return node
+        name = node["title"]
+        while sections.setdefault(name, node) != node:
+            name += "_"
+        return {"$ref": f"#/$defs/{name}"}
+
+    schema = TypeAdapter(Scenario).json_schema()
+    for name, section in schema.pop("$defs", {}).items():
+        sections[name] = {key: moved(each) for key, each in section.items()}
+    schema = {key: moved(each) for key, each in schema.items()}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "$defs": sections}
 
 
 _FAMILIES: Mapping[str, Family] = {
@@ -286,41 +280,19 @@ _FAMILIES: Mapping[str, Family] = {
 # --- defaults that come from the robot ---
 
 _ROBOT: TypeAdapter[RobotParameters | None] = TypeAdapter(AnyRobot | None)
-_BELIEVED = {"controller", "tuner", "sensors", "safety"}
-"""Sections that go by the robot as believed."""
-_OF_LATENCY = ("command_delay", "controller", "controller.period", "estimator", "estimator.kind", "estimator.delay")
-_OF_NO_FAMILY: Mapping[str, type[Section]] = {"safety": SafetyOptions, "bounds": Bounds, "limits": Limits}
-_OF_ROBOT: Mapping[str, Section | None] = {
-    name: Scenario.__pydantic_fields__[name].get_default(call_default_factory=True)
-    for name in ("reference", "controller", "tuner", "sensors", *_OF_NO_FAMILY)
-}
-"""Sections with defaults that come from the robot, as they are where they are absent."""
 
 
-def _latency(data: Mapping[str, Any]) -> float:
-    """[s] within which a command acts, as believed: a control period and the delay; 0 where the data make no sense."""
-
-    def given(section: str, key: str) -> Any:
-        part = data.get(section)
-        found = part.get(key) if isinstance(part, Mapping) else getattr(part, key, None)
-        return getattr(_FAMILIES[section].section_of(part or {}), key, None) if found is None else found
-
-    period, delay = given("controller", "period"), given("estimator", "delay")
-    delay = data.get("command_delay", 0) if delay is None else delay
-    return period * (1 + delay) if is_finite(period) and is_finite(delay) else 0.0
-
-
-def _with_defaults(data: dict[str, Any], robot: RobotParameters, believed: RobotParameters) -> dict[str, Any]:
-    """The keys of a scenario with those defaults that another robot than the paper's has, or a slower one."""
-    latency, parts = _latency(data), {"parts": REFERENCES, "motion": REFERENCES}
-    found = dict(data)
-    for name, absent in _OF_ROBOT.items():
-        given = data.get(name, absent)
-        section = _FAMILIES[name].section_of(given) if name in _FAMILIES else _OF_NO_FAMILY[name]
-        filled = fill(section, given, believed if name in _BELIEVED else robot, parts, latency)
-        if filled is not given:
-            found[name] = filled
-    return found
+def _with_robots(data: dict[str, Any]) -> tuple[dict[str, Any], AbstractContextManager[None]]:
+    """The keys with the robots read, and the defaults of these robots, and of how soon a command acts."""
+    try:
+        robots = {key: _ROBOT.validate_python(data[key]) for key in ROBOT_KEYS if key in data}
+        controller, estimator = (_FAMILIES[name].section(data.get(name, {})) for name in ("controller", "estimator"))
+        latency = controller.period * (1 + estimator.ahead(data.get("command_delay", 0)))
+    except (ConfigurationError, ValueError, TypeError, OverflowError):
+        # The checks will say what is wrong with it.
+        return data, nullcontext()
+    robot = robots.get("robot") or PAPER
+    return {**data, **robots}, defaults_of(robot, robots.get("model_robot") or robot, latency)
 
 
 # --- keys ---
@@ -358,7 +330,7 @@ def _refuse_part(key: str, here: Any, part: str | int, inside: str) -> None:
 
 
 def _changed(data: dict[str, Any], changes: Mapping[str, Any]) -> Scenario:
-    """The scenario of plain values with some keys changed."""
+    """The scenario of given keys and values with some of them changed."""
     components = {key: value for key, value in changes.items() if "[" in key}
     for key, value in changes.items():
         if key not in components:
@@ -367,28 +339,22 @@ def _changed(data: dict[str, Any], changes: Mapping[str, Any]) -> Scenario:
     if not components:
         return scenario
     # Components are those of lists in full, defaults included.
-    data, full = given_again(scenario), scenario.in_full()
+    data, full = scenario.given(), scenario.in_full()
     for key, value in components.items():
         _assign(data, key, value, full)
     return Scenario.from_dict(data)
 
 
 def _assign(data: dict[str, Any], key: str, value: Any, full: Any) -> None:
-    """Sets a key in plain values; what is changed in them is a copy, and what is null is filled from `full`."""
+    """Sets a key; what is changed inside is a copy, and a list that was not given is filled from `full`."""
     *parents, last = path = split_key(key)
     here: Any = data
     for depth, part in enumerate(parents):
         at = isinstance(full, list) and isinstance(part, int)
         full = full.get(part) if isinstance(full, dict) else full[part] if at else None
-        inside = here.get(part) if isinstance(here, dict) else here[part]
-        if depth == 0 and part in ROBOT_KEYS and isinstance(inside, str):
-            inside = robot_section(inside)
-        elif depth == 0 and part in _FAMILIES:
-            inside = _FAMILIES[str(part)].spelled(inside)
-        inside = given_again(inside)
+        inside = _opened(part if depth == 0 else "", here.get(part) if isinstance(here, dict) else here[part])
         if inside is None:
             inside = [{} if isinstance(each, dict) else each for each in full] if isinstance(full, list) else {}
-        inside = inside.copy() if isinstance(inside, (dict, list)) else inside
         _refuse_part(key, inside, path[depth + 1], str(part))
         here[part] = inside
         here = inside
@@ -399,3 +365,14 @@ def _assign(data: dict[str, Any], key: str, value: Any, full: Any) -> None:
             for name in set(old.__pydantic_fields__) - (set(new.__pydantic_fields__) - new.own_keys):
                 here.pop(name, None)
     here[last] = value
+
+
+def _opened(name: str | int, value: Any) -> Any:
+    """A copy of what stands at a key, to change something in it; `name` is that of a key of the scenario itself."""
+    if name in ROBOT_KEYS and isinstance(value, str):
+        value = robot_section(value)
+    elif name in _FAMILIES:
+        value = _FAMILIES[str(name)].spelled(value)
+    if isinstance(value, Section):
+        return value.given()
+    return list(value) if isinstance(value, (list, tuple)) else dict(value) if isinstance(value, Mapping) else value

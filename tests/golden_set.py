@@ -119,11 +119,11 @@ def mechanics():
             (kinematics.rotation_angle, rotation),
             (kinematics.roll_pitch_yaw, rotation),
             (kinematics.euler_rate_matrix, rpy),
-            (kinematics.euler_rate_matrix_dot, rpy, rate[..., :3]),
+            (euler_rate_matrix_dot, rpy, rate[..., :3]),
             (kinematics.twist_to_pose_rate, pose, twist),
             (kinematics.reach_margin, robot, pose),
             (kinematics.conditioning, robot, pose),
-            (kinematics.line_conditioning, robot, legs),
+            (line_conditioning, robot, legs),
             (kinematics.rod_lines, legs),
             (dynamics.rod_map, legs),
             (dynamics.crank_map, robot, legs, "statics"),
@@ -143,6 +143,24 @@ def mechanics():
         own["friction"] = motor_friction(angles, rate, np.linalg.inv(inertia))
         found[name] = own
     return found
+
+
+def euler_rate_matrix_dot(rpy, rate):
+    sp, cp, sy, cy = np.sin(rpy[..., 1]), np.cos(rpy[..., 1]), np.sin(rpy[..., 2]), np.cos(rpy[..., 2])
+    pitch, yaw = rate[..., 1], rate[..., 2]
+    none = np.zeros_like(pitch)
+    rows = (
+        (-sy * cp * yaw - cy * sp * pitch, -cy * yaw, none),
+        (cy * cp * yaw - sy * sp * pitch, -sy * yaw, none),
+        (-cp * pitch, none, none),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def line_conditioning(robot, legs):
+    lines = kinematics.rod_lines(legs) / ([robot.characteristic_length] * 3 + [1.0] * 3)
+    sigma = np.linalg.svd(lines, compute_uv=False)
+    return sigma[..., -1] / sigma[..., 0]
 
 
 def motor_friction(angles, rate, mobility):

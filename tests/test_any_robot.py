@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from mujoco_robot import MujocoRobot
 from multibody_model import task_dynamics
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
@@ -11,7 +12,6 @@ from random_robots import random_robot
 from stewart_drake import PlantOptions, build_plant, load_robot, load_scenario, run, run_metrics
 from stewart_drake.mechanics.dynamics import forward_dynamics, inverse_dynamics
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics, pose_rate_to_twist, reach_margin
-from stewart_drake.mujoco_model import MujocoRobot
 from stewart_drake.plant.sdf_model import sdf_text
 from stewart_drake.runs.replay import write_replay
 from stewart_drake.studies.faults import FAULTS, fault_study

@@ -53,45 +53,46 @@ def two(kind, **keys):
 
 
 timed = {"time": onsets, "duration": lasting}
-encoder_faults = st.one_of(
-    *(one(kind, leg=legs, **timed) for kind in ("freeze", "nan", "reversed", "inverted")),
-    one("jump", leg=legs, size=st.sampled_from([0.005, 0.2, -0.2]), **timed),
-    one("drift", leg=legs, size=st.floats(-0.3, 0.3), **timed),
-    one("late", leg=st.none() | legs, delay=st.integers(1, 20).map(lambda n: n * TICK), **timed),
-    two("swapped", **timed),
-)
-pose_faults = st.one_of(
-    *(one(kind, **timed) for kind in ("freeze", "nan")),
-    one("late", delay=st.integers(1, 20).map(lambda n: n * TICK), **timed),
-)
-command_faults = st.one_of(
-    *(one(kind, leg=st.none() | legs, **timed) for kind in ("nan", "inf")),
-    one("offset", leg=st.none() | legs, size=st.sampled_from([0.3, 20.0, 1e6]), **timed),
-    one("chatter", leg=st.none() | legs, size=st.just(4.5), **timed),
-)
-motor_faults = one("reversed", leg=legs, time=onsets) | two("swapped", time=onsets)
+delays = st.integers(1, 20).map(lambda n: n * TICK)
+
+
+def kinds(*names, **keys):
+    return [one(name, **keys) for name in names]
 
 
 def force(most):
     return st.tuples(*[st.floats(-most, most)] * 3).map(lambda f: [0, 0, 0, *f])
 
 
-pushes = one("step", wrench=force(60), time=onsets) | one("impulse", impulse=force(2), time=onsets)
-# Where in a scenario: lists grow, the others are set once.
-FAULTS = st.one_of(
-    st.tuples(st.just("sensors.faults"), st.tuples(encoder_faults, pose_faults)),
-    st.tuples(st.just("link.faults"), command_faults),
-    st.tuples(st.just("motors.faults"), motor_faults),
-    st.tuples(st.just("disturbances"), pushes),
-    st.tuples(st.just("motors.dead"), st.fixed_dictionaries({"leg": legs, "time": onsets})),
-    st.tuples(st.just("plant.broken_rod"), st.fixed_dictionaries({"leg": legs, "time": onsets})),
-    st.tuples(st.just("link.stop_time"), onsets),
-    st.builds(
-        lambda first, count: ("link.dropped", list(range(first, first + count))),
-        st.integers(0, 400),
-        st.integers(1, 25),
-    ),
+encoder_faults = st.one_of(
+    *kinds("freeze", "nan", "reversed", "inverted", leg=legs, **timed),
+    one("jump", leg=legs, size=st.sampled_from([0.005, 0.2, -0.2]), **timed),
+    one("drift", leg=legs, size=st.floats(-0.3, 0.3), **timed),
+    one("late", leg=st.none() | legs, delay=delays, **timed),
+    two("swapped", **timed),
 )
+pose_faults = st.one_of(*kinds("freeze", "nan", **timed), one("late", delay=delays, **timed))
+command_faults = st.one_of(
+    *kinds("nan", "inf", leg=st.none() | legs, **timed),
+    one("offset", leg=st.none() | legs, size=st.sampled_from([0.3, 20.0, 1e6]), **timed),
+    one("chatter", leg=st.none() | legs, size=st.just(4.5), **timed),
+)
+motor_faults = one("reversed", leg=legs, time=onsets) | two("swapped", time=onsets)
+pushes = one("step", wrench=force(60), time=onsets) | one("impulse", impulse=force(2), time=onsets)
+of_leg = st.fixed_dictionaries({"leg": legs, "time": onsets})
+dropped = st.builds(lambda first, count: list(range(first, first + count)), st.integers(0, 400), st.integers(1, 25))
+# Where in a scenario: lists grow, the others are set once.
+PLACES = {
+    "sensors.faults": st.tuples(encoder_faults, pose_faults),
+    "link.faults": command_faults,
+    "motors.faults": motor_faults,
+    "disturbances": pushes,
+    "motors.dead": of_leg,
+    "plant.broken_rod": of_leg,
+    "link.stop_time": onsets,
+    "link.dropped": dropped,
+}
+FAULTS = st.one_of(*(st.tuples(st.just(place), values) for place, values in PLACES.items()))
 LISTS = ("sensors.faults", "link.faults", "motors.faults", "disturbances")
 
 

@@ -1,4 +1,3 @@
-import copy
 import pickle
 
 import numpy as np
@@ -39,16 +38,7 @@ EXAMPLES = [
 ]
 
 
-class Unshowable:
-    def __repr__(self):
-        raise ZeroDivisionError
-
-
-@pytest.mark.parametrize(
-    "value",
-    [10**5000, {10**5000: [Unshowable()]}, "\ud800\n", np.zeros(10**6)],
-    ids=range(4),
-)
+@pytest.mark.parametrize("value", [10**5000, "\ud800\n", np.zeros(10**6)], ids=range(3))
 def test_any_value_can_be_shown_in_one_short_line(value):
     text = str(ConfigurationError("key", value, "another"))
     assert len(text) < 200
@@ -71,15 +61,10 @@ def test_a_message_says_key_what_was_expected_and_what_was_given():
 
 
 @pytest.mark.parametrize("error", EXAMPLES, ids=lambda e: type(e).__name__)
-@pytest.mark.parametrize("duplicate", [copy.copy, lambda e: pickle.loads(pickle.dumps(e))], ids=["copy", "pickle"])
-def test_an_error_crosses_a_process_boundary_with_all_it_carries(error, duplicate):
-    twin = duplicate(error)
-    assert type(twin) is type(error)
-    assert str(twin) == str(error)
-    assert twin.reason == error.reason
-    assert vars(twin).keys() == vars(error).keys()
-    for name, value in vars(error).items():
-        np.testing.assert_equal(getattr(twin, name), value)
+def test_an_error_crosses_a_process_boundary_with_all_it_carries(error):
+    twin = pickle.loads(pickle.dumps(error))
+    assert (type(twin), str(twin), twin.reason) == (type(error), str(error), error.reason)
+    np.testing.assert_equal(vars(twin), vars(error))
 
 
 @pytest.mark.parametrize("inner", [SystemExit("condition 'x > 0' failed."), RuntimeError("bad\n  state")])

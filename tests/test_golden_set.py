@@ -73,16 +73,3 @@ def with_last(value, change):
 def test_a_change_beyond_its_tolerance_is_told(recording, key, change):
     assert told(recording, key, change(recording[key], 0.9)) == []
     assert told(recording, key, change(recording[key], 1.1)) == [key]
-
-
-@pytest.mark.parametrize(
-    ("key", "new"),
-    [
-        (TEXT, lambda _: "lost"),
-        (METRIC, lambda _: np.nan),
-        (POSE, lambda pose: pose[:-1]),
-        (POSE, lambda pose: with_last(pose, np.nan)),
-    ],
-)
-def test_a_value_of_another_sort_is_told(recording, key, new):
-    assert told(recording, key, new(recording[key])) == [key]

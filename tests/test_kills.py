@@ -1,4 +1,4 @@
-"""kill -9 at any instant of a study costs what was under way; two processes never share a folder."""
+"""kill -9 at any instant of a study costs what was under way."""
 
 import os
 import random
@@ -13,7 +13,6 @@ import pyarrow.parquet as pq
 import pytest
 from conftest import COMMAND, environment
 
-from stewart_drake.files.whole import locked_folder
 from stewart_drake.studies.study import INCIDENTAL
 
 KILLS = int(os.environ.get("STEWART_DRAKE_KILLS", "1"))
@@ -83,12 +82,3 @@ def test_a_study_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here):
         assert alive(mark) == [], f"killed after {wait:.3f} s"
     finish(here / "killed")
     assert results(here / "killed") == results(here / "whole")
-
-
-def test_the_second_of_two_processes_in_one_folder_is_refused(here, call):
-    (here / "out").mkdir()
-    with locked_folder(here / "out"):
-        status, _, err = call(*ARGS, "--out", "out", "--quiet")
-    expected = "a folder that no other process is using, got 'out'"
-    assert (status, err) == (2, f"stewart-drake: --out: expected {expected}\n")
-    assert list((here / "out").iterdir()) == []

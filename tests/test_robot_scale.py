@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake.control.joint_pid import PidOptions
+from stewart_drake.control.classical import PidOptions
 from stewart_drake.control.lqi import lqi_gain
 from stewart_drake.control.riccati import POSITION
 from stewart_drake.control.tuners import BlockTuner

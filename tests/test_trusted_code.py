@@ -13,7 +13,7 @@ from stewart_drake.logs.log import load_log
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.studies.study import run_study
-from stewart_drake.studies.sweep import Sweep, load_sweep
+from stewart_drake.studies.sweep import Sweep
 from stewart_drake.studies.workers import Workers
 
 SHORT = "duration: 0.05\ntuner: {kind: fixed}\nreference: {kind: hold}\n"
@@ -109,7 +109,7 @@ def test_a_module_is_not_imported_to_read_or_check_it(call, tmp_path, monkeypatc
     monkeypatch.syspath_prepend(tmp_path)
     write_scenario("disturbance", f"{module}:Mine")
     assert call("check", "s.yaml")[0] == 0
-    with refused(f"read .*{module.rpartition('.')[2]}.py, then say"):
+    with refused(f"read {module}, then say"):
         run(load_scenario("s.yaml"))
     assert not [name for name in sys.modules if name.partition(".")[0] in ("loose", "package", "space")]
 
@@ -128,17 +128,6 @@ def test_a_misspelt_class_is_told_what_was_meant_under_the_key_where_it_stands(p
         scenario.reference.load()
 
 
-@pytest.mark.parametrize("change", ["disturbances[0]={}:Push", "reference.kind={}:Rise"])
-def test_code_in_an_override_is_asked_for_too(parts, change):
-    Path("s.yaml").write_text(SHORT + "disturbances: [{kind: constant, wrench: [0, 0, 0, 0, 0, 0]}]\n")
-    changes = [change.format("elsewhere/parts.py")]
-    with refused():
-        run(load_scenario("s.yaml", changes))
-    assert not ran(parts)
-    run(load_scenario("s.yaml", changes, trust_code=True), check=False)
-    assert ran(parts)
-
-
 def test_trust_stays_with_what_was_read_and_goes_no_further(parts):
     text = {"disturbances": [f"{parts}:Push"]}
     trusted = Scenario.from_dict(text, trust_code=True)
@@ -149,15 +138,12 @@ def test_trust_stays_with_what_was_read_and_goes_no_further(parts):
             run(each)
 
 
-def test_shipped_code_needs_nothing_where_it_lies_and_only_what_it_defines(parts):
+def test_shipped_code_needs_nothing_where_it_lies(parts):
     shipped = f"{shipped_folder('comparisons') / 'task_space_pd.py'}:TaskSpacePd"
     assert Scenario.from_dict({"controller": shipped}).controller.load().__name__ == "TaskSpacePd"
     parts.write_text((shipped_folder("comparisons") / "task_space_pd.py").read_text())
     with refused():
         Scenario.from_dict({"controller": f"{parts}:TaskSpacePd"}).controller.load()
-    scenario = Scenario.from_dict({"disturbances": ["stewart_drake.studies.workers:BrokenExecutor"]})
-    with refused(r"^disturbances\.0\.kind: .*itself defines"):
-        scenario.disturbances[0].evaluate(0.0)
 
 
 def test_a_log_of_somebody_elses_is_read_and_not_run(parts, tmp_path):
@@ -184,12 +170,3 @@ def test_a_study_asks_before_it_begins_and_its_workers_take_its_word(parts, tmp_
     with trusting_code():
         plan = Sweep.from_dict(study)
     assert run_study(plan, tmp_path / "out", Workers(0)).rows["sweep"][0]["status"] in ("completed", "lost")
-
-
-def test_a_study_whose_code_has_changed_does_not_go_on(parts, tmp_path):
-    write_scenario("disturbance", f"{parts}:Push")
-    Path("sweep.yaml").write_text("scenario: s.yaml\ndistributions: {duration: {kind: grid, values: [0.05]}}\n")
-    run_study(load_sweep("sweep.yaml", trust_code=True), tmp_path / "out", Workers(0))
-    parts.write_text(PARTS + "\n")
-    with refused(r"^--out: .*--restart.*parts\.py"):
-        run_study(load_sweep("sweep.yaml", trust_code=True), tmp_path / "out", Workers(0))

@@ -42,7 +42,7 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
 _CONFIDENCE = 0.95
-_SHARE = 1e-3  # [-] of an untold direction beyond which a parameter has no interval
+_SHARE = 1e-3  # [-] of an unidentifiable direction beyond which a parameter has no interval
 _SEARCH = {"x_scale": 0.1, "xtol": 1e-12, "ftol": 1e-12, "gtol": None}
 """Steps are a tenth of `model.scales` at most: a free one from a crude guess may turn a motor's axis over."""
 _NEARBY, _EXACT = 10, 200
@@ -99,24 +99,35 @@ def calibrate(
 
 
 class _Start(NamedTuple):
-    """Parameters near the answer, told and untold directions (`SIZE`, k) in `scales`, a `change` (`SIZE`,) [m, rad].
+    """A step (k,) along identifiable `ways` (`SIZE`, k) [m, rad]; directions (`SIZE`, j) in `scales` that are not.
 
-    `misfit` [-] is the size of the closures over their noise; `furthest` changes most, by `far`.
+    `misfit` [-] is the size of the closures over their noise.
     """
 
     model: Model
     measurements: Measurements
-    told: np.ndarray
-    untold: np.ndarray
+    ways: np.ndarray
+    unidentifiable: np.ndarray
     step: np.ndarray
-    change: np.ndarray
     misfit: float
-    furthest: int
-    far: float
+
+    @property
+    def change(self) -> np.ndarray:
+        return np.asarray(self.ways @ self.step)
+
+    @property
+    def relative(self) -> np.ndarray:
+        """Change (`OF_ROBOT`,) [-] of each parameter of the robot, in `scales`."""
+        return np.abs(self.change / scales(self.model.guess))[:OF_ROBOT]
 
     @property
     def score(self) -> float:
-        return self.misfit if self.far <= _FAR else np.inf
+        return self.misfit if self.relative.max() <= _FAR else np.inf
+
+    def closures(self, angle: float = 0.0) -> np.ndarray:
+        """Errors (n, 6) [m] of the rods' lengths at readings that are larger by `angle` [rad]."""
+        at = self.model.platform(self.change, self.measurements.marker)
+        return self.model.closures(self.change, at, self.measurements.angles + angle)
 
 
 def _nearby(
@@ -126,43 +137,41 @@ def _nearby(
     known: Collection[FrameName],
     held: Collection[Name],
 ) -> _Start:
+    """The first of the two least-squares problems: the smallest errors of the rods' lengths."""
     free = free_directions(guess, known, held)
     least = free.shape[1] // 6 + 1
     if len(measurements) < least:
         allowed = f"at least {least} poses for {free.shape[1]} unknown numbers, better some 60"
         raise ConfigurationError(measurements.source, f"{len(measurements)} rows", allowed)
     model, size, nothing = located(guess, measurements, known), scales(guess)[:, None], np.zeros(SIZE)
-    seen, angles = measurements.marker, measurements.angles
-    at = model.platform(nothing, seen)
+    observed, angles = measurements.marker, measurements.angles
+    at = model.platform(nothing, observed)
     slope = model.whitening(nothing, at, angles, noise) @ model.tracker_slope(nothing, at, angles) @ (size * free)
     _, sigma, directions = np.linalg.svd(slope.reshape(-1, free.shape[1]), full_matrices=True)
-    count = int((sigma * LARGEST >= 1.0).sum())
-    told, untold = free @ directions[:count].T, free @ directions[count:].T
-    ways, cranks = size * told, float(guess.crank_lengths.max())
+    directions, count = free @ directions.T, int((sigma * LARGEST >= 1.0).sum())
+    ways, cranks = size * directions[:, :count], float(guess.crank_lengths.max())
     unit = math.hypot(noise.position, guess.characteristic_length * noise.rotation, cranks * noise.encoder)
 
     def closures(step: np.ndarray) -> np.ndarray:
-        return model.closures(ways @ step, model.platform(ways @ step, seen), angles).ravel() / unit
+        return model.closures(ways @ step, model.platform(ways @ step, observed), angles).ravel() / unit
 
     def by_step(step: np.ndarray) -> np.ndarray:
-        return (model.closure_slope(ways @ step, seen, angles) @ ways).reshape(-1, len(step)) / unit
+        return (model.closure_slope(ways @ step, observed, angles) @ ways).reshape(-1, count) / unit
 
-    step = scipy.optimize.least_squares(closures, np.zeros(count), by_step, max_nfev=_NEARBY, **_SEARCH).x
-    left, off = closures(step), np.abs(told @ step)[:OF_ROBOT]
-    misfit = math.sqrt(float(left @ left) / (left.size - step.size))
-    return _Start(model, measurements, told, untold, step, ways @ step, misfit, int(off.argmax()), float(off.max()))
+    result = scipy.optimize.least_squares(closures, np.zeros(count), by_step, max_nfev=_NEARBY, **_SEARCH)
+    misfit = math.sqrt(2.0 * result.cost / (result.fun.size - count))
+    return _Start(model, measurements, ways, directions[:, count:], result.x, misfit)
 
 
 def _fitted(
     start: _Start, noise: MeasurementNoise, known: Collection[FrameName], held: Collection[Name]
 ) -> Calibration:
     """The second of the two least-squares problems: the smallest errors of the tracker."""
-    model, measurements, guess = start.model, start.measurements, start.model.guess
-    seen, angles, size, nothing = measurements.marker, measurements.angles, scales(guess), np.zeros(SIZE)
-    ways = size[:, None] * start.told
+    model, measurements, ways, guess = start.model, start.measurements, start.ways, start.model.guess
+    observed, angles, nothing = measurements.marker, measurements.angles, np.zeros(SIZE)
 
     def predicted(step: np.ndarray) -> np.ndarray:
-        at, off = model.predicted(ways @ step, angles, model.platform(ways @ step, seen))
+        at, off = model.predicted(ways @ step, angles, model.platform(ways @ step, observed))
         if (off > CLOSED).any():
             key = f"{measurements.source}: row {int(off.argmax()) + 1}, crank_angle"
             got = f"readings at which no calibrated legs close: a rod is off by {off.max():.3g} m"
@@ -170,24 +179,22 @@ def _fitted(
         return at
 
     def error(step: np.ndarray) -> np.ndarray:
-        return np.einsum("nij,nj->ni", white, model.tracker_error(ways @ step, predicted(step), seen)).ravel()
+        return np.einsum("nij,nj->ni", white, model.tracker_error(ways @ step, predicted(step), observed)).ravel()
 
     def by_step(step: np.ndarray) -> np.ndarray:
-        slope = model.tracker_slope(ways @ step, predicted(step), angles, seen)
+        slope = model.tracker_slope(ways @ step, predicted(step), angles, observed)
         return (white @ slope @ ways).reshape(-1, ways.shape[1])
 
-    white = model.whitening(ways @ start.step, predicted(start.step), angles, noise)
-    step = scipy.optimize.least_squares(error, start.step, by_step, max_nfev=_EXACT, **_SEARCH).x
-    left, change = error(step), ways @ step
-    freedom = left.size - step.size
-    ratio = math.sqrt(float(left @ left) / freedom)
+    white = model.whitening(start.change, predicted(start.step), angles, noise)
+    result = scipy.optimize.least_squares(error, start.step, by_step, max_nfev=_EXACT, **_SEARCH)
+    change, freedom = ways @ result.x, result.fun.size - result.x.size
+    ratio = math.sqrt(2.0 * result.cost / freedom)
     # Scaled by what the residuals say of the noise, so that noise which is larger than stated widens the intervals.
-    root = np.linalg.inv(np.linalg.qr(by_step(step), mode="r"))
-    deviation = size * np.linalg.norm(start.told @ root, axis=1) * ratio
+    deviation = ratio * np.linalg.norm(ways @ np.linalg.inv(np.linalg.qr(result.jac, mode="r")), axis=1)
     half_width = deviation * float(stdtrit(freedom, 0.5 + 0.5 * _CONFIDENCE))
-    half_width[np.linalg.norm(start.untold, axis=1) > _SHARE] = np.inf
-    believed, off = model.predicted(nothing, angles, model.platform(nothing, seen))
-    before = np.where((off <= CLOSED)[:, None], model.tracker_error(nothing, believed, seen), np.nan)
+    half_width[np.linalg.norm(start.unidentifiable, axis=1) > _SHARE] = np.inf
+    believed, off = model.predicted(nothing, angles, model.platform(nothing, observed))
+    before = np.where((off <= CLOSED)[:, None], model.tracker_error(nothing, believed, observed), np.nan)
     base, marker = model.frames(change)
     return Calibration(
         robot=as_robot(guess, change),
@@ -197,12 +204,12 @@ def _fitted(
         hold=tuple(name for name in NAMES if name in held),
         change=change,
         half_width=half_width,
-        told=start.told.shape[1],
-        untold=tuple(in_words(start.untold, size)),
+        identifiable=ways.shape[1],
+        unidentifiable=tuple(in_words(start.unidentifiable, scales(guess))),
         base=base,
         marker=marker,
         before=before,
-        after=model.tracker_error(change, predicted(step), seen),
+        after=model.tracker_error(change, predicted(result.x), observed),
         noise_ratio=ratio,
     )
 
@@ -210,9 +217,9 @@ def _fitted(
 def located(guess: RobotParameters, measurements: Measurements, known: Collection[FrameName]) -> Model:
     """The guess with the frames at which its own poses at the readings come nearest to the measured ones."""
     believed, good = Model(guess).assembled(measurements.angles)
-    seen = measurements.marker[good]
-    if len(seen) < _LEAST:
-        got = f"readings of which {len(seen)} of {len(measurements)} can be those of this robot"
+    observed = measurements.marker[good]
+    if len(observed) < _LEAST:
+        got = f"readings of which {len(observed)} of {len(measurements)} can be those of this robot"
         allowed = "readings in rad (or _deg), in the order of the legs, near to crank angles of the guess"
         raise ConfigurationError(f"{measurements.source}: crank_angle", got, allowed)
     free = [OF_ROBOT + 6 * FRAMES.index(frame) + axis for frame in FRAMES if frame not in known for axis in range(6)]
@@ -222,11 +229,11 @@ def located(guess: RobotParameters, measurements: Measurements, known: Collectio
     size = np.array([length] * 3 + [1.0] * 3)
     if "base" not in known:
         # Turns from pose to pose are turned by the base alone; shifts nearly so, and tell it where no pose is turned.
-        there, here = (np.concatenate(np.hsplit(size * _steps(each), 2)) for each in (seen, believed))
+        there, here = (np.concatenate(np.hsplit(size * _steps(each), 2)) for each in (observed, believed))
         turn = _rotation(there.T @ here)
-        base = transform(turn, (seen[:, :3, 3] - believed[:, :3, 3] @ turn.T).mean(axis=0))
+        base = transform(turn, (observed[:, :3, 3] - believed[:, :3, 3] @ turn.T).mean(axis=0))
     if "platform" not in known:
-        turns = np.swapaxes(believed[:, :3, :3], -1, -2) @ base[:3, :3].T @ seen[:, :3, :3]
+        turns = np.swapaxes(believed[:, :3, :3], -1, -2) @ base[:3, :3].T @ observed[:, :3, :3]
         marker = transform(_rotation(turns.sum(axis=0)), np.zeros(3))
     model = Model(guess, base, marker)
 
@@ -236,7 +243,7 @@ def located(guess: RobotParameters, measurements: Measurements, known: Collectio
         return made
 
     def error(step: np.ndarray) -> np.ndarray:
-        return (size * model.tracker_error(change(step), believed, seen)).ravel()
+        return (size * model.tracker_error(change(step), believed, observed)).ravel()
 
     return model.with_frames(change(scipy.optimize.least_squares(error, np.zeros(len(free)), x_scale="jac").x))
 
@@ -259,34 +266,31 @@ def _explained(fit: Callable[[Measurements], _Start], guess: RobotParameters, me
         best = max(start.misfit / _BETTER, _MISFIT if start.score == np.inf else 0.0)
     except ConfigurationError as error:
         reason = error
-    if start is None or start.score > _MISFIT:
-        for table, *why in _others(guess, measurements, start):
-            try:
-                score = fit(Measurements(table[:, :6], table[:, 6:], measurements.source)).score
-            except ConfigurationError:
-                continue
-            if score < best:
-                best, reason = score, ConfigurationError(*why)
-                if score <= _MISFIT:
-                    break
-    if start is None or reason is not None:
-        assert reason is not None
+    for table, *why in _others(guess, measurements, start) if start is None or start.score > _MISFIT else ():
+        try:
+            score = fit(Measurements(table[:, :6], table[:, 6:], measurements.source)).score
+        except ConfigurationError:
+            continue
+        if score < best:
+            best, reason = score, ConfigurationError(*why)
+            if score <= _MISFIT:
+                break
+    if reason is not None:
         raise reason
+    assert start is not None
     if start.score == np.inf:
-        own, off = OF_LEG[start.furthest % PER_LEG], abs(start.change[start.furthest])
-        got = f"poses that tell a {own} of leg {start.furthest // PER_LEG} {off:.3g} {own.unit} off the guess"
+        leg, at = divmod(int(start.relative.argmax()), PER_LEG)
+        off = f"{abs(start.change[PER_LEG * leg + at]):.3g} {OF_LEG[at].unit}"
+        got = f"poses that tell a {OF_LEG[at]} of leg {leg} {off} off the guess"
         allowed = "readings of this robot; is it another one, or are two encoders swapped?"
         raise ConfigurationError(measurements.source, got, allowed)
-    model, angles = start.model, measurements.angles
-    at = model.platform(start.change, measurements.marker)
-    by_angle = derivative(lambda step: model.closures(start.change, at, angles + step[0]), 1)
+    by_angle = derivative(lambda step: start.closures(step[0]), 1)[..., 0]
     # By a leg's own angle its closure grows on the branch +1: the rod then pulls against the crank's motion.
-    wrong = (np.sign(by_angle[..., 0]) == -guess.branches).all(axis=0)
+    wrong = (np.sign(by_angle) == -guess.branches).all(axis=0)
     if wrong.any():
         leg = int(wrong.argmax())
-        branch = int(guess.branches[leg])
-        allowed = f"{-branch}: there the readings of {measurements.source} stand"
-        raise ConfigurationError(f"robot.legs.{leg}.branch", branch, allowed)
+        allowed = f"{-guess.branches[leg]}: there the readings of {measurements.source} stand"
+        raise ConfigurationError(f"robot.legs.{leg}.branch", int(guess.branches[leg]), allowed)
     return start
 
 
@@ -303,16 +307,15 @@ def _others(
     strays = _stray_rows(guess, measurements)
     suspects = [strays] if 0 < len(strays) <= _FEW * len(measurements) else []
     if start is not None:
-        at = start.model.platform(start.change, measurements.marker)
-        off = np.abs(start.model.closures(start.change, at, measurements.angles)).max(axis=-1)
+        off = np.abs(start.closures()).max(axis=-1)
         suspects += [[row] for row in np.argsort(-off)[:_ROWS].tolist()]
     for rows in suspects:
         got, allowed = "a pose that does not fit the others, which fit without it", "pose and readings at rest"
         yield np.delete(table, rows, axis=0), f"{source}: row {rows[0] + 1}", got, allowed
     for leg in range(LEGS):
         inverted = table * np.where(np.arange(12) == 6 + leg, -1.0, 1.0)
-        key, got = f"{source}: crank_angle_{leg}", "readings that fit with the other sign"
-        yield inverted, key, got, "angles that grow as the guess's crank angle does"
+        got, allowed = "readings that fit with the other sign", "angles that grow as the guess's crank angle does"
+        yield inverted, f"{source}: crank_angle_{leg}", got, allowed
 
 
 def _stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]:
@@ -321,8 +324,8 @@ def _stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]
     far = np.where(good, 0.0, np.inf)
     if good.any():
         turns_and_shifts = (_steps(each).reshape(-1, 2, 3) for each in (measurements.marker[good], believed))
-        seen, steps = (np.linalg.norm(each, axis=-1) for each in turns_and_shifts)
-        off = np.abs(seen - steps)
+        observed, steps = (np.linalg.norm(each, axis=-1) for each in turns_and_shifts)
+        off = np.abs(observed - steps)
         most = (off / (np.median(off, axis=0) + 1e-12)).max(axis=-1)
         far[good] = np.minimum(most, np.roll(most, -1))
     return [row for row in np.argsort(-far, kind="stable").tolist() if far[row] > _APART]

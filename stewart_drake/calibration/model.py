@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
+from scipy.linalg import null_space
+from scipy.spatial.transform import Rotation
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import newton, roll_pitch_yaw, rotation_matrix
@@ -52,34 +54,33 @@ PER_LEG, OF_ROBOT = len(OF_LEG), len(OF_LEG) * LEGS
 SIZE = OF_ROBOT + 12
 """Numbers in all: those of legs 0 to 5, then turn and shift of the tracker's frame, then those of the marker's."""
 SHAFT, JOINT, CRANK, ROD, HOMING = slice(0, 3), slice(3, 6), 6, 7, 10
-LARGEST = 0.1  # [-] standard deviation of a direction, in `scales`, beyond which it counts as not told
+LARGEST = 0.1  # [-] standard deviation of a direction, in `scales`, beyond which it counts as unidentifiable
 CLOSED = 1e-12  # [m] rod-length error at which a pose counts as that of the readings
 STILL = np.eye(4)
 _NEWTON_STEPS = 40
-_STEP, _TINY = 1e-20, 1e-30
+_KEYS = (
+    *("shaft_position", "platform_joint", "crank_length", "rod_length"),
+    *("crank_zero_direction", "crank_quarter_direction"),
+)
+_STEP = 1e-5  # [m, rad]
 
 
 def exponential(turn: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad], of complex ones too."""
-    angle = np.sqrt(np.sum(turn * turn, axis=-1) + _TINY)[..., None, None]
-    x, y, z = np.moveaxis(turn, -1, 0)
-    o = np.zeros_like(x)
-    cross = np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*turn.shape, 3)
-    return np.eye(3) + np.sin(angle) / angle * cross + 2.0 * (np.sin(0.5 * angle) / angle) ** 2 * (cross @ cross)
+    """Rotation matrices (..., 3, 3) of rotation vectors (3,) or (n, 3) [rad]."""
+    return np.asarray(Rotation.from_rotvec(turn).as_matrix())
 
 
 def logarithm(rotation: np.ndarray) -> np.ndarray:
     """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), by less than half a turn."""
-    across = np.stack([rotation[..., i, j] - rotation[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
-    square = 0.25 * (3.0 - np.trace(rotation, axis1=-2, axis2=-1))
-    square = np.where(square.real < _TINY, _TINY, np.where(square.real > 1.0 - 1e-12, 1.0 - 1e-12, square))
-    sine = np.sqrt(square)  # Of half the angle.
-    return 0.5 * across * (np.arcsin(sine) / (sine * np.sqrt(1.0 - square)))[..., None]
+    across = 0.5 * np.stack([rotation[..., i, j] - rotation[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
+    sine, cosine = np.linalg.norm(across, axis=-1), 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0)
+    ratio = np.divide(np.arctan2(sine, cosine), sine, out=np.ones_like(sine), where=sine > 0.0)
+    return np.asarray(across * ratio[..., None])
 
 
 def transform(rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Frames (..., 4, 4) of rotations (..., 3, 3) and shifts (..., 3) [m]."""
-    frame = np.zeros((*shift.shape[:-1], 4, 4), dtype=np.result_type(rotation, shift))
+    frame = np.zeros((*shift.shape[:-1], 4, 4))
     frame[..., :3, :3], frame[..., :3, 3], frame[..., 3, 3] = rotation, shift, 1.0
     return frame
 
@@ -105,8 +106,8 @@ def difference(frame: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def derivative(function: Callable[[np.ndarray], np.ndarray], size: int) -> np.ndarray:
-    """Derivatives (..., size) at zero of a function (...) of `size` numbers, by imaginary steps: exact to rounding."""
-    return np.stack([function(1j * _STEP * row).imag for row in np.eye(size)], axis=-1) / _STEP
+    """Derivatives (..., size) at zero of a function (...) of `size` numbers, by central differences."""
+    return np.stack([function(row) - function(-row) for row in _STEP * np.eye(size)], axis=-1) / (2.0 * _STEP)
 
 
 def changed(guess: RobotParameters, change: np.ndarray) -> dict[str, np.ndarray]:
@@ -128,15 +129,16 @@ def changed(guess: RobotParameters, change: np.ndarray) -> dict[str, np.ndarray]
 
 def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
     own = changed(guess, change)
+    names = dict(zip(own, _KEYS, strict=True))
     ranges = guess.crank_angle_ranges + change[HOMING:OF_ROBOT:PER_LEG, None]
-    keys = ["shaft_position", "platform_joint", "crank_length", "rod_length"]
-    keys += ["crank_zero_direction", "crank_quarter_direction"]
-    legs: list[dict[str, Any]] = []
-    for leg in range(LEGS):
-        stops = ranges[leg] if np.isfinite(ranges[leg]).all() else None
-        values = (each[leg] for each in own.values())
-        kept = {"branch": int(guess.branches[leg]), "crank_angle_range": stops}
-        legs.append(dict(zip(keys, values, strict=True)) | kept)
+    legs: list[dict[str, Any]] = [
+        {
+            **{names[name]: values[leg] for name, values in own.items()},
+            "branch": int(guess.branches[leg]),
+            "crank_angle_range": ranges[leg] if np.isfinite(ranges[leg]).all() else None,
+        }
+        for leg in range(LEGS)
+    ]
     return guess.replace(legs=legs)
 
 
@@ -148,8 +150,6 @@ def scales(guess: RobotParameters) -> np.ndarray:
 
 def free_directions(guess: RobotParameters, known: Collection[FrameName], held: Collection[Name]) -> np.ndarray:
     """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change."""
-    from scipy.linalg import null_space
-
     if set(NAMES) <= set(held):
         raise ConfigurationError("hold", sorted(held), f"some of {', '.join(NAMES)}, not all")
     rows = [row for at, row in enumerate(np.eye(SIZE)[:OF_ROBOT]) if OF_LEG[at % PER_LEG].name in held]
@@ -172,7 +172,8 @@ def free_directions(guess: RobotParameters, known: Collection[FrameName], held: 
 class Model:
     """A guess, `base` (4, 4): B in the tracker's frame, and `marker` (4, 4): the marker in P; changes count from them.
 
-    `at` (n, 4, 4) are poses of P in B, `seen` of the marker in the tracker's frame, `angles` (n, 6) [rad] the readings.
+    `at` (n, 4, 4) are poses of P in B, `observed` of the marker in the tracker's frame, `angles` (n, 6)
+    [rad] the readings.
     """
 
     guess: RobotParameters
@@ -186,9 +187,9 @@ class Model:
         base, marker = self.frames(change)
         return replace(self, base=base, marker=marker)
 
-    def platform(self, change: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    def platform(self, change: np.ndarray, observed: np.ndarray) -> np.ndarray:
         base, marker = self.frames(change)
-        return np.linalg.inv(base) @ seen @ np.linalg.inv(marker)
+        return np.linalg.inv(base) @ observed @ np.linalg.inv(marker)
 
     def predicted(self, change: np.ndarray, angles: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Poses of P in B that forward kinematics makes of readings, from poses near to them; errors (n,) [m] left."""
@@ -210,28 +211,30 @@ class Model:
         crank = np.cos(angles)[..., None] * own["crank_x"] + np.sin(angles)[..., None] * own["crank_y"]
         rod = np.einsum("nij,lj->nli", at[:, :3, :3], own["joint"]) + at[:, None, :3, 3] - own["shaft"]
         rod = rod - own["crank_length"][:, None] * crank
-        return np.sqrt(np.sum(rod * rod, axis=-1)) - own["rod_length"]
+        return np.asarray(np.linalg.norm(rod, axis=-1) - own["rod_length"])
 
-    def tracker_error(self, change: np.ndarray, at: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    def tracker_error(self, change: np.ndarray, at: np.ndarray, observed: np.ndarray) -> np.ndarray:
         """Measured minus predicted poses of the marker (n, 6) [rad, m]."""
         base, marker = self.frames(change)
-        return difference(seen, base @ at @ marker)
+        return difference(observed, base @ at @ marker)
 
-    def closure_slope(self, change: np.ndarray, seen: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    def closure_slope(self, change: np.ndarray, observed: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Derivatives (n, 6, `SIZE`) of the closures at measured poses."""
-        of_legs = self._leg_slope(change, self.platform(change, seen), angles)
-        of_frames = derivative(lambda s: self.closures(change, self.platform(change + _frames(s), seen), angles), 12)
+        of_legs = self._leg_slope(change, self.platform(change, observed), angles)
+        of_frames = derivative(
+            lambda s: self.closures(change, self.platform(change + _frames(s), observed), angles), 12
+        )
         return np.concatenate([of_legs, of_frames], axis=-1)
 
     def tracker_slope(
-        self, change: np.ndarray, at: np.ndarray, angles: np.ndarray, seen: np.ndarray | None = None
+        self, change: np.ndarray, at: np.ndarray, angles: np.ndarray, observed: np.ndarray | None = None
     ) -> np.ndarray:
         """Derivatives (n, 6, `SIZE`) of the tracker's error at predicted poses; None: where it errs by nothing."""
-        if seen is None:
+        if observed is None:
             base, marker = self.frames(change)
-            seen = base @ at @ marker
-        of_frames = derivative(lambda step: self.tracker_error(change + _frames(step), at, seen), 12)
-        error_by_pose = derivative(lambda step: self.tracker_error(change, moved(at, step), seen), 6)
+            observed = base @ at @ marker
+        of_frames = derivative(lambda step: self.tracker_error(change + _frames(step), at, observed), 12)
+        error_by_pose = derivative(lambda step: self.tracker_error(change, moved(at, step), observed), 6)
         closure_by_pose = derivative(lambda step: self.closures(change, moved(at, step), angles), 6)
         # The pose moves so that all legs stay closed.
         of_legs = -error_by_pose @ np.linalg.solve(closure_by_pose, self._leg_slope(change, at, angles))

@@ -169,9 +169,9 @@ def plan_poses(
     slope = model.tracker_slope(np.zeros(SIZE), at, angles)
     rows = model.whitening(np.zeros(SIZE), at, angles, noise) @ slope @ ways
     chosen = _exchange(rows, count)
-    told = [_covariance(rows[each]) for each in (chosen, *rng.choice(len(pose), (20, count)))]
-    widths = [1.96 * np.linalg.norm(ways @ np.linalg.cholesky(each), axis=1) for each in told]
-    volume = [np.linalg.slogdet(each)[1] / (2.0 * free.shape[1]) for each in told]
+    covariances = [_covariance(rows[each]) for each in (chosen, *rng.choice(len(pose), (20, count)))]
+    widths = [1.96 * np.linalg.norm(ways @ np.linalg.cholesky(each), axis=1) for each in covariances]
+    volume = [np.linalg.slogdet(each)[1] / (2.0 * free.shape[1]) for each in covariances]
     return PosePlan(
         Measurements(pose[chosen], angles[chosen], "planned poses"),
         widths[0],

@@ -28,7 +28,7 @@ from stewart_drake.robot.leg import LEGS
 
 _NOISY = 2.0  # [-] errors over the stated noise from which on the noise as stated, or the model, is doubtful
 _SMALL, _NAMED = 0.05, 6
-"""Share of an untold direction below which a parameter is not named in it, and how many are."""
+"""Share of an unidentifiable direction below which a parameter is not named in it, and how many are."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,9 +42,9 @@ class Calibration(Report):
         known_frames: Frames of the tracker that were those of the robot.
         hold: Parameters that kept their value.
         change: (78,) [m, rad] of the guess's parameters and the tracker's frames, see `model`.
-        half_width: (78,) [m, rad] of the 95 % intervals; 0 for what was held or known, infinite for what is not told.
-        told: How many independent numbers were estimated.
-        untold: What these poses cannot tell, a sentence each.
+        half_width: (78,) [m, rad] of the 95 % intervals; 0 for what was held or known, infinite if unidentifiable.
+        identifiable: How many independent numbers were estimated.
+        unidentifiable: What these poses cannot tell, a sentence each.
         base: (4, 4) B in the tracker's frame.
         marker: (4, 4) the marker in P.
         before: (n, 6) [rad, m] measured minus believed poses of the marker, the tracker's frames being fitted to the
@@ -60,8 +60,8 @@ class Calibration(Report):
     hold: tuple[Name, ...]
     change: np.ndarray
     half_width: np.ndarray
-    told: int
-    untold: tuple[str, ...]
+    identifiable: int
+    unidentifiable: tuple[str, ...]
     base: np.ndarray
     marker: np.ndarray
     before: np.ndarray
@@ -111,7 +111,7 @@ class Calibration(Report):
         if self.noise_ratio > _NOISY:
             ratio += ": the noise is larger than stated, or legs have play or bend; the intervals are widened by it"
         rows = [
-            ("poses, numbers told", f"{len(self.measurements)}, {self.told}"),
+            ("poses, numbers estimated", f"{len(self.measurements)}, {self.identifiable}"),
             ("pose error before (RMS)", before),
             ("pose error after (RMS)", after),
             ("errors that are left", ratio),
@@ -124,7 +124,7 @@ class Calibration(Report):
             if frame not in self.known_frames and name not in self.hold:
                 line = f"{where} (6 numbers): it was put where {points} lie nearest to the guess's"
                 rows.append(("cannot be told by any poses", line))
-        return [*rows, *(("not told by these poses", line) for line in self.untold), *self._frames()]
+        return [*rows, *(("not identifiable by these poses", line) for line in self.unidentifiable), *self._frames()]
 
     def _frames(self) -> Iterator[tuple[str, str]]:
         offsets = ", ".join(f"{1e3 * offset:.3f}" for offset in self.homing_offsets)
@@ -154,7 +154,7 @@ class Calibration(Report):
 
 
 def in_words(directions: np.ndarray, scales: np.ndarray) -> list[str]:
-    """A sentence for each untold direction (`SIZE`, k), in `scales` (`SIZE`,) [m, rad], of few parameters each."""
+    """A sentence for each unidentifiable direction (`SIZE`, k), in `scales` (`SIZE`,) [m, rad], of few parameters."""
     if directions.shape[1] == 0:
         return []
     _, _, order = scipy.linalg.qr(directions.T, mode="economic", pivoting=True)
@@ -182,4 +182,4 @@ def _named(at: int) -> tuple[str, str]:
 def _cell(change: float, width: float) -> str:
     if width == 0.0:
         return "held"
-    return f"{change:+.3f} ± {width:.2g}" if np.isfinite(width) else "not told"
+    return f"{change:+.3f} ± {width:.2g}" if np.isfinite(width) else "unidentifiable"

@@ -67,7 +67,7 @@ def show(robot: str, picture: Path | None) -> None:
 
 def _draw(name: str, path: Path) -> str:
     """Draws a robot at home, and says where."""
-    from stewart_drake.runs.replay import render_png
+    from stewart_drake.runs.pictures import render_png
 
     robot = load_robot(name)
     prepare_file(path)

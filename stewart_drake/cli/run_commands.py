@@ -113,7 +113,7 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
         part.code.find(part.code_key)
     for code in dict.fromkeys(part.code for part in user_parts(loaded)):
         asks = "" if code.trusted else "; `run` asks for --trust-code"
-        click.echo(f"runs code: {code.file}:{code.name}{asks}")
+        click.echo(f"runs code: {code}{asks}")
     if user_parts((loaded.reference, loaded.safety)):
         if scale or retime:
             allowed = "a motion and monitors of the package, for --scale and --retime: check runs no user's code"
@@ -181,7 +181,7 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
     scenario's limits. Friction, saturation and counts of encoders are not linear, and left out; weights stay as at the
     start.
 
-    Writes margins.json, margins.parquet (a row for each pose) and margins.png.
+    Writes margins.json and margins.png.
 
     Exit status: 0 done, 2 bad input.
     """
@@ -192,15 +192,12 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
         loops = linear_loops(loaded, poses_to_stand_at(loaded, poses, seed))
     folder = prepare_folder(out)
 
-    import pyarrow.parquet as pq
-
     from stewart_drake.plotting.model_plots import plot_margins
     from stewart_drake.stability import margins as report
 
     found = report.loop_margins(loops)
     numbers = json.dumps(report.document(loops, found), indent=1, allow_nan=False) + "\n"
     write_atomically(folder / "margins.json", numbers.encode())
-    pq.write_table(report.rows(loops, found), folder / "margins.parquet")
     plot_margins(found, folder / "margins.png")
     if not quiet:
         title = f"{loaded.name}: margins at {len(loops.poses)} poses, beside {loaded.command_delay} ticks of delay"
@@ -247,7 +244,7 @@ def workspace(
     base = load_scenario(scenario, overrides)
     center = base.robot.home_pose if pose is None else np.array(pose)
     check_center(base.robot, center)
-    base.load_tuner_network()
+    base.tuner.network()
     try:
         check_scenario(base)
     except ConfigurationError as error:

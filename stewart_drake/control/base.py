@@ -5,13 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from stewart_drake.config import Fraction, Positive, Section
+from stewart_drake.config import Period, Section
 from stewart_drake.errors import NotFiniteError, RiccatiError, RunFailure, SingularPoseError, UnreachablePoseError
-from stewart_drake.jit import njit, record
+from stewart_drake.jit import new_record, njit, record
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, task_inertia
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import (
@@ -19,10 +19,12 @@ from stewart_drake.mechanics.kinematics_laws import (
     NOT_FINITE,
     OK,
     PARALLEL,
+    QUICK,
     SERIAL,
     UNREACHABLE,
+    conditioning,
+    legs_at,
     robot_record,
-    usable_legs,
 )
 from stewart_drake.mechanics.linear_algebra import all_finite
 from stewart_drake.part import Part, Setup
@@ -38,18 +40,13 @@ class ControllerOptions(Section, ABC, key="controller"):
     own_keys = frozenset({"feedforward", "saturation"})
     kind: str
     """Of controller."""
-    period: Positive
+    period: Period
     """[s] control period, > 0, a whole multiple of the plant's time step."""
 
     @property
     def label(self) -> str:
         """In a few words, for titles."""
         return f"controller {self.kind}"
-
-    @property
-    def near_singularity(self) -> tuple[float, float]:
-        """Least transmission of a crank and least conditioning of the rods' lines with which it acts [-]."""
-        return 0.02, 0.005
 
     @property
     def asks_for_more(self) -> bool:
@@ -64,26 +61,6 @@ class ControllerOptions(Section, ABC, key="controller"):
     @abstractmethod
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         """The controller in a loop, one part: from measurement and reference to torque, error and integral."""
-
-    def limit(self, robot: RobotParameters) -> np.ndarray:
-        """(6,) [N m] of the motors' torques."""
-        return robot.effort_limits
-
-
-class OwnControllerOptions(ControllerOptions):
-    """Base of the options of the controllers that come with the package."""
-
-    kind: str
-    period: Positive
-    min_transmission: Fraction = 0.02
-    """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
-    min_conditioning: Fraction = 0.005
-    """[-] sigma_min / sigma_max of the rods' lines below this counts as a parallel singularity."""
-
-    @property
-    def near_singularity(self) -> tuple[float, float]:
-        """See `ControllerOptions`."""
-        return self.min_transmission, self.min_conditioning
 
 
 # --- gains in the size that a robot needs to answer as the paper's does -----------------------------------------------
@@ -113,6 +90,9 @@ FREQUENCY = times(lambda _: 1.0, slower=1.0)
 
 # --- a tick ----------------------------------------------------------------------------------------------------------
 
+LEAST_TRANSMISSION, LEAST_CONDITIONING = 0.02, 0.005
+"""[-] |e_l . e_N| below which a crank counts as at its dead centre, and sigma_min / sigma_max of the rods' lines below
+which a pose counts as a parallel singularity: there the force map loses its meaning, and no controller acts."""
 AT_REFERENCE = 16
 """Added to a status that concerns the reference's pose, not the measured one."""
 POSE, RATE, REFERENCE, TORQUE = range(4)
@@ -138,39 +118,46 @@ class Setpoint(NamedTuple):
 
 
 @njit
-def measured_legs(robot: Any, min_transmission: float, min_conditioning: float, measurement: Any, legs: Any) -> Any:
-    """`usable_legs` at a measurement (12,), refused near singularities, where the force map loses its meaning."""
+def measured_legs(robot: Any, measurement: Any, legs: Any) -> Any:
+    """`legs_at` the pose of a measurement (12,), and whether a controller may act there.
+
+    Returns:
+        OK, NOT_FINITE, UNREACHABLE, SERIAL or PARALLEL; the leg or -1, of NOT_FINITE which signal; the margin.
+    """
     if not all_finite(measurement[6:]):
         return NOT_FINITE, RATE, 0.0
     if not all_finite(measurement[:6]):
         return NOT_FINITE, POSE, 0.0
-    return usable_legs(robot, min_transmission, min_conditioning, measurement[:6], legs)
+    bad = legs_at(robot, measurement[:6], legs)
+    if bad >= 0:
+        return UNREACHABLE, bad, legs.reach[bad]
+    worst, leg = np.inf, 0
+    for i in range(6):
+        if not abs(legs.transmission[i]) >= worst:
+            worst, leg = abs(legs.transmission[i]), i
+    if worst < LEAST_TRANSMISSION:
+        return SERIAL, leg, worst
+    ratio = conditioning(robot, legs, QUICK)
+    return OK if ratio >= LEAST_CONDITIONING else PARALLEL, -1, ratio
 
 
 @njit
-def _check(robots: Any, min_transmission: float, min_conditioning: float, measurement: Any, legs: Any) -> Any:
-    return measured_legs(record(robots), min_transmission, min_conditioning, measurement, record(legs))
+def _check(robots: Any, measurement: Any, leg_records: Any) -> Any:
+    return measured_legs(record(robots), measurement, record(leg_records))
 
 
-def checked_legs(robot: RobotParameters, limits: tuple[float, float], pose: np.ndarray) -> None:
-    """Refuses a pose (6,) [rad, m] at which a controller with these limits, see `near_singularity`, would not act.
-
-    Raises:
-        RunFailure: As of `failure`.
-    """
+def check_start(robot: RobotParameters, pose: np.ndarray) -> None:
+    """Raises the RunFailure with which a controller's tick at a pose (6,) [rad, m] would end, if any."""
     at_rest = np.concatenate([pose, np.zeros(6)])
-    ended = _check(robot_record(robot), *limits, at_rest, np.empty(1, LEGS))
+    ended = _check(robot_record(robot), at_rest, np.empty(1, LEGS))
     if ended[0] != OK:
-        raise failure(limits, ended, at_rest, at_rest)
+        raise failure(ended, at_rest, at_rest)
 
 
-def failure(
-    limits: tuple[float, float], ended: tuple[int, int, float], measurement: np.ndarray, reference: np.ndarray
-) -> RunFailure:
-    """What a controller's law that ended with a status other than OK means, as the error to raise.
+def failure(ended: tuple[int, int, float], measurement: np.ndarray, reference: np.ndarray) -> RunFailure:
+    """The error that says why a controller's law ended with a status other than OK.
 
     Args:
-        limits: What a margin is held against, see `ControllerOptions.near_singularity`.
         ended: Status of `kinematics_laws`, at the reference's pose `AT_REFERENCE` more; leg or -1, or which signal is
             NOT_FINITE; margin of the pose, or a torque that is not finite.
         measurement: (12,).
@@ -186,9 +173,9 @@ def failure(
     if status == UNREACHABLE and (at_reference or not margin >= -_DEAD_CENTRE_SLACK):
         return UnreachablePoseError(pose, leg, margin)
     if status in (UNREACHABLE, SERIAL):
-        return SingularPoseError("serial", pose, 0.0 if status == UNREACHABLE else margin, limits[0], leg)
+        return SingularPoseError("serial", pose, max(margin, 0.0), LEAST_TRANSMISSION, leg)
     if status == PARALLEL:
-        return SingularPoseError("parallel", pose, margin, limits[1])
+        return SingularPoseError("parallel", pose, margin, LEAST_CONDITIONING)
     return RiccatiError(f"no gain at pose {pose.tolist()}: M^-1 tau is singular or its gain leaves floating point")
 
 
@@ -196,3 +183,18 @@ def controller_part(tick: Callable[..., None], initial: np.ndarray, weights: int
     """A controller's part of a loop, of those that say torque, error and integral; with a port for weights or none."""
     inputs = {"measurement": 12, "reference": 18} | ({"weights": weights} if weights else {})
     return Part("controller", inputs, ("torque", "error", "integral"), initial, tick)
+
+
+def law_part(law: Callable[..., Any], robot: RobotParameters, setup: np.ndarray, state: np.dtype) -> Part:
+    """A controller's part by a law of robots, setups, measurement, reference, `LEGS` (2,) and states.
+
+    The law returns status, leg and margin, see `failure`, which the tick raises.
+    """
+    robots, legs, compiled = robot_record(robot), np.empty(2, LEGS), cast(Any, law)
+
+    def tick(measurement: np.ndarray, reference: np.ndarray, state: np.ndarray) -> None:
+        ended = compiled(robots, setup, measurement, reference, legs, state)
+        if ended[0] != OK:
+            raise failure(ended, measurement, reference)
+
+    return controller_part(tick, new_record(state))

@@ -25,7 +25,7 @@ class CostScales(Section, key="cost"):
     """[N m] RMS change of a motor's torque in a millisecond."""
 
     def at(self, kappa: float) -> CostScales:
-        """The scales by taste, from stiff, kappa = -1, to quiet, 1: the last one divided by 10^kappa."""
+        """The scales by smoothness, from stiff, kappa = -1, to quiet, 1: the last one divided by 10^kappa."""
         return CostScales(
             rotation=self.rotation, position=self.position, torque_change=self.torque_change * 10.0**-kappa
         )
@@ -56,10 +56,10 @@ FEATURES = (
     "latency",
     "kappa",
 )
-"""Names of features, as policy files have them; all but the last are decimal logarithms. A surprise is the mean square
-of the normalised innovations."""
+"""Names of features, as policy files have them; all but the last are decimal logarithms. The first two are mean squares
+of normalised innovations."""
 TIMES = (0.010, 0.100, 0.020, 0.200, 0.020)
-"""[s] over which surprise, surprise_slow, error, error_slow and torque_change are averaged."""
+"""[s] over which normalised innovations (twice), error (twice) and torque change are averaged."""
 DRIFT_TIME = 0.020
 """[s] over which innovations are averaged with their signs: what pushes the robot has one."""
 INNOVATION_FLOOR, DRIFT_FLOOR, COST_FLOOR = 1e-2, 1e-3, 1e-6

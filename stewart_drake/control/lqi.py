@@ -7,46 +7,22 @@ from typing import Annotated, Any, Literal, cast, get_args
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Flag, Natural, Positive, PositivePair
+from stewart_drake.config import Flag, Natural, Period, Positive, PositivePair
 from stewart_drake.control.base import (
     AT_REFERENCE,
     REFERENCE,
     TORQUE,
-    OwnControllerOptions,
+    ControllerOptions,
     controller_part,
     failure,
     measured_legs,
 )
-from stewart_drake.control.riccati import (
-    AXES,
-    INTEGRAL,
-    POSITION,
-    RATE,
-    STATES,
-    Discretization,
-    RiccatiSolver,
-    discretize,
-    input_matrix,
-    riccati_gain,
-    solve_drake,
-    split_gain,
-    split_solution,
-    state_matrix,
-)
+from stewart_drake.control.riccati import Discretization, RiccatiSolver, drake_gain, split_gain, split_solution
 from stewart_drake.errors import ConfigurationError, RiccatiError
 from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import ForceMapKind
 from stewart_drake.mechanics.dynamics_laws import motion_torque, pose_acceleration_map, static_torque
-from stewart_drake.mechanics.kinematics_laws import (
-    LEGS,
-    NO_GAIN,
-    NOT_FINITE,
-    OK,
-    PARALLEL,
-    UNREACHABLE,
-    legs_at,
-    robot_record,
-)
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
@@ -59,12 +35,12 @@ Saturation = Literal["none", "clamp", "back_calculation"]
 CLAMP, BACK_CALCULATION = 1, 2
 
 
-class LqiOptions(OwnControllerOptions):
+class LqiOptions(ControllerOptions):
     """Options of the LQI controller; the defaults are the paper's, with gravity compensated."""
 
     kind: Literal["lqi"] = "lqi"
     """The default kind."""
-    period: Positive = 0.005
+    period: Period = 0.005
     model: Literal["paper", "exact"] = "paper"
     """paper: (9), the platform's mass alone, moments as accelerations of Euler angles. exact: inertia of the whole
     closed chain at the measured pose."""
@@ -127,9 +103,8 @@ LQI_STATE = fields(
 feedforward: part of the torque [N m]. weights: q_e, q_v, q_z, r of this tick, zeros before the first. held: ticks in a
 row that were bridged."""
 LQI_SETUP = fields(
-    period=(), gravity=(), length=(), min_transmission=(), min_conditioning=(), integral_limit=6, back_share=(),
-    exact_model=(), printed_map=(), feedforward=(), at_reference=(), exact_hold=(), saturation=(), bumpless=(),
-    hold_ticks=(),
+    period=(), gravity=(), length=(), integral_limit=6, back_share=(), exact_model=(), printed_map=(), feedforward=(),
+    at_reference=(), exact_hold=(), saturation=(), bumpless=(), hold_ticks=(),
 )  # fmt: skip
 """Numbers of `LqiOptions`; choices are 0 or 1, or count as above. integral_limit: infinite for none. back_share: of
 what was cut off that z gives back in a tick."""
@@ -151,23 +126,13 @@ def block_weights(weights: np.ndarray) -> np.ndarray:
 def lqi_gain(
     acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndarray, solver: RiccatiSolver | None = None
 ) -> np.ndarray:
-    """K (6, 18) of (31) for M^-1 tau (6, 6) at the present pose, u = -K [e; z] in the paper's state order.
+    """K (6, 18) of (31) for M^-1 tau (6, 6), u = -K [e; z] in the paper's state order; RiccatiError where none is.
 
     `weights` are two or four, see `block_weights`; `solver` another than the options'.
-
-    Raises:
-        RiccatiError: No stabilising solution.
     """
-    q_e, q_v, q_z, r = (float(w) for w in block_weights(weights))
-    if (solver or options.solver) == "split":
-        blocks = (q_e, q_v, q_z, r)
-        return split_gain(acceleration_map, options.period, blocks, options.discretization, options.length)
-    a, b = discretize(state_matrix(), input_matrix(acceleration_map), options.period, options.discretization)
-    scale = np.array([options.length**2] * 3 + [1.0] * 3)
-    q = np.zeros(STATES)
-    q[POSITION], q[RATE], q[INTEGRAL] = q_e * scale, q_v * scale, q_z * scale
-    big_r = r * np.eye(AXES)
-    return riccati_gain(a, b, big_r, solve_drake(a, b, np.diag(q), big_r))
+    solve_for = split_gain if (solver or options.solver) == "split" else drake_gain
+    blocks = block_weights(weights).tolist()
+    return solve_for(acceleration_map, options.period, blocks, options.discretization, options.length)
 
 
 # --- the law ---------------------------------------------------------------------------------------------------------
@@ -197,12 +162,12 @@ def lqi_tick(
     """
     setup, problem, state = record(setups), record(problems), record(states)
     status, leg, margin = pose_problem(robots, setups, measurement, reference, weights, leg_records, problems, states)
-    if status == OK:
+    if status == laws.OK:
         hold = setup.exact_hold == 1.0
         done = split_solution(problem.map[:], setup.length, setup.period, problem.weights[:], hold, problem.gain[:])
         if done and problem.changed == 1.0:
             done = split_solution(problem.map[:], setup.length, setup.period, state.weights[:], hold, problem.before[:])
-        status = OK if done else NO_GAIN
+        status = laws.OK if done else laws.NO_GAIN
     return command(robots, setups, measurement, reference, leg_records, problems, status, leg, margin, states)
 
 
@@ -216,14 +181,14 @@ def pose_problem(
         record(robots), record(setups), record(leg_records), record(problems), record(states),
     )  # fmt: skip
     if all_finite(measurement[6:]) and not all_finite(reference):
-        return NOT_FINITE, REFERENCE, 0.0
-    status, leg, margin = measured_legs(robot, setup.min_transmission, setup.min_conditioning, measurement, legs)
-    if status != OK:
+        return laws.NOT_FINITE, REFERENCE, 0.0
+    status, leg, margin = measured_legs(robot, measurement, legs)
+    if status != laws.OK:
         return status, leg, margin
     for k in range(4):
         problem.weights[k] = weights[k] if weights.size == 4 else weights[k // 3]
         if not 0.0 < problem.weights[k] < np.inf:
-            return NO_GAIN, -1, 0.0
+            return laws.NO_GAIN, -1, 0.0
     problem.changed = 0.0
     if setup.bumpless == 1.0 and state.weights[0] != 0.0:
         for k in range(4):
@@ -232,8 +197,8 @@ def pose_problem(
     if setup.exact_model == 0.0:
         paper_acceleration_map(robot, legs, setup.printed_map == 1.0, problem.map[:])
     elif not pose_acceleration_map(robot, legs, measurement[:6], problem.map[:]):
-        return PARALLEL, -1, margin
-    return OK, -1, margin
+        return laws.PARALLEL, -1, margin
+    return laws.OK, -1, margin
 
 
 @njit
@@ -243,10 +208,10 @@ def command(
 ) -> Any:  # fmt: skip
     """The second half of a tick, once the problem is solved: torque and state, or a bridge where that failed."""
     robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
-    if status == OK:
+    if status == laws.OK:
         status, leg, margin = _command(robot, setup, measurement, reference, legs, record(problems), state)
-    if status != OK and _bridged(robot, setup, measurement, reference, state):
-        return OK, -1, 0.0
+    if status != laws.OK and _bridged(robot, setup, measurement, reference, state):
+        return laws.OK, -1, 0.0
     return status, leg, margin
 
 
@@ -282,12 +247,12 @@ def _feedforward(robot: Any, setup: Any, measurement: Any, reference: Any, legs:
     """Torque (6,) beside the feedback; destroys `legs` where it is taken at the reference. Status, leg, margin."""
     force[:] = 0.0
     if setup.feedforward == FULL and setup.at_reference == 1.0:
-        bad = legs_at(robot, reference[:6], legs)
+        bad = laws.legs_at(robot, reference[:6], legs)
         if bad >= 0:
-            return AT_REFERENCE + UNREACHABLE, bad, legs.reach[bad]
+            return AT_REFERENCE + laws.UNREACHABLE, bad, legs.reach[bad]
         if not motion_torque(robot, legs, reference[:12], reference[12:], setup.gravity, force):
-            return AT_REFERENCE + PARALLEL, -1, 0.0
-        return OK, -1, 0.0
+            return AT_REFERENCE + laws.PARALLEL, -1, 0.0
+        return laws.OK, -1, 0.0
     done = True
     if setup.feedforward == FULL:
         done = motion_torque(robot, legs, measurement, reference[12:], setup.gravity, force)
@@ -302,7 +267,7 @@ def _feedforward(robot: Any, setup: Any, measurement: Any, reference: Any, legs:
         done = solve(paper_map, torque) != 0.0
         for k in range(6):
             force[k] += torque[k, 0]
-    return OK if done else PARALLEL, -1, 0.0
+    return laws.OK if done else laws.PARALLEL, -1, 0.0
 
 
 @njit
@@ -316,18 +281,18 @@ def _command(
             for k in range(6):
                 column[i, 0] += problem.before[i, 12 + k] * integral[k]
         if not _integral_for(problem.gain, column):
-            return NO_GAIN, -1, 0.0
+            return laws.NO_GAIN, -1, 0.0
         copy_to(integral, column[:, 0])
     force, torque, cut = np.empty(6), np.empty(6), np.zeros((6, 1))
     status, leg, margin = _feedforward(robot, setup, measurement, reference, legs, force)
-    if status != OK:
+    if status != laws.OK:
         return status, leg, margin
     saturated = False
     for i in range(6):
         wanted = force[i] - _feedback(problem.gain, measurement, reference, integral, i)
         limit = robot.effort_limit[i]
         if not np.isfinite(wanted):
-            return NOT_FINITE, TORQUE, wanted
+            return laws.NOT_FINITE, TORQUE, wanted
         torque[i] = wanted
         if setup.saturation != NONE and abs(wanted) > limit:
             saturated = True
@@ -335,7 +300,7 @@ def _command(
             cut[i, 0] = wanted - torque[i]
     if saturated and setup.saturation == BACK_CALCULATION:
         if not _integral_for(problem.gain, cut):
-            return NO_GAIN, -1, 0.0
+            return laws.NO_GAIN, -1, 0.0
         for k in range(6):
             integral[k] += setup.back_share * cut[k, 0]
     for k in range(6):
@@ -350,7 +315,7 @@ def _command(
     for i in range(6):
         copy_to(state.gain[i], problem.gain[i])
     state.held = 0.0
-    return OK, -1, 0.0
+    return laws.OK, -1, 0.0
 
 
 @njit
@@ -385,7 +350,7 @@ def lqi_part(
     Another `solver` than the options' may be named: `split` is one compiled call and needs no Drake. The part's tick
     raises as `failure` where no good tick came before or more than `hold_ticks` failed in a row.
     """
-    robots, legs, problem = robot_record(robot), np.empty(1, LEGS), np.zeros(1, PROBLEM)
+    robots, legs, problem = laws.robot_record(robot), np.empty(1, laws.LEGS), np.zeros(1, PROBLEM)
     setup = new_record(
         LQI_SETUP,
         options,
@@ -407,16 +372,16 @@ def lqi_part(
             ended = lqi_tick(robots, setup, *inputs, legs, problem, state)
         else:
             ended = pose_problem(robots, setup, *inputs, legs, problem, state)
-            if ended[0] == OK:
+            if ended[0] == laws.OK:
                 try:
                     _solve_by_drake(options, problem[0], state["weights"][0])
                 except RiccatiError as failed:
-                    error, ended = failed, (NO_GAIN, -1, 0.0)
+                    error, ended = failed, (laws.NO_GAIN, -1, 0.0)
             ended = finish(robots, setup, *inputs[:2], legs, problem, *ended, state)
-        if ended[0] == NO_GAIN:
+        if ended[0] == laws.NO_GAIN:
             block_weights(weights)
-        if ended[0] != OK:
-            raise error or failure(options.near_singularity, ended, measurement, reference)
+        if ended[0] != laws.OK:
+            raise error or failure(ended, measurement, reference)
 
     return controller_part(tick, new_record(LQI_STATE), weights)
 

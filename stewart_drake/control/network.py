@@ -29,15 +29,10 @@ MEAN_FLOOR = 1e-9
 
 @njit
 def density_of(samples: Any, signed: bool, out: Any) -> None:
-    """Density of the last sample of a window, (35), (36).
+    """Densities (k,) [-] of the last sample of a window (n, k), oldest first, n <= m + 1 (fewer while it fills).
 
-    `signed` is the print: x over the window's mean. Deviation: the print is singular where the signed sum crosses zero;
+    (35), (36), `signed`: x over the window's mean. Deviation: the print is singular where the signed sum crosses zero;
     the result is held within +-n there. Else |x| over the window's mean |x|, which lies in [0, n] by itself.
-
-    Args:
-        samples: (n, k) the window, oldest first, n <= m + 1 (fewer while it fills).
-        signed: Kind of density.
-        out: (k,) out [-].
     """
     count = samples.shape[0]
     for k in range(samples.shape[1]):
@@ -133,8 +128,8 @@ def weights_bytes(kind: str, version: int, content: dict[str, Any]) -> bytes:
     return (json.dumps(seal({"format": kind, "version": version, **plain}), indent=1) + "\n").encode()
 
 
-def load_weights(path: Path, kind: str, version: int, made: Callable[[dict[str, Any]], _Read]) -> _Read:
-    """What is made of the content of a weights file of a kind and version; errors name the path."""
+def load_weights(path: Path, kind: str, version: int, build: Callable[[dict[str, Any]], _Read]) -> _Read:
+    """What `build` makes of the content of a weights file of a kind and version; errors name the path."""
     key = f"weights file {path}"
     try:
         document = json.loads(read_weights(path))
@@ -150,7 +145,7 @@ def load_weights(path: Path, kind: str, version: int, made: Callable[[dict[str, 
         provenance = content.get("provenance", {})
         if not isinstance(provenance, dict):
             raise ConfigurationError("provenance", provenance, "a mapping")
-        return made({"provenance": {}, **content})
+        return build({"provenance": {}, **content})
     except ConfigurationError as error:
         raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
     except (ValueError, RecursionError) as error:
@@ -235,7 +230,6 @@ class TunerNetwork:
         return weights_bytes(FORMAT, VERSION, content)
 
     def save(self, path: str | Path) -> None:
-        """Writes `to_bytes` to a file."""
         write_atomically(Path(path), self.to_bytes())
 
 
@@ -249,14 +243,13 @@ def load_network(path: str | Path | None = None) -> TunerNetwork:
         ConfigurationError: The file is missing, no weights file, corrupt, or not of this version.
     """
 
-    def made(found: Any) -> TunerNetwork:
-        return TunerNetwork(**{name: found.get(name) for name in (*_SHAPES, "density", "window", "provenance")})
+    def network_of(content: Any) -> TunerNetwork:
+        return TunerNetwork(**{name: content.get(name) for name in (*_SHAPES, "density", "window", "provenance")})
 
-    return load_weights(default_network_path() if path is None else Path(path), FORMAT, VERSION, made)
+    return load_weights(default_network_path() if path is None else Path(path), FORMAT, VERSION, network_of)
 
 
 def default_network_path() -> Path:
-    """The trained tuner that the package carries."""
     return PACKAGE / "weights" / "tuner.json"
 
 

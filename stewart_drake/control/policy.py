@@ -15,8 +15,9 @@ a network was trained on, its answer fades to the middle of the box, the best fi
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol
@@ -44,7 +45,8 @@ LARGEST = 30.0
 """[-] features are held within it."""
 BOX_HEADER = ("setting", "least", "centre", "largest")
 _COUNT = len(FEATURES)
-_SCHEDULE = fields(calm=SIZE, alert=SIZE, threshold=(), hold=())
+SCHEDULE = fields(calm=SIZE, alert=SIZE, threshold=(), hold=())
+"""Two settings, [-], [s]; see `tuners.ScheduleTuner`."""
 
 
 # --- the laws --------------------------------------------------------------------------------------------------------
@@ -70,15 +72,10 @@ def disturbance_of(base: float, setting: Any) -> float:
 
 @njit
 def answer(policy: Any, heard: Any, wanted: Any) -> float:
-    """What a policy wants.
+    """The setting (4,) that a policy wants, of the record of `Layers`, for features (13,).
 
-    Args:
-        policy: Record of `Layers`.
-        heard: (13,) features; one that is not finite counts as far outside of the training data.
-        wanted: (4,) setting, out.
-
-    Returns:
-        What of the answer is the policy's own: 1 within the training data, 0 far outside.
+    Returns what of the answer is the policy's own: 1 within the training data, 0 far outside, where a feature that is
+    not finite counts as being.
     """
     scaled, off = np.zeros(_COUNT), 0.0
     for k in range(_COUNT):
@@ -152,26 +149,21 @@ def schedule_tick(
 
 
 class Chooser(Protocol):
-    """What wants a setting."""
+    """What wants a setting: a law like `policy_tick`, a record for it, and a box with the setting at the start."""
 
     @property
-    def centre(self) -> np.ndarray:
-        """(4,) setting at the start."""
+    def law(self) -> Callable[..., None]: ...
+
+    def numbers(self) -> np.ndarray: ...
 
     @property
-    def lowest(self) -> np.ndarray:
-        """(4,) lower end of the box."""
+    def centre(self) -> np.ndarray: ...
 
     @property
-    def width(self) -> np.ndarray:
-        """(4,) of the box."""
+    def lowest(self) -> np.ndarray: ...
 
     @property
-    def law(self) -> Callable[..., None]:
-        """Its tick, as `policy_tick`."""
-
-    def numbers(self) -> np.ndarray:
-        """Its own record (1,), the second argument of the tick."""
+    def width(self) -> np.ndarray: ...
 
 
 class Layers(NamedTuple):
@@ -237,21 +229,17 @@ class Policy:
 
     @property
     def centre(self) -> np.ndarray:
-        """(4,) setting at the start."""
         return self.layers.centre
 
     @property
     def lowest(self) -> np.ndarray:
-        """(4,) lower end of the box."""
         return self.centre - self.layers.below
 
     @property
     def width(self) -> np.ndarray:
-        """(4,) of the box."""
         return self.layers.below + self.layers.above
 
     def numbers(self) -> np.ndarray:
-        """Record of its layers."""
         values = self.layers._asdict()
         # A record of numpy has a method `mean` already.
         values |= {"feature_mean": values.pop("mean"), "feature_scale": values.pop("scale")}
@@ -263,95 +251,40 @@ class Policy:
         return weights_bytes(FORMAT, VERSION, {"features": list(FEATURES), **layers, "provenance": self.provenance})
 
     def save(self, path: str | Path) -> None:
-        """Writes `to_bytes` to a file."""
         write_atomically(Path(path), self.to_bytes())
 
     def box_rows(self) -> list[tuple[str, ...]]:
-        """A row for each number of a setting, under `BOX_HEADER`."""
+        """Under `BOX_HEADER`."""
         ends = self.lowest, self.centre, self.lowest + self.width
         return [(name, *(f"{each[k]:.3g}" for each in ends)) for k, name in enumerate(NAMES)]
 
     def facts(self) -> list[tuple[str, str]]:
-        """Rows of two texts: what it is made of, then its provenance, dotted keys."""
+        """Rows of two texts: what it is made of, then its provenance."""
         heard = [name for name, column in zip(FEATURES, self.layers.hidden.T, strict=True) if column.any()]
-        made = [("hears", ", ".join(heard) or "nothing"), ("hidden units", str(len(self.layers.hidden)))]
-        return [*made, *_rows("", self.provenance)]
-
-
-def _rows(place: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Nested plain values as rows; lists of plain values are one."""
-    if isinstance(value, Mapping):
-        for key, each in value.items():
-            yield from _rows(f"{place}.{key}" if place else str(key), each)
-    elif isinstance(value, list) and any(isinstance(each, (Mapping, list)) for each in value):
-        for index, each in enumerate(value):
-            yield from _rows(f"{place}[{index}]", each)
-    else:
-        parts = value if isinstance(value, list) else [value]
-        yield place, ", ".join(f"{each:.4g}" if isinstance(each, float) else str(each) for each in parts)
+        card = {"hears": ", ".join(heard) or "nothing", "hidden units": len(self.layers.hidden), **self.provenance}
+        return [(name, value if isinstance(value, str) else json.dumps(value)) for name, value in card.items()]
 
 
 def default_policy_path() -> Path:
-    """The policy that the package carries."""
     return PACKAGE / "weights" / "policy.json"
 
 
 def load_policy(path: str | Path | None = None) -> Policy:
     """Reads a policy file; None takes the one that the package carries. Raises as `network.load_weights`."""
 
-    def made(found: dict[str, Any]) -> Policy:
-        if found.get("features") != list(FEATURES):
-            raise ConfigurationError("features", found.get("features"), f"{list(FEATURES)}")
-        return Policy(Layers(*map(found.get, Layers._fields)), found["provenance"])  # type: ignore[arg-type]
+    def policy_of(content: dict[str, Any]) -> Policy:
+        if content.get("features") != list(FEATURES):
+            raise ConfigurationError("features", content.get("features"), f"{list(FEATURES)}")
+        return Policy(Layers(*map(content.get, Layers._fields)), content["provenance"])  # type: ignore[arg-type]
 
-    return load_weights(default_policy_path() if path is None else Path(path), FORMAT, VERSION, made)
-
-
-@dataclass(frozen=True, eq=False)
-class Schedule:
-    """Two settings: one while readings are as expected, one when they are not and for a while after.
-
-    Attributes:
-        calm: (4,) setting.
-        alert: (4,) setting.
-        threshold: [-] of the RMS of innovations over the noise of a reading.
-        hold: [s] that the second one stays.
-    """
-
-    law: ClassVar[Callable[..., None]] = staticmethod(schedule_tick)
-    calm: np.ndarray
-    alert: np.ndarray
-    threshold: float
-    hold: float
-
-    @property
-    def centre(self) -> np.ndarray:
-        """(4,) setting at the start."""
-        return self.calm
-
-    @property
-    def lowest(self) -> np.ndarray:
-        """(4,) lower end of the box."""
-        return np.minimum(self.calm, self.alert)
-
-    @property
-    def width(self) -> np.ndarray:
-        """(4,) of the smallest box that has both."""
-        return np.abs(self.alert - self.calm)
-
-    def numbers(self) -> np.ndarray:
-        """Record of its attributes."""
-        return new_record(_SCHEDULE, self)
+    return load_weights(default_policy_path() if path is None else Path(path), FORMAT, VERSION, policy_of)
 
 
 def setting_part(chooser: Chooser, context: Any, weights: np.ndarray, kappa: float = 0.0) -> Part:
-    """A tuner of settings as a part of a loop: what a tick finds acts from the next one on.
+    """A tuner of settings as a part of a loop, for a `part.Setup`: what a tick finds acts from the next one on.
 
-    Args:
-        chooser: What wants a setting.
-        context: What it is built for, of `part.Setup`: period, noise, latency, robot, and disturbance of the base.
-        weights: (4,) those of the base.
-        kappa: [-] from stiff, -1, to quiet, 1: the scale of torque changes in the cost is divided by 10^kappa.
+    `weights` (4,) are those of the base; `kappa` [-] from stiff, -1, to quiet, 1: the scale of torque changes in the
+    cost is divided by 10^kappa.
     """
     law, own, centre, scales = chooser.law, chooser.numbers(), chooser.centre, CostScales()
     setup = new_record(

@@ -6,7 +6,7 @@ State order is the paper's: [phi, phi', theta, theta', psi, psi', X, X', Y, Y', 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -20,6 +20,7 @@ from stewart_drake.robot import RobotParameters
 AXES = 6
 STATES = 18
 Discretization = Literal["exact", "euler"]
+RiccatiSolver = Literal["drake", "split"]
 
 POSITION = np.arange(0, 12, 2)
 """Indices of the six position errors in the 18 states."""
@@ -74,10 +75,7 @@ def discretize(
     `exact` uses that A of (25) is nilpotent, A^3 = 0, so that the matrix exponential is a polynomial of degree two.
     Deviation: the paper puts continuous A, B into the discrete equations (31), (32).
 
-    Args: A (18, 18) [1/s], B (..., 18, 6), the period [s], and `exact` or `euler`.
-
-    Returns:
-        A_d (18, 18), B_d (..., 18, 6).
+    Takes A (18, 18) [1/s], B (..., 18, 6), the period [s]; returns A_d and B_d of the same shapes.
     """
     identity = np.eye(a.shape[0])
     if method == "euler":
@@ -88,34 +86,6 @@ def discretize(
     integral = period * identity + (period**2 / 2.0) * a + (period**3 / 6.0) * a2
     return identity + period * a + (period**2 / 2.0) * a2, integral @ b
 
-
-def hautus_stabilisability(a: np.ndarray, b: np.ndarray) -> int:
-    """Smallest rank of [lambda I - A, B] over the modes that are not asymptotically stable, (28).
-
-    Deviation: the test concerns Re(lambda) >= 0; the print says lambda <= 0 and counts columns of B.
-
-    Stabilisable where it equals the number of states, which it is too if every mode is stable.
-    """
-    return _smallest_rank(a, lambda mode: np.hstack([mode * np.eye(a.shape[0]) - a, b]))
-
-
-def hautus_detectability(a: np.ndarray, c: np.ndarray) -> int:
-    """Smallest rank of [lambda I - A; C] likewise, (29); detectable where it equals the number of states."""
-    return _smallest_rank(a, lambda mode: np.vstack([mode * np.eye(a.shape[0]) - a, c]))
-
-
-def _smallest_rank(a: np.ndarray, pencil: Callable[[complex], np.ndarray]) -> int:
-    # Triple eigenvalues at zero come back from the solver as a small circle whose radius grows as eps^(1/3). Zero is
-    # tried beside them, not in their place: a slow unstable mode must not pass for an integrator.
-    radius = 10.0 * np.finfo(float).eps ** (1.0 / 3.0) * max(1.0, float(np.abs(a).max()))
-    modes = np.linalg.eigvals(a)
-    candidates = {complex(mode) for mode in modes[modes.real >= 0.0]}
-    if np.any(np.abs(modes) < radius):
-        candidates.add(0.0j)
-    return min((int(np.linalg.matrix_rank(pencil(mode))) for mode in candidates), default=a.shape[0])
-
-
-RiccatiSolver = Literal["drake", "split"]
 
 SMALLEST_SINGULAR_VALUE = 1e-13
 """Of M^-1 tau, as a share of the largest; below it the map counts as singular."""
@@ -176,15 +146,8 @@ def chain_gain(s: float, period: float, weights: Any, exact_hold: bool, gain: An
     polynomial in d = z - 1 (as for a single input in K. J. Astrom, B. Wittenmark, Computer-Controlled Systems).
     No digits are lost to fast sampling, where all poles crowd at z = 1, nor to weights far apart.
 
-    Args:
-        s: > 0, per unit of u.
-        period: T [s].
-        weights: (4,) q_e, q_v, q_z, r, each > 0.
-        exact_hold: Zero-order hold; else Euler.
-        gain: (3,) out: k_e, k_v, k_z of u = -(k_e e + k_v v + k_z z).
-
-    Returns:
-        False where the numbers leave floating point.
+    Takes s > 0 per unit of u, T [s], weights (4,) q_e, q_v, q_z, r, each > 0, and whether the hold is of zero order, or
+    Euler's. gain: (3,) out, k_e, k_v, k_z of u = -(k_e e + k_v v + k_z z). False where numbers leave floating point.
     """
     t, g = period, s * s / weights[3]
     pose, rate, integral = g * (weights[0] * t**4), g * (weights[1] * t**2), g * (weights[2] * t**6)
@@ -212,16 +175,9 @@ def split_solution(
     With Q = diag(q_e I, q_v I, q_z I), R = r I and M^-1 tau = U S V', the coordinates U'e, U'e', U'z, V'u decouple; the
     six problems differ in s_i alone.
 
-    Args:
-        acceleration_map: (6, 6) M^-1 tau.
-        length: [m] by which rotations are multiplied in Q; 1 is the paper, which weighs radians like metres.
-        period: [s].
-        weights: (4,) q_e, q_v, q_z, r, each > 0.
-        exact_hold: Zero-order hold; else Euler.
-        gain: (6, 18) out, K in the paper's state order, u = -K x.
-
-    Returns:
-        False where the map is singular or the gain leaves floating point.
+    Takes M^-1 tau (6, 6), the length [m] by which rotations are multiplied in Q (1 is the paper, which weighs radians
+    like metres), and more as `chain_gain`. gain: (6, 18) out, K in the paper's state order, u = -K x. False where the
+    map is singular or the gain leaves floating point.
     """
     columns, s, v, chains = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty((6, 3))
     for i in range(6):
@@ -249,6 +205,22 @@ def split_solution(
     return True
 
 
+def drake_gain(
+    acceleration_map: np.ndarray,
+    period: float,
+    weights: Sequence[float],
+    method: Discretization = "exact",
+    length: float = 1.0,
+) -> np.ndarray:
+    """K (6, 18) as of `split_gain`, from Drake's solution of one equation of 18 states."""
+    q_e, q_v, q_z, r = weights
+    a, b = discretize(state_matrix(), input_matrix(acceleration_map), period, method)
+    scale, q = np.array([length**2] * 3 + [1.0] * 3), np.zeros(STATES)
+    q[POSITION], q[RATE], q[INTEGRAL] = q_e * scale, q_v * scale, q_z * scale
+    big_r = r * np.eye(AXES)
+    return riccati_gain(a, b, big_r, solve_drake(a, b, np.diag(q), big_r))
+
+
 def split_gain(
     acceleration_map: np.ndarray,
     period: float,
@@ -259,16 +231,14 @@ def split_gain(
     """`split_solution` with its input checked; K (6, 18) in the paper's state order, u = -K x.
 
     Raises:
-        RiccatiError: The map is singular, not finite or not (6, 6), a weight, the period or the length is not positive
-            and finite, or the gains leave floating point.
+        RiccatiError: A map that is singular or not (6, 6), a number that is not finite, or not positive where it must
+            be, or gains that leave floating point.
     """
     own, blocks, gain = np.ascontiguousarray(acceleration_map, dtype=float), np.array(weights, float), np.empty((6, 18))
-    if own.shape != (6, 6):
-        raise RiccatiError(f"M^-1 tau has the shape {own.shape}; expected (6, 6)")
     positive = np.array([*blocks, period, length])
-    if not np.isfinite(own).all() or not (np.isfinite(positive) & (positive > 0.0)).all():
+    if own.shape != (6, 6) or not np.isfinite(own).all() or not (np.isfinite(positive) & (positive > 0.0)).all():
         numbers = f"weights {weights}, a period of {period} s and a length of {length} m"
-        raise RiccatiError(f"no gain for {numbers}: they and M^-1 tau must be finite, and they positive")
+        raise RiccatiError(f"no gain for {numbers}: they must be positive and finite, M^-1 tau finite and (6, 6)")
     with np.errstate(all="ignore"):
         done = split_solution(own, length, period, blocks, method == "exact", gain)
     if not done:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -21,16 +22,18 @@ from stewart_drake.control.network import (
     read_weights,
 )
 from stewart_drake.control.policy import (
+    SCHEDULE,
     Chooser,
     Policy,
-    Schedule,
     default_policy_path,
     disturbance_of,
     load_policy,
+    schedule_tick,
     setting_part,
     weights_of,
 )
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.jit import new_record
 from stewart_drake.part import Part
 
 Decades = Annotated[Real, Field(ge=-3.0, le=3.0)]
@@ -88,7 +91,6 @@ class PairTuner(Tuner):
 
     @property
     def weights(self) -> tuple[float, ...]:
-        """Weights at the start, as the controller takes them."""
         return self.omega_q, self.omega_r
 
 
@@ -117,7 +119,6 @@ class BlockWeights(Tuner):
 
     @property
     def weights(self) -> tuple[float, ...]:
-        """Weights as the controller takes them."""
         return self.q_pose, self.q_rate, self.q_integral, self.r
 
 
@@ -127,7 +128,7 @@ class BlockTuner(BlockWeights):
     kind: Literal["block"] = "block"
 
 
-class AnnTuner(PairTuner):
+class PaperTuner(PairTuner):
     """Weights from the paper's neural network, Fig. 5."""
 
     label: ClassVar[str] = "Output of the ANN"
@@ -154,11 +155,9 @@ class AnnTuner(PairTuner):
         return network
 
     def parts(self, setup: Any) -> tuple[Part, ...]:  # noqa: ARG002 - a density has no unit
-        """The network in a loop."""
         return (network_part(self.network(), self.weights),)
 
     def content(self) -> str:
-        """Text of its weights file."""
         return read_weights(default_network_path() if self.weights_file is None else Path(self.weights_file))
 
 
@@ -177,17 +176,14 @@ class SettingTuner(BlockWeights):
 
     @property
     def weights(self) -> tuple[float, ...]:
-        """Weights at the start."""
         return tuple(weights_of(np.array(super().weights), self.chooser().centre).tolist())
 
     @property
     def levels(self) -> tuple[float, float]:
-        """See `Tuner`."""
         chooser = self.chooser()
         return float(disturbance_of(1.0, chooser.centre)), float(disturbance_of(1.0, chooser.lowest))
 
     def parts(self, setup: Any) -> tuple[Part, ...]:
-        """The tuner in a loop."""
         base = np.array([self.q_pose, self.q_rate, self.q_integral, self.r])
         part = setting_part(self.chooser(), setup, base, getattr(self, "kappa", 0.0))
         return (part._replace(says={"disturbance": "expected_disturbance"}),)
@@ -204,11 +200,9 @@ class PolicyTuner(SettingTuner):
     """Path of a trained policy, relative to the scenario file; null takes the one of the package."""
 
     def chooser(self) -> Policy:
-        """What wants a setting."""
         return load_policy(self.weights_file)
 
     def content(self) -> str:
-        """Text of its weights file."""
         return read_weights(default_policy_path() if self.weights_file is None else Path(self.weights_file))
 
 
@@ -229,6 +223,22 @@ class ScheduleTuner(SettingTuner):
     hold: NotNegative = 0.1
     """[s] that it stays afterwards."""
 
-    def chooser(self) -> Schedule:
-        """What wants a setting."""
-        return Schedule(np.array(self.calm), np.array(self.alert), self.threshold, self.hold)
+    law: ClassVar[Callable[..., None]] = staticmethod(schedule_tick)
+
+    def chooser(self) -> ScheduleTuner:
+        return self
+
+    def numbers(self) -> np.ndarray:
+        return new_record(SCHEDULE, self)
+
+    @property
+    def centre(self) -> np.ndarray:
+        return np.array(self.calm)
+
+    @property
+    def lowest(self) -> np.ndarray:
+        return np.minimum(self.calm, self.alert)
+
+    @property
+    def width(self) -> np.ndarray:
+        return np.abs(np.subtract(self.alert, self.calm))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Positive
+from stewart_drake.config import Period
 from stewart_drake.control.base import ControllerOptions, Measurement, Setpoint
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.families import UserMade, user_parts
@@ -41,12 +41,11 @@ class PythonOptions(UserMade, ControllerOptions):
     arguments: dict[str, Any] = Field(default_factory=dict)
     """Keyword arguments of the constructor, plain values. `robot` (as the controller believes it), `period` and
     `gravity` are added where the constructor names them."""
-    period: Positive = 0.001
+    period: Period = 0.001
     """[s] period of the log, of a delay and of the tuner; the controller should tick with it."""
 
     @property
     def label(self) -> str:
-        """See `ControllerOptions.label`."""
         return f"controller {self.kind.name}"
 
     def load(self) -> Any:
@@ -55,20 +54,20 @@ class PythonOptions(UserMade, ControllerOptions):
         Raises:
             ConfigurationError: It cannot be loaded; it is no System of pydrake, and nothing that is called.
         """
-        found = self.code.load(self.code_key)
-        called = "__call__" in dir(found) if isinstance(found, type) else callable(found)
-        if not (_is_system(found) or called):
+        loaded = self.code.load(self.code_key)
+        called = "__call__" in dir(loaded) if isinstance(loaded, type) else callable(loaded)
+        if not (_is_system(loaded) or called):
             raise ConfigurationError(self.code_key, self.code, _EXPECTED)
-        return found
+        return loaded
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         """The user's LeafSystem, or a function that is called at every tick."""
-        made = self.load()
-        if isinstance(made, type):
-            made = self.construct({"robot": setup.robot, "period": self.period, "gravity": setup.gravity})
-        if _is_system(made):
-            return (self._system_part(made, len(setup.weights)),)
-        return (function_part(made),)
+        controller = self.load()
+        if isinstance(controller, type):
+            controller = self.construct({"robot": setup.robot, "period": self.period, "gravity": setup.gravity})
+        if _is_system(controller):
+            return (self._system_part(controller, len(setup.weights)),)
+        return (function_part(controller),)
 
     def _system_part(self, system: Any, weights: int) -> Part:
         """A System of pydrake as a part of a loop, its ports checked."""
@@ -80,25 +79,18 @@ class PythonOptions(UserMade, ControllerOptions):
         for side, ports in (("Input", inputs), ("Output", outputs)):
             for name, size in ports.items():
                 port = getattr(system, f"Get{side}Port")(name) if getattr(system, f"Has{side}Port")(name) else None
-                problem = ""
-                if port is None:
-                    problem = "it has no such port"
-                elif port.get_data_type() != PortDataType.kVectorValued:
-                    problem = "its own is abstract"
-                elif port.size() != size:
-                    problem = f"its own is ({port.size()},)"
-                if problem:
-                    expected = f"a LeafSystem with the {side.lower()} port {name} ({size},); {problem}"
+                if port is None or port.get_data_type() != PortDataType.kVectorValued or port.size() != size:
+                    expected = f"a LeafSystem with the {side.lower()} port {name} ({size},)"
                     raise ConfigurationError(self.code_key, self.code, expected)
         return Part("controller", inputs, tuple(outputs), system=system)
 
 
-def _is_system(found: Any) -> bool:
+def _is_system(loaded: Any) -> bool:
     """Whether something is a System of pydrake, or a class of them; what is one has imported pydrake."""
     framework = sys.modules.get("pydrake.systems.framework")
     if framework is None:
         return False
-    return issubclass(found, framework.System) if isinstance(found, type) else isinstance(found, framework.System)
+    return issubclass(loaded, framework.System) if isinstance(loaded, type) else isinstance(loaded, framework.System)
 
 
 def user_code(section: Any) -> UserCode:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib
-import importlib.util
 import inspect
 import os
 import re
@@ -18,7 +17,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any, Self
@@ -27,7 +25,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from stewart_drake.config import as_problem, meant
 from stewart_drake.errors import ConfigurationError, RunFailure
-from stewart_drake.files.whole import PACKAGE, digest, read_checked
+from stewart_drake.files.whole import digest, read_checked
 from stewart_drake.files.yaml_files import shipped_folder
 
 _LARGEST = 1_000_000
@@ -57,19 +55,12 @@ def code_is_trusted() -> bool:
 
 @dataclass(frozen=True, repr=False)
 class CodePath(os.PathLike[str]):
-    """A class or object by its import path, or itself where it was given in Python; the type of a key.
+    """A class or object by its import path, or itself where it was given in Python; the type of a key."""
 
-    Attributes:
-        place: Its module, or the whole path of its file.
-        name: Of the class.
-        given: What was given in Python; None otherwise.
-        trusted: Whether it may run.
-    """
-
-    place: str
+    place: str  # Its module, or the whole path of its file.
     name: str
-    given: Any = field(default=None, hash=False)
-    trusted: bool = field(default=True, compare=False)
+    given: Any = field(default=None, hash=False)  # In Python; None otherwise.
+    trusted: bool = field(default=True, compare=False)  # Whether it may run.
 
     @classmethod
     def of(cls, given: Any) -> Any:
@@ -83,11 +74,12 @@ class CodePath(os.PathLike[str]):
     def named(cls, text: str) -> Self:
         """What a text names; relative paths are from the current folder."""
         place, _, name = text.rpartition(":")
-        if place.endswith(".py"):
-            # Without `..`, and not where links lead: this very path is what is opened.
-            place = os.path.abspath(place)  # noqa: PTH100
-        made = cls(place, name)
-        return cls(place, name, trusted=_TRUST.get() or made.is_shipped)
+        if not place.endswith(".py"):
+            return cls(place, name, trusted=_TRUST.get())
+        # Without `..`, and not where links lead: this very path is what is opened.
+        path = os.path.abspath(place)  # noqa: PTH100
+        shipped = Path(os.path.realpath(path)).is_relative_to(shipped_folder("scenarios").parent)
+        return cls(path, name, trusted=_TRUST.get() or shipped)
 
     @property
     def in_file(self) -> bool:
@@ -96,14 +88,11 @@ class CodePath(os.PathLike[str]):
 
     @property
     def file(self) -> Path | None:
-        """That loading it runs, found without an import; None where there is none."""
-        return Path(self.place) if self.place.endswith(".py") else _module_file(self.place)
-
-    @property
-    def is_shipped(self) -> bool:
-        """Whether its file belongs to the package; in a checkout `diagrams` does."""
-        own, file = (PACKAGE, shipped_folder("scenarios").parent), self.file
-        return file is not None and any(Path(os.path.realpath(file)).is_relative_to(each) for each in own)
+        """Where it is, as far as that is known without an import."""
+        if self.place.endswith(".py"):
+            return Path(self.place)
+        path = getattr(sys.modules.get(self.place), "__file__", None)
+        return None if path is None else Path(path)
 
     @property
     def own_module(self) -> str:
@@ -112,19 +101,16 @@ class CodePath(os.PathLike[str]):
             return self.place
         return _FILES if self.in_file else self.place.partition(".")[0]
 
-    def find(self, key: str) -> Path | None:
-        """Its file, None of what was given; a `ConfigurationError` without one. `key` is where it stands."""
-        file = self.file
-        if self.given is None and (file is None or not file.is_file()):
-            what = "file that can be read" if self.in_file else "module that can be found"
-            raise ConfigurationError(key, self, f"{_WORDS}, of a {what}")
-        return file
+    def find(self, key: str) -> None:
+        """Raises a `ConfigurationError` where its file is missing; `key` is where it stands."""
+        if self.in_file and not os.path.isfile(self.place):  # noqa: PTH113 - it never raises
+            raise ConfigurationError(key, self, f"{_WORDS}, of a file that can be read")
 
     def check(self, key: str) -> None:
-        """Raises a `ConfigurationError` where it is not trusted or cannot be found; see `find`."""
-        file = self.find(key)
+        """Raises a `ConfigurationError` where its file is missing, or it is not trusted."""
+        self.find(key)
         if not self.trusted:
-            allowed = f"code that you trust; read {file}, then say --trust-code (trust_code=True)"
+            allowed = f"code that you trust; read {self.place}, then say --trust-code (trust_code=True)"
             raise ConfigurationError(key, self, allowed)
 
     def load(self, key: str) -> Any:
@@ -134,13 +120,9 @@ class CodePath(os.PathLike[str]):
         self.check(key)
         with self.blamed(key, "code that can be imported"):
             module = _run_file(self.place) if self.in_file else importlib.import_module(self.place)
-        found = getattr(module, self.name, None)
-        if found is None:
-            names = [name for name in vars(module) if not name.startswith("_")]
-            raise ConfigurationError(key, self, f"a name that {self.place} defines{meant(self.name, names)}")
-        if self.is_shipped and isinstance(found, type) and found.__module__ != module.__name__:
-            raise ConfigurationError(key, self, f"a class that {self.place} itself defines")
-        return found
+        if not hasattr(module, self.name):
+            raise ConfigurationError(key, self, f"a name that {self.place} defines{meant(self.name, vars(module))}")
+        return getattr(module, self.name)
 
     @contextmanager
     def blamed(self, key: str, allowed: str) -> Iterator[None]:
@@ -149,9 +131,9 @@ class CodePath(os.PathLike[str]):
             yield
         except (ConfigurationError, KeyboardInterrupt):
             raise
-        except BaseException as error:
-            what, _ = describe(error, _frames(error.__traceback__, (self.own_module,)))
-            raise ConfigurationError(key, self, f"{allowed} ({what})") from error
+        except BaseException as error:  # SystemExit too
+            text = _in_a_line(error, _frames(error.__traceback__, (self.own_module,)))
+            raise ConfigurationError(key, self, f"{allowed} ({text})") from error
 
     def __fspath__(self) -> str:
         return f"{self.place}:{self.name}"
@@ -175,7 +157,10 @@ class CodePath(os.PathLike[str]):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: Any) -> dict[str, Any]:
-        return {"type": "string", "pattern": CLASS_PATH, "$comment": _WORDS}
+        return {
+            "type": "string",
+            "pattern": CLASS_PATH,
+        }
 
 
 def path_of(given: Any) -> str:
@@ -189,25 +174,12 @@ def is_code(text: str) -> bool:
     return re.fullmatch(CLASS_PATH, text) is not None
 
 
-def source_of(made: Any) -> str:
+def source_of(thing: Any) -> str:
     """Source of a function, class or module, to tell whether it has changed; else a function's compiled code."""
     try:
-        return inspect.getsource(made)
+        return inspect.getsource(thing)
     except (OSError, TypeError):
-        return repr(getattr(getattr(made, "__code__", None), "co_code", None))
-
-
-def _module_file(module: str) -> Path | None:
-    """The file that an import of `module` would run, found without an import; None if there is none."""
-    top, *parts = module.split(".")
-    try:
-        spec = importlib.util.find_spec(top)
-    except (ImportError, ValueError):
-        return None
-    for part in parts:
-        if spec is not None:
-            spec = PathFinder.find_spec(f"{spec.name}.{part}", list(spec.submodule_search_locations or ()))
-    return Path(str(spec.origin)).absolute() if spec is not None and spec.has_location else None
+        return repr(getattr(getattr(thing, "__code__", None), "co_code", None))
 
 
 def read_code(path: str) -> bytes:
@@ -247,12 +219,9 @@ class UserCode(AbstractContextManager[None]):
     """Turns what a user's code raises in a run into `ControllerError`, which ends the run and keeps its log.
 
     What ends a run by itself passes, and so does Ctrl-C, and what no frame of the user's is part of: that is Drake's
-    verdict (see `drake_guard`), or a mistake in this package.
+    verdict (see `drake_guard`), or a mistake in this package. `own` are the user's modules, or packages of them.
 
     A class: a generator under `contextmanager` would let StopIteration pass.
-
-    Args:
-        own: Names of the user's modules, or of the packages that they are in; none where no code is the user's.
     """
 
     def __init__(self, *own: str) -> None:
@@ -264,33 +233,30 @@ class UserCode(AbstractContextManager[None]):
         # The first frame is the one that has this guard; without another, the user's code could not even be called.
         frames = _frames(trace.tb_next, self._own)
         if frames or trace.tb_next is None:
-            line, lines = describe(error, frames)
-            raise ControllerError(f"the user's code raised {line}", lines) from error
-
-
-def describe(error: BaseException, frames: list[TracebackType]) -> tuple[str, str]:
-    """An error in one line, with file and line, and its traceback, given the user's frames in it."""
-    try:
-        text = " ".join(str(error).split())
-    except Exception:  # a __str__ of the user's own
-        text = "its text cannot be shown"
-    line = f"{type(error).__name__}: {text}" if text else type(error).__name__
-    if not frames:
-        return line, ""
-    code = frames[-1].tb_frame.f_code
-    # Of an endless recursion the first frames say enough.
-    lines = "".join(traceback.format_exception(type(error), error, frames[0], limit=20)).rstrip()
-    return f"{line} ({Path(code.co_filename).name}, line {frames[-1].tb_lineno}, in {code.co_name})", lines
+            # Of an endless recursion the first frames say enough.
+            lines = traceback.format_exception(type(error), error, frames[0], limit=20) if frames else []
+            raise ControllerError(
+                f"the user's code raised {_in_a_line(error, frames)}", "".join(lines).rstrip()
+            ) from error
 
 
 def _frames(trace: TracebackType | None, packages: tuple[str, ...]) -> list[TracebackType]:
     """Those of a traceback that are in one of some packages."""
-    found, starts = [], tuple(f"{package}." for package in packages)
+    frames, starts = [], tuple(f"{package}." for package in packages)
     while trace is not None:
         if f"{trace.tb_frame.f_globals.get('__name__')}.".startswith(starts):
-            found.append(trace)
+            frames.append(trace)
         trace = trace.tb_next
-    return found
+    return frames
+
+
+def _in_a_line(error: BaseException, frames: list[TracebackType]) -> str:
+    """An error, with file and line of the last of the user's frames in its traceback."""
+    line = f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
+    if not frames:
+        return line
+    code = frames[-1].tb_frame.f_code
+    return f"{line} ({Path(code.co_filename).name}, line {frames[-1].tb_lineno}, in {code.co_name})"
 
 
 # --- files and code among plain values ---
@@ -314,10 +280,19 @@ def anchored(data: Any, folder: Path) -> Any:
 
 
 def file_digests(data: Any) -> dict[str, str | None]:
-    """Path of each file that is named in plain values -> sha256 of its content, None where it cannot be read."""
-    texts = _texts(data)
-    code = {str(file) for _, text in texts if is_code(text) and (file := CodePath.named(text).file)}
-    return {path: digest(path) for path in sorted(code | {text for key, text in texts if _is_file(key, text)})}
+    """Path of each file that is named in plain values -> sha256 of its content, None where it cannot be read.
+
+    The file of a module is known once that is imported.
+    """
+    paths: set[str] = set()
+
+    def look(key: str, text: str) -> str:
+        path = CodePath.named(text).file if is_code(text) else text if _is_file(key, text) else None
+        paths.update([] if path is None else [str(path)])
+        return text
+
+    with_texts(data, look)
+    return {path: digest(path) for path in sorted(paths)}
 
 
 def with_texts(data: Any, change: Any, key: str = "") -> Any:
@@ -331,13 +306,6 @@ def with_texts(data: Any, change: Any, key: str = "") -> Any:
         lasts = {name: str(name).rpartition(".")[2] for name in data}
         return {name: with_texts(data[name], change, key if last == "values" else last) for name, last in lasts.items()}
     return [with_texts(each, change, key) for each in data] if isinstance(data, (list, tuple)) else data
-
-
-def _texts(data: Any) -> set[tuple[str, str]]:
-    """Each text with the last part of its key."""
-    found: set[tuple[str, str]] = set()
-    with_texts(data, lambda *each: found.add(each))
-    return found
 
 
 def _is_file(key: str, value: str) -> bool:

@@ -23,7 +23,7 @@ class Report(ABC):
     @property
     @abstractmethod
     def title(self) -> str:
-        """Of what it is."""
+        """Of a page."""
 
     @abstractmethod
     def rows(self) -> list[tuple[Any, ...]]:
@@ -31,7 +31,7 @@ class Report(ABC):
 
     @abstractmethod
     def summary(self) -> list[tuple[str, str]]:
-        """What was found, as rows of two texts."""
+        """Name and text of each result."""
 
     @abstractmethod
     def table(self) -> tuple[list[str], list[list[str]]]:
@@ -47,11 +47,7 @@ class Report(ABC):
         return stream.getvalue()
 
     def to_pandas(self) -> Any:
-        """`rows` as a pandas.DataFrame.
-
-        Raises:
-            ConfigurationError: pandas is not installed.
-        """
+        """`rows` as a pandas.DataFrame; a `ConfigurationError` where pandas is not installed."""
         need_pandas("rows() gives the same as tuples")
         import pandas as pd
 
@@ -60,7 +56,6 @@ class Report(ABC):
     def to_markdown(self, picture: str) -> str:
         """A page with a picture, a file beside it."""
         header, rows = self.table()
-        summary = (f"- {name}: {text}" for name, text in self.summary())
-        table = (f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows))
-        parts = (f"# {self.title}", "\n".join(summary), self.about, "\n".join(table), f"![{self.picture}]({picture})")
-        return "\n\n".join(parts) + "\n"
+        summary = "\n".join(f"- {name}: {text}" for name, text in self.summary())
+        table = "\n".join(f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows))
+        return f"# {self.title}\n\n{summary}\n\n{self.about}\n\n{table}\n\n![{self.picture}]({picture})\n"

@@ -53,17 +53,14 @@ Chosen = Mapping[str, tuple[str, float]]
 
 def column_name(quantity: str, unit: str) -> str:
     """What the column of a quantity is called, such as `pose_roll_rad`."""
-    ending = next(iter(ENDINGS[unit]))
-    return f"{quantity}_{ending}" if ending else quantity
+    return f"{quantity}_{next(iter(ENDINGS[unit]))}".removesuffix("_")
 
 
 def quantity_of(column: str) -> tuple[str, float]:
     """The quantity of a column, its name without the unit, and what one of the unit is in SI."""
-    factors = {ending: factor for each in ENDINGS.values() for ending, factor in each.items() if ending}
-    for ending in sorted(factors, key=len, reverse=True):
-        if column.endswith(f"_{ending}"):
-            return column.removesuffix(f"_{ending}"), factors[ending]
-    return column, 1.0
+    factors = {f"_{ending}": factor for each in ENDINGS.values() for ending, factor in each.items() if ending}
+    ending = max((each for each in factors if column.endswith(each)), key=len, default="")
+    return column.removesuffix(ending), factors.get(ending, 1.0)
 
 
 def read_numbers(
@@ -71,14 +68,14 @@ def read_numbers(
 ) -> np.ndarray:
     """Chosen quantities (n, k) of a table, in any order of its columns; further columns are left alone.
 
+    A cell that is empty is NaN. A column that is missing or there twice, and a cell that is no number, are refused.
+
     Args:
         path: A .csv or .parquet file with a header.
         source: What it is, with its path, for messages.
         quantities: k of them with the units in which they are kept, such as ("pose_roll", "rad").
         most_bytes: Of the file.
         most_rows: Likewise.
-
-    A cell that is empty is NaN. A column that is missing or there twice, and a cell that is no number, are refused.
     """
 
     def choose(names: list[str]) -> Chosen:
@@ -93,9 +90,8 @@ def refuse_cells(
     """Raises a `ConfigurationError` for the first of the cells of a table (n, k) that are `wrong`."""
     if wrong.any():
         row, column = np.argwhere(wrong)[0]
-        raise ConfigurationError(
-            f"{source}: row {row + 1}, {quantities[column][0]}", float(values[row, column]), allowed
-        )
+        place = f"{source}: row {row + 1}, {quantities[column][0]}"
+        raise ConfigurationError(place, float(values[row, column]), allowed)
 
 
 def read_columns(
@@ -137,24 +133,22 @@ def read_columns(
 
 def _column(names: list[str], quantity: str, unit: str, source: str) -> tuple[str, float]:
     """The one column of a quantity, and what its unit is of the one that is kept."""
-    ways = {f"{quantity}_{ending}" if ending else quantity: factor for ending, factor in ENDINGS[unit].items()}
+    ways = {f"{quantity}_{ending}".removesuffix("_"): factor for ending, factor in ENDINGS[unit].items()}
     ways[quantity] = 1.0
     ways |= {name.removeprefix("pose_"): factor for name, factor in ways.items()}
-    found = [name for name in names if name in ways]
-    if len(found) != 1:
-        have = ", ".join(found) or f"none among {', '.join(names)[:300] or 'no columns'}"
+    columns = [name for name in names if name in ways]
+    if len(columns) != 1:
+        have = ", ".join(columns) or f"none among {', '.join(names)[:300] or 'no columns'}"
         raise ConfigurationError(f"{source}: column of {quantity}", have, f"one of {', '.join(ways)}")
-    return found[0], ways[found[0]]
+    return columns[0], ways[columns[0]]
 
 
 def to_csv(table: pa.Table) -> bytes:
     """A table as a CSV file, without its metadata."""
     from pyarrow import csv as pc
 
-    header = io.StringIO()
-    csv.writer(header, lineterminator="\n").writerow(table.column_names)
-    stream = io.BytesIO(header.getvalue().encode())
-    stream.seek(0, io.SEEK_END)
+    stream = io.BytesIO()
+    stream.write((",".join(table.column_names) + "\n").encode())
     pc.write_csv(table, stream, pc.WriteOptions(include_header=False))
     return stream.getvalue()
 
@@ -188,14 +182,11 @@ def parquet_about(path: str | Path, source: str, key: str, most_bytes: int, made
 
     check_file(path, source, most_bytes, f"a file from {made_by}")
     try:
-        metadata = pq.read_metadata(path).metadata or {}
-        about = json.loads(metadata.get(f"stewart_drake.{key}".encode(), b"null"))
-    except (OSError, ValueError, pa.ArrowException) as error:
-        text = " ".join(str(error).split())[:200]
+        about = json.loads((pq.read_metadata(path).metadata or {})[f"stewart_drake.{key}".encode()])
+    except (OSError, ValueError, KeyError, pa.ArrowException) as error:
+        text = "another Parquet file" if isinstance(error, KeyError) else " ".join(str(error).split())[:200]
         raise ConfigurationError(source, text, f"a Parquet file from {made_by}") from None
-    if not isinstance(about, dict):
-        raise ConfigurationError(source, "another Parquet file", f"one from {made_by}")
-    return about
+    return dict(about)
 
 
 def need_pandas(instead: str) -> None:

@@ -77,10 +77,9 @@ def locked_folder(folder: Path) -> Iterator[None]:
     lock = FileLock(folder / ".lock", blocking=False)
     try:
         lock.acquire()
-    except Timeout:
-        raise ConfigurationError("--out", str(folder), "a folder that no other process is using") from None
-    except OSError as error:
-        raise ConfigurationError("--out", str(folder), f"a folder that can be locked ({error})") from None
+    except (OSError, Timeout) as error:
+        problem = "that no other process is using" if isinstance(error, Timeout) else f"that can be locked ({error})"
+        raise ConfigurationError("--out", str(folder), f"a folder {problem}") from None
     try:
         for part in folder.glob(".*.part"):
             part.unlink(missing_ok=True)
@@ -95,20 +94,20 @@ def plain_json(document: Mapping[str, Any]) -> dict[str, Any]:
 
     Where there are such numbers it has one more key, `not_finite`: dotted key -> nan, inf or -inf.
     """
-    found: dict[str, str] = {}
+    not_finite: dict[str, str] = {}
 
     def plain(value: Any, name: str) -> Any:
         if isinstance(value, float) and not math.isfinite(value):
-            found[name] = repr(float(value))
+            not_finite[name.removeprefix(".")] = repr(float(value))
             return None
         if isinstance(value, Mapping):
-            return {key: plain(each, f"{name}.{key}" if name else str(key)) for key, each in value.items()}
+            return {key: plain(each, f"{name}.{key}") for key, each in value.items()}
         if isinstance(value, (list, tuple)):
             return [plain(each, f"{name}.{index}") for index, each in enumerate(value)]
         return value
 
     copy: dict[str, Any] = plain(document, "")
-    return {**copy, NOT_FINITE: found} if found else copy
+    return {**copy, NOT_FINITE: not_finite} if not_finite else copy
 
 
 def checksum(document: Any) -> str:
@@ -124,9 +123,7 @@ def seal(document: Mapping[str, Any]) -> dict[str, Any]:
 
 def unseal(document: Any) -> dict[str, Any]:
     """The inverse of `seal`; ValueError for no mapping, no checksum, or not that of the content."""
-    if not isinstance(document, dict):
-        raise ValueError("no mapping of keys to values")
-    rest = {key: value for key, value in document.items() if key != CHECKSUM}
-    if document.get(CHECKSUM) != checksum(rest):
+    rest = {key: value for key, value in document.items() if key != CHECKSUM} if isinstance(document, dict) else {}
+    if not rest or document.get(CHECKSUM) != checksum(rest):
         raise ValueError("its checksum is not that of its content")
     return rest

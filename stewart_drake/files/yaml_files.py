@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,6 @@ from ruamel.yaml import YAML
 from ruamel.yaml.composer import Composer
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.events import AliasEvent
-from ruamel.yaml.representer import SafeRepresenter
 
 from stewart_drake.config import meant
 from stewart_drake.errors import ConfigurationError
@@ -29,19 +27,17 @@ def shipped_folder(kind: str) -> Path:
 
 def find_file(kind: str, name: str | Path) -> Path:
     """The file that `name` means, a path or the stem of a file of the package; `kind` such as `scenario`."""
-    path, folder, what = Path(name), shipped_folder(f"{kind}s"), f"{kind} file"
+    path, shipped = Path(name), {each.stem: each for each in sorted(shipped_folder(f"{kind}s").glob("*.yaml"))}
     try:
         # What is a pipe or a device says so itself once it is to be read.
         if path.exists() and not path.is_dir():
             return path
-        shipped = folder / f"{name}.yaml"
-        if path.name == str(name) and shipped.is_file():
-            return shipped
     except OSError as error:
-        raise ConfigurationError(what, str(name), f"a path that can be read ({error.strerror})") from None
-    known = sorted(p.stem for p in folder.glob("*.yaml"))
-    hint = meant(str(name), known)
-    raise ConfigurationError(what, str(name), f"an existing file, or one of {', '.join(known)}{hint}")
+        raise ConfigurationError(f"{kind} file", str(name), f"a path that can be read ({error.strerror})") from None
+    if str(name) in shipped:
+        return shipped[str(name)]
+    allowed = f"an existing file, or one of {', '.join(shipped)}{meant(str(name), shipped)}"
+    raise ConfigurationError(f"{kind} file", str(name), allowed)
 
 
 def read_mapping(kind: str, path: Path, longest_name: int) -> dict[str, Any]:
@@ -59,15 +55,17 @@ def read_mapping(kind: str, path: Path, longest_name: int) -> dict[str, Any]:
     return data
 
 
+def _yaml() -> YAML:
+    # YAML 1.2: 1e-3 is a number, duplicate keys are refused, and the safe loader builds plain values alone.
+    return YAML(typ="safe", pure=True)
+
+
 def parse_yaml(text: str, key: str) -> Any:
     """Plain values from a YAML text."""
-    # YAML 1.2: 1e-3 is a number, duplicate keys are refused, and the safe loader builds plain values alone.
-    yaml = YAML(typ="safe", pure=True)
+    yaml = _yaml()
     yaml.Composer = _PlainComposer
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            return yaml.load(text)
+        return yaml.load(text)
     except Exception as error:
         # Of a tag that does not fit its value (`!!bool 3`) the loader lets KeyError, IndexError and others escape.
         mark = getattr(error, "problem_mark", None)
@@ -80,25 +78,12 @@ def parse_yaml(text: str, key: str) -> Any:
 
 def to_yaml(data: Any) -> str:
     """Plain values as YAML that `parse_yaml` reads back."""
-    yaml = YAML(typ="safe", pure=True)
+    yaml, stream = _yaml(), StringIO()
     yaml.default_flow_style = None
     yaml.width = 120
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    yaml.Representer = _Representer
-    stream = StringIO()
     yaml.dump(data, stream)
     return stream.getvalue()
-
-
-class _Representer(SafeRepresenter):
-    """Escapes Unicode's own line breaks, which a reader would fold into spaces."""
-
-    def represent_str(self, data: str) -> Any:
-        style = '"' if any(mark in data for mark in "\x85\u2028\u2029") else None
-        return self.represent_scalar("tag:yaml.org,2002:str", data, style=style)
-
-
-_Representer.add_representer(str, _Representer.represent_str)
 
 
 class _PlainComposer(Composer):

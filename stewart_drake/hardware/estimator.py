@@ -75,11 +75,10 @@ need not have been believed."""
 def _difference(robots: Any, setups: Any, angles: Any, leg_records: Any, states: Any) -> Any:
     """One tick: forward kinematics from the last pose, and the pose's rate from the difference of the angles (6,).
 
-    Two readings belong to the middle of their tick: the rate lags by half a period. The first repeats the crank rates
-    of the state. A pose is believed if no angle has jumped, Newton's method converges near the last pose, and the rods'
-    lines have not changed orientation: between two assembly modes lies a parallel singularity, where their determinant
-    changes sign. The cranks must stand on the robot's branch of the inverse kinematics, which ends at their dead
-    centres.
+    The rate lags by half a period; the first repeats the crank rates of the state. A pose is believed if no angle has
+    jumped, Newton's method converges near the last pose, the cranks stand on the robot's branch of the inverse
+    kinematics, and the rods' lines have not changed orientation: between two assembly modes lies a parallel
+    singularity, where their determinant changes sign.
 
     Returns status, leg or -1, margin; of NO_CONVERGENCE steps taken and error [m]. If not OK only `candidate` changes.
     """

@@ -26,8 +26,8 @@ _STREAM = 3  # Of random numbers, see `faults.tick_numbers`.
 class LinkOptions(Section, key="link"):
     """What may happen to a command on its way; by default nothing does.
 
-    A dropped tick's command never arrives and the last one holds. A late one arrives `late_steps` steps of the plant
-    after its tick, unless a newer one came before. Where a tick is both, it is dropped.
+    A dropped tick's command never arrives and the last one holds. A late one arrives a step of the plant after its
+    tick. Where a tick is both, it is dropped.
     """
 
     drop_probability: Share = 0.0
@@ -38,10 +38,6 @@ class LinkOptions(Section, key="link"):
     """[s] from which on every tick is dropped: the controller hangs; null for never."""
     late_probability: Share = 0.0
     """[-] that a tick is late, 0 to 1."""
-    late: tuple[Natural, ...] = ()
-    """Ticks that are late in any case."""
-    late_steps: Annotated[Natural, Field(ge=1, le=100_000)] = 1
-    """Steps of the plant by which a late tick is late, at most one control period."""
     seed: Seed = 0
     """Of what is dropped and late; each tick has its own number, whatever came before."""
     faults: tuple[CommandFault, ...] = ()
@@ -49,7 +45,7 @@ class LinkOptions(Section, key="link"):
 
     @cached_property
     def perfect(self) -> bool:
-        chance = self.drop_probability or self.late_probability or self.dropped or self.late or self.faults
+        chance = self.drop_probability or self.late_probability or self.dropped or self.faults
         return not chance and self.stop_time is None
 
     def fate(self, tick: int, time: float) -> Literal["arrives", "dropped", "late"]:
@@ -57,7 +53,7 @@ class LinkOptions(Section, key="link"):
         stopped = self.stop_time is not None and time >= self.stop_time
         if stopped or tick in self.dropped or drop < self.drop_probability:
             return "dropped"
-        return "late" if tick in self.late or late < self.late_probability else "arrives"
+        return "late" if late < self.late_probability else "arrives"
 
 
 _LINK_STATE = fields(torque=6, age=(1,), steps=(), arriving=6, due=(), sent=(), arrived=())
@@ -82,7 +78,7 @@ def link_part(options: LinkOptions, steps_per_tick: int, initial: np.ndarray) ->
             if fate == "arrives":
                 now["torque"], now["arrived"], now["due"] = signal.says, number, 0.0
             elif fate == "late":
-                now["arriving"], now["sent"], now["due"] = signal.says, number, step + options.late_steps
+                now["arriving"], now["sent"], now["due"] = signal.says, number, step + 1
         now["age"], now["steps"] = number - now["arrived"], step + 1
 
     first = new_record(_LINK_STATE, torque=initial)

@@ -241,12 +241,8 @@ def _look_ahead(robots: Any, setups: Any, leg_records: Any, states: Any) -> Any:
         return SERIAL, bad, legs.reach[bad]
     # T = -J^-T M J^-1 (disturbance).
     task_inertia(robot, legs, inertia)
-    lines, twist, transposed, wrench = (
-        legs.line.copy(),
-        np.empty((6, 1)),
-        np.ascontiguousarray(legs.line.T),
-        np.zeros((6, 1)),
-    )
+    lines, transposed = legs.line.copy(), np.ascontiguousarray(legs.line.T)
+    twist, wrench = np.empty((6, 1)), np.zeros((6, 1))
     for i in range(6):
         twist[i, 0] = legs.lever[i] * state.disturbance[i]
     if solve(lines, twist) == 0.0:
@@ -274,13 +270,11 @@ def observer_part(
     friction: float = 0.0,
     size: int = 6,
 ) -> Part:
-    """The observer, for a robot as the controller believes it to be; its outputs are the first fields of `_STATE`.
+    """The observer, for a robot as believed; its outputs are the first fields of `_STATE`; further as of `part.Setup`.
 
-    Inputs: reading (6,) [rad] of the cranks, NaN for one that is missing, or (12,) pose [rad, m] and its rate; sent
-    (6,) [N m] the last command, less what of it the friction takes; reference (18,) wanted now; disturbance (1,)
-    [rad/s^2 per sqrt(s)] to expect. `noise` [rad] of a reading; `pose` and its rate roughly at first, which picks the
-    assembly mode; `still` (6,) [N m] at the motors until the first command arrives; `command_delay` [ticks], of which
-    `options.delay` may say otherwise; `friction` [N m], the largest break-away torque believed; `size` of a reading.
+    Inputs: reading of `size` 6, angles of the cranks [rad], NaN for one that is missing, or 12, pose [rad, m] and its
+    rate; sent (6,) [N m] the last command, less what of it the friction takes; reference (18,) wanted now; disturbance
+    (1,) [rad/s^2 per sqrt(s)] to expect. `command_delay` [ticks], of which `options.delay` may say otherwise.
     """
     delay, noise = options.ahead(command_delay), max(noise, SMALLEST_NOISE)
     if delay * period > FARTHEST:

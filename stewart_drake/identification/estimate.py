@@ -34,7 +34,7 @@ from stewart_drake.robot.leg import LEGS
 
 ASKED: tuple[Kind, ...] = ("platform_mass", "coulomb", "viscous")
 LARGEST = 0.3
-"""[-] standard deviation of a direction, in `parameters.scales`, beyond which it counts as not told."""
+"""[-] standard deviation of a direction, in `parameters.scales`, beyond which it counts as unidentifiable."""
 MEMORY = 0.5  # [s] over which what is left may be correlated
 LEAST = 1e-5
 """[-] of the platform's mass, and of what else the guess has, that eigenvalues of bodies and numbers keep."""
@@ -50,7 +50,7 @@ _UNLIKE, _NOISY, _FACTOR = 0.5, 0.1, 30.0
 class InconsistentError(StewartDrakeError): ...
 
 
-class Untold(NamedTuple):
+class Unidentifiable(NamedTuple):
     """A parameter that keeps its value, its deviation [-] in `scales`, and the change of all that no torque notices."""
 
     at: int
@@ -66,11 +66,11 @@ class Estimate:
     ways: np.ndarray
     covariance: np.ndarray
     information: np.ndarray
-    untold: tuple[Untold, ...]
+    unidentifiable: tuple[Unidentifiable, ...]
 
-    def told(self, change: np.ndarray) -> np.ndarray:
+    def identifiable_part(self, change: np.ndarray) -> np.ndarray:
         """What the motion tells of a change (`SIZE`,) of the parameters: that which leaves alone what is not told."""
-        for each in self.untold:
+        for each in self.unidentifiable:
             change = change - change[each.at] * each.direction
         return change
 
@@ -84,12 +84,12 @@ class Estimate:
 def estimate(
     guess: RobotParameters, samples: Samples, held: Collection[Kind] = (), asked: Collection[Kind] = ASKED
 ) -> Estimate:
-    """Fits the parameters of a robot to samples, but for kinds that are held; what is asked must be told."""
+    """Fits the parameters of a robot to samples, but for kinds that are held; what is asked must be identifiable."""
     size, values = scales(guess), of_robot(guess)
-    untold: list[Untold] = []
+    unidentifiable: list[Unidentifiable] = []
     noise = np.eye(LEGS) * np.mean(samples.torque**2)
     for turn in range(_PASSES):
-        ways = size[:, None] * free_directions(held, {each.at for each in untold})
+        ways = size[:, None] * free_directions(held, {each.at for each in unidentifiable})
         slope, left = _whitened(samples, values, ways, noise)
         values = values + ways @ np.linalg.lstsq(slope, left, rcond=_BLIND)[0]
         # A first pass from a crude guess may leave the logarithms of gains far off.
@@ -98,19 +98,19 @@ def estimate(
         if turn == 1:
             _refuse_other(guess, samples, values)
             slope, _ = _whitened(samples, values, size[:, None] * free_directions(held), noise)
-            untold = _untold(slope, samples, held, size)
-            for each in untold:
+            unidentifiable = _unidentifiable(slope, samples, held, size)
+            for each in unidentifiable:
                 if (own := PARAMETERS[each.at]).kind in set(asked) - set(held):
                     got = f"a motion by which it could be off by {each.deviation:.3g} times its size"
                     allowed = "a motion that tells it, as `excite` designs them"
                     raise ConfigurationError(f"{samples.source}: {own}", got, allowed)
-            values = of_robot(guess) if untold else values
+            values = of_robot(guess) if unidentifiable else values
     slope, left = _whitened(samples, values, ways, noise)
     information = slope.T @ slope
     inverse = np.linalg.inv(information)
     rows = int(samples.used.sum())
     covariance = inverse @ _long_run(samples, slope * left[:, None]) @ inverse * rows / (rows - len(inverse))
-    return Estimate(values, ways, covariance, information, tuple(untold))
+    return Estimate(values, ways, covariance, information, tuple(unidentifiable))
 
 
 def _whitened(
@@ -149,12 +149,14 @@ def _long_run(samples: Samples, scores: np.ndarray) -> np.ndarray:
     return total
 
 
-def _untold(slope: np.ndarray, samples: Samples, held: Collection[Kind], size: np.ndarray) -> list[Untold]:
+def _unidentifiable(
+    slope: np.ndarray, samples: Samples, held: Collection[Kind], size: np.ndarray
+) -> list[Unidentifiable]:
     """Which parameters to keep, one after the other, until all directions that are left are told: base parameters.
 
     M. Gautier, "Numerical calculation of the base inertial parameters of robots" (J. Robotic Systems 8, 1991).
     """
-    found: list[Untold] = []
+    found: list[Unidentifiable] = []
     # Rows closer than half a period of the filter say the same again.
     rows = np.linalg.qr(slope @ free_directions(held).T, mode="r") / np.sqrt(samples.repeats)
     while True:
@@ -165,7 +167,7 @@ def _untold(slope: np.ndarray, samples: Samples, held: Collection[Kind], size: n
         direction = free @ directions[-1]
         at = int((np.abs(direction) * _KEEP_FIRST).argmax())
         deviation = np.inf if sigma[-1] <= _BLIND * sigma[0] else 1.0 / sigma[-1]
-        found.append(Untold(at, float(deviation), direction / direction[at] * size / size[at]))
+        found.append(Unidentifiable(at, float(deviation), direction / direction[at] * size / size[at]))
 
 
 def _refuse_other(guess: RobotParameters, samples: Samples, values: np.ndarray) -> None:

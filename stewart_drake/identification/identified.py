@@ -13,7 +13,7 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.report import Report
 from stewart_drake.files.yaml_files import to_yaml
-from stewart_drake.identification.estimate import ASKED, Estimate, Untold, consistent, estimate
+from stewart_drake.identification.estimate import ASKED, Estimate, Unidentifiable, consistent, estimate
 from stewart_drake.identification.parameters import (
     COULOMB,
     GAIN,
@@ -110,9 +110,9 @@ class Identification(Report):
     def base_parameters(self) -> list[str]:
         """What each parameter's value means: itself, or a sum with those that keep the guess's value."""
         names, size = [str(own) for own in PARAMETERS], scales(self.guess)
-        for kept in self.estimate.untold:
+        for kept in self.estimate.unidentifiable:
             unit = np.eye(len(names))[kept.at]
-            for at, amount in enumerate(self.estimate.told(unit)):
+            for at, amount in enumerate(self.estimate.identifiable_part(unit)):
                 if at != kept.at and abs(amount) * size[kept.at] > _SHOWN * size[at]:
                     names[at] += f" {'+' if amount > 0.0 else '-'} {abs(amount):.3g} {PARAMETERS[kept.at]}"
         return names
@@ -136,14 +136,14 @@ class Identification(Report):
             for at, each in enumerate(self.predictions)
         ]
         return [
-            ("instants, numbers told", f"{len(self.samples.time)}, {len(self.estimate.covariance)}"),
+            ("instants, numbers estimated", f"{len(self.samples.time)}, {len(self.estimate.covariance)}"),
             ("rows in which a crank moves", f"{100.0 * self.samples.used.mean():.0f} %"),
             *torques,
             ("platform beyond the guess", f"{mass:+.4g} ± {self.half_width[0]:.2g} kg{at}"),
             ("bodies", "moved to the nearest that can be" if corrected else "as estimated: they can be"),
             ("coulomb, viscous friction", f"{_few(self.coulomb)} N m, {_few(self.viscous)} N m s/rad"),
             ("torque constants", self._constants()),
-            *(("not told, the guess's stays", self._sentence(each)) for each in self.estimate.untold),
+            *(("not identifiable, the guess's stays", self._sentence(each)) for each in self.estimate.unidentifiable),
         ]
 
     def _constants(self) -> str:
@@ -151,15 +151,20 @@ class Identification(Report):
         what = "of the torques in the logs" if "platform_mass" in self.held else "of their geometric mean, taken as 1"
         return f"Motors 0 to 5 give {constants} {what}"
 
-    def _sentence(self, untold: Untold) -> str:
+    def _sentence(self, unidentifiable: Unidentifiable) -> str:
         """How badly the motion tells a parameter, and what goes with it."""
-        size, own = scales(self.guess), PARAMETERS[untold.at]
+        size, own = scales(self.guess), PARAMETERS[unidentifiable.at]
         others = ", ".join(
-            f"{other} by {untold.direction[at]:+.3g} {other.unit}".strip()
+            f"{other} by {unidentifiable.direction[at]:+.3g} {other.unit}".strip()
             for at, other in enumerate(PARAMETERS)
-            if at != untold.at and abs(untold.direction[at]) * size[untold.at] > _SHOWN * size[at]
+            if at != unidentifiable.at
+            and abs(unidentifiable.direction[at]) * size[unidentifiable.at] > _SHOWN * size[at]
         )
-        badly = "by no motion" if np.isinf(untold.deviation) else f"off by {untold.deviation:.2g} times its size"
+        badly = (
+            "by no motion"
+            if np.isinf(unidentifiable.deviation)
+            else f"off by {unidentifiable.deviation:.2g} times its size"
+        )
         return f"{own} ({badly}): with each {own.unit or 'unit'} more of it {others or 'nothing'}"
 
     def table(self) -> tuple[list[str], list[list[str]]]:

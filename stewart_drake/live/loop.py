@@ -9,13 +9,14 @@ import numpy as np
 
 from stewart_drake.errors import RunFailure
 from stewart_drake.live.steering import HandReference, Reached, nearest_allowed
-from stewart_drake.runs.engine import FastLoop
+from stewart_drake.plant.closed_chain import ClosedChain
+from stewart_drake.runs.engine import FastLoop, Plant
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario
 
 
 class LiveLoop:
-    """The loop of a scenario on the fast engine, changed while it runs.
+    """The loop of a scenario on the plant that `plant.engine` names, changed while it runs.
 
     Every change but a new target and a push is a change of the scenario: its loop is built again, and each part that
     is still there keeps its state, as the robot does.
@@ -34,7 +35,7 @@ class LiveLoop:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self._begun = scenario
+        self._begun, self._plant, self._plant_keys = scenario, _plant_of(scenario), _plant_keys(scenario)
         self.reset()
 
     def reset(self) -> None:
@@ -127,10 +128,26 @@ class LiveLoop:
         return self._loop.running.signal(signal).copy() if isinstance(signal, str) else signal
 
     def _build(self, scenario: Scenario) -> None:
-        loop = FastLoop(scenario)
+        plant = self._plant if self._plant_keys == _plant_keys(scenario) else _plant_of(scenario)
+        loop = FastLoop(scenario, plant)
+        self._plant, self._plant_keys = plant, _plant_keys(scenario)
         self.scenario, self._loop = scenario, loop
         self._ahead = round(scenario.ahead * scenario.controller.period / scenario.plant.time_step)
         sources = {source.signal: source.evaluate for source in loop.parts.sources}
         self._wrench_source = sources.get("wrench")
         self._reference, self._wrench = loop.running.signal("reference"), loop.running.signal("wrench")
         self._reference_ahead = loop.running.signal("reference_ahead") if "reference_ahead" in sources else None
+
+
+def _plant_keys(scenario: Scenario) -> tuple[Any, ...]:
+    """What a plant is made of."""
+    return scenario.robot, scenario.plant, scenario.gravity
+
+
+def _plant_of(scenario: Scenario) -> Plant:
+    if scenario.plant.engine == "reduced":
+        return ClosedChain(*_plant_keys(scenario))
+    # Drake takes seconds to import.
+    from stewart_drake.plant.stepped_plant import SteppedPlant
+
+    return SteppedPlant(*_plant_keys(scenario))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import importlib.util
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
@@ -201,10 +203,48 @@ class SimulationLog(Mapping[str, np.ndarray]):
         ]
         return "\n".join(lines)
 
+    def _repr_html_(self) -> str:
+        """For a notebook: how it ended, its figures and the error over time."""
+        lines = [html.escape(line.strip()) for line in repr(self).splitlines()]
+        plots = ""
+        if len(self.time) > 1 and "reference" in self:
+            error = self["pose"] - self["reference"]
+            for part, factor, label in ((error[:, :3], np.degrees(1.0), "deg"), (error[:, 3:], 1e3, "mm")):
+                plots += _sparkline(self.time, factor * np.linalg.norm(part, axis=1), label)
+        return f"<div><b>{lines[0]}</b><br>{plots}<br>{'<br>'.join(lines[1:])}</div>"
+
     def to_pandas(self) -> Any:
         """The signals as a pandas.DataFrame, a column per component."""
         tables.need_pandas("table() gives the same as an Arrow table")
         return self.table().to_pandas()
+
+    def to_xarray(self) -> Any:
+        """The signals as an xarray.Dataset over time [s], each with its units and what it is.
+
+        Raises:
+            ConfigurationError: xarray is not installed.
+        """
+        if importlib.util.find_spec("xarray") is None:
+            raise ConfigurationError("to_xarray", "no xarray", "an installation with xarray: pip install xarray")
+        import xarray
+
+        variables, dimensions = {}, {AXIS_NAMES: "axis", LEG_NAMES: "leg"}
+        for name, values in self.signals.items():
+            spec = SIGNALS[name]
+            components = self.state_names if name == "plant_state" else spec.components
+            if name != "time":
+                dimension = dimensions.get(components, f"{name}_component")
+                about = {"text": spec.text, "frame": spec.frame, "units": list(spec.units)}
+                signal = xarray.DataArray(values, dims=("time", dimension), attrs=about)
+                variables[name] = signal.assign_coords({dimension: list(components)})
+        made = xarray.Dataset(variables, coords={"time": ("time", self.time, {"units": "s"})})
+        return made.assign_attrs(scenario=self.scenario.name, status=self.status)
+
+    def to_gif(self, path: str | Path) -> None:
+        """Writes the motion as an animated picture; see `stewart_drake.write_film` for its size and for MP4."""
+        from stewart_drake import write_film
+
+        write_film(self, path)
 
     def to_parquet(self) -> bytes:
         about = {"version": _VERSION, "scenario": self.scenario.to_dict(), "outcome": self.outcome()}
@@ -225,6 +265,21 @@ class SimulationLog(Mapping[str, np.ndarray]):
         if ending not in formats:
             raise ConfigurationError("log file", str(path), "a name that ends in .parquet or .csv")
         write_atomically(Path(path), formats[ending]())
+
+
+def _sparkline(time: np.ndarray, values: np.ndarray, unit: str) -> str:
+    """A small plot as SVG, which needs no plotting library."""
+    width, height, rows = 300, 60, np.linspace(0, len(time) - 1, 300).astype(int)
+    finite = values[np.isfinite(values)]
+    top = float(finite.max(initial=0.0)) or 1.0
+    shown = [row for row in rows if np.isfinite(values[row])]
+    span = float(time[-1] - time[0]) or 1.0
+    points = (f"{width * (time[k] - time[0]) / span:.1f},{height * (1.0 - values[k] / top):.1f}" for k in shown)
+    return (
+        f'<svg width="{width + 8}" height="{height + 22}" font-size="11" font-family="sans-serif">'
+        f'<polyline fill="none" stroke="#0072b2" points="{" ".join(points)}" transform="translate(4 18)"/>'
+        f'<text x="4" y="12">error [{unit}], at most {top:.3g}, to {time[-1]:.3g} s</text></svg>'
+    )
 
 
 _OUTCOME = tuple(each.name for each in fields(SimulationLog) if each.name not in ("scenario", "signals", "state_names"))

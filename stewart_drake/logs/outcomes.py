@@ -86,7 +86,7 @@ class RunRows:
     @cached_property
     def at_limit(self) -> np.ndarray:
         """(n, 6) whether a torque is at its limit, at ticks."""
-        size, limit = np.abs(self["torque"]), self.scenario.controller.limit(self.scenario.robot)
+        size, limit = np.abs(self["torque"]), self.scenario.robot.effort_limits
         # A controller that limits the torque itself asks for the limit and no more.
         full = size > limit if self.scenario.controller.asks_for_more else size >= limit
         return full & self.tick[:, None]

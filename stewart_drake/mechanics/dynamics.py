@@ -1,9 +1,6 @@
-"""Exact rigid-body dynamics of the closed chain in six task coordinates, and the paper's map from torques to a wrench.
+"""Exact rigid-body dynamics of the closed chain, and the paper's map from torques to a wrench, for arrays of poses.
 
-For poses with any leading axes.
-
-Model: platform of Table I, cranks turning about their motors, rods as rigid bodies without spin about their own axes.
-Coordinates: twist [w, v] of P in B. M(pose) d(twist)/dt + h(pose, twist) = J' T with J = d(theta)/d(twist).
+The model is that of `dynamics_laws`, which has the same for one pose, compiled.
 """
 
 from __future__ import annotations
@@ -67,21 +64,9 @@ def forward_dynamics(
     torque: ArrayLike,
     gravity: float = STANDARD_GRAVITY,
 ) -> np.ndarray:
-    """Acceleration of the platform under motor torques, all bodies included; the inverse of `inverse_dynamics`.
+    """Second derivative (..., 6) [rad/s^2, m/s^2] of the pose under motor torques (..., 6) [N m].
 
-    Args:
-        robot: Geometry and masses.
-        pose: (..., 6) [rad, m]; pitch away from +-pi/2.
-        pose_rate: (..., 6) [rad/s, m/s] Euler rates and velocity.
-        torque: (..., 6) [N m] of the motors.
-        gravity: [m/s^2] along -z of B.
-
-    Returns:
-        (..., 6) [rad/s^2, m/s^2] second derivative of the pose.
-
-    Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`; a rate or torque of another shape.
-        numpy.linalg.LinAlgError: Exactly at a singularity.
+    The inverse of `inverse_dynamics`, with its arguments and errors; pitch away from +-pi/2.
     """
     motion = {"pose": pose, "pose_rate": pose_rate, "torque": torque}
     return _at_poses(_ACCELERATION, robot, motion, gravity)[..., 0, :]

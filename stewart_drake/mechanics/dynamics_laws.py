@@ -2,7 +2,8 @@
 
 Model: platform of Table I, cranks turning about their motors, rods as rigid bodies without spin about their own axes.
 Coordinates: twist [w, v] of P in B. M(pose) d(twist)/dt + h(pose, twist) = J' T with J = d(theta)/d(twist).
-`dynamics` has the same for arrays of poses, with checks.
+`dynamics` has the same for arrays of poses, with checks. A `ROBOT` and a `LEGS` record come first; gravity [m/s^2] is
+along -z of B.
 """
 
 from __future__ import annotations
@@ -70,17 +71,7 @@ def task_inertia(robot: Any, legs: Any, out: Any) -> None:
 
 @njit
 def loads(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, wrench: Any, torque: Any) -> None:
-    """What a motion takes of all bodies: at the platform, and at each crank.
-
-    Args:
-        robot: `ROBOT` record.
-        legs: `LEGS` record at the pose.
-        twist: (6,) [rad/s, m/s].
-        twist_rate: (6,) [rad/s^2, m/s^2].
-        gravity: [m/s^2] along -z of B.
-        wrench: (6,) [N m, N] out, about P in B.
-        torque: (6,) [N m] out.
-    """
+    """What a motion takes of all bodies: a wrench (6,) [N m, N] about P in B, and a torque (6,) [N m] at the cranks."""
     turn, w, alpha = legs.rotation[:], twist[:3], twist_rate[:3]
     _platform_load(robot, turn, twist, twist_rate, gravity, wrench)
     arm_w, joint, speed, tip, arm_alpha, swing = (
@@ -151,10 +142,7 @@ def _platform_load(robot: Any, turn: Any, twist: Any, twist_rate: Any, gravity: 
 
 @njit
 def inverse_dynamics(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, torque: Any) -> bool:
-    """Motor torques (6,) [N m] of a motion, all bodies included; False at a parallel singularity.
-
-    Args: As of `loads`.
-    """
+    """Motor torques (6,) [N m] of a motion, all bodies included; False at a parallel singularity."""
     load, wrench, matrix = np.empty(6), np.empty((6, 1)), np.empty((6, 6))
     loads(robot, legs, twist, twist_rate, gravity, load, torque)
     for i in range(6):

@@ -92,15 +92,9 @@ def implicit_torque(
     found motor by motor (projected Gauss-Seidel). It makes the exact model stable at steps at which no explicit bristle
     is.
 
-    Args:
-        friction: `FRICTION` record.
-        bristles: Anything with fields `anchor` (6,) [rad] and `slip` (6,) [rad/s], at the beginning of the step.
-        angles: (6,) [rad] likewise.
-        free_rates: (6,) [rad/s] of the cranks at the step's end, were there no friction.
-        mobility: (6, 6) [1/(kg m^2)] acceleration of the cranks per unit of motor torque, J M^-1 J'.
-        step: [s].
-        sweeps: Over the motors, at most.
-        out: (6,) [N m], viscous friction included.
+    `bristles` has `anchor` [rad] and `slip` [rad/s], (6,) each, and with the angles (6,) [rad] is that of the step's
+    beginning; `free_rates` (6,) [rad/s] are those at its end, were there no friction; `mobility` (6, 6) [1/(kg m^2)] is
+    the acceleration of the cranks per unit of motor torque, J M^-1 J'. out: (6,) [N m], viscous friction included.
     """
     rates, bound, wanted = free_rates.copy(), np.empty(6), np.empty(6)
     for i in range(6):

@@ -18,15 +18,14 @@ from numpy.typing import ArrayLike
 from stewart_drake.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
 from stewart_drake.jit import njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
-from stewart_drake.mechanics.kinematics_laws import LEGS, OK, UNREACHABLE, robot_record
+from stewart_drake.mechanics.kinematics_laws import LEGS, OK, UNREACHABLE
 from stewart_drake.robot import RobotParameters
 
 CHUNK = 512
 """Poses that are worth a thread: starting one takes as long as some fifty."""
 
 Loop = Callable[..., Any]
-"""Takes shared arguments, then arrays of as many rows as there are poses, those that it fills last. Returns `OK`, or
-another status where its law cannot go on at a pose."""
+"""Takes shared arguments, then rows, one for each pose, those that it fills last; returns `OK` or another status."""
 Robot = RobotParameters | np.ndarray
 """A robot, or its numbers as a `ROBOT` record (1,)."""
 
@@ -54,20 +53,10 @@ def over_rows(loop: Loop, shared: tuple[Any, ...], rows: tuple[np.ndarray, ...])
 def at_poses(
     loop: Loop, robot: Robot, inputs: Mapping[str, Any], tail: tuple[int, ...], *numbers: float, kind: Any = float
 ) -> Any:
-    """Values (..., *tail) at poses with any leading axes.
+    """Values (..., *tail) of a type at poses; `inputs` (..., 6) by name broadcast, a finite `pose` among them.
 
-    Args:
-        loop: Called with the robot's record, the numbers, rows of the inputs, and rows to fill.
-        robot: Whose.
-        inputs: Name -> (..., 6); leading axes broadcast. `pose` is among them, and finite.
-        tail: Shape of the value at one pose.
-        numbers: Single numbers.
-        kind: Type of the values.
-
-    Raises:
-        UnreachablePoseError: A rod cannot span; that of the worst leg of all poses.
-        ConfigurationError: Inputs that are not (..., 6), or a pose that is not finite.
-        numpy.linalg.LinAlgError: The law cannot go on at a singularity.
+    The loop takes the robot's record, the numbers, rows of the inputs, and rows to fill. Where it cannot go on:
+    UnreachablePoseError of the worst leg of all poses, or at a singularity numpy's LinAlgError.
     """
     arrays = {name: np.asarray(value, dtype=float) for name, value in inputs.items()}
     for name, array in arrays.items():
@@ -92,10 +81,10 @@ def at_poses(
 def robot_records(robot: Robot) -> np.ndarray:
     """The numbers of a robot, a `ROBOT` record that is not to be written to."""
     if isinstance(robot, RobotParameters):
-        return robot_record(robot)
-    seen = robot.view()
-    seen.flags.writeable = False  # laws are compiled once for records of this kind
-    return seen
+        return laws.robot_record(robot)
+    view = robot.view()
+    view.flags.writeable = False  # laws are compiled once for records of this kind
+    return view
 
 
 @njit
@@ -110,10 +99,7 @@ def _legs(robots: Any, poses: Any, legs: Any) -> int:
 def _of_legs(
     values: Callable[..., Any], robot: Robot, pose: ArrayLike, tail: tuple[int, ...], anywhere: bool = False
 ) -> np.ndarray:
-    """Values (..., *tail) of the `LEGS` at poses: `values` takes LEGS (n,) and the poses (n, 6).
-
-    `anywhere`: whether they mean something out of reach too.
-    """
+    """Values (..., *tail) of the `LEGS` (n,) and poses (n, 6); `anywhere`: they mean something out of reach too."""
 
     def loop(robots: np.ndarray, poses: np.ndarray, out: np.ndarray) -> int:
         status = OK
@@ -130,19 +116,18 @@ def _of_legs(
 # --- orientations ----------------------------------------------------------------------------------------------------
 
 
-def rotation_matrix(rpy: ArrayLike) -> np.ndarray:
-    """R_BP (..., 3, 3) of roll, pitch, yaw (..., 3) [rad]; the inverse of (3).
+def _on_arrays(law: Any, shape: tuple[int, ...], *given: ArrayLike, axes: int = 1) -> np.ndarray:
+    """A law of vectors (`axes` 1) or matrices (2) for any leading axes: its own source, run by numpy on components."""
+    arrays = np.broadcast_arrays(*(np.asarray(each, dtype=float) for each in given))
+    components = [np.moveaxis(each, range(-axes, 0), range(axes)) for each in arrays]
+    out = np.empty((*shape, *arrays[0].shape[:-axes]))
+    getattr(law, "py_func", law)(*components, out)
+    return np.ascontiguousarray(np.moveaxis(out, range(len(shape)), range(-len(shape), 0)))
 
-    Deviation: entry (3,1) of the print is a misprint; this is the matrix that it means.
-    """
-    rpy = np.asarray(rpy, dtype=float)
-    (sr, sp, sy), (cr, cp, cy) = (np.moveaxis(function(rpy), -1, 0) for function in (np.sin, np.cos))
-    rows = (
-        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-        (-sp, cp * sr, cp * cr),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+def rotation_matrix(rpy: ArrayLike) -> np.ndarray:
+    """R_BP (..., 3, 3) of roll, pitch, yaw (..., 3) [rad]; the inverse of (3)."""
+    return _on_arrays(laws.rotation, (3, 3), rpy)
 
 
 def rotation_angle(rotation: np.ndarray) -> np.ndarray:
@@ -153,39 +138,19 @@ def rotation_angle(rotation: np.ndarray) -> np.ndarray:
 
 def roll_pitch_yaw(matrix: ArrayLike) -> np.ndarray:
     """Roll, pitch, yaw (..., 3) [rad] of rotation matrices (..., 3, 3); pitch in [-pi/2, pi/2]."""
-    m = np.asarray(matrix, dtype=float)
-    roll, yaw = np.arctan2(m[..., 2, 1], m[..., 2, 2]), np.arctan2(m[..., 1, 0], m[..., 0, 0])
-    return np.stack([roll, np.arcsin(np.clip(-m[..., 2, 0], -1.0, 1.0)), yaw], axis=-1)
+    return _on_arrays(laws.roll_pitch_yaw, (3,), matrix, axes=2)
 
 
 def euler_rate_matrix(rpy: ArrayLike) -> np.ndarray:
     """E (..., 3, 3) with w_B = E(rpy) d(rpy)/dt, of rpy (..., 3) [rad]; singular at pitch = +-pi/2."""
-    rpy = np.asarray(rpy, dtype=float)
-    sp, cp, sy, cy = np.sin(rpy[..., 1]), np.cos(rpy[..., 1]), np.sin(rpy[..., 2]), np.cos(rpy[..., 2])
-    matrix = np.zeros((*rpy.shape, 3))
-    matrix[..., 0, 0], matrix[..., 0, 1] = cy * cp, -sy
-    matrix[..., 1, 0], matrix[..., 1, 1] = sy * cp, cy
-    matrix[..., 2, 0], matrix[..., 2, 2] = -sp, 1.0
-    return matrix
-
-
-def euler_rate_matrix_dot(rpy: ArrayLike, rpy_rate: ArrayLike) -> np.ndarray:
-    """Time derivative (..., 3, 3) [1/s] of `euler_rate_matrix` along rpy_rate (..., 3) [rad/s]."""
-    rpy, rate = np.asarray(rpy, dtype=float), np.asarray(rpy_rate, dtype=float)
-    sp, cp, sy, cy = np.sin(rpy[..., 1]), np.cos(rpy[..., 1]), np.sin(rpy[..., 2]), np.cos(rpy[..., 2])
-    pitch, yaw = rate[..., 1], rate[..., 2]
-    matrix = np.zeros((*np.broadcast_shapes(rpy.shape, rate.shape), 3))
-    matrix[..., 0, 0], matrix[..., 0, 1] = -sy * cp * yaw - cy * sp * pitch, -cy * yaw
-    matrix[..., 1, 0], matrix[..., 1, 1] = cy * cp * yaw - sy * sp * pitch, -sy * yaw
-    matrix[..., 2, 0] = -cp * pitch
-    return matrix
+    return np.stack([_on_arrays(laws.angular_velocity, (3,), rpy, rate) for rate in np.eye(3)], axis=-1)
 
 
 def pose_rate_to_twist(pose: ArrayLike, pose_rate: ArrayLike) -> np.ndarray:
     """Twist [w, v] (..., 6) [rad/s, m/s] of P in B, from poses (..., 6) and their rates (..., 6)."""
     pose, rate = np.broadcast_arrays(np.asarray(pose, dtype=float), np.asarray(pose_rate, dtype=float))
-    spin = euler_rate_matrix(pose[..., :3]) @ rate[..., :3, None]
-    return np.concatenate([spin[..., 0], rate[..., 3:]], axis=-1)
+    spin = _on_arrays(laws.angular_velocity, (3,), pose[..., :3], rate[..., :3])
+    return np.concatenate([spin, rate[..., 3:]], axis=-1)
 
 
 def twist_to_pose_rate(pose: ArrayLike, twist: ArrayLike) -> np.ndarray:
@@ -193,6 +158,14 @@ def twist_to_pose_rate(pose: ArrayLike, twist: ArrayLike) -> np.ndarray:
     pose, twist = np.broadcast_arrays(np.asarray(pose, dtype=float), np.asarray(twist, dtype=float))
     rate = np.linalg.solve(euler_rate_matrix(pose[..., :3]), twist[..., :3, None])
     return np.concatenate([rate[..., 0], twist[..., 3:]], axis=-1)
+
+
+def cross(a: ArrayLike, b: ArrayLike) -> np.ndarray:
+    """Cross product (..., 3); several times faster than numpy's on small arrays."""
+    return _on_arrays(laws.cross, (3,), a, b)
+
+
+# --- legs ------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -244,30 +217,11 @@ def inverse_kinematics(robot: Robot, pose: ArrayLike, branch: int | None = None)
 
 
 def leg_geometry(robot: Robot, pose: ArrayLike, branch: int | None = None) -> LegGeometry:
-    """Directions of cranks and rods at `pose`, Fig. 1.
-
-    Args:
-        robot: Geometry.
-        pose: (..., 6) [rad, m].
-        branch: As in `inverse_kinematics`.
-
-    Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
-    """
+    """Directions of cranks and rods at poses (..., 6) [rad, m], Fig. 1; else as `inverse_kinematics`."""
     legs = at_poses(_legs, _with_branch(robot, branch), {"pose": pose}, (), kind=LEGS)
     names = ("rotation", "arm", "crank", "e_n", "e_l", "transmission")
     theta = np.arctan2(legs["sine"], legs["cosine"])
     return LegGeometry(crank_angles=theta, **{name: np.ascontiguousarray(legs[name]) for name in names})
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross product over the last axis; several times faster than numpy's on small arrays."""
-    a, b = np.broadcast_arrays(a, b)
-    product = np.empty(a.shape)
-    for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        product[..., k] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
-    return product
 
 
 def rod_lines(legs: LegGeometry) -> np.ndarray:
@@ -306,7 +260,7 @@ def forward_kinematics(
 ) -> np.ndarray:
     """Pose of the platform from the crank angles, by Newton's method on the six rod lengths.
 
-    The assembly mode found is the one nearest to the guess in Newton's sense.
+    The assembly mode is the one nearest to the guess in Newton's sense.
 
     Args:
         robot: Geometry.
@@ -357,19 +311,14 @@ def conditioning(robot: Robot, pose: ArrayLike) -> np.ndarray:
     Zero at a parallel singularity; it says nothing about dead centres (see `LegGeometry.transmission`).
     """
     length = robot_records(robot)["length"][0]
-    return _of_legs(lambda legs, _: _conditioning(legs["line"].copy(), length), robot, pose, ())
 
+    def ratio(legs: np.ndarray, _: np.ndarray) -> np.ndarray:
+        # At a pose out of reach, which is refused, lines may not be finite.
+        lines = np.nan_to_num(legs["line"] / ([length] * 3 + [1.0] * 3), posinf=0.0, neginf=0.0)
+        sigma = np.linalg.svd(lines, compute_uv=False)
+        return np.asarray(sigma[:, -1] / sigma[:, 0])
 
-def line_conditioning(robot: RobotParameters, legs: LegGeometry) -> np.ndarray:
-    """`conditioning` from leg vectors that are already at hand; (...) [-]."""
-    return _conditioning(rod_lines(legs), robot.characteristic_length)
-
-
-def _conditioning(lines: np.ndarray, length: float) -> np.ndarray:
-    lines[..., :3] /= length
-    # At a pose out of reach, which is refused, lines may not be finite.
-    sigma = np.linalg.svd(np.nan_to_num(lines, posinf=0.0, neginf=0.0), compute_uv=False)
-    return np.asarray(sigma[..., -1] / sigma[..., 0])
+    return _of_legs(ratio, robot, pose, ())
 
 
 def _with_branch(robot: Robot, branch: int | None) -> Robot:

@@ -93,7 +93,7 @@ def rotation(rpy: Any, out: Any) -> None:
 def roll_pitch_yaw(matrix: Any, out: Any) -> None:
     """Roll, pitch, yaw (3,) [rad] of a rotation matrix (3, 3); pitch in [-pi/2, pi/2]."""
     out[0] = np.arctan2(matrix[2, 1], matrix[2, 2])
-    out[1] = np.arcsin(min(1.0, max(-1.0, -matrix[2, 0])))
+    out[1] = np.arcsin(np.minimum(1.0, np.maximum(-1.0, -matrix[2, 0])))
     out[2] = np.arctan2(matrix[1, 0], matrix[0, 0])
 
 
@@ -246,40 +246,11 @@ def conditioning(robot: Any, legs: Any, tolerance: float) -> float:
 
 
 @njit
-def usable_legs(robot: Any, min_transmission: float, min_conditioning: float, pose: Any, legs: Any) -> Any:
-    """`legs_at`, and whether a controller may act there.
-
-    Returns OK, UNREACHABLE, SERIAL (a crank near its dead centre) or PARALLEL; the leg or -1; the margin that is too
-    small, or where all is well the conditioning.
-    """
-    bad = legs_at(robot, pose, legs)
-    if bad >= 0:
-        return UNREACHABLE, bad, legs.reach[bad]
-    worst, leg = np.inf, 0
-    for i in range(6):
-        if not abs(legs.transmission[i]) >= worst:
-            worst, leg = abs(legs.transmission[i]), i
-    if worst < min_transmission:
-        return SERIAL, leg, worst
-    ratio = conditioning(robot, legs, QUICK)
-    if not ratio >= min_conditioning:
-        return PARALLEL, -1, ratio
-    return OK, -1, ratio
-
-
-@njit
 def forward_kinematics(robot: Any, theta: Any, pose: Any, tolerance: float, iterations: int) -> Any:
-    """Pose from crank angles by Newton's method on the six rod lengths.
+    """Pose (6,) from crank angles (6,), in the place of a guess, by Newton's method on the six rod lengths.
 
-    Args:
-        robot: `ROBOT` record.
-        theta: (6,) [rad].
-        pose: (6,) [rad, m] guess; becomes the pose.
-        tolerance: [m] largest error of a rod's length that is accepted.
-        iterations: Newton steps at most.
-
-    Returns:
-        Largest error of a rod's length that is left [m], NaN or not below the tolerance without convergence; the steps.
+    Returns the largest error of a rod's length that is left [m], NaN or not below the tolerance [m] without
+    convergence; the steps.
     """
     turn, tips, arm, rod = np.empty((3, 3)), np.empty((6, 3)), np.empty(3), np.empty(3)
     for i in range(6):

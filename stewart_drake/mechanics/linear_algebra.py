@@ -80,12 +80,9 @@ def singular_vectors(matrix: Any, s: Any, v: Any, tolerance: float) -> None:
 
     Small singular values keep their relative accuracy. Not sorted.
 
-    Args:
-        matrix: (n, n), rows are the vectors that are rotated; row i becomes s_i times the left vector u_i.
-        s: (n,) out.
-        v: (n, n) out; row i is the right vector: matrix' = sum of s_i u_i v_i', for the transposed matrix given.
-        tolerance: Cosine between rows at which they count as orthogonal. It is the relative error of singular values
-            that are equal; of others the error is its square.
+    Row i of `matrix` (n, n) becomes s_i times the left vector u_i, row i of `v` (n, n) is the right one: of the matrix
+    given, transposed, the sum of s_i u_i v_i'. `tolerance`: cosine between rows at which they count as orthogonal, the
+    relative error of singular values that are equal; of others the error is its square.
     """
     n = matrix.shape[0]
     for i in range(n):

@@ -109,12 +109,12 @@ def to_euler(poses: np.ndarray, twist_rate: np.ndarray) -> np.ndarray:
 
 def reproduce(study: Study) -> Result:
     robot, rng = study.base.robot, np.random.default_rng(SEED)
-    poses = sample_poses(robot, NEAR, study.pick(120, 15), rng, LEAST_MARGIN).poses
+    poses = sample_poses(robot, NEAR, study.pick(120, 15), rng, LEAST_MARGIN)
     light = light_legs(robot, MASSLESS)
     runs = {name: measured(r, poses, STANDARD_GRAVITY) for name, r in (("massless legs", light), ("Table I", robot))}
     transmission = leg_geometry(robot, poses).transmission
     force = rod_force_per_torque(light, poses, runs["massless legs"])
-    boxes = {r.name: sample_poses(robot, r, study.pick(20000, 2000), rng).poses for r in (NEAR, ANNOUNCED)}
+    boxes = {r.name: sample_poses(robot, r, study.pick(20000, 2000), rng) for r in (NEAR, ANNOUNCED)}
     boxes["(37), (38)"] = paper_reference().evaluate(np.linspace(0.0, np.pi, 201))[0]
     ratio = {name: quantiles(leg_geometry(robot, at).transmission ** 2) for name, at in boxes.items()}
     models = {

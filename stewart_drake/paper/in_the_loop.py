@@ -47,7 +47,7 @@ Errors = Mapping[str, Mapping[str, float]]
 
 
 def unseen_trajectories() -> dict[str, tuple[SineReference, float]]:
-    """The eleven motions of trajectories.yaml and how long [s] to follow them; the second half is judged."""
+    """The eleven motions of trajectories.yaml and how long [s] to follow them; the second half counts."""
     table = YAML(typ="safe", pure=True).load(files(__package__).joinpath("trajectories.yaml").read_text("utf-8"))
     unit, found = np.repeat([math.radians(1.0), 1e-3], 3), {}
     for name, (duration, axes) in table.items():

@@ -166,7 +166,7 @@ def reproduce(study: Study) -> Result:
     off = np.abs([pose for pose, _ in motions] - exact_motion(robot, gravity))[:, 3:].max(axis=1)
     gaps = np.array([gap for _, gap in motions])
     order = float((np.diff(np.log(off)) / np.diff(np.log(steps)))[-1])
-    samples = {r.name: sample_poses(robot, r, study.pick(600, 100), rng).poses for r in (NEAR, ANNOUNCED, WIDE)}
+    samples = {r.name: sample_poses(robot, r, study.pick(600, 100), rng) for r in (NEAR, ANNOUNCED, WIDE)}
     rod_error, forward, branches = {}, {}, {}
     for region, poses in samples.items():
         for sense, words in ((1, "our sense"), (-1, "other sense")):

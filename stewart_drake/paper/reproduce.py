@@ -23,7 +23,7 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics, second_half, tracking_error
 from stewart_drake.planning.pose_box import Region
 from stewart_drake.plotting import save_figure
-from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
+from stewart_drake.scenario import FixedTuner, PaperTuner, Scenario
 from stewart_drake.studies.runs import simulate
 from stewart_drake.studies.workers import Workers, run_all
 from stewart_drake.training.collect import OMEGAS
@@ -84,7 +84,7 @@ class Study:
         """`scenario` with the network in the loop, from 1/1 as in section IV, densities as it was trained on."""
         network = load_network(self.tuner_file)
         file = str(self.tuner_file.absolute()) if self.tuner_file else None
-        tuner = AnnTuner(density=network.density, window=network.window, weights_file=file)
+        tuner = PaperTuner(density=network.density, window=network.window, weights_file=file)
         return scenario.replace({"tuner": tuner.to_dict()})
 
 

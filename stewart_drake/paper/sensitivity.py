@@ -13,9 +13,9 @@ import numpy as np
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.paper.reproduce import Claim, Result, Study, outcome, pair_of, paper_scenario, score
 from stewart_drake.plotting.style import chart
-from stewart_drake.scenario import AnnTuner, Scenario
+from stewart_drake.scenario import PaperTuner, Scenario
 
-DURATION = 6.28  # [s] two periods of (37), (38): errors are judged over the second
+DURATION = 6.28  # [s] two periods of (37), (38): errors count over the second
 BLOWN_UP = 2.0  # Times the unchanged pose RMSE beyond which a run that completes counts as blown up
 QUICK = (
     ("masses", "-20 %"),
@@ -40,7 +40,7 @@ def scaled_network(network: TunerNetwork, omega_q: float = 1.0, omega_r: float =
 def changes(base: Scenario, folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
     """Factor and its new value -> keys of the scenario; bodies are those of the robot, not of the model."""
     robot, believed = base.robot, {"model_robot": asdict(base.believed_robot)}
-    network, window = base.load_tuner_network(), isinstance(base.tuner, AnnTuner)
+    network, window = base.tuner.network(), isinstance(base.tuner, PaperTuner)
 
     def bodies(name: str, factor: float) -> dict[str, Any]:
         keys = [f"{body}_{name}" for body in ("platform", "rod", "crank")]

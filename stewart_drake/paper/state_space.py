@@ -15,8 +15,6 @@ from stewart_drake.control.riccati import (
     Discretization,
     acceleration_map,
     discretize,
-    hautus_detectability,
-    hautus_stabilisability,
     input_matrix,
     mass_diagonal,
     output_matrix,
@@ -96,7 +94,15 @@ def inputs_at(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind) -> n
 def stabilisability_rank(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind) -> int | None:
     """Rank (28) of [lambda I - A, B] at a pose; None where the map is infinite."""
     at_pose = inputs_at(robot, pose, kind)
-    return None if at_pose is None else hautus_stabilisability(state_matrix(), input_matrix(at_pose))
+    return None if at_pose is None else _hautus(state_matrix(), input_matrix(at_pose))
+
+
+def _hautus(a: np.ndarray, b: np.ndarray) -> int:
+    """Rank of [lambda I - A, B] at the only mode of (25), zero: (28); and with transposed matrices (29).
+
+    Deviation: the test concerns Re(lambda) >= 0; the print says lambda <= 0 and counts columns of B.
+    """
+    return int(np.linalg.matrix_rank(np.hstack([-a, b])))
 
 
 def nonzero_columns(robot: RobotParameters, pose: np.ndarray) -> int:
@@ -165,10 +171,10 @@ def reproduce(study: Study) -> Result:
     ranks = {
         stabilisability_rank(robot, pose, kind)
         for region, kind in itertools.product((NEAR, ANNOUNCED, WIDE), KINDS)
-        for pose in sample_poses(robot, region, study.pick(400, 60), rng).poses
+        for pose in sample_poses(robot, region, study.pick(400, 60), rng)
     }
     full = ranks == {STATES}
-    detectable = hautus_detectability(state_matrix(), output_matrix())
+    detectable = _hautus(state_matrix().T, output_matrix().T)
     gain = gain_of_ratio(at_home, period, 1.0)
     wrong_sign, right_sign = radius(at_home, -gain, period), radius(at_home, gain, period)
     largest = float(max(np.abs(gain_without_discretisation(at_home, r)).max() for r in RATIOS))
@@ -210,7 +216,7 @@ def _singular(robot: RobotParameters, found: Singularity) -> dict[str, Any]:
 
 def _decay(study: Study, at_home: np.ndarray) -> list[dict[str, float]]:
     """Slowest decay of the error [rad/s] by ratio: at home, and the least and most of it in the near box."""
-    poses = sample_poses(study.base.robot, NEAR, study.pick(100, 15), np.random.default_rng(SEED), 1e-2).poses
+    poses = sample_poses(study.base.robot, NEAR, study.pick(100, 15), np.random.default_rng(SEED), 1e-2)
     maps, period, rows = acceleration_map(study.base.robot, poses), study.base.lqi.period, []
     for ratio in RATIOS:
         home, *rates = (slowest_decay(b, gain_of_ratio(b, period, ratio), period) for b in (at_home, *maps))

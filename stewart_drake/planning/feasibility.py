@@ -105,7 +105,7 @@ def refuse_turns(key: str, pose: np.ndarray, time: np.ndarray) -> None:
     if abs(angle) < math.tau or abs(same) < _WHOLE_TURN:
         hint = f"{round(same, 3) + 0.0:g} is the same orientation"
     else:
-        hint = f"did you mean {math.radians(angle):.3g}?"
+        hint = f"did you mean {angle:g} deg?"
     got = f"{('roll', 'pitch', 'yaw')[axis]} {angle:.4g} rad at t = {time[sample]:.3f} s"
     allowed = f"roll, pitch and yaw within half a turn ({angle:.4g} rad is {math.degrees(angle):.4g} deg: {hint})"
     raise ConfigurationError(key, got, allowed)
@@ -119,15 +119,9 @@ def check_reference(
     gravity: float = STANDARD_GRAVITY,
     samples_per_second: float = 500.0,
 ) -> FeasibilityReport:
-    """`check_motion` of a reference from 0 to `duration`, both ends included.
+    """`check_motion` of a reference from 0 to a duration [s] > 0, both ends included; gravity in [m/s^2].
 
-    Args:
-        robot: Geometry, masses, effort limit.
-        limits: What to check.
-        reference: The motion.
-        duration: [s] > 0.
-        gravity: [m/s^2] along -z of B.
-        samples_per_second: [1/s] at least; at the default a peak of a 5 Hz signal is met to 5e-4, of 12 Hz to 3e-3.
+    There are at least so many samples; at the default a peak of a 5 Hz signal is met to 5e-4, of 12 Hz to 3e-3.
     """
     for name, value in (("duration", duration), ("samples_per_second", samples_per_second)):
         if not 0.0 < value < math.inf:

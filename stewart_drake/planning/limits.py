@@ -169,33 +169,25 @@ _BLOCK = 1 << 16  # poses whose measures are kept at a time
 
 
 def measure(
-    robot: RobotParameters,
-    pose: np.ndarray,
-    pose_rate: np.ndarray,
-    pose_acceleration: np.ndarray,
-    gravity: float,
-    torque_limit: float | None = None,
+    robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray, pose_acceleration: np.ndarray, gravity: float
 ) -> np.ndarray:
-    """`MEASURES` records (n,) of a motion (n, 6); `torque_limit` [N m] stands in place of `effort_limit`."""
+    """`MEASURES` records (n,) of a motion (n, 6)."""
     motion = [np.array(each, dtype=float, order="C") for each in (pose, pose_rate, pose_acceleration)]
-    made = np.full((len(motion[0]), MEASURES.itemsize // 8), np.nan).view(MEASURES)[:, 0]
-    limit = (robot.effort_limit if torque_limit is None else torque_limit) * np.array(robot.effort_shares)
-    over_rows(_measure, (robot_record(robot), float(gravity), limit, 2.0 * robot.link_radius), (*motion, made))
-    return made
+    measures = np.full((len(motion[0]), MEASURES.itemsize // 8), np.nan).view(MEASURES)[:, 0]
+    over_rows(_measure, (robot_record(robot), float(gravity), 2.0 * robot.link_radius), (*motion, measures))
+    return measures
 
 
-def measure_poses(
-    robot: RobotParameters, pose: np.ndarray, gravity: float = STANDARD_GRAVITY, torque_limit: float | None = None
-) -> np.recarray:
+def measure_poses(robot: RobotParameters, pose: np.ndarray, gravity: float = STANDARD_GRAVITY) -> np.recarray:
     """`POSE_MEASURES` records (n,) at poses (n, 6) [rad, m]."""
     pose = np.asarray(pose, dtype=float)
     if pose.ndim != 2 or pose.shape[1] != 6 or not np.isfinite(pose).all():
         raise ConfigurationError("pose", pose, "finite numbers of shape (n, 6)")
-    made = np.recarray(len(pose), [(name, float) for name in POSE_MEASURES])
+    measures = np.recarray(len(pose), [(name, float) for name in POSE_MEASURES])
     for start in range(0, len(pose), _BLOCK):
         rows = slice(start, start + _BLOCK)
         still = np.zeros_like(pose[rows])
-        m = measure(robot, pose[rows], still, still, gravity, torque_limit)
+        m = measure(robot, pose[rows], still, still, gravity)
         half, stroke = _stroke(robot, m)
         ball, universal = np.hsplit(_swing(robot, m), 2)
         least = {"reach": m["reach"], "transmission": m["transmission"], "clearance": m["distance"]}
@@ -206,8 +198,8 @@ def measure_poses(
         own |= {name: values.min(axis=1) for name, values in least.items()}
         own |= {name: values.max(axis=1) for name, values in most.items()}
         for name, values in own.items():
-            made[name][rows] = values
-    return made
+            measures[name][rows] = values
+    return measures
 
 
 @lru_cache(maxsize=128)
@@ -232,13 +224,13 @@ def _stroke(robot: RobotParameters, measures: np.ndarray) -> tuple[np.ndarray, n
 
 
 @njit
-def _rod_directions(legs: Any, made: Any) -> None:
+def _rod_directions(legs: Any, out: Any) -> None:
     lateral, to_platform = np.empty(3), np.ascontiguousarray(legs.rotation.T)
     for i in range(6):
-        turned(to_platform, legs.e_l[i], made[i])
+        turned(to_platform, legs.e_l[i], out[i])
         cross(legs.e_n[i], legs.crank[i], lateral)
-        made[6 + i, 0], made[6 + i, 1] = dot(legs.e_l[i], legs.crank[i]), dot(legs.e_l[i], lateral)
-        made[6 + i, 2] = legs.transmission[i]
+        out[6 + i, 0], out[6 + i, 1] = dot(legs.e_l[i], legs.crank[i]), dot(legs.e_l[i], lateral)
+        out[6 + i, 2] = legs.transmission[i]
 
 
 @njit
@@ -266,7 +258,7 @@ def segment_distance(start: Any, way: Any, other_start: Any, other_way: Any) -> 
 
 
 @njit
-def _link_distances(robot: Any, legs: Any, apart: float, made: Any) -> None:
+def _link_distances(robot: Any, legs: Any, apart: float, out: Any) -> None:
     """Fills `MEASURES.distance`: cranks, then rods, in pairs, less `apart` [m]."""
     start, way = np.empty((12, 3)), np.empty((12, 3))
     for i in range(6):
@@ -278,7 +270,7 @@ def _link_distances(robot: Any, legs: Any, apart: float, made: Any) -> None:
     for i in range(12):
         for j in range(i + 1, 12):
             if j != i + 6:
-                made[pair] = segment_distance(start[i], way[i], start[j], way[j]) - apart
+                out[pair] = segment_distance(start[i], way[i], start[j], way[j]) - apart
                 pair += 1
 
 
@@ -286,11 +278,10 @@ def _link_distances(robot: Any, legs: Any, apart: float, made: Any) -> None:
 def strength(legs: Any, inverse: Any, torque: Any, limit: Any) -> Any:
     """Largest force [N] and moment [N m] that can be exerted in every direction, each without the other.
 
-    They are balls inscribed into the image of the torque limits, a box, under the statics map. To exert the wrench w
-    the motors need T = t + A w, with t the holding torque and A the inverse of the map tau of (18), `statics`. Over all
-    forces of size r the term A_i w of motor i runs from -r |a_i| to +r |a_i|, a_i the three entries of row i of A that
-    belong to the force (or to the moment). So r can be exerted in every direction exactly as long as |t_i| + r |a_i| <=
-    T_max for all i: the largest is min_i (T_max - |t_i|) / |a_i|. It is zero where the weight alone is too much.
+    To exert the wrench w the motors need T = t + A w, with t the holding torque and A the inverse of the map tau of
+    (18), `statics`. Over all forces of size r the term of motor i runs from -r |a_i| to r |a_i|, a_i the three entries
+    of row i of A that belong to the force (or to the moment): the largest r is min_i (T_max - |t_i|) / |a_i|, and zero
+    where the weight alone is too much.
     """
     force, moment = np.inf, np.inf
     for i in range(6):
@@ -303,14 +294,12 @@ def strength(legs: Any, inverse: Any, torque: Any, limit: Any) -> Any:
 
 
 @njit
-def _measure(
-    robots: Any, gravity: float, limit: Any, apart: float, poses: Any, rates: Any, accelerations: Any, made: Any
-) -> None:
+def _measure(robots: Any, gravity: float, apart: float, poses: Any, rates: Any, accelerations: Any, out: Any) -> None:
     """Fills `MEASURES` records, which are NaN before."""
     robot, store, inverse = record(robots), np.empty(1, LEGS), np.empty((6, 6))
     twist, twist_rate, wrench, own = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
     for n in range(len(poses)):
-        legs, m = record(store), record(made[n : n + 1])
+        legs, m = record(store), record(out[n : n + 1])
         within = legs_at(robot, poses[n], legs) < 0
         for i in range(6):
             # So far off that squares leave floating point: beyond any reach.
@@ -339,4 +328,4 @@ def _measure(
             for k in range(6):
                 force += inverse[k, i] * wrench[k]
             m.torque[i], m.speed[i] = abs(legs.lever[i] * force + own[i]), abs(m.speed[i])
-        m.force, m.moment = strength(legs, inverse, m.torque[:], limit)
+        m.force, m.moment = strength(legs, inverse, m.torque[:], robot.effort_limit[:])

@@ -41,14 +41,6 @@ NEAR = Region(
 """Where the controlled motions are: the paper's largest angle, the Z of (38), and room to the sides."""
 
 
-class PoseSample(NamedTuple):
-    """Random poses (n, 6) [rad, m] of a region, and the share of those drawn that was in reach."""
-
-    region: Region
-    poses: np.ndarray
-    share: float
-
-
 def sample_poses(
     robot: RobotParameters,
     region: Region,
@@ -57,8 +49,8 @@ def sample_poses(
     least_margin: float = 1e-6,
     limits: Limits | None = None,
     gravity: float = STANDARD_GRAVITY,
-) -> PoseSample:
-    """`count` poses uniform over a box, in reach by `least_margin` and within `limits`; fewer where hardly any are."""
+) -> np.ndarray:
+    """Poses (count, 6) uniform over a box, in reach by `least_margin` and within `limits`; fewer where few are."""
     kept, drawn = np.empty((0, 6)), 0
     while len(kept) < count and drawn < _MOST * _DRAWN:
         poses = robot.home_pose + rng.uniform(-1.0, 1.0, (_DRAWN, 6)) * region.half_width
@@ -71,4 +63,4 @@ def sample_poses(
     if not len(kept):
         within = "" if limits is None else ", within its limits"
         raise ConfigurationError("robot", robot, f"a robot that reaches some pose of this box{within}: {region.words}")
-    return PoseSample(region, kept[:count], len(kept) / drawn)
+    return kept[:count]

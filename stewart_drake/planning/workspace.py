@@ -216,7 +216,7 @@ class Survey:
 
 def survey(robot: RobotParameters, limits: Limits, grid: Grid, gravity: float = STANDARD_GRAVITY) -> Survey:
     """Measures every cell of a grid."""
-    measures = measure_poses(robot, grid.poses, gravity, limit_bounds(robot, limits).get("torque"))
+    measures = measure_poses(robot, grid.poses, gravity)
     return Survey(grid, measures, utilisation(robot, limits, grid.poses, measures))
 
 
@@ -231,14 +231,13 @@ def way_out(
     bisections: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far (m,) along ways (m, 6) no limit is taken up by more than `most`; which one (m,) then is, or -1."""
-    torque = limit_bounds(robot, limits).get("torque")
     inner, outer = np.zeros(len(ways)), np.full(len(ways), steps[-1])
     limit = np.full(len(ways), -1)
 
     def look(rays: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """Moves the inner or the outer end of each of the rays to `radius`; the rays that were within."""
         pose = start + radius[:, None] * ways[rays]
-        use, cause = governing_limit(utilisation(robot, limits, pose, measure_poses(robot, pose, gravity, torque)))
+        use, cause = governing_limit(utilisation(robot, limits, pose, measure_poses(robot, pose, gravity)))
         out = use > most
         outer[rays[out]], limit[rays[out]], inner[rays[~out]] = radius[out], cause[out], radius[~out]
         return rays[~out]
@@ -287,10 +286,10 @@ def boundary(
     return Boundary(*way_out(robot, limits, center, ways, steps, gravity, bisections=_BISECTIONS))
 
 
-def slices(robot: RobotParameters, limits: Limits, gravity: float, found: Survey, pixels: int) -> list[Survey]:
+def slices(robot: RobotParameters, limits: Limits, gravity: float, region: Survey, pixels: int) -> list[Survey]:
     """Five slices across the third coordinate of a survey and one along it, through what the limits leave."""
-    grid, middle = found.grid, found.grid.center[found.grid.coordinates]
-    box = found.bounding_box(found.connected)
+    grid, middle = region.grid, region.grid.center[region.grid.coordinates]
+    box = region.bounding_box(region.connected)
     if box is None:
         box = np.stack([grid.low, grid.high])
     room = 0.4 * (box[1] - box[0])
@@ -342,8 +341,8 @@ def study_poses(
         offset = np.array(LENGTH.value(for_paper, robot))
         name = f"{kind}, {words.format(1e3 * np.abs(offset[3:]).max())}"
         try:
-            found = surveyed(kind, center + offset, max(8, samples // 20))
-            others[name] = found.size(found.connected)
+            region = surveyed(kind, center + offset, max(8, samples // 20))
+            others[name] = region.size(region.connected)
         except ConfigurationError:
             others[name] = None
     progress(1.0)
@@ -352,7 +351,7 @@ def study_poses(
         for pair in zip(ends["orientation"], ends["position"], strict=True)
     )
     numbers = {
-        "poses": sum(len(found.grid.poses) for found in surveys.values()),
+        "poses": sum(len(region.grid.poses) for region in surveys.values()),
         "center": center.tolist(),
         "ranges": (center + down_up * [[-1.0], [1.0]]).tolist(),
         "range_cuts": [[LIMIT_NAMES[i] if i >= 0 else None for i in row] for row in cuts.tolist()],
@@ -362,12 +361,12 @@ def study_poses(
     return numbers, surveys
 
 
-def _workspace(found: Survey, radius: np.ndarray, limit: np.ndarray) -> dict[str, Any]:
-    box, within = found.bounding_box(found.connected), found.measures[found.connected]
+def _workspace(region: Survey, radius: np.ndarray, limit: np.ndarray) -> dict[str, Any]:
+    box, within = region.bounding_box(region.connected), region.measures[region.connected]
     first = np.bincount(limit[limit >= 0], minlength=len(LIMIT_NAMES)) / len(limit)
     return {
-        "cells": list(found.grid.counts),
-        **{mask: found.size(getattr(found, mask)) for mask in ("spanning", "regular", "feasible", "connected")},
+        "cells": list(region.grid.counts),
+        **{mask: region.size(getattr(region, mask)) for mask in ("spanning", "regular", "feasible", "connected")},
         "box": None if box is None else box.tolist(),
         "inscribed_radius": float(radius.min()),
         "boundary_volume": float(4.0 / 3.0 * np.pi * (radius**3).mean()),

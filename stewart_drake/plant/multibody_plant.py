@@ -34,7 +34,7 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, LeafSystem, OutputPort
 from pydrake.systems.primitives import LinearSystem, MatrixGain, Multiplexer
 
-from stewart_drake.config import LegNumber, check_value, is_finite
+from stewart_drake.config import LegNumber, NotNegative, check_value
 from stewart_drake.errors import ConfigurationError, drake_guard
 from stewart_drake.jit import njit, record
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
@@ -118,8 +118,7 @@ def add_plant(
         DrakeCheckError: Drake refuses the model.
     """
     options = PlantOptions() if options is None else options
-    if not is_finite(gravity) or gravity < 0.0:
-        raise ConfigurationError("gravity", gravity, "a finite number of m/s^2, zero or positive")
+    check_value("gravity", gravity, NotNegative)
     limit = platform_damping_limit(robot, options)
     if options.platform_joint_damping > limit:
         raise ConfigurationError(
@@ -215,10 +214,9 @@ def _state_indices(plant: MultibodyPlant, rod_joint: RodJoint) -> StateIndices:
 
 
 class MotorFriction(LeafSystem):
-    """What friction asks of the servos, see `mechanics.friction`; what it remembers comes in from outside.
+    """What friction asks of the servos, from `plant_state` and `bristles` (12,): anchors [rad], slips [rad/s] before.
 
-    Ports: in `plant_state`, `bristles` (12,), anchors [rad] and speeds [rad/s] before the last step; out `pull` (18,),
-    anchors, speeds and relief [N m] until the next.
+    The output `pull` (18,) has anchors, slips and relief [N m] until the next step.
     """
 
     def __init__(self, plant: MultibodyPlant, friction: np.ndarray) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from stewart_drake.config import check_value
 from stewart_drake.errors import ConfigurationError, SingularPoseError
-from stewart_drake.files.whole import PACKAGE, write_atomically
+from stewart_drake.files.whole import write_atomically
 from stewart_drake.mechanics.kinematics import cross, leg_geometry, pose_rate_to_twist, roll_pitch_yaw, rotation_matrix
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST, LEGS
@@ -121,14 +121,6 @@ def write_sdf(
     write_atomically(Path(path), sdf_text(robot, rod_joint=rod_joint, collision=collision).encode())
 
 
-def sdf_path() -> Path:
-    """The file `stewart.sdf` of the default robot, installed or in a checkout; `package.xml` lies beside it."""
-    for folder in (PACKAGE / "sdf", PACKAGE.parent / "sdf"):
-        if (folder / "stewart.sdf").is_file():
-            return folder / "stewart.sdf"
-    raise ConfigurationError("sdf", str(PACKAGE), "an installation or checkout that has sdf/stewart.sdf")
-
-
 def _upright(robot: RobotParameters, leg: int) -> bool:
     """Whether a crank turns in a vertical plane, from the horizontal up."""
     return bool((robot.crank_quarter_directions[leg] == (0.0, 0.0, 1.0)).all())
@@ -162,10 +154,17 @@ def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     form: Any = {"trim_blocks": True, "keep_trailing_newline": True}
-    made = Environment(loader=PackageLoader("stewart_drake.plant"), undefined=StrictUndefined, **form)
-    made.globals |= {"exact": _exact, "short": _short, "zip": zip, "pi": math.pi, "cos": math.cos, "sin": math.sin}
-    made.globals["inf"] = math.inf
-    return made
+    environment = Environment(loader=PackageLoader("stewart_drake.plant"), undefined=StrictUndefined, **form)
+    environment.globals |= {
+        "exact": _exact,
+        "short": _short,
+        "zip": zip,
+        "pi": math.pi,
+        "cos": math.cos,
+        "sin": math.sin,
+    }
+    environment.globals["inf"] = math.inf
+    return environment
 
 
 def _exact(*parts: Any) -> str:

@@ -30,7 +30,7 @@ def plot_calibration(found: Calibration, path: str | Path) -> None:
         panel.set(title=title, xlabel="row", ylabel=unit)
         panel.legend()
     change, width = 1e3 * np.stack([found.change, found.half_width])[:, :OF_ROBOT].reshape(2, LEGS, PER_LEG)
-    # What is not told, or was held, has no change and no interval.
+    # What is unidentifiable, or was held, has no change and no interval.
     width = np.where(np.isfinite(width), width, np.nan)
     for panel, unit, kind in ((axes[0, 1], "m", "lengths"), (axes[1, 1], "rad", "angles")):
         columns = [at for at, own in enumerate(OF_LEG) if own.unit == unit]

@@ -59,7 +59,10 @@ class HoldReference(Section, key="reference"):
 
 
 class SineReference(Section, key="reference"):
-    """center + amplitude sin(angular_frequency t + phase) on each axis; by default the paper's (37), (38)."""
+    """center + amplitude sin(angular_frequency t + phase) on each axis.
+
+    By default the paper's (37), (38): roll pi/6 sin(2 t), Z = 0.05 sin(2 t) + 0.3, the rest zero.
+    """
 
     kind: Literal["sine"] = "sine"
     center: Annotated[Vector6, HOME_POSE] = HOME
@@ -76,6 +79,9 @@ class SineReference(Section, key="reference"):
         angle = omega * np.asarray(time, dtype=float)[..., None] + np.array(self.phase)
         wave = amplitude * np.sin(angle)
         return np.array(self.center) + wave, amplitude * omega * np.cos(angle), -(omega**2) * wave
+
+
+paper_reference = SineReference
 
 
 class SineBurstsReference(Section, key="reference"):
@@ -120,11 +126,6 @@ class SineBurstsReference(Section, key="reference"):
         rate = amplitude * (env_rate * sine + env * omega * cosine)
         acceleration = amplitude * (env_acceleration * sine + 2.0 * env_rate * omega * cosine - env * omega**2 * sine)
         return pose, rate, acceleration
-
-
-def paper_reference() -> SineReference:
-    """(37), (38): roll pi/6 sin(2 t), Z = 0.05 sin(2 t) + 0.3, the rest zero."""
-    return SineReference()
 
 
 class MinimumJerkReference(Section, key="reference"):
@@ -247,13 +248,10 @@ class AdjustedReference(Section, key="reference"):
 AnyReference = Annotated[Reference, REFERENCES]
 
 
-def center_of(reference: Reference) -> np.ndarray:
+def center_of(reference: Any) -> np.ndarray:
     """The pose (6,) [rad, m] about which a motion is scaled: its `center`, its motion's, or its first pose."""
-    center = getattr(reference, "center", None)
-    if center is not None:
-        return np.array(center, dtype=float)
-    if isinstance(reference, SumReference):
-        return center_of(reference.parts[0])
-    if isinstance(reference, AdjustedReference):
-        return center_of(reference.motion)
+    if getattr(reference, "center", None) is not None:
+        return np.array(reference.center)
+    if isinstance(reference, (SumReference, AdjustedReference)):
+        return center_of(reference.parts[0] if isinstance(reference, SumReference) else reference.motion)
     return reference.evaluate(0.0)[0]

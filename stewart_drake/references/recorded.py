@@ -1,4 +1,4 @@
-"""Motions from elsewhere: recorded in a file, or told by a class of the user's own."""
+"""Motions from elsewhere: recorded in a file, or said by a class of the user's own."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class RecordedReference(Section, key="reference"):
     """A cubic spline through the rows of a CSV or Parquet file; its first row is t = 0.
 
     The file has the columns `time_s`, `pose_roll_rad`, `pose_pitch_rad`, `pose_yaw_rad`, `pose_x_m`, `pose_y_m`,
-    `pose_z_m` (`_ms`, `_deg`, `_mm` will do), as a saved log has; times ascend, evenly spaced or not. Angles may wrap:
-    jumps by a whole turn are taken out, and the first row is within half a turn. The spline (not-a-knot) goes through
-    every row, its acceleration through the noise of the rows as well, so filter a recording first. A run starts with
-    the recording's own velocity; after the last row the motion coasts to rest, acceleration being continuous.
+    `pose_z_m` (`_ms`, `_deg`, `_mm` will do), as a saved log has; times ascend. Angles may wrap: jumps by a whole turn
+    are taken out. The spline (not-a-knot) goes through every row, noise included, so filter a recording first. A run
+    starts with the recording's own velocity; after the last row the motion coasts to rest, acceleration being
+    continuous.
     """
 
     kind: Literal["recorded"] = "recorded"
@@ -82,28 +82,20 @@ def load_recording(path: str | Path) -> np.ndarray:
 
 
 class UserReference(UserMade, key="reference"):
-    """What a class of the user's own says with `evaluate(time)`, as in `Reference`; times (n,) or one."""
+    """What a class of the user's own says with `evaluate(time)`, as in `Reference`, of one time."""
 
     asked = "evaluate(t) returns pose, rate and acceleration, (6,) each"
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        time = np.asarray(time, dtype=float)
-        if time.ndim == 0:
-            return self._asked(time)
-        times = time.ravel()
-        try:
-            # Of six times (6, 6) could be the wrong way round, and nobody would see it.
-            parts: Any = self._asked(np.append(times, times[-1]) if len(times) == 6 else times)
-        except (TypeError, ValueError, ConfigurationError):
-            parts = np.array([self._asked(one) for one in times]).reshape(-1, 3, 6).swapaxes(0, 1)
-        pose, rate, acceleration = (part[: len(times)].reshape(*time.shape, 6) for part in parts)
-        return pose, rate, acceleration
+        times = np.asarray(time, dtype=float)
+        answers = np.reshape([self._answer(each) for each in times.ravel().tolist()], (*times.shape, 3, 6))
+        return answers[..., 0, :], answers[..., 1, :], answers[..., 2, :]
 
-    def _asked(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        answer = self.made.evaluate(time if time.ndim else float(time))
+    def _answer(self, time: float) -> list[np.ndarray]:
+        answer = self.made.evaluate(time)
         if isinstance(answer, str) or not isinstance(answer, Iterable):
             raise self.refusal(f"a {type(answer).__name__}")
-        parts = tuple(self.numbers(part) for part in answer)
-        if len(parts) != 3 or any(part.shape != (*time.shape, 6) for part in parts):
+        parts = [self.numbers(part) for part in answer]
+        if [part.shape for part in parts] != [(6,)] * 3:
             raise self.refusal(", ".join(str(part.shape) for part in parts) or "nothing")
-        return parts[0], parts[1], parts[2]
+        return parts

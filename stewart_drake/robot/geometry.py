@@ -89,11 +89,9 @@ Cranks = Literal["outwards", "towards", "away"]
 _POSITIONS = ("shaft_x", "shaft_y", "shaft_z", "joint_x", "joint_y", "joint_z")
 _GROUPS = (("crank_x", "crank_y", "crank_z"), ("up_x", "up_y", "up_z"), ("low", "high"))
 _OTHERS = (*(name for group in _GROUPS for name in group), "crank_length", "rod_length", "branch")
-_LENGTHS: dict[str, Any] = dict.fromkeys(
-    ("crank_length", "rod_length", "home_height", "link_radius", "characteristic_length"), Size
-)
-_LENGTHS |= {"platform_center_of_mass": Signed3}
-_MASSES: dict[str, Any] = dict.fromkeys(("platform_mass", "rod_mass", "crank_mass"), Size)
+_ALL_LENGTHS = ("crank_length", "rod_length", "home_height", "link_radius", "characteristic_length")
+_LENGTHS: dict[str, Any] = {**dict.fromkeys(_ALL_LENGTHS, Size), "platform_center_of_mass": Signed3}
+_CHECKED = _LENGTHS | dict.fromkeys(("platform_mass", "rod_mass", "crank_mass"), Size)
 _MAX_BYTES = 1_000_000
 _LINK_RADIUS = 0.005 / 0.11
 """Of a link, over the characteristic length: as the paper's robot has it."""
@@ -115,16 +113,13 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
     """
     check_value("unit", unit, Unit)
     check_value("cranks", cranks, Cranks)
+    for name in parameters.keys() & _CHECKED.keys():
+        check_value(f"robot.{name}", parameters[name], _CHECKED[name])
     scale = 1e-3 if unit == "mm" else 1.0
-    own = dict(parameters)
-    for name in parameters.keys() & (_LENGTHS | _MASSES).keys():
-        check_value(f"robot.{name}", own[name], (_LENGTHS | _MASSES)[name])
-        own[name] = scale * np.array(own[name]) if name in _LENGTHS else own[name]
+    own = {name: scale * np.array(value) if name in _LENGTHS else value for name, value in parameters.items()}
     columns = _columns(table)
     # Whole millimetres in metres have a tail of rounding, which nobody wants to read.
-    shafts, joints = (
-        np.round(scale * np.stack([columns[f"{end}_{axis}"] for axis in "xyz"], -1), 12) for end in ("shaft", "joint")
-    )
+    shafts, joints = (np.round(scale * _vectors(columns, end), 12) for end in ("shaft", "joint"))
     # A mirrored axis would else be told as a rod that is too short.
     check_order(shafts, joints)
     lengths: dict[str, np.ndarray] = {}
@@ -133,27 +128,35 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
             raise ConfigurationError(f"table: {name}", None, f"a column {name}, or {name} for all legs")
         lengths[name] = np.round(scale * columns[name], 12) if name in columns else np.full(LEGS, float(own[name]))
     zero, up = _directions(columns, shafts, cranks)
-    height = float(own.get("home_height", np.nan))
-    if "home_height" not in own:
+    if "home_height" in own:
+        height = float(own["home_height"])
+    else:
         height = _level(shafts + lengths["crank_length"][:, None] * zero, joints, lengths["rod_length"])
     span = joints + [0.0, 0.0, height] - shafts
-    branch = columns["branch"] if "branch" in columns else _branches(span, zero, up, lengths)
-    legs: list[dict[str, Any]] = [
-        {
-            "shaft_position": shafts[leg].tolist(),
-            "platform_joint": joints[leg].tolist(),
-            "crank_zero_direction": zero[leg].tolist(),
-            "crank_quarter_direction": up[leg].tolist(),
-            "branch": int(branch[leg]),
-            **{name: float(values[leg]) for name, values in lengths.items()},
-            **({"crank_angle_range": [columns["low"][leg], columns["high"][leg]]} if "low" in columns else {}),
-        }
-        for leg in range(LEGS)
-    ]
+    of_legs = {
+        "shaft_position": shafts,
+        "platform_joint": joints,
+        "crank_zero_direction": zero,
+        "crank_quarter_direction": up,
+        "branch": (columns["branch"] if "branch" in columns else _branches(span, zero, up, lengths)).astype(int),
+        **lengths,
+    }
+    if "low" in columns:
+        of_legs["crank_angle_range"] = np.stack([columns["low"], columns["high"]], axis=-1)
     size = float(np.hypot(joints[:, 0], joints[:, 1]).mean())
-    known = {"legs": legs, "home_height": height, "characteristic_length": size, "link_radius": _LINK_RADIUS * size}
-    known |= {name: float(values.mean()) for name, values in lengths.items()} | own
+    known = {
+        "legs": [{name: values[leg].tolist() for name, values in of_legs.items()} for leg in range(LEGS)],
+        "home_height": height,
+        "characteristic_length": size,
+        "link_radius": _LINK_RADIUS * size,
+        **{name: float(values.mean()) for name, values in lengths.items()},
+        **own,
+    }
     return _inertias(known) | known
+
+
+def _vectors(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
+    return np.stack([columns[f"{name}_{axis}"] for axis in "xyz"], axis=-1)
 
 
 def _columns(table: Any) -> dict[str, np.ndarray]:
@@ -165,13 +168,7 @@ def _columns(table: Any) -> dict[str, np.ndarray]:
         text = read_checked(table, what, _MAX_BYTES).decode("utf-8-sig", "replace")
         lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
         names, *table = [[cell.strip() for cell in row] for row in csv.reader(lines)] or [[]]
-        parts = [group for group in _GROUPS if set(group) & set(names)]
-        missing = [name for group in (_POSITIONS, *parts) for name in group if name not in names]
-        strange = [name for name in names if name not in (*_POSITIONS, *_OTHERS, "leg") or names.count(name) > 1]
-        if missing or strange:
-            wrong = f"without {', '.join(missing)}" if missing else f"with {', '.join(strange)}"
-            allowed = f"each once: {', '.join(_POSITIONS)}, and optionally, in groups, {', '.join(_OTHERS)}, leg"
-            raise ConfigurationError(f"{what}: header", wrong, allowed)
+        _check_header(f"{what}: header", names)
     allowed = f"{LEGS} rows, one a leg, of {', '.join(names)}"
     try:
         values = np.asarray(table, dtype=float)
@@ -190,10 +187,20 @@ def _columns(table: Any) -> dict[str, np.ndarray]:
     return columns
 
 
+def _check_header(key: str, names: Sequence[str]) -> None:
+    groups = [group for group in _GROUPS if set(group) & set(names)]
+    missing = [name for group in (_POSITIONS, *groups) for name in group if name not in names]
+    strange = [name for name in names if name not in (*_POSITIONS, *_OTHERS, "leg") or names.count(name) > 1]
+    if missing or strange:
+        wrong = f"without {', '.join(missing)}" if missing else f"with {', '.join(strange)}"
+        allowed = f"each once: {', '.join(_POSITIONS)}, and optionally, in groups, {', '.join(_OTHERS)}, leg"
+        raise ConfigurationError(key, wrong, allowed)
+
+
 def _directions(columns: Mapping[str, np.ndarray], shafts: np.ndarray, cranks: Cranks) -> tuple[np.ndarray, np.ndarray]:
     """Unit vectors (6, 3) along the cranks at theta = 0 and pi/2."""
     if "crank_x" in columns:
-        zero = np.stack([columns[f"crank_{axis}"] for axis in "xyz"], axis=-1)
+        zero = _vectors(columns, "crank")
     elif cranks == "outwards":
         zero = shafts * [1.0, 1.0, 0.0]
     else:
@@ -201,7 +208,7 @@ def _directions(columns: Mapping[str, np.ndarray], shafts: np.ndarray, cranks: C
         side = 1.0 if cranks == "towards" else -1.0
         zero = side * (shafts[apart.argmin(axis=1)] - shafts) * [1.0, 1.0, 0.0]
     zero = _unit(zero, "crank", "a direction: crank_x to crank_z")
-    up = np.stack([columns[f"up_{axis}"] for axis in "xyz"], axis=-1) if "up_x" in columns else np.eye(3)[[2] * LEGS]
+    up = _vectors(columns, "up") if "up_x" in columns else np.eye(3)[[2] * LEGS]
     across = up - np.sum(up * zero, axis=-1, keepdims=True) * zero
     return zero, _unit(across, "up", "a direction across the crank: up_x to up_z")
 

@@ -31,12 +31,8 @@ Size3 = tuple[Size, Size, Size]
 Signed3 = tuple[Signed, Signed, Signed]
 
 
-def _sign(given: Any) -> Any:
-    # Python takes True and 1.0 for 1.
-    return given if type(given) is int else None
-
-
-Branch = Annotated[Literal[-1, 1], BeforeValidator(_sign)]
+# Python takes True and 1.0 for 1.
+Branch = Annotated[Literal[-1, 1], BeforeValidator(lambda given: given if type(given) is int else None)]
 
 
 class LegParameters(Section, key="robot.legs"):
@@ -62,7 +58,7 @@ class LegParameters(Section, key="robot.legs"):
     """[rad] lowest and highest theta, within one turn; the plant has stops there. Null: none."""
 
     def rules(self) -> None:
-        """See `Section.rules`."""
+        """Angles rise, directions are unit vectors."""
         low, high = self.crank_angle_range or (-math.pi, math.pi)
         if not low < high <= low + 2.0 * math.pi:
             allowed = "two angles [rad], rising, within one turn"
@@ -75,9 +71,8 @@ class LegParameters(Section, key="robot.legs"):
 
 
 def _leg(given: Any) -> Any:
-    """Null, or a mapping with arrays, as a section is written."""
-    given = {} if given is None else given
-    return {key: plain(value) for key, value in given.items()} if isinstance(given, Mapping) else given
+    # Null, or a mapping with arrays.
+    return {key: plain(value) for key, value in (given or {}).items()} if isinstance(given, Mapping | None) else given
 
 
 _Leg = Annotated[LegParameters, BeforeValidator(_leg, json_schema_input_type=LegParameters | None)]
@@ -101,10 +96,7 @@ SixFloats = tuple[float, float, float, float, float, float]
 
 
 class FrictionOptions(Section, key="plant.friction"):
-    """Friction of the motors that sticks, see `mechanics.friction`: for each key one number, or one for each motor.
-
-    It is what a robot has, or what a controller believes.
-    """
+    """Friction of the motors that sticks, see `mechanics.friction`: for each key one number, or one for each motor."""
 
     coulomb: EachMotor = _NONE
     """[N m] dry friction in sliding."""
@@ -116,7 +108,7 @@ class FrictionOptions(Section, key="plant.friction"):
     """[N m s/rad] beside it, in proportion to speed."""
 
     def rules(self) -> None:
-        """See `Section.rules`."""
+        """What breaks a motor away is not less than what it slides with."""
         for above, below in zip(self.break_away or (), self.coulomb, strict=False):
             if above < below:
                 raise ConfigurationError("break_away", above, f"at least `coulomb`, {below:g} N m")

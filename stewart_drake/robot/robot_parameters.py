@@ -56,6 +56,8 @@ class RobotParameters(Section, key="robot"):
             directions of a crank are not perpendicular unit vectors, or the home pose cannot be assembled.
     """
 
+    adapts = False
+
     shaft_circle_radius: Length = 0.20
     """[m] radius of the circle of the motor shafts."""
     shaft_height: Signed = -0.07
@@ -110,7 +112,7 @@ class RobotParameters(Section, key="robot"):
     """[m] makes rotations and translations comparable in conditioning."""
 
     def rules(self) -> None:
-        """See `Section.rules`."""
+        """Inertias are those of bodies, and the robot can stand at home."""
         for name in ("rod_inertia", "crank_inertia", "platform_inertia", "base_inertia"):
             inertia = getattr(self, name)
             if 2.0 * max(inertia) > sum(inertia) * (1.0 + 1e-12):
@@ -128,7 +130,7 @@ class RobotParameters(Section, key="robot"):
     def from_table(
         cls, table: Any, *, unit: Unit = "m", cranks: Cranks = "outwards", **parameters: Any
     ) -> RobotParameters:
-        """A robot from measured positions, a row a leg; see `geometry.from_table` for what is found by itself.
+        """A robot from measured positions, a row a leg; `geometry.from_table` fills in what they leave open.
 
         Args:
             table: Path of a CSV file, or an array (6, 6) [m] of motor shafts in B and platform joints in P.
@@ -243,17 +245,13 @@ class RobotParameters(Section, key="robot"):
 
     def each_leg(self) -> list[dict[str, Any]]:
         """What each leg has, its own or that of the symmetric robot, in plain values as `legs` takes them."""
-        of = {
-            "shaft_position": self.shaft_positions.tolist(),
-            "crank_zero_direction": self.crank_zero_directions.tolist(),
-            "crank_quarter_direction": self.crank_quarter_directions.tolist(),
-            "platform_joint": self.platform_joints.tolist(),
-            "crank_length": self.crank_lengths.tolist(),
-            "rod_length": self.rod_lengths.tolist(),
-            "branch": [int(sign) for sign in self.branches],
-            "crank_angle_range": [each.tolist() if np.isfinite(each[0]) else None for each in self.crank_angle_ranges],
-        }
-        return [dict(zip(of, leg, strict=True)) for leg in zip(*of.values(), strict=True)]
+        positions = ("shaft_position", "platform_joint", "crank_zero_direction", "crank_quarter_direction")
+        names = (*positions, "crank_length", "rod_length")
+        legs = [{name: getattr(self, f"{name}s")[leg].tolist() for name in names} for leg in range(LEGS)]
+        for leg, branch, angles in zip(legs, self.branches, self.crank_angle_ranges, strict=True):
+            leg["branch"] = int(branch)
+            leg["crank_angle_range"] = angles.tolist() if np.isfinite(angles[0]) else None
+        return legs
 
     def replace(self, **changes: Any) -> RobotParameters:
         """A robot with some parameters changed, validated again."""

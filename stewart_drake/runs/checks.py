@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 import numpy as np
 
-from stewart_drake.config import to_plain
-from stewart_drake.control.base import checked_legs
+from stewart_drake.config import to_plain, unit_hints
+from stewart_drake.control.base import check_start
 from stewart_drake.control.user_controller import user_code
-from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError
+from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, RunFailure, UnreachablePoseError
 from stewart_drake.families import user_parts
 from stewart_drake.files.code import ControllerError, file_digests
 from stewart_drake.logs.log import MAX_ROWS
@@ -22,6 +23,10 @@ from stewart_drake.runs.engine import quiet
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
 from stewart_drake.scenario import Scenario
 
+_LARGEST = {"rad": math.tau, "m": 2.0}
+"""Of what a motion is made; more was perhaps meant in degrees or millimetres."""
+_SMALLER = "--scale finds how much smaller it can be done"
+_REMEDY = dict.fromkeys(("crank_speed", "torque"), "--retime finds how much slower it can be done")
 _NUDGES = 100
 _PASSED: set[Any] = set()  # Motions that have passed: a search runs the same one a thousand times.
 
@@ -44,7 +49,12 @@ def check_scenario(scenario: Scenario) -> None:
     # A user's code is asked again.
     known = not user_parts(scenario)
     if not (known and subject in _PASSED):
-        motion_report(scenario).raise_if_infeasible()
+        try:
+            motion_report(scenario).raise_if_infeasible()
+        except InfeasibleReferenceError as error:
+            hints = unit_hints(scenario.reference, _LARGEST)
+            error.allowed += "; " + "; ".join(hints or [f"`stewart-drake check` with {_REMEDY.get(error.limit, _SMALLER)}"])
+            raise
         if scenario.safety is not None:
             _check_safety(scenario, scenario.safety)
         if known:
@@ -53,7 +63,7 @@ def check_scenario(scenario: Scenario) -> None:
         start = scenario.start()[0]
         feasibility.refuse_turns("initial_offset", start[None], np.zeros(1))
         try:
-            checked_legs(scenario.robot, scenario.controller.near_singularity, start)
+            check_start(scenario.robot, start)
         except RunFailure as failure:
             key, value = "reference", start.tolist()
             if any(scenario.initial_offset):

@@ -6,7 +6,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -59,8 +59,22 @@ def signals_of(scenario: Scenario, steps: np.ndarray, values: dict[str, np.ndarr
 _POSE, _CRANKS = (slice(at, at + 12) for at in (CHAIN_STATE.fields[name][1] // 8 for name in ("pose", "angles")))  # type: ignore[index]
 
 
+class Plant(Protocol):
+    """A robot that `FastLoop` can move: `ClosedChain`, `SteppedPlant`, or another simulator."""
+
+    def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
+        """`CHAIN_STATE` record at a pose (6,) [rad, m] and its rate (6,) [rad/s, m/s]."""
+
+    def step(self, torque: np.ndarray, wrench: np.ndarray, state: np.ndarray) -> None:
+        """Changes a record by one step under torques (6,) [N m] and a wrench (6,) [N m, N] about P."""
+
+
 class FastLoop:
-    """The parts of a scenario on the closed form of the robot, called in order; who has it writes signals of time.
+    """The parts of a scenario on a plant, called in order; who has it writes signals of time.
+
+    Args:
+        scenario: What it runs.
+        plant: The robot; None takes its closed form.
 
     Attributes:
         scenario: What it runs.
@@ -71,13 +85,13 @@ class FastLoop:
         torque: (6,) [N m] that the plant gets.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, plant: Plant | None = None) -> None:
         self.scenario, self.parts = scenario, loop_of(scenario, split=True)
         if any(part.system is not None for part in self.parts.parts):
             raise ConfigurationError("plant.engine", "reduced", "drake, with a controller that is a LeafSystem")
         self.step = on_grid(scenario.plant.time_step)
         self._per_tick = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
-        self._chain = ClosedChain(scenario.robot, scenario.plant, scenario.gravity)
+        self._plant = plant or ClosedChain(scenario.robot, scenario.plant, scenario.gravity)
         outside = {"plant": CHAIN_STATE.itemsize // 8, "wrench": 6}
         outside |= {source.signal: source.size for source in self.parts.sources}
         self.running = Running(self.parts.parts, outside, {"plant_pose": _POSE, "crank_state": _CRANKS})
@@ -86,7 +100,7 @@ class FastLoop:
 
     def begin(self) -> None:
         """Puts the robot where the scenario starts."""
-        self.state[:] = self._chain.initial(*self.scenario.start())
+        self.state[:] = self._plant.initial(*self.scenario.start())
 
     def answer(self, now: int) -> None:
         """What the parts say at a step of the plant."""
@@ -101,7 +115,7 @@ class FastLoop:
         if now % self._per_tick == 0:
             self.running.late()
         try:
-            self._chain.step(self.torque, self._wrench, self.state)
+            self._plant.step(self.torque, self._wrench, self.state)
         except RunFailure as failure:
             failure.time = (now + 1) * self.step
             raise

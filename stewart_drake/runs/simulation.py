@@ -71,9 +71,9 @@ def run(
     refuse_unrunnable(scenario)
     if check:
         check_scenario(scenario)
+    engine = engine_of(scenario, meshcat) if engine is None else engine
     # What lies on the disk now is what the run is made of.
     files = file_digests(scenario.to_dict())
-    engine = engine_of(scenario, meshcat) if engine is None else engine
     try:
         return _run_engine(engine, scenario, files, progress)
     except BaseException as error:

@@ -14,23 +14,8 @@ from stewart_drake.mechanics.dynamics_laws import static_torque
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
 from stewart_drake.part import WELL, Part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.safety.limits import (
-    COMMAND,
-    CONTROLLER,
-    DEADLINE,
-    INNOVATION,
-    MEASUREMENT,
-    QUIET,
-    READING,
-    SEEN,
-    SENSOR,
-    TORQUE_LIMIT,
-    TORQUE_RATE,
-    broken,
-    see,
-    setup_of,
-)
-from stewart_drake.safety.safety_options import MEANINGS, MONITORS, SafetyInputs, SafetyOptions
+from stewart_drake.safety import limits
+from stewart_drake.safety.limits import MEANINGS, MONITORS, OBSERVED, QUIET, SafetyInputs, SafetyOptions
 
 LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
@@ -67,12 +52,6 @@ NOT_THERE = {
 
 
 @njit
-def _failed(setup: Any, cause: float) -> bool:
-    """Whether a sensor or controller has failed; a reading that is stuck has switches of its own."""
-    return cause == FROZEN or (setup.failures != 0.0 and cause != 0.0)
-
-
-@njit
 def _whole(value: float) -> int:
     return int(value) if np.isfinite(value) else -1
 
@@ -80,25 +59,25 @@ def _whole(value: float) -> int:
 @njit
 def _unusable(setup: Any, command: Any, is_measured: bool, age: float, sensor: Any, controller: Any) -> Any:
     """What is wrong with this tick's messages, apart from what they say: monitor or `QUIET`, leg or -1, cause or 0."""
-    if setup.finite != 0.0 and not is_measured:
-        return MEASUREMENT, -1, 0
+    if not is_measured:
+        return limits.MEASUREMENT, -1, 0
     stuck = sensor[0] == FROZEN
-    if not stuck and _failed(setup, sensor[0]):
-        return SENSOR, _whole(sensor[1]), _whole(sensor[0])
-    if _failed(setup, controller[0]):
-        return CONTROLLER, _whole(controller[1]), _whole(controller[0])
+    if not stuck and sensor[0] != 0.0:
+        return limits.SENSOR, _whole(sensor[1]), _whole(sensor[0])
+    if controller[0] != 0.0:
+        return limits.CONTROLLER, _whole(controller[1]), _whole(controller[0])
     largest, leg = 0.0, 0
     for i in range(6):
-        if setup.finite != 0.0 and not np.isfinite(command[i]):
-            return COMMAND, i, 0
+        if not np.isfinite(command[i]):
+            return limits.COMMAND, i, 0
         share = abs(command[i]) / setup.torque_limit[i]
         if share > largest:
             largest, leg = share, i
     if not age <= setup.deadline:
-        return DEADLINE, -1, 0
+        return limits.DEADLINE, -1, 0
     if largest > ABSURD:
-        return TORQUE_LIMIT, leg, 0
-    return (READING, int(sensor[1]), 0) if stuck else (QUIET, -1, 0)
+        return limits.TORQUE_LIMIT, leg, 0
+    return (limits.READING, int(sensor[1]), 0) if stuck else (QUIET, -1, 0)
 
 
 _NOTHING_FROZEN = -2
@@ -143,11 +122,11 @@ def _frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, stat
 @njit
 def _tick(
     robots: Any, setups: Any, command: Any, measurement: Any, reference: Any, age: Any, sensor: Any, controller: Any,
-    angles: Any, innovation: Any, pose_reading: Any, own: Any, leg_records: Any, seens: Any, states: Any,
+    angles: Any, innovation: Any, pose_reading: Any, own: Any, leg_records: Any, observations: Any, states: Any,
 ) -> Any:  # fmt: skip
     """One tick; `own` (2,): a user's monitor that trips, its leg. GOES_ON, BLIND, RUNAWAY or HELD; fastest crank."""
-    robot, setup, legs, seen, state = (
-        record(robots), record(setups), record(leg_records), record(seens), record(states),
+    robot, setup, legs, observed, state = (
+        record(robots), record(setups), record(leg_records), record(observations), record(states),
     )  # fmt: skip
     pose, rate, wanted, health = measurement[:6], measurement[6:], reference[:6], sensor.copy()
     read = pose_reading[:6] if pose_reading[0] == pose_reading[0] else pose
@@ -156,26 +135,26 @@ def _tick(
         health[0], health[1] = FROZEN, leg
     state.ticks += 1.0
     is_measured = all_finite(rate) and all_finite(pose + setup.horizon * rate)
-    is_seen = is_measured and not _failed(setup, health[0])
-    if is_seen:
-        see(robot, setup, pose, rate, wanted, state.side, legs, seen)
+    is_observed = is_measured and health[0] == 0.0
+    if is_observed:
+        limits.observe(robot, setup, pose, rate, wanted, state.side, legs, observed)
         if state.side == 0.0:
-            state.side = seen.side
-        far = seen.least_transmission > USABLE_TRANSMISSION and abs(seen.conditioning) > USABLE_CONDITIONING
+            state.side = observed.side
+        far = observed.least_transmission > USABLE_TRANSMISSION and abs(observed.conditioning) > USABLE_CONDITIONING
         torque = np.empty(6)
-        if seen.reached > 0.0 and far and static_torque(robot, legs, setup.gravity, torque):
+        if observed.reached > 0.0 and far and static_torque(robot, legs, setup.gravity, torque):
             copy_to(state.weight[:], torque)
     if state.safety[0] >= RAMP:
-        return _stop(setup, is_seen, seen, state)
+        return _stop(setup, is_observed, observed, state)
     monitor, level, leg, cause = QUIET, RAMP, -1, 0
-    if is_seen:
-        monitor, leg = broken(seen)
+    if is_observed:
+        monitor, leg = limits.broken(observed)
     if monitor == QUIET:
         level = HOLD
         monitor, leg, cause = _unusable(setup, command, is_measured, age[0], health, controller)
     if monitor == QUIET:
         level = RAMP
-        if is_seen and own[0] > 0.0:
+        if is_observed and own[0] > 0.0:
             monitor, leg = int(own[0]), int(own[1])
         else:
             monitor, leg = _pass_on(setup, command, innovation, state)
@@ -191,7 +170,7 @@ def _tick(
         first = state.first
         first[0], first[1], first[2], first[3], first[4] = monitor, level, leg, state.ticks - 1.0, cause
     if level == RAMP:
-        return _stop(setup, is_seen, seen, state)
+        return _stop(setup, is_observed, observed, state)
     copy_to(state.torque[:], _led(setup, state.good[:], state))
     return GOES_ON, 0.0
 
@@ -216,12 +195,12 @@ def _pass_on(setup: Any, command: Any, innovation: Any, state: Any) -> tuple[int
     state.at_limit, state.too_fast = _counted(state.at_limit, full), _counted(state.too_fast, steep)
     state.unexplained = _counted(state.unexplained, acceleration > setup.innovation)
     copy_to(state.command[:], command)
-    if state.at_limit * setup.period > setup.torque_limit_time + _ROUNDING:
-        return TORQUE_LIMIT, (size / limit).argmax()
-    if state.too_fast * setup.period > setup.torque_rate_time + _ROUNDING:
-        return TORQUE_RATE, change.argmax()
-    if state.unexplained * setup.period > setup.innovation_time + _ROUNDING:
-        return INNOVATION, -1
+    if state.at_limit * setup.period > limits.AT_LIMIT_TIME + _ROUNDING:
+        return limits.TORQUE_LIMIT, (size / limit).argmax()
+    if state.too_fast * setup.period > limits.TOO_FAST_TIME + _ROUNDING:
+        return limits.TORQUE_RATE, change.argmax()
+    if state.unexplained * setup.period > limits.UNEXPLAINED_TIME + _ROUNDING:
+        return limits.INNOVATION, -1
     # Led after it, a command that chatters would leave a mean torque that nobody asked for.
     torque = state.good.copy() if steep else np.minimum(np.maximum(command, -limit), limit)
     led = _led(setup, torque, state)
@@ -250,15 +229,15 @@ def _led(setup: Any, torque: Any, state: Any) -> Any:
 
 
 @njit
-def _stop(setup: Any, is_seen: bool, seen: Any, state: Any) -> Any:
+def _stop(setup: Any, is_observed: bool, observed: Any, state: Any) -> Any:
     """Ramp and safe hold: from the last good command to the weight's torque, damped from the first tick on."""
     state.since += 1.0
-    if not is_seen and state.held >= setup.budget:
+    if not is_observed and state.held >= setup.budget:
         # Nobody can hold this robot without seeing it: an open loop falls over within half a second.
         return BLIND, 0.0
     speed, elapsed, limit = np.zeros(6), state.since * setup.period, setup.most_torque
-    if is_seen and seen.reached > 0.0:
-        copy_to(speed, seen.speed[:])
+    if is_observed and observed.reached > 0.0:
+        copy_to(speed, observed.speed[:])
     fastest = 0.0
     for i in range(6):
         fastest = max(fastest, abs(speed[i]))
@@ -271,7 +250,7 @@ def _stop(setup: Any, is_seen: bool, seen: Any, state: Any) -> Any:
     copy_to(state.torque[:], _led(setup, np.minimum(np.maximum(wanted, -limit), limit), state))
     state.safety[0] = SAFE_HOLD if share >= 1.0 else RAMP
     state.worst = max(state.worst, state.safety[0])
-    state.held = 0.0 if is_seen else state.held + 1.0
+    state.held = 0.0 if is_observed else state.held + 1.0
     return GOES_ON, 0.0
 
 
@@ -289,11 +268,11 @@ def safety_part(
     `initial` (6,) [N m] are held where the very first command is bad; `quantum` [rad] is a count of the encoders; for
     `innovation_scale` see `EstimatorOptions.innovation_scale`.
     """
-    setup, none = setup_of(robot, options, gravity, period, quantum, innovation_scale), np.full((6, 6), np.nan)
+    setup, none = limits.setup_of(robot, options, gravity, period, quantum, innovation_scale), np.full((6, 6), np.nan)
     held = dict.fromkeys(("torque", "good", "weight", "command"), initial)
     first = new_record(_STATE, **held, safety=(NONE, QUIET, -1.0), readings=none[0], anchors=none)
     own, nothing, law = laws.robot_record(robot), np.zeros(2), cast(Any, _tick)
-    legs, seen = np.empty(1, laws.LEGS), np.empty(1, SEEN)
+    legs, observed = np.empty(1, laws.LEGS), np.empty(1, OBSERVED)
 
     def tick(*ports: np.ndarray) -> None:
         *inputs, state = ports
@@ -305,7 +284,7 @@ def safety_part(
                 SafetyInputs(command, measured[:6], measured[6:], wanted[:6], float(age[0]), *health)
             )
         asked = nothing if trip is None else np.array(trip, dtype=float)
-        status, fastest = law(own, setup, *inputs, asked, legs, seen, state)
+        status, fastest = law(own, setup, *inputs, asked, legs, observed, state)
         if status != GOES_ON:
             raise _stopped(options, period, status, fastest, state)
 
@@ -338,16 +317,16 @@ def first_trip(state: np.ndarray, period: float, names: Sequence[str] = MONITORS
     if monitor == 0.0:
         return None
 
-    def told(monitor: float, tick: float, leg: float) -> dict[str, Any]:
+    def trip(monitor: float, tick: float, leg: float) -> dict[str, Any]:
         time = round(float(tick) * period, 9)
         return {"monitor": names[int(monitor)], "time": time, "leg": int(leg) if leg >= 0.0 else None}
 
     last, by, at = now["safety"]
     return {
-        **told(monitor, tick, leg),
+        **trip(monitor, tick, leg),
         "level": LEVELS[int(level)],
         "cause": FAILURES[int(cause) - 1] if cause > 0.0 else None,
         "worst": LEVELS[int(now["worst"])],
         "last": LEVELS[int(last)],
-        "stopped": told(by, now["ticks"] - now["since"], at) if last >= RAMP else None,
+        "stopped": trip(by, now["ticks"] - now["since"], at) if last >= RAMP else None,
     }

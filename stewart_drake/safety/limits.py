@@ -1,20 +1,139 @@
-"""Limits of what is measured: what a tick breaks of them, compiled; what a run is refused for beforehand."""
+"""Options and limits of the safety layer: what a tick breaks of them, and what a run is refused for beforehand."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+import reprlib
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
+from stewart_drake.config import Fraction, Natural, NotNegative, Positive, PositivePair, Section
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.families import UserMade
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.linear_algebra import copy_to, solve
+from stewart_drake.registry import OWN_MONITORS
 from stewart_drake.robot import RobotParameters
-from stewart_drake.safety.safety_options import MONITORS, SafetyInputs, SafetyOptions
+from stewart_drake.robot.robot_scale import LENGTH, TORQUE
+
+MONITORS = (
+    "none", "measurement_not_finite", "sensor_failed", "controller_failed", "command_not_finite", "deadline",
+    "workspace", "serial_singularity", "parallel_singularity", "crank_speed", "following_error", "torque_limit",
+    "torque_rate", "innovation", "reading_stuck",
+)  # fmt: skip
+"""Stable names of the monitors, by their number in the log: new ones come last."""
+MEANINGS = {"reading_stuck": "a sensor repeats itself, or friction holds what it reads"}
+"""What a name leaves open, for the message of a run that the monitor ends."""
+
+HOLD_TIME = 0.03  # [s] for which the last good command is repeated at most.
+
+
+class SafetyOptions(Section, key="safety"):
+    """Limits and reactions of the safety layer; a limit that is null is off.
+
+    The defaults are assumptions of this project: wide enough for every motion that keeps to `limits`, and inside of
+    what the controllers themselves bear. Lengths and torques are for the paper's robot: another has them in proportion
+    to its characteristic length and effort limit.
+    """
+
+    deadline: Annotated[Natural, Field(le=1000)] | None = 2
+    """Ticks for which no newer command may have arrived; a constant `command_delay` does not count."""
+    frozen_encoder: Positive | None = 0.04
+    """[rad] by which two other cranks may turn, and 50 counts more, while an encoder repeats one reading to the last
+    bit and is a quarter as far from where its crank is wanted: one that friction holds stands nearer."""
+    frozen_pose: Annotated[PositivePair | None, LENGTH] = (0.01, 0.001)
+    """[rad, m] by which an axis of the reference may move while the measured pose, of a sensor that is no encoder,
+    stays the same to the last bit."""
+    innovation: Positive | None = 100.0
+    """[rad/s^2] acceleration of a crank that an observer's model does not explain, as its innovations tell beyond their
+    noise, for more than 10 ms in sum: a rod that is lost, a motor that is dead, an encoder that lies."""
+    torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
+    """[-] of the motors' limit; commands are cut there, and may be there or beyond for 0.1 s in sum."""
+    torque_rate: Annotated[Positive | None, TORQUE] = 4000.0
+    """[N m/s] by which a motor's torque may change. In a tick whose command jumps further, for 10 ms in sum, the last
+    good one stands; what comes next is led after at that rate."""
+    workspace: Annotated[PositivePair | None, LENGTH] = (1.2, 0.12)
+    """[rad, m] farthest from the home pose: angle of the rotation, and distance of P."""
+    transmission: Fraction | None = 0.1
+    """[-] smallest |e_l . e_N|: nearer to its dead centre a crank may not come (serial singularity)."""
+    conditioning: Fraction | None = 0.04
+    """[-] smallest sigma_min / sigma_max of the rods' lines, without crossing zero (parallel singularity)."""
+    horizon: NotNegative = 0.01
+    """[s] by which the pose is led ahead of the measurement, at its rate, for the three limits above."""
+    crank_speed: Positive | None = 15.0
+    """[rad/s] largest |theta'|."""
+    following_error: Annotated[PositivePair | None, LENGTH] = (0.1, 0.02)
+    """[rad, m] largest distance to the reference: angle of the rotation, and distance of P."""
+    hold_ticks: Annotated[Natural, Field(le=20)] = 20
+    """Ticks for which the last good command is repeated at most, up to 20 and to 30 ms."""
+    ramp_time: Positive = 0.02
+    """[s] from the last good command to the safe hold: short, for the command may have been wrong for a while."""
+    safe_hold_time: Positive = 0.5
+    """[s] after which a safe hold ends the run."""
+    monitors: tuple[Annotated[Any, OWN_MONITORS], ...] = ()
+    """Further monitors, each a class of the user's own by its import path, see `UserMonitor`."""
+
+    @property
+    def monitor_names(self) -> tuple[str, ...]:
+        """By the number in the log, those of `monitors` last."""
+        return (*MONITORS, *(getattr(each, "name", each.kind) for each in self.monitors))
+
+    def budget(self, period: float) -> int:
+        """Ticks of a period [s] that may be held."""
+        return min(self.hold_ticks, math.floor(HOLD_TIME / period + 1e-6))
+
+    def first_own(self, inputs: SafetyInputs) -> tuple[int, int] | None:
+        """Number and leg of the first of `monitors` that trips; None for none."""
+        for index, monitor in enumerate(self.monitors):
+            leg = monitor.look(inputs)
+            if leg is not None:
+                return len(MONITORS) + index, leg
+        return None
+
+
+class SafetyInputs(NamedTuple):
+    """What a monitor of the user's own gets."""
+
+    command: np.ndarray  # (6,) [N m].
+    pose: np.ndarray  # (6,) [rad, m] measured.
+    pose_rate: np.ndarray  # (6,) [rad/s, m/s] measured.
+    reference: np.ndarray  # (6,) [rad, m] pose that is wanted.
+    age: float = 0.0  # [ticks] of the command.
+    # What is wrong with the estimator, see `errors.FAILURES`, and its leg or -1.
+    sensor: tuple[float, float] = (0.0, -1.0)
+    controller: tuple[float, float] = (0.0, -1.0)  # What is wrong with the controller, likewise.
+
+
+class UserMonitor(UserMade, key="safety.monitors"):
+    """What a class of the user's own says with `look(inputs)`, once a tick.
+
+    It gets `SafetyInputs` with a measurement that is finite, and returns the leg with which something is wrong, -1 for
+    the robot as a whole, None for nothing. Where something is, and no other monitor trips, the robot is taken from its
+    controller.
+    """
+
+    asked = "look(inputs) returns a leg, -1 or None"
+
+    @property
+    def name(self) -> str:
+        return self.code.name
+
+    def look(self, inputs: SafetyInputs) -> int | None:
+        leg = self.made.look(inputs)
+        if leg is None:
+            return None
+        number = isinstance(leg, (int, float, np.number)) and not isinstance(leg, bool)
+        if not number or leg not in range(-1, 6):
+            raise self.refusal(reprlib.repr(leg))
+        return int(leg)
+
+
+# --- limits of what is measured --------------------------------------------------------------------------------------
 
 (
     QUIET, MEASUREMENT, SENSOR, CONTROLLER, COMMAND, DEADLINE, WORKSPACE, SERIAL, PARALLEL, CRANK_SPEED, FOLLOWING,
@@ -36,16 +155,21 @@ SMALLEST = 1e-9  # Transmission at a dead centre, for the speed of that crank.
 
 SETUP = fields(
     period=(), gravity=(), horizon=(), home=6,
-    finite=(), failures=(), deadline=(), frozen_encoder=(), frozen_pose=6, innovation=(), innovation_noise=(),
-    innovation_scale=(), innovation_time=(), torque_limit=6, torque_limit_time=(), torque_change=(),
-    torque_rate_time=(), workspace=2, transmission=(), conditioning=(), crank_speed=(), following_error=2,
-    budget=(), ramp_time=(), safe_hold_time=(), damping=(), most_torque=6, most_speed=(),
+    deadline=(), frozen_encoder=(), frozen_pose=6, innovation=(), innovation_noise=(), innovation_scale=(),
+    torque_limit=6, torque_change=(), workspace=2, transmission=(), conditioning=(), crank_speed=(),
+    following_error=2, budget=(), ramp_time=(), safe_hold_time=(), damping=(), most_torque=6, most_speed=(),
 )  # fmt: skip
 """`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], what the innovation's
 noise is [rad] and what an acceleration leaves in it [s^2], torque_change: in a tick [N m], budget: ticks that may be
-held, most_torque: of a robot that stops [N m], most_speed: at which it is given up [rad/s]."""
+held, damping of each crank of a robot that stops [N m s/rad], most_torque of it [N m], most_speed: at which it is given
+up [rad/s]."""
+AT_LIMIT_TIME, TOO_FAST_TIME, UNEXPLAINED_TIME = 0.1, 0.01, 0.01
+"""[s] for which, in sum, commands may be at the torque limit or jump, and innovations be too large: a blow passes. Good
+ticks take away from the sum."""
+DAMPING = 0.7  # Of what a crank alone, its rod broken off, bears in torques held over a period.
+RUNAWAY, FASTEST = 2.0, 15.0  # [-] times the crank speed, or where that is off times this one [rad/s].
 
-SEEN = fields(reached=(), side=(), speed=6, least_transmission=(), conditioning=(), margin=(5, 6))
+OBSERVED = fields(reached=(), side=(), speed=6, least_transmission=(), conditioning=(), margin=(5, 6))
 """What a measurement means, led ahead. reached: whether that pose is within reach. side: sign of the rods' determinant.
 speed: of the cranks [rad/s]; where the pose led ahead is out of reach those of the pose itself, and 0 where that is.
 conditioning: negative where the determinant has changed its sign. margin: by which each of `LIMITS` is kept, for each
@@ -62,7 +186,6 @@ def setup_of(
 ) -> np.ndarray:
     """`SETUP` record, see `safety_part`."""
     pose, rate, share = options.frozen_pose, options.torque_rate, options.torque_limit
-    fastest = 15.0 if options.crank_speed is None else options.crank_speed
     return new_record(
         SETUP,
         options,
@@ -79,9 +202,9 @@ def setup_of(
         transmission=-math.inf if options.transmission is None else options.transmission,
         conditioning=-math.inf if options.conditioning is None else options.conditioning,
         budget=options.budget(period),
-        damping=0.7 * options.largest_damping(robot, period) if options.damping is None else options.damping,
+        damping=DAMPING * 2.0 * float(robot.crank_axis_inertias.min()) / period,
         most_torque=(1.0 if share is None else share) * robot.effort_limits,
-        most_speed=options.runaway * fastest,
+        most_speed=RUNAWAY * (FASTEST if options.crank_speed is None else options.crank_speed),
     )
 
 
@@ -104,13 +227,15 @@ def _left(limit: float, value: float) -> float:
 
 
 @njit
-def see(robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: float, legs: Any, seen: Any) -> None:
+def observe(
+    robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: float, legs: Any, observed: Any
+) -> None:
     """What a finite measurement of pose and rate (6,) means, beside the pose (6,) that is wanted.
 
     `side` is the sign of the rods' determinant at the start, 0 if that is now. The `LEGS` become those of the pose led
     ahead; where that is out of reach those of the pose, or else of home.
     """
-    home, wanted, margin, twist = setup.home[:], np.empty((3, 3)), seen.margin, np.empty(6)
+    home, wanted, margin, twist = setup.home[:], np.empty((3, 3)), observed.margin, np.empty(6)
     ahead, turn = pose + setup.horizon * rate, np.empty((3, 3))
     reached = laws.legs_at(robot, ahead, legs) < 0
     within, reach = reached, legs.reach.copy()
@@ -122,28 +247,28 @@ def see(robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: floa
         within = laws.legs_at(robot, pose, legs) < 0
         if not within:
             laws.legs_at(robot, home, legs)
-    seen.reached = 1.0 if reached else 0.0
-    seen.conditioning, seen.side = np.inf, side
+    observed.reached = 1.0 if reached else 0.0
+    observed.conditioning, observed.side = np.inf, side
     if reached:
-        seen.side = solve(legs.line.copy(), np.empty((6, 1)))
-        crossed = side != 0.0 and seen.side != side
-        seen.conditioning = laws.conditioning(robot, legs, laws.QUICK) * (-1.0 if crossed else 1.0)
-    margin[3] = np.inf if setup.conditioning == -np.inf else seen.conditioning - setup.conditioning
+        observed.side = solve(legs.line.copy(), np.empty((6, 1)))
+        crossed = side != 0.0 and observed.side != side
+        observed.conditioning = laws.conditioning(robot, legs, laws.QUICK) * (-1.0 if crossed else 1.0)
+    margin[3] = np.inf if setup.conditioning == -np.inf else observed.conditioning - setup.conditioning
     laws.twist_of(pose, rate, twist)
-    seen.least_transmission = np.inf
+    observed.least_transmission = np.inf
     for i in range(6):
         size = abs(legs.transmission[i])
         if size < SMALLEST:
             legs.lever[i] = SMALLEST * robot.crank_length[i] * (-1.0 if legs.transmission[i] < 0.0 else 1.0)
         # 0 where a rod does not span.
         size = size if reach[i] >= 0.0 else 0.0
-        seen.least_transmission = min(seen.least_transmission, size)
+        observed.least_transmission = min(observed.least_transmission, size)
         margin[2, i] = size - setup.transmission
-    laws.crank_rates(legs, twist, seen.speed[:])
+    laws.crank_rates(legs, twist, observed.speed[:])
     if not within:
-        seen.speed[:] = 0.0
+        observed.speed[:] = 0.0
     for i in range(6):
-        margin[1, i] = _left(setup.crank_speed, abs(seen.speed[i]))
+        margin[1, i] = _left(setup.crank_speed, abs(observed.speed[i]))
     laws.rotation(pose[:3], turn)
     laws.rotation(reference[:3], wanted)
     angle, distance = _angle((turn * wanted).sum()), _distance(pose, reference)
@@ -152,27 +277,27 @@ def see(robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: floa
 
 @njit
 def margins_along(
-    robots: Any, setups: Any, poses: Any, rates: Any, references: Any, side: float, leg_records: Any, seens: Any,
+    robots: Any, setups: Any, poses: Any, rates: Any, references: Any, side: float, leg_records: Any, observations: Any,
     out: Any,
 ) -> float:  # fmt: skip
     """Margins (n, 5, 6) of `LIMITS` for poses (n, 6) [rad, m], rates and poses wanted; the side at the last."""
-    robot, setup, legs, seen = record(robots), record(setups), record(leg_records), record(seens)
+    robot, setup, legs, observed = record(robots), record(setups), record(leg_records), record(observations)
     for row in range(len(poses)):
-        see(robot, setup, poses[row], rates[row], references[row], side, legs, seen)
+        observe(robot, setup, poses[row], rates[row], references[row], side, legs, observed)
         for k in range(len(LIMITS)):
-            copy_to(out[row, k], seen.margin[k])
-    return seen.side
+            copy_to(out[row, k], observed.margin[k])
+    return observed.side
 
 
 @njit
-def broken(seen: Any) -> tuple[int, int]:
+def broken(observed: Any) -> tuple[int, int]:
     """Monitor of the first limit that a measurement breaks, or `QUIET`; its leg or -1."""
     for row in range(5):
         leg = 0
         for i in range(1, 6):
-            if not seen.margin[row, i] >= seen.margin[row, leg]:
+            if not observed.margin[row, i] >= observed.margin[row, leg]:
                 leg = i
-        if not seen.margin[row, leg] >= 0.0:
+        if not observed.margin[row, leg] >= 0.0:
             return _OF_ROW[row, 0], leg if _OF_ROW[row, 1] else -1
     return QUIET, -1
 
@@ -192,45 +317,25 @@ def refuse_motion(
     """Refuses a motion (n, 6) with two derivatives that, followed without error, would trip a monitor."""
     pose, rate, _ = motion
     inverse_kinematics(robot, pose)
-    _, start = _margins(robot, options, 0.0, (pose[:1], rate[:1], pose[:1]))
-    # The poses themselves, and what the layer looks at: the poses led ahead.
-    for horizon in (0.0, options.horizon):
-        by, _ = _margins(robot, options, horizon, (pose, rate, pose), start)
-        for row, (monitor, key, of_legs) in enumerate(LIMITS):
-            margin = by[:, row] if of_legs else by[:, row, :1]
-            if horizon == 0.0:
-                _refuse(key, getattr(options, key), margin, time)
-            else:
-                allowed = f"one that does not trip {MONITORS[monitor]} along the reference, as it does"
-                _refuse("horizon", options.horizon, margin, time, allowed)
-    torque = inverse_dynamics(robot, *motion, gravity)
-    for row in range(len(time) if options.monitors else 0):
-        trip = options.first_own(SafetyInputs(torque[row], pose[row], rate[row], pose[row]))
-        if trip is not None:
-            key = f"monitors.{trip[0] - len(MONITORS)}"
-            allowed = "one that the reference does not trip, as it does"
-            _refuse(key, options.monitor_names[trip[0]], np.full(1, -1.0), time[row : row + 1], allowed)
-    if options.torque_limit is not None:
-        step = np.diff(time, prepend=time[0] - (time[1] - time[0] if len(time) > 1 else 0.0))
-        limit = options.torque_limit * robot.effort_limits
-        _refuse_for_long("torque_limit", options, np.abs(torque), limit, time, step, "N m")
-    if options.torque_rate is not None and len(time) > 1:
-        step = np.diff(time)
-        change = np.abs(np.diff(torque, axis=0)) / step[:, None]
-        _refuse_for_long("torque_rate", options, change, options.torque_rate, time[1:], step, "N m/s")
-
-
-def _refuse_for_long(
-    key: str, options: SafetyOptions, size: np.ndarray, limit: Any, time: np.ndarray, step: np.ndarray, unit: str
-) -> None:
-    """Refuses a limit above which sizes (n, 6) are for longer than is allowed, counted as the layer does it."""
-    beyond = size > limit
-    any_beyond = beyond.any(axis=1)
-    total = np.cumsum(np.where(any_beyond, step, -step))
-    total -= np.minimum(np.minimum.accumulate(total), 0.0)
-    too_long = beyond & (total > getattr(options, f"{key}_time") + 1e-9)[:, None]
-    allowed = f"enough for the motion, which needs up to {size.max():.3g} {unit}; the limit is exceeded for too long"
-    _refuse(key, getattr(options, key), np.where(too_long, limit - size, 0.0), time, allowed)
+    _, start = _margins(robot, options, pose[:1], rate[:1], pose[:1])
+    margins, _ = _margins(robot, options, pose, rate, pose, start)
+    for row, (_, key, of_legs) in enumerate(LIMITS):
+        _refuse(key, getattr(options, key), margins[:, row] if of_legs else margins[:, row, :1], time)
+    torque, step = inverse_dynamics(robot, *motion, gravity), np.diff(time, prepend=2.0 * time[0] - time[1])
+    change = np.abs(np.diff(torque, axis=0, prepend=torque[:1])) / step[:, None]
+    for key, unit, size, scale, longest in (
+        ("torque_limit", "N m", np.abs(torque), robot.effort_limits, AT_LIMIT_TIME),
+        ("torque_rate", "N m/s", change, np.ones(6), TOO_FAST_TIME),
+    ):
+        given = getattr(options, key)
+        limit = np.inf if given is None else given * scale
+        # Counted as the layer does it.
+        beyond = size > limit
+        total = np.cumsum(np.where(beyond.any(axis=1), step, -step))
+        total -= np.minimum(np.minimum.accumulate(total), 0.0)
+        too_long = beyond & (total > longest + 1e-9)[:, None]
+        needs = f"enough for the motion, which needs up to {size.max():.3g} {unit}; the limit is exceeded for too long"
+        _refuse(key, given, np.where(too_long, limit - size, 0.0), time, needs)
 
 
 def refuse_start(
@@ -242,32 +347,37 @@ def refuse_start(
     reference: np.ndarray,
 ) -> None:
     """Refuses a start at which a monitor would trip in the very first tick, or where the robot cannot be held."""
-    by, _ = _margins(robot, options, options.horizon, (pose[None], pose_rate[None], reference[None]))
-    trips = [MONITORS[limit[0]] for limit, margin in zip(LIMITS, by[0], strict=True) if not margin.min() >= 0.0]
+    margins, _ = _margins(robot, options, pose[None], pose_rate[None], reference[None])
+    trips = [MONITORS[limit[0]] for limit, margin in zip(LIMITS, margins[0], strict=True) if not margin.min() >= 0.0]
     if trips:
-        if np.array_equal(pose, reference):
-            # The motion itself has been looked at: it is the look ahead that leads out of bounds.
-            allowed = f"one whose first tick does not trip {trips[0]}"
-            raise ConfigurationError("safety.horizon", options.horizon, allowed)
         away = (pose - reference).tolist()
         raise ConfigurationError("initial_offset", away, f"a start that does not trip {trips[0]}")
+    torque = static_torque(robot, pose, gravity)
+    trip = options.first_own(SafetyInputs(torque, pose, pose_rate, reference))
+    if trip is not None:
+        name, place = options.monitor_names[trip[0]], trip[0] - len(MONITORS)
+        raise ConfigurationError(f"safety.monitors.{place}", name, "one that the start does not trip")
     if options.torque_limit is not None:
-        needed = np.abs(static_torque(robot, pose, gravity)[None])
+        needed = np.abs(torque[None])
         allowed = f"enough to stand at the start, which needs up to {needed.max():.3g} N m; the limit is exceeded"
         margin = options.torque_limit * robot.effort_limits - needed
         _refuse("torque_limit", options.torque_limit, margin, np.zeros(1), allowed)
 
 
 def _margins(
-    robot: RobotParameters, options: SafetyOptions, horizon: float, motion: tuple[np.ndarray, ...], side: float = 0.0
+    robot: RobotParameters,
+    options: SafetyOptions,
+    pose: np.ndarray,
+    rate: np.ndarray,
+    wanted: np.ndarray,
+    side: float = 0.0,
 ) -> tuple[np.ndarray, float]:
-    """Margins (n, 5, 6) of poses, rates and poses wanted, led ahead by a horizon [s], and the side at their end."""
+    """Margins (n, 5, 6) of poses, rates and poses wanted (n, 6), and the side at their end."""
     # Of these limits none asks for gravity or period.
-    out, setup = np.empty((len(motion[0]), len(LIMITS), 6)), setup_of(robot, options, 0.0, 1.0)
-    setup["horizon"] = horizon
-    poses, rates, wanted = (np.ascontiguousarray(each, dtype=float) for each in motion)
-    own, legs, seen = laws.robot_record(robot), np.empty(1, laws.LEGS), np.empty(1, SEEN)
-    return out, margins_along(own, setup, poses, rates, wanted, side, legs, seen, out)
+    out, setup = np.empty((len(pose), len(LIMITS), 6)), setup_of(robot, options, 0.0, 1.0)
+    pose, rate, wanted = (np.ascontiguousarray(each, dtype=float) for each in (pose, rate, wanted))
+    own, legs, observed = laws.robot_record(robot), np.empty(1, laws.LEGS), np.empty(1, OBSERVED)
+    return out, margins_along(own, setup, pose, rate, wanted, side, legs, observed, out)
 
 
 def _refuse(

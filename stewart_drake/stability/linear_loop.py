@@ -13,11 +13,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError
-from stewart_drake.jit import njit, record
-from stewart_drake.mechanics.dynamics import static_torque as holding_torque
-from stewart_drake.mechanics.dynamics_laws import forward_dynamics, pose_acceleration_map, static_torque
+from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
-from stewart_drake.mechanics.kinematics_laws import LEGS, legs_at
 from stewart_drake.part import Part, Setup
 from stewart_drake.parts import setup_of
 from stewart_drake.planning.pose_box import NEAR, sample_poses
@@ -50,7 +47,7 @@ def poses_to_stand_at(scenario: Scenario, count: int, seed: int) -> np.ndarray:
     """Poses (count, 6) [rad, m] of the near box, in the robot's size, at which a run of the scenario may stand."""
     robot, rng = scenario.robot, np.random.default_rng(seed)
     box = NEAR.around(robot)
-    return sample_poses(robot, box, count, rng, limits=scenario.limits, gravity=scenario.gravity).poses
+    return sample_poses(robot, box, count, rng, limits=scenario.limits, gravity=scenario.gravity)
 
 
 def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
@@ -62,7 +59,7 @@ def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
     for k, pose in enumerate(poses):
         reading, by_state = (each[k] for each in sensed)
         try:
-            still = holding_torque(setup.robot, pose, setup.gravity)
+            still = static_torque(setup.robot, pose, setup.gravity)
             side, memory = _controllers_side(scenario, setup._replace(pose=pose, still=still), reading)
             robot = PlantAt(*(each[k] for each in plants))
             results.append(_loop(robot, reading, by_state, side, memory, setup.delay, pose))
@@ -88,37 +85,13 @@ class PlantAt(NamedTuple):
 
 def plant_at(robots: np.ndarray, poses: np.ndarray, gravity: float, period: float) -> PlantAt:
     """The robot, a `ROBOT` record with what it carries, at poses (m, 6) under torques that are held over a period."""
-    torque, legs, whole = np.empty((len(poses), 6)), np.empty(1, LEGS), np.zeros((len(poses), 18, 18))
-    whole[:, :6, 6:12] = np.eye(6)
-    for pose, held, matrix in zip(poses, torque, whole, strict=True):
-        bad = _plant(robots, pose, gravity, legs, held, matrix[6:12])
-        if bad >= 0:
-            raise UnreachablePoseError(pose, bad, float(legs["reach"][0, bad]))
+    torque, whole = static_torque(robots, poses, gravity), np.zeros((len(poses), 18, 18))
+    whole[:, :6, 6:12], whole[:, 6:12, 12:] = np.eye(6), pose_acceleration_map(robots, poses)
+    for k, way in enumerate(_STEP * np.eye(6)):
+        ahead, behind = forward_dynamics(robots, np.stack([poses + way, poses - way]), np.zeros(6), torque, gravity)
+        whole[:, 6:12, k] = (ahead - behind) / (2.0 * _STEP)
     moves = expm(period * whole)
     return PlantAt(moves[:, :12, :12], moves[:, :12, 12:], torque)
-
-
-@njit
-def _plant(robots: Any, pose: Any, gravity: float, leg_records: Any, torque: Any, rows: Any) -> int:
-    """Torque (6,) at rest, and the derivatives (6, 18) of the acceleration by pose, rate and torque; -1 or a leg."""
-    robot, legs, nothing = record(robots), record(leg_records), np.zeros(6)
-    bad = legs_at(robot, pose, legs)
-    if bad >= 0:
-        return bad
-    static_torque(robot, legs, gravity, torque)
-    by_torque, acceleration = np.empty((6, 6)), np.empty(6)
-    pose_acceleration_map(robot, legs, pose, by_torque)
-    rows[:, 12:] = by_torque
-    for k in range(6):
-        for sign in (-1.0, 1.0):
-            moved = pose.copy()
-            moved[k] += sign * _STEP
-            bad = legs_at(robot, moved, legs)
-            if bad >= 0:
-                return bad
-            forward_dynamics(robot, legs, moved, nothing, torque, nothing, gravity, acceleration)
-            rows[:, k] += sign / (2.0 * _STEP) * acceleration
-    return -1
 
 
 def _sensed(kind: str, robot: RobotParameters, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,6 @@
 """Margins of linear loops, broken at the six motors' torques: one motor at a time, and all at once.
 
-S = (I + L)^-1 and T = I - S. A motor i that gives f_i times what it is told to leaves the loop stable for every f_i =
+S = (I + L)^-1 and T = I - S. A motor i that gives f_i times what it is asked for leaves the loop stable for every f_i =
 (1 + d_i / 2) / (1 - d_i / 2) with complex |d_i| < alpha = 1 / max mu((S - T) / 2), the disk margin. Sources: Seiler,
 Packard, Gahinet, IEEE Control Systems 40(5), 2020, skew 0; for mu Packard, Doyle, Automatica 29, 1993.
 """
@@ -8,7 +8,7 @@ Packard, Gahinet, IEEE Control Systems 40(5), 2020, skew 0; for mu Packard, Doyl
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import matrix_balance, schur
@@ -16,14 +16,10 @@ from scipy.optimize import minimize
 
 from stewart_drake.stability.linear_loop import LinearLoops
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-
 _SLOWEST = 0.1  # Of the slowest closed-loop pole's frequency, where the grid begins; it ends at Nyquist's.
 _SWEEPS = 5
 _POWER = 32.0  # Of the singular values whose sum stands for the largest one: that alone has corners.
 HEADER = ("", "one motor: least", "5 %", "median", "all at once: least", "5 %", "median")
-_POSE = ("roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m")
 
 
 class Margins(NamedTuple):
@@ -57,8 +53,8 @@ def loop_margins(loops: LinearLoops, count: int = 300) -> LoopMargins:
     frequencies = _grid(poles, loops.period, count)
     points = np.exp(1j * frequencies * loops.period)
     each = zip(loops.closed, loops.b, loops.c, strict=True)
-    found = [_of_loop(_sensitivity(*matrices, points), frequencies) for matrices in each]
-    single, together, not_above, peak, curves = (np.array(each) for each in zip(*found, strict=True))
+    results = [_of_loop(_sensitivity(*matrices, points), frequencies) for matrices in each]
+    single, together, not_above, peak, curves = (np.array(each) for each in zip(*results, strict=True))
     stable = radius < 1.0
     none = np.array([0.0, 1.0, 1.0, 0.0, 0.0])
     one = Margins(*np.moveaxis(np.where(stable[:, None, None], single, none[:, None]), 1, 0))
@@ -195,7 +191,7 @@ def _scaled(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
     return np.exp(logs[..., :, None] - logs[..., None, :]) * matrices
 
 
-def quantities(found: LoopMargins, period: float) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
+def quantities(results: LoopMargins, period: float) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
     """Each margin: its key, its name with unit, (m,) of the worst motor alone, (m,) of all at once; period [s]."""
     for key, name, field, scale in (
         ("disk", "disk margin [-]", "disk", 1.0),
@@ -205,9 +201,9 @@ def quantities(found: LoopMargins, period: float) -> Iterator[tuple[str, str, np
         ("delay_s", "delay [s]", "delay", 1.0),
         ("delay_ticks", "delay [ticks]", "delay", 1.0 / period),
     ):
-        alone = getattr(found.single, field)
+        alone = getattr(results.single, field)
         worst = alone.max(axis=-1) if key == "gain_low" else alone.min(axis=-1)
-        yield key, name, scale * worst, scale * getattr(found.all_at_once, field)
+        yield key, name, scale * worst, scale * getattr(results.all_at_once, field)
 
 
 def spread(values: np.ndarray, most: bool) -> tuple[float, float, float]:
@@ -216,23 +212,23 @@ def spread(values: np.ndarray, most: bool) -> tuple[float, float, float]:
     return float(worst), float(np.quantile(values, tail, method="inverted_cdf")), float(np.median(values))
 
 
-def table(found: LoopMargins, period: float) -> list[tuple[str, ...]]:
+def table(results: LoopMargins, period: float) -> list[tuple[str, ...]]:
     rows = []
-    for key, name, alone, together in quantities(found, period):
+    for key, name, alone, together in quantities(results, period):
         scale, name = (1e3, "delay [ms]") if key == "delay_s" else (1.0, name)
         numbers = (*spread(alone, key == "gain_low"), *spread(together, key == "gain_low"))
         rows.append((name, *(f"{scale * each:.3g}" for each in numbers)))
     return rows
 
 
-def facts(loops: LinearLoops, found: LoopMargins) -> list[tuple[str, str]]:
-    stable, worst = found.radius < 1.0, int(found.all_at_once.disk.argmin())
+def facts(loops: LinearLoops, results: LoopMargins) -> list[tuple[str, str]]:
+    stable, worst = results.radius < 1.0, int(results.all_at_once.disk.argmin())
     pose = ", ".join(f"{each:.4g}" for each in loops.poses[worst])
-    grid = found.frequencies
+    grid = results.frequencies
     rows = [
-        ("stable", f"{stable.sum()} of {len(stable)} poses; spectral radius at most {found.radius.max():.5f}"),
-        ("worst pose, all at once", f"{pose} [rad, m], at {found.frequency[worst]:.3g} rad/s"),
-        ("bounds of mu", f"apart by at most {100.0 * gap(found):.2g} % where it decides"),
+        ("stable", f"{stable.sum()} of {len(stable)} poses; spectral radius at most {results.radius.max():.5f}"),
+        ("worst pose, all at once", f"{pose} [rad, m], at {results.frequency[worst]:.3g} rad/s"),
+        ("bounds of mu", f"apart by at most {100.0 * gap(results):.2g} % where it decides"),
         ("frequencies", f"{len(grid)} from {grid[0]:.3g} to {grid[-1]:.4g} rad/s"),
     ]
     if loops.left_out:
@@ -240,44 +236,31 @@ def facts(loops: LinearLoops, found: LoopMargins) -> list[tuple[str, str]]:
     return rows
 
 
-def gap(found: LoopMargins) -> float:
+def gap(results: LoopMargins) -> float:
     """[-] by how much disk margins all at once may be larger than stated, as a share; 0 where no loop is stable."""
-    stable = found.radius < 1.0
-    return float(np.max(found.not_above[stable] / found.all_at_once.disk[stable] - 1.0, initial=0.0))
+    stable = results.radius < 1.0
+    return float(np.max(results.not_above[stable] / results.all_at_once.disk[stable] - 1.0, initial=0.0))
 
 
-def document(loops: LinearLoops, found: LoopMargins) -> dict[str, Any]:
+def document(loops: LinearLoops, results: LoopMargins) -> dict[str, Any]:
     """All that `table` and `facts` say, as plain values; None for a margin without end."""
 
     def plain(values: np.ndarray, most: bool) -> list[float | None]:
         return [each if np.isfinite(each) else None for each in spread(values, most)]
 
-    worst = int(found.all_at_once.disk.argmin())
+    worst = int(results.all_at_once.disk.argmin())
     return {
         "poses": len(loops.poses),
         "left_out": len(loops.left_out),
-        "stable": int((found.radius < 1.0).sum()),
-        "spectral_radius": float(found.radius.max()),
+        "stable": int((results.radius < 1.0).sum()),
+        "spectral_radius": float(results.radius.max()),
         "period_s": loops.period,
         "worst_pose": loops.poses[worst].tolist(),
-        "worst_frequency_rad_s": float(found.frequency[worst]),
-        "bounds_apart": gap(found),
+        "worst_frequency_rad_s": float(results.frequency[worst]),
+        "bounds_apart": gap(results),
         "columns": ["worst", "all but 5 %", "median"],
         "margins": {
             key: {"one_motor": plain(alone, key == "gain_low"), "all_at_once": plain(together, key == "gain_low")}
-            for key, _, alone, together in quantities(found, loops.period)
+            for key, _, alone, together in quantities(results, loops.period)
         },
     }
-
-
-def rows(loops: LinearLoops, found: LoopMargins) -> pa.Table:
-    """A row for each pose: pose, spectral radius, margins of each motor and of all at once."""
-    import pyarrow as pa
-
-    columns = dict(zip(_POSE, loops.poses.T, strict=True)) | {"spectral_radius": found.radius}
-    for name, unit in (("disk", ""), ("gain_low", ""), ("gain_high", ""), ("phase", "_rad"), ("delay", "_s")):
-        one = getattr(found.single, name)
-        columns |= {f"{name}{unit}_motor_{motor}": one[:, motor] for motor in range(6)}
-        columns[f"{name}{unit}"] = getattr(found.all_at_once, name)
-    columns |= {"disk_not_above": found.not_above, "frequency_rad_s": found.frequency}
-    return pa.table({name: np.ascontiguousarray(values) for name, values in columns.items()})

@@ -10,6 +10,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from stewart_drake.config import to_plain
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import locked_folder
@@ -25,9 +27,10 @@ from stewart_drake.studies.runs import Measure, Row, Task, measure_band, measure
 from stewart_drake.studies.study import Sheet, Study, StudyResult, Tables, load_study, number, vary, within
 
 SEED = "{seed}"
-MAX_RUNS = 10_000
 AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
-_QUICK_FREQUENCIES = 2
+LARGEST = (0.05,) * 3 + (0.005,) * 3
+"""[rad, m] amplitude of a band, where half of the largest feasible one is not less."""
+_QUICK_FREQUENCIES, _WINDOW = 2, 1.0
 _Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 
@@ -74,7 +77,7 @@ class Comparison(Study):
     def from_dict(
         cls, data: Mapping[str, Any], folder: Path | None = None, quick: bool = False, robot: str | None = None
     ) -> Comparison:
-        """From plain values, see `CompareFile`; paths relative to `folder`, motions in the size of `robot`."""
+        """From plain values of a `CompareFile`; paths relative to `folder`, motions in the size of `robot`."""
         file, base = CompareFile.read("comparison", data, folder)
         parts = {kind: getattr(file, kind) for kind in KINDS}
         if file.tuned is not None:
@@ -93,8 +96,6 @@ class Comparison(Study):
         cells = _table_cells(file, base, parts, quick)
         if file.bands is not None:
             cells += _band_cells(file.bands, file.seeds[0], base, parts, quick)
-        if len(cells) > MAX_RUNS:
-            raise ConfigurationError("runs", f"{len(cells)} runs", f"at most {MAX_RUNS}")
         return cls(base, file, tuple(cells), name=file.name, indices=range(len(cells)))
 
     def task(self, index: int) -> Task:
@@ -133,14 +134,14 @@ class Comparison(Study):
             if self.file.cost is not None:
                 named.setdefault("cost", FAILED)  # a run that was refused or broke has no figures at all
             (runs if cell.frequency is None else bands).append(named)
-        found: list[Row] = []
+        best_rows: list[Row] = []
         for name, best in self.file.best_of.items():
             own = [row for row in runs if row["controller"] in best.of]
             for group in _groups(own, "reference", "condition", "seed").values():
                 if {row["controller"] for row in group} == set(best.of):
                     chosen = min(group, key=_rank)
-                    found.append({**chosen, "controller": name, "chosen": chosen["controller"]})
-        return {"comparison": (self.columns, found + runs), "bands": (BANDS, bands)}
+                    best_rows.append({**chosen, "controller": name, "chosen": chosen["controller"]})
+        return {"comparison": (self.columns, best_rows + runs), "bands": (BANDS, bands)}
 
     def shown(self, rows: Sequence[Row]) -> list[Row]:
         products = self.file.products
@@ -153,12 +154,12 @@ class Comparison(Study):
 
     def sheets(self, rows: Mapping[str, list[Row]]) -> list[Sheet]:
         """The tables that are read: of several seeds the worst number."""
-        runs, made = self.shown(rows["comparison"]), []
+        runs, sheets = self.shown(rows["comparison"]), []
         figures = dict(_FIGURES)
         if self.file.cost is not None:
             figures["cost"] = "cost"
             title = f"cost: mean of the runs; {FAILED:g} for one that was not completed"
-            made.append(_pivot(title, runs, "condition", _mean_cost, [("all", _mean_cost)]))
+            sheets.append(_pivot(title, runs, "condition", _mean_cost, [("all", _mean_cost)]))
         if self.file.layout == "rows":
             lines = []
             for key, group in _groups(runs, "controller", "reference", "condition").items():
@@ -167,17 +168,16 @@ class Comparison(Study):
                     shown = [failure, *(shown[1:] if _only_lost(group) else ["-"] * (len(shown) - 1))]
                 lines.append((key[0] + _chosen(group), *key[1:], *shown))
             header = ("controller", "motion", "condition", *figures)
-            made.append(Sheet(f"{self.name}: RMSE and peak of the length of the error, {_LATE}", header, lines))
+            sheets.append(Sheet(f"{self.name}: RMSE and peak of the length of the error, {_LATE}", header, lines))
         else:
             over_all = [(heading, partial(_worst_done, column)) for heading, column in list(_FIGURES.items())[4:]]
             for condition, group in _groups(runs, "condition").items():
                 title = f"{condition[0]}: RMSE {_LATE}, rotation and position; then the worst of all motions"
-                made.append(_pivot(title, group, "reference", _errors, [*over_all, ("not completed", _missed)]))
+                sheets.append(_pivot(title, group, "reference", _errors, [*over_all, ("not completed", _missed)]))
         for axis, group in _groups(rows["bands"], "reference").items():
-            made.append(
-                _pivot(f"{axis[0]}: amplitude ratio and phase, pose to reference", group, "frequency_hz", _band)
-            )
-        return made
+            title = f"{axis[0]}: amplitude ratio and phase, pose to reference"
+            sheets.append(_pivot(title, group, "frequency_hz", _band))
+        return sheets
 
     def page(self, rows: Mapping[str, list[Row]]) -> str:
         return "\n".join(sheet.markdown() for sheet in self.sheets(rows))
@@ -210,19 +210,24 @@ def write_pictures(comparison: Comparison, result: StudyResult) -> list[str]:
 
 
 def _table_cells(file: CompareFile, base: Scenario, parts: _Parts, quick: bool) -> list[Cell]:
-    found: dict[tuple[str, ...], None] = {}
+    names: dict[tuple[str, ...], None] = {}
     for product in file.products:
-        names = [file.best_of[name].of if name in file.best_of else (name,) for name in product.controllers]
-        found |= dict.fromkeys(itertools.product(itertools.chain(*names), product.references, product.conditions))
+        members = (file.best_of[name].of if name in file.best_of else (name,) for name in product.controllers)
+        controllers = itertools.chain(*members)
+        names |= dict.fromkeys(itertools.product(controllers, product.references, product.conditions))
     cells = []
-    for controller, reference, condition in found:
-        named = zip(("references", "controllers", "conditions"), (reference, controller, condition), strict=True)
-        changes = {key: value for kind, name in named for key, value in parts[kind][name].items()}
+    for controller, reference, condition in names:
+        changes = {
+            **parts["references"][reference],
+            **parts["controllers"][controller],
+            **parts["conditions"][condition],
+        }
         for seed in file.seeds if _with_seed(changes, 0) != changes else file.seeds[:1]:
             seeded = _with_seed(changes, seed)
-            scenario = _checked(base, seeded, f"{controller}, {reference}, {condition}")
+            with within(f"{controller}, {reference}, {condition}: "):
+                duration = vary(base, seeded).duration
             if quick:
-                seeded["duration"] = min(scenario.duration, file.quick)
+                seeded["duration"] = min(duration, file.quick)
             cells.append(Cell(controller, reference, condition, seed, seeded))
     return cells
 
@@ -232,32 +237,30 @@ def _band_cells(bands: Bands, seed: int, base: Scenario, parts: _Parts, quick: b
     if quick:
         frequencies = [f for f in frequencies if f >= 1.0][-_QUICK_FREQUENCIES:] or frequencies[-1:]
         transient = min(transient, 0.5)
-    plain = _checked(base, parts["conditions"][bands.condition], f"bands, {bands.condition}")
+    condition = parts["conditions"][bands.condition]
+    with within(f"bands, {bands.condition}: "):
+        plain = vary(base, condition)
     cells = []
     for axis, frequency in itertools.product(bands.axes, frequencies):
         place = AXES.index(axis)
         most = largest_amplitude(plain.robot, plain.limits, place, frequency, plain.gravity)
-        amplitude = min(bands.largest_angle if place < 3 else bands.largest_travel, 0.5 * most)
+        amplitude = min(LARGEST[place], 0.5 * most)
         if amplitude <= 0.0:
             raise ConfigurationError("bands.frequencies", frequency, f"frequencies at which {axis} can move at all")
         reference = {
             "kind": "sine",
             "center": plain.robot.home_pose.tolist(),
-            "amplitude": [amplitude if each == place else 0.0 for each in range(6)],
+            "amplitude": (amplitude * np.eye(6)[place]).tolist(),
             "angular_frequency": [2.0 * math.pi * frequency] * 6,
         }
-        window = math.ceil(bands.window * frequency - 1e-9) / frequency
+        window = math.ceil(_WINDOW * frequency - 1e-9) / frequency
         for name in bands.controllers:
-            changes = {**parts["controllers"][name], **parts["conditions"][bands.condition]}
-            changes = _with_seed({**changes, "reference": reference, "duration": transient + window}, seed)
-            _checked(base, changes, f"bands, {name}, {axis}, {frequency:g} Hz")
+            changes = {**parts["controllers"][name], **condition, "reference": reference}
+            changes = _with_seed({**changes, "duration": transient + window}, seed)
+            with within(f"bands, {name}, {axis}, {frequency:g} Hz: "):
+                vary(base, changes)
             cells.append(Cell(name, axis, bands.condition, seed, changes, frequency, amplitude, window))
     return cells
-
-
-def _checked(base: Scenario, changes: Mapping[str, Any], what: str) -> Scenario:
-    with within(f"{what}: "):
-        return vary(base, changes)
 
 
 def _with_seed(value: Any, seed: int) -> Any:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterable
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from stewart_drake.config import Count, Fraction, NotNegative, Positive, PositivePair, Section, Seed, Text
+from stewart_drake.config import Count, NotNegative, Positive, PositivePair, Section, Seed, Text
 from stewart_drake.control.features import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.studies.study import StudyFile, StudyName
 
 KINDS = ("controllers", "references", "conditions")
-_NAME = re.compile(r"[^|\x00-\x1f\x7f]{1,80}")
 
 Names = Annotated[tuple[Text, ...], Field(min_length=1)]
 
@@ -44,14 +42,8 @@ class Bands(Section):
     """One after the other."""
     frequencies: tuple[Annotated[Positive, Field(le=100.0)], ...] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
     """[Hz]"""
-    largest_angle: Positive = 0.05
-    """[rad] amplitude, where half of the largest feasible one is not less."""
-    largest_travel: Positive = 0.005
-    """[m] amplitude, where half of the largest feasible one is not less."""
     transient: NotNegative = 3.0
-    """[s] before the fit begins."""
-    window: Positive = 1.0
-    """[s] of the fit at least, in whole periods."""
+    """[s] before the fit begins; it takes whole periods of 1 s or more."""
 
 
 class TuneOptions(Section, key="tune"):
@@ -63,10 +55,6 @@ class TuneOptions(Section, key="tune"):
     """Most of them, each of `population` settings; fewer where the search has converged."""
     population: Annotated[Count, Field(ge=4, le=1000)] = 8
     """Settings of a generation, the same for all controllers."""
-    spread: Fraction = 0.2
-    """Standard deviation of the first generation, as a share of the way from lowest to highest."""
-    seed: Annotated[Seed, Field(lt=2**32)] = 1
-    """Of the search."""
     seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (1,)
     """In place of the comparison's own: of the noise in the runs of the search."""
     set: dict[Text, Any] = Field(default_factory=dict)
@@ -82,7 +70,7 @@ class TuneOptions(Section, key="tune"):
 
 
 class TunedFile(Section, key=""):
-    """What a search has found."""
+    """The result of a search."""
 
     name: Text
     """Of the comparison."""
@@ -126,33 +114,25 @@ class CompareFile(StudyFile):
 
     @property
     def products(self) -> tuple[Product, ...]:
-        """What is run, and has a line in the tables: by default all, a best of several in the place of those."""
-        if self.runs is not None:
-            return self.runs
-        best_with = {
-            each: [best for best, found in self.best_of.items() if each in found.of] for each in self.controllers
-        }
-        names = dict.fromkeys(name for each, best in best_with.items() for name in (best or [each]))
-        return (
-            Product(controllers=tuple(names), references=tuple(self.references), conditions=tuple(self.conditions)),
-        )
+        """What is run, and has a line in the tables; by default all, a best of several for those that it is of."""
+        inside = {name for best in self.best_of.values() for name in best.of}
+        names = (*(name for name in self.controllers if name not in inside), *self.best_of)
+        every = Product(controllers=names, references=tuple(self.references), conditions=tuple(self.conditions))
+        return self.runs or (every,)
 
     def rules(self) -> None:
-        for kind in (*KINDS, "best_of"):
-            entries = getattr(self, kind)
-            if not entries and kind != "best_of":
+        for kind in KINDS:
+            if not getattr(self, kind):
                 raise ConfigurationError(kind, {}, "at least one name, with the scenario keys that it changes")
-            for name in entries:
-                if _NAME.fullmatch(name) is None:
-                    raise ConfigurationError(kind, name, "names of 1 to 80 characters, without |")
+        if both := set(self.best_of) & set(self.controllers):
+            raise ConfigurationError("best_of", min(both), "names that no controller has")
+        lines = {"controllers": [*self.controllers, *self.best_of], "references": self.references}
+        lines["conditions"] = self.conditions
         for name, best in self.best_of.items():
-            if name in self.controllers:
-                raise ConfigurationError(f"best_of.{name}", name, "a name that no controller has")
             check_names(f"best_of.{name}.of", best.of, self.controllers)
         for index, product in enumerate(self.runs or ()):
-            check_names(f"runs.{index}.controllers", product.controllers, [*self.controllers, *self.best_of])
-            check_names(f"runs.{index}.references", product.references, self.references)
-            check_names(f"runs.{index}.conditions", product.conditions, self.conditions)
+            for kind, allowed in lines.items():
+                check_names(f"runs.{index}.{kind}", getattr(product, kind), allowed)
         if self.traced is not None:
             check_names("traced", [self.traced], self.references)
         if self.bands is not None:

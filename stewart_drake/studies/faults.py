@@ -61,10 +61,6 @@ class Fault(Section):
     """[s] within which a monitor trips, from the limits of the layer alone; null where it takes as long as the motion
     and the robot take to show it."""
 
-    @property
-    def bound(self) -> str:
-        return "" if self.within is None else f" (a monitor trips within {1e3 * self.within:.0f} ms)"
-
     def in_motion(self, motion: str, base: Scenario) -> dict[str, Any]:
         """Scenario key -> value for this fault during a motion of `MOTIONS`, in the size of the robot of `base`."""
         reference: Mapping[str, Any] = sized({"reference": MOTIONS[motion]}, base)["reference"]
@@ -141,23 +137,18 @@ class FaultStudy(Study):
         return {"faults": (COLUMNS, wide)}
 
     def page(self, rows: Mapping[str, list[Row]]) -> str:
-        faults = {
-            fault.name: fault for fault, _ in self.pairs if any(row["fault"] == fault.name for row in rows["faults"])
-        }
-        lines = [
-            sheet(rows["faults"], faults).markdown(),
-            "With a dead motor, the wrench that the other five hold at rest:",
-            "",
-            *(f"- {line}" for line in holdable_lines(rows["faults"])),
-            "",
-            "What the faults are:",
-            "",
-            *(f"- `{fault.name}`: {fault.text}{fault.bound}" for fault in faults.values()),
-            "",
-            "Command: `stewart-drake faults`. All figures: `faults.parquet`.",
-            "",
-        ]
-        return PAGE.format(runs=len(rows["faults"]), duration=DURATION, onset=ONSET) + "\n".join(lines)
+        texts = {}
+        for fault, _ in (self.pairs[index] for index in self.indices):
+            bound = "" if fault.within is None else f" (a monitor trips within {1e3 * fault.within:.0f} ms)"
+            texts[fault.name] = f"- `{fault.name}`: {fault.text}{bound}"
+        return PAGE.format(
+            runs=len(rows["faults"]),
+            duration=DURATION,
+            onset=ONSET,
+            table=sheet(rows["faults"]).markdown(),
+            held="\n".join(f"- {line}" for line in holdable_lines(rows["faults"])),
+            faults="\n".join(texts.values()),
+        )
 
 
 def fault_study(quick: bool = False, robot: str | None = None, overrides: Sequence[str] = ()) -> FaultStudy:
@@ -262,18 +253,27 @@ after the colon: the outcome of the run, and its warnings.
 Peak error: how far the true pose was from the reference while the controller was in charge. Travel: how far
 it went after the safety layer took over. The worst of the motions counts.
 
+{table}
+With a dead motor, the wrench that the other five hold at rest:
+
+{held}
+
+What the faults are:
+
+{faults}
+
+Command: `stewart-drake faults`. All figures: `faults.parquet`.
 """
 
 
-def sheet(rows: Sequence[Row], faults: Mapping[str, Fault] = FAULTS) -> Sheet:
+def sheet(rows: Sequence[Row]) -> Sheet:
     motions = list(dict.fromkeys(row["motion"] for row in rows))
     lines = []
-    for name, fault in faults.items():
+    for name in dict.fromkeys(row["fault"] for row in rows):
         own = [row for row in rows if row["fault"] == name]
-        ends = {row["motion"]: _end(row, fault) for row in own}
-        if own:
-            worst = (_largest(own, units) for units in _FIGURES.values())
-            lines.append((name, *(ends.get(motion, "-") for motion in motions), *worst))
+        ends = {row["motion"]: _end(row, FAULTS[name]) for row in own}
+        worst = (_largest(own, units) for units in _FIGURES.values())
+        lines.append((name, *(ends.get(motion, "-") for motion in motions), *worst))
     return Sheet("Reactions and outcomes", ("fault", *motions, *_FIGURES), lines)
 
 

@@ -37,8 +37,6 @@ Measure = Callable[[SimulationLog], Row]
 RunFunction = Callable[["Scenario"], SimulationLog]
 
 ROWS, HEADER = "rows.jsonl", "study.json"
-TABLES = ("sweep", "comparison", "bands", "faults", "tune", "rmse", "error")
-ENDINGS = ("parquet", "csv", "md", "png")
 CODE = ("stewart-drake", "drake", "numpy", "scipy", "source")  # Versions on which every number depends
 MAX_MESSAGE = 500
 TRACE_POINTS = 240  # Of the error over time that a row keeps; each the largest error of its share of the run
@@ -80,15 +78,15 @@ class Task:
 def execute(task: Task) -> Row:
     """Runs a task and turns whatever comes of it into a row, in values that strict JSON has."""
     start = time.perf_counter()
-    found = _outcome(task)
-    named = found.pop(NOT_FINITE, {})
-    row = plain_json(found)
+    result = _result(task)
+    named = result.pop(NOT_FINITE, {})
+    row = plain_json(result)
     named |= row.get(NOT_FINITE, {})
     row[NOT_FINITE] = ", ".join(f"{name} {value}" for name, value in named.items() if "." not in name) or None
     return {**row, "wall_s": time.perf_counter() - start, "host": socket.gethostname(), "worker": os.getpid()}
 
 
-def _outcome(task: Task) -> Row:
+def _result(task: Task) -> Row:
     from stewart_drake.scenario import Scenario
 
     try:
@@ -141,16 +139,13 @@ def measure_run(log: SimulationLog, band: float, scales: CostScales | None = Non
     figures = measure(log)
     if scales is not None:
         figures["cost"] = run_cost(figures, log.status, log.scenario.controller.period, scales)
-    return {
-        **figures,
-        "settling_s": settling_time(log.time, pose, band) if log.reached_end else None,
-        "trace": {"time": _thinned(log.time), "pose_mm": _thinned(pose)},
-    }
+    settled = settling_time(log.time, pose, band) if log.reached_end else None
 
+    def thinned(values: np.ndarray) -> list[float]:
+        parts = np.array_split(values, min(TRACE_POINTS, len(values))) if len(values) else []
+        return [float(f"{np.max(part):.4g}") for part in parts]
 
-def _thinned(values: np.ndarray) -> list[float]:
-    parts = np.array_split(values, min(TRACE_POINTS, len(values))) if len(values) else []
-    return [float(f"{np.max(part):.4g}") for part in parts]
+    return {**figures, "settling_s": settled, "trace": {"time": thinned(log.time), "pose_mm": thinned(pose)}}
 
 
 def measure_band(log: SimulationLog, frequency: float, axis: int, window: float) -> Row:
@@ -183,9 +178,9 @@ def sine_response(
     angle = 2.0 * np.pi * frequency * np.asarray(time)
     basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=1)
     solution, *_ = np.linalg.lstsq(basis, np.stack([reference, response], axis=1), rcond=None)
-    asked, came = solution[0] + 1j * solution[1]
+    wanted, actual = solution[0] + 1j * solution[1]
     rest = response - basis @ solution[:, 1]
-    return complex(came / asked), float(np.sqrt(2.0 * np.mean(rest**2)) / abs(came))
+    return complex(actual / wanted), float(np.sqrt(2.0 * np.mean(rest**2)) / abs(actual))
 
 
 # --- rows in a folder ---
@@ -198,12 +193,12 @@ class KeptRuns:
         self,
         folder: Path,
         identity: Mapping[str, Any],
-        where: Workers | None = None,
-        tell: Callable[[float], None] | None = None,
+        workers: Workers | None = None,
+        progress: Callable[[float], None] | None = None,
         restart: bool = False,
     ) -> None:
         self.folder, self._identity = folder, json.loads(json.dumps(identity))
-        self._workers, self._tell, self._restart = where or Workers(), tell or (lambda _: None), restart
+        self._workers, self._progress, self._restart = workers or Workers(), progress or (lambda _: None), restart
         self._digest, self._done = checksum(self._identity), 0
         self._open = ExitStack()
 
@@ -212,7 +207,7 @@ class KeptRuns:
         with ExitStack() as opened:
             opened.enter_context(locked_folder(self.folder))
             if self._restart:
-                for name in (ROWS, HEADER, *(f"{stem}.{ending}" for stem in TABLES for ending in ENDINGS)):
+                for name in (ROWS, HEADER):
                     (self.folder / name).unlink(missing_ok=True)
             self._refuse_another()
             write_atomically(self.folder / HEADER, (json.dumps(self._identity, indent=1) + "\n").encode())
@@ -220,9 +215,9 @@ class KeptRuns:
             self._stream.seek(0)
             content = self._stream.read()
             # A last line that is not finished is that of a process which was killed.
-            self._stream.truncate(content.rfind(b"\n") + 1)
-            lines = content[: content.rfind(b"\n") + 1].splitlines()
-            self._kept = {row.pop("key"): row for row in map(json.loads, lines)}
+            end = content.rfind(b"\n") + 1
+            self._stream.truncate(end)
+            self._kept = {row.pop("key"): row for row in map(json.loads, content[:end].splitlines())}
             self._open = opened.pop_all()
         return self
 
@@ -232,16 +227,14 @@ class KeptRuns:
     def rows(self, keys: Sequence[Key], task: Callable[[Key], Task]) -> list[Row]:
         digests = {key: checksum([self._digest, key]) for key in keys}
         missing = [key for key in digests if digests[key] not in self._kept]
-        self._progress(len(keys) - len(missing))
+        self._done += len(keys) - len(missing)
+        self._progress(float(self._done))
 
         def keep(key: Key, row: Row) -> None:
-            line = json.dumps({"key": digests[key], **row}, allow_nan=False).encode() + b"\n"
-            try:
-                self._stream.write(line)
-            except OSError as error:
-                raise ConfigurationError(str(self.folder / ROWS), error.strerror, "a disk with room for it") from None
+            self._stream.write(json.dumps({"key": digests[key], **row}, allow_nan=False).encode() + b"\n")
             self._kept[digests[key]] = row
-            self._progress(1)
+            self._done += 1
+            self._progress(float(self._done))
 
         def died(key: Key) -> Row:
             return task(key).row("failed", "worker_died", DEAD)
@@ -249,22 +242,16 @@ class KeptRuns:
         run_jobs(missing, lambda key: (execute, (task(key),)), keep, self._workers, died)
         return [self._kept[digests[key]] for key in keys]
 
-    def _progress(self, more: int) -> None:
-        self._done += more
-        self._tell(float(self._done))
-
     def _refuse_another(self) -> None:
-        header, rows = self.folder / HEADER, self.folder / ROWS
+        header = self.folder / HEADER
         try:
-            kept = json.loads(header.read_bytes()) if header.exists() or rows.exists() else self._identity
+            there = header.exists() or (self.folder / ROWS).exists()
+            unlike = _unequal(json.loads(header.read_bytes()), self._identity) if there else []
         except (OSError, ValueError):
-            different = f"{ROWS} is there without a {HEADER} that can be read"
-        else:
-            names = _unequal(kept, self._identity)
-            different = f"it differs in {', '.join(names[:5])}{' and more' if len(names) > 5 else ''}" if names else ""
-        if different:
+            unlike = [f"{HEADER}, which cannot be read"]
+        if unlike:
             allowed = "a new folder, the same work by the same version, or --restart to throw away what is there"
-            raise ConfigurationError("--out", str(self.folder), f"{allowed}; {different}")
+            raise ConfigurationError("--out", str(self.folder), f"{allowed}; it differs in {', '.join(unlike[:5])}")
 
 
 def _unequal(one: Any, other: Any, name: str = "") -> list[str]:

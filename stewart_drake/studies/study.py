@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self, Ty
 
 from pydantic import Field
 
-from stewart_drake.config import NAME, NAME_WORDS, Section, Text
+from stewart_drake.config import NAME, NAME_WORDS, Section, Text, words
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.families import given_again, refuse_given, user_parts
+from stewart_drake.families import given_keys, refuse_given, user_parts
 from stewart_drake.files.code import anchored, code_is_trusted, trusting_code
 from stewart_drake.files.tables import to_csv, to_parquet
 from stewart_drake.files.whole import write_atomically
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 T = TypeVar("T")
-StudyName = Annotated[Text, Field(min_length=1, max_length=80, pattern=NAME), NAME_WORDS]
+StudyName = Annotated[Text, Field(max_length=80, pattern=NAME), words(f"at most 80 {NAME_WORDS}")]
 Tables = Mapping[str, tuple[Sequence[Column], list[Row]]]
 """Name of a table -> its columns, and its rows, which may say more."""
 INCIDENTAL = (
@@ -89,7 +89,8 @@ class Study(ABC):
 
     @property
     @abstractmethod
-    def work(self) -> dict[str, Any]: ...
+    def work(self) -> dict[str, Any]:
+        """What the rows depend on, in plain values."""
 
     @abstractmethod
     def tables(self, rows: Sequence[Row]) -> Tables: ...
@@ -111,7 +112,6 @@ class Study(ABC):
         return self.vary(self.task(index).changes)
 
     def vary(self, changes: Mapping[str, Any]) -> Scenario:
-        """See `vary`, of the scenario of all runs."""
         with trusting_code(self.trust_code):
             return vary(self.base, changes)
 
@@ -122,11 +122,11 @@ class Study(ABC):
 
     @cached_property
     def _base(self) -> dict[str, Any]:
-        values: dict[str, Any] = given_again(self.base)
+        values: dict[str, Any] = given_keys(self.base)
         return values
 
     def identity(self) -> dict[str, Any]:
-        """What the rows depend on; the user's classes are loaded: one that lacks shows early."""
+        """What kept rows are known by; the user's classes are loaded: one that lacks shows early."""
         for part in {part.code: part for variant in self.variants for part in user_parts(variant)}.values():
             part.load()
         return identity(self.work, self.variants)
@@ -149,20 +149,40 @@ def run_study(
     """Runs what is missing of a study and writes its tables; `progress` gets the number of runs done."""
     with KeptRuns(folder, study.identity(), workers, progress, restart) as kept:
         rows = kept.rows(study.indices, study.task)
-        engine = drake_beside(study, rows)
+        engine = compare_engines(study, rows)
         about = {"name": study.name, "runs": study.runs, **study.work}
         metadata = {study.kind: about, "versions": collect_versions(), "engine": engine}
-        made = study.tables(rows)
-        tables = {name: to_arrow(*table, study.kind, metadata) for name, table in made.items()}
-        result = StudyResult(folder, {name: wide for name, (_, wide) in made.items()}, tables, engine)
-        for name, table in tables.items():
+        tables = study.tables(rows)
+        arrow = {name: to_arrow(*table, study.kind, metadata) for name, table in tables.items()}
+        result = StudyResult(folder, {name: wide for name, (_, wide) in tables.items()}, arrow, engine)
+        for name, table in arrow.items():
             if table.num_rows:
                 write_table(table, folder, name)
-        page = study.page(result.rows)
-        if page:
+        if page := study.page(result.rows):
             text = page if engine is None else f"{page}\n{engine}\n"
             write_atomically(folder / f"{study.kind}.md", text.encode())
     return result
+
+
+def compare_engines(study: Study, rows: Iterable[Row]) -> str | None:
+    """A line on runs on the reduced engine: the first completed one again, on Drake's plant; None without such runs."""
+    if not any(variant.plant.engine == "reduced" for variant in study.variants):
+        return None
+    line = "Engine: reduced, the exact closed form of the robot in place of Drake's plant"
+    for row in (each for each in rows if each["status"] == "completed"):
+        index, scenario = row["index"], study.scenario(row["index"])
+        if scenario.plant.engine != "reduced":
+            continue
+        try:
+            log = study.task(index).function(scenario.replace({"plant.engine": "drake"}))
+        except StewartDrakeError as error:
+            return f"{line}. Run {index} does not run on Drake: {error}"
+        drake, words = run_metrics(log), [told(log.status, log.reason)]
+        for name in COMPARED:
+            if row.get(name) is not None and drake.get(name):
+                words.append(f"{name} {drake[name]:.3g} (here {100.0 * (row[name] / drake[name] - 1.0):+.2g} %)")
+        return f"{line}. Run {index} on Drake: {', '.join(words)}."
+    return f"{line}; no run completed to compare."
 
 
 def load_study(kind: str, path: str | Path, make: Callable[[dict[str, Any], Path], T], trust_code: bool) -> T:
@@ -181,32 +201,10 @@ def within(where: str) -> Iterator[None]:
 
 
 def vary(base: Scenario, changes: Mapping[str, Any]) -> Scenario:
-    """A scenario with some keys changed; ConfigurationError where none comes out, or with a part given in Python."""
+    """A scenario with some keys changed; ConfigurationError where none results, or with a part given in Python."""
     changed = base.replace(changes)
     refuse_given(changed)
     return changed
-
-
-def drake_beside(study: Study, rows: Iterable[Row]) -> str | None:
-    """A line on runs on the reduced engine: the first completed one again, on Drake's plant; None without such runs."""
-    if not any(variant.plant.engine == "reduced" for variant in study.variants):
-        return None
-    line = "Engine: reduced, the exact closed form of the robot in place of Drake's plant"
-    for row in (each for each in rows if each["status"] == "completed"):
-        index = row["index"]
-        scenario = study.scenario(index)
-        if scenario.plant.engine != "reduced":
-            continue
-        try:
-            log = study.task(index).function(scenario.replace({"plant.engine": "drake"}))
-        except StewartDrakeError as error:
-            return f"{line}. Run {index} does not run on Drake: {error}"
-        drake, words = run_metrics(log), [told(log.status, log.reason)]
-        for name in COMPARED:
-            if row.get(name) is not None and drake.get(name):
-                words.append(f"{name} {drake[name]:.3g} (here {100.0 * (row[name] / drake[name] - 1.0):+.2g} %)")
-        return f"{line}. Run {index} on Drake: {', '.join(words)}."
-    return line + "; no run completed to compare."
 
 
 # --- tables, for programs and for readers ---

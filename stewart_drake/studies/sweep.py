@@ -7,7 +7,6 @@ import math
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,11 +22,10 @@ from stewart_drake.files.whole import plain_json
 from stewart_drake.logs.metrics import Column, ValueKind
 from stewart_drake.logs.metrics import columns as run_columns
 from stewart_drake.logs.outcomes import told
-from stewart_drake.scenario import Scenario, split_key, value_at
+from stewart_drake.scenario import split_key, value_at
 from stewart_drake.studies.runs import Row, Task
 from stewart_drake.studies.study import INCIDENTAL, Study, StudyFile, StudyName, Tables, load_study, vary, within
 
-MAX_RUNS = 1_000_000
 BEFORE = (
     Column("index", "", "number of the run, from 0", "whole"),
     Column("seed", "", "of the run; its draws follow from it", "whole"),
@@ -119,7 +117,9 @@ class Choice(_Distribution):
 
     def rules(self) -> None:
         check_plain("values", self.values)
-        if self.factor and not all(map(_is_number, self.values)):
+        if self.factor and not all(
+            isinstance(each, (int, float)) and not isinstance(each, bool) for each in self.values
+        ):
             raise ConfigurationError("values", self.values, "numbers, to multiply by")
 
     def at(self, quantile: float) -> Any:
@@ -140,13 +140,10 @@ class SweepFile(StudyFile):
     """Keys of a sweep file."""
 
     name: StudyName = "sweep"
-    runs: Annotated[Count, Field(ge=1, le=MAX_RUNS)] | None = None
+    runs: Annotated[Count, Field(ge=1, le=1_000_000)] | None = None
     """Number of runs; null takes as many as the grids have combinations. Run i stays the same when this changes."""
     seed: Seed = 0
     """Everything random follows from it."""
-    sampler: Literal["random", "sobol"] = "random"
-    """random: every key of every run drawn by itself. sobol: a scrambled Sobol sequence over all keys that are not
-    grids, in their order; covers the space more evenly, and another key changes every run."""
     mismatch: Flag = False
     """The controller keeps believing in the robot of the scenario while `robot.*` varies: `model_robot` becomes that
     robot, where the scenario has none of its own."""
@@ -160,15 +157,15 @@ class SweepFile(StudyFile):
 
 @dataclass(frozen=True, eq=False)
 class Sweep(Study):
-    """A scenario and its distributions; the draws for run i follow from `seed`, i and (but for sobol) the key alone."""
+    """A scenario and its distributions; the draws for run i follow from `seed`, i and the key alone."""
 
     file: SweepFile
     kind = "sweep"
 
     def __post_init__(self) -> None:
         refuse_given(self.base)
-        for key, current in self._bases.items():
-            self._check(key, current)
+        for key, distribution in self.file.distributions.items():
+            self._check(key, distribution)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> Sweep:
@@ -177,12 +174,10 @@ class Sweep(Study):
             base = base.replace({"model_robot": base.to_dict()["robot"]})
         runs = file.runs
         if runs is None:
-            grids = [each for each in file.distributions.values() if isinstance(each, Grid)]
+            grids = [len(each.values) for each in file.distributions.values() if isinstance(each, Grid)]
             if not grids:
                 raise ConfigurationError("runs", None, "a number of runs; it may be left out where a key has a grid")
-            runs = math.prod(len(grid.values) for grid in grids)
-            if runs > MAX_RUNS:
-                raise ConfigurationError("distributions", f"{runs} combinations", f"grids of at most {MAX_RUNS}")
+            runs = math.prod(grids)
         return cls(base, file, name=file.name, indices=range(runs))
 
     def run_seed(self, index: int) -> int:
@@ -196,8 +191,6 @@ class Sweep(Study):
             if isinstance(distribution, Grid):
                 turn, place = divmod(turn, len(distribution.values))
                 values[key] = distribution.values[place]
-            elif self.file.sampler == "sobol":
-                values[key] = distribution.at(float(self._points[index, self._random.index(key)]))
             else:
                 # Random numbers of one key in one run: another key in the sweep changes nothing about them.
                 words = np.frombuffer(hashlib.sha256(key.encode()).digest()[:8], np.uint32).tolist()
@@ -210,32 +203,27 @@ class Sweep(Study):
         return self._task(index, self._changes(drawn), self.run_seed(index), drawn=drawn)
 
     def _changes(self, drawn: Mapping[str, Any]) -> dict[str, Any]:
-        return {key: _times(self._bases[key], value) if key in self._factors else value for key, value in drawn.items()}
-
-    @property
-    def variants(self) -> list[Scenario]:
-        found = [self.base]
-        for key, distribution in self.file.distributions.items():
-            if isinstance(distribution, Choice) and not distribution.factor:
-                for value in (each for each in distribution.values if isinstance(each, (str, dict, list))):
-                    with suppress(ConfigurationError):  # a row says so
-                        found.append(self.vary({key: value}))
-        return found
+        factors = self.file.distributions
+        return {
+            key: (np.array(self._values[key]) * value).tolist() if factors[key].factor else value
+            for key, value in drawn.items()
+        }
 
     def tables(self, rows: Sequence[Row]) -> Tables:
+        factors = [key for key, distribution in self.file.distributions.items() if distribution.factor]
         varied: list[Column] = []
         for key, distribution in self.file.distributions.items():
             kind = column_of(distribution)
-            if key in self._factors:
+            if key in factors:
                 varied.append(Column(f"{key}.factor", "1", f"what the scenario's {key} is multiplied by", kind))
-                kind = "json" if isinstance(self._bases[key], list) else "number"
+                kind = "json" if isinstance(self._values[key], list) else "number"
             text = f"scenario key {key} as run{', as JSON' if kind == 'json' else ''}"
             varied.append(Column(key, "", text, kind))
         wide = []
         for row in rows:
-            factors = {f"{key}.factor": row["values"][key] for key in self._factors}
+            drawn = {f"{key}.factor": row["values"][key] for key in factors}
             # A factor can take a number out of floating point; its row is one of a run that was rejected.
-            wide.append({**plain_json({**self._changes(row["values"]), **factors}), **row})
+            wide.append({**plain_json({**self._changes(row["values"]), **drawn}), **row})
         return {"sweep": ((*BEFORE, *varied, *run_columns(self.base), *INCIDENTAL), wide)}
 
     @property
@@ -243,61 +231,27 @@ class Sweep(Study):
         """Not how many runs there are, nor a name."""
         scenario = {key: value for key, value in self.base.to_dict().items() if key != "name"}
         distributions = {key: each.to_dict() for key, each in self.file.distributions.items()}
-        return {
-            "scenario": scenario,
-            "seed": self.file.seed,
-            "sampler": self.file.sampler,
-            "distributions": distributions,
-        }
+        return {"scenario": scenario, "seed": self.file.seed, "distributions": distributions}
 
     @cached_property
-    def _random(self) -> list[str]:
-        return [key for key, distribution in self.file.distributions.items() if not isinstance(distribution, Grid)]
-
-    @cached_property
-    def _factors(self) -> list[str]:
-        return [key for key, distribution in self.file.distributions.items() if distribution.factor]
-
-    @cached_property
-    def _bases(self) -> dict[str, Any]:
+    def _values(self) -> dict[str, Any]:
         data = self.base.in_full()
         with within("distributions."):
             return {key: value_at(data, key) for key in self.file.distributions}
 
-    @cached_property
-    def _points(self) -> np.ndarray:
-        from scipy.stats import qmc
-
-        engine = qmc.Sobol(len(self._random), scramble=True, seed=np.random.default_rng(self.file.seed))
-        # A power of two at a time, or scipy warns; the first rows are the same for any.
-        return engine.random_base2(math.ceil(math.log2(self.runs)))[: self.runs]
-
-    def _check(self, key: str, current: Any) -> None:
-        """Refuses a distribution that cannot suit `key`, whose value in the scenario is `current`."""
-        distribution, where = self.file.distributions[key], f"distributions.{shown(key)}"
-        if distribution.factor:
-            if not _numbers(current):
-                raise ConfigurationError(where, current, "a key that holds a number or numbers, to multiply")
-        elif isinstance(distribution, Choice):
-            for value in distribution.values:
-                self._check_value(key, current, value)
-        elif isinstance(current, list):
+    def _check(self, key: str, distribution: Distribution) -> None:
+        """Refuses a distribution whose middle does not suit the key; other values that do not are rows of the table."""
+        current, where = self._values[key], f"distributions.{shown(key)}"
+        if isinstance(current, list) and not distribution.factor and not isinstance(distribution, Choice):
             raise ConfigurationError(where, key, f"a component such as {key}[0], or factor: true, or the kind choice")
-        elif current is not None and not _is_number(current):
-            raise ConfigurationError(where, current, "a key that holds a number; kinds for others are choice and grid")
-        elif isinstance(current, int) and column_of(distribution) != "whole":
-            raise ConfigurationError(where, distribution.kind, "whole numbers, by the kinds integers, choice or grid")
-
-    def _check_value(self, key: str, current: Any, value: Any) -> None:
-        # A number out of range is a row of the table; a value of the wrong type is a slip of the pen.
-        if _is_number(current) and type(current) is type(value):
-            return
         try:
-            vary(self.base, {key: value})
+            vary(self.base, self._changes({key: distribution.at(0.5)}))
+        except TypeError:
+            raise ConfigurationError(where, current, "a key that holds a number or numbers, to multiply") from None
         except ConfigurationError as error:
             path = ".".join(map(str, split_key(key)))
             if error.key == path or error.key.startswith(f"{path}."):
-                raise ConfigurationError(f"distributions.{shown(key)}", error.value, error.allowed) from None
+                raise ConfigurationError(where, error.value, error.allowed) from None
 
 
 def load_sweep(path: str | Path, runs: int | None = None, trust_code: bool = False) -> Sweep:
@@ -324,15 +278,3 @@ def column_of(distribution: Distribution) -> ValueKind:
     types = {type(value) for value in values}
     kinds: dict[ValueKind, set[type]] = {"flag": {bool}, "whole": {int}, "number": {int, float}, "text": {str}}
     return next((kind for kind, fitting in kinds.items() if types <= fitting), "json")
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
-def _numbers(value: Any) -> bool:
-    return bool(value) and all(map(_numbers, value)) if isinstance(value, list) else _is_number(value)
-
-
-def _times(value: Any, factor: float) -> Any:
-    return [_times(item, factor) for item in value] if isinstance(value, list) else value * factor

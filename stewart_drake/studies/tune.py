@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.config import is_finite
 from stewart_drake.control.features import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code import trusting_code
@@ -151,9 +150,8 @@ def _start(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, fl
     with within(f"tune.controllers.{name}: "):
         for key, (low, high) in keys.items():
             start[key] = value_at(data, key)
-            for end in (low, high):
-                vary(scenario, {key: end})
-            if not is_finite(start[key]) or not low <= start[key] <= high:
+            vary(scenario, {key: high})
+            if not isinstance(start[key], (int, float)) or not low <= start[key] <= high:
                 allowed = f"a number from {low:g} to {high:g} in the controller's own keys, to start from"
                 raise ConfigurationError(key, start[key], allowed)
     return start
@@ -173,16 +171,16 @@ def run_tuning(
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
 ) -> TuneResult:
-    tell = progress or (lambda _: None)
-    with KeptRuns(folder, tuning.comparison.identity(), workers, tell, restart) as kept:
+    report = progress or (lambda _: None)
+    with KeptRuns(folder, tuning.comparison.identity(), workers, report, restart) as kept:
         rows = [row for name in tuning.start for row in _search(tuning, name, kept)]
     searches = {name: [row for row in rows if row["controller"] == name] for name in tuning.start}
     tuned = {name: min(own, key=lambda row: row["cost"])["setting"] for name, own in searches.items()}
     verdict = tuning.verdict(tuned)
     searched = tuning.runs - verdict.runs
     # Another search, longer or of other controllers, has another.
-    judged_in = folder / f"verdict-{checksum(tuned)[:8]}"
-    judged = run_study(verdict, judged_in, workers, lambda done: tell(searched + done), restart)
+    verdict_folder = folder / f"verdict-{checksum(tuned)[:8]}"
+    assessed = run_study(verdict, verdict_folder, workers, lambda done: report(searched + done), restart)
     lines = []
     for name, own in searches.items():
         setting = ", ".join(f"{key.rpartition('.')[2]} {value:g}" for key, value in tuned[name].items())
@@ -191,14 +189,14 @@ def run_tuning(
     title = f"{tuning.name}: cost in the search{changed}; mean of the runs; below by the verdict, before and after"
     sheets = [
         Sheet(title, ("controller", "evaluations", "start", "best", "setting"), lines),
-        *verdict.sheets(judged.rows)[:1],
+        *verdict.sheets(assessed.rows)[:1],
     ]
     about = {"tune": tuning.options.to_dict(), **tuning.comparison.work, "versions": collect_versions()}
     with locked_folder(folder):
         write_table(to_arrow(COLUMNS, rows, "tuning", about), folder, "tune")
         write_atomically(folder / "tune.md", "\n".join(sheet.markdown() for sheet in sheets).encode())
         write_atomically(folder / "tuned.yaml", to_yaml({"name": tuning.name, "controllers": tuned}).encode())
-    return TuneResult(rows, tuned, judged, sheets)
+    return TuneResult(rows, tuned, assessed, sheets)
 
 
 def write_picture(result: TuneResult, folder: Path) -> str | None:
@@ -249,8 +247,7 @@ def _search(tuning: Tuning, name: str, kept: KeptRuns) -> list[Row]:
         high,
         generations=tuning.generations,
         population=options.population,
-        seed=options.seed,
-        spread=options.spread,
+        seed=1,
     )
     return rows
 

@@ -1,4 +1,4 @@
-"""Where the runs of a study go: processes of this machine (joblib's loky), a Dask cluster, or this very process."""
+"""Where the runs of a study go: processes of this machine (loky's), a Dask cluster, or this very process."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor
-from contextlib import AbstractContextManager, ExitStack, closing
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from contextlib import AbstractContextManager, ExitStack
 from functools import lru_cache
 from typing import Any, TypeVar
 
-from joblib import Parallel, delayed
 from joblib.externals.loky import get_reusable_executor
-from joblib.externals.loky.backend import context
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.logs import versions
@@ -27,8 +25,8 @@ K = TypeVar("K", bound=Hashable)
 T = TypeVar("T")
 Work = tuple[Callable[..., Any], tuple[Any, ...]]
 
-CONNECT_TIMEOUT = 20.0  # [s] that a scheduler has to answer
-NO_WORKERS_TIMEOUT = 60.0  # [s] that a cluster may be without workers as work is handed to it
+CONNECT_TIMEOUT = 20.0  # [s] that a Dask scheduler has to answer, and its first worker to come
+IDLE_TIMEOUT = 300.0  # [s] after which a process without work ends
 WORN = 200  # Runs after which a process is replaced: each leaves some tenths of a megabyte behind in Drake
 WORKER_GONE = (
     "a worker process ended by itself: it was killed, or ran out of memory, or could not import the script that called,"
@@ -46,29 +44,33 @@ class Workers(AbstractContextManager["Workers"]):
 
     def __init__(self, count: int | None = None, scheduler: str | None = None, worn: int | None = WORN) -> None:
         self.count = max(1, min(8, os.cpu_count() or 1)) if count is None else count
-        self._client = None if scheduler is None else _connected(scheduler)
-        self.life = self.left = math.inf if worn is None or scheduler is not None else self.count * worn
+        self._client = None
+        if scheduler is not None:
+            self._client, worn = _connected(scheduler), None
+            self.count = max(1, sum(self._client.nthreads().values()))
+        self._life = self.left = math.inf if worn is None else self.count * worn
 
     def __exit__(self, *_: object) -> None:
         if self._client is not None:
             self._client.close()
 
-    def results(self, jobs: Iterable[Any], alone: bool = False) -> Iterator[Any]:
-        """What joblib's delayed calls give, in any order; `alone` for one after the other."""
-        ahead = 1 if alone or self.count == 1 else "n_jobs + 1"
-        options: dict[str, Any] = {"return_as": "generator_unordered", "batch_size": 1, "pre_dispatch": ahead}
+    def executor(self) -> Executor:
         if self._client is not None:
-            return iter(Parallel(n_jobs=-1, backend=_dask_backend(self._client), **options)(jobs))
-        # With one, joblib would work in this process, which a crash must not end.
-        options |= {"n_jobs": max(2, self.count), "initializer": start_worker, "initargs": (os.getpid(),)}
-        # Ctrl-C is not for the workers: this process ends them, without a traceback from each.
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        context.set_start_method("loky_init_main", force=True)
-        try:
-            return iter(Parallel(backend="loky", max_nbytes=None, **options)(jobs))
-        finally:
-            context.set_start_method(None, force=True)
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            client: Executor = self._client.get_executor(pure=False, retries=0)
+            return client
+        return get_reusable_executor(
+            self.count,
+            context="loky_init_main",
+            timeout=IDLE_TIMEOUT,
+            initializer=start_worker,
+            initargs=(os.getpid(),),
+        )
+
+    def replace(self) -> None:
+        """Ends the processes; the next run starts others."""
+        if self._client is None:
+            get_reusable_executor().shutdown(wait=True, kill_workers=True)
+        self.left = self._life
 
 
 def run_jobs(
@@ -89,21 +91,15 @@ def run_jobs(
             function, arguments = work(key)
             keep(key, function(*arguments))
         return
-    waiting, suspects = deque(keys), deque[K]()
-    while waiting or suspects:
-        alone, queue = not waiting, waiting or suspects
-        most = 1 if alone else int(min(workers.left, len(queue)))
-        batch = {key: work(key) for key in (queue.popleft() for _ in range(most))}
-        left = _work_through(batch, keep, workers, alone)
-        waiting.extendleft(key for key in reversed(batch) if left.get(key) is False)
-        if not alone:
-            suspects += [key for key, started in left.items() if started]
-        elif left:
+    waiting, suspects = deque(keys), list[K]()
+    while waiting:
+        suspects += _work_off(waiting, work, keep, workers)
+    for key in suspects:
+        if _work_off(deque([key]), work, keep, workers):
             # Where not even nothing can be done, no work is to blame.
-            if _work_through({None: (int, ())}, lambda *_: None, workers, True) or died is None:
+            if died is None or _work_off(deque([None]), lambda _: (int, ()), lambda *_: None, workers):
                 raise StewartDrakeError(WORKER_GONE)
-            for key in left:
-                keep(key, died(key))
+            keep(key, died(key))
 
 
 def run_all(
@@ -123,38 +119,58 @@ def run_all(
     return [results[index] for index in range(len(arguments))]
 
 
-def _work_through(batch: dict[K, Work], keep: Callable[[K, Any], None], workers: Workers, alone: bool) -> dict[K, bool]:
-    """Does a batch as far as the workers live; what is not done, and whether it was under way."""
-    left = dict.fromkeys(batch, False)
-    source = str(versions.source_digest())
-
-    def jobs() -> Iterator[Any]:
-        for key, (function, arguments) in batch.items():
-            left[key] = True
-            yield delayed(_do)(key, source, function, arguments)
-
+def _work_off(
+    waiting: deque[K], work: Callable[[K], Work], keep: Callable[[K, Any], None], workers: Workers
+) -> list[K]:
+    """Takes work from `waiting` until there is none, a process dies, or all are worn; what was under way then."""
+    source, executor = str(versions.source_digest()), workers.executor()
+    pending: dict[Future[Any], K] = {}
+    lost: list[K] = []
     try:
-        with closing(workers.results(jobs(), alone)) as results:  # type: ignore[type-var]
-            for key, result in results:
-                del left[key]
-                keep(key, result)
+        while pending or (waiting and workers.left > 0 and not lost):
+            while waiting and workers.left > 0 and not lost and len(pending) <= workers.count:
+                function, arguments = work(waiting[0])
+                pending[_submit(executor, _checked, source, function, arguments)] = waiting.popleft()
+                workers.left -= 1
+            for future in wait(pending, return_when=FIRST_COMPLETED).done:
+                key, error = pending.pop(future), future.exception()
+                if isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker":  # the latter Dask's
+                    lost.append(key)
+                elif error is not None:
+                    raise error
+                else:
+                    keep(key, future.result())
     except BrokenExecutor:
-        pass  # what is left says how far it came
-    workers.left -= len(batch) - len(left)
+        # It broke between two pieces of work.
+        lost += pending.values()
+    except BaseException as error:
+        for future in pending:
+            future.cancel()
+        workers.replace()
+        if isinstance(error, CancelledError):
+            raise StewartDrakeError("the Dask cluster is gone; rows done are kept") from error
+        raise
     if workers.left <= 0:
-        # The next run starts other processes.
-        get_reusable_executor().shutdown(wait=True)
-        workers.left = workers.life
-    return left
+        workers.replace()
+    return lost
 
 
-def _do(key: K, source: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+def _submit(executor: Executor, *call: Any) -> Future[Any]:
+    # Ctrl-C is not for the processes that this may start: this one ends them, without a traceback from each.
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        return executor.submit(*call)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def _checked(source: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     if _own_source() != source:
         raise StewartDrakeError(
             "a worker has another version of stewart-drake than this process: install the same everywhere, and leave "
             "its files alone while a study runs"
         )
-    return key, function(*arguments)
+    return function(*arguments)
 
 
 @lru_cache(maxsize=1)
@@ -180,39 +196,15 @@ def _connected(address: str) -> Any:
     except ImportError:
         allowed = "an installation with Dask: pip install 'stewart-drake[dask]'"
         raise ConfigurationError("--scheduler", address, allowed) from None
-    client: Any = distributed.Client  # untyped in parts
     # One line of ours stands for the tracebacks that it logs of a cluster that goes away.
     for name in [each for each in logging.root.manager.loggerDict if each.startswith(("distributed", "tornado"))]:
         logging.getLogger(name).disabled = True
+    connect: Any = distributed.Client  # untyped in parts
     try:
-        return client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+        client = connect(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+        client.wait_for_workers(1, timeout=CONNECT_TIMEOUT)
     except Exception as error:  # of what is no scheduler, whatever its first words are taken for
         why = " ".join(str(error).split()) or type(error).__name__
         allowed = f"the address of a Dask scheduler that answers, such as tcp://host:8786 ({why})"
         raise ConfigurationError("--scheduler", address, allowed) from None
-
-
-def _dask_backend(client: Any) -> Any:
-    """joblib's, which hears of results alone, made to hear of work that has killed its workers too."""
-    from joblib._dask import DaskDistributedBackend
-
-    class Backend(DaskDistributedBackend):
-        def submit(self, func: Any, callback: Any = None) -> Any:
-            future = super().submit(func, callback)
-            future.add_done_callback(lambda done: done.exception() and callback(done.exception()))
-            return future
-
-        def effective_n_jobs(self, n_jobs: int) -> int:
-            # With one, joblib would work in this process.
-            return max(2, int(super().effective_n_jobs(n_jobs)))
-
-        def retrieve_result_callback(self, out: Any) -> Any:
-            if not isinstance(out, BaseException):
-                return super().retrieve_result_callback(out)
-            if type(out).__name__ == "KilledWorker":
-                raise BrokenExecutor from out
-            if type(out).__module__.partition(".")[0] in ("distributed", "asyncio", "concurrent"):
-                raise StewartDrakeError(f"the Dask cluster failed: {type(out).__name__}: {out}; rows done are kept")
-            raise out
-
-    return Backend(client=client, wait_for_workers_timeout=NO_WORKERS_TIMEOUT, retries=0)
+    return client

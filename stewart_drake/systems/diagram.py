@@ -15,8 +15,7 @@ from stewart_drake.parts import loop_of
 from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario, require_scenario
-from stewart_drake.systems.library import PlatformWrench, ReferenceSource, TaskSpaceSensor
-from stewart_drake.systems.part_system import PartSystem
+from stewart_drake.systems.library import PartSystem, PlatformWrench, ReferenceSource, TaskSpaceSensor
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat

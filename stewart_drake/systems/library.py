@@ -1,31 +1,167 @@
-"""The LeafSystems of the loop, to wire by hand: parts in the shell of `PartSystem`, and what has no tick."""
+"""The LeafSystems of the loop, to wire by hand: parts in one shell, `PartSystem`, and what has no tick."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort
 
-from stewart_drake.control.computed_torque import ComputedTorqueOptions, computed_torque_part
-from stewart_drake.control.joint_pid import PidOptions, pid_part
+from stewart_drake.control.classical import ComputedTorqueOptions, PidOptions, computed_torque_part, pid_part
 from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.control.network import DensityKind, TunerNetwork, density_part, network_part
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.hardware import motors
 from stewart_drake.hardware.disturbances import Disturbance, total_wrench
 from stewart_drake.hardware.estimator import difference_part
 from stewart_drake.hardware.observer import ObserverOptions, observer_part
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
+from stewart_drake.part import Part
 from stewart_drake.plant.multibody_plant import StewartPlant
 from stewart_drake.references import Reference, in_blocks
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety import SafetyOptions, safety_part
-from stewart_drake.systems.part_system import PartSystem
+from stewart_drake.sampling import on_grid
+
+SIGNALS = {
+    "measurement": "(12,), pose [rad, m], pose rate [rad/s, m/s] (Euler rates)",
+    "reference": "(18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2]",
+    "weights": "(2,), omega_Q, omega_R; or, for block weights, (4,), q_e, q_v, q_z, r; all > 0",
+    "torque": "(6,) [N m]",
+    "error": "(6,) [rad, m], pose minus reference at the tick",
+    "integral": "(6,) [rad s, m s], z after the tick",
+    "crank_state": "(12,), angles of the cranks [rad] from the horizontal and their rates [rad/s]",
+    "against_friction": "(6,) [N m]",
+    "density": "(12,) [-], of the errors, then of the torques",
+    "reading": "(6,) [rad], angles of the cranks; or, for an observer, (12,), pose [rad, m] and its rate",
+    "sent": "(6,) [N m], the command of the tick before less what friction takes of it",
+    "disturbance": "(1,) [rad/s^2 per sqrt(s)] to expect, see `ObserverOptions`",
+    "ahead": "(12,), as `measurement`, when the command of this tick acts",
+    "compensation": "(6,) [N m], against what the model does not explain",
+    "innovation": "(6,) [rad], readings less what an observer expected",
+    "command": "(6,) [N m], the controller's torque",
+    "age": "(1,) [ticks] of the command in force; 0 where it is that of the present tick",
+    "sensor_health": "(2,), what was wrong in the last tick and where, see `part.guarded`",
+    "controller_health": "(2,), likewise",
+    "angles": "(6,) [rad], readings of the encoders",
+    "pose_reading": "(12,), what a sensor of the pose says, where an observer stands behind it",
+    "safety": "(3,): number of the level in `safety.LEVELS`, of the monitor in `safety.MONITORS`, leg or -1",
+}
+"""What is at the ports of the systems below."""
+
+_AHEAD = 1.0 + 4e-10
+"""A tick's instant begins a little early: decimal times, at which others may ask, come before the stretched ones."""
+
+
+class PartSystem(LeafSystem):
+    """Runs a part at its ticks, at multiples of `period` [s]; its state is in the Context.
+
+    What a part says at a tick is computed from the inputs of that very instant, as soon as somebody asks for it, and
+    the discrete update then stores it: a torque in discrete state alone would reach the plant one plant step late. A
+    part that is `late` ticks in the update. The plant must step in a discrete update too, as `plant.add_plant` makes
+    it.
+
+    Ports: those of the part by name and as attributes, and `result`, its state and the number of ticks done; an output
+    with the name of an input is the attribute `NAME_out`. An input whose part has an array for it may be left alone.
+    """
+
+    def __init_subclass__(cls, ports: str = "") -> None:
+        """Adds to the text of a class its ports, `inputs -> outputs`, as `SIGNALS` has them."""
+        super().__init_subclass__()
+        if ports:
+            lines = ["result: out, the part's whole state and the number of ticks done"]
+            for way, names in zip(("in", "out"), ports.split("->"), strict=True):
+                lines += [f"{name}: {way} {SIGNALS[name]}" for name in names.split()]
+            cls.__doc__ = "\n    ".join([inspect.cleandoc(cls.__doc__ or ""), "\nPorts:", *lines]).replace(
+                "    \n", "\n"
+            )
+
+    if TYPE_CHECKING:
+        # Ports are attributes by name; a type checker cannot know which.
+        def __getattr__(self, name: str) -> Any: ...
+
+    def __init__(self, part: Part, period: float) -> None:
+        super().__init__()
+        self.part, self.period = part, on_grid(period)
+        self._tick, self._kind = part.tick, part.initial.dtype
+        initial = np.append(part.initial.view(np.float64), 0.0)
+        index = self.DeclareDiscreteState(initial)
+        self._time = np.zeros(1)
+        # What stands at a port: its value, and for one that may be left alone what stands there then.
+        self._ports: list[tuple[InputPort | None, np.ndarray | None]] = []
+        for name, size in part.inputs.items():
+            if name == "time":
+                self._ports.append((None, self._time))
+                continue
+            port, otherwise = self.DeclareVectorInputPort(name, size), part.source(name)
+            self._ports.append((port, None if isinstance(otherwise, str) else otherwise))
+            setattr(self, name, port)
+        self.result: OutputPort
+        if part.late:
+            self.result = self.DeclareStateOutputPort("result", index)
+        else:
+            needs = {self.time_ticket(), self.xd_ticket(), self.all_input_ports_ticket()}
+            self.result = self.DeclareVectorOutputPort(
+                "result", len(initial), self._answer, prerequisites_of_calc=needs
+            )
+        for name in part.outputs:
+            setattr(self, f"{name}_out" if name in part.inputs else name, self._slice(name))
+        self.DeclarePeriodicDiscreteUpdateEvent(period_sec=self.period, offset_sec=0.0, update=self._store)
+
+    def state(self, context: Context) -> np.ndarray:
+        """The part's record (1,), of the tick asked for, though nothing has stored it; `context` of the Diagram."""
+        mine = self.GetMyContextFromRoot(context)
+        if not self.part.late:
+            entry = self.get_output_port(self.result.get_index()).cache_entry()
+            if not entry.is_out_of_date(mine):
+                return np.array(self.result.Eval(mine)[:-1]).view(self._kind)
+        return np.array(mine.get_discrete_state(0).value()[:-1]).view(self._kind)
+
+    def split(self) -> tuple[list[int], list[int]]:
+        """How a Demultiplexer splits `result`: sizes, and at which of them each output of the part is."""
+        names = self._kind.names or ()
+        return [*(self.part.size(name) for name in names), 1], [names.index(name) for name in self.part.outputs]
+
+    def _slice(self, name: str) -> OutputPort:
+        start, size = int(self._kind.fields[name][1]) // 8, self.part.size(name)  # type: ignore[index]
+
+        def calc(context: Context, output: Any) -> None:
+            output.SetFromVector(self.result.Eval(context)[start : start + size])
+
+        ticket = self.get_output_port(self.result.get_index()).cache_entry().ticket()
+        needs = {self.xd_ticket()} if self.part.late else {ticket}
+        return self.DeclareVectorOutputPort(name, size, calc, prerequisites_of_calc=needs)
+
+    def _ticked(self, context: Context, values: np.ndarray) -> None:
+        """Ticks on values (n + 1,) that hold the state of the tick before."""
+        self._time[0] = context.get_time()
+        inputs = [
+            otherwise if port is None or (otherwise is not None and not port.HasValue(context)) else port.Eval(context)
+            for port, otherwise in self._ports
+        ]
+        try:
+            self._tick(*inputs, values[:-1].view(self._kind))
+        except RunFailure as error:
+            error.time = context.get_time()
+            raise
+        values[-1] = int(context.get_time() / self.period + 1e-6) + 1.0
+
+    def _answer(self, context: Context, output: Any) -> None:
+        values, held = output.get_mutable_value(), context.get_discrete_state(0).value()
+        values[:] = held
+        if context.get_time() / self.period * _AHEAD + 1e-6 >= held[-1]:
+            self._ticked(context, values)
+
+    def _store(self, context: Context, discrete_state: DiscreteValues) -> None:
+        if self.part.late:
+            self._ticked(context, discrete_state.get_mutable_value(0))
+        else:
+            discrete_state.set_value(0, self.result.Eval(context))
 
 
 class LqiController(PartSystem, ports="measurement reference weights -> torque error integral"):
@@ -57,12 +193,7 @@ class ComputedTorque(PartSystem, ports="measurement reference -> torque error in
 class DensityFeatures(PartSystem, ports="error torque -> density"):
     """Density of each input over a sliding window, (35), (36); answers within the tick.
 
-    The window lives in the Context: two runs of one Diagram never share it.
-
-    Args:
-        window: m of (35) [ticks]; means run over m + 1 samples.
-        period: [s] tick period.
-        kind: See `network.density`.
+    `window` is m of (35) [ticks]; means run over m + 1 samples, which live in the Context. The period is in [s].
     """
 
     def __init__(self, window: int, period: float, kind: DensityKind = "magnitude") -> None:

@@ -35,6 +35,7 @@ LEAST_COST = 1e-3
 DIGITS = 3  # Of a setting: what is run is what is written down
 BEST_FIXED = "best fixed"
 
+Engine = Literal["drake", "reduced"]
 Numbers = tuple[Real, Real, Real, Real]
 Cell = tuple[str, str]
 Candidate = Callable[[Case, Scenario], Changes]
@@ -133,17 +134,10 @@ def log_cost(row: Row, scales: CostScales) -> float:
 
 
 class Benchmark(KeptRuns):
-    """Runs of candidates, known by what is run; a context manager with the arguments of `KeptRuns`."""
+    """Runs of candidates, known by what is run; a context manager with the further arguments of `KeptRuns`."""
 
-    def __init__(
-        self,
-        folder: Path,
-        engine: Literal["drake", "reduced"],
-        where: Workers | None = None,
-        tell: Callable[[float], None] | None = None,
-        restart: bool = False,
-    ) -> None:
-        super().__init__(folder, identity({"benchmark": engine, "measured": MEASURED}), where, tell, restart)
+    def __init__(self, folder: Path, engine: Engine, *more: Any, **options: Any) -> None:
+        super().__init__(folder, identity({"benchmark": engine, "measured": MEASURED}), *more, **options)
         self._engine = engine
 
     def run(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> list[Row]:
@@ -215,26 +209,24 @@ def assess(
     entered: Mapping[str, Candidate],
     folder: Path,
     seeds: int,
-    engine: Literal["drake", "reduced"] = "drake",
-    where: Workers | None = None,
-    tell: Callable[[float], None] | None = None,
+    engine: Engine = "drake",
+    workers: Workers | None = None,
+    progress: Callable[[float], None] | None = None,
     restart: bool = False,
 ) -> Verdict:
     import pyarrow as pa
 
     cases = cases_of(cells_for(), HELD_OUT[:seeds])
-    with Benchmark(folder, engine, where, tell, restart) as benchmark:
+    with Benchmark(folder, engine, workers, progress, restart) as benchmark:
         rows = benchmark.run(list(entered.values()), cases)
     shape = (len(entered), len(cases))
     logs = np.reshape([log_cost(row, CostScales()) for row in rows], shape)
     failed = np.reshape([row["status"] != "completed" for row in rows], shape)
     verdict = Verdict(tuple(entered), tuple(cases), logs, failed)
     ratios = logs - logs[verdict.names.index(BEST_FIXED)]
-    pairs = [(name, case) for name in entered for case in cases]
-    table = [
-        {"candidate": name, **case._asdict(), **row, "cost": np.exp(log), "ratio": np.exp(ratio)}
-        for (name, case), row, log, ratio in zip(pairs, rows, logs.flat, ratios.flat, strict=True)
-    ]
+    costs = [{"cost": np.exp(log), "ratio": np.exp(ratio)} for log, ratio in zip(logs.flat, ratios.flat, strict=True)]
+    names = [{"candidate": name, **case._asdict()} for name in entered for case in cases]
+    table = [{**name, **row, **cost} for name, row, cost in zip(names, rows, costs, strict=True)]
     write_table(pa.table({name: [row.get(name) for row in table] for name in COLUMNS}), folder, "verdict")
     write_atomically(folder / "verdict.md", page(verdict).encode())
     return verdict
@@ -245,17 +237,17 @@ def page(verdict: Verdict) -> str:
     first, *rivals = others = [name for name in verdict.names if name != BEST_FIXED]
     cells = cells_of(verdict.cases)
     groups = {name: within for name, within in GROUPS.items() if any(map(within, cells))}
-    whole = []
+    whole, by_kind = [], []
     for name, failed in zip(verdict.names, verdict.failed, strict=True):
         means = [float(np.exp(each.mean())) for each in verdict.of(name)]
         worst, (kind, robot) = max(zip(means, cells, strict=True))
         shares = [str(estimate(verdict.of(name, within))) for within in groups.values()]
         median = str(estimate(verdict.of(name), "median"))
         whole.append([name, *shares, median, f"{worst:.2f}, {kind}, {robot}", str(int(failed.sum()))])
-    by_kind = []
-    for (kind, robot), places in cells.items():
+    of_others = [verdict.of(name) for name in others]
+    for at, ((kind, robot), places) in enumerate(cells.items()):
         base = np.exp(verdict.logs[verdict.names.index(BEST_FIXED), places].mean())
-        own = [verdict.of(name, lambda cell, this=(kind, robot): cell == this) for name in others]  # type: ignore[misc]
+        own = [each[at : at + 1] for each in of_others]
         ratios = [f"{estimate(each)}; {estimate(each, 'median').value:.2f}" for each in own]
         shown = kind if KINDS[kind].trained else f"{kind} (never trained on)"
         by_kind.append([shown, robot, f"{base:.3g}", *ratios])

@@ -82,7 +82,7 @@ def episode_cost(chooser: Chooser, case: Case) -> float:
     """Logarithm of what a run of a policy on the fast engine costs, at the kappa of the case."""
     scenario = _fast(case)
     q_pose, q_rate, q_integral, r = scenario.tuner.weights
-    tuner = _GivenTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=case.kappa)
+    tuner = GivenTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=case.kappa)
     vars(tuner)["given"] = chooser
     log = simulate_unchecked(scenario.replace({"tuner": tuner}))
     return log_cost({"status": log.status, **measure_parts(log)}, CostScales().at(case.kappa))
@@ -102,7 +102,7 @@ def _fast(case: Case) -> Scenario:
     return scenario.replace({"plant.engine": "reduced", "plant.time_step": step, "log_period": None})
 
 
-class _GivenTuner(PolicyTuner):
+class GivenTuner(PolicyTuner):
     def chooser(self) -> Chooser:  # type: ignore[override]
         given: Chooser = vars(self)["given"]
         return given

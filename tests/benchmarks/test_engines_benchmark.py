@@ -1,11 +1,11 @@
 """Steps a second of Drake's plant and of MuJoCo: the same mechanism, motion and step, in one run: `make bench`."""
 
 import pytest
+from mujoco_robot import MujocoRobot
 from pydrake.systems.analysis import Simulator
 
 from stewart_drake import PlantOptions, RobotParameters, build_plant
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
-from stewart_drake.mujoco_model import MujocoRobot
 
 ROBOT = RobotParameters()
 STEP, STEPS = 0.001, 150

@@ -11,7 +11,6 @@ from stewart_drake.calibration.poses import (
     MeasurementNoise,
     Measurements,
     candidate_poses,
-    load_measurements,
 )
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import inverse_kinematics
@@ -42,18 +41,6 @@ def refused(tmp_path):
         return str(caught.value)
 
     return refused
-
-
-def test_a_file_is_read_back_and_other_units_and_columns_will_do(good, tmp_path):
-    path = tmp_path / "poses.csv"
-    path.write_text(good.to_csv())
-    assert (load_measurements(path).table == good.table).all()
-    factors = np.array([TURN] * 3 + [1e3] * 3 + [TURN] * 6)
-    other = [f"{name.rpartition('_')[0]}_{'mm' if name.endswith('_m') else 'deg'}" for name in COLUMNS]
-    rows = np.column_stack([np.arange(len(good)), (good.table * factors)[:, ::-1]])
-    lines = [",".join(["number", *reversed(other)]), *(",".join(map(repr, row)) for row in rows.tolist())]
-    path.write_text("\ufeff" + "\r\n".join(lines) + "\r\n\r\n", encoding="utf-8")
-    assert load_measurements(path).table == pytest.approx(good.table)
 
 
 @pytest.mark.parametrize(

@@ -31,13 +31,6 @@ def test_density_is_the_last_sample_over_the_mean_of_the_window(window):
             assert signed * total == pytest.approx(n * last, abs=1e-12 * n * size * max(1.0, abs(signed)))
 
 
-@pytest.mark.parametrize("kind", ["magnitude", "signed"])
-def test_a_window_at_rest_has_density_one_from_the_floor_down(kind):
-    np.testing.assert_array_equal(density(np.zeros((5, 2)), kind), [1.0, 1.0])
-    samples = np.array([[0.0, 0.0], [0.0, 0.0], [3.03e-9, 2.97e-9]])
-    np.testing.assert_allclose(density(samples, kind), [3.0, 1.0])
-
-
 @given(
     st.integers(1, 6), st.lists(st.floats(-10, 10), min_size=1, max_size=20), st.sampled_from(["magnitude", "signed"])
 )

@@ -18,13 +18,13 @@ from stewart_drake.control.policy import (
     STEP,
     Layers,
     Policy,
-    Schedule,
     answer,
     load_policy,
     setting_part,
     weights_of,
 )
 from stewart_drake.control.riccati import chain_gain
+from stewart_drake.control.tuners import ScheduleTuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.jit import njit, record
 
@@ -45,7 +45,7 @@ def made(seed=0, reach=0.5, hull=8.0):
 
 CHOOSERS = {
     "policy": made(),
-    "schedule": Schedule(np.array([-0.2, 0.0, 0.1, -1.0]), np.array([0.2, 0.1, 0.0, 0.5]), threshold=1.5, hold=0.02),
+    "schedule": ScheduleTuner(calm=(-0.2, 0.0, 0.1, -1.0), alert=(0.2, 0.1, 0.0, 0.5), threshold=1.5, hold=0.02),
 }
 
 
@@ -135,7 +135,7 @@ def test_outside_of_what_it_was_trained_on_a_policy_fades_to_the_centre(beyond, 
 
 @pytest.mark.parametrize("hold", [0.0, 0.02])
 def test_a_schedule_is_alert_while_innovations_are_large_and_for_as_long_as_it_says(hold):
-    schedule = Schedule(np.zeros(SIZE), np.ones(SIZE), threshold=1.5, hold=hold)
+    schedule = ScheduleTuner(alert=(1.0,) * SIZE, threshold=1.5, hold=hold)
     part, quiet = setting_part(schedule, CONTEXT, BASE, 0.3), [np.ones(12), *np.zeros((3, 6)), np.zeros(18)]
     loud = [*quiet[:3], np.full(6, 1e-4), quiet[4]]
     state, places = part.initial.copy(), [0.0]

@@ -14,12 +14,13 @@ from stewart_drake.control.riccati import (
     discretize,
     input_matrix,
     mass_diagonal,
+    output_matrix,
     riccati_gain,
     solve_drake,
     split_gain,
     state_matrix,
 )
-from stewart_drake.errors import RiccatiError
+from stewart_drake.errors import ConfigurationError, RiccatiError
 from stewart_drake.mechanics.dynamics import force_map, pose_acceleration_map
 
 PERIOD = 0.005
@@ -140,3 +141,32 @@ def test_unusable_matrices_raise_our_error_and_never_leave_the_process(change, w
     with pytest.raises(RiccatiError, match=words) as caught:
         solve_drake(**{"a": a, "b": b, "q": np.eye(18), "r": np.eye(6)} | change)
     assert caught.value.reason == "riccati"
+
+
+A, C = state_matrix(), output_matrix()
+NUMBERED = 10.0 * np.arange(1, 7)[:, None] + np.arange(1, 7)
+"""M^-1 tau whose entries tell their row and column."""
+
+
+def test_a_b_and_c_are_21_to_24_entry_by_entry_in_the_order_of_the_paper():
+    state, torque = np.arange(18.0), np.arange(1.0, 7.0)
+    derivative = np.zeros(18)
+    derivative[[0, 2, 4, 6, 8, 10]] = state[[1, 3, 5, 7, 9, 11]]
+    derivative[12:] = state[[0, 2, 4, 6, 8, 10]]
+    np.testing.assert_array_equal(A @ state, derivative)
+    assert set(np.unique(A)) == {0.0, 1.0}
+    assert A.sum() == 12.0
+    forces = np.zeros(18)
+    forces[[1, 3, 5, 7, 9, 11]] = NUMBERED @ torque
+    maps = np.stack([NUMBERED, -NUMBERED])
+    np.testing.assert_allclose(input_matrix(maps) @ torque, [forces, -forces])
+    np.testing.assert_array_equal(C @ state, state[[0, 2, 4, 6, 8, 10]] + state[12:])
+
+
+def test_euler_discretisation_is_the_first_order_step():
+    b = input_matrix(NUMBERED)
+    a_d, b_d = discretize(A, b, 0.01, "euler")
+    np.testing.assert_array_equal(a_d, np.eye(18) + 0.01 * A)
+    np.testing.assert_array_equal(b_d, 0.01 * b)
+    with pytest.raises(ConfigurationError, match="exact or euler"):
+        discretize(A, b, 0.005, "tustin")

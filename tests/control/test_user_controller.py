@@ -7,7 +7,6 @@ from stewart_drake.control.base import Setpoint
 from stewart_drake.control.user_controller import function_part
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.files.code import ControllerError
-from stewart_drake.part import guarded as bridged
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario
 
@@ -93,7 +92,7 @@ def test_one_clear_error_before_the_run(written, text, words):
     assert words in str(caught.value)
 
 
-@pytest.mark.parametrize("error", ["KeyError('x')", "SystemExit(3)", "type('Mute', (Exception,), {'__str__': None})()"])
+@pytest.mark.parametrize("error", ["KeyError('x')", "SystemExit(3)"])
 def test_whatever_it_raises_keeps_the_log_and_is_shown_with_its_line(written, error):
     raised = f"        if context.get_time() > 0.05:\n            raise {error}\n        output.Set"
     text = GOOD.replace("        output.Set", raised)
@@ -135,12 +134,3 @@ def test_a_function_gets_what_it_asks_for_and_what_it_changes_is_its_own():
 def test_what_is_no_torque_ends_the_run_with_a_line(answer, kind, words):
     with pytest.raises(kind, match=words):
         ticked(function_part(lambda *_: answer), POSE, RATE, SETPOINT, NOW)
-
-
-def test_what_it_raises_is_shown_with_its_line_and_can_be_bridged():
-    part = function_part(lambda measurement, *_: measurement.nothing)
-    with pytest.raises(ControllerError, match=r"user's code raised AttributeError.*test_user_controller.py, line"):
-        ticked(part, POSE, RATE, SETPOINT, NOW)
-    state = ticked(bridged(part), POSE, RATE, SETPOINT, NOW, torque=np.ones(6))
-    np.testing.assert_array_equal(state.torque, np.ones(6))
-    assert state.health[0] > 0.0

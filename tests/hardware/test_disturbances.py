@@ -9,7 +9,6 @@ from stewart_drake.hardware.disturbances import (
     NoiseWrench,
     SineWrench,
     StepWrench,
-    total_wrench,
 )
 from stewart_drake.sampling import on_grid
 
@@ -21,14 +20,6 @@ ALL = [
     SineWrench(wrench=WRENCH, frequency=5.0, phase=0.4),
     NoiseWrench(rms=tuple(map(abs, WRENCH)), seed=3),
 ]
-
-
-def test_disturbances_add_up_and_none_is_zero():
-    times = np.linspace(0.0, 1.0, 50)
-    np.testing.assert_allclose(total_wrench(ALL, times), sum(one.evaluate(times) for one in ALL), atol=1e-12)
-    np.testing.assert_array_equal(total_wrench((), times), np.zeros((50, 6)))
-    sine = np.sin(2.0 * np.pi * 5.0 * times + 0.4)[:, None] * WRENCH
-    np.testing.assert_allclose(ALL[3].evaluate(times), sine, atol=1e-12)
 
 
 def test_a_step_begins_and_ends_when_it_says():

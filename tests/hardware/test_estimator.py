@@ -6,9 +6,7 @@ from strategies import ROBOT, poses
 
 from stewart_drake.errors import (
     AssemblyModeError,
-    ForwardKinematicsError,
     RunFailure,
-    SingularPoseError,
 )
 from stewart_drake.hardware.estimator import difference_part
 from stewart_drake.hardware.sensors import EncoderOptions
@@ -77,16 +75,6 @@ def test_the_pose_is_as_good_as_the_counts(pose, bits):
     assert (np.abs(found - pose) <= 1.1 * bound + 1e-9).all()
 
 
-def test_the_low_pass_is_of_first_order_with_the_corner_that_the_option_names():
-    cutoff, ticks = 30.0, 40
-    speed = np.array([1.0, -0.5, 0.3, 0.8, -0.2, 0.1])
-    readings = [at(HOME) + k * PERIOD * speed for k in range(ticks)]
-    # The step response of 1 / (1 + s / (2 pi f)), at the ticks.
-    law = 1.0 - np.exp(-2.0 * np.pi * cutoff * PERIOD * np.arange(ticks))
-    rates = run(ROBOT, EncoderOptions(resolution_bits=0, rate_cutoff=cutoff), readings, HOME)["crank_rate"]
-    np.testing.assert_allclose(rates, law[:, None] * speed, rtol=1e-9, atol=1e-11)
-
-
 @pytest.mark.parametrize("limits", [(0.2, 0.05), (10.0, 10.0)])
 def test_another_assembly_mode_of_the_same_cranks_is_refused(limits):
     # However far a step may be, its orientation gives it away: the lines of the legs are turned inside out.
@@ -104,18 +92,6 @@ def test_another_assembly_mode_of_the_same_cranks_is_refused(limits):
     # The other mode is as good where the robot stands in it from the start.
     tick, initial = estimator(options, other + 1e-3)
     np.testing.assert_allclose(tick(angles, initial)["measurement"][0, :6], other, atol=1e-9)
-
-
-def test_a_crank_beyond_its_dead_centre_is_named_and_so_are_cranks_without_a_pose():
-    pose = HOME + [0.1, -0.05, 0.08, 0.01, 0.02, -0.005]
-    angles = at(pose)
-    angles[3] = inverse_kinematics(ROBOT, pose, branch=-ROBOT.branch)[3]
-    tick, initial = estimator(start=pose)
-    with pytest.raises(SingularPoseError) as caught:
-        tick(angles, initial)
-    assert (caught.value.reason, caught.value.leg) == ("crank_dead_centre", 3)
-    with pytest.raises(ForwardKinematicsError):
-        tick(np.array([3.0, 0.1, 3.0, 0.1, 3.0, 0.1]), initial)
 
 
 @pytest.mark.parametrize("bad", [np.nan, -np.inf, at(HOME)[2] + 0.5], ids=["not a number", "infinite", "jump"])

@@ -53,7 +53,3 @@ def test_it_is_friction_of_the_cranks_of_the_reference_and_smooth_at_reversals(p
     dry = SIX + (0.1 - SIX) * np.exp(-((rates / 0.05) ** 2))
     expected = dry * np.tanh(rates / 0.002) + 0.2 * rates
     np.testing.assert_allclose(against_friction(pose, size * rate), expected, atol=1e-9)
-
-
-def test_a_reference_out_of_reach_asks_for_nothing():
-    np.testing.assert_array_equal(against_friction(ROBOT.home_pose + [0, 0, 0, 0, 0, 1.0], np.ones(6)), np.zeros(6))

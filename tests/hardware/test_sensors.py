@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import vectors
 
-from stewart_drake.hardware.faults import EncoderFault, PoseFault, tick_numbers
+from stewart_drake.hardware.faults import EncoderFault, PoseFault
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part, faulty_sensor_part
 
 
@@ -27,17 +27,6 @@ def test_readings_are_whole_counts_of_angle_plus_offset(angles, bits, offset):
     np.testing.assert_array_equal(
         read(EncoderOptions(resolution_bits=0, offset=tuple(offset)), angles)[0], angles + offset
     )
-
-
-def test_noise_is_normal_and_that_of_its_tick_whenever_it_is_asked():
-    options = EncoderOptions(resolution_bits=0, noise=1e-3, noise_seed=7)
-    noise = read(options, np.zeros(6), 5000) / 1e-3
-    for tick in (4999, 0, 1024, 1023):
-        np.testing.assert_allclose(noise[tick], tick_numbers(7, 1, tick, 6, True), rtol=1e-9)
-    # Neither from tick to tick nor from channel to channel does one tell of another.
-    assert (abs(noise.mean()), noise.std()) == (pytest.approx(0.0, abs=0.02), pytest.approx(1.0, abs=0.02))
-    assert abs(np.mean(noise[1:] * noise[:-1])) < 0.02
-    assert np.abs(np.corrcoef(noise.T) - np.eye(6)).max() < 0.06
 
 
 READINGS = np.arange(60.0).reshape(10, 6)

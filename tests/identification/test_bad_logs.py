@@ -11,7 +11,7 @@ from strategies import ROBOT
 from stewart_drake import Scenario, load_robot, run
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.identification.identified import identify
-from stewart_drake.identification.samples import load_recording, of_log
+from stewart_drake.identification.samples import of_log
 from stewart_drake.references.motions import HoldReference
 
 LOG = recording(ROBOT, truth_of(ROBOT), rate=100.0)
@@ -27,19 +27,6 @@ def refused(log, robot=ROBOT, **options):
 
 def changed(**changes):
     return dataclasses.replace(LOG, **changes)
-
-
-def test_a_log_is_read_back_from_its_file_in_any_of_its_units(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text(LOG.to_csv())
-    read = load_recording(path, ROBOT)
-    for name in ("time", "angles", "torque"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(LOG, name))
-    names = LOG.to_csv().splitlines()[0].replace("time_s", "time_ms").replace("_rad", "_deg").replace("_Nm", "_mNm")
-    table = np.column_stack([1e3 * LOG.time, np.degrees(LOG.angles), 1e3 * LOG.torque])
-    path.write_text("\n".join([names, *(",".join(map(repr, row)) for row in table.tolist())]))
-    read = load_recording(path, ROBOT)
-    np.testing.assert_allclose(np.hstack([read.angles, read.torque]), np.hstack([LOG.angles, LOG.torque]), atol=1e-14)
 
 
 def test_angles_that_wrap_or_were_homed_a_turn_away_are_the_same_log():

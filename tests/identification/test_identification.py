@@ -54,7 +54,7 @@ def test_exact_logs_give_the_robot(exact):
     found = estimate(ROBOT, samples)
     # The guess's values are kept where a motion tells nothing.
     guess = of_robot(ROBOT)
-    off = (found.values - guess - found.told(truth - guess)) / scales(ROBOT)
+    off = (found.values - guess - found.identifiable_part(truth - guess)) / scales(ROBOT)
     assert np.abs(off).max() < 2e-3
     np.testing.assert_allclose(found.values[COULOMB], truth[COULOMB], rtol=2e-3)
     np.testing.assert_allclose(found.values[VISCOUS], truth[VISCOUS], rtol=2e-3)
@@ -63,17 +63,17 @@ def test_exact_logs_give_the_robot(exact):
 
 def test_what_no_motion_tells_is_named_with_its_sum(exact):
     found = identify(ROBOT, [recording(ROBOT, exact[0])])
-    (untold,) = found.estimate.untold
-    assert str(PARAMETERS[untold.at]) == "rod_mass"
-    assert np.isinf(untold.deviation)
+    (unidentifiable,) = found.estimate.unidentifiable
+    assert str(PARAMETERS[unidentifiable.at]) == "rod_mass"
+    assert np.isinf(unidentifiable.deviation)
     # Half of each of six rods hangs on the platform, and half of each on its crank, at whose middle its own mass is.
-    assert untold.direction[AT["platform_mass"]] == pytest.approx(-3.0)
-    assert untold.direction[AT["crank_mass"]] == pytest.approx(-1.0)
+    assert unidentifiable.direction[AT["platform_mass"]] == pytest.approx(-3.0)
+    assert unidentifiable.direction[AT["crank_mass"]] == pytest.approx(-1.0)
     names = dict(zip(map(str, PARAMETERS), found.base_parameters(), strict=True))
     assert names["platform_mass"] == "platform_mass + 3 rod_mass"
     assert names["coulomb motor 3"] == "coulomb motor 3"
     samples = exact[1]
-    moved = exact[0] + 0.1 * untold.direction
+    moved = exact[0] + 0.1 * unidentifiable.direction
     np.testing.assert_allclose(samples.predicted(moved), samples.predicted(exact[0]), atol=1e-12)
 
 

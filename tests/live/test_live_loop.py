@@ -13,9 +13,10 @@ FAST = {"plant.engine": "reduced", "duration": 0.4}
 STILL = {**FAST, "reference": "hold"}
 
 
+@pytest.mark.parametrize("engine", ["reduced", "drake"])
 @pytest.mark.parametrize("name", ["exact_fig7", "exact_heart"])
-def test_left_alone_it_is_the_run_of_its_scenario(name: str) -> None:
-    scenario = load_scenario(name).replace(FAST)
+def test_left_alone_it_is_the_run_of_its_scenario(name: str, engine: str) -> None:
+    scenario = load_scenario(name).replace({"plant.engine": engine, "duration": 0.4})
     loop, log = LiveLoop(scenario), run(scenario, check=False)
     loop.advance(len(log.time) - 1)
     np.testing.assert_allclose(loop.pose, log["pose"][-1], atol=1e-7)
@@ -34,8 +35,9 @@ def test_a_push_moves_the_platform_and_the_controller_brings_it_back() -> None:
     np.testing.assert_allclose(loop.pose, before, atol=1e-6)
 
 
-def test_a_payload_comes_without_a_jump_and_is_carried() -> None:
-    loop = LiveLoop(load_scenario("exact_fig7").replace(STILL))
+@pytest.mark.parametrize("engine", ["reduced", "drake"])
+def test_a_payload_comes_without_a_jump_and_is_carried(engine: str) -> None:
+    loop = LiveLoop(load_scenario("exact_fig7").replace({**STILL, "plant.engine": engine}))
     loop.advance(100)
     pose, torque = loop.pose, loop.torque
     loop.change({"plant.payload_mass": 0.3})

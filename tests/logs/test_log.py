@@ -119,5 +119,21 @@ def test_a_log_becomes_a_frame_of_pandas_and_without_pandas_the_remedy_is_named(
     with pytest.raises(ConfigurationError, match="pip install pandas"):
         log.to_pandas()
     monkeypatch.undo()
-    pytest.importorskip("pandas")
+    monkeypatch.undo()
     np.testing.assert_array_equal(log.to_pandas()["pose_x_m"], log["pose"][:, 3])
+
+
+def test_a_log_becomes_a_dataset_with_named_axes_and_units(log):
+    dataset = log.to_xarray()
+    np.testing.assert_array_equal(dataset["pose"].sel(axis="z"), log["pose"][:, 5])
+    np.testing.assert_array_equal(dataset["torque"].sel(leg="2"), log["torque"][:, 2])
+    assert dataset["time"].attrs["units"] == "s"
+    assert dataset["pose"].attrs["units"][5] == "m"
+
+
+def test_a_notebook_shows_how_a_log_ended_with_its_error_over_time(log):
+    page = log._repr_html_()
+    assert page.startswith(f"<div><b>SimulationLog of {log.scenario.name}: failed")
+    largest = 1e3 * np.linalg.norm((log["pose"] - log["reference"])[:, 3:], axis=1).max()
+    assert f"error [mm], at most {largest:.3g}" in page
+    assert page.count("<polyline") == 2

@@ -30,7 +30,7 @@ FREE = json.loads((Path(__file__).parent.parent / "data" / "reference_values.jso
 
 
 def near(count, region=NEAR, robot=ROBOT):
-    return sample_poses(robot, region, count, np.random.default_rng(0)).poses
+    return sample_poses(robot, region, count, np.random.default_rng(0))
 
 
 def test_the_motion_is_the_one_that_another_program_computed():

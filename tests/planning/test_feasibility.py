@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from strategies import ROBOT
 
-from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.errors import InfeasibleReferenceError
 from stewart_drake.planning.feasibility import (
     check_motion,
     check_reference,
@@ -123,10 +123,3 @@ def test_the_largest_scale_is_the_first_at_which_a_limit_breaks():
     assert largest_scale(ROBOT, ALL, hold, 0.1, GRAVITY) == pytest.approx(0.3, rel=1e-3)
     assert largest_scale(ROBOT, ALL, lambda _: HoldReference(), 0.1, GRAVITY) == 1.0
     assert largest_scale(ROBOT, only(torque_fraction=0.01), lambda _: HoldReference(), 0.1, GRAVITY) == 0.0
-
-
-def test_unusable_arguments_are_refused_by_name():
-    with pytest.raises(ConfigurationError, match="pose_rate"):
-        check_motion(ROBOT, ALL, [0.0], np.zeros((1, 6)), np.zeros((1, 5)), np.zeros((1, 6)), GRAVITY)
-    with pytest.raises(ConfigurationError, match="duration"):
-        check_reference(ROBOT, ALL, HoldReference(), math.inf, GRAVITY)

@@ -4,7 +4,7 @@ from strategies import ROBOT, ROBOTS
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import force_map, static_torque
-from stewart_drake.mechanics.kinematics import leg_geometry, line_conditioning, reach_margin, rod_lines
+from stewart_drake.mechanics.kinematics import conditioning, leg_geometry, reach_margin, rod_lines
 from stewart_drake.planning.limits import Limits, limit_margins, measure_poses
 from stewart_drake.planning.workspace import (
     COORDINATES,
@@ -48,7 +48,7 @@ def test_measures_are_the_extremes_of_what_mechanics_gives(robot):
     side = np.sign(np.linalg.det(rod_lines(legs)) * np.linalg.det(home))
     assert (side < 0.0).any()
     np.testing.assert_allclose(measures.transmission, np.abs(legs.transmission).min(axis=1), rtol=1e-12)
-    np.testing.assert_allclose(measures.conditioning, side * line_conditioning(robot, legs), rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(measures.conditioning, side * conditioning(robot, pose), rtol=0.0, atol=1e-13)
     torque = np.abs(static_torque(robot, pose)).max(axis=1)
     assert (np.abs(measures.holding_torque / torque - 1.0) * np.abs(measures.conditioning) < 1e-14).all()
 

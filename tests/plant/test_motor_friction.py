@@ -1,11 +1,10 @@
 import numpy as np
 import pytest
 from plant_runs import Run
-from strategies import ROBOT, UNEQUAL
+from strategies import UNEQUAL
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.plant.closed_chain import ClosedChain
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.robot.leg import FrictionOptions
 from stewart_drake.robot.robot_files import load_robot
@@ -37,31 +36,6 @@ def test_below_break_away_a_motor_yields_5e_6_rad_at_most_and_then_rests(robot, 
     assert np.abs(np.array(angles) - angles[0]).max() <= 5e-6
     assert np.abs(np.diff(angles[10:], axis=0)).max() < 1e-9
     assert np.abs(run.rates).max() < 1e-8
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("robot", [ROBOT, SMALL], ids=["paper", "small"])
-def test_the_closed_chain_with_the_same_friction_sticks_and_slips_alike(robot):
-    # Back and forth over break-away; the two differ to first order in the step.
-    hold = static_torque(robot, robot.home_pose)
-    said = FrictionOptions(coulomb=0.04, break_away=0.06, stribeck_velocity=0.05, viscous=0.02)
-    errors = []
-    for step in (2e-3, 1e-3):
-        chain = ClosedChain(robot, PlantOptions(friction=said, time_step=step), 9.81)
-        state, run = chain.initial(robot.home_pose, np.zeros(6)), Run(robot=robot, time_step=step, friction=said)
-        poses, model = [], []
-        for k in range(round(0.5 / step)):
-            torque = hold + 0.1 * np.sin(2.0 * np.pi * 2.0 * k * step)
-            chain.step(torque, np.zeros(6), state)
-            model.append(state["pose"][0].copy())
-            poses.append(run.hold(torque).to((k + 1) * step).pose)
-        stuck = np.abs(np.diff(poses, axis=0)).max(axis=1) < 1e-5 * step
-        assert 0.05 < stuck.mean() < 0.9  # both happen
-        errors.append(np.abs(np.subtract(model, poses)).max())
-    moved = np.abs(poses - robot.home_pose).max()
-    assert moved > 0.005
-    assert errors[0] < 0.002 * moved
-    assert errors[1] < 0.6 * errors[0]
 
 
 def test_bad_friction_is_refused_in_a_line():

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mujoco_robot import MujocoRobot
 from pydrake.systems.analysis import Simulator
 from strategies import ROBOT
 
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
-from stewart_drake.mujoco_model import MujocoRobot
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.robot.robot_files import load_robot

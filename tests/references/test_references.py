@@ -55,7 +55,7 @@ def test_before_between_and_after_bursts_the_platform_rests_in_the_centre(refere
         np.testing.assert_allclose(acceleration, 0.0, atol=1e-9 * jerk + 1e-5)
 
 
-# What a field alone takes is asked of every section by tests/test_section.py; here are rules between fields.
+# What a field alone takes is asked of every section by tests/test_config.py; here are rules between fields.
 TWO = ((0.0,) * 6, (1.0,) * 6)
 BURSTS = {"frequency": (1.0, 2.0), "amplitude": (CENTER, CENTER)}
 REFUSED = [

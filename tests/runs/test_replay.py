@@ -10,13 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.image import imread
+from PIL import Image
 from pydrake.math import RollPitchYaw
 from strategies import ROBOT
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.runs.replay import nearest_rows, render_png, write_replay
+from stewart_drake.runs.pictures import render_png, write_film
+from stewart_drake.runs.replay import nearest_rows, write_replay
 from stewart_drake.scenario import Scenario
 
 
@@ -141,8 +143,28 @@ def test_what_cannot_be_shown_is_refused_and_writes_nothing(tmp_path):
 @pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="Drake's renderer needs libEGL")
 def test_a_still_shows_the_whole_robot_on_white(tmp_path):
     render_png(ROBOT, ROBOT.home_pose, tmp_path / "robot.png", width=240, height=180, passes=1)
-    image = imread(tmp_path / "robot.png")
-    assert image.shape == (180, 240, 4)
-    edges = [part.reshape(-1, 4) for part in (image[:2], image[-2:], image[:, :2], image[:, -2:])]
+    image = imread(tmp_path / "robot.png")[..., :3]
+    assert image.shape == (180, 240, 3)
+    edges = [part.reshape(-1, 3) for part in (image[:2], image[-2:], image[:, :2], image[:, -2:])]
     assert np.mean(np.concatenate(edges).min(axis=-1) < 0.9) < 0.02
     assert 0.01 < np.mean(image[..., 2] > image[..., 0] + 0.2) < 0.2, "the platform's disc"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="Drake's renderer needs libEGL")
+def test_a_film_shows_each_frame_at_its_time_and_the_reference_in_green(tmp_path):
+    make_log(rows=81).to_gif(tmp_path / "film.gif")
+    frames = []
+    with Image.open(tmp_path / "film.gif") as film:
+        assert (film.n_frames, film.info["duration"], film.info["loop"]) == (9, 50, 0)
+        for number in range(film.n_frames):
+            film.seek(number)
+            frames.append(np.asarray(film.convert("RGB"), dtype=float))
+    assert np.abs(frames[-1] - frames[0]).mean() > 1.0
+    red, green, blue = np.moveaxis(frames[0], -1, 0)
+    assert np.mean((green > red + 20) & (green > blue + 5)) > 0.002
+
+
+def test_a_film_of_another_kind_is_refused_before_anything_is_drawn(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"film: expected a name that ends in \.gif or \.mp4"):
+        write_film(make_log(rows=3), tmp_path / "film.avi")

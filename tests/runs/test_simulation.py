@@ -11,7 +11,7 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics, leg_geometry
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.systems.diagram import ClosedLoop
-from stewart_drake.systems.part_system import PartSystem
+from stewart_drake.systems.library import PartSystem
 
 BRIEF = {"duration": 0.05, "tuner": {"kind": "fixed"}}
 

@@ -108,7 +108,7 @@ def test_the_linear_loop_answers_a_small_push_as_drakes_plant_does(changes):
 )
 def test_it_stands_still_where_the_model_is_wrong_or_the_integral_holds_the_robot(changes):
     made = scenario(*changes)
-    loops = linear_loops(made, sample_poses(made.robot, NEAR, 3, np.random.default_rng(1)).poses)
+    loops = linear_loops(made, sample_poses(made.robot, NEAR, 3, np.random.default_rng(1)))
     assert len(loops.poses) == 3
     assert (radius(loops) < 1.0).all()
 

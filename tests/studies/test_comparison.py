@@ -1,4 +1,3 @@
-import math
 from itertools import product
 
 import numpy as np
@@ -6,7 +5,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.logs.metrics import FAILED
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.comparison import AXES, Comparison
@@ -35,7 +33,6 @@ SMALL = {
     ],
     "bands": {
         "controllers": ["pid"], "condition": "nominal", "axes": ["Z"], "frequencies": [20.0], "transient": 0.05,
-        "window": 0.05,
     },
 }  # fmt: skip
 
@@ -68,7 +65,7 @@ def test_every_run_that_is_asked_for_is_there_once():
 
 @pytest.mark.slow
 def test_bands_move_one_axis_by_what_is_feasible_over_whole_periods():
-    bands = {**SMALL["bands"], "axes": ["Z", "roll"], "frequencies": [0.5, 20.0], "transient": 1.0, "window": 0.7}
+    bands = {**SMALL["bands"], "axes": ["Z", "roll"], "frequencies": [0.5, 20.0], "transient": 1.0}
     comparison = small(bands=bands)
     cells = [(i, cell) for i, cell in enumerate(comparison.cells) if cell.frequency is not None]
     assert [(cell.reference, cell.frequency) for _, cell in cells] == list(product(["Z", "roll"], [0.5, 20.0]))
@@ -76,7 +73,7 @@ def test_bands_move_one_axis_by_what_is_feasible_over_whole_periods():
         scenario = comparison.scenario(index)
         assert scenario.duration == pytest.approx(1.0 + cell.window)
         assert cell.window * cell.frequency == pytest.approx(round(cell.window * cell.frequency))
-        assert cell.window >= 0.7
+        assert cell.window >= 1.0
         axis = AXES.index(cell.reference)
         most = largest_amplitude(scenario.robot, scenario.limits, axis, cell.frequency, 9.81)
         assert cell.amplitude == pytest.approx(min(0.005 if axis == 5 else 0.05, 0.5 * most))
@@ -135,20 +132,6 @@ def test_the_markdown_is_a_table_with_failures_and_the_chosen_one(done):
     assert paper[1:4] == ("-", "-", "failed, crank_dead_centre at t = 0.260 s")
 
 
-@pytest.mark.slow
-def test_with_scales_a_run_has_a_cost_and_controllers_their_mean(tmp_path):
-    runs = [{"controllers": ["pid"], "references": ["sine", "hold"], "conditions": ["nominal"]}, SMALL["runs"][2]]
-    comparison = small(cost={"position": 0.5, "torque_change": 2.0}, runs=runs, best_of={}, bands=None)
-    result = run_study(comparison, tmp_path, Workers(0))
-    rows = result.rows["comparison"]
-    for row in rows:
-        parts = row["rmse_norm_deg"] or 0.0, row["rmse_norm_mm"] or 0.0, row["torque_change_rms"] or 0.0
-        cost = math.hypot(*np.divide(parts, (0.03, 0.5, 2.0)))
-        assert row["cost"] == pytest.approx(cost if row["status"] == "completed" else FAILED)
-    mean = number(float(np.mean([row["cost"] for row in rows if row["controller"] == "pid"])))
-    assert comparison.sheets(result.rows)[0].rows == [("pid", mean, mean), ("paper", "1000", "1000")]
-
-
 def test_settling_of_an_exponential_decay_is_known_and_counts_the_last_time_outside_the_band():
     time = 0.001 * np.arange(12001)
     assert settling_time(time, np.exp(-0.5 * time), 0.05) == pytest.approx(np.log(20.0) / 0.5, abs=2e-3)
@@ -175,7 +158,7 @@ CONTROLLER = {"controllers": {"a": {"controller.perod": 1.0}}, "best_of": {}, "r
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
-        ({"references": {"a|b": {}}}, "references"),
+        ({"references": {}}, "references"),
         (CONTROLLER, "controller"),
         ({"runs": [{**SMALL["runs"][0], "controllers": ["x"]}]}, "runs.0.controllers"),
         ({"best_of": {"b": {"of": ["none"]}}}, "best_of.b.of"),

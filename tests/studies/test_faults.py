@@ -1,4 +1,3 @@
-import dataclasses
 import math
 
 import numpy as np
@@ -23,7 +22,6 @@ from stewart_drake.studies.faults import (
     base,
     holdable_load,
     measure_fault,
-    sheet,
 )
 from stewart_drake.studies.runs import execute
 
@@ -70,28 +68,6 @@ def test_the_catalogue_has_58_faults_and_its_monitors_exist():
     assert {monitor for fault in FAULTS.values() for monitor in fault.monitors} <= set(MONITORS)
 
 
-NEEDED = {
-    "measurement_not_finite": ("pose_nan", {"finite": False, "failures": False}),
-    "command_not_finite": ("command_nan", {"finite": False}),
-    "deadline": ("controller_hangs", {"deadline": None}),
-    "serial_singularity": ("to_dead_centre", {"transmission": None}),
-    "following_error": ("dead_motor_0", {"following_error": None}),
-    "torque_rate": ("command_chatter", {"torque_rate": None}),
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("monitor", NEEDED)
-def test_a_monitor_that_is_switched_off_fails_its_row(monitor):
-    name, off = NEEDED[monitor]
-    fault = FAULTS[name]
-    changes = {**fault.changes, **{f"safety.{key}": value for key, value in off.items()}}
-    broken = fault_row(dataclasses.replace(fault, changes=changes), "hold")
-    assert broken["reaction"] != "refused"
-    assert broken["safety_monitor"] != monitor
-    assert bad_ending(fault, broken) is not None
-
-
 @pytest.mark.slow
 def test_a_rows_figures_are_those_of_its_log():
     fault = FAULTS["command_nan"]
@@ -127,25 +103,6 @@ def test_the_command_writes_a_row_a_run_and_a_line_a_fault_quick_that_of_the_hel
         assert [(row["fault"], row["motion"]) for row in table.to_pylist()] == pairs
         text = (tmp_path / "out" / "faults.md").read_text()
         assert all(f"| {name} | held (deadline" in text and fault.text in text for name, fault in FAULTS.items())
-
-
-def test_a_line_has_an_end_for_each_motion_and_the_worst_figures():
-    def made(fault, motion, reaction, **figures):
-        row = {"fault": fault, "motion": motion, "reaction": reaction, "status": "failed", "safety_leg": None}
-        return {**row, **figures}
-
-    late = {"safety_monitor": "following_error", "latency_ms": 81.0, "peak_error_mm": 9.0, "warnings": "loop_gap"}
-    rows = [
-        made("dead_motor_0", "hold", "ended", **late),
-        made("dead_motor_0", "paper", "ended", **{**late, "safety_leg": 0, "latency_ms": 74.4, "peak_error_mm": 9.125}),
-        # There from the start: a time of its trip is no latency.
-        made("dropped_10_percent", "hold", "held", safety_monitor="deadline", latency_ms=1181.0, peak_torque=0.5),
-    ]
-    first = "ended (following_error, 81 ms): failed, loop gap"
-    assert sheet(rows).rows == [
-        ("dead_motor_0", first, "ended (following_error, 74 ms, leg 0): failed, loop gap", "9.12 mm", "-", "-"),
-        ("dropped_10_percent", "held (deadline): failed", "-", "-", "-", "0.50 N m"),
-    ]
 
 
 @given(poses(0.7), st.integers(0, 5))

@@ -210,7 +210,7 @@ def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
         patch.setattr(versions, "source_digest", lambda: "changed")
         refused("differs in versions")
     (tmp_path / "study.json").unlink()
-    refused("study.json that can be read")
+    refused("study.json, which cannot be read")
     (tmp_path / "own.csv").touch()
     result = run_study(sweep(runs=1, seed=6), tmp_path, HERE, restart=True)
     assert result.rows["sweep"][0]["seed"] == sweep(seed=6).run_seed(0)

@@ -3,8 +3,6 @@ import copy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import parse_yaml
@@ -17,7 +15,6 @@ from stewart_drake.studies.tune import (
     Tuning,
     minimise,
     run_tuning,
-    setting_at,
     write_picture,
 )
 from stewart_drake.studies.workers import Workers
@@ -100,22 +97,6 @@ def test_what_is_found_goes_into_the_comparison(done):
     assert {"tune.md", "tune.png"} <= {path.name for path in folder.iterdir()}
 
 
-@pytest.mark.long
-def test_interrupted_it_goes_on_and_finds_the_same(done, tmp_path):
-    plan, result, _, _ = done
-
-    def stop(count):
-        if count == 38:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_tuning(plan, tmp_path, Workers(0), stop)
-    rows = tmp_path / "rows.jsonl"
-    assert len(rows.read_text().splitlines()) == 38
-    assert run_tuning(tuning(), tmp_path, Workers(0)).rows == result.rows
-    assert len(rows.read_text().splitlines()) == 52
-
-
 def test_in_the_search_alone_some_keys_are_others():
     plan = tuning(**tune_changed(set={"duration": 0.05}))
     assert {plan.comparison.scenario(place).duration for place in plan.cells("pid")} == {0.05}
@@ -123,14 +104,6 @@ def test_in_the_search_alone_some_keys_are_others():
     durations = {cell.controller: verdict.scenario(place).duration for place, cell in enumerate(verdict.cells)}
     assert durations[f"pid, {START}"] == durations[f"pid, {TUNED}"] == 0.12
     assert durations[f"pid, {SEARCHED}"] == 0.05
-
-
-@given(st.floats(0.01, 1.0), st.floats(1.5, 1e4), st.floats(0.0, 1.0))
-def test_points_between_the_logarithms_of_the_bounds_are_settings_between_the_bounds(low, factor, share):
-    lowest, highest = np.log([low]), np.log([low * factor])
-    assert setting_at(["a"], lowest)["a"] == pytest.approx(low, rel=1e-3)
-    middle = lowest + share * (highest - lowest)
-    assert setting_at(["a"], middle)["a"] == pytest.approx(low * factor**share, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake import systems
-from stewart_drake.control.computed_torque import ComputedTorqueOptions
-from stewart_drake.control.joint_pid import PidOptions
+from stewart_drake.control.classical import ComputedTorqueOptions, PidOptions
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.hardware.motors import FrictionCompensation, LinkOptions, MotorOptions
 from stewart_drake.hardware.observer import ObserverOptions
@@ -28,6 +27,7 @@ GRAVITY, PERIOD = 9.81, 0.001
 HOME, ZERO = ROBOT.home_pose, np.zeros(6)
 PLANTS = {kind: build_plant(ROBOT, PlantOptions(rod_joint=kind))[1] for kind in ("universal", "ball")}
 PLANT = PLANTS["universal"]
+
 ENCODERS = EncoderOptions(resolution_bits=17, rate_cutoff=80.0, noise=1e-4, hold_ticks=2)
 
 EVERY = [

@@ -126,14 +126,6 @@ def test_an_encoder_that_fails_is_bridged_and_then_ends_the_run_by_name_and_the_
     assert run(exact(sensors=shorter)).status == "completed"
 
 
-def test_an_ideal_sensor_that_fails_is_bridged_by_the_controller_and_then_ends_the_run():
-    sensors = {"kind": "ideal", "faults": [{"kind": "nan", "time": 0.05}]}
-    log = run(exact("controller.hold_ticks=3", sensors=sensors))
-    assert (log.status, log.reason, log.end_time) == ("failed", "not_finite", pytest.approx(0.053))
-    for name in ("torque", "integral"):
-        np.testing.assert_array_equal(log[name][50:53], np.broadcast_to(log[name][49], (3, 6)))
-
-
 @pytest.mark.parametrize("engine", ["drake", "reduced"])
 @pytest.mark.parametrize(
     ("changes", "reasons"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stewart_drake.runs.simulation import run
-from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.scenario import load_scenario
 
 HOME = [0, 0, 0, 0, 0, 0.3]
 OBSERVER = {"kind": "observer"}
@@ -21,24 +21,6 @@ def error(log, since=0.5):
     signals = log.signals
     off = (signals["pose"] - signals["reference"])[signals["time"] >= since, 3:]
     return 1e3 * float(np.sqrt((off**2).sum(axis=1).mean()))
-
-
-def test_it_is_nearer_than_differences():
-    differences = error(run(made(estimator={"kind": "difference"})))
-    assert error(run(made(friction_compensation={"coulomb": 0.01}))) < 0.25 * differences
-
-
-def test_gains_follow_period_and_delay():
-    fast = load_scenario("exact_breathing", ["tuner={kind: block}"])
-    slow = fast.replace({"controller.period": 0.01})
-    # 2 ticks of 10 ms against 5 ms.
-    for name, power in (("q_pose", 4), ("q_rate", 2), ("q_integral", 6)):
-        assert getattr(slow.tuner, name) == pytest.approx(0.25**power * getattr(fast.tuner, name))
-    assert slow.replace({"controller.period": 0.001}).tuner == fast.tuner
-    assert fast.replace({"estimator": OBSERVER, "estimator.delay": 1}).tuner == fast.tuner
-    own = Scenario(controller={"kind": "pid", "period": 0.01, "kp": 20.0}, plant={"time_step": 0.001})
-    assert own.controller.kp == 20.0
-    assert own.controller.ki == pytest.approx(316.0 * 0.5**3)
 
 
 @pytest.mark.slow

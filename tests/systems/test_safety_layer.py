@@ -55,22 +55,6 @@ def test_level_monitor_and_leg_are_logged_and_told_in_the_metrics(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_fault_of_the_estimator_or_the_controller_is_bridged_and_has_its_cause():
-    encoders = {
-        "kind": "encoders",
-        "hold_ticks": 2,
-        "faults": [{"kind": "nan", "leg": 1, "time": 0.05, "duration": 0.01}],
-    }
-    log = run(scenario(sensors=encoders))
-    assert log.status == "completed"
-    assert (log.safety["monitor"], log.safety["cause"], log.safety["worst"]) == ("sensor_failed", "encoder", "hold")
-    assert log.safety["time"] == 0.052
-    # A limit of the controller's own that the motion soon breaks.
-    log = run(scenario(controller=BASE["controller"] | {"min_transmission": 0.97}, duration=0.3), check=False)
-    assert (log.safety["monitor"], log.safety["cause"]) == ("controller_failed", "crank_dead_centre")
-
-
-@pytest.mark.slow
 def test_a_motor_that_sticks_is_no_sensor_that_failed():
     log = run(load_scenario("sway", ["robot=servo_hexapod", "plant.motor_friction=0.5", "duration=0.5"]))
     assert (log.status, log.reason, log.safety["monitor"]) == ("failed", "reading_stuck", "reading_stuck")

@@ -7,19 +7,15 @@ import pytest
 
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.references import SineBurstsReference
-from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario
 from stewart_drake.training import collect
 from stewart_drake.training.collect import (
     BURST,
     COLUMNS,
     FREQUENCIES,
-    SHARE,
     collect_dataset,
     dataset_from_logs,
-    experiment_reference,
     experiment_scenarios,
     load_dataset,
 )
@@ -60,14 +56,6 @@ def test_densities_are_35_and_36_of_the_logged_errors_and_torques(kind):
             np.testing.assert_allclose(row, expected, rtol=1e-6)
 
 
-def test_densities_are_those_that_the_diagram_computes_while_it_runs(collected):
-    dataset, scenarios = collected
-    for index in (0, 5):
-        log = run(scenarios[index])
-        np.testing.assert_allclose(dataset.inputs[dataset.run == index], log["density"][:SAMPLES], rtol=1e-12)
-        np.testing.assert_array_equal(dataset.outputs[dataset.run == index], log["weights"][:SAMPLES])
-
-
 def log_of(rows, status="completed", pair=(1.0, 1.0), seed=3):
     rng = np.random.default_rng(seed)
     scenario = Scenario.from_dict({"tuner": {"kind": "fixed", "omega_q": pair[0], "omega_r": pair[1]}})
@@ -81,28 +69,6 @@ def test_an_experiment_that_ended_early_stops_the_collection_and_is_named(change
     logs = log_of(31), log_of(**{"rows": 31, "pair": (0.1, 10.0), **changes})
     with pytest.raises(RunFailure, match=r"experiment 1 \(omega_Q 0.1, omega_R 10\).*crank of leg 2"):
         dataset_from_logs(logs, 30, "magnitude", 4, {})
-
-
-@pytest.mark.slow
-def test_the_motion_is_feasible_and_the_share_is_of_the_largest_that_is():
-    # Without the clearance of links, which takes most of the search's time and changes nothing of its logic.
-    given = Scenario.from_dict({"limits": {"clearance": None}})
-    reference = experiment_reference(given)
-    assert reference.frequency == FREQUENCIES
-    assert check_reference(given.robot, given.limits, reference, 8.0, given.gravity).feasible
-    amplitude = np.array(reference.amplitude)
-    assert np.all(amplitude > 0.0)
-    assert np.all(np.diff(amplitude, axis=0) <= 1e-12)  # never larger at a higher frequency
-    for frequency, vector in zip(reference.frequency, amplitude / SHARE, strict=True):
-        for scale, feasible in ((0.99, True), (1.02, False)):
-            burst = SineBurstsReference(
-                frequency=(frequency,),
-                amplitude=(tuple(scale * vector),),
-                phase=reference.phase,
-                burst_duration=BURST,
-            )
-            report = check_reference(given.robot, given.limits, burst, BURST, given.gravity)
-            assert report.feasible == feasible
 
 
 def test_a_collected_dataset_comes_back_whole(tmp_path, collected):
@@ -120,12 +86,10 @@ def test_a_collected_dataset_comes_back_whole(tmp_path, collected):
     ("about", "changed", "words"),
     [
         ({"version": 1}, {}, "of version 2, written by `collect`"),
-        ({"version": 2}, {name: [] for name in COLUMNS}, "0 rows"),
         ({"version": 2}, {"run": None}, "run"),
-        ({"version": 2}, {"density_11": [1.0] * 7 + [np.nan] + [1.0] * 4}, "density_11.*row 7"),
-        ({"version": 2}, {"omega_q": [1.0] * 7 + [0.0] + [1.0] * 4}, "omega_q.*row 7"),
+        ({"version": 2}, {"density_11": [1.0] * 7 + [np.nan] + [1.0] * 4}, "finite"),
     ],
-    ids=range(5),
+    ids=range(3),
 )
 def test_what_is_no_dataset_is_refused_by_its_name(tmp_path, about, changed, words):
     path = tmp_path / "data.parquet"

@@ -1,4 +1,4 @@
-"""Joint-space PID on the crank angles, the controller that most such robots have."""
+"""Classical controllers: PID on the crank angles, which most such robots have, and computed torque in task space."""
 
 from __future__ import annotations
 
@@ -6,36 +6,36 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from stewart_drake.config import NotNegative, Positive
+from stewart_drake.config import NotNegative, Period, Positive
 from stewart_drake.control.base import (
     AT_REFERENCE,
     DERIVATIVE,
+    FREQUENCY,
     INTEGRAL,
     PROPORTIONAL,
     TORQUE,
-    OwnControllerOptions,
-    controller_part,
-    failure,
+    ControllerOptions,
+    law_part,
     measured_legs,
 )
 from stewart_drake.jit import fields, new_record, njit, record
-from stewart_drake.mechanics.dynamics_laws import static_torque
+from stewart_drake.mechanics.dynamics_laws import motion_torque, static_torque
 from stewart_drake.mechanics.kinematics_laws import (
-    LEGS,
     NOT_FINITE,
     OK,
     PARALLEL,
     UNREACHABLE,
     crank_rates,
     legs_at,
-    robot_record,
     twist_of,
 )
 from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
 
+# --- PID of the cranks -----------------------------------------------------------------------------------------------
 
-class PidOptions(OwnControllerOptions):
+
+class PidOptions(ControllerOptions):
     """Options of the joint-space PID; the same gains for all six motors.
 
     The default gains give heave at home the stiffness, damping and integral action that the exact-model LQI has there
@@ -45,7 +45,7 @@ class PidOptions(OwnControllerOptions):
     """
 
     kind: Literal["pid"] = "pid"
-    period: Positive = 0.001
+    period: Period = 0.001
     kp: Annotated[NotNegative, PROPORTIONAL] = 37.3
     """[N m/rad]"""
     ki: Annotated[NotNegative, INTEGRAL] = 316.0
@@ -54,18 +54,12 @@ class PidOptions(OwnControllerOptions):
     """[N m s/rad]"""
     feedforward: Literal["none", "gravity"] = "gravity"
     """gravity: adds the static torque of all bodies at the measured pose."""
-    torque_limit: Positive | None = None
-    """[N m] largest torque of a motor; null takes the robot's `effort_limit`, which nothing exceeds."""
     saturation: Literal["none", "clamp", "back_calculation"] = "clamp"
-    """none: the torque asked for may exceed the limit. clamp: it is limited, and the integral of a motor at its limit
-    grows no further. back_calculation: it is limited, and the integral gives back what was cut within `reset_time`."""
+    """none: the torque asked for may exceed what the motors have. clamp: it is limited, and the integral of a motor at
+    its limit grows no further. back_calculation: it is limited, and the integral gives back what was cut within
+    `reset_time`."""
     reset_time: Positive = 0.05
     """[s] of back_calculation."""
-
-    def limit(self, robot: RobotParameters) -> np.ndarray:
-        """(6,) [N m] of the motors' torques."""
-        own = np.inf if self.torque_limit is None else self.torque_limit
-        return np.asarray(np.minimum(own, robot.effort_limits))
 
     def parts(self, setup: Any) -> tuple[Part, ...]:
         """The controller in a loop, see `part.Setup`."""
@@ -75,10 +69,7 @@ class PidOptions(OwnControllerOptions):
 PID_STATE = fields(torque=6, error=6, integral=6, health=2, crank_integral=6)
 """torque [N m]. error: measured pose minus setpoint [rad, m]. integral: zeros; the PID has its own, of the errors of
 the crank angles [rad s], for the next tick."""
-_SETUP = fields(
-    period=(), gravity=(), min_transmission=(), min_conditioning=(), kp=(), ki=(), kd=(), limit=6, clamp=(),
-    given_back=(),
-)  # fmt: skip
+_PID = fields(period=(), gravity=(), kp=(), ki=(), kd=(), limit=6, clamp=(), given_back=())
 
 
 @njit
@@ -102,7 +93,7 @@ def pid_tick(robots: Any, setups: Any, measurement: Any, reference: Any, leg_rec
     """
     robot, setup, state = record(robots), record(setups), record(states)
     legs, target = record(leg_records[:1]), record(leg_records[1:])
-    status, leg, margin = measured_legs(robot, setup.min_transmission, setup.min_conditioning, measurement, legs)
+    status, leg, margin = measured_legs(robot, measurement, legs)
     if status != OK:
         return status, leg, margin
     bad = legs_at(robot, reference[:6], target)
@@ -131,21 +122,89 @@ def pid_tick(robots: Any, setups: Any, measurement: Any, reference: Any, leg_rec
 
 
 def pid_part(options: PidOptions, robot: RobotParameters, gravity: float) -> Part:
-    """The PID as a part of a loop, for a robot as believed, in a gravity [m/s^2]; its tick raises as `failure`."""
-    robots, legs = robot_record(robot), np.empty(2, LEGS)
+    """The PID as a part of a loop, for a robot as believed, in a gravity [m/s^2]."""
     gives_back = options.saturation == "back_calculation" and options.ki > 0.0
     setup = new_record(
-        _SETUP,
+        _PID,
         options,
         gravity=gravity if options.feedforward == "gravity" else 0.0,
-        limit=np.inf if options.saturation == "none" else options.limit(robot),
+        limit=np.inf if options.saturation == "none" else robot.effort_limits,
         clamp=options.saturation == "clamp",
         given_back=min(1.0, options.period / options.reset_time) / options.ki if gives_back else 0.0,
     )
+    return law_part(pid_tick, robot, setup, PID_STATE)
 
-    def tick(measurement: np.ndarray, reference: np.ndarray, state: np.ndarray) -> None:
-        ended = pid_tick(robots, setup, measurement, reference, legs, state)
-        if ended[0] != OK:
-            raise failure(options.near_singularity, ended, measurement, reference)
 
-    return controller_part(tick, new_record(PID_STATE))
+# --- computed torque -------------------------------------------------------------------------------------------------
+
+
+class ComputedTorqueOptions(ControllerOptions):
+    """Options of the computed-torque controller; all six coordinates of the pose behave alike.
+
+    The default feedback is what the exact-model LQI has on heave at home with weights 4e5, 30, 4e7, 1 and a weight
+    length of 0.11 m.
+    """
+
+    kind: Literal["computed_torque"] = "computed_torque"
+    period: Period = 0.001
+    natural_frequency: Annotated[Positive, FREQUENCY] = 93.8
+    """[rad/s] omega of e'' + 2 damping omega e' + omega^2 (e + integral_frequency z) = 0."""
+    damping: Positive = 0.785
+    """[-]"""
+    integral_frequency: Annotated[NotNegative, FREQUENCY] = 8.47
+    """[rad/s] 0 leaves a PD loop, which errors of the model keep away from the reference."""
+    saturation: Literal["none", "clamp"] = "clamp"
+    """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still
+    meanwhile."""
+
+    def parts(self, setup: Any) -> tuple[Part, ...]:
+        """The controller in a loop, see `part.Setup`."""
+        return (computed_torque_part(self, setup.robot, setup.gravity),)
+
+
+COMPUTED_TORQUE_STATE = fields(torque=6, error=6, integral=6, health=2)
+"""torque [N m]. error: measured pose minus setpoint [rad, m]. integral: z for the next tick [rad s, m s]."""
+_COMPUTED_TORQUE = fields(period=(), gravity=(), natural_frequency=(), damping=(), integral_frequency=(), limit=6)
+
+
+@njit
+def computed_torque_tick(
+    robots: Any, setups: Any, measurement: Any, reference: Any, leg_records: Any, states: Any
+) -> Any:
+    """Inverse dynamics at the measured pose and rate for q''_d - 2 damping omega e' - omega^2 (e + omega_i z).
+
+    The integral grows by period * e after it has been used.
+
+    Arguments and result are as of `pid_tick`, of the numbers of `ComputedTorqueOptions`.
+    """
+    robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
+    status, leg, margin = measured_legs(robot, measurement, legs)
+    if status != OK:
+        return status, leg, margin
+    omega, acceleration = setup.natural_frequency, np.empty(6)
+    for k in range(6):
+        state.error[k] = measurement[k] - reference[k]
+        stiff = omega * omega * (state.error[k] + setup.integral_frequency * state.integral[k])
+        damped = 2.0 * setup.damping * omega * (measurement[6 + k] - reference[6 + k])
+        acceleration[k] = reference[12 + k] - damped - stiff
+    if not motion_torque(robot, legs, measurement, acceleration, setup.gravity, state.torque):
+        return PARALLEL, -1, 0.0
+    cut = False
+    for i in range(6):
+        wanted, limit = state.torque[i], setup.limit[i]
+        if not np.isfinite(wanted):
+            return NOT_FINITE, TORQUE, wanted
+        if abs(wanted) > limit:
+            cut = True
+            state.torque[i] = limit if wanted > 0.0 else -limit
+    if not cut:
+        for k in range(6):
+            state.integral[k] += setup.period * state.error[k]
+    return OK, -1, 0.0
+
+
+def computed_torque_part(options: ComputedTorqueOptions, robot: RobotParameters, gravity: float) -> Part:
+    """Computed torque as a part of a loop, for a robot as believed, in a gravity [m/s^2]."""
+    limit = robot.effort_limits if options.saturation == "clamp" else np.inf
+    setup = new_record(_COMPUTED_TORQUE, options, gravity=gravity, limit=limit)
+    return law_part(computed_torque_tick, robot, setup, COMPUTED_TORQUE_STATE)
