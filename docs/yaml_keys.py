@@ -5,7 +5,8 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 
-from stewart_drake.families import json_schema
+from pydantic import TypeAdapter
+
 from stewart_drake.scenario import Scenario
 from stewart_drake.studies.comparison_file import CompareFile
 from stewart_drake.studies.sweep import SweepFile
@@ -13,18 +14,22 @@ from stewart_drake.studies.sweep import SweepFile
 BOUNDS = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
 NOUNS = {"number": "number", "integer": "whole number", "string": "text", "boolean": "`true` or `false`"}
 TEXT = """Files are YAML. Every key has a default unless it says *required*. An unknown key is refused, with the
-one that you perhaps meant. `--set controller.period=0.002` changes a key on the command line. Where a section has
-kinds, the word in brackets after a key is its kind, and in a scenario a name such as `sensors: encoders` stands for a
-section of that kind alone. Sizes by default are those of the paper's robot; for another one they change in proportion.
-`stewart-drake schema` prints the JSON schema, with which editors complete keys.
+one that you perhaps meant. `--set controller.period=0.002` changes a key on the command line. A number that has a unit
+may be written with another one: `30 deg`, `5 mm`. Where a section has kinds, the word in brackets after a key is its
+kind, and in a scenario a name such as `sensors: encoders` stands for a section of that kind alone. Sizes by default are
+those of the paper's robot; for another one they change in proportion. `stewart-drake schema` prints the JSON schema,
+with which editors complete keys.
 """
 
 
 def options(schema: dict, root: dict) -> list[dict]:
-    """What a value may be, references followed."""
+    """What a value may be, references followed; a number that may have a unit behind it counts as a number."""
     if "$ref" in schema:
         return options(root["$defs"][schema["$ref"].rpartition("/")[2]], root)
-    return [each for option in schema["anyOf"] for each in options(option, root)] if "anyOf" in schema else [schema]
+    if "anyOf" in schema:
+        return [each for option in schema["anyOf"] for each in options(option, root)]
+    kind = schema.get("type")
+    return [{**schema, "type": kind[0]} if isinstance(kind, list) else schema]
 
 
 def items(schema: dict) -> list[dict]:
@@ -121,7 +126,7 @@ def pages() -> Iterator[tuple[str, str]]:
     """A page for each kind of file and for each section family of a scenario, and one that lists all keys."""
     texts = {}
     for file, section in {"scenario": Scenario, "sweep": SweepFile, "comparison": CompareFile}.items():
-        root = json_schema(section)
+        root = TypeAdapter(section).json_schema()
         texts[file] = [f"# {file}\n", f"{root['description'].partition('Keys:')[0].strip()}\n"]
         below = []
         for name, schema in root["properties"].items():
