@@ -107,7 +107,8 @@ def key_lines(path: str, section: dict, root: dict, seen: set[str], kind: str = 
     about, _, keys = section.get("description", "").partition("Keys:")
     texts = dict(re.findall(r"^ +(\w+): (.*)$", keys, re.MULTILINE))  # of keys that the section has inherited
     inside = {name: sections(each, root, f"{path}.{name}") for name, each in properties.items()}
-    yield f"## {path}{kind and f': {kind}'}\n\n{about.strip()}\n"
+    title = f"{path}{kind and f': {kind}'}"
+    yield f"## {'Keys' if title.isidentifier() else title}\n\n{about.strip()}\n"
     values = {name: plain(each.get("const", each.get("default", "..."))) for name, each in properties.items()}
     lines = [f"{name}: {value}" for name, value in values.items() if not inside[name] or value != "..."]
     dash = "  - " if path.endswith("[i]") else "  "
