@@ -61,9 +61,10 @@ docs: install
 docs-quick: install
 	$(SPHINX)
 
-# The README's picture of the robot.
+# The README's picture of the robot, and that of densities in docs/how_it_works.md.
 picture: install
 	$(BIN)/python docs/draw_robot.py
+	$(BIN)/python docs/draw_density.py
 
 # docs/results/calibration.md, and the example of docs/calibration.md.
 calibration: install
