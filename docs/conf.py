@@ -51,7 +51,7 @@ def formula(translator, node):
     """TeX as MathML, which browsers draw themselves; bars are fences, and functions stand apart."""
     display = "block" if isinstance(node, nodes.math_block) else "inline"
     mathml = convert(node.astext(), display=display)
-    mathml = mathml.replace("<mo>&#x0007C;</mo>", '<mo lspace="0" rspace="0" stretchy="false">|</mo>')
+    mathml = re.sub('<mo(?: stretchy="false")?>&#x0007C;', '<mo stretchy="false" lspace="0" rspace="0">|', mathml)
     space = '<mspace width="0.167em"/>'
     mathml = re.sub(r"(?<!<msub>)(?<!<msup>)(<mi>(?:sin|cos|tan|log|atan2|arccos)</mi>)", rf"{space}\1{space}", mathml)
     translator.body.append(mathml)

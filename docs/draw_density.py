@@ -1,4 +1,4 @@
-"""Draws docs/images/density.svg, what a density hears: `python docs/draw_density.py`."""
+"""Draws docs/images/density.svg, what a density says: `python docs/draw_density.py`."""
 
 from pathlib import Path
 
