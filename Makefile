@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test test-all check golden results lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety format clean
+.PHONY: demo install test test-all check golden results lint bench docs docs-quick picture robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -52,9 +52,19 @@ lint: install
 bench: install
 	$(BIN)/pytest tests/benchmarks -p no:xdist -s -q --benchmark-quiet
 
-# The README's picture of the robot.
+# The documentation site, docs/_build/html/index.html, with the notebooks executed: some five minutes.
+SPHINX := $(ONE_THREAD) $(BIN)/python -m sphinx -E -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html
+docs: install
+	$(SPHINX) -D nb_execution_mode=force
+
+# The same with the notebooks as they are: a minute.
+docs-quick: install
+	$(SPHINX)
+
+# The README's picture of the robot, and that of densities in docs/how_it_works.md.
 picture: install
 	$(BIN)/python docs/draw_robot.py
+	$(BIN)/python docs/draw_density.py
 
 # docs/results/calibration.md, and the example of docs/calibration.md.
 calibration: install
@@ -135,4 +145,4 @@ format: install
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) runs dist build .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) runs dist build docs/_build docs/notebooks docs/reference .mypy_cache .ruff_cache .pytest_cache

@@ -47,11 +47,11 @@ class PidOptions(ControllerOptions):
     kind: Literal["pid"] = "pid"
     period: Period = 0.001
     kp: Annotated[NotNegative, PROPORTIONAL] = 37.3
-    """[N m/rad]"""
+    """[N m/rad] torque for the error of a crank's angle."""
     ki: Annotated[NotNegative, INTEGRAL] = 316.0
-    """[N m/(rad s)]"""
+    """[N m/(rad s)] torque for the integral of the error."""
     kd: Annotated[NotNegative, DERIVATIVE] = 0.624
-    """[N m s/rad]"""
+    """[N m s/rad] torque for the error of a crank's rate."""
     feedforward: Literal["none", "gravity"] = "gravity"
     """gravity: adds the static torque of all bodies at the measured pose."""
     saturation: Literal["none", "clamp", "back_calculation"] = "clamp"
@@ -150,7 +150,7 @@ class ComputedTorqueOptions(ControllerOptions):
     natural_frequency: Annotated[Positive, FREQUENCY] = 93.8
     """[rad/s] omega of e'' + 2 damping omega e' + omega^2 (e + integral_frequency z) = 0."""
     damping: Positive = 0.785
-    """[-]"""
+    """[-] damping ratio of the error."""
     integral_frequency: Annotated[NotNegative, FREQUENCY] = 8.47
     """[rad/s] 0 leaves a PD loop, which errors of the model keep away from the reference."""
     saturation: Literal["none", "clamp"] = "clamp"

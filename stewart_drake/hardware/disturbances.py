@@ -75,7 +75,7 @@ class SineWrench(Section, key="disturbances"):
     frequency: Positive
     """[Hz], above 0."""
     phase: Real = 0.0
-    """[rad]"""
+    """[rad] at time 0."""
     kind: Literal["sine"] = "sine"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:

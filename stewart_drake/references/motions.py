@@ -68,11 +68,11 @@ class SineReference(Section, key="reference"):
     center: Annotated[Vector6, HOME_POSE] = HOME
     """[rad, m] by default the robot's home."""
     amplitude: Annotated[Vector6, LENGTH] = (math.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.05)
-    """[rad, m]"""
+    """[rad, m] of each axis."""
     angular_frequency: SixNumbers = (2.0, 2.0, 2.0, 2.0, 2.0, 2.0)
-    """[rad/s]"""
+    """[rad/s] of each axis."""
     phase: SixNumbers = ZERO
-    """[rad]"""
+    """[rad] of each axis at time 0."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         omega, amplitude = np.array(self.angular_frequency), np.array(self.amplitude)
@@ -101,7 +101,7 @@ class SineBurstsReference(Section, key="reference"):
     phase: SixNumbers = ZERO
     """[rad] per axis, the same in every burst."""
     burst_duration: Positive = 1.6
-    """[s]"""
+    """[s] of each burst, its fades included."""
     fade: Positive = 0.2
     """[s] at each end of a burst."""
 

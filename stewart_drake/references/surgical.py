@@ -157,7 +157,7 @@ class TremorReference(Section, key="reference"):
 
     kind: Literal["tremor"] = "tremor"
     center: Annotated[Vector6, HOME_POSE] = HOME
-    """[rad, m]"""
+    """[rad, m] about which the hand trembles; by default the robot's home."""
     rms: Vector6 = (0.0, 0.0, 0.0, 1e-4, 1e-4, 1e-4)
     """[rad, m] root mean square over a long time; peaks are some three times as large."""
     low: Positive = 6.0

@@ -82,15 +82,15 @@ class RobotParameters(Section, key="robot"):
     """Six sections with what each leg has of its own; null for none."""
 
     rod_mass: Size = 0.08
-    """[kg]"""
+    """[kg] of each rod."""
     rod_inertia: Size3 = (0.0016, 0.0016, 0.000001)
     """[kg m^2] about the centre of mass; z along the rod, Ixx = Iyy."""
     crank_mass: Size = 0.04
-    """[kg]"""
+    """[kg] of each crank."""
     crank_inertia: Size3 = (0.000001, 0.000058, 0.000059)
     """[kg m^2] about the centre of mass; x along the crank, y along the motor axis."""
     platform_mass: Size = 1.0
-    """[kg]"""
+    """[kg] of the platform, without payload."""
     platform_inertia: Size3 = (0.003, 0.003, 0.006)
     """[kg m^2] Ixx, Iyy, Izz about its centre of mass, along the axes of P."""
     platform_products: Signed3 = (0.0, 0.0, 0.0)
@@ -102,7 +102,7 @@ class RobotParameters(Section, key="robot"):
     base_mass: Size = 7.0
     """[kg]; welded to the world, so it never acts."""
     base_inertia: Size3 = (0.027, 0.027, 0.054)
-    """[kg m^2]"""
+    """[kg m^2] about the base's centre of mass; the base is fixed, so that it never acts."""
 
     effort_limit: Size = 5.0
     """[N m] largest torque of a motor."""

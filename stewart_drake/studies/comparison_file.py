@@ -41,7 +41,7 @@ class Bands(Section):
     axes: tuple[Literal["roll", "pitch", "yaw", "X", "Y", "Z"], ...] = ("Z", "roll")
     """One after the other."""
     frequencies: tuple[Annotated[Positive, Field(le=100.0)], ...] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-    """[Hz]"""
+    """[Hz] at which amplitude and phase are taken."""
     transient: NotNegative = 3.0
     """[s] before the fit begins; it takes whole periods of 1 s or more."""
 
