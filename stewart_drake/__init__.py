@@ -16,9 +16,12 @@ __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
 
 def __getattr__(name: str) -> object:
     if name == "__version__":
-        from stewart_drake.logs.versions import package_version
+        from importlib.metadata import PackageNotFoundError, version
 
-        return package_version("stewart-drake") or "not installed"
+        try:
+            return version("stewart-drake")
+        except PackageNotFoundError:
+            return "not installed"
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(_HOME[name]), name)

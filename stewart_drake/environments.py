@@ -1,7 +1,6 @@
 """Gymnasium environments on the fast engine: a policy gives the torques, or tunes the regulator. Extra `gym`.
 
-`gymnasium.make("stewart_drake/Track-v0")` and `gymnasium.make("stewart_drake/Tune-v0")` find them, and
-`gymnasium.make_vec` makes many. Each takes a scenario, and every episode is a run of it.
+Importing this module registers `stewart_drake/Track-v0` and `stewart_drake/Tune-v0` for `gymnasium.make`.
 """
 
 from __future__ import annotations
@@ -24,12 +23,6 @@ from stewart_drake.sampling import InBlocks, times_of
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.training.policy_training import GivenTuner
 from stewart_drake.training.situations import TRAINING, kinds_of, situation
-
-
-def register_all() -> None:
-    """Registers both; an entry point, which Gymnasium calls within the namespace `stewart_drake`."""
-    for name in ("Track", "Tune"):
-        gymnasium.register(f"{name}-v0", f"{__name__}:{name}Environment")
 
 
 class _Episode:
@@ -238,3 +231,7 @@ def _hear(
 @njit
 def _follow(setups: Any, wanted: Any, states: Any) -> None:
     settle(record(setups), wanted, 1.0, record(states))
+
+
+for _name in ("Track", "Tune"):
+    gymnasium.register(f"stewart_drake/{_name}-v0", f"{__name__}:{_name}Environment")

@@ -62,6 +62,8 @@ def test_links_lead_somewhere():
     dead = []
     for page, text in PAGES.items():
         for target in re.findall(r"\]\((?!https?://)([^)]+)\)", text):
+            if target.startswith("/reference/"):
+                continue  # made when the site is built, which finds dead links itself
             name, _, heading = target.partition("#")
             path = page.parent / name if name else page
             titles = re.findall(r"^#+ (.*)", path.read_text(), re.MULTILINE) if heading else []

@@ -24,9 +24,9 @@ def test_what_there_is_to_choose_from_is_listed(call):
 @pytest.mark.parametrize(
     ("key", "expected"),
     [
-        ("gravity", {"unit": "m/s^2", "default": 9.81, "allowed": "a number, at least 0 and at most 1e+06"}),
+        ("gravity", {"unit": "m/s^2", "default": 9.81, "allowed": "a number at least 0 and at most 1e+06"}),
         ("payload_mass", {"key": "plant.payload_mass", "unit": "kg", "default": 0.0}),
-        ("tuner.kappa", {"of kind": "policy", "allowed": "a number, at least -1 and at most 1"}),
+        ("tuner.kappa", {"of kind": "policy", "allowed": "a number at least -1 and at most 1"}),
     ],
 )
 def test_a_key_is_explained(call, key, expected):
