@@ -30,7 +30,8 @@ from stewart_drake.scenario import load_scenario
 @click.option("--out", type=opt.PATH, help="Folder for the results [default: runs/NAME, or runs/NAME-2, ...].")
 @opt.overrides()
 @click.option("--force", is_flag=True, help="Replace the results of another scenario in the folder.")
-def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool) -> None:
+@click.option("--video", type=opt.PATH, help="Write a film of the run too: FILE.gif, or FILE.mp4 where ffmpeg is.")
+def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool, video: Path | None) -> None:
     """SCENARIO is a YAML file, or the name of a shipped one such as paper_fig7."""
     from stewart_drake.runs.checks import check_scenario, refuse_unrunnable
     from stewart_drake.runs.simulation import engine_of
@@ -38,6 +39,10 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
 
     loaded = load_scenario(scenario, overrides)
     place = results_place(loaded, out, force)
+    if video is not None:
+        from stewart_drake.runs.pictures import check_film
+
+        check_film(video)
     refuse_unrunnable(loaded)
     with shown_compiling():
         check_scenario(loaded)
@@ -48,7 +53,14 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     with shown_compiling(), progress_bar(loaded.name, loaded.duration) as advance:
         log = simulate(loaded, progress=advance, check=False, engine=engine)
     results = write_run(log, out, graph, force=force)
+    if video is not None and len(log.time):
+        from stewart_drake.runs.pictures import write_film
+
+        with progress_bar("film", log.end_time) as advance:
+            write_film(log, video, progress=advance)
     _print_run(log, results)
+    if video is not None:
+        tell(f"film in {video}")
     if log.status != "completed":
         why = (log.message or "").removeprefix(f"{log.reason}: ")
         say(f"{told(log.status, log.reason, log.outcome_time)}: {why}")

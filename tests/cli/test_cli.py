@@ -109,6 +109,7 @@ def test_tables_are_json_on_request_and_choose_columns_by_the_terminals_width(ca
 # What a scenario refuses is in test_scenario.py, what a check before the run finds in runs/test_simulation.py.
 BAD = [
     # arguments, words that the line must have
+    ("run hold --video film.avi", ["film", ".gif or .mp4", "film.avi"]),
     ("rum", ["rum", "Did you mean 'run'?"]),
     ("run", ["SCENARIO"]),
     ("run paper_fig7 --ot x", ["--ot", "--out"]),
