@@ -187,7 +187,8 @@ def test_ctrl_c_keeps_the_log_and_ends_with_status_130(start, tmp_path):
     code = (
         "from rich.progress import Progress\n"
         "real = Progress.update\n"
-        "Progress.update = lambda *args, **options: (open('ticking', 'w').close(), real(*args, **options))\n"
+        "Progress.update = lambda *args, **options: (\n"
+        "    options.get('completed') and open('ticking', 'w').close(), real(*args, **options))\n"
     )
     args = ("run", "paper_fig7", "--set", "duration=100", "--out", "out")
     process = start(*args, code=code + WITHOUT_PICTURES)
