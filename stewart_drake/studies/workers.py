@@ -33,6 +33,8 @@ WORKER_GONE = (
 )
 DEAD = "its worker process died twice, the second time with this run alone in it: killed, out of memory, or a crash"
 _QUIET = ExitStack()
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+"""Of a worker: with more, those of several workers would be in each other's way."""
 
 
 class Workers(AbstractContextManager["Workers"]):
@@ -60,6 +62,7 @@ class Workers(AbstractContextManager["Workers"]):
         return get_reusable_executor(
             self.count,
             context="loky_init_main",
+            env=_ONE_THREAD,
             timeout=IDLE_TIMEOUT,
             initializer=start_worker,
             initargs=(os.getpid(),),
