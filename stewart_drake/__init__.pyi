@@ -32,6 +32,8 @@ from stewart_drake.plant.multibody_plant import add_plant as add_plant
 from stewart_drake.plant.multibody_plant import build_plant as build_plant
 from stewart_drake.plant.plant_options import PlantOptions as PlantOptions
 from stewart_drake.plant.sdf_model import write_sdf as write_sdf
+from stewart_drake.plotting import plot_states as plot_states
+from stewart_drake.plotting import plot_torques as plot_torques
 from stewart_drake.references import HoldReference as HoldReference
 from stewart_drake.references import SineReference as SineReference
 from stewart_drake.references import paper_reference as paper_reference

@@ -119,7 +119,7 @@ class Scenario(Section):
         with trusting_code(trust_code):
             return super().from_dict(data, key)
 
-    def replace(self, changes: Mapping[str, Any]) -> Scenario:
+    def replace(self, changes: Mapping[str, Any] | None = None, **keys: Any) -> Scenario:
         """The keys that were given with some of them changed, checked again: what was but a default is one anew.
 
         Another `kind` drops the keys that only the old kind has.
@@ -127,11 +127,12 @@ class Scenario(Section):
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as
                 `robot.legs[2].rod_length`, come last. New code is named within `trusting_code`.
+            keys: Likewise, those of the scenario itself.
 
         Raises:
             ConfigurationError: As for the class.
         """
-        return _changed(self.given(), changes)
+        return _changed(self.given(), {**(changes or {}), **keys})
 
     def __repr__(self) -> str:
         """What it is about, in ten lines; `to_yaml` has every key."""

@@ -10,7 +10,7 @@ from typing import Any
 from stewart_drake.errors import ConfigurationError
 
 UNITS: Mapping[str, tuple[str, float]] = {
-    **{"rad": ("rad", 1.0), "deg": ("rad", math.radians(1.0)), "mrad": ("rad", 1e-3)},
+    **{"rad": ("rad", 1.0), "deg": ("rad", math.radians(1.0)), "°": ("rad", math.radians(1.0)), "mrad": ("rad", 1e-3)},
     **{"m": ("m", 1.0), "cm": ("m", 1e-2), "mm": ("m", 1e-3), "um": ("m", 1e-6)},
     **{"s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "min": ("s", 60.0)},
     **{"rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", math.radians(1.0)), "rpm": ("rad/s", math.tau / 60.0)},
@@ -21,8 +21,8 @@ UNITS: Mapping[str, tuple[str, float]] = {
     **{"kg m^2": ("kg m^2", 1.0), "g mm^2": ("kg m^2", 1e-9)},
 }
 """What may stand behind a number in a text, as in `30 deg` -> the unit that it is a multiple of, and its size."""
-_TEXT = r"^[-+.\d]+ *[A-Za-z]"
-_MEASURE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z][\w/^ ]*?)\s*")
+_TEXT = r"^[-+.\d]+ *[A-Za-z°]"
+_MEASURE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z°][\w/^ ]*?)\s*")
 
 
 def in_unit(value: Any, key: str, units: str, place: tuple[int, int] = (0, 1)) -> Any:

@@ -63,9 +63,21 @@ def test_a_unit_that_does_not_fit_is_answered_with_those_that_do(text, answer):
     [
         ([30.0, 0, 0, 0, 0, 0], "30 rad is -?1719 deg: did you mean -?30 deg"),
         ([0, 0, 0, 0, 0, 50.0], "reference.amplitude has 50 m; did you mean 50 mm"),
-        ([0, 0, 0, 0, 0, 0.2], "check` with --"),
+        ([0, 0, 0, 0, 0, 0.2], "check` with --scale or --retime"),
     ],
 )
 def test_a_motion_that_is_refused_says_what_to_do(amplitude, answer):
     with pytest.raises((ConfigurationError, InfeasibleReferenceError), match=answer):
         check_scenario(load_scenario("exact_fig7").replace({"reference.amplitude": amplitude}))
+
+
+def test_a_motion_in_millimetres_and_a_recording_in_milliseconds_are_named(tmp_path):
+    with pytest.raises(InfeasibleReferenceError, match="goes to 300 m: are its lengths in mm"):
+        check_scenario(Scenario(duration=0.1, reference=lambda _: [0, 0, 0, 0, 0, 300]))
+    names = "time_s,pose_roll_rad,pose_pitch_rad,pose_yaw_rad,pose_x_m,pose_y_m,pose_z_m"
+    file = tmp_path / "motion.csv"
+    file.write_text("\n".join([names, *(f"{100 * k},0,0,0,0,0,0.3" for k in range(5))]))
+    with pytest.raises(
+        ConfigurationError, match=r"less than 60 s apart; of times in ms.* got|rows 100 s apart.*time_ms"
+    ):
+        check_scenario(Scenario(duration=0.1, reference={"kind": "recorded", "motion_file": str(file)}))

@@ -133,7 +133,11 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
             with working("looking for the highest speed"):
                 changes["reference"], factor = fit_speed(*motion)
             changes["duration"] = factor * loaded.duration
-            tell(f"feasible {factor:.4f} times slower, over {changes['duration']:.4g} s")
+            tell(
+                "feasible as fast as it is"
+                if factor == 1.0
+                else f"feasible {factor:.4f} times slower, over {changes['duration']:.4g} s"
+            )
         except InfeasibleReferenceError as error:
             tell(f"feasible at no speed; standing still, {error}")
     if out is not None and changes:

@@ -165,7 +165,7 @@ class CodePath(os.PathLike[str]):
 
 def path_of(given: Any) -> str:
     """What stands in a file for a class or an object that was given in Python."""
-    kind = given if isinstance(given, type) else type(given)
+    kind = given if isinstance(given, type) or inspect.isfunction(given) else type(given)
     return f"{kind.__module__}:{kind.__name__}"
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import html
 import importlib.util
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from stewart_drake.config import meant
 from stewart_drake.control.policy import NAMES
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files import tables
@@ -155,7 +156,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
         try:
             return self.signals[name]
         except KeyError:
-            raise KeyError(f"{name}; this log has {', '.join(self.signals)}") from None
+            raise KeyError(f"{name}{meant(name, self.signals)}; this log has {', '.join(self.signals)}") from None
 
     @property
     def reached_end(self) -> bool:
@@ -279,6 +280,15 @@ def _sparkline(time: np.ndarray, values: np.ndarray, unit: str) -> str:
 
 _OUTCOME = tuple(each.name for each in fields(SimulationLog) if each.name not in ("scenario", "signals", "state_names"))
 """What a log says besides its signals."""
+
+
+def distinct_names(logs: Sequence[SimulationLog]) -> list[str]:
+    """Names of their scenarios, numbered where several have the same."""
+    names = [log.scenario.name for log in logs]
+    return [
+        name if names.count(name) == 1 else f"{name} ({names[: place + 1].count(name)})"
+        for place, name in enumerate(names)
+    ]
 
 
 def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLog:

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.logs.log import SIGNALS, SimulationLog
+from stewart_drake.logs.log import SIGNALS, SimulationLog, distinct_names
 from stewart_drake.logs.metrics import INTEGRAL_TIME, run_metrics, tracking_error
 from stewart_drake.plotting import style as look
 
@@ -53,6 +53,8 @@ def plot_states(logs: SimulationLog | Sequence[SimulationLog]) -> Figure:
     Only axes that move, or err, by a tenth of the largest of them are shown.
     """
     drawn = [_drawable(log) for log in ([logs] if isinstance(logs, SimulationLog) else logs)]
+    if not drawn:
+        raise ConfigurationError("logs", [], "one log or more")
     moving = _largest(drawn, [log["reference"] - log["reference"][0] for log in drawn])
     erring = _largest(drawn, [tracking_error(log) for log in drawn])
     panels = [list(_state_panels(log, moving, erring if len(erring) else range(6), len(drawn) == 1)) for log in drawn]
@@ -64,7 +66,8 @@ def plot_states(logs: SimulationLog | Sequence[SimulationLog]) -> Figure:
     for axis in axes[: len(kinds)]:
         _legend(axis)
     if len(drawn) > 1:
-        named = [(log.scenario.name, line) for log, line in zip(drawn, _LINES, strict=False)]
+        names = distinct_names(drawn)
+        named = list(zip(names, _LINES, strict=False))
         look.legend_below(figure, [Line2D([], [], color=look.TEXT, linestyle=line, label=name) for name, line in named])
     return figure
 

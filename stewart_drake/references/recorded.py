@@ -21,6 +21,7 @@ from stewart_drake.sampling import unwrapped
 QUANTITIES = (("time", "s"), *POSE)
 MAX_RECORDING_BYTES = 100_000_000
 MAX_RECORDING_ROWS = 1_000_000
+_FAR_APART = 60.0  # [s]
 DIFFERENCE = 1e-4  # [s] of differences of a pose that is given alone.
 
 
@@ -55,6 +56,10 @@ class RecordedReference(Section, key="reference"):
         from scipy.interpolate import CubicSpline, PPoly
 
         data, t = load_recording(self.motion_file), self.settle
+        apart = self.time_scale * float(np.median(np.diff(data[:, 0])))
+        if apart > _FAR_APART:
+            allowed = f"rows less than {_FAR_APART:g} s apart; of times in ms the column is time_ms"
+            raise ConfigurationError(f"recorded motion {self.motion_file}", f"rows {apart:g} s apart", allowed)
         rows = CubicSpline((data[:, 0] - data[0, 0]) * self.time_scale, data[:, 1:], axis=0)
         pose, rate, acceleration = (rows(rows.x[-1], order) for order in range(3))
         # The rate goes on as a cubic, with its last value and slope at the last row and neither after `settle`.

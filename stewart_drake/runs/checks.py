@@ -24,8 +24,6 @@ from stewart_drake.scenario import Scenario
 
 _LARGEST = {"rad": math.tau, "m": 2.0}
 """Of what a motion is made; more was perhaps meant in degrees or millimetres."""
-_SMALLER = "--scale finds how much smaller it can be done"
-_REMEDY = dict.fromkeys(("crank_speed", "torque"), "--retime finds how much slower it can be done")
 _NUDGES = 100
 _PASSED: set[Any] = set()  # Motions that have passed: a search runs the same one a thousand times.
 
@@ -51,9 +49,10 @@ def check_scenario(scenario: Scenario) -> None:
         try:
             motion_report(scenario).raise_if_infeasible()
         except InfeasibleReferenceError as error:
-            hints = unit_hints(scenario.reference, _LARGEST)
+            hints = unit_hints(scenario.reference, _LARGEST) or _length_hint(scenario)
             error.allowed += "; " + "; ".join(
-                hints or [f"`stewart-drake check` with {_REMEDY.get(error.limit, _SMALLER)}"]
+                hints
+                or ["`stewart-drake check` with --scale or --retime finds how much smaller or slower it can be done"]
             )
             raise
         _check_rates(scenario)
@@ -71,6 +70,13 @@ def check_scenario(scenario: Scenario) -> None:
             if any(scenario.initial_offset):
                 key, value = "initial_offset", list(scenario.initial_offset)
             raise ConfigurationError(key, value, f"a start where the robot can stand ({failure})") from None
+
+
+def _length_hint(scenario: Scenario) -> list[str]:
+    """What a motion says that goes further than metres."""
+    pose, _, _ = scenario.reference.evaluate(np.linspace(0.0, scenario.duration, 101))
+    farthest = float(np.abs(pose[:, 3:]).max())
+    return [f"the motion goes to {farthest:.4g} m: are its lengths in mm?"] if farthest > _LARGEST["m"] else []
 
 
 def _check_rates(scenario: Scenario) -> None:

@@ -20,7 +20,7 @@ from pydrake.systems.framework import DiagramBuilder
 from stewart_drake.config import Positive, check_value
 from stewart_drake.errors import ConfigurationError, drake_guard
 from stewart_drake.files.whole import write_atomically
-from stewart_drake.logs.log import SimulationLog
+from stewart_drake.logs.log import SimulationLog, distinct_names
 from stewart_drake.logs.metrics import error_norms
 from stewart_drake.plant.multibody_plant import add_plant
 from stewart_drake.plant.plant_options import PlantOptions
@@ -56,7 +56,10 @@ def write_replay(
         DrakeCheckError: Drake could not record, such as for want of a free port.
     """
     check_value("frames_per_second", frames_per_second, Positive)
-    runs = [_shown(log, frames_per_second) for log in ([logs] if isinstance(logs, SimulationLog) else logs)]
+    shown = [logs] if isinstance(logs, SimulationLog) else list(logs)
+    runs = [_shown(log, frames_per_second) for log in shown]
+    for run, name in zip(runs, distinct_names(shown), strict=True):
+        run["name"] = name
     # A text in a script element must not end it.
     data = json.dumps(runs).replace("<", "\\u003c")
     page = {"title": html.escape(", ".join(run["name"] for run in runs)), "data": data}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 from stewart_drake.config import Vector6, check_value
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.plant.closed_chain import loaded
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.stability.linear_loop import linear_loops, plant_at
 
 
@@ -55,16 +56,19 @@ class Linearization(NamedTuple):
     loop: StateSpace
 
 
-def linearize(scenario: Scenario, pose: ArrayLike | None = None) -> Linearization:
+def linearize(scenario: Scenario | str | Path, pose: ArrayLike | None = None) -> Linearization:
     """The plant and the loop of a scenario near a pose.
 
     Args:
-        scenario: Its robot, estimator, controller, and weights as at the start; friction is left out.
+        scenario: A scenario, its file or its name. Its robot, estimator and controller count, with the weights of the
+            start; friction is left out.
         pose: (6,) [rad, m]; None takes that of the start.
 
     Raises:
         ConfigurationError: Not six finite numbers; a pose that cannot be held, or a part that has no linear form.
     """
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario)
     at = scenario.start()[0] if pose is None else np.asarray(pose, dtype=float)
     check_value("pose", at, Vector6)
     period = scenario.controller.period

@@ -9,7 +9,7 @@ import pytest
 from made_logs import made_log
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.logs.log import AXIS_NAMES, SIGNALS, load_log
+from stewart_drake.logs.log import AXIS_NAMES, SIGNALS, distinct_names, load_log
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_a_log_saved_as_csv_loads_back_with_the_scenario_that_it_does_not_have(l
 
 def test_a_log_is_a_mapping_and_shows_itself_in_six_lines(log):
     assert (list(log), len(log)) == (list(SIGNALS), len(SIGNALS))
-    with pytest.raises(KeyError, match="pos; this log has time, pose, "):
+    with pytest.raises(KeyError, match="pos.*; this log has time, pose, "):
         log["pos"]
     lines = repr(log).splitlines()
     assert len(lines) == 6
@@ -136,3 +136,10 @@ def test_a_notebook_shows_how_a_log_ended_with_its_error_over_time(log):
     largest = 1e3 * np.linalg.norm((log["pose"] - log["reference"])[:, 3:], axis=1).max()
     assert f"error [mm], at most {largest:.3g}" in page
     assert page.count("<polyline") == 2
+
+
+def test_logs_of_one_scenario_are_told_apart(log):
+    assert distinct_names([log]) == [log.scenario.name]
+    assert distinct_names([log, log]) == [f"{log.scenario.name} (1)", f"{log.scenario.name} (2)"]
+    with pytest.raises(KeyError, match="psoe; did you mean pose"):
+        log["psoe"]
