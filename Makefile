@@ -4,21 +4,28 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+BASE := $(VENV)/.base
 STAMP := $(VENV)/.installed
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 .PHONY: demo install test test-all check golden results lint bench docs docs-quick picture robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety format clean
 
-demo: install
+demo: $(BASE)
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
 
 install: $(STAMP)
 
-$(STAMP): pyproject.toml constraints.txt
+# What users need; `install` adds what tests and documentation need.
+$(BASE): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "Python 3.11 or newer is needed; set PYTHON=...")'
 	$(PYTHON) -m venv --clear $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	$(PIP) -e .
+	touch $@
+
+$(STAMP): $(BASE)
+	$(PIP) -e '.[dev]'
 	touch $@
 
 PYTEST := $(ONE_THREAD) $(BIN)/pytest -n auto --dist loadgroup --ignore=tests/benchmarks
