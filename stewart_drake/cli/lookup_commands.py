@@ -68,7 +68,9 @@ def keys_of(root: Mapping[str, Any], schema: Mapping[str, Any], before: str = ""
     for way in _ways(root, schema):
         kind = way.get("properties", {}).get("kind", {}).get("const", "")
         for name, inner in way.get("properties", {}).items():
-            yield Key(f"{before}{name}", kind, inner)
+            # What a kind is stands above its section.
+            about = {**inner, "description": way.get("description", "")} if name == "kind" else inner
+            yield Key(f"{before}{name}", kind, about)
             if depth < _DEPTH:
                 inside = inner.get("items", inner)
                 yield from keys_of(root, inside, f"{before}{name}.", depth + 1)
