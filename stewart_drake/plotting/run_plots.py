@@ -214,6 +214,8 @@ def _figure(
 def _draw(axis: Axes, log: SimulationLog, panel: _Panel, line: str = "-") -> None:
     style: dict[str, Any] = {"drawstyle": "steps-post" if panel.held else "default", "linestyle": line}
     style["marker"] = "o" if len(log.time) == 1 else None
+    # The panel may show another run already, with limits of its own.
+    axis.autoscale(axis="y")
     for (label, values), color in zip(panel.curves.items(), panel.colors, strict=False):
         axis.plot(log.time, values, color=color, label=label, linewidth=1.6, **style)
     for values in panel.dashed:

@@ -89,6 +89,21 @@ def test_several_runs_share_their_panels():
     assert [text.get_text() for text in axes.get_legend().get_texts()] == [r"$\phi$", "reference"]
 
 
+def test_a_panel_of_several_runs_shows_all_of_each():
+    log = make_log()
+    quiet, loud = (
+        dataclasses.replace(log, signals={**log.signals, "pose": log["reference"] + error})
+        for error in (0.0, np.linspace(0.0, 0.01, 400)[:, None])
+    )
+    for axes in plot_states([quiet, loud]).axes:
+        low, high = axes.get_ylim()
+        for line in axes.lines:
+            values = np.asarray(line.get_ydata(), dtype=float)
+            if len(values) == len(log.time):
+                assert low <= np.nanmin(values)
+                assert np.nanmax(values) <= high
+
+
 def test_each_motor_has_its_panel_with_torque_rms_and_peak_on_one_scale():
     log = make_log()
     figure = plot_torques(log)
