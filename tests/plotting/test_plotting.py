@@ -93,7 +93,7 @@ def test_a_panel_of_several_runs_shows_all_of_each():
     log = make_log()
     quiet, loud = (
         dataclasses.replace(log, signals={**log.signals, "pose": log["reference"] + error})
-        for error in (0.0, np.linspace(0.0, 0.01, 400)[:, None])
+        for error in (np.linspace(0.0, 1e-7, 400)[:, None], np.linspace(0.0, 0.01, 400)[:, None])
     )
     for axes in plot_states([quiet, loud]).axes:
         low, high = axes.get_ylim()
