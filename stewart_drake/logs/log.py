@@ -193,6 +193,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
             f"SimulationLog of {self.scenario.name}: {told(self.status, self.reason, when)}",
             *([] if self.message is None else [f"  {self.message.splitlines()[0]}"]),
             f"  controller {self.scenario.controller.kind}, tuner {self.scenario.tuner.kind}, a tick every {tick:g} s",
+            *(f"  {note}" for note in [getattr(self.scenario.reference, "note", "")] if note),
             f"  {len(time)} rows{row}",
             f"  signals: {', '.join(self.signals)}",
             f"  warnings: {', '.join(warning['name'] for warning in self.warnings) or 'none'}",

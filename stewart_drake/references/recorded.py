@@ -102,6 +102,13 @@ class UserReference(UserMade, key="reference"):
         made = loaded if inspect.isfunction(loaded) else super().construct(offered)
         return made if hasattr(made, "evaluate") or not callable(made) else _PoseFunction(self, made)
 
+    @property
+    def note(self) -> str:
+        """What to say of its rates, once it was asked; empty where they are its own."""
+        return (
+            "rates of the motion are differences of its poses" if type(vars(self).get("made")) is _PoseFunction else ""
+        )
+
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         times = np.asarray(time, dtype=float)
         answers = np.reshape([self._answer(each) for each in times.ravel().tolist()], (*times.shape, 3, 6))

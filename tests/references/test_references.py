@@ -82,7 +82,9 @@ def test_a_function_of_the_pose_alone_is_a_motion_with_rates_by_differences():
         return np.array(CENTER) + [0.1 * np.sin(2.0 * t), 0.0, 0.0, 0.0, 0.0, 0.01 * np.cos(3.0 * t)]
 
     times = np.linspace(0.0, 1.0, 7)
-    pose, rate, acceleration = Scenario(reference=wave).reference.evaluate(times)
+    reference = Scenario(reference=wave).reference
+    pose, rate, acceleration = reference.evaluate(times)
+    assert "differences" in reference.note
     np.testing.assert_allclose(pose[:, 0], 0.1 + 0.1 * np.sin(2.0 * times), atol=1e-15)
     np.testing.assert_allclose(rate[:, 0], 0.2 * np.cos(2.0 * times), atol=1e-7)
     np.testing.assert_allclose(acceleration[:, 5], -0.09 * np.cos(3.0 * times), atol=1e-5)
