@@ -13,9 +13,11 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import AbstractContextManager, ExitStack
 from functools import lru_cache
+from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 
 from joblib.externals.loky import get_reusable_executor
+from joblib.externals.loky.backend import resource_tracker as loky_tracker
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, quiet_libraries
 from stewart_drake.logs import versions
@@ -158,7 +160,10 @@ def _work_off(
 
 
 def _submit(executor: Executor, *call: Any) -> Future[Any]:
-    # Ctrl-C is not for the processes that this may start: this one ends them, without a traceback from each.
+    # Ctrl-C is not for the processes that this may start: this one ends them, without a traceback from each. The
+    # trackers of resources come first: starting one lifts the mask.
+    for tracker in (loky_tracker, resource_tracker):
+        tracker.ensure_running()
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         return executor.submit(*call)
