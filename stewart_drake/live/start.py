@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 
+from stewart_drake.errors import RunFailure
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.server import LiveServer
 from stewart_drake.live.session import CONTROLLERS, LiveSession
@@ -22,7 +25,13 @@ def start_live(scenario: Scenario) -> tuple[LiveSession, LiveServer]:
     for changes in CONTROLLERS.values():
         warm.change(changes)
         warm.advance(2)
-    session = LiveSession(scenario, lambda loop: view.show(loop.time, view.stewart.assemble(loop.pose), loop.wanted))
+
+    def show(loop: LiveLoop) -> None:
+        # A robot that falls may be where its rods just no longer span; the picture then stays.
+        with suppress(RunFailure):
+            view.show(loop.time, view.stewart.assemble(loop.pose), loop.wanted)
+
+    session = LiveSession(scenario, show)
     robot = scenario.robot
     about = {
         "name": scenario.name,
