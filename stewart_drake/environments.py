@@ -19,7 +19,7 @@ from stewart_drake.errors import RunFailure
 from stewart_drake.jit import njit, record
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.runs.engine import FastLoop
-from stewart_drake.sampling import InBlocks, times_of
+from stewart_drake.sampling import times_of
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.training.policy_training import GivenTuner
 from stewart_drake.training.situations import TRAINING, kinds_of, situation
@@ -31,10 +31,6 @@ class _Episode:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario, self.loop = scenario, FastLoop(scenario)
         self._step = scenario.plant.time_step
-        self._sources = [
-            (self.loop.running.signal(each.signal), InBlocks(each.evaluate, self._step))
-            for each in self.loop.parts.sources
-        ]
         self.loop.begin()
         self.now, self.end = 0, round(scenario.duration / self._step)
         self._before = np.zeros(6)
@@ -55,8 +51,7 @@ class _Episode:
 
     def _answer(self) -> None:
         self._before[:] = self.loop.torque
-        for signal, table in self._sources:
-            signal[:] = table.at(self.now)[1]
+        self.loop.fill(self.now)
         self.loop.answer(self.now)
 
     @property

@@ -77,6 +77,15 @@ class FastLoop:
         self.running = Running(self.parts.parts, outside, {"plant_pose": _POSE, "crank_state": _CRANKS})
         self.state = self.running.signal("plant").view(CHAIN_STATE)
         self.torque, self._wrench = self.running.signal(self.parts.torque), self.running.signal("wrench")
+        time_step = scenario.plant.time_step
+        self._tables = [
+            (self.running.signal(each.signal), InBlocks(each.evaluate, time_step)) for each in self.parts.sources
+        ]
+
+    def fill(self, now: int) -> None:
+        """Writes the signals of time alone, as the scenario has them, for a step of the plant."""
+        for signal, table in self._tables:
+            signal[:] = table.at(now)[1]
 
     def begin(self) -> None:
         """Puts the robot where the scenario starts."""
@@ -109,9 +118,6 @@ class FastRun:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario, self._loop = scenario, FastLoop(scenario)
         self._running, time_step = self._loop.running, scenario.plant.time_step
-        self._sources = [
-            (self._running.signal(each.signal), InBlocks(each.evaluate, time_step)) for each in self._loop.parts.sources
-        ]
         self._rows = np.empty((int(scenario.duration / time_step + 1e-6) + 1, len(self._running.values)))
         self._now, self._count = 0, 0
 
@@ -133,8 +139,7 @@ class FastRun:
             self._row()
 
     def _row(self) -> None:
-        for signal, table in self._sources:
-            signal[:] = table.at(self._now)[1]
+        self._loop.fill(self._now)
         self._loop.answer(self._now)
         self._rows[self._count] = self._running.values
         self._count += 1
