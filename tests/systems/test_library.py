@@ -8,41 +8,26 @@ import pytest
 from conftest import make_network
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from setups import setup_for
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake import systems
-from stewart_drake.control.classical import ComputedTorqueOptions, PidOptions
 from stewart_drake.control.lqi import LqiOptions
-from stewart_drake.hardware.motors import FrictionCompensation, LinkOptions, MotorOptions
 from stewart_drake.hardware.observer import ObserverOptions
-from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import paper_reference
-from stewart_drake.safety import SafetyOptions
 from stewart_drake.systems.library import PlatformWrench
 
 GRAVITY, PERIOD = 9.81, 0.001
-HOME, ZERO = ROBOT.home_pose, np.zeros(6)
 PLANTS = {kind: build_plant(ROBOT, PlantOptions(rod_joint=kind))[1] for kind in ("universal", "ball")}
 PLANT = PLANTS["universal"]
 
-ENCODERS = EncoderOptions(resolution_bits=17, rate_cutoff=80.0, noise=1e-4, hold_ticks=2)
-
 EVERY = [
     systems.AnnTuner(make_network(), PERIOD),
-    systems.CommandLink(LinkOptions(), PERIOD, 1, ZERO),
-    systems.ComputedTorque(ROBOT, ComputedTorqueOptions(), GRAVITY),
     systems.DensityFeatures(4, PERIOD),
-    systems.FrictionFeedforward(ROBOT, FrictionCompensation(coulomb=0.01), PERIOD),
-    systems.JointPid(ROBOT, PidOptions(), GRAVITY),
     systems.LqiController(ROBOT, LqiOptions(solver="split", period=PERIOD), GRAVITY),
-    systems.MotorDrive(MotorOptions(ripple=0.01), PERIOD),
-    systems.MotorEncoders(ENCODERS, PERIOD),
-    systems.PlatformObserver(ROBOT, ObserverOptions(), GRAVITY, PERIOD, 2e-5, HOME, ZERO, ZERO, size=6),
-    systems.PoseEstimator(ROBOT, ENCODERS, PERIOD, HOME + 0.002),
-    systems.SafetyLayer(ROBOT, SafetyOptions(), GRAVITY, PERIOD, ZERO),
 ]
 PLAIN = [PlatformWrench(PLANT, ()), systems.ReferenceSource(paper_reference()), systems.TaskSpaceSensor(PLANT)]
 """Those without a part."""
@@ -67,6 +52,17 @@ def test_ports_are_those_of_the_docstring(system):
     for (way, name), port in ports.items():
         attribute = f"{name}_out" if way == "out" and ("in", name) in ports else name
         assert getattr(system, attribute).get_index() == port.get_index()
+
+
+def test_any_part_of_a_scenario_is_a_system():
+    (part,) = ObserverOptions().parts(setup_for(reading=6))
+    system = systems.PartSystem(part, PERIOD)
+    context = system.CreateDefaultContext()
+    home = ROBOT.home_pose
+    system.reading.FixValue(context, inverse_kinematics(ROBOT, home))
+    system.sent.FixValue(context, np.zeros(6))
+    system.reference.FixValue(context, [*home, *np.zeros(12)])
+    np.testing.assert_allclose(system.measurement.Eval(context)[:6], home, atol=1e-9)
 
 
 @settings(max_examples=30)
