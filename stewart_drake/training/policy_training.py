@@ -110,8 +110,8 @@ class GivenTuner(PolicyTuner):
 
 def tuned_by(chooser: Chooser, scenario: Scenario, kappa: float = 0.0) -> Scenario:
     """A scenario with block weights, its settings chosen by an object."""
-    base = dict(zip(("q_pose", "q_rate", "q_integral", "r"), scenario.tuner.weights, strict=True))
-    tuner = GivenTuner(**base, kappa=kappa)
+    q_pose, q_rate, q_integral, r = scenario.tuner.weights
+    tuner = GivenTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=kappa)
     vars(tuner)["chosen_by"] = chooser
     return scenario.replace({"tuner": tuner})
 
