@@ -34,27 +34,18 @@ class Source(NamedTuple):
 class Loop(NamedTuple):
     """The loop of a scenario.
 
-    Attributes:
-        parts: In order.
-        sources: Signals of time alone: `reference` (18,), where an observer looks ahead `reference_ahead` (18,), with
-            disturbances `wrench` (6,).
-        torque: Name of the signal (6,) [N m] that the plant gets.
-        reading: Name of what the controller's side reads: `reading`, or `plant_pose` itself.
-        first: Index of the controller's first part; those before it are sensors.
-        last: Index after the controller's last part but the late ones; those behind it carry the command to the motors.
-        logged: Signals by their names in a log; an array stays as it is.
-
     The plant gives the signals `plant_pose` (12,), pose [rad, m] and rate, and `crank_state` (12,), angles [rad] and
     their rates.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[Part, ...]  # In order.
+    # `reference` (18,), where an observer looks ahead `reference_ahead` (18,), with disturbances `wrench` (6,).
     sources: tuple[Source, ...]
-    torque: str
-    reading: str
-    first: int
-    last: int
-    logged: Mapping[str, str | np.ndarray]
+    torque: str  # Name of the signal (6,) [N m] that the plant gets.
+    reading: str  # Name of what the controller's side reads: `reading`, or `plant_pose` itself.
+    first: int  # Index of the controller's first part; those before it are sensors.
+    last: int  # Index after its last part but the late ones; those behind carry the command to the motors.
+    logged: Mapping[str, str | np.ndarray]  # Signals by their names in a log; an array stays as it is.
 
 
 def loop_of(scenario: Scenario, split: bool = False) -> Loop:

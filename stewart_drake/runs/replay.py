@@ -40,15 +40,7 @@ def write_replay(logs: SimulationLog | Sequence[SimulationLog], path: str | Path
 
     The page has play and pause, a time slider, speed and loop, and traces of errors and torques whose cursor follows.
     A green translucent disc shows where the reference wants the platform. Each frame is the row of the log nearest to
-    it in time; between frames the browser interpolates.
-
-    Args:
-        logs: A run, completed or not, or several.
-        path: The page to write; about 2.5 MB a run and 2 kB for each frame.
-
-    Raises:
-        ConfigurationError: No row of finite state, or a folder that is missing or not writable.
-        DrakeCheckError: Drake could not record, such as for want of a free port.
+    it in time; between frames the browser interpolates. A page has about 2.5 MB a run and 2 kB for each frame.
     """
     shown = [logs] if isinstance(logs, SimulationLog) else list(logs)
     runs = [_shown(log) for log in shown]
@@ -105,14 +97,9 @@ def _digits(values: np.ndarray) -> list[float]:
 
 
 def nearest_rows(time: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frames of an animation for which there is a row, and the row nearest to each.
+    """Frames (k,) at a rate [1/s] for which there is a row, by their number, and the row (k,) nearest to each.
 
-    Args:
-        time: (n,) [s] ascending, from 0 on.
-        rate: [1/s] frames.
-
-    Returns:
-        Frame numbers (k,), ascending, and indices (k,) into `time`. Frames between sparser rows are left out.
+    Rows are at times (n,) [s], ascending from 0 on; frames between sparser rows are left out.
     """
     frame = np.rint(time * rate).astype(int)
     order = np.lexsort((np.abs(time - frame / rate), frame))
@@ -134,12 +121,7 @@ def _record(log: SimulationLog, frames: np.ndarray, rows: np.ndarray, rate: floa
 
 
 class RobotView:
-    """A robot and its reference in a Meshcat that only this machine can open.
-
-    Attributes:
-        meshcat: With our camera and background.
-        stewart: The plant that is drawn, with `assemble`.
-    """
+    """A robot, the plant `stewart`, and its reference in a Meshcat that only this machine can open."""
 
     def __init__(self, robot: RobotParameters, rod_joint: RodJoint = "universal") -> None:
         # Drake announces every Meshcat; ours is seen in a page of our own.
