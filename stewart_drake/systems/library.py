@@ -1,13 +1,14 @@
 """The LeafSystems of the loop, to wire by hand: parts in one shell, `PartSystem`, and what has no tick.
 
-The paper's controller has classes of its own; any other part is `PartSystem(part, period)`, with its part from the
-section that has its options, such as `ObserverOptions().parts(setup)` for the `parts.setup_of` a scenario.
+The systems of the paper's controller take their own options. The others take a scenario, and are the part that its loop
+has: `PlatformObserver(Scenario(sensors="encoders", estimator="observer"))`. A part of your own is `PartSystem(part,
+period)`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydrake.common.value import Value
@@ -20,10 +21,12 @@ from stewart_drake.control.network import DensityKind, TunerNetwork, density_par
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.hardware.disturbances import Disturbance, total_wrench
 from stewart_drake.part import Part
+from stewart_drake.parts import loop_of
 from stewart_drake.plant.multibody_plant import StewartPlant
 from stewart_drake.references import Reference, in_blocks
 from stewart_drake.robot import RobotParameters
 from stewart_drake.sampling import on_grid
+from stewart_drake.scenario import Scenario
 
 _AHEAD = 1.0 + 4e-10
 """A tick's instant begins a little early: decimal times, at which others may ask, come before the stretched ones."""
@@ -174,6 +177,68 @@ class AnnTuner(PartSystem):
 
     def __init__(self, network: TunerNetwork, period: float, initial: Sequence[float] = (1.0, 1.0)) -> None:
         super().__init__(network_part(network, initial), period)
+
+
+class ScenarioSystem(PartSystem):
+    """The part of that name in the loop of a scenario; its ports are the part's.
+
+    Raises:
+        ConfigurationError: The loop has no such part.
+    """
+
+    name: ClassVar[str]
+
+    def __init_subclass__(cls, part: str) -> None:
+        super().__init_subclass__()
+        cls.name = part
+
+    def __init__(self, scenario: Scenario) -> None:
+        parts = {part.name: part for part in loop_of(scenario).parts}
+        if self.name not in parts:
+            allowed = f"a scenario whose loop has the part {self.name}; it has {', '.join(parts)}"
+            raise ConfigurationError("scenario", scenario.name, allowed)
+        part = parts[self.name]
+        super().__init__(part, scenario.plant.time_step if part.every_step else scenario.controller.period)
+
+
+class JointPid(ScenarioSystem, part="controller"):
+    """`controller: pid`; measurement, reference -> torque, error, integral."""
+
+
+class ComputedTorque(ScenarioSystem, part="controller"):
+    """`controller: computed_torque`; measurement, reference -> torque, error, integral."""
+
+
+class MotorEncoders(ScenarioSystem, part="encoders"):
+    """`sensors: encoders`, angles of the cranks as they are read; crank_state -> reading."""
+
+
+class PoseEstimator(ScenarioSystem, part="estimator"):
+    """`estimator: difference`, forward kinematics and differences; reading -> measurement."""
+
+
+class PlatformObserver(ScenarioSystem, part="observer"):
+    """`estimator: observer`; reading, sent, reference, disturbance -> measurement, ahead, compensation, innovation."""
+
+
+class FrictionFeedforward(ScenarioSystem, part="friction_compensation"):
+    """`friction_compensation`, torque against the motors' friction; reference -> against_friction."""
+
+
+class CommandLink(ScenarioSystem, part="link"):
+    """`link`, which loses, delays and spoils commands at every step of the plant; torque -> torque, age."""
+
+
+class MotorDrive(ScenarioSystem, part="motors"):
+    """`motors`, the torque of imperfect motors at every step of the plant; torque, crank_state -> torque."""
+
+
+class SafetyLayer(ScenarioSystem, part="safety"):
+    """`safety`, which passes on what may go to the motors.
+
+    command, measurement, reference, age, sensor_health, controller_health, angles, innovation, pose_reading -> torque,
+    safety; a port for which there is no signal may be left alone.
+    """
 
 
 class ReferenceSource(LeafSystem):

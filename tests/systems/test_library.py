@@ -8,16 +8,16 @@ import pytest
 from conftest import make_network
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from setups import setup_for
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake import systems
 from stewart_drake.control.lqi import LqiOptions
-from stewart_drake.hardware.observer import ObserverOptions
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import paper_reference
+from stewart_drake.scenario import Scenario
 from stewart_drake.systems.library import PlatformWrench
 
 GRAVITY, PERIOD = 9.81, 0.001
@@ -54,15 +54,41 @@ def test_ports_are_those_of_the_docstring(system):
         assert getattr(system, attribute).get_index() == port.get_index()
 
 
-def test_any_part_of_a_scenario_is_a_system():
-    (part,) = ObserverOptions().parts(setup_for(reading=6))
-    system = systems.PartSystem(part, PERIOD)
+SCENARIOS = {
+    systems.JointPid: {"controller": "pid"},
+    systems.ComputedTorque: {"controller": "computed_torque"},
+    systems.MotorEncoders: {"sensors": "encoders"},
+    systems.PoseEstimator: {"sensors": "encoders"},
+    systems.PlatformObserver: {"sensors": "encoders", "estimator": "observer"},
+    systems.FrictionFeedforward: {"friction_compensation": {"coulomb": 0.01}},
+    systems.CommandLink: {"link": {"drop_probability": 0.1}},
+    systems.MotorDrive: {"motors": {"ripple": 0.1}},
+    systems.SafetyLayer: {"safety": {}},
+}
+
+
+@pytest.mark.parametrize("kind", SCENARIOS, ids=lambda kind: kind.__name__)
+def test_a_part_of_a_scenario_has_the_ports_that_its_class_names(kind):
+    system = kind(Scenario(**SCENARIOS[kind]))
+    line = " ".join(inspect.getdoc(kind).split())
+    named = re.search(r"([a-z_, ]+) -> ([a-z_, ]+)", line)
+    inputs, outputs = (set(re.findall(r"\w+", names)) for names in named.groups())
+    assert (inputs, outputs) == (set(system.part.inputs) - {"time"}, set(system.part.outputs))
+
+
+def test_a_scenario_without_the_part_is_refused():
+    with pytest.raises(ConfigurationError, match="whose loop has the part observer.*; it has controller"):
+        systems.PlatformObserver(Scenario())
+
+
+def test_an_observer_wired_by_hand_knows_where_the_platform_is():
+    system = systems.PlatformObserver(Scenario(sensors="encoders", estimator="observer"))
     context = system.CreateDefaultContext()
     home = ROBOT.home_pose
     system.reading.FixValue(context, inverse_kinematics(ROBOT, home))
     system.sent.FixValue(context, np.zeros(6))
     system.reference.FixValue(context, [*home, *np.zeros(12)])
-    np.testing.assert_allclose(system.measurement.Eval(context)[:6], home, atol=1e-9)
+    np.testing.assert_allclose(system.measurement.Eval(context)[:6], home, atol=1e-4)
 
 
 @settings(max_examples=30)
