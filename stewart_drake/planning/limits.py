@@ -54,8 +54,8 @@ class Limits(Section, key="limits"):
     """[-] how near the platform may come to a pose that the rods cannot hold (a parallel singularity), where it is 0:
     smallest ratio of the singular values of the rods' lines."""
     transmission: Ratio | None = 0.2
-    """[-] how near a crank may come to its dead centre, in one line with its rod, where it is 0: smallest |cosine| of the
-    angle between the rod and the way of the crank's end, |e_l . e_N|."""
+    """[-] how near a crank may come to its dead centre, in one line with its rod, where it is 0: smallest |cosine| of
+    the angle between the rod and the way of the crank's end, |e_l . e_N|."""
     joint_swing: Annotated[Positive, Field(le=math.pi)] | None = math.radians(65.0)
     """[rad] largest swing of a rod from home, seen in the platform (ball) and in its crank (universal joint). The
     paper's own reference (37), (38) needs 63.1 deg at the universal joint of leg 2."""
