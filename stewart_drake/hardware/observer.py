@@ -312,5 +312,5 @@ def _error(status: int, leg: int, margin: float, reading: np.ndarray, state: np.
         return UnreachablePoseError(reading[:6].copy(), leg, margin)
     if status in (SERIAL, PARALLEL):
         return singular_pose(status, leg, margin, state["measurement"][0, :6].copy())
-    text = f"encoder readings {pose_text(reading[:6])}: {leg} is missing or not believed"
+    text = f"encoder readings {pose_text(reading[:6])}: encoder {leg} is missing or not believed"
     return RunFailure(text, reason="encoder", leg=leg)

@@ -42,6 +42,7 @@ function trace(title, unit, names) {
   }, data, box);
   new ResizeObserver(() => plot.setSize({ width: box.clientWidth - 12, height: 190 })).observe(box);
   return {
+    box,
     data,
     add(time, values) {
       if (data[0].length && time < data[0].at(-1)) data.forEach((each) => { each.length = 0; });
@@ -98,7 +99,6 @@ async function begin() {
   at("frozen-label").hidden = !about.encoders;
   options(at("controller"), about.controllers.map((name) => [name, name]));
   at("controller").addEventListener("change", (event) => tell({ do: "controller", name: event.target.value }));
-  at("kappa-label").hidden = !about.kappa;
   at("kappa").addEventListener("input", (event) => { at("kappa-text").textContent = Number(event.target.value).toFixed(1); });
   at("kappa").addEventListener("change", (event) => change({ "tuner.kappa": Number(event.target.value) }));
   at("pause").addEventListener("click", () => tell({ do: "pause", on: !(last && last.paused) }));
@@ -123,6 +123,9 @@ async function begin() {
     traces.error.add(last.time, [last.position_mm]);
     traces.angle.add(last.time, [last.rotation_deg]);
     traces.torque.add(last.time, last.torque);
+    // Not every controller has a tuner.
+    at("kappa-label").hidden = !(about.kappa && last.setting);
+    if (traces.setting) traces.setting.box.hidden = !last.setting;
     if (traces.setting && last.setting) traces.setting.add(last.time, last.setting.slice(0, 4));
     stale = true;
   };

@@ -90,6 +90,17 @@ def test_a_push_shows_in_the_trace_and_a_dead_motor_in_the_torque(page):
     )
 
 
+def test_smoothness_is_there_where_the_controller_has_a_tuner(browser):
+    session = Live("exact_breathing", "--set", "plant.engine=reduced")
+    page = browser.new_page()
+    page.goto(session.url)
+    wait(page, "last && !document.getElementById('kappa-label').hidden", 60_000)
+    page.select_option("#controller", "PID of each motor")
+    wait(page, "document.getElementById('kappa-label').hidden && traces.setting.box.hidden")
+    page.close()
+    assert session.end() == 0
+
+
 def test_pausing_stops_the_clock(page):
     page.click("#pause")
     wait(page, "last.paused")
