@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stewart_drake.config import Vector6, check_value
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import installed_with
 from stewart_drake.plant.closed_chain import loaded
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.stability.linear_loop import linear_loops, plant_at
@@ -29,12 +28,10 @@ class StateSpace(NamedTuple):
         """The same as a `control.StateSpace` of python-control.
 
         Raises:
-            ConfigurationError: python-control is not installed.
+            MissingPackageError: python-control is not installed.
         """
-        if importlib.util.find_spec("control") is None:
-            allowed = "an installation with python-control: pip install control"
-            raise ConfigurationError("to_control", "no control", allowed)
-        import control
+        with installed_with("stewart-drake[control]"):
+            import control
 
         return control.ss(*self)
 
