@@ -135,7 +135,7 @@ def _ticking(section: str, options: Any, setup: Setup, ports: Mapping[str, np.nd
     part: Part = parts[0]
     initial, layout = part.initial.copy(), part.initial.dtype.fields
     says, keeps = (
-        np.concatenate([layout[name][1] // 8 + np.arange(part.size(name)) for name in names.split()])  # type: ignore[index]
+        np.concatenate([np.arange(0), *(layout[name][1] // 8 + np.arange(part.size(name)) for name in names.split())])  # type: ignore[index]
         for names in table[options.kind]
     )
     if options.kind == "observer":
