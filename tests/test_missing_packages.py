@@ -11,7 +11,7 @@ import pytest
 from stewart_drake.calibration.result import Calibration
 from stewart_drake.errors import ConfigurationError, MissingPackageError, installed_with
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.stability.linearize import StateSpace
+from stewart_drake.stability.linear_loop import StateSpace
 from stewart_drake.studies.workers import Workers
 
 ROOT = Path(__file__).parent.parent
