@@ -71,7 +71,8 @@ def page_of(target: Path) -> Path | None:
 def file_page(target: Path) -> str:
     """A page that shows a file; Markdown as it reads, anything else as it is."""
     if target.suffix == ".md":
-        return f"---\norphan: true\n---\n```{{include}} /../{target.relative_to(ROOT)}\n```\n"
+        include = f"```{{include}} /../{target.relative_to(ROOT)}\n:relative-docs: docs/\n```"
+        return f"---\norphan: true\n---\n{include}\n"
     text = f"---\norphan: true\nnosearch: true\n---\n# {target.name}\n\n`{target.relative_to(ROOT)}`\n\n"
     language = {".py": "python", ".yaml": "yaml"}.get(target.suffix, "text")
     return f"{text}```{{literalinclude}} /../{target.relative_to(ROOT)}\n:language: {language}\n:linenos:\n```\n"

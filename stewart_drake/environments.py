@@ -8,14 +8,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
-from gymnasium import spaces
 
 from stewart_drake.control.base import Measurement, Setpoint
 from stewart_drake.control.features import FEATURES, CostScales, cost
 from stewart_drake.control.policy import Policy, load_policy, settle
-from stewart_drake.errors import RunFailure
+from stewart_drake.errors import RunFailure, installed_with
 from stewart_drake.jit import njit, record
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.runs.engine import FastLoop
@@ -23,6 +21,10 @@ from stewart_drake.sampling import times_of
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.training.policy_training import hear, tuned_by
 from stewart_drake.training.situations import TRAINING, kinds_of, situation
+
+with installed_with("stewart-drake[gym]"):
+    import gymnasium
+    from gymnasium import spaces
 
 
 class _Episode:

@@ -7,6 +7,7 @@ Two families matter to a caller. `ConfigurationError` is bad input, found before
 from __future__ import annotations
 
 import copyreg
+import shlex
 import sys
 import traceback
 import warnings
@@ -76,6 +77,20 @@ class InfeasibleReferenceError(ConfigurationError):
 
     def __str__(self) -> str:
         return f"reference: breaks the limit {self.limit} with {self.value}; expected {self.allowed}"
+
+
+class MissingPackageError(ConfigurationError, ImportError):
+    """A package that not everybody needs is not installed; see `installed_with`."""
+
+    reason = "missing_package"
+
+    def __init__(self, package: str, requirement: str, instead: str = "") -> None:
+        hint = f"; {instead}" if instead else ""
+        self.remedy = f"pip install {shlex.quote(requirement)}{hint}"
+        super().__init__(package, None, f"an installed package; {self.remedy}")
+
+    def __str__(self) -> str:
+        return f"{self.key} is not installed: {self.remedy}"
 
 
 class RunFailure(StewartDrakeError, RuntimeError):
@@ -208,6 +223,19 @@ def raised_at(error: BaseException) -> str:
     if not frames or isinstance(error, (RecursionError, MemoryError)):
         return ""
     return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+
+
+@contextmanager
+def installed_with(requirement: str, instead: str = "") -> Iterator[None]:
+    """Around an import: where the package is missing, says what pip has to install, and what does without it.
+
+    Raises:
+        MissingPackageError: The package is missing.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise MissingPackageError((error.name or requirement).partition(".")[0], requirement, instead) from None
 
 
 @contextmanager

@@ -239,12 +239,9 @@ def _train_policy(out: Path, seed: int) -> tuple[str, list[tuple[str, str]]]:
 
 def _train_paper(dataset: Path, out: Path, seed: int) -> tuple[str, list[tuple[str, str]]]:
     from stewart_drake.training.collect import load_dataset
-
-    data = load_dataset(dataset)
-
     from stewart_drake.training.train import TrainingOptions, train_network
 
-    options = TrainingOptions(seed=seed)
+    data, options = load_dataset(dataset), TrainingOptions(seed=seed)
     prepare_file(out)
     with progress_bar("training", float(options.epochs), unit="epochs") as advance:
         result = train_network(data, options, progress=advance)

@@ -7,7 +7,7 @@ import io
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
-from stewart_drake.files.tables import need_pandas
+from stewart_drake.errors import installed_with
 
 
 class Report(ABC):
@@ -47,9 +47,9 @@ class Report(ABC):
         return stream.getvalue()
 
     def to_pandas(self) -> Any:
-        """`rows` as a pandas.DataFrame; a `ConfigurationError` where pandas is not installed."""
-        need_pandas("rows() gives the same as tuples")
-        import pandas as pd
+        """`rows` as a pandas.DataFrame; a `MissingPackageError` where pandas is not installed."""
+        with installed_with("pandas", "rows() gives the same as tuples"):
+            import pandas as pd
 
         return pd.DataFrame(self.rows(), columns=self.columns)
 

@@ -7,7 +7,6 @@ any of its units, and without one in that of SI; `pose_` may be left out.
 from __future__ import annotations
 
 import csv
-import importlib.util
 import io
 import json
 import math
@@ -181,10 +180,3 @@ def parquet_about(path: str | Path, source: str, key: str, most_bytes: int, made
         text = "another Parquet file" if isinstance(error, KeyError) else " ".join(str(error).split())[:200]
         raise ConfigurationError(source, text, f"a Parquet file from {made_by}") from None
     return dict(about)
-
-
-def need_pandas(instead: str) -> None:
-    """Asks for pandas, and says what gives the same without it."""
-    if importlib.util.find_spec("pandas") is None:
-        allowed = f"an installation with pandas: pip install pandas; {instead}"
-        raise ConfigurationError("to_pandas", "no pandas", allowed)

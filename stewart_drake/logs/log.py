@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import importlib.util
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -14,7 +13,7 @@ import numpy as np
 
 from stewart_drake.config import meant
 from stewart_drake.control.policy import NAMES
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, installed_with
 from stewart_drake.files import tables
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.outcomes import Status, told
@@ -212,18 +211,18 @@ class SimulationLog(Mapping[str, np.ndarray]):
 
     def to_pandas(self) -> Any:
         """The signals as a pandas.DataFrame, a column per component."""
-        tables.need_pandas("table() gives the same as an Arrow table")
+        with installed_with("pandas", "table() gives the same as an Arrow table"):
+            import pandas  # noqa: F401 - pyarrow loads it
         return self.table().to_pandas()
 
     def to_xarray(self) -> Any:
         """The signals as an xarray.Dataset over time [s], each with its units and what it is.
 
         Raises:
-            ConfigurationError: xarray is not installed.
+            MissingPackageError: xarray is not installed.
         """
-        if importlib.util.find_spec("xarray") is None:
-            raise ConfigurationError("to_xarray", "no xarray", "an installation with xarray: pip install xarray")
-        import xarray
+        with installed_with("xarray"):
+            import xarray
 
         variables, dimensions = {}, {AXIS_NAMES: "axis", LEG_NAMES: "leg"}
         for name, values in self.signals.items():

@@ -22,7 +22,6 @@ from stewart_drake.training.collect import (
     experiment_scenarios,
     feasible_amplitudes,
 )
-from stewart_drake.training.train import Split, TrainingOptions, r_squared, train_network
 
 PAPER_AMPLITUDE = (np.pi / 6.0,) * 3 + (0.3,) * 3
 """[rad, m] what section III.D names, for every frequency from 1 to 5 Hz."""
@@ -42,6 +41,8 @@ def run_distances(dataset: Dataset) -> np.ndarray:
 
 def best_possible_scores() -> Scores:
     """R^2 over the nine pairs of an estimator that knows the ratio alone: equal ratios give equal data."""
+    from stewart_drake.training.train import r_squared
+
     labels = np.log10(PAIRS)
     _, group = np.unique(np.round(labels[:, 0] - labels[:, 1], 9), return_inverse=True)
     targets = (*labels.T, labels[:, 0] - labels[:, 1])
@@ -50,6 +51,8 @@ def best_possible_scores() -> Scores:
 
 
 def reproduce(study: Study) -> Result:
+    from stewart_drake.training.train import Split, TrainingOptions, train_network  # loads torch
+
     base, own, window = study.base, study.base.tuner.density, study.base.tuner.window
     scenarios = experiment_scenarios(base, study.pick(SAMPLES_PER_RUN, 640))
     logs = list(study.run(dict(enumerate(scenarios))).values())

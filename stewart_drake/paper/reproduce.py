@@ -93,6 +93,7 @@ def reproduce(
 ) -> dict[str, Result]:
     """All claims by module; with `out` numbers.json, the network and the figures go there."""
     results: dict[str, Result] = {}
+    import_module("stewart_drake.training.train")  # where torch is missing, not after minutes
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory() as scratch:

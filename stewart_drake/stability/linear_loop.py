@@ -7,7 +7,6 @@ The exact robot without friction, estimator and controller of a run by central d
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from stewart_drake.config import Vector6, check_value
-from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError
+from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError, installed_with
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.part import Part, Setup
@@ -140,7 +139,7 @@ def _ticking(section: str, options: Any, setup: Setup, ports: Mapping[str, np.nd
     part: Part = parts[0]
     initial, layout = part.initial.copy(), part.initial.dtype.fields
     says, keeps = (
-        np.concatenate([layout[name][1] // 8 + np.arange(part.size(name)) for name in names.split()])  # type: ignore[index]
+        np.concatenate([np.arange(0), *(layout[name][1] // 8 + np.arange(part.size(name)) for name in names.split())])  # type: ignore[index]
         for names in table[options.kind]
     )
     if options.kind == "observer":
@@ -264,12 +263,10 @@ class StateSpace(NamedTuple):
         """The same as a `control.StateSpace` of python-control.
 
         Raises:
-            ConfigurationError: python-control is not installed.
+            MissingPackageError: python-control is not installed.
         """
-        if importlib.util.find_spec("control") is None:
-            allowed = "an installation with python-control: pip install control"
-            raise ConfigurationError("to_control", "no control", allowed)
-        import control
+        with installed_with("stewart-drake[control]"):
+            import control
 
         return control.ss(*self)
 

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from joblib.externals.loky import get_reusable_executor
 from joblib.externals.loky.backend import resource_tracker as loky_tracker
 
-from stewart_drake.errors import ConfigurationError, StewartDrakeError, quiet_libraries
+from stewart_drake.errors import ConfigurationError, StewartDrakeError, installed_with, quiet_libraries
 from stewart_drake.logs import versions
 
 K = TypeVar("K", bound=Hashable)
@@ -198,11 +198,8 @@ def start_worker(parent: int) -> None:
 
 
 def _connected(address: str) -> Any:
-    try:
+    with installed_with("stewart-drake[dask]"):
         import distributed
-    except ImportError:
-        allowed = "an installation with Dask: pip install 'stewart-drake[dask]'"
-        raise ConfigurationError("--scheduler", address, allowed) from None
     # One line of ours stands for the tracebacks that it logs of a cluster that goes away.
     for name in [each for each in logging.root.manager.loggerDict if each.startswith(("distributed", "tornado"))]:
         logging.getLogger(name).disabled = True

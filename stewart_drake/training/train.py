@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-import torch
 from pydantic import Field
 
 from stewart_drake.config import Fraction, Positive, Section, Seed, Window
 from stewart_drake.control.network import HIDDEN, INPUTS, OUTPUTS, TunerNetwork
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, installed_with
 from stewart_drake.training.collect import Dataset
+
+with installed_with("torch", "everything but the training of the paper's network does without it"):
+    import torch
 
 Split = Literal["samples", "runs"]
 

@@ -1,6 +1,5 @@
 import dataclasses
 import json
-import sys
 
 import numpy as np
 import pyarrow as pa
@@ -113,12 +112,7 @@ def test_what_is_no_log_is_named_in_one_line(log, tmp_path):
         log.save(tmp_path / "log.xlsx")
 
 
-def test_a_log_becomes_a_frame_of_pandas_and_without_pandas_the_remedy_is_named(log, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ConfigurationError, match="pip install pandas"):
-        log.to_pandas()
-    monkeypatch.undo()
-    monkeypatch.undo()
+def test_a_log_becomes_a_frame_of_pandas(log):
     np.testing.assert_array_equal(log.to_pandas()["pose_x_m"], log["pose"][:, 3])
 
 
