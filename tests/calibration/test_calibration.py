@@ -77,20 +77,6 @@ def test_derivatives_are_those_of_finite_differences(robot, seed):
         assert (ahead - behind) / 2e-4 == pytest.approx(slope @ way, abs=1e-8)
 
 
-@given(many, st.integers(0, 1000))
-@settings(max_examples=8)
-def test_a_changed_robot_gives_its_change_back_and_reads_as_the_encoders_do(robot, seed):
-    change = np.zeros(SIZE)
-    change[:OF_ROBOT] = np.random.default_rng(seed).uniform(-2e-3, 2e-3, OF_ROBOT)
-    other = as_robot(robot, change)
-    assert change_to(robot, other) == pytest.approx(change, abs=1e-12)
-    # Forward kinematics of the robot at readings is the pose that the model predicts from them.
-    near = targets(robot, 4)
-    at, _ = Model(robot).predicted(change, near.angles, near.marker)
-    pose = forward_kinematics(other, near.angles, near.pose)
-    assert at == pytest.approx(transform_of(pose), abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("name", "known"), list(zip(ROBOTS, [("platform",), FRAMES, ("base",), ()], strict=True)), ids=ROBOTS
 )

@@ -40,20 +40,6 @@ def test_a_pose_beyond_half_a_turn_is_refused_with_what_was_meant(call, tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_code_that_a_scenario_runs_is_named_and_not_run(call, tmp_path):
-    folder = tmp_path / "given"
-    folder.mkdir()
-    (folder / "mine.py").write_text("raise AssertionError('it was run')\n")
-    text = "controller: {kind: python, system: 'mine.py:Mine'}\nduration: 1\nreference: {kind: sine}\n"
-    (folder / "mine.yaml").write_text(text)
-    line = f"runs code: {folder / 'mine.py'}:Mine"
-    status, out, _ = call("check", "given/mine.yaml", "--scale", "--out", "fit.yaml")
-    assert f"{line}; `run` asks for --trust-code\n" in out
-    assert load_scenario("fit.yaml", trust_code=True).controller.code.file == folder / "mine.py"
-    status, out, err = call("check", "given/mine.yaml", "--set", "controller.kind=no_such_file.py:Popen")
-    assert (status, out, err.count("\n")) == (2, "", 1)
-
-
 @pytest.mark.slow
 def test_what_cannot_be_done_is_named_and_the_scenario_written_can_be(call):
     status, out, err = call("check", "paper_fig7", *FAST)

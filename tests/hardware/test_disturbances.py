@@ -4,22 +4,13 @@ from conftest import field_of
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.disturbances import (
-    ConstantWrench,
     ImpulseWrench,
     NoiseWrench,
-    SineWrench,
     StepWrench,
 )
 from stewart_drake.sampling import on_grid
 
 WRENCH = (0.1, -0.2, 0.3, 4.0, -5.0, 6.0)
-ALL = [
-    ConstantWrench(wrench=WRENCH),
-    StepWrench(wrench=WRENCH, time=0.3, until=0.7),
-    ImpulseWrench(impulse=WRENCH, time=0.3),
-    SineWrench(wrench=WRENCH, frequency=5.0, phase=0.4),
-    NoiseWrench(rms=tuple(map(abs, WRENCH)), seed=3),
-]
 
 
 def test_a_step_begins_and_ends_when_it_says():

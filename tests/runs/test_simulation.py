@@ -55,8 +55,10 @@ def test_uncompensated_gravity_ends_in_a_dead_centre_and_keeps_its_log():
     assert transmission.min() < 0.2
 
 
-def test_a_run_that_breaks_at_its_first_tick_has_a_log_without_rows(tmp_path):
-    log = run(scenario(model_robot={"home_height": 0.2, "rod_length": 0.2}))
+@pytest.mark.parametrize("engine", ["drake", "reduced"])
+def test_a_run_that_breaks_at_its_first_tick_has_a_log_without_rows(tmp_path, engine):
+    # A believed robot that cannot stand at the start.
+    log = run(scenario(model_robot={"home_height": 0.2, "rod_length": 0.2}, plant={"engine": engine}))
     assert (log.status, log.reason, log.end_time) == ("failed", "unreachable_pose", 0.0)
     assert {name: values.shape for name, values in log.signals.items() if len(values)} == {}
     log.save(tmp_path / "log.parquet")

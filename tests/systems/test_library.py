@@ -78,14 +78,3 @@ def test_the_sensor_sees_the_plant_at_its_state(pose, rate, rod_joint):
     np.testing.assert_allclose(system.measurement.Eval(context), [*pose, *rate], atol=1e-12)
     cranks = [*inverse_kinematics(ROBOT, pose), *(pose_jacobian(ROBOT, pose) @ rate)]
     np.testing.assert_allclose(system.crank_state.Eval(context), cranks, atol=1e-11)
-
-
-def test_the_reference_is_that_of_the_contexts_time_without_state_or_events():
-    reference = paper_reference()
-    system = systems.ReferenceSource(reference, PERIOD)
-    context = system.CreateDefaultContext()
-    assert context.num_total_states() == 0
-    for time in (0.0, 0.3, 1.70005, 0.3):  # back in time too: nothing stale in the cache
-        context.SetTime(time)
-        expected = np.concatenate(reference.evaluate(time))
-        np.testing.assert_allclose(system.reference.Eval(context), expected, rtol=0.0, atol=1e-12)

@@ -11,7 +11,6 @@ from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.systems.diagram import ClosedLoop
 
-WEIGHTS = ("q_pose", "q_rate", "q_integral")
 ENCODERS = {"kind": "encoders", "rate_cutoff": 150.0}
 
 
@@ -124,19 +123,3 @@ def test_an_encoder_that_fails_is_bridged_and_then_ends_the_run_by_name_and_the_
     # One that fails for less than that does not end it.
     shorter = {**ENCODERS, "hold_ticks": 4, "faults": [fault | {"duration": 0.004}]}
     assert run(exact(sensors=shorter)).status == "completed"
-
-
-@pytest.mark.parametrize("engine", ["drake", "reduced"])
-@pytest.mark.parametrize(
-    ("changes", "reasons"),
-    [
-        ({"tuner": {"kind": "block", **dict.fromkeys(WEIGHTS, 1e-300), "r": 1e300}}, {"riccati", "not_finite"}),
-        # A believed robot that cannot stand at the start.
-        ({"model_robot": {"home_height": 0.2, "rod_length": 0.2}}, {"unreachable_pose"}),
-    ],
-)
-def test_a_first_tick_that_fails_ends_the_run_by_name_with_a_log(changes, reasons, engine):
-    log = run(exact(plant={"engine": engine}, **changes))
-    assert log.status == "failed"
-    assert log.reason in reasons
-    assert log.end_time == 0.0

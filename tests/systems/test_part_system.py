@@ -1,4 +1,4 @@
-"""A part in Drake's shell: when it ticks, what it sees, what it leaves in the Context."""
+"""A part in Drake's shell; that a tick sees the plant of its own instant is in test_loop."""
 
 import math
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import LogVectorOutput
 
 from stewart_drake.errors import RiccatiError
 from stewart_drake.jit import fields, new_record
@@ -40,37 +39,12 @@ class Clock(LeafSystem):
         )
 
 
-class Counter(LeafSystem):
-    """Stands for a plant: counts its own steps, and keeps what it saw at the last of them."""
-
-    def __init__(self, period):
-        super().__init__()
-        self.DeclareVectorInputPort("seen", 1)
-        count, kept = self.DeclareDiscreteState(1), self.DeclareDiscreteState(1)
-        self.DeclareStateOutputPort("count", count)
-        self.DeclareStateOutputPort("kept", kept)
-        self.DeclarePeriodicDiscreteUpdateEvent(on_grid(period), 0.0, self.step)
-
-    def step(self, context, discrete):
-        discrete.set_value(0, context.get_discrete_state(0).value() + 1.0)
-        discrete.set_value(1, self.EvalVectorInput(context, 0).value())
-
-
-def wire(source, part, period, log_period=None):
-    """Diagram of a source and a part, the system of the part, and its logs by output."""
+def wire(part, period):
+    """Diagram of a clock and a part, and the system of the part."""
     builder = DiagramBuilder()
     system = builder.AddSystem(PartSystem(part, period))
-    builder.Connect(builder.AddSystem(source).get_output_port(0), system.input)
-    if source.num_input_ports():
-        builder.Connect(system.value, source.get_input_port())
-        builder.ExportOutput(source.GetOutputPort("kept"), "kept")
-    sinks = {}
-    if log_period is not None:
-        ports = {"value": system.value, "rest": system.rest}
-        if source.num_input_ports():
-            ports["kept"] = source.GetOutputPort("kept")
-        sinks = {name: LogVectorOutput(port, builder, log_period) for name, port in ports.items()}
-    return builder.Build(), system, sinks
+    builder.Connect(builder.AddSystem(Clock()).get_output_port(0), system.input)
+    return builder.Build(), system
 
 
 def read(port, context):
@@ -80,7 +54,7 @@ def read(port, context):
 
 @pytest.mark.parametrize("stop", [0.0, 0.3, 0.5, 7.25, 12.999])
 def test_outputs_answer_within_the_tick_and_are_held_to_the_next(stop):
-    diagram, system, _ = wire(Clock(), sampler(), 0.5)
+    diagram, system = wire(sampler(), 0.5)
     simulator = Simulator(diagram)
     if stop:
         simulator.AdvanceTo(stop)  # the tick at `stop` itself is still to come
@@ -93,7 +67,7 @@ def test_outputs_answer_within_the_tick_and_are_held_to_the_next(stop):
 
 
 def test_what_a_late_part_says_acts_from_the_next_tick_on():
-    diagram, system, _ = wire(Clock(), sampler(late=True), 0.5)
+    diagram, system = wire(sampler(late=True), 0.5)
     assert not system.HasAnyDirectFeedthrough()
     simulator = Simulator(diagram)
     assert read(system.value, simulator.get_context()) == [-1.0]
@@ -105,26 +79,9 @@ def test_what_a_late_part_says_acts_from_the_next_tick_on():
 
 def test_an_error_ends_the_simulation_and_one_of_a_run_carries_its_time():
     for failure in (RiccatiError("none"), KeyError("other")):
-        diagram, _, _ = wire(Clock(), sampler(1.5, failure), 0.5)
+        diagram, _ = wire(sampler(1.5, failure), 0.5)
         with pytest.raises(type(failure)):
             Simulator(diagram).AdvanceTo(10.0)
         # The frames of a traceback hold references to Contexts that die with the Simulator; pydrake may crash.
         failure.__traceback__ = None
         assert getattr(failure, "time", None) == (on_grid(1.5) if isinstance(failure, RiccatiError) else None)
-
-
-@pytest.mark.parametrize(
-    ("step", "period"),
-    [(0.001, 0.005), (0.001, 0.001), (1 / 7000, 1 / 700)],
-)
-def test_tick_k_sees_the_plant_of_its_own_instant_and_acts_from_there_on(step, period):
-    # The plant's update of the same instant must not leak into the tick, nor into what is stored of it.
-    ratio = round(period / step)
-    diagram, _, sinks = wire(Counter(step), sampler(), period, log_period=on_grid(step))
-    simulator = Simulator(diagram)
-    simulator.AdvanceTo(2000.4 * step)
-    value, rest, kept = (sinks[name].FindLog(simulator.get_context()).data() for name in ("value", "rest", "kept"))
-    np.testing.assert_array_equal(value[0], np.arange(2001) // ratio * ratio)
-    np.testing.assert_array_equal(rest[1], [sum(range(0, k + 1, ratio)) for k in range(2001)])
-    # Step n - 1 used the value of its own tick; the log shows it at n.
-    np.testing.assert_array_equal(kept[0, 1:], np.arange(2000) // ratio * ratio)

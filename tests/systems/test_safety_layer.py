@@ -55,6 +55,18 @@ def test_level_monitor_and_leg_are_logged_and_told_in_the_metrics(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("kind", ["nan", "inf"])
+@pytest.mark.parametrize(
+    ("safety", "ends"), [(None, ("failed", "not_finite")), ({}, ("stopped", "command_not_finite"))], ids=str
+)
+def test_a_torque_that_is_no_number_never_ends_in_success(kind, safety, ends):
+    # Saturation in Drake's plant would let NaN through, and cut infinity to a torque that looks sound.
+    log = run(scenario(duration=1.0, safety=safety, link={"faults": [{"kind": kind, "time": 0.1, "leg": 2}]}))
+    assert (log.status, log.reason) == ends
+    assert np.isfinite(log["torque_applied"][:-1]).all()
+
+
+@pytest.mark.slow
 def test_a_motor_that_sticks_is_no_sensor_that_failed():
     log = run(load_scenario("sway", ["robot=servo_hexapod", "plant.motor_friction=0.5", "duration=0.5"]))
     assert (log.status, log.reason, log.safety["monitor"]) == ("failed", "reading_stuck", "reading_stuck")
