@@ -24,7 +24,6 @@ from stewart_drake.runs.checks import check_scenario
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
 from stewart_drake.studies.runs import identity
-from stewart_drake.studies.sweep import Sweep, SweepFile
 
 SHORT = {"duration": 0.1, "tuner": {"kind": "fixed"}}
 HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
@@ -88,13 +87,6 @@ def test_what_a_reference_raises_is_told_before_the_run_and_in_it_keeps_the_log(
     assert len(log.time) > 50
     with pytest.raises(InfeasibleReferenceError):
         check_scenario(Scenario(**SHORT, reference=ToyReference(50.0)))
-
-
-def test_a_disturbance_adds_to_the_others(tmp_path):
-    others = {"kind": "constant", "wrench": [0.0] * 5 + [0.5]}
-    scenario = Scenario(**SHORT, disturbances=(ToyPush, others, ToyPush(2.0)), reference={"kind": "hold"})
-    log = checked_logged_and_plotted(scenario, tmp_path)
-    np.testing.assert_allclose(log["disturbance"][:, 5], 0.5 + 3.0 * log.time, rtol=1e-6)
 
 
 class ToySensorOptions(SensorOptions):
@@ -249,13 +241,6 @@ def test_a_metric_by_its_path_is_computed_in_its_runs_alone(tmp_path):
         run(of("other"))
     mine = Metric("mine", "1", "a number", lambda t: np.float32(t.steps), "steps")
     assert run_metrics(run(Scenario(**SHORT, metrics=[mine])))["mine"] > 10
-
-
-def test_what_was_given_in_python_is_refused_where_results_are_kept():
-    own = Scenario.from_dict(SHORT).replace({"reference": ToyReference(0.002)})
-    drawn = {"gravity": {"kind": "uniform", "low": 9.0, "high": 10.0}}
-    with pytest.raises(ConfigurationError, match=r"reference.kind: .*a class by its import path.*ToyReference"):
-        Sweep(own, SweepFile(scenario="own", distributions=drawn), name="own", indices=range(2))
 
 
 def test_a_copy_keeps_what_was_given_in_python_and_another_object_is_another_scenario():

@@ -11,13 +11,13 @@ from strategies import ROBOTS, UNEQUAL
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.kinematics import conditioning, inverse_kinematics
+from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mujoco_model import mjcf_text
 from stewart_drake.planning.limits import Limits, limit_margins, measure_poses
 from stewart_drake.plant.sdf_model import sdf_text
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LegParameters
-from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
+from stewart_drake.robot.robot_files import load_robot, save_robot
 from stewart_drake.safety import SafetyOptions, safety_part
 from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
 
@@ -102,15 +102,6 @@ def test_robots_that_cannot_be_built_are_refused_by_the_name_of_each_part(change
 
 # --- files -----------------------------------------------------------------------------------------------------------
 
-NAMES = ["paper", "reachy_mini", "servo_hexapod"]
-
-
-def test_three_robots_are_shipped_and_say_what_they_are():
-    assert robot_names() == NAMES
-    assert all(robot_about(name) for name in NAMES)
-    assert load_robot("paper") == RobotParameters()
-    assert all(conditioning(load_robot(name), load_robot(name).home_pose) > 0.1 for name in NAMES)
-
 
 def test_the_shipped_robots_stand_at_home_as_their_makers_and_remarks_have_them():
     reachy, hexapod = load_robot("reachy_mini"), load_robot("servo_hexapod")
@@ -137,19 +128,6 @@ def test_a_scenario_takes_a_robot_by_name_by_file_and_as_a_section(tmp_path):
         save_robot(robot, tmp_path / "robot.yaml", "one")
         assert load_robot(tmp_path / "robot.yaml") == robot
         assert Scenario.from_dict(Scenario(robot=robot).to_dict()).robot == robot
-
-
-@pytest.mark.parametrize(
-    ("text", "key"),
-    [("rod_length: -1", "robot.rod_length"), ("rod: 1", "robot.rod"), ("[1]", "robot file"), (None, "robot")],
-)
-def test_a_file_of_no_robot_is_refused_by_name(tmp_path, text, key):
-    path = tmp_path / "mine.yaml"
-    if text is not None:
-        path.write_text(text)
-    with pytest.raises(ConfigurationError) as caught:
-        Scenario(robot=str(path))
-    assert field_of(caught.value).startswith(key)
 
 
 # --- tables, and what was meant --------------------------------------------------------------------------------------

@@ -65,20 +65,6 @@ def test_the_defaults_are_the_papers_run():
     assert (scenario.tuner.omega_q, scenario.tuner.omega_r) == (1.0, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("name", "gravity", "feedforward", "tuner"),
-    [
-        ("paper_fig7", 9.81, "gravity", "paper"),
-        ("paper_fig7_no_gravity", 0.0, "none", "paper"),
-        ("paper_fig7_uncompensated", 9.81, "none", "fixed"),
-    ],
-)
-def test_shipped_scenarios_are_the_three_cases_of_the_paper(name, gravity, feedforward, tuner):
-    # The paper's motion is the default; nothing else departs from the defaults unseen.
-    changed = {"name": name, "gravity": gravity, "controller.feedforward": feedforward, "tuner.kind": tuner}
-    assert load_scenario(name) == Scenario().replace(changed)
-
-
 # --- what is refused ----------------------------------------------------------------------------------------------
 
 # That every section refuses what means nothing in it under its own key is in test_config.py.
@@ -118,24 +104,6 @@ def test_every_problem_has_a_line_and_unknown_keys_come_first():
 
 
 # --- files --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (b"# nothing but a comment\n", "an empty file"),
-        (b"- 1\n", "a mapping"),
-        (b"\xff\xfe\x00", "UTF-8"),
-        (b"a: b: c", "line 1, column 5"),
-    ],
-    ids=lambda v: repr(v[:24]) if isinstance(v, bytes) else None,
-)
-def test_a_file_that_is_no_scenario_is_named(tmp_path, content, words):
-    path = write(tmp_path, content)
-    with pytest.raises(ConfigurationError) as caught:
-        load_scenario(path)
-    assert one_line(caught.value).key == f"scenario file {path}"
-    assert words in str(caught.value)
 
 
 # --- overrides ----------------------------------------------------------------------------------------------------

@@ -42,10 +42,6 @@ def test_units_stand_in_files_and_behind_set(text, key, value):
     assert found == pytest.approx(value)
 
 
-def test_a_name_is_no_number():
-    assert Scenario(name="3 s").name == "3 s"
-
-
 @pytest.mark.parametrize(
     ("text", "answer"),
     [

@@ -9,7 +9,7 @@ import pytest
 from made_logs import made_log
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.logs.log import AXIS_NAMES, SIGNALS, distinct_names, load_log
+from stewart_drake.logs.log import AXIS_NAMES, SIGNALS, load_log
 
 
 @pytest.fixture
@@ -136,10 +136,3 @@ def test_a_notebook_shows_how_a_log_ended_with_its_error_over_time(log):
     largest = 1e3 * np.linalg.norm((log["pose"] - log["reference"])[:, 3:], axis=1).max()
     assert f"error [mm], at most {largest:.3g}" in page
     assert page.count("<polyline") == 2
-
-
-def test_logs_of_one_scenario_are_told_apart(log):
-    assert distinct_names([log]) == [log.scenario.name]
-    assert distinct_names([log, log]) == [f"{log.scenario.name} (1)", f"{log.scenario.name} (2)"]
-    with pytest.raises(KeyError, match="psoe; did you mean pose"):
-        log["psoe"]

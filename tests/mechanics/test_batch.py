@@ -62,12 +62,3 @@ def test_a_record_stands_for_a_robot_and_a_payload_adds_its_weight_and_inertia()
     speed = twist[3:] + np.cross(twist[:3], kinematics.rotation_matrix(pose[0, :3]) @ place)
     added = twist @ (loaded - dynamics.task_inertia(ROBOT, pose[0])) @ twist
     assert added == pytest.approx(mass * speed @ speed, rel=1e-12)
-
-
-def test_lines_without_rank_have_no_torque_and_no_conditioning():
-    point = robot_record(ROBOT).copy()
-    point["joint"] = 0.0  # all rods meet in one point: none can turn the platform
-    pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.25])
-    with pytest.raises(np.linalg.LinAlgError):
-        dynamics.static_torque(point, pose)
-    assert kinematics.conditioning(point, pose) == 0.0

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 from pathlib import Path
 
@@ -7,8 +8,17 @@ from hypothesis import given
 from strategies import ROBOT, robots_and_poses, vectors
 
 from stewart_drake.errors import ConfigurationError, UnreachablePoseError
-from stewart_drake.mechanics.dynamics import forward_dynamics, inverse_dynamics, static_torque, task_bias, task_inertia
-from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian
+from stewart_drake.mechanics.dynamics import (
+    crank_map,
+    force_map,
+    force_map_of_legs,
+    forward_dynamics,
+    inverse_dynamics,
+    static_torque,
+    task_bias,
+    task_inertia,
+)
+from stewart_drake.mechanics.kinematics import leg_geometry, pose_rate_to_twist, twist_jacobian
 
 DATA = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())
 
@@ -47,3 +57,17 @@ def test_a_pose_out_of_reach_raises_and_a_torque_of_another_size_is_refused():
             function(ROBOT, np.array([0, 0, 0, 0, 0, 0.6]), *more)
     with pytest.raises(ConfigurationError, match="torque"):
         forward_dynamics(ROBOT, ROBOT.home_pose, zero, np.zeros(5))
+
+
+@pytest.mark.parametrize("case", DATA["cases"])
+@pytest.mark.parametrize("kind", ["printed", "statics"])
+def test_both_maps_of_an_independent_implementation(case, kind):
+    np.testing.assert_allclose(force_map(ROBOT, case["pose"], kind), case[f"force_map_{kind}"], rtol=1e-11, atol=1e-12)
+
+
+def test_at_a_dead_centre_printed_is_zero_and_statics_infinite_without_a_warning():
+    legs = leg_geometry(ROBOT, ROBOT.home_pose)
+    dead = dataclasses.replace(legs, transmission=legs.transmission * [1, 1, 0, 1, 1, 1])
+    assert crank_map(ROBOT, dead, "printed")[2] == 0.0
+    assert crank_map(ROBOT, dead, "statics")[2] == np.inf
+    assert np.linalg.matrix_rank(force_map_of_legs(ROBOT, dead, "printed")) == 5

@@ -22,8 +22,6 @@ from stewart_drake.plant.plant_options import PlantOptions, platform_damping_lim
 
 FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]
 HOME = ROBOT.home_pose
-# Level, turned by 92 deg, low: in reach, but the rods of each pair cross.
-CROSSED = np.array([0.0, 0.0, 1.6, 0.0, 0.0, 0.2])
 
 universal_or_ball = pytest.mark.parametrize("rod_joint", ["universal", "ball"])
 

@@ -4,12 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 from strategies import ROBOT
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.plant.sdf_model import home_frames, sdf_text, write_sdf
+from stewart_drake.plant.sdf_model import home_frames, sdf_text
 from stewart_drake.robot import RobotParameters
 
 FOLDER = Path(__file__).parents[2] / "sdf"
@@ -22,26 +19,6 @@ def test_file_in_the_repository_is_the_generated_one():
     assert NUMBER.sub("#", on_disk) == NUMBER.sub("#", generated)
     numbers = [list(map(float, NUMBER.findall(text))) for text in (on_disk, generated)]
     np.testing.assert_allclose(*numbers, rtol=0.0, atol=1e-14)
-
-
-@pytest.mark.parametrize("rod_joint", ["universal", "ball"])
-@pytest.mark.parametrize("radius", [None, 7e-7])
-def test_parsing_prints_nothing(rod_joint, radius, capfd, caplog):
-    robot = ROBOT if radius is None else RobotParameters(link_radius=radius)
-    for collision in (True, False):
-        plant = MultibodyPlant(0.001)
-        plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
-        Parser(plant).AddModelsFromString(sdf_text(robot, rod_joint=rod_joint, collision=collision), "sdf")
-        plant.Finalize()
-    assert capfd.readouterr() == ("", "")
-    assert caplog.records == []
-
-
-def test_written_file_holds_the_text(tmp_path):
-    write_sdf(ROBOT, tmp_path / "robot.sdf", rod_joint="ball", collision=False)
-    assert (tmp_path / "robot.sdf").read_text() == sdf_text(ROBOT, rod_joint="ball", collision=False)
-    with pytest.raises(ConfigurationError, match="nowhere"):
-        write_sdf(ROBOT, tmp_path / "nowhere" / "robot.sdf")
 
 
 def test_python_of_the_readme_runs(monkeypatch):

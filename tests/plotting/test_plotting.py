@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from made_logs import made_log
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plotting import plot_states, plot_torques, save_figure
 from stewart_drake.plotting.study_plots import plot_bands, plot_error, plot_rmse
@@ -82,28 +81,6 @@ def test_weights_and_settings_are_drawn_where_they_change_and_nothing_is_empty()
         assert all(axes.lines for axes in drawn)
 
 
-def test_several_runs_share_their_panels():
-    one, two = make_log(), make_log(rows=200)
-    axes = plot_states([one, two]).axes[0]
-    assert [len(line.get_xdata()) for line in axes.lines] == [400, 400, 200, 200]
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == [r"$\phi$", "reference"]
-
-
-def test_a_panel_of_several_runs_shows_all_of_each():
-    log = make_log()
-    quiet, loud = (
-        dataclasses.replace(log, signals={**log.signals, "pose": log["reference"] + error})
-        for error in (np.linspace(0.0, 1e-7, 400)[:, None], np.linspace(0.0, 0.01, 400)[:, None])
-    )
-    for axes in plot_states([quiet, loud]).axes:
-        low, high = axes.get_ylim()
-        for line in axes.lines:
-            values = np.asarray(line.get_ydata(), dtype=float)
-            if len(values) == len(log.time):
-                assert low <= np.nanmin(values)
-                assert np.nanmax(values) <= high
-
-
 def test_each_motor_has_its_panel_with_torque_rms_and_peak_on_one_scale():
     log = make_log()
     figure = plot_torques(log)
@@ -151,17 +128,6 @@ def test_a_blow_up_is_drawn_within_bounds(plot, value, rows, tmp_path):
     figure = plot(dataclasses.replace(log, signals=signals, status="failed", reason="crank_dead_centre"))
     save_figure(figure, tmp_path / "x.png")
     assert all(np.isfinite(axes.get_ylim()).all() for axes in figure.axes)
-
-
-@BOTH
-def test_a_single_row_is_a_dot_and_an_empty_log_is_refused(plot):
-    figure = plot(dataclasses.replace(make_log(rows=1), status="failed"))
-    drawn = [line for axes in figure.axes for line in axes.lines if len(line.get_xdata()) == 1]
-    assert {line.get_marker() for line in drawn} == {"o"}
-    still = make_log(rows=1)
-    assert plot(dataclasses.replace(still, signals={**still.signals, "pose": still["reference"]})).axes
-    with pytest.raises(ConfigurationError, match=r"log: expected .*got 'no rows'"):
-        plot(make_log(rows=0))
 
 
 @BOTH

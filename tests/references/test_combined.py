@@ -22,13 +22,6 @@ def test_a_sum_adds_what_its_parts_are_away_from_their_centres(parts, center, ti
     np.testing.assert_allclose(total, expected, atol=1e-12)
 
 
-@given(simple | sums, st.floats(0.25, 8.0), st.floats(0.0, 10.0))
-def test_slowed_by_k_rates_are_one_kth_and_accelerations_one_k_squared(motion, slowdown, time):
-    slow = AdjustedReference(motion=motion, slowdown=slowdown).evaluate(slowdown * time)
-    for power, (values, given_values) in enumerate(zip(slow, motion.evaluate(time), strict=True)):
-        np.testing.assert_allclose(values, given_values / slowdown**power, atol=1e-9 * 150.0)
-
-
 @given(simple | sums, st.floats(0.0, 3.0), st.none() | six, st.floats(0.0, 10.0))
 def test_scaled_by_s_it_is_s_times_as_far_from_the_centre(motion, scale, center, time):
     found = AdjustedReference(motion=motion, scale=scale, center=center).evaluate(time)

@@ -5,7 +5,7 @@ import pytest
 from conftest import field_of
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from references.laws import KINDS, bursts, check_derivatives, ends
+from references.laws import KINDS, check_derivatives, ends
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references import (
@@ -42,18 +42,6 @@ def test_the_papers_reference_is_37_and_38(time):
     _, start, _ = paper_reference().evaluate(0.0)
     np.testing.assert_allclose(start, [math.pi / 3.0, 0, 0, 0, 0, 0.1])
     assert np.all(np.abs(rate) <= np.abs(start))
-
-
-@given(bursts, st.integers(0, 4), st.sampled_from([-1e-9, 0.0, 1e-9]), st.floats(0.0, 1e6))
-def test_before_between_and_after_bursts_the_platform_rests_in_the_centre(reference, index, offset, away):
-    end = len(reference.frequency) * reference.burst_duration
-    # Jerk is 60 / fade^3 at the end of a fade at most.
-    jerk = 60.0 / reference.fade**3
-    for time in (index * reference.burst_duration + offset, -away, end + away):
-        pose, rate, acceleration = reference.evaluate(time)
-        np.testing.assert_allclose(pose, reference.center, atol=1e-12)
-        np.testing.assert_allclose(rate, 0.0, atol=1e-9)
-        np.testing.assert_allclose(acceleration, 0.0, atol=1e-9 * jerk + 1e-5)
 
 
 # What a field alone takes is asked of every section by tests/test_config.py; here are rules between fields.

@@ -88,10 +88,3 @@ def test_tremor_has_its_size_and_stays_within_its_band():
         for low in (6.0, 7.5, 9.0, 10.5):
             assert 0.2 < power[(frequency >= low) & (frequency < low + 1.5), axis].sum() / inside < 0.3
         assert np.abs(pose[:, axis]).max() < 5.0 * reference.rms[axis]
-
-
-def test_a_beat_goes_from_end_to_end_by_its_excursion():
-    excursion = np.array([0.01, 0.0, 0.0, 0.004, 0.0, 0.008])
-    heart = HeartbeatReference(excursion=excursion, respiratory_variation=0.0, slow_variation=0.0, phase=(0.0,) * 6)
-    pose = heart.evaluate(np.linspace(0.0, 1.0 / heart.rate, 20_001))[0]
-    np.testing.assert_allclose(np.ptp(pose, axis=0), excursion, atol=1e-9)

@@ -1,4 +1,4 @@
-"""Runs of scenarios at random, each from its seed: motions, controllers, friction, payloads, delays, sensors, pushes."""
+"""Runs at random, each from its seed: motions, controllers, friction, payloads, delays, sensors, pushes."""
 
 from collections import Counter
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake import run
+from stewart_drake import linearize, run
 from stewart_drake.control.lqi import lqi_gain
 from stewart_drake.control.riccati import INTEGRAL, POSITION, RATE
 from stewart_drake.errors import ConfigurationError
@@ -118,3 +118,14 @@ def test_a_pose_that_cannot_be_held_is_left_out():
     weak = scenario(*IDEAL, "controller={kind: pid, ki: 0, feedforward: none, kp: 0.001, kd: 0.001}")
     with pytest.raises(ConfigurationError, match="stands still at some pose"):
         linear_loops(weak, POSE[None])
+
+
+def test_near_a_pose_the_loop_is_stable_when_it_is_closed_and_python_control_agrees():
+    made = scenario(*IDEAL)
+    near = linearize(made, POSE)
+    assert radius(linear_loops(made, POSE[None])) < 1.0
+    system, closed = near.loop.to_control(), np.linalg.eigvals(near.loop.a + near.loop.b @ near.loop.c)
+    assert system.dt == made.controller.period
+    np.testing.assert_allclose(np.sort(np.abs(system.feedback(np.eye(6), sign=1).poles())), np.sort(np.abs(closed)))
+    with pytest.raises(ConfigurationError, match="pose"):
+        linearize(made, [0.0, 0.0])

@@ -102,16 +102,6 @@ def test_the_table_has_the_figures_and_failures_of_the_runs(done):
     assert -60.0 < band["phase_deg"] < -20.0
 
 
-@pytest.mark.slow
-def test_best_of_names_the_controller_that_it_is(done):
-    rows = done[1].rows["comparison"]
-    for reference in ("sine", "hold"):
-        here = {r["controller"]: r for r in rows if (r["reference"], r["condition"]) == (reference, "nominal")}
-        better = min(("soft", "stiff"), key=lambda name: here[name]["pose_rmse_mm"])
-        assert here["best"]["chosen"] == better
-        assert here["best"]["pose_rmse_mm"] == here[better]["pose_rmse_mm"]
-
-
 def test_the_markdown_is_a_table_with_failures_and_the_chosen_one(done):
     comparison, result, folder = done
     text = (folder / "comparison.md").read_text()

@@ -11,8 +11,6 @@ from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.systems.diagram import ClosedLoop
 
-ENCODERS = {"kind": "encoders", "rate_cutoff": 150.0}
-
 
 def paper(step=0.001, period=0.005, **changes):
     """The paper's loop with the split solution."""
@@ -110,16 +108,3 @@ def test_runs_of_one_diagram_are_the_same_beside_others_and_where_one_is_cloned(
         np.testing.assert_array_equal(logged(loop, one.get_context())[name], values)
         np.testing.assert_array_equal(logged(loop, twin.get_context())[name][-90:], values[-90:])
     assert np.any(logged(loop, other.get_context())["torque"] != alone["torque"])
-
-
-def test_an_encoder_that_fails_is_bridged_and_then_ends_the_run_by_name_and_the_log_is_kept():
-    fault = {"kind": "nan", "leg": 2, "time": 0.05}
-    log = run(exact(sensors={**ENCODERS, "hold_ticks": 4, "faults": [fault]}))
-    assert (log.status, log.reason) == ("failed", "encoder")
-    # Four ticks are bridged, at 0.050 to 0.053; the fifth ends it.
-    assert log.end_time == pytest.approx(0.054)
-    assert np.isfinite(log["torque"]).all()
-    np.testing.assert_array_equal(log["measured_pose"][50:54], np.broadcast_to(log["measured_pose"][49], (4, 6)))
-    # One that fails for less than that does not end it.
-    shorter = {**ENCODERS, "hold_ticks": 4, "faults": [fault | {"duration": 0.004}]}
-    assert run(exact(sensors=shorter)).status == "completed"

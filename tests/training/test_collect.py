@@ -16,7 +16,6 @@ from stewart_drake.training.collect import (
     FREQUENCIES,
     collect_dataset,
     dataset_from_logs,
-    experiment_scenarios,
     load_dataset,
 )
 
@@ -27,19 +26,6 @@ SMALL = SineBurstsReference(
     phase=tuple(np.pi / 3.0 * np.arange(6)),
     burst_duration=BURST,
 )
-
-
-def base():
-    # A fast controller: six 3-state problems, and a short window that fills within the few samples.
-    return Scenario.from_dict({"controller": {"solver": "split"}, "tuner": {"kind": "paper", "window": WINDOW}})
-
-
-@pytest.fixture(scope="module")
-def collected():
-    # Nine short experiments on a small motion; the search for the largest feasible one is tested apart.
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(collect, "experiment_reference", lambda _: SMALL)
-        yield collect_dataset(base(), lambda _: None, SAMPLES), experiment_scenarios(base(), SAMPLES)
 
 
 @pytest.mark.parametrize("kind", ["magnitude", "signed"])
@@ -71,8 +57,11 @@ def test_an_experiment_that_ended_early_stops_the_collection_and_is_named(change
         dataset_from_logs(logs, 30, "magnitude", 4, {})
 
 
-def test_a_collected_dataset_comes_back_whole(tmp_path, collected):
-    dataset, _ = collected
+def test_a_collected_dataset_comes_back_whole(tmp_path, monkeypatch):
+    # Nine short experiments on a small motion; the search for the largest feasible one is tested apart.
+    monkeypatch.setattr(collect, "experiment_reference", lambda _: SMALL)
+    base = Scenario.from_dict({"controller": {"solver": "split"}, "tuner": {"kind": "paper", "window": WINDOW}})
+    dataset = collect_dataset(base, lambda _: None, SAMPLES)
     dataset.save(tmp_path / "data.parquet")
     loaded = load_dataset(tmp_path / "data.parquet")
     for name in ("inputs", "outputs", "run", "time"):

@@ -4,7 +4,7 @@ import torch
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.training.collect import Dataset
-from stewart_drake.training.train import TrainingOptions, split_samples, train_network
+from stewart_drake.training.train import TrainingOptions, r_squared, train_network
 
 METADATA = {"density": "signed", "window": 7, "sample_time": 0.005, "scenario": {"name": "left out"}}
 
@@ -25,30 +25,11 @@ def options(**changes):
     return TrainingOptions(**{"epochs": 60, **changes})
 
 
-def mean_squared_error(network, dataset, rows):
-    return np.mean((network.log_weights(dataset.inputs[rows]) - np.log10(dataset.outputs[rows])) ** 2)
-
-
-def test_the_first_step_goes_down_the_gradient_by_finite_differences():
-    # Adam's first step is the learning rate against the sign of each derivative, whatever its size.
-    dataset, rate = made_up(10), 1e-3
-    start = train_network(dataset, options(epochs=1, learning_rate=1e-13)).network
-    stepped = train_network(dataset, options(epochs=1, learning_rate=rate)).network
-    mask, h, checked = split_samples(dataset, options()), 1e-6, 0
-    for name in ("hidden_weights", "hidden_bias", "output_weights", "output_bias"):
-        values = getattr(start, name)
-        for index in np.ndindex(values.shape):
-            kept, losses = values[index], []
-            for offset in (h, -h):
-                values[index] = kept + offset
-                losses.append(mean_squared_error(start, dataset, mask))
-            values[index] = kept
-            slope = (losses[0] - losses[1]) / (2.0 * h)
-            if abs(slope) > 1e-5:
-                step = getattr(stepped, name)[index] - kept
-                assert step == pytest.approx(-rate * np.sign(slope), rel=2e-3)
-                checked += 1
-    assert checked > 120
+def test_it_finds_the_weights_that_can_be_read_from_the_densities():
+    dataset = made_up()
+    network = train_network(dataset, options(epochs=600)).network
+    for column in (0, 1):
+        assert r_squared(np.log10(dataset.outputs[:, column]), network.log_weights(dataset.inputs)[:, column]) > 0.7
 
 
 def test_the_same_data_options_and_seed_give_the_same_file_to_the_byte_and_others_another():
