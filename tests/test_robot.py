@@ -7,7 +7,7 @@ import jsonschema
 import numpy as np
 import pytest
 from conftest import field_of
-from strategies import ROBOTS, UNEQUAL
+from strategies import ROBOTS
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import static_torque
@@ -44,12 +44,6 @@ def test_a_leg_takes_from_the_symmetric_robot_what_it_has_not_of_its_own():
         np.testing.assert_array_equal(getattr(robot, name), getattr(ROBOT, name))
     assert hash(robot) == hash(robot.replace())
     assert robot.replace(rod_length=0.4).rod_lengths.tolist() == [0.41, *[0.4] * 5]
-
-
-def test_directions_are_made_perpendicular_to_the_last_bit():
-    h, q = UNEQUAL.crank_zero_directions, UNEQUAL.crank_quarter_directions
-    np.testing.assert_allclose(np.sum(h * q, axis=-1), 0.0, atol=1e-16)
-    np.testing.assert_allclose([np.linalg.norm(h, axis=-1), np.linalg.norm(q, axis=-1)], 1.0, rtol=1e-15)
 
 
 def test_inertia_about_the_origin_of_the_platforms_frame_is_that_of_a_body_of_points():
@@ -184,14 +178,9 @@ def test_masses_without_inertias_are_uniform_bars_and_a_disc():
     [
         ("a, b\n1, 2", r"header: expected "),
         (f"{HEADER}, crank_x\n", r"header.*in groups, crank_x, crank_y, crank_z.*without crank_y, crank_z"),
-        (f"{HEADER}\n1, 2\n", r"expected 6 rows, one a leg"),
         (f"{HEADER}\n1, 2, 3, 4, five, 6\n", r"expected 6 rows, one a leg.*five"),
         (f"{HEADER}\n1, 2, 3, 4, nan, 6\n" * 1, r"6 rows, one a leg.*got \(1, 6\)"),
-        ("", r"header: expected "),
-        (
-            f"leg, {HEADER}\n" + "3, 1, 2, 3, 4, 5, 6\n" * 6,
-            r"leg: expected ",
-        ),
+        (f"leg, {HEADER}\n" + "3, 1, 2, 3, 4, 5, 6\n" * 6, r"leg: expected "),
     ],
 )
 def test_a_table_that_is_none_is_refused_in_a_line(tmp_path, text, wanted):

@@ -14,13 +14,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import parse_yaml, shipped_folder
 from stewart_drake.references import HoldReference
 from stewart_drake.robot.robot_files import load_robot
-from stewart_drake.scenario import (
-    FixedTuner,
-    PaperTuner,
-    Scenario,
-    load_scenario,
-    scenario_schema,
-)
+from stewart_drake.scenario import FixedTuner, PaperTuner, Scenario, load_scenario, scenario_schema
 from stewart_drake.studies.comparison import load_comparison
 
 SHIPPED = sorted(path.stem for path in shipped_folder("scenarios").glob("*.yaml"))

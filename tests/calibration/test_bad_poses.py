@@ -6,12 +6,7 @@ from simulated_calibration import deviating, measured
 from strategies import ROBOT
 
 from stewart_drake.calibration.fit import calibrate
-from stewart_drake.calibration.poses import (
-    COLUMNS,
-    MeasurementNoise,
-    Measurements,
-    candidate_poses,
-)
+from stewart_drake.calibration.poses import COLUMNS, MeasurementNoise, Measurements, candidate_poses
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.planning.limits import Limits

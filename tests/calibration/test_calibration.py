@@ -24,12 +24,7 @@ from stewart_drake.calibration.model import (
     transform,
     transform_of,
 )
-from stewart_drake.calibration.poses import (
-    MeasurementNoise,
-    Measurements,
-    candidate_poses,
-    plan_poses,
-)
+from stewart_drake.calibration.poses import MeasurementNoise, Measurements, candidate_poses, plan_poses
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.planning.limits import Limits, limit_margins

@@ -12,17 +12,7 @@ from hypothesis.extra.numpy import arrays
 from strategies import ROBOT
 
 from stewart_drake.control.features import DRIFT_TIME, FEATURES, TIMES, features
-from stewart_drake.control.policy import (
-    FADE,
-    SIZE,
-    STEP,
-    Layers,
-    Policy,
-    answer,
-    load_policy,
-    setting_part,
-    weights_of,
-)
+from stewart_drake.control.policy import FADE, SIZE, STEP, Layers, Policy, answer, load_policy, setting_part, weights_of
 from stewart_drake.control.riccati import chain_gain
 from stewart_drake.control.tuners import ScheduleTuner
 from stewart_drake.errors import ConfigurationError

@@ -3,11 +3,7 @@ import pytest
 from conftest import field_of
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.hardware.disturbances import (
-    ImpulseWrench,
-    NoiseWrench,
-    StepWrench,
-)
+from stewart_drake.hardware.disturbances import ImpulseWrench, NoiseWrench, StepWrench
 from stewart_drake.sampling import on_grid
 
 WRENCH = (0.1, -0.2, 0.3, 4.0, -5.0, 6.0)

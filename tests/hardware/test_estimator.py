@@ -4,17 +4,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import ROBOT, poses
 
-from stewart_drake.errors import (
-    AssemblyModeError,
-    RunFailure,
-)
+from stewart_drake.errors import AssemblyModeError, RunFailure
 from stewart_drake.hardware.estimator import difference_part
 from stewart_drake.hardware.sensors import EncoderOptions
-from stewart_drake.mechanics.kinematics import (
-    forward_kinematics,
-    inverse_kinematics,
-    pose_jacobian,
-)
+from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics, pose_jacobian
 from stewart_drake.robot import RobotParameters
 
 HOME = ROBOT.home_pose

@@ -7,13 +7,7 @@ from scipy.linalg import solve_discrete_are
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake.errors import RunFailure
-from stewart_drake.hardware.observer import (
-    WHITE_SHARE,
-    ObserverOptions,
-    bandwidth,
-    kalman_gains,
-    observer_part,
-)
+from stewart_drake.hardware.observer import WHITE_SHARE, ObserverOptions, bandwidth, kalman_gains, observer_part
 from stewart_drake.mechanics.dynamics import forward_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 

@@ -11,7 +11,6 @@ from strategies import ROBOT, ROBOTS, UNEQUAL, vectors
 
 from stewart_drake import load_robot
 from stewart_drake.identification.estimate import consistent, estimate, is_consistent
-from stewart_drake.identification.excitation import ROOM, excite
 from stewart_drake.identification.identified import identify
 from stewart_drake.identification.parameters import (
     BODIES,
@@ -26,7 +25,6 @@ from stewart_drake.identification.parameters import (
 )
 from stewart_drake.identification.samples import samples_of, samples_of_motion
 from stewart_drake.mechanics.dynamics import inverse_dynamics
-from stewart_drake.planning.limits import Limits, limit_margins
 
 AT = {str(own): at for at, own in enumerate(PARAMETERS)}
 
@@ -146,21 +144,3 @@ def test_the_nearest_bodies_are_bodies_and_nearest(change):
 
 
 EXCITED = samples_of_motion(ROBOT, np.linspace(0, 20, 400), motion(ROBOT).evaluate(np.linspace(0, 20, 400)), 9.81)
-
-
-@pytest.mark.slow
-def test_a_designed_motion_is_better_than_random_ones_and_keeps_to_the_limits():
-    limits = Limits()
-    found = excite(ROBOT, limits, changes=60)
-    assert found.condition < 0.6 * found.random_condition
-    time = np.linspace(3.0, 23.0, 1000)
-    pose, rate, acceleration = found.reference.evaluate(time)
-    margins = limit_margins(ROBOT, limits, pose, rate, acceleration, 9.81)
-    assert all((values > 0.0).all() for values in margins.values())
-    # With room: a motion larger by a tenth is within them too.
-    home, scale = ROBOT.home_pose, 1.0 + 0.5 * (ROOM - 1.0)
-    margins = limit_margins(ROBOT, limits, home + scale * (pose - home), scale * rate, scale * acceleration, 9.81)
-    assert all((values > 0.0).all() for values in margins.values())
-    at_rest = found.reference.evaluate(0.0)
-    np.testing.assert_allclose(at_rest[0], home, atol=1e-12)
-    np.testing.assert_allclose(np.concatenate(at_rest[1:]), 0.0, atol=1e-12)

@@ -1,6 +1,5 @@
 import dataclasses
 import json
-import sys
 
 import numpy as np
 import pyarrow as pa
@@ -113,26 +112,9 @@ def test_what_is_no_log_is_named_in_one_line(log, tmp_path):
         log.save(tmp_path / "log.xlsx")
 
 
-def test_a_log_becomes_a_frame_of_pandas_and_without_pandas_the_remedy_is_named(log, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ConfigurationError, match="pip install pandas"):
-        log.to_pandas()
-    monkeypatch.undo()
-    monkeypatch.undo()
-    np.testing.assert_array_equal(log.to_pandas()["pose_x_m"], log["pose"][:, 3])
-
-
 def test_a_log_becomes_a_dataset_with_named_axes_and_units(log):
     dataset = log.to_xarray()
     np.testing.assert_array_equal(dataset["pose"].sel(axis="z"), log["pose"][:, 5])
     np.testing.assert_array_equal(dataset["torque"].sel(leg="2"), log["torque"][:, 2])
     assert dataset["time"].attrs["units"] == "s"
     assert dataset["pose"].attrs["units"][5] == "m"
-
-
-def test_a_notebook_shows_how_a_log_ended_with_its_error_over_time(log):
-    page = log._repr_html_()
-    assert page.startswith(f"<div><b>SimulationLog of {log.scenario.name}: failed")
-    largest = 1e3 * np.linalg.norm((log["pose"] - log["reference"])[:, 3:], axis=1).max()
-    assert f"error [mm], at most {largest:.3g}" in page
-    assert page.count("<polyline") == 2

@@ -6,14 +6,9 @@ import pytest
 from strategies import ROBOT
 
 from stewart_drake.errors import InfeasibleReferenceError
-from stewart_drake.planning.feasibility import (
-    check_motion,
-    check_reference,
-    largest_amplitude,
-    largest_scale,
-)
+from stewart_drake.planning.feasibility import check_motion, check_reference, largest_amplitude
 from stewart_drake.planning.limits import Limits
-from stewart_drake.references import HoldReference, SineReference, paper_reference
+from stewart_drake.references import SineReference, paper_reference
 
 ALL = Limits()
 NONE = Limits(**{field.name: None for field in dataclasses.fields(Limits)})
@@ -113,13 +108,3 @@ def test_the_largest_amplitude_is_feasible_and_a_little_more_is_not(limits, freq
     assert all(feasible(factor) for factor in (0.1, 0.5, 0.9, 0.9995))
     # A turn ends at pi.
     assert amplitude == math.pi or not feasible(1.001)
-
-
-def test_the_largest_scale_is_the_first_at_which_a_limit_breaks():
-    def hold(scale):
-        # A larger scale that is feasible again is not taken.
-        return HoldReference(pose=(0.0, 0.0, 0.0, 0.0, 0.0, 0.6 if 0.3 < scale < 0.5 else 0.3))
-
-    assert largest_scale(ROBOT, ALL, hold, 0.1, GRAVITY) == pytest.approx(0.3, rel=1e-3)
-    assert largest_scale(ROBOT, ALL, lambda _: HoldReference(), 0.1, GRAVITY) == 1.0
-    assert largest_scale(ROBOT, only(torque_fraction=0.01), lambda _: HoldReference(), 0.1, GRAVITY) == 0.0

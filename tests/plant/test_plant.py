@@ -11,12 +11,7 @@ from scipy.optimize import brentq
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake.errors import ConfigurationError, SingularPoseError, UnreachablePoseError
-from stewart_drake.mechanics.kinematics import (
-    inverse_kinematics,
-    pose_jacobian,
-    pose_rate_to_twist,
-    reach_margin,
-)
+from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian, pose_rate_to_twist, reach_margin
 from stewart_drake.plant.plant_options import PlantOptions, platform_damping_limit
 
 FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]

@@ -1,11 +1,10 @@
-import dataclasses
 import math
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from references.laws import check_smooth, heartbeats
+from references.laws import heartbeats
 
 from stewart_drake.references import BreathingReference, HeartbeatReference, TremorReference
 
@@ -58,19 +57,6 @@ def test_a_premature_beat_comes_early_and_the_next_one_on_time(rate, beat, prema
     # The two intervals around it make two beats.
     expected[beat] -= prematurity / rate
     np.testing.assert_allclose(np.interp(np.arange(len(expected)), count, times), expected, atol=1e-4)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("beats", [(3,), (2, 4), (1, 3, 5)])
-def test_pose_rate_and_acceleration_are_continuous_across_premature_beats(beats):
-    reference = HeartbeatReference(premature_beats=beats)
-    regular = dataclasses.replace(reference, premature_beats=())
-    times = np.linspace(0.0, 8.0, 800_001)
-    count = regular.beats(times)[0]
-    ends = sorted({end for beat in beats for end in (beat - 1.0, beat - reference.prematurity, beat + 1.0)})
-    # Jerk of a beat that runs 2.3 times as fast: excursion (2 pi 5 * 2.9 Hz)^3, as a generous bound.
-    check_smooth(reference, np.interp(ends, count, times), jerk=0.006 * 90.0**3)
-    check_smooth(reference, times[::8001], jerk=0.006 * 90.0**3)
 
 
 @pytest.mark.slow

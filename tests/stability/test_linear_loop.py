@@ -7,7 +7,7 @@ from stewart_drake import linearize, run
 from stewart_drake.control.lqi import lqi_gain
 from stewart_drake.control.riccati import INTEGRAL, POSITION, RATE
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map
+from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.planning.pose_box import NEAR, sample_poses
@@ -26,23 +26,6 @@ def scenario(*changes):
 
 def radius(loops):
     return np.abs(np.linalg.eigvals(loops.closed)).max(axis=-1)
-
-
-def test_the_plant_moves_as_the_exact_model_does():
-    robot, period = scenario().robot, 0.005
-    plant = plant_at(robot_record(robot), POSE[None], 9.81, period)
-    start, push = 1e-5 * np.random.default_rng(0).normal(size=(2, 12))
-    pose, rate, steps = POSE + start[:6], start[6:].copy(), 100
-    for _ in range(steps):
-        # Midpoints: of second order.
-        step = period / steps
-        torque = plant.torque[0] + push[:6]
-        half = rate + 0.5 * step * forward_dynamics(robot, pose, rate, torque, 9.81)
-        rate = rate + step * forward_dynamics(robot, pose + 0.5 * step * rate, half, torque, 9.81)
-        pose = pose + step * half
-    after = plant.a[0] @ start + plant.b[0] @ push[:6]
-    np.testing.assert_allclose(pose - POSE, after[:6], atol=1e-9)
-    np.testing.assert_allclose(rate, after[6:], atol=1e-7)
 
 
 def test_the_regulator_with_ideal_sensors_is_its_gain_and_an_integral():

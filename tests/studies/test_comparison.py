@@ -1,13 +1,10 @@
-from itertools import product
-
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.runs.simulation import run
-from stewart_drake.studies.comparison import AXES, Comparison
+from stewart_drake.studies.comparison import Comparison
 from stewart_drake.studies.runs import settling_time, sine_response
 from stewart_drake.studies.study import number, run_study
 from stewart_drake.studies.workers import Workers
@@ -61,23 +58,6 @@ def test_every_run_that_is_asked_for_is_there_once():
     assert everything.runs == 4 * 3 * 3
     assert everything.scenario(0).duration == 0.1
     assert small().scenario(7).sensors.noise_seed == 4
-
-
-@pytest.mark.slow
-def test_bands_move_one_axis_by_what_is_feasible_over_whole_periods():
-    bands = {**SMALL["bands"], "axes": ["Z", "roll"], "frequencies": [0.5, 20.0], "transient": 1.0}
-    comparison = small(bands=bands)
-    cells = [(i, cell) for i, cell in enumerate(comparison.cells) if cell.frequency is not None]
-    assert [(cell.reference, cell.frequency) for _, cell in cells] == list(product(["Z", "roll"], [0.5, 20.0]))
-    for index, cell in cells:
-        scenario = comparison.scenario(index)
-        assert scenario.duration == pytest.approx(1.0 + cell.window)
-        assert cell.window * cell.frequency == pytest.approx(round(cell.window * cell.frequency))
-        assert cell.window >= 1.0
-        axis = AXES.index(cell.reference)
-        most = largest_amplitude(scenario.robot, scenario.limits, axis, cell.frequency, 9.81)
-        assert cell.amplitude == pytest.approx(min(0.005 if axis == 5 else 0.05, 0.5 * most))
-        assert np.flatnonzero(scenario.reference.amplitude).tolist() == [axis]
 
 
 @pytest.mark.slow

@@ -10,14 +10,7 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.references import SineBurstsReference
 from stewart_drake.scenario import Scenario
 from stewart_drake.training import collect
-from stewart_drake.training.collect import (
-    BURST,
-    COLUMNS,
-    FREQUENCIES,
-    collect_dataset,
-    dataset_from_logs,
-    load_dataset,
-)
+from stewart_drake.training.collect import BURST, COLUMNS, FREQUENCIES, collect_dataset, dataset_from_logs, load_dataset
 
 SAMPLES, WINDOW = 60, 9
 SMALL = SineBurstsReference(
