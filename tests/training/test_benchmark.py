@@ -3,6 +3,7 @@ import pytest
 
 from stewart_drake.control.features import CostScales
 from stewart_drake.logs.metrics import FAILED, run_cost, run_metrics
+from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.workers import Workers
 from stewart_drake.training.benchmark import (
@@ -16,7 +17,7 @@ from stewart_drake.training.benchmark import (
     mean_over_cells,
     with_setting,
 )
-from stewart_drake.training.situations import HELD_OUT, ROBOTS, Case, kinds_of, situation
+from stewart_drake.training.situations import HELD_OUT, ROBOTS, TRAINING, Case, kinds_of, situation
 
 
 def test_each_cell_counts_alike_however_many_runs_it_has():
@@ -78,3 +79,23 @@ def test_the_shipped_baselines_have_every_kind():
     baselines = Baselines.load()
     for robot in ROBOTS:
         assert set(baselines.best_of_kind[robot]) == set(kinds_of(robot))
+
+
+EACH = [(kind, robot) for robot in ROBOTS for kind in kinds_of(robot)]
+
+
+@pytest.mark.parametrize(("kind", "robot"), EACH)
+def test_a_motion_is_within_the_limits_and_nothing_else_than_drawn_is_changed(kind, robot):
+    for seed in (TRAINING[0], HELD_OUT[0]):
+        made, base = situation(kind, robot, seed), ROBOTS[robot].base
+        assert check_reference(made.robot, made.limits, made.reference, made.duration).feasible
+        assert made.to_dict() == situation(kind, robot, seed).to_dict()
+        for name in ("robot", "tuner", "controller", "estimator", "duration", "friction_compensation", "safety"):
+            assert getattr(made, name) == getattr(base, name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "robot"), EACH)
+def test_a_run_completes_at_the_default_setting(kind, robot):
+    for seed in (TRAINING[1], HELD_OUT[1]):
+        assert run(situation(kind, robot, seed).replace({"plant.engine": "reduced"})).status == "completed"
