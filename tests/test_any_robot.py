@@ -13,7 +13,6 @@ from stewart_drake import PlantOptions, build_plant, load_robot, load_scenario, 
 from stewart_drake.mechanics.dynamics import forward_dynamics
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, reach_margin
 from stewart_drake.plant.sdf_model import sdf_text
-from stewart_drake.runs.replay import write_replay
 from stewart_drake.studies.faults import FAULTS, fault_study
 from stewart_drake.studies.runs import execute
 
@@ -88,17 +87,6 @@ def test_a_robot_with_legs_of_any_kind_holds_and_sways(which):
     log = run(scenario)
     assert (log.status, log.message) == ("completed", None)
     assert run_metrics(log)["rmse_norm_mm"] < 1e-2 * 1e3 * size
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SHIPPED)
-def test_a_shipped_robot_holds_sways_and_is_replayed(name, tmp_path, call):
-    for scenario in ("hold", "sway"):
-        assert call("check", scenario, "--set", f"robot={name}")[0] == 0
-        log = run(load_scenario(scenario, [f"robot={name}", "duration=0.5"]))
-        assert log.status == "completed"
-        assert run_metrics(log)["rmse_norm_mm"] < 0.02
-        write_replay(log, tmp_path / f"{scenario}.html")
 
 
 @pytest.mark.long

@@ -52,25 +52,6 @@ def test_a_leg_takes_from_the_symmetric_robot_what_it_has_not_of_its_own():
     assert robot.replace(rod_length=0.4).rod_lengths.tolist() == [0.41, *[0.4] * 5]
 
 
-def test_inertia_about_the_origin_of_the_platforms_frame_is_that_of_a_body_of_points():
-    robot = RobotParameters(
-        platform_inertia=(0.003, 0.004, 0.005), platform_products=(2e-4, 3e-4, -1e-4),
-        platform_center_of_mass=(0.1, -0.2, 0.3), platform_mass=2.0,
-    )  # fmt: skip
-    # Points at +-x along the principal axes have the central inertia; shifted, all of it about the origin.
-    central = np.array([[0.003, 2e-4, 3e-4], [2e-4, 0.004, -1e-4], [3e-4, -1e-4, 0.005]])
-    moments, axes = np.linalg.eigh(central)
-    squares = 0.5 * moments.sum() - moments
-    at = [
-        np.array([0.1, -0.2, 0.3]) + side * math.sqrt(3.0 * square / 2.0) * axis
-        for square, axis in zip(squares, axes.T, strict=True)
-        for side in (-1.0, 1.0)
-    ]
-    inertia = sum(2.0 / 6.0 * (p @ p * np.eye(3) - np.outer(p, p)) for p in at)
-    np.testing.assert_allclose(robot.platform_inertia_about_origin, inertia, rtol=1e-12)
-    np.testing.assert_allclose(robot.platform_moment, [0.2, -0.4, 0.6])
-
-
 NO_LEG = [{}] * 5
 
 
@@ -159,15 +140,6 @@ def test_a_robot_from_a_table_is_the_robot_that_was_measured(tmp_path):
             np.testing.assert_allclose(getattr(made, name), getattr(HEXAPOD, name), rtol=0.0, atol=1e-11)
         np.testing.assert_allclose(inverse_kinematics(made, made.home_pose), 0.0, atol=1e-10)
         assert made.characteristic_length == pytest.approx(0.065)
-
-
-def test_a_table_may_have_lengths_branches_stops_and_directions_of_each_leg(tmp_path):
-    header = f"{HEADER}, crank_x, crank_y, crank_z, rod_length, branch, low, high"
-    rods = 0.14 + 0.001 * np.arange(6)
-    rows = np.column_stack([POINTS, HEXAPOD.crank_zero_directions, rods, [-1] * 6, [-1.0] * 6, [1.0] * 6])
-    made = RobotParameters.from_table(table(tmp_path / "own.csv", rows, header), crank_length=0.025)
-    np.testing.assert_allclose(made.rod_lengths, rods)
-    np.testing.assert_array_equal(made.crank_angle_ranges, [[-1.0, 1.0]] * 6)
 
 
 def test_masses_without_inertias_are_uniform_bars_and_a_disc():

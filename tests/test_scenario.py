@@ -1,4 +1,3 @@
-import datetime
 import math
 
 import jsonschema
@@ -74,12 +73,10 @@ WRONG = [
     ("reference.motion.parts.0.high", {"reference": adjusted_tremor(high=1)}, "above low, 6 Hz"),
     ("duration", {"duration": 8000, "plant": {"time_step": 1e-6}, "log_period": 1}, "1e9 steps"),
     ("duration", {"duration": 0.004}, "at least one control period, 0.005 s"),
-    ("duration", {"duration": datetime.date(2001, 1, 1)}, "a number [s]"),
     ("controller.period", {"controller": {"period": 0.0055}}, "a whole multiple of the plant's time step 0.001 s"),
     ("log_period", {"log_period": 10.001}, "at most the duration, 10 s"),
     ("name", {"name": "a" * 101}, "at most 100"),
     ("name", {"name": "../up"}, "letters, digits"),
-    ("1", {1: 2}, "keys that are texts"),
 ]
 
 
@@ -117,13 +114,16 @@ def test_every_problem_has_a_line_and_unknown_keys_come_first():
         ("model_robot.rod_mass=0.1", "model_robot.rod_mass", 0.1),
         ("reference.angular_frequency=3", "reference.angular_frequency", (3.0,) * 6),
         ("reference.phase[2]=1", "reference.phase", (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)),
+        ("duration=300 ms", "duration", 0.3),
+        ("plant.payload_mass=100 g", "plant.payload_mass", 0.1),
+        ("reference.angular_frequency=0.5Hz", "reference.angular_frequency", (math.pi,) * 6),
     ],
 )
 def test_an_override_sets_one_key(text, key, value):
     here = load_scenario("paper_fig7", [text])
     for part in key.split("."):
         here = getattr(here, part)
-    assert here == value
+    assert here == pytest.approx(value)
 
 
 @pytest.mark.parametrize(
@@ -142,6 +142,8 @@ def test_an_override_sets_one_key(text, key, value):
             "no such key, got 2; kind policy has it. The keys here are kind, density",
         ),
         ("duration=-1", "duration", "a positive number [s]"),
+        ("duration=3 kg", "duration", "a number [s], or one with s, ms, us, min behind it, got '3 kg'"),
+        ("controller.period=5", "controller.period", "at most 1, got 5; did you mean 5 ms"),
     ],
 )
 def test_a_bad_override_is_named(text, key, words):
@@ -227,34 +229,6 @@ def test_each_number_of_a_list_has_the_unit_of_its_place():
     assert SineReference(amplitude=given).amplitude == pytest.approx((math.radians(30), 0.1, 0.0, 0.0, 0.0, 0.05))
     with pytest.raises(ConfigurationError, match=r"amplitude: expected a number \[rad\], or one with .*deg"):
         SineReference(amplitude=["30 mm", 0, 0, 0, 0, 0])
-
-
-@pytest.mark.parametrize(
-    ("text", "key", "value"),
-    [
-        ("duration=300 ms", "duration", 0.3),
-        ("controller.period=2 ms", "controller.period", 0.002),
-        ("plant.payload_mass=100 g", "plant.payload_mass", 0.1),
-        ("reference.angular_frequency=0.5Hz", "reference.angular_frequency", (math.pi,) * 6),
-    ],
-)
-def test_units_stand_in_files_and_behind_set(text, key, value):
-    found = load_scenario("exact_fig7", [text])
-    for name in key.split("."):
-        found = getattr(found, name)
-    assert found == pytest.approx(value)
-
-
-@pytest.mark.parametrize(
-    ("text", "answer"),
-    [
-        ("duration=3 kg", r"expected a number \[s\], or one with s, ms, us, min behind it, got '3 kg'"),
-        ("controller.period=5", "at most 1, got 5; did you mean 5 ms"),
-    ],
-)
-def test_a_unit_that_does_not_fit_is_answered_with_those_that_do(text, answer):
-    with pytest.raises(ConfigurationError, match=answer):
-        load_scenario("exact_fig7", [text])
 
 
 @pytest.mark.parametrize(

@@ -78,19 +78,6 @@ def test_what_no_motion_tells_is_named_with_its_sum(exact):
     np.testing.assert_allclose(samples.predicted(moved), samples.predicted(exact[0]), atol=1e-12)
 
 
-def test_a_known_mass_makes_torque_constants_absolute():
-    truth = truth_of(ROBOT)
-    truth[0] = ROBOT.platform_mass
-    truth[GAIN] += 0.1
-    found = identify(ROBOT, [recording(ROBOT, truth)], hold=["platform_mass", "rod_mass"])
-    np.testing.assert_allclose(found.torque_constants, np.exp(truth[GAIN]), rtol=1e-3)
-    relative = identify(ROBOT, [recording(ROBOT, truth)], hold=["rod_mass"])
-    np.testing.assert_allclose(relative.torque_constants, np.exp(truth[GAIN] - 0.1), rtol=1e-3)
-    # All masses seem smaller; that of the rods, which is held, leaves its part to the platform.
-    half_rods = 3.0 * ROBOT.rod_mass
-    assert relative.values[0] == pytest.approx((ROBOT.platform_mass + half_rods) * np.exp(-0.1) - half_rods, rel=1e-3)
-
-
 def test_a_lag_of_the_torques_is_made_up_for(exact):
     truth, late = exact[0], 0.01
     log = recording(ROBOT, truth)

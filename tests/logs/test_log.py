@@ -110,11 +110,3 @@ def test_what_is_no_log_is_named_in_one_line(log, tmp_path):
         refused(words)
     with pytest.raises(ConfigurationError, match=r"a name that ends in \.parquet or \.csv"):
         log.save(tmp_path / "log.xlsx")
-
-
-def test_a_log_becomes_a_dataset_with_named_axes_and_units(log):
-    dataset = log.to_xarray()
-    np.testing.assert_array_equal(dataset["pose"].sel(axis="z"), log["pose"][:, 5])
-    np.testing.assert_array_equal(dataset["torque"].sel(leg="2"), log["torque"][:, 2])
-    assert dataset["time"].attrs["units"] == "s"
-    assert dataset["pose"].attrs["units"][5] == "m"

@@ -96,15 +96,6 @@ def test_leading_axes_stay_and_values_are_those_of_each_pose_alone(function, chu
     assert function(ROBOT, pose[:0]).shape == (0, *found.shape[1:])
 
 
-def test_poses_rates_and_accelerations_broadcast():
-    pose, rate, acceleration = some_poses(2, 1), np.random.default_rng(1).normal(size=(3, 6)), np.ones(6)
-    found = dynamics.inverse_dynamics(ROBOT, pose, rate, acceleration)
-    assert found.shape == (2, 3, 6)
-    np.testing.assert_array_equal(found[1, 2], dynamics.inverse_dynamics(ROBOT, pose[1, 0], rate[2], acceleration))
-    with pytest.raises(ConfigurationError, match="pose_rate"):
-        dynamics.inverse_dynamics(ROBOT, pose, rate[:, :5], acceleration)
-
-
 def test_of_all_chunks_the_worst_leg_is_named(monkeypatch):
     monkeypatch.setattr(kinematics, "CHUNK", 5)
     pose = some_poses(40)

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from strategies import ROBOT
 
-from stewart_drake.errors import InfeasibleReferenceError
 from stewart_drake.planning.feasibility import check_motion, check_reference, largest_amplitude
 from stewart_drake.planning.limits import Limits
 from stewart_drake.references import SineReference, paper_reference
@@ -15,18 +14,11 @@ NONE = Limits(**{field.name: None for field in dataclasses.fields(Limits)})
 GRAVITY = 9.81
 AXES = np.eye(6)
 HOME = tuple(ROBOT.home_pose)
-REACH_MM = {"X": (-218, 203), "Y": (-201, 201), "Z": (-108, 121)}
-TURN_DEG = {"roll": (-70, 70), "pitch": (-62, 85), "yaw": (-83, 83)}
 
 
 def only(**limits):
     """Limits of which all but these are off."""
     return dataclasses.replace(NONE, **limits)
-
-
-def at_rest(poses, limits=ALL):
-    poses = np.atleast_2d(poses)
-    return check_motion(ROBOT, limits, np.arange(len(poses)), poses, 0.0 * poses, 0.0 * poses, GRAVITY)
 
 
 def sine(axis, amplitude, frequency_hz, center=HOME):
@@ -49,30 +41,6 @@ def test_the_papers_reference_keeps_to_what_the_geometry_promises():
     swing = smallest["joint_swing"]
     assert (swing.leg, swing.where) == (2, "universal joint of leg 2")
     assert swing.time == pytest.approx(math.pi / 4.0, abs=2e-3)
-
-
-@pytest.mark.parametrize(("name", "axis"), [(n, i) for i, n in enumerate([*TURN_DEG, *REACH_MM])])
-def test_the_range_at_rest_ends_where_the_geometry_says(name, axis):
-    low, high = (TURN_DEG | REACH_MM)[name]
-    unit = math.radians(1.0) if axis < 3 else 1e-3
-    limits = only(conditioning=0.05, transmission=0.2)
-    for end, inwards in ((low, 1.0), (high, -1.0)):
-        inside = np.linspace(0.0, end + inwards, 200)[:, None] * unit * AXES[axis]
-        assert at_rest(ROBOT.home_pose + inside, limits).feasible
-        assert not at_rest(ROBOT.home_pose + (end - inwards) * unit * AXES[axis], limits).feasible
-
-
-def test_out_of_reach_breaks_reach_whatever_the_limits_and_leaves_out_what_cannot_be_judged():
-    for limits, known, bound in ((ALL, ["reach", "euler_pitch"], 0.98), (NONE, ["reach"], 1.0)):
-        report = at_rest([[0, 0, 0, 0, 0, 0.6]], limits)
-        assert list(report.smallest) == known
-        assert (report.first_violation.limit, report.first_violation.bound) == ("reach", bound)
-    # The samples within reach are judged on.
-    report = check_reference(ROBOT, ALL, sine(5, 0.2, 0.05), 20.0, GRAVITY)
-    first = report.first_violation
-    with pytest.raises(InfeasibleReferenceError, match=rf"{first.limit} at t = {first.time:.3f} s"):
-        report.raise_if_infeasible()
-    assert first.time < report.smallest["reach"].time
 
 
 def test_the_earliest_violation_wins_and_of_simultaneous_ones_the_first_in_order():

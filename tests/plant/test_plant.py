@@ -1,6 +1,5 @@
 import json
 import re
-import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +14,7 @@ from strategies import ROBOT, poses, vectors
 from stewart_drake.errors import ConfigurationError, SingularPoseError, UnreachablePoseError
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian, pose_rate_to_twist, reach_margin
 from stewart_drake.plant.plant_options import PlantOptions, platform_damping_limit
-from stewart_drake.plant.sdf_model import home_frames, sdf_text
-from stewart_drake.robot import RobotParameters
+from stewart_drake.plant.sdf_model import sdf_text
 
 FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]
 HOME = ROBOT.home_pose
@@ -39,27 +37,6 @@ def gap_vectors(stewart, context):
     tip = np.array([0.0, 0.0, robot.rod_length])
     rods = [plant.GetFrameByName(f"rod_{leg}") for leg in range(6)]
     return np.array([plant.CalcPointsPositions(context, rod, tip, world)[:, 0] for rod in rods]) - seats
-
-
-def test_fourteen_bodies_have_the_masses_of_table_1():
-    plant = built()[1].plant
-    table = {
-        "base": (7.0, [0.0, 0.0, -0.07], [0.027, 0.027, 0.054]),
-        "platform": (1.0, [0.0, 0.0, 0.0], [0.003, 0.003, 0.006]),
-    }
-    for leg in range(6):
-        table[f"crank_{leg}"] = (0.04, [0.055, 0.0, 0.0], [1e-6, 5.8e-5, 5.9e-5])
-        table[f"rod_{leg}"] = (0.08, [0.0, 0.0, 0.202], [0.0016, 0.0016, 1e-6])
-    bodies = [plant.get_body(index) for index in plant.GetBodyIndices(plant.GetModelInstanceByName("stewart"))]
-    assert {body.name() for body in bodies} == set(table)
-    for body in bodies:
-        mass, centre, moments = table[body.name()]
-        inertia = body.default_spatial_inertia()
-        assert inertia.get_mass() == mass
-        np.testing.assert_allclose(inertia.get_com(), centre, atol=1e-16)
-        about_centre = inertia.Shift(inertia.get_com()).CalcRotationalInertia()
-        np.testing.assert_allclose(about_centre.get_moments(), moments, atol=1e-15)
-        np.testing.assert_allclose(about_centre.get_products(), 0.0, atol=1e-15)
 
 
 @universal_or_ball
@@ -165,21 +142,3 @@ def test_python_of_the_readme_runs(monkeypatch):
     names = {}
     exec(code, names)
     assert names["plant"].num_positions() == 25
-
-
-@pytest.mark.parametrize("turns", [-2, 0, 1])
-def test_stops_hold_home_whatever_the_turn_that_their_angles_are_of(turns):
-    # An angle within the range stays within it where it leaves (-pi, pi].
-    given = np.array([2.0, 8.0]) - 2.0 * np.pi
-    robot = RobotParameters(branch=1, legs=[{"crank_angle_range": tuple(given + 2.0 * np.pi * turns)}] * 6)
-    frames = home_frames(robot)
-    np.testing.assert_allclose(np.diff(frames.stops), 6.0)
-    assert (frames.stops[:, 0] < 0.0).all()
-    assert (frames.stops[:, 1] > 0.0).all()
-    theta = given[0] + np.linspace(0.01, 5.99, 7)[:, None] + np.zeros(6)
-    motor = frames.motor_angles(np.arctan2(np.sin(theta), np.cos(theta)))
-    np.testing.assert_allclose(motor, theta - given[0] + frames.stops[:, 0], atol=1e-14)
-    model = ET.fromstring(sdf_text(robot)).find("model")
-    limits = [model.find(f"joint[@name='motor_{leg}']/axis/limit") for leg in range(6)]
-    written = [[float(limit.findtext(end)) for end in ("lower", "upper")] for limit in limits]
-    np.testing.assert_array_equal(written, frames.stops)

@@ -8,7 +8,7 @@ from made_logs import made_log
 
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plotting import plot_states, plot_torques, save_figure
-from stewart_drake.plotting.study_plots import plot_bands, plot_error, plot_rmse
+from stewart_drake.plotting.study_plots import plot_error, plot_rmse
 from stewart_drake.scenario import Scenario
 
 AXES = ("φ", "θ", "ψ", "X", "Y", "Z")
@@ -138,17 +138,6 @@ def run(controller, rmse, condition="calm", status="completed"):
     trace = {"time": [0.0, 1.0], "pose_mm": [0.0, rmse]}
     named = {"controller": controller, "condition": condition, "reference": "sine", "status": status}
     return {**named, "pose_rmse_mm": rmse, "trace": trace}
-
-
-def test_the_plot_of_bands_is_a_bode_plot():
-    rows = [
-        {"controller": "lqi", "reference": "roll", "frequency_hz": f, "ratio": 1.0 / f, "phase_deg": -90.0 * f}
-        for f in (1.0, 10.0)
-    ]
-    magnitude, phase = plot_bands(rows).axes
-    assert {magnitude.get_xscale(), phase.get_xscale()} == {"log"}
-    np.testing.assert_allclose(magnitude.lines[0].get_ydata(), [0.0, -20.0])
-    assert (magnitude.get_ylabel(), phase.get_ylabel()) == ("magnitude [dB]", "phase [deg]")
 
 
 def test_a_failed_run_is_a_cross_at_the_edge_and_others_are_where_their_error_is():

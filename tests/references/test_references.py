@@ -10,9 +10,7 @@ from references.laws import KINDS, bursts, check_derivatives, check_smooth, ends
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references import (
     AdjustedReference,
-    BreathingReference,
     HeartbeatReference,
-    HoldReference,
     MinimumJerkReference,
     SineBurstsReference,
     SplineReference,
@@ -112,20 +110,6 @@ def test_faded_in_it_starts_at_rest_in_the_centre_and_ends_as_the_motion(motion,
     for values, given_values in zip(reference.evaluate(later), whole.evaluate(later), strict=True):
         np.testing.assert_allclose(values, given_values, rtol=1e-9, atol=1e-6)
     check_smooth(reference, [0.0, fade_in * slowdown], jerk=1e5)
-
-
-def test_the_centre_is_the_motions_own_unless_given():
-    breathing = BreathingReference(center=(0.1, 0.0, 0.0, 0.0, 0.0, 0.31))
-    whole = SumReference(parts=(breathing, HeartbeatReference()))
-    path = MinimumJerkReference(poses=((0.0,) * 6, (0.1,) * 6), durations=(1.0,))
-    for motion, center in (
-        (whole, breathing.center),
-        (AdjustedReference(motion=whole), breathing.center),
-        (AdjustedReference(motion=whole, center=(1.0,) * 6), (1.0,) * 6),
-        (path, path.poses[0]),
-        (HoldReference(), HoldReference().pose),
-    ):
-        np.testing.assert_array_equal(center_of(motion), center)
 
 
 @given(bursts | moves | splines)

@@ -9,15 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from matplotlib.image import imread
 from PIL import Image
 from pydrake.math import RollPitchYaw
-from strategies import ROBOT
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.runs.pictures import render_png
 from stewart_drake.runs.replay import nearest_rows, write_replay
 from stewart_drake.scenario import Scenario
 
@@ -117,26 +113,6 @@ def test_errors_and_torques_of_several_runs_stand_beside_their_robots(tmp_path):
     np.testing.assert_allclose(np.transpose(runs[0]["torque"]), torque)
     assert runs[1]["torque"] == []
     assert runs[1]["lines"] == [["stopped at 0.25 s", True], ["why", True], ["and where", True]]
-
-
-def test_what_cannot_be_shown_is_refused_and_writes_nothing(tmp_path):
-    log = make_log(rows=3)
-    nowhere = dataclasses.replace(log, signals={**log.signals, "plant_state": np.nan * log["plant_state"]})
-    for bad, rows in ((nowhere, 3), (make_log(rows=0), 0)):
-        with pytest.raises(ConfigurationError, match=f"log: expected .*got '{rows} rows'"):
-            written(bad, tmp_path)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="Drake's renderer needs libEGL")
-def test_a_still_shows_the_whole_robot_on_white(tmp_path):
-    render_png(ROBOT, ROBOT.home_pose, tmp_path / "robot.png", width=240, height=180, passes=1)
-    image = imread(tmp_path / "robot.png")[..., :3]
-    assert image.shape == (180, 240, 3)
-    edges = [part.reshape(-1, 3) for part in (image[:2], image[-2:], image[:, :2], image[:, -2:])]
-    assert np.mean(np.concatenate(edges).min(axis=-1) < 0.9) < 0.02
-    assert 0.01 < np.mean(image[..., 2] > image[..., 0] + 0.2) < 0.2, "the platform's disc"
 
 
 @pytest.mark.slow

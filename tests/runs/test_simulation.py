@@ -85,24 +85,6 @@ def test_what_a_tick_raises_ends_the_run_with_its_time_and_whole_rows(monkeypatc
     assert "\n" not in log.message
 
 
-def test_ctrl_c_between_steps_keeps_the_log_and_runs_repeat_to_the_last_bit():
-    times = []
-
-    def progress(time):
-        times.append(time)
-        if time >= 0.1:
-            raise KeyboardInterrupt
-
-    log = run(scenario(duration=0.23), progress=progress)
-    assert (log.status, log.end_time, log.time[-1], len(log.time)) == ("interrupted", 0.1, 0.1, 21)
-    times.clear()
-    whole = run(scenario(duration=0.23), progress=times.append)
-    for name in whole:
-        np.testing.assert_array_equal(log[name], whole[name][:21], err_msg=name)
-    assert times[-1] == 0.23
-    assert all(0.0 < later - earlier <= 0.05 + 1e-9 for earlier, later in itertools.pairwise([0.0, *times]))
-
-
 def test_a_run_that_does_not_fit_into_memory_is_refused_before_it():
     with pytest.raises(ConfigurationError, match=r"duration: expected at most 2000 s at a plant.time_step"):
         run(scenario(duration=2001.0, log_period=1.0))

@@ -10,16 +10,7 @@ from hypothesis import strategies as st
 from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.scenario import load_scenario
 from stewart_drake.stability.linear_loop import linear_loops
-from stewart_drake.stability.margins import (
-    HEADER,
-    balanced,
-    gain_of_disk,
-    loop_margins,
-    lower_bound,
-    refined,
-    table,
-    upper_bound,
-)
+from stewart_drake.stability.margins import balanced, gain_of_disk, loop_margins, lower_bound, refined, upper_bound
 
 SETTINGS = {"difference": [], "observer": ["estimator.kind=observer"], "pid": ["controller={kind: pid}"]}
 
@@ -129,12 +120,3 @@ def test_mu_of_a_product_of_two_vectors_is_known(seed):
     logs = refined(matrix[0], balanced(matrix)[0])
     assert lower_bound(matrix[0], logs) == pytest.approx(np.abs(a * b).sum(), rel=1e-3)
     assert upper_bound(matrix, logs[None])[0] == pytest.approx(np.abs(a * b).sum(), rel=1e-3)
-
-
-def test_the_table_says_what_the_worst_pose_has(loops, found):
-    said = {line[0]: line[1:] for line in table(found, loops.period)}
-    assert {len(line) for line in said.values()} == {len(HEADER) - 1}
-    assert float(said["disk margin [-]"][3]) == pytest.approx(found.all_at_once.disk.min(), rel=1e-2)
-    assert float(said["gain down to [-]"][0]) == pytest.approx(found.single.gain_low.max(), rel=1e-2)
-    assert float(said["delay [ms]"][0]) == pytest.approx(1e3 * found.single.delay.min(), rel=1e-2)
-    assert float(said["phase [deg]"][5]) == pytest.approx(np.degrees(np.median(found.all_at_once.phase)), rel=1e-2)

@@ -46,21 +46,6 @@ def done(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_every_run_that_is_asked_for_is_there_once():
-    cells = [(c.controller, c.reference, c.condition, c.seed) for c in small().cells if c.frequency is None]
-    assert cells == [
-        *((c, r, "nominal", 3) for c in ("soft", "stiff", "pid") for r in ("sine", "hold")),
-        ("stiff", "sine", "noise", 3),
-        ("stiff", "sine", "noise", 4),
-        ("paper", "long", "nominal", 3),
-    ]
-    everything = small(runs=None, bands=None)
-    assert everything.runs == 4 * 3 * 3
-    assert everything.scenario(0).duration == 0.1
-    assert small().scenario(7).sensors.noise_seed == 4
-
-
-@pytest.mark.slow
 def test_the_table_has_the_figures_and_failures_of_the_runs(done):
     comparison, result, folder = done
     by_run = {(r["controller"], r["reference"], r["condition"], r["seed"]): r for r in result.rows["comparison"]}

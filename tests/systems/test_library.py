@@ -7,11 +7,9 @@ import re
 import numpy as np
 import pytest
 from conftest import make_network
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from strategies import ROBOT, poses, vectors
+from strategies import ROBOT
 
 from stewart_drake import systems
 from stewart_drake.control.classical import ComputedTorqueOptions, PidOptions
@@ -21,7 +19,6 @@ from stewart_drake.hardware.motors import FrictionCompensation, LinkOptions, Mot
 from stewart_drake.hardware.observer import ObserverOptions
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.jit import fields, new_record
-from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.part import Part
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
@@ -75,17 +72,6 @@ def test_ports_are_those_of_the_docstring(system):
     for (way, name), port in ports.items():
         attribute = f"{name}_out" if way == "out" and ("in", name) in ports else name
         assert getattr(system, attribute).get_index() == port.get_index()
-
-
-@settings(max_examples=30)
-@given(poses(0.8), vectors(6, 1.0), st.sampled_from(["universal", "ball"]))
-def test_the_sensor_sees_the_plant_at_its_state(pose, rate, rod_joint):
-    system = systems.TaskSpaceSensor(PLANTS[rod_joint])
-    context = system.CreateDefaultContext()
-    system.plant_state.FixValue(context, PLANTS[rod_joint].assemble(pose, rate))
-    np.testing.assert_allclose(system.measurement.Eval(context), [*pose, *rate], atol=1e-12)
-    cranks = [*inverse_kinematics(ROBOT, pose), *(pose_jacobian(ROBOT, pose) @ rate)]
-    np.testing.assert_allclose(system.crank_state.Eval(context), cranks, atol=1e-11)
 
 
 SAMPLER = fields(value=1, rest=2, scratch=1)

@@ -2,18 +2,16 @@ import numpy as np
 import pytest
 
 from stewart_drake.control.features import CostScales
-from stewart_drake.logs.metrics import FAILED, run_cost, run_metrics
+from stewart_drake.logs.metrics import run_cost, run_metrics
 from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.workers import Workers
 from stewart_drake.training.benchmark import (
     BEST_FIXED,
-    LEAST_COST,
     Baselines,
     Verdict,
     assess,
     estimate,
-    log_cost,
     mean_over_cells,
     with_setting,
 )
@@ -24,15 +22,6 @@ def test_each_cell_counts_alike_however_many_runs_it_has():
     cases = [Case("hold", "paper", 0), Case("fast", "paper", 0), Case("fast", "paper", 1), Case("fast", "paper", 2)]
     values = np.array([[1.0, 3.0, 4.0, 5.0], [0.0, 0.0, 0.0, 3.0]])
     assert mean_over_cells(values, cases) == pytest.approx([2.5, 0.5])
-
-
-def test_a_failed_run_costs_the_most_and_one_of_nothing_the_least():
-    good = {"status": "completed", **dict.fromkeys(("rmse_norm_mm", "torque_change_rms"), 0.0), "period": 0.001}
-    scales = CostScales()
-    assert log_cost({**good, "rmse_norm_deg": 0.03}, scales) == pytest.approx(0.0)
-    assert log_cost({**good, "rmse_norm_deg": 0.03, "status": "lost"}, scales) == pytest.approx(np.log(FAILED))
-    assert log_cost({"status": "rejected"}, scales) == pytest.approx(np.log(FAILED))
-    assert log_cost({**good, "rmse_norm_deg": 0.0}, scales) == pytest.approx(np.log(LEAST_COST))
 
 
 CASES = tuple(Case(kind, "paper", seed) for kind in ("hold", "fast") for seed in range(40))

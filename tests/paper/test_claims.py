@@ -13,10 +13,13 @@ from stewart_drake.mechanics.dynamics import task_inertia
 from stewart_drake.mechanics.kinematics import conditioning, leg_geometry, rod_lines, twist_jacobian
 from stewart_drake.paper.force_map import light_legs, measured, predicted, relative_error, to_euler
 from stewart_drake.paper.kinematics import DURATION, START, TORQUE, branch_of_6, exact_motion
-from stewart_drake.paper.reproduce import WIDE
+from stewart_drake.paper.network import best_possible_scores
+from stewart_drake.paper.nine_experiments import distinct, gains_along_reference, relative_distances
+from stewart_drake.paper.reproduce import PAIRS, WIDE
 from stewart_drake.paper.state_space import decay_limit, first_singularity, gain_of_ratio, slowest_decay
 from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.robot import RobotParameters
+from stewart_drake.scenario import Scenario
 
 ROBOT = RobotParameters()
 HOME = ROBOT.home_pose
@@ -104,3 +107,21 @@ def test_the_limit_of_equal_weights_is_half_the_root_of_three_and_weights_move_i
     assert decay_limit() == pytest.approx(np.sqrt(3.0) / 2.0, rel=1e-14)
     for factor in (0.5, 4.0, 10.0):  # time runs faster by the factor
         assert decay_limit((1.0, factor**-2, factor**2)) == pytest.approx(factor * decay_limit())
+
+
+BASE = Scenario()
+ratio_of = np.array([q / r for q, r in PAIRS])
+
+
+@pytest.mark.parametrize("changed", [{}, {"controller.solver": "split", "controller.force_map": "printed"}], ids=str)
+def test_gains_of_one_ratio_are_equal_to_1e_10_and_of_two_ratios_are_not(changed):
+    distances = relative_distances(gains_along_reference(BASE.replace(changed)))
+    equal = np.isclose(ratio_of[:, None], ratio_of)
+    assert distances[equal].max() < 1e-10 < 1e-2 < distances[~equal].min()
+    assert distinct(distances, 1e-10) == 5
+
+
+def test_over_the_nine_pairs_half_of_each_weight_s_variance_is_irreducible():
+    # Labels -1, 0, 1; ratio 0 has a variance of 2/3 left in three pairs, ratios -1 and 1 of 1/4 in two, the ends none:
+    # (3 * 2/3 + 4 * 1/4) / (9 * 2/3) = 1/2.
+    assert best_possible_scores() == pytest.approx({"omega_Q": 0.5, "omega_R": 0.5, "ratio": 1.0}, abs=1e-12)
