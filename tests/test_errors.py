@@ -24,7 +24,7 @@ POSE = np.array([0.1, 0.2, 0.3, 0.01, 0.02, 0.5])
 EXAMPLES = [
     StewartDrakeError("plain"),
     ConfigurationError("robot.branch", 2, "-1 or 1"),
-    InfeasibleReferenceError("torque", 0.25, 3, -1.5, "|motor torque| <= 5 N m"),
+    InfeasibleReferenceError("torque", 0.25, 3, "6.5 N m", -1.5, "|motor torque| <= 5 N m"),
     RunFailure("stopped", leg=2),
     UnreachablePoseError(POSE, 4, -0.125),
     SingularPoseError("serial", POSE, 1e-4, 0.01, leg=5),

@@ -143,6 +143,8 @@ def test_an_override_sets_one_key(text, key, value):
         ),
         ("duration=-1", "duration", "a positive number [s]"),
         ("duration=3 kg", "duration", "a number [s], or one with s, ms, us, min behind it, got '3 kg'"),
+        ("reference.angular_frequency=5 s", "reference.angular_frequency", "a period of 5 s is 0.2 Hz), got '5 s'"),
+        ("duration=5 Hz", "duration", "5 Hz is a period of 0.2 s), got '5 Hz'"),
         ("controller.period=5", "controller.period", "at most 1, got 5; did you mean 5 ms"),
     ],
 )
@@ -236,7 +238,7 @@ def test_each_number_of_a_list_has_the_unit_of_its_place():
     [
         ([30.0, 0, 0, 0, 0, 0], "30 rad is -?1719 deg: did you mean -?30 deg"),
         ([0, 0, 0, 0, 0, 50.0], "reference.amplitude has 50 m; did you mean 50 mm"),
-        ([0, 0, 0, 0, 0, 0.2], "check` with --scale or --retime"),
+        ([0, 0, 0, 0, 0, 0.2], "about 53 % of its size"),
     ],
 )
 def test_a_motion_that_is_refused_says_what_to_do(amplitude, answer):
