@@ -1,10 +1,9 @@
 """Seeded defects: small changes of the package, drawn with a seed, and which tests notice each of them.
 
-    python tests/seeded_defects.py [--count 40] [--seed 19] [--whole] [-- PYTEST OPTIONS]
+    python tests/seeded_defects.py [--count 40] [--seed 19] [-- PYTEST OPTIONS]
 
 Each defect is put into a copy of the checkout, and the fast tests of its room run there: those in the folder of tests
-that has the room's name, for a module outside of rooms those beside the folders. `--whole` runs all fast tests, those
-of `make check`, a minute or two a defect. The table is tests/seeded_defects.jsonl, a row a defect, and
+that has the room's name, for a module outside of rooms those beside the folders. The table is tests/seeded_defects.jsonl, a row a defect, and
 tests/seeded_defects.md; rows that are there already are kept. The first row has no defect: a test that fails there
 catches nothing.
 """
@@ -179,7 +178,6 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--seed", type=int, default=19)
-    parser.add_argument("--whole", action="store_true", help="all fast tests for each, not those of its room alone")
     parser.add_argument("options", nargs="*", default=TESTS, help="of pytest, after --")
     given = parser.parse_args()
     defects = list(draw(given.count, given.seed))
@@ -192,7 +190,7 @@ def main():
                 continue
             if source is not None:
                 (checkout / row["file"]).write_bytes(source)
-            where = [] if given.whole or not row["id"] else of_room(row["file"])
+            where = of_room(row["file"]) if row["id"] else []
             rows[row["id"]] = measure(row, checkout, [*given.options, *where], rows.get(0, {}).get("tests", []))
             if source is not None:
                 # With its own time: Python and numba know a file by that.

@@ -1,6 +1,5 @@
 """Kinds that are not of the package: each runs, is checked, logged and plotted like the package's own."""
 
-import dataclasses
 import json
 from typing import Literal
 
@@ -179,17 +178,6 @@ def test_a_metric_by_its_path_is_computed_in_its_runs_alone(tmp_path):
     assert "height" not in run_metrics(run(Scenario(**SHORT)))
     with pytest.raises(MetricError, match=r"^metric broken: ZeroDivisionError: division by zero \(mine.py, line 5\)"):
         run(of("broken"))
-
-
-def test_a_copy_keeps_what_was_given_in_python_and_another_object_is_another_scenario():
-    one, two = ToyReference(0.002), ToyReference(0.003)
-    scenario = Scenario(**SHORT, reference=one)
-    assert scenario == Scenario(**SHORT, reference=one) != Scenario(**SHORT, reference=two)
-    for copy in (dataclasses.replace(scenario, duration=0.2), scenario.replace({"duration": 0.2})):
-        assert copy.reference.made is one
-        assert copy.replace({"log_period": 0.002}).reference.made is one
-    assert dataclasses.replace(scenario.reference).made is one
-    assert type(scenario.to_dict()["reference"]["kind"]) is str
 
 
 class Nothing:

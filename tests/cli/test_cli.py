@@ -167,13 +167,6 @@ def test_bad_input_ends_in_one_line_and_status_2_and_writes_nothing(call, bad_fi
     assert contents(tmp_path) == bad_files
 
 
-def test_of_several_problems_each_has_a_line_of_its_own(call, tmp_path):
-    (tmp_path / "wrong.yaml").write_text("duration: -1\ngravty: 9\ntuner: {kind: fixd}\n")
-    status, out, err = call("run", "wrong.yaml")
-    keys = [line.split(":")[1].strip() for line in err.splitlines()]
-    assert (status, out, sorted(keys)) == (2, "", ["duration", "gravty", "tuner.kind"])
-
-
 @pytest.mark.usefixtures("without_pictures")
 def test_a_run_that_breaks_keeps_everything_and_ends_with_status_3(call, tmp_path):
     status, out, err = call("run", "paper_fig7_uncompensated", *FAST, "--out", "out")

@@ -8,7 +8,6 @@ from made_logs import made_log
 
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plotting import plot_states, plot_torques, save_figure
-from stewart_drake.plotting.study_plots import plot_error, plot_rmse
 from stewart_drake.scenario import Scenario
 
 AXES = ("φ", "θ", "ψ", "X", "Y", "Z")
@@ -132,19 +131,3 @@ def test_a_picture_is_the_same_every_time_whatever_the_user_s_style_which_stays(
     with mpl.style.context(["dark_background", {"lines.linewidth": 9.0, "font.size": 20.0, "axes.grid": False}]):
         save_figure(plot(make_log()), tmp_path / "dark.png")
     assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "dark.png").read_bytes()
-
-
-def run(controller, rmse, condition="calm", status="completed"):
-    trace = {"time": [0.0, 1.0], "pose_mm": [0.0, rmse]}
-    named = {"controller": controller, "condition": condition, "reference": "sine", "status": status}
-    return {**named, "pose_rmse_mm": rmse, "trace": trace}
-
-
-def test_a_failed_run_is_a_cross_at_the_edge_and_others_are_where_their_error_is():
-    rows = [run("pid", 2.0), run("lqi", 1.0), run("lqi", None, "windy", "failed"), run("pid", 4.0, "windy")]
-    calm, windy = plot_rmse(rows).axes
-    dots = [line.get_xdata()[0] for line in calm.lines if line.get_marker() not in ("None", "x")]
-    assert sorted(dots) == [1.0, 2.0]
-    (cross,) = (line for line in windy.lines if line.get_marker() == "x")
-    assert 8.0 < cross.get_xdata()[0] < windy.get_xlim()[1]
-    assert plot_error(rows[:2], 0.5).axes[0].get_yscale() == "log"

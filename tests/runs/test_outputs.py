@@ -10,6 +10,7 @@ from stewart_drake.logs import versions
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.versions import source_digest
+from stewart_drake.runs import outputs
 from stewart_drake.runs.outputs import prepare_file, write_run
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
@@ -87,6 +88,16 @@ def test_a_place_that_cannot_be_is_refused_and_nothing_there_is_touched(tmp_path
     with pytest.raises(ConfigurationError, match="a file, not a folder"):
         prepare_file(below)
     assert (names(tmp_path), names(below)) == ({"below", "file"}, {"scenario.yaml"})
+
+
+def test_a_full_disk_leaves_no_half_result(tmp_path, monkeypatch):
+    def full(path, _):
+        raise ConfigurationError(str(path), "No space left on device", "a file in a writable folder")
+
+    monkeypatch.setattr(outputs, "write_atomically", full)
+    with pytest.raises(ConfigurationError, match="No space left"):
+        write(made_log(), tmp_path / "out")
+    assert names(tmp_path) == set()
 
 
 def test_a_controller_of_the_users_is_kept_with_its_results_which_can_be_run_again(tmp_path):

@@ -7,12 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import ROBOT, poses
 
+from stewart_drake.cli import study_commands
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.safety import MONITORS
-from stewart_drake.studies import runs, workers
+from stewart_drake.studies import runs
 from stewart_drake.studies.faults import COLUMNS, DURATION, FAULTS, MOTIONS, FaultStudy, base, holdable_load
 from stewart_drake.studies.runs import execute
+from stewart_drake.studies.workers import Workers
 
 IN_TURN = [(fault, tuple(MOTIONS)[number % len(MOTIONS)]) for number, fault in enumerate(FAULTS.values())]
 
@@ -65,8 +67,8 @@ def instantly(task):
 def test_the_command_writes_a_row_a_run_and_a_line_a_fault_quick_that_of_the_held_platform_alone(
     call, tmp_path, monkeypatch
 ):
-    here = workers.Workers(0)
-    monkeypatch.setattr(workers, "Workers", lambda *_: here)
+    here = Workers(0)
+    monkeypatch.setattr(study_commands, "Workers", lambda *_: here)
     monkeypatch.setattr(runs, "execute", instantly)
     for options, motions in ((["--quick"], ["hold"]), (["--restart"], MOTIONS)):
         status, out, err = call("faults", "--out", "out", *options)
