@@ -3,9 +3,9 @@
     python tests/seeded_defects.py [--count 40] [--seed 19] [-- PYTEST OPTIONS]
 
 Each defect is put into a copy of the checkout, and the fast tests of its room run there: those in the folder of tests
-that has the room's name, for a module outside of rooms those beside the folders. The table is tests/seeded_defects.jsonl, a row a defect, and
-tests/seeded_defects.md; rows that are there already are kept. The first row has no defect: a test that fails there
-catches nothing.
+that has the room's name, for a module outside of rooms those beside the folders. The table is
+tests/seeded_defects.jsonl, a row a defect, and tests/seeded_defects.md; rows that are there already are kept. The first
+row has no defect: a test that fails there catches nothing.
 """
 
 import argparse
