@@ -1,4 +1,4 @@
-"""Each LeafSystem by itself: its ports are those that its docstring names; for its ticks see test_part_system."""
+"""LeafSystems by themselves: ports as their docstrings name them, and a part in their shell; ticks are in test_loop."""
 
 import inspect
 import math
@@ -21,7 +21,6 @@ from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.jit import fields, new_record
 from stewart_drake.part import Part
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import paper_reference
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import on_grid
@@ -30,9 +29,7 @@ from stewart_drake.systems.library import PlatformWrench
 
 GRAVITY, PERIOD = 9.81, 0.001
 HOME, ZERO = ROBOT.home_pose, np.zeros(6)
-PLANTS = {kind: build_plant(ROBOT, PlantOptions(rod_joint=kind))[1] for kind in ("universal", "ball")}
-PLANT = PLANTS["universal"]
-
+PLANT = build_plant(ROBOT)[1]
 ENCODERS = EncoderOptions(resolution_bits=17, rate_cutoff=80.0, noise=1e-4, hold_ticks=2)
 
 EVERY = [
