@@ -142,6 +142,15 @@ def test_a_robot_from_a_table_is_the_robot_that_was_measured(tmp_path):
         assert made.characteristic_length == pytest.approx(0.065)
 
 
+def test_a_table_may_have_lengths_branches_stops_and_directions_of_each_leg(tmp_path):
+    header = f"{HEADER}, crank_x, crank_y, crank_z, rod_length, branch, low, high"
+    rods = 0.14 + 0.001 * np.arange(6)
+    rows = np.column_stack([POINTS, HEXAPOD.crank_zero_directions, rods, [-1] * 6, [-1.0] * 6, [1.0] * 6])
+    made = RobotParameters.from_table(table(tmp_path / "own.csv", rows, header), crank_length=0.025)
+    np.testing.assert_allclose(made.rod_lengths, rods)
+    np.testing.assert_array_equal(made.crank_angle_ranges, [[-1.0, 1.0]] * 6)
+
+
 def test_masses_without_inertias_are_uniform_bars_and_a_disc():
     made = RobotParameters.from_table(
         POINTS, **LEG, platform_mass=0.4, rod_mass=0.012, crank_mass=0.006, link_radius=0.003

@@ -110,3 +110,11 @@ def test_what_is_no_log_is_named_in_one_line(log, tmp_path):
         refused(words)
     with pytest.raises(ConfigurationError, match=r"a name that ends in \.parquet or \.csv"):
         log.save(tmp_path / "log.xlsx")
+
+
+def test_a_log_becomes_a_frame_a_dataset_with_named_axes_and_a_cell_of_a_notebook(log):
+    np.testing.assert_array_equal(log.to_pandas()["pose_x_m"], log["pose"][:, 3])
+    dataset = log.to_xarray()
+    np.testing.assert_array_equal(dataset["pose"].sel(axis="z"), log["pose"][:, 5])
+    assert (dataset["time"].attrs["units"], dataset["pose"].attrs["units"][5]) == ("s", "m")
+    assert log._repr_html_().count("<polyline") == 2

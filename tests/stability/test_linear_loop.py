@@ -39,18 +39,6 @@ def test_the_regulator_with_ideal_sensors_is_its_gain_and_an_integral():
     np.testing.assert_allclose(loops.a[0, 12:], np.hstack([1e-3 * np.eye(6), np.zeros((6, 6)), np.eye(6)]), atol=1e-9)
 
 
-@pytest.mark.parametrize("changes", [[], OBSERVER])
-def test_a_delay_is_a_chain_of_states(changes):
-    short, long = (linear_loops(scenario(*changes, f"command_delay={n}"), POSE[None]) for n in (1, 3))
-    assert long.a.shape[-1] > short.a.shape[-1]
-    assert radius(long) < 1.0
-    # From the torque to what comes back: no sooner than the delay says, and first what moves in a tick.
-    for loops, ticks in ((short, 1), (long, 3)):
-        echo = [loops.c[0] @ np.linalg.matrix_power(loops.a[0], k) @ loops.b[0] for k in range(ticks + 1)]
-        assert np.abs(echo[:-1]).max() == 0.0
-        assert np.abs(echo[-1]).max() > 0.0
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "changes", [[], IDEAL, OBSERVER, [*OBSERVER, "command_delay=3"], ["controller={kind: pid}"]], ids=str
