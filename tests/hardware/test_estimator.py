@@ -14,9 +14,9 @@ PERIOD, STILL = 0.001, np.zeros(6)
 SMOOTH = EncoderOptions(resolution_bits=0)
 
 
-def estimator(options=SMOOTH, start=HOME, rate=STILL, robot=ROBOT, period=PERIOD):
+def estimator(options=SMOOTH, start=HOME, rate=STILL, period=PERIOD):
     """`tick(angles, state)`: the state after a tick; and the state before the first."""
-    part = difference_part(robot, options, period, start, rate)
+    part = difference_part(ROBOT, options, period, start, rate)
 
     def tick(angles, state):
         after = state.copy()
@@ -26,9 +26,9 @@ def estimator(options=SMOOTH, start=HOME, rate=STILL, robot=ROBOT, period=PERIOD
     return tick, part.initial
 
 
-def run(robot, options, readings, start, period=PERIOD):
+def run(options, readings, start, period=PERIOD):
     """States after each reading."""
-    tick, state = estimator(options, start, STILL, robot, period)
+    tick, state = estimator(options, start, STILL, period)
     states = []
     for angles in readings:
         state = tick(angles, state)
@@ -36,8 +36,8 @@ def run(robot, options, readings, start, period=PERIOD):
     return np.array(states)
 
 
-def at(pose, robot=ROBOT):
-    return inverse_kinematics(robot, pose)
+def at(pose):
+    return inverse_kinematics(ROBOT, pose)
 
 
 def test_the_rate_is_that_of_now_to_first_order_in_the_period():
@@ -46,7 +46,7 @@ def test_the_rate_is_that_of_now_to_first_order_in_the_period():
 
     def gap(period):
         readings = [at(start + t * rate + 0.5 * t * t * acceleration) for t in (-period, 0.0)]
-        result = run(ROBOT, SMOOTH, readings, start, period)[-1]["measurement"]
+        result = run(SMOOTH, readings, start, period)[-1]["measurement"]
         np.testing.assert_allclose(result[:6], start, atol=1e-9)
         return np.abs(result[6:] - rate).max()
 
@@ -60,7 +60,7 @@ def test_the_pose_is_as_good_as_the_counts(pose, bits):
     options = EncoderOptions(resolution_bits=bits)
     # Whole turns of a crank are no matter.
     readings = np.rint(at(pose) / options.quantum) * options.quantum + 2.0 * np.pi * np.array([1, -1, 0, 3, 0, 2])
-    found = run(ROBOT, options, [readings], pose)[0]["measurement"][:6]
+    found = run(options, [readings], pose)[0]["measurement"][:6]
     bound = np.abs(np.linalg.inv(pose_jacobian(ROBOT, pose))) @ np.full(6, 0.5 * options.quantum)
     assert (np.abs(found - pose) <= 1.1 * bound + 1e-9).all()
 
