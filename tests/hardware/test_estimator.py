@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from setups import setup_for
 from strategies import ROBOT, poses
 
 from stewart_drake.errors import AssemblyModeError, RunFailure
@@ -16,7 +17,7 @@ SMOOTH = EncoderOptions(resolution_bits=0)
 
 def estimator(options=SMOOTH, start=HOME, rate=STILL, period=PERIOD):
     """`tick(angles, state)`: the state after a tick; and the state before the first."""
-    part = difference_part(ROBOT, options, period, start, rate)
+    part = difference_part(setup_for(sensors=options, period=period, pose=start, pose_rate=rate))
 
     def tick(angles, state):
         after = state.copy()

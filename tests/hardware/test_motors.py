@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from setups import setup_for
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake.hardware.faults import CommandFault, MotorFault
@@ -10,8 +11,6 @@ from stewart_drake.hardware.motors import (
     FrictionCompensation,
     LinkOptions,
     MotorOptions,
-    friction_part,
-    link_part,
 )
 from stewart_drake.mechanics.kinematics import pose_jacobian
 
@@ -43,7 +42,7 @@ SIX = np.array([0.01, 0.02, 0.03, 0.04, 0.05, 0.06])
 
 def against_friction(pose, rate):
     options = FrictionCompensation(coulomb=tuple(SIX), break_away=0.1, stribeck_velocity=0.05, viscous=0.2)
-    part = friction_part(ROBOT, options)
+    part = options.part(setup_for())
     state = part.initial.copy()
     state["against_friction"] = np.nan
     part.tick(np.concatenate([pose, rate, np.zeros(6)]), state)
@@ -63,7 +62,7 @@ STEPS = 4
 
 def arrivals(options, ticks=8, steps=STEPS):
     """Command in force and its age at every step; tick k sends k + 1 to all motors, and says so until the next."""
-    part = link_part(options, steps, np.zeros(6))
+    part = options.part(setup_for(period=0.001 * steps, time_step=0.001, still=np.zeros(6)))
     state, said = part.initial.copy(), []
     for step in range(ticks * steps):
         part.tick(np.full(6, step // steps + 1.0), np.array([0.001 * step]), state)
@@ -104,7 +103,8 @@ def test_chance_drops_its_share_by_the_seed_alone_and_by_the_tick():
     ],
 )
 def test_commands_are_spoilt_as_told_and_the_controllers_own_are_left_alone(fault, expected):
-    part, command, time = link_part(LinkOptions(faults=(fault,)), 1, np.zeros(6)), np.arange(6.0), np.array([0.1])
+    part = LinkOptions(faults=(fault,)).part(setup_for(period=0.001, time_step=0.001))
+    command, time = np.arange(6.0), np.array([0.1])
     state = part.initial.copy()
     for _ in range(8):
         part.tick(command, time, state)

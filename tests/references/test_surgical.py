@@ -59,15 +59,8 @@ def test_a_premature_beat_comes_early_and_the_next_one_on_time(rate, beat, prema
     np.testing.assert_allclose(np.interp(np.arange(len(expected)), count, times), expected, atol=1e-4)
 
 
-@pytest.mark.slow
-def test_tremor_has_its_size_and_stays_within_its_band():
+def test_tremor_has_its_size():
+    # Its sines are those of noise, whose band is in hardware/test_disturbances.py.
     reference = TremorReference(rms=(1e-3, 0.0, 0.0, 1e-4, 2e-4, 3e-4), low=6.0, high=12.0, seed=3)
-    rate, duration = 200.0, 400.0
-    pose = reference.evaluate(np.arange(0.0, duration, 1.0 / rate))[0] - np.array(reference.center)
-    np.testing.assert_allclose(np.sqrt(np.mean(pose**2, axis=0)), reference.rms, rtol=0.02, atol=1e-15)
-    power = np.abs(np.fft.rfft(pose * np.hanning(len(pose))[:, None], axis=0)) ** 2
-    frequency = np.fft.rfftfreq(len(pose), 1.0 / rate)
-    for axis in (0, 3, 4, 5):
-        inside, lower = (power[(frequency > 5.98) & (frequency < most), axis].sum() for most in (12.02, 9.0))
-        assert inside > (1.0 - 1e-6) * power[:, axis].sum()
-        assert lower / inside == pytest.approx(0.5, abs=0.1)
+    pose = reference.evaluate(np.arange(0.0, 100.0, 0.005))[0] - np.array(reference.center)
+    np.testing.assert_allclose(np.sqrt(np.mean(pose**2, axis=0)), reference.rms, rtol=0.05, atol=1e-15)
