@@ -34,7 +34,7 @@ ROOT = Path(__file__).parent.parent
 
 
 # Fixtures that take long. The tests of each go to one worker: others would make it again, or stand idle meanwhile.
-SHARED = ("cluster", "done", "collected")
+SHARED = ("cluster", "done")
 
 
 # Before that of pytest-xdist, which looks for the groups.
@@ -53,7 +53,7 @@ COMMAND = "from stewart_drake.cli.app import main; main()"
 def environment(**changes):
     # In which a fresh Python finds this checkout, installed or not.
     path = os.pathsep.join(filter(None, [str(ROOT), str(ROOT / "tests"), os.environ.get("PYTHONPATH")]))
-    return {**os.environ, "PYTHONPATH": path, "COLUMNS": "200", **changes}
+    return {**os.environ, "PYTHONPATH": path, "COLUMNS": "200", "LC_ALL": "C.UTF-8", **changes}
 
 
 def python(*arguments):

@@ -9,8 +9,8 @@ from stewart_drake.mujoco_model import mjcf_text
 
 
 class MujocoRobot:
-    def __init__(self, robot, gravity=STANDARD_GRAVITY, options=None, integrator="Euler"):
-        self.model = mujoco.MjModel.from_xml_string(mjcf_text(robot, gravity, options, integrator))
+    def __init__(self, robot, gravity=STANDARD_GRAVITY, options=None):
+        self.model = mujoco.MjModel.from_xml_string(mjcf_text(robot, gravity, options))
         self.data = mujoco.MjData(self.model)
 
     def set_state(self, stewart, state):
@@ -42,10 +42,3 @@ class MujocoRobot:
     def platform(self):
         # X, Y, Z and the quaternion w, x, y, z.
         return np.array(self.data.joint("platform").qpos)
-
-    @property
-    def loop_gap(self):
-        # MuJoCo's own points are those of its last evaluation, before the end of the step.
-        mujoco.mj_kinematics(self.model, self.data)
-        site = self.data.site
-        return np.array([np.linalg.norm(site(f"end_{leg}").xpos - site(f"seat_{leg}").xpos) for leg in range(6)])

@@ -1,12 +1,11 @@
 """Seeded defects: small changes of the package, drawn with a seed, and which tests notice each of them.
 
-    python tests/seeded_defects.py [--count 40] [--seed 19] [--whole] [-- PYTEST OPTIONS]
+    python tests/seeded_defects.py [--count 40] [--seed 19] [-- PYTEST OPTIONS]
 
 Each defect is put into a copy of the checkout, and the fast tests of its room run there: those in the folder of tests
-that has the room's name, for a module outside of rooms those beside the folders. `--whole` runs all fast tests, those
-of `make check`, a minute or two a defect. The table is tests/seeded_defects.jsonl, a row a defect, and
-tests/seeded_defects.md; rows that are there already are kept. The first row has no defect: a test that fails there
-catches nothing.
+that has the room's name, for a module outside of rooms those beside the folders. The table is
+tests/seeded_defects.jsonl, a row a defect, and tests/seeded_defects.md; rows that are there already are kept. The first
+row has no defect: a test that fails there catches nothing.
 """
 
 import argparse
@@ -15,6 +14,7 @@ import copy
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -23,7 +23,6 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
-from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "tests" / "seeded_defects.jsonl"
@@ -34,7 +33,7 @@ TESTS = [
     "-m",
     "not slow and not long",
 ]
-ALWAYS = ["-q", "-n", "auto", "--hypothesis-seed=0", "--continue-on-collection-errors", "-o", "junit_family=xunit1"]
+ALWAYS = ["-q", "-n", "auto", "--hypothesis-seed=0", "--continue-on-collection-errors", "--tb=no", "-rfE"]
 LIMIT = 1200.0
 BINARY = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.FloorDiv, ast.Mod, ast.Pow)
 ORDERED = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)
@@ -117,28 +116,21 @@ def replaced(source, node, text):
 
 
 def tested(checkout, options):
-    results = checkout.parent / "results.xml"
-    results.unlink(missing_ok=True)
-    call = [sys.executable, "-m", "pytest", *ALWAYS, f"--junitxml={results}", *options]
+    output = checkout.parent / "output.txt"
+    call = [sys.executable, "-m", "pytest", *ALWAYS, *options]
     # numba keeps machine code by the path and the sources' digest: this copy's for the next defect.
     own = {"PYTHONPATH": str(checkout), "NUMBA_CACHE_DIR": str(checkout.parent / "numba")}
     own |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    with (checkout.parent / "output.txt").open("w") as output:
-        process = subprocess.Popen(
-            call, cwd=checkout, env={**os.environ, **own}, stdout=output, stderr=output, start_new_session=True
-        )
+    with output.open("w") as stream:
+        pipes = {"stdout": stream, "stderr": stream, "start_new_session": True}
+        process = subprocess.Popen(call, cwd=checkout, env={**os.environ, **own}, **pipes)
         try:
             ended = process.wait(LIMIT) in (0, 1)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             ended = False
-    failed = []
-    for case in ElementTree.parse(results).iter("testcase") if results.exists() else ():
-        if case.find("failure") is not None or case.find("error") is not None:
-            # A file that cannot be imported has but a name with dots.
-            failed.append([case.get("file") or case.get("name", "").replace(".", "/") + ".py", case.get("name")])
-    return failed, ended
+    return re.findall(r"^(?:FAILED|ERROR) (\S+)", output.read_text(), re.MULTILINE), ended
 
 
 def left_behind(folder, names):
@@ -156,14 +148,11 @@ def of_room(file):
 def measure(row, checkout, options, already):
     start = time.monotonic()
     failed, ended = tested(checkout, options)
-    caught = [each for each in failed if each not in already]
-    return {
-        **row,
-        "caught": bool(caught) or not ended,
-        "files": dict(Counter(name for name, _ in caught).most_common()),
-        "tests": caught if row["id"] == 0 else [f"{name}::{test}" for name, test in caught[:5]],
-        "seconds": round(time.monotonic() - start),
-    }
+    caught = [name for name in failed if name not in already]
+    files = dict(Counter(name.partition("::")[0] for name in caught).most_common())
+    kept = caught if row["id"] == 0 else caught[:5]
+    seconds = round(time.monotonic() - start)
+    return {**row, "caught": bool(caught) or not ended, "files": files, "tests": kept, "seconds": seconds}
 
 
 def page(rows):
@@ -189,7 +178,6 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--seed", type=int, default=19)
-    parser.add_argument("--whole", action="store_true", help="all fast tests for each, not those of its room alone")
     parser.add_argument("options", nargs="*", default=TESTS, help="of pytest, after --")
     given = parser.parse_args()
     defects = list(draw(given.count, given.seed))
@@ -202,7 +190,7 @@ def main():
                 continue
             if source is not None:
                 (checkout / row["file"]).write_bytes(source)
-            where = [] if given.whole or not row["id"] else of_room(row["file"])
+            where = of_room(row["file"]) if row["id"] else []
             rows[row["id"]] = measure(row, checkout, [*given.options, *where], rows.get(0, {}).get("tests", []))
             if source is not None:
                 # With its own time: Python and numba know a file by that.

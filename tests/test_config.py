@@ -70,27 +70,12 @@ def sections_in(annotation):
         yield from sections_in(part)
 
 
-FAMILIES = {
-    "reference": REFERENCES,
-    "controller": CONTROLLERS,
-    "tuner": TUNERS,
-    "sensors": SENSORS,
-    "estimator": ESTIMATORS,
-}
-EVERY = dict.fromkeys(
-    found
-    for start in (
-        Scenario,
-        UserReference,
-        UserDisturbance,
-        PythonOptions,
-        *(f[kind] for f in (*FAMILIES.values(), DISTURBANCES) for kind in f.kinds),
-    )
-    for found in sections_in(start)
-)
+FAMILIES = (REFERENCES, CONTROLLERS, TUNERS, SENSORS, ESTIMATORS, DISTURBANCES)
+KINDS = [family[kind] for family in FAMILIES for kind in family.kinds]
+STARTS = (Scenario, UserReference, UserDisturbance, PythonOptions, *KINDS)
+EVERY = dict.fromkeys(section for start in STARTS for section in sections_in(start))
 FIELDS = [(section, name) for section in EVERY for name in section.__pydantic_fields__]
 assert len(EVERY) > 30
-assert {section.section_key for section in EVERY} >= {"", *FAMILIES, "disturbances", "link", "safety", "plant"}
 
 
 def valid(section):
@@ -124,8 +109,11 @@ def test_every_field_refuses_what_means_nothing_there_under_its_own_name(section
 
 
 @pytest.mark.parametrize("section", EVERY, ids=lambda s: s.__name__)
-def test_a_mistyped_key_or_choice_of_any_section_is_told_what_was_meant(section):
-    good = valid(section).to_dict()
+def test_any_section_comes_back_from_a_file_and_a_worker_has_texts_and_says_what_was_meant_by_a_typo(section):
+    made = valid(section)
+    assert pickle.loads(pickle.dumps(made)) == made == section.from_dict(made.to_dict())
+    assert hash(made) == hash(valid(section))
+    good = made.to_dict()
 
     def meant(word, data):
         with pytest.raises(ConfigurationError, match=rf"did you mean {re.escape(word)}\?") as caught:
@@ -133,22 +121,11 @@ def test_a_mistyped_key_or_choice_of_any_section_is_told_what_was_meant(section)
         return caught.value.key
 
     for name, field in section.__pydantic_fields__.items():
+        assert field.description or name == "kind", f"{section.__name__}.{name} has no text"
         key = ".".join(filter(None, (section.section_key, name)))
         assert meant(name, {name + name[-1]: 1}) == key + name[-1]
         for choice in get_args(field.annotation) if get_origin(field.annotation) is Literal else ():
             assert not isinstance(choice, str) or meant(choice, {name: choice + choice[-1]}) == key
-
-
-@pytest.mark.parametrize("section", EVERY, ids=lambda s: s.__name__)
-def test_a_section_is_frozen_hashable_and_comes_back_from_a_file_and_from_a_worker(section):
-    made = valid(section)
-    with pytest.raises(Exception, match=r"frozen|immutable|cannot assign"):
-        made.kind = "other"
-    assert section.from_dict(made.to_dict()) == made
-    assert pickle.loads(pickle.dumps(made)) == made
-    assert hash(made) == hash(valid(section))
-    for name, field in section.__pydantic_fields__.items():
-        assert field.description or name == "kind", f"{section.__name__}.{name} has no text"
 
 
 @pytest.mark.parametrize(
@@ -175,57 +152,6 @@ def test_a_type_takes_what_it_says(kind, good, bad, words):
         with pytest.raises(ConfigurationError) as caught:
             check_value("key", value, kind)
         assert (caught.value.key, caught.value.allowed) == ("key", words)
-
-
-class Inner(Section, key="inner"):
-    """A section inside."""
-
-    size: Positive = 1.0
-    """[m, s] size."""
-    mode: Literal["fast", "slow"] = "fast"
-    """How."""
-
-    def rules(self):
-        if self.size > 2.0 and self.mode == "slow":
-            raise ConfigurationError("size", self.size, "at most 2 where it is slow")
-
-
-class Outer(Section):
-    """A section outside."""
-
-    inner: Inner = Inner()
-    """Inside."""
-    many: tuple[Inner, ...] = ()
-    """More."""
-
-
-@pytest.mark.parametrize(
-    ("make", "lines"),
-    [
-        (lambda: Inner(size=3, mode="slow"), ["inner.size: expected at most 2 where it is slow, got 3.0"]),
-        (lambda: Inner(mode="slwo"), ["inner.mode: expected fast or slow, got 'slwo'; did you mean slow?"]),
-        (
-            lambda: Outer.from_dict({"many": [{}, {"size": 3, "mode": "slow"}]}),
-            ["many.1.size: expected at most 2"],
-        ),
-        (
-            lambda: Outer(inner=3, many=({"size": "1"},)),
-            ["inner: expected a section, got 3", "many.0.size: expected a number [m, s], got '1'"],
-        ),
-        (
-            lambda: Outer(iner={}, many=3),
-            ["iner: no such key, got {}; did you mean inner?", "many: expected a list, got 3"],
-        ),
-        (lambda: Outer(inner=Outer()), ["inner: expected a section"]),
-    ],
-)
-def test_every_problem_has_its_line_and_its_place(make, lines):
-    with pytest.raises(ConfigurationError) as caught:
-        make()
-    found = str(caught.value).split("\n")
-    assert len(found) == len(lines)
-    for line, start in zip(found, lines, strict=True):
-        assert line.startswith(start)
 
 
 # --- kinds ---------------------------------------------------------------------------------------------------
@@ -261,15 +187,8 @@ def test_a_kind_alone_is_one_on_the_command_line_in_python_and_in_a_list(tmp_pat
     ("data", "line"),
     [
         ({"tuner": "fixd"}, r"tuner: expected fixed, .* or schedule, got 'fixd'; did you mean fixed\?"),
-        (
-            {"tuner": {"kappa": 2}},
-            r"tuner.kappa: no such key, got 2; kind policy has it. The keys .*",
-        ),
         ({"reference": {"center": 2}}, r"reference.center: expected a list of 6 numbers \[rad, m\], got 2"),
-        (
-            {"reference": "spline"},
-            "reference.times: expected .*, got None; this key is required\n.*poses: .*",
-        ),
+        ({"reference": "spline"}, "reference.times: expected .*, got None; this key is required\n.*poses: .*"),
         ({"reference": ["hold"]}, "reference: expected a section, with kind: .* or a kind by itself, got .*"),
     ],
 )
@@ -281,26 +200,8 @@ def test_what_is_wrong_with_a_kind_is_a_line_a_problem_under_its_key(data, line)
 
 # --- JSON schema ---------------------------------------------------------------------------------------------
 
-PLAIN_JUNK = [
-    None,
-    True,
-    "",
-    "1",
-    "mine:Mine",
-    0,
-    1,
-    -1,
-    6,
-    0.5,
-    -0.5,
-    1e-300,
-    10**8,
-    [],
-    [0.5] * 6,
-    ["x"] * 2,
-    {},
-    {"no": 1},
-]
+NUMBERS = [0, 1, -1, 6, 0.5, -0.5, 1e-300, 10**8]
+PLAIN_JUNK = [*NUMBERS, None, True, "", "1", "mine:Mine", [], [0.5] * 6, ["x"] * 2, {}, {"no": 1}]
 
 
 @pytest.mark.parametrize("section", EVERY, ids=lambda s: s.__name__)

@@ -15,16 +15,6 @@ def test_gymnasium_finds_it_and_has_nothing_to_say_against_it(name):
     check_env(gymnasium.make(f"stewart_drake/{name}-v0").unwrapped, skip_render_check=True)
 
 
-def test_many_run_side_by_side():
-    environments = gymnasium.make_vec("stewart_drake/Track-v0", num_envs=3)
-    first, _ = environments.reset(seed=1)
-    assert first.shape == (3, 24)
-    assert np.ptp(first[:, 3]) > 0.0
-    observations, rewards, *_ = environments.step(np.zeros((3, 6), np.float32))
-    assert observations.shape == (3, 24)
-    assert ((rewards > 0.0) & (rewards < 1.0)).all()
-
-
 def test_torques_that_push_back_bring_the_platform_home():
     environment = TrackEnvironment()
 
@@ -39,13 +29,6 @@ def test_torques_that_push_back_bring_the_platform_home():
         return abs(float(np.sinh(observation[5])))
 
     assert end(1.0) < 0.3 * end(0.0)
-
-
-def test_the_same_seed_is_the_same_episode():
-    environment = TuneEnvironment()
-    (one, about), (other, again) = (environment.reset(seed=5) for _ in range(2))
-    np.testing.assert_array_equal(one, other)
-    assert about == again
 
 
 def test_no_action_is_the_best_fixed_setting():

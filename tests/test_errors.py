@@ -54,14 +54,6 @@ def test_every_error_of_the_module_has_a_stable_reason_of_its_own():
     assert all(error.reason.isidentifier() and str(error) for error in EXAMPLES)
 
 
-def test_a_message_says_key_what_was_expected_and_what_was_given():
-    assert str(ConfigurationError("robot.branch", 2, "-1 or 1")) == "robot.branch: expected -1 or 1, got 2"
-    hinted = ConfigurationError("rod_length", 404, "metres; millimetres?")
-    assert str(hinted) == "rod_length: expected metres, got 404; millimetres?"
-    refused = str(InfeasibleReferenceError("conditioning", 0.25, None, "0.04", -0.01, "sigma >= 0.05"))
-    assert all(word in refused for word in ("conditioning", "0.250 s", "the platform", "0.04", "sigma >= 0.05"))
-
-
 @pytest.mark.parametrize("error", EXAMPLES, ids=lambda e: type(e).__name__)
 def test_an_error_crosses_a_process_boundary_with_all_it_carries(error):
     twin = pickle.loads(pickle.dumps(error))

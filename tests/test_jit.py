@@ -49,26 +49,6 @@ def test_a_second_process_compiles_nothing_and_a_change_below_reaches_what_was_c
     assert answer(tmp_path, 3.0) == (3.0, 1, 0)
 
 
-KIND = jit.fields(number=(), pair=2, table=(2, 3))
-
-
-@jit.njit
-def law(states):
-    state = jit.record(states)
-    state.number += 1.0
-    state.pair[1] = state.number
-    state.table[1, 2] = 7.0
-    return state.pair[0]
-
-
-def test_a_record_is_a_view():
-    vector = np.zeros(1 + KIND.itemsize // 8)
-    held = vector[:-1].view(KIND)
-    held[:] = jit.new_record(KIND, pair=[5.0, 0.0])
-    assert [law(held), law(held)] == [5.0, 5.0]
-    assert vector.tolist() == [2.0, 5.0, 2.0, *[0.0] * 5, 7.0, 0.0]
-
-
 def test_a_record_begins_with_zeros_and_takes_what_fits():
     kind = jit.fields(number=(), pair=2)
     of_options = jit.new_record(kind, SimpleNamespace(number=None, pair=[1.0, 2.0], other=3.0), pair=4.0)

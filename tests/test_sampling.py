@@ -4,8 +4,6 @@ from fractions import Fraction
 import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import LeafSystem
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.sampling import on_grid, steps_per
@@ -49,24 +47,6 @@ def test_off_the_grid_too_a_tick_never_comes_after_the_plants_step(time_step, ra
     period = ratio * time_step
     assume(period <= 10.0)
     assert on_grid(period) <= ratio * on_grid(time_step)
-
-
-def fired(periods, end):
-    system, times = LeafSystem(), {period: [] for period in periods}
-    for period, noted in times.items():
-        system.DeclarePeriodicPublishEvent(period, 0.0, lambda context, noted=noted: noted.append(context.get_time()))
-    Simulator(system).AdvanceTo(end)
-    return times
-
-
-@pytest.mark.parametrize(("fast", "slow"), [(0.0001, 0.001), (0.0001, 0.005)])
-def test_drake_fires_both_at_the_same_instants_on_the_grid_and_not_off_it(fast, slow):
-    ratio, end = round(slow / fast), 500 * slow
-    times = fired((on_grid(fast), on_grid(slow)), 1.000001 * end)
-    assert len(times[on_grid(slow)]) == 501
-    assert times[on_grid(fast)][::ratio] == times[on_grid(slow)]
-    decimal = fired((fast, slow), 1.000001 * end)
-    assert not set(decimal[slow]) <= set(decimal[fast])
 
 
 @given(st.floats(1e-6, 0.1), st.integers(1, 10**5))

@@ -13,7 +13,6 @@ from stewart_drake.calibration.fit import calibrate
 from stewart_drake.calibration.model import (
     CLOSED,
     FRAMES,
-    OF_LEG,
     OF_ROBOT,
     PER_LEG,
     SIZE,
@@ -24,12 +23,7 @@ from stewart_drake.calibration.model import (
     transform,
     transform_of,
 )
-from stewart_drake.calibration.poses import (
-    MeasurementNoise,
-    Measurements,
-    candidate_poses,
-    plan_poses,
-)
+from stewart_drake.calibration.poses import COLUMNS, MeasurementNoise, Measurements, candidate_poses, plan_poses
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.planning.limits import Limits, limit_margins
@@ -77,20 +71,6 @@ def test_derivatives_are_those_of_finite_differences(robot, seed):
         assert (ahead - behind) / 2e-4 == pytest.approx(slope @ way, abs=1e-8)
 
 
-@given(many, st.integers(0, 1000))
-@settings(max_examples=8)
-def test_a_changed_robot_gives_its_change_back_and_reads_as_the_encoders_do(robot, seed):
-    change = np.zeros(SIZE)
-    change[:OF_ROBOT] = np.random.default_rng(seed).uniform(-2e-3, 2e-3, OF_ROBOT)
-    other = as_robot(robot, change)
-    assert change_to(robot, other) == pytest.approx(change, abs=1e-12)
-    # Forward kinematics of the robot at readings is the pose that the model predicts from them.
-    near = targets(robot, 4)
-    at, _ = Model(robot).predicted(change, near.angles, near.marker)
-    pose = forward_kinematics(other, near.angles, near.pose)
-    assert at == pytest.approx(transform_of(pose), abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("name", "known"), list(zip(ROBOTS, [("platform",), FRAMES, ("base",), ()], strict=True)), ids=ROBOTS
 )
@@ -106,24 +86,6 @@ def test_without_noise_the_robot_is_found_again(name, known):
     near = targets(guess, 20, 3)
     at, mine = (transform_of(forward_kinematics(robot, near.angles, near.pose)) for robot in (truth, found.robot))
     assert found.base @ mine @ found.marker == pytest.approx(base @ at @ marker, abs=1e-7)
-
-
-def test_a_larger_noise_than_stated_widens_the_intervals():
-    # A crude guess will do.
-    truth = deviating(ROBOT, np.random.default_rng(2), 5e-3, 0.03)
-    loud = MeasurementNoise(position=1e-4, rotation=5e-4)
-    found, right = (calibrate(ROBOT, seen(truth, loud), noise) for noise in (NOISE, loud))
-    assert 4.0 < found.noise_ratio < 6.0
-    assert found.half_width == pytest.approx(right.half_width, rel=0.02, abs=1e-12)
-
-
-def test_held_parameters_stay_and_have_no_interval(tmp_path):
-    found = calibrate(ROBOT, seen(ROBOT), NOISE, hold=("rod_length", "motor_axis"))
-    held = np.array([own.name in ("rod_length", "motor_axis") for own in OF_LEG] * 6)
-    assert np.abs(found.change[:OF_ROBOT][held]).max() < 1e-15
-    assert found.half_width[:OF_ROBOT][held].max() < 1e-15 < found.half_width[:OF_ROBOT][~held].min()
-    (tmp_path / "robot.yaml").write_text(found.robot_file())
-    assert load_robot(tmp_path / "robot.yaml") == found.robot
 
 
 def test_what_poses_cannot_tell_is_named_and_kept():
@@ -184,3 +146,73 @@ def test_poses_become_twenty_times_better_and_the_intervals_hold_the_truth(name,
     inside = coverage(trials)
     assert 0.9 <= inside["all"] <= 0.99
     assert np.mean([trial.noise_ratio for trial in trials]) == pytest.approx(1.0, abs=0.05)
+
+
+TURN = 180.0 / np.pi
+
+
+@pytest.fixture(scope="module")
+def good():
+    rng = np.random.default_rng(0)
+    pose = candidate_poses(ROBOT, 25, Limits(), rng)
+    exact = Measurements(pose, inverse_kinematics(ROBOT, pose))
+    return measured(deviating(ROBOT, rng), exact, MeasurementNoise(), rng)
+
+
+@pytest.fixture
+def refused(tmp_path):
+    """The line with which a table is refused."""
+
+    def refused(header, table):
+        path = tmp_path / "poses.csv"
+        path.write_text("\n".join([",".join(header), *(",".join(map(str, row)) for row in table)]))
+        with pytest.raises(ConfigurationError) as caught:
+            calibrate(ROBOT, path)
+        assert len(str(caught.value).splitlines()) == 1
+        assert str(path) in str(caught.value)
+        return str(caught.value)
+
+    return refused
+
+
+@pytest.mark.parametrize(
+    ("columns", "factor", "said"),
+    [
+        (slice(3, 6), 1e3, "millimetres for metres"),
+        (slice(6, 12), 1.0 / TURN, "radians for degrees"),
+        (slice(0, 3), TURN, "degrees by _deg"),
+        (9, -1.0, "crank_angle_3: expected "),
+    ],
+)
+def test_wrong_units_and_an_inverted_encoder(refused, good, columns, factor, said):
+    table = good.table.copy()
+    table[:, columns] *= factor
+    assert said in refused(COLUMNS, table)
+
+
+@pytest.mark.parametrize(("column", "by"), [(5, 2e-3), (8, 0.02), (3, 1e3), (0, 2.9)])
+def test_a_single_wrong_row_is_named_whether_it_is_a_little_off_or_absurd(refused, good, column, by):
+    table = good.table.copy()
+    table[17, column] += by
+    assert "row 18: expected " in refused(COLUMNS, table)
+
+
+def test_cells_rows_and_columns_that_cannot_be(refused, good):
+    table = good.table.copy()
+    assert "column of pose_yaw: expected " in refused([*COLUMNS[:2], "yaw_turns", *COLUMNS[3:]], table)
+    assert "at least 12 poses for 66 unknown numbers, better some 60, got '11 rows'" in refused(COLUMNS, table[:11])
+    table[8, :6] = table[3, :6]
+    assert "the pose of row 4 again in row 9" in refused(COLUMNS, table)
+    table[6, 4] = -1e300
+    assert "row 7, pose_y: expected metres" in refused(COLUMNS, table)
+    table = good.table.copy()
+    table[:, [7, 10]] = table[:, [10, 7]]
+    assert "off the guess'; is it another one, or are two encoders swapped?" in refused(COLUMNS, table)
+
+
+def test_another_branch_is_named_and_words_that_are_none(good):
+    guess = ROBOT.replace(legs=[{"branch": 1 if leg == 2 else -1} for leg in range(6)])
+    with pytest.raises(ConfigurationError, match=r"robot.legs.2.branch: expected -1"):
+        calibrate(guess, good)
+    with pytest.raises(ConfigurationError, match=r"hold: expected .*got 'mass'"):
+        calibrate(ROBOT, good, hold=("mass",))

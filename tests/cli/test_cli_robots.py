@@ -20,7 +20,6 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
 from recordings import motion, recording, truth_of
 
 DOCS = Path(__file__).parents[2] / "docs"
-GOOD = ("identify", "log.csv", "--robot", "paper")
 
 
 def test_robots_are_listed_and_the_numbers_of_one_have_units(call):
@@ -31,14 +30,6 @@ def test_robots_are_listed_and_the_numbers_of_one_have_units(call):
     assert status == 0
     for text in ("rotor_inertia", "kg m^2", "0.0018", "-48.0 to 80.0", "conditioning of the rods' lines"):
         assert text in out
-
-
-@pytest.mark.parametrize("command", [("robots", "show"), ("write-sdf", "x.sdf", "--robot"), ("faults", "--robot")])
-def test_a_robot_that_is_not_there_is_refused_in_a_line(call, command):
-    status, _, error = call(*command, "reachy_max")
-    assert (status, error.count("\n")) == (2, 1)
-    assert "reachy_max" in error
-    assert "paper, reachy_mini, servo_hexapod" in error
 
 
 def test_a_robot_from_a_table_is_kept_and_comes_back(call, tmp_path):
@@ -52,10 +43,9 @@ def test_a_robot_from_a_table_is_kept_and_comes_back(call, tmp_path):
     assert (tmp_path / "mine.yaml").read_text().startswith("about: mine\n")
 
 
-@pytest.mark.parametrize("name", ["reachy_mini"])
-def test_a_robot_goes_into_files_for_other_programs(call, tmp_path, name):
-    assert call("write-sdf", "robot.sdf", "--robot", name)[0] == 0
-    assert call("write-mjcf", "robot.xml", "--robot", name, "--set", "plant.motor_damping=0.1")[0] == 0
+def test_a_robot_goes_into_files_for_other_programs(call, tmp_path):
+    assert call("write-sdf", "robot.sdf", "--robot", "reachy_mini")[0] == 0
+    assert call("write-mjcf", "robot.xml", "--robot", "reachy_mini", "--set", "plant.motor_damping=0.1")[0] == 0
     assert 'type="universal"' in (tmp_path / "robot.sdf").read_text()
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
     assert (model.nu, model.neq, model.nv) == (6, 6, 24)
@@ -85,16 +75,12 @@ def test_from_a_plan_to_a_calibrated_robot(call, tmp_path):
         assert len(list(csv.DictReader(stream))) == 66
 
 
-@pytest.fixture
-def truth(tmp_path):
+def test_from_a_log_to_an_identified_robot(call, tmp_path):
     truth = truth_of(ROBOT)
     for name, seed in (("log.csv", 3), ("other.csv", 4)):
         (tmp_path / name).write_text(recording(ROBOT, truth, motion(ROBOT, seed), rate=100.0, noise=0.005).to_csv())
-    return truth
-
-
-def test_from_a_log_to_an_identified_robot(call, tmp_path, truth):
-    status, out, err = call(*GOOD, "--out", "mine.yaml", "--report", "report", "--validate", "other.csv")
+    options = ("--out", "mine.yaml", "--report", "report", "--validate", "other.csv")
+    status, out, err = call("identify", "log.csv", "--robot", "paper", *options)
     assert (status, err) == (0, "")
     assert "not used: recording other.csv" in " ".join(out.replace("│", " ").split())
     assert "3 rod_mass" in out
@@ -114,31 +100,10 @@ def test_from_a_log_to_an_identified_robot(call, tmp_path, truth):
     np.testing.assert_allclose(believed.plant.friction.coulomb, truth[COULOMB], rtol=0.1)
 
 
-@pytest.mark.usefixtures("truth")
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("calibrate", "--robot", "paper"), "either POSES or --plan N"),
-        (("calibrate", "poses.csv", "--robot", "paper"), "No such file"),
-        (("calibrate", "--plan", "5", "--robot", "paper"), "--plan: expected a number of poses from 12"),
-        (("identify", "--robot", "paper"), "LOGS"),
-        ((*GOOD, "--hold", "mass"), "--hold"),
-        (("identify", "log.csv", "--robot", "reachy_mini"), "expected a log of the robot that is guessed"),
-        (("excite", "--robot", "paper", "--set", "limits.torque_fraction=1e-4"), "limits: expected "),
-    ],
-)
-def test_bad_input_ends_in_one_line(call, tmp_path, arguments, said):
-    before = set(tmp_path.rglob("*"))
-    status, out, err = call(*arguments, "--out", "mine.yaml")
-    assert (status, out) == (2, "")
-    assert len(err.splitlines()) == 1
-    assert said in err
-    assert set(tmp_path.rglob("*")) == before
-
-
 @pytest.mark.slow
-def test_a_designed_motion_is_a_scenario(call, tmp_path):
+def test_a_designed_motion_is_a_scenario(call):
     status, out, err = call("excite", "--robot", "paper", "--duration", 6, "--out", "excite.yaml")
     assert (status, err) == (0, "")
     assert "condition number" in out
-    assert load_scenario(tmp_path / "excite.yaml").duration == 6.0
+    # Within every limit.
+    assert call("check", "excite.yaml")[0] == 0

@@ -54,19 +54,6 @@ def test_a_search_is_done_and_what_it_found_is_compared(call, tmp_path):
     assert (status, out) == (0, "")
 
 
-def test_a_search_that_cannot_be_done_says_why_in_a_line(call, tmp_path):
-    (tmp_path / "mine.yaml").write_text(TEXT + TUNE)
-    for args, why in (
-        (("tune", "mine.yaml", "--controller", "strong"), "--controller: expected one of weak"),
-        (("tune", "mine.yaml", "--budget", 3), "--budget: expected at least 5"),
-    ):
-        status, out, err = call(*args)
-        assert (status, out) == (2, "")
-        assert err.startswith(f"stewart-drake: {why}")
-        assert err.count("\n") == 1
-    assert not (tmp_path / "runs").exists()
-
-
 def test_the_card_of_a_policy_says_box_and_provenance(call):
     status, out, err = call("tuner", "show")
     assert (status, err) == (0, "")

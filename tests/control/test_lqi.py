@@ -8,7 +8,7 @@ from strategies import ROBOT, poses, vectors
 from ticks import GRAVITY, REST, standing, ticked
 
 from stewart_drake.control.base import Setpoint
-from stewart_drake.control.lqi import LqiOptions, block_weights, lqi_part
+from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.control.riccati import INTEGRAL, POSITION, RATE
 from stewart_drake.errors import NotFiniteError, RiccatiError, SingularPoseError
 from stewart_drake.mechanics.dynamics import inverse_dynamics, pose_acceleration_map, static_torque
@@ -113,13 +113,6 @@ def test_feedforward_is_taken_where_the_option_says(kind, place):
     np.testing.assert_allclose(output.feedforward, expected[kind], atol=1e-11)
     correction = states(output.gain, pose - wanted, rate - wanted_rate, REST)
     np.testing.assert_allclose(output.torque, expected[kind] - correction, rtol=1e-9, atol=1e-9)
-
-
-def test_weights_are_two_or_four_positive_numbers_and_nothing_else():
-    for weights in ([1.0, 0.0], [1.0, 1.0, np.nan, 1.0], [1.0] * 3):
-        with pytest.raises(RiccatiError, match="weights"):
-            block_weights(weights)
-    np.testing.assert_array_equal(tick(weights=[3.0, 2.0]).weights, [3.0, 3.0, 3.0, 2.0])
 
 
 def test_bumpless_a_change_of_weights_leaves_the_torque_by_z_as_it_was():

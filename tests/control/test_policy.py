@@ -1,31 +1,18 @@
 """Tuners of settings: what they hear, what they may answer, and the file of a policy."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import resealed
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from strategies import ROBOT
 
 from stewart_drake.control.features import DRIFT_TIME, FEATURES, TIMES, features
-from stewart_drake.control.policy import (
-    FADE,
-    SIZE,
-    STEP,
-    Layers,
-    Policy,
-    answer,
-    load_policy,
-    setting_part,
-    weights_of,
-)
+from stewart_drake.control.policy import FADE, SIZE, STEP, Layers, Policy, answer, setting_part, weights_of
 from stewart_drake.control.riccati import chain_gain
 from stewart_drake.control.tuners import ScheduleTuner
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.jit import njit, record
 
 BASE, LEVEL = np.array([4e5, 30.0, 4e7, 1.0]), 16.0
@@ -149,13 +136,3 @@ def test_a_schedule_is_alert_while_innovations_are_large_and_for_as_long_as_it_s
     level = 25.0 + (kept**20 - 25.0) * kept**40
     ticks = np.ceil(np.log((1.5**2 - 0.01) / level) / np.log(kept))
     assert np.flatnonzero(np.diff(places[60:]) < 0.0)[0] == pytest.approx(ticks - 1 + hold / CONTEXT.period, abs=1)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("features", ["error"]), ("scale", [0.0] * 13), ("hidden", [[1.0]]), ("version", 99)]
-)
-def test_other_files_are_refused_by_the_key(tmp_path, name, value):
-    (tmp_path / "policy.json").write_bytes(resealed(json.loads(made().to_bytes()) | {name: value}))
-    with pytest.raises(ConfigurationError) as caught:
-        load_policy(tmp_path / "policy.json")
-    assert name in caught.value.key

@@ -20,7 +20,7 @@ from stewart_drake.control.riccati import (
     split_gain,
     state_matrix,
 )
-from stewart_drake.errors import ConfigurationError, RiccatiError
+from stewart_drake.errors import RiccatiError
 from stewart_drake.mechanics.dynamics import force_map, pose_acceleration_map
 
 PERIOD = 0.005
@@ -161,12 +161,3 @@ def test_a_b_and_c_are_21_to_24_entry_by_entry_in_the_order_of_the_paper():
     maps = np.stack([NUMBERED, -NUMBERED])
     np.testing.assert_allclose(input_matrix(maps) @ torque, [forces, -forces])
     np.testing.assert_array_equal(C @ state, state[[0, 2, 4, 6, 8, 10]] + state[12:])
-
-
-def test_euler_discretisation_is_the_first_order_step():
-    b = input_matrix(NUMBERED)
-    a_d, b_d = discretize(A, b, 0.01, "euler")
-    np.testing.assert_array_equal(a_d, np.eye(18) + 0.01 * A)
-    np.testing.assert_array_equal(b_d, 0.01 * b)
-    with pytest.raises(ConfigurationError, match="exact or euler"):
-        discretize(A, b, 0.005, "tustin")

@@ -1,6 +1,5 @@
 """Files: what is read is regular, bounded and safe; what is written is there whole or not at all."""
 
-import json
 import os
 from pathlib import Path
 
@@ -11,10 +10,10 @@ from made_logs import made_log
 
 from stewart_drake.control.network import load_network
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.code import anchored, file_digests
+from stewart_drake.files.code import anchored
 from stewart_drake.files.tables import ENDINGS, column_name, numbers_to_csv, quantity_of, read_numbers
 from stewart_drake.files.whole import digest, locked_folder, write_atomically
-from stewart_drake.files.yaml_files import parse_yaml, shipped_folder, to_yaml
+from stewart_drake.files.yaml_files import parse_yaml, shipped_folder
 from stewart_drake.logs.log import load_log
 from stewart_drake.references import RecordedReference
 from stewart_drake.scenario import load_scenario
@@ -87,11 +86,6 @@ def test_yaml_has_no_aliases_and_no_tags(text, words):
         parse_yaml(text, "file")
 
 
-def test_plain_values_come_back_from_yaml():
-    data = {"a": [1, 2.5e-3, True, None, "1e-3", "yes", "x\u2028y: #"], "ü": {"b": []}}
-    assert parse_yaml(to_yaml(data), "file") == data
-
-
 def test_a_column_is_read_in_any_of_its_units_and_its_name_says_which(tmp_path):
     path = tmp_path / "table.csv"
     path.write_text("note, pose_roll_deg ,torque_0_mNm,x_mm,time\na,180,1500,2,3\n\nb,,0,nan,1e1\n")
@@ -157,19 +151,6 @@ def test_relative_paths_are_taken_from_the_folder_however_deep_and_others_stay()
             "safety.monitors[0]": "/base/a/../m.py:M",
         },
     }
-
-
-def test_files_and_code_are_known_by_their_digests(tmp_path):
-    (tmp_path / "mine.py").write_text("one = 1\n")
-    mine = str(tmp_path / "mine.py")
-    assert file_digests({"distributions": {"a": [[f"{mine}:G"]]}, "name": "a:b", "c": 1}) == {mine: digest(mine)}
-    net, none = str(tmp_path / "net.json"), str(tmp_path / "none.csv")
-    digests = []
-    for content in ({"a": 1}, {"a": 2}):
-        Path(net).write_text(json.dumps(content))
-        digests.append(file_digests({"a": {"weights_file": net}, "b": [{"motion_file": none}]}))
-    assert [each[none] for each in digests] == [None, None]
-    assert digests[0][net] != digests[1][net]
 
 
 def test_overrides_are_taken_from_the_current_folder_and_the_file_from_its_own(tmp_path, monkeypatch):

@@ -5,28 +5,19 @@ from hypothesis import strategies as st
 from setups import setup_for
 from strategies import ROBOT, poses
 
-from stewart_drake.errors import (
-    AssemblyModeError,
-    RunFailure,
-)
+from stewart_drake.errors import AssemblyModeError, RunFailure
 from stewart_drake.hardware.estimator import difference_part
 from stewart_drake.hardware.sensors import EncoderOptions
-from stewart_drake.mechanics.kinematics import (
-    forward_kinematics,
-    inverse_kinematics,
-    pose_jacobian,
-)
-from stewart_drake.robot import RobotParameters
+from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics, pose_jacobian
 
 HOME = ROBOT.home_pose
 PERIOD, STILL = 0.001, np.zeros(6)
 SMOOTH = EncoderOptions(resolution_bits=0)
-PLUS = RobotParameters(branch=1)
 
 
-def estimator(options=SMOOTH, start=HOME, rate=STILL, robot=ROBOT, period=PERIOD):
+def estimator(options=SMOOTH, start=HOME, rate=STILL, period=PERIOD):
     """`tick(angles, state)`: the state after a tick; and the state before the first."""
-    part = difference_part(setup_for(robot, sensors=options, period=period, pose=start, pose_rate=rate))
+    part = difference_part(setup_for(sensors=options, period=period, pose=start, pose_rate=rate))
 
     def tick(angles, state):
         after = state.copy()
@@ -36,9 +27,9 @@ def estimator(options=SMOOTH, start=HOME, rate=STILL, robot=ROBOT, period=PERIOD
     return tick, part.initial
 
 
-def run(robot, options, readings, start, period=PERIOD):
+def run(options, readings, start, period=PERIOD):
     """States after each reading."""
-    tick, state = estimator(options, start, STILL, robot, period)
+    tick, state = estimator(options, start, STILL, period)
     states = []
     for angles in readings:
         state = tick(angles, state)
@@ -46,18 +37,17 @@ def run(robot, options, readings, start, period=PERIOD):
     return np.array(states)
 
 
-def at(pose, robot=ROBOT):
-    return inverse_kinematics(robot, pose)
+def at(pose):
+    return inverse_kinematics(ROBOT, pose)
 
 
-@pytest.mark.parametrize("robot", [ROBOT, PLUS], ids=["paper", "other branch"])
-def test_the_rate_is_that_of_now_to_first_order_in_the_period(robot):
+def test_the_rate_is_that_of_now_to_first_order_in_the_period():
     rate, acceleration = np.array([0.5, -0.3, 0.4, 0.1, 0.08, -0.12]), np.array([2.0, 3.0, -2.0, 1.0, -1.0, 0.5])
-    start = robot.home_pose + [0.05, 0.02, -0.1, 0.01, -0.01, 0.0]
+    start = HOME + [0.05, 0.02, -0.1, 0.01, -0.01, 0.0]
 
     def gap(period):
-        readings = [at(start + t * rate + 0.5 * t * t * acceleration, robot) for t in (-period, 0.0)]
-        result = run(robot, SMOOTH, readings, start, period)[-1]["measurement"]
+        readings = [at(start + t * rate + 0.5 * t * t * acceleration) for t in (-period, 0.0)]
+        result = run(SMOOTH, readings, start, period)[-1]["measurement"]
         np.testing.assert_allclose(result[:6], start, atol=1e-9)
         return np.abs(result[6:] - rate).max()
 
@@ -71,7 +61,7 @@ def test_the_pose_is_as_good_as_the_counts(pose, bits):
     options = EncoderOptions(resolution_bits=bits)
     # Whole turns of a crank are no matter.
     readings = np.rint(at(pose) / options.quantum) * options.quantum + 2.0 * np.pi * np.array([1, -1, 0, 3, 0, 2])
-    found = run(ROBOT, options, [readings], pose)[0]["measurement"][:6]
+    found = run(options, [readings], pose)[0]["measurement"][:6]
     bound = np.abs(np.linalg.inv(pose_jacobian(ROBOT, pose))) @ np.full(6, 0.5 * options.quantum)
     assert (np.abs(found - pose) <= 1.1 * bound + 1e-9).all()
 

@@ -1,13 +1,15 @@
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from setups import setup_for
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.hardware.faults import MotorFault
+from stewart_drake.hardware.faults import CommandFault, MotorFault
 from stewart_drake.hardware.motors import (
     DeadMotor,
     FrictionCompensation,
+    LinkOptions,
     MotorOptions,
 )
 from stewart_drake.mechanics.kinematics import pose_jacobian
@@ -53,3 +55,58 @@ def test_it_is_friction_of_the_cranks_of_the_reference_and_smooth_at_reversals(p
     dry = SIX + (0.1 - SIX) * np.exp(-((rates / 0.05) ** 2))
     expected = dry * np.tanh(rates / 0.002) + 0.2 * rates
     np.testing.assert_allclose(against_friction(pose, size * rate), expected, atol=1e-9)
+
+
+STEPS = 4
+
+
+def arrivals(options, ticks=8, steps=STEPS):
+    """Command in force and its age at every step; tick k sends k + 1 to all motors, and says so until the next."""
+    part = options.part(setup_for(period=0.001 * steps, time_step=0.001, still=np.zeros(6)))
+    state, said = part.initial.copy(), []
+    for step in range(ticks * steps):
+        part.tick(np.full(6, step // steps + 1.0), np.array([0.001 * step]), state)
+        assert np.ptp(state["torque"]) == 0.0
+        said.append((state["torque"][0, 0], state["age"][0, 0]))
+    return np.array(said).reshape(ticks, steps, 2)
+
+
+def test_a_dropped_tick_leaves_the_last_command_and_its_age_grows():
+    told = arrivals(LinkOptions(dropped=(2, 3, 6)))
+    np.testing.assert_array_equal(told[:, 0, 0], [1, 2, 2, 2, 5, 6, 6, 8])
+    np.testing.assert_array_equal(told[:, 0, 1], [0, 0, 1, 2, 0, 0, 1, 0])
+    np.testing.assert_array_equal(arrivals(LinkOptions(stop_time=0.012))[:, 0, 0], [1, 2, 3, 3, 3, 3, 3, 3])
+
+
+def test_a_late_command_acts_a_step_later():
+    told = arrivals(LinkOptions(late_probability=1.0))
+    np.testing.assert_array_equal(told[2], [[2.0, 1.0]] + [[3.0, 0.0]] * 3)
+
+
+def test_chance_drops_its_share_by_the_seed_alone_and_by_the_tick():
+    options, again, other = (LinkOptions(drop_probability=0.2, late_probability=0.3, seed=seed) for seed in (4, 4, 5))
+    fates = [options.fate(tick, 0.0) for tick in range(20_000)]
+    assert abs(fates.count("dropped") / 20_000 - 0.2) < 0.01
+    assert abs(fates.count("late") / 20_000 - 0.8 * 0.3) < 0.01
+    assert [again.fate(tick, 0.0) for tick in (19_999, 3, 1024)] == [fates[19_999], fates[3], fates[1024]]
+    assert [other.fate(tick, 0.0) for tick in range(100)] != fates[:100]
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        (CommandFault(kind="nan", leg=2), [0, 1, np.nan, 3, 4, 5]),
+        (CommandFault(kind="offset", leg=0, size=-3.0), [-3, 1, 2, 3, 4, 5]),
+        (CommandFault(kind="chatter", leg=1, size=2.0), [0, -1, 2, 3, 4, 5]),
+        (CommandFault(kind="nan", time=0.2), [0, 1, 2, 3, 4, 5]),
+        (CommandFault(kind="nan", duration=0.1), [0, 1, 2, 3, 4, 5]),
+    ],
+)
+def test_commands_are_spoilt_as_told_and_the_controllers_own_are_left_alone(fault, expected):
+    part = LinkOptions(faults=(fault,)).part(setup_for(period=0.001, time_step=0.001))
+    command, time = np.arange(6.0), np.array([0.1])
+    state = part.initial.copy()
+    for _ in range(8):
+        part.tick(command, time, state)
+    np.testing.assert_array_equal(state["torque"][0], expected)
+    np.testing.assert_array_equal(command, np.arange(6.0))

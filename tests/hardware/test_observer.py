@@ -7,13 +7,8 @@ from scipy.linalg import solve_discrete_are
 from setups import setup_for
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.errors import RunFailure, SingularPoseError
-from stewart_drake.hardware.observer import (
-    WHITE_SHARE,
-    ObserverOptions,
-    bandwidth,
-    kalman_gains,
-)
+from stewart_drake.errors import RunFailure
+from stewart_drake.hardware.observer import WHITE_SHARE, ObserverOptions, bandwidth, kalman_gains
 from stewart_drake.mechanics.dynamics import forward_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 
@@ -121,9 +116,3 @@ def test_missing_readings_are_bridged_by_the_model_and_then_end_the_run():
     with pytest.raises(RunFailure, match="4 is missing or not believed") as caught:
         tick(angles)
     assert (caught.value.reason, caught.value.leg) == ("encoder", 4)
-
-
-def test_a_singularity_has_a_name():
-    tick, seen = begun()
-    with pytest.raises(SingularPoseError, match="parallel"):
-        tick(inverse_kinematics(ROBOT, HOME), side=-seen["side"])

@@ -1,6 +1,7 @@
 """Parameters of robots from their torques: the linear model, what it tells, and how well the intervals hold."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -9,9 +10,9 @@ from recordings import FINE, motion, recording, truth_of
 from simulated_identification import Setting, coverage, run_trial, with_payload
 from strategies import ROBOT, ROBOTS, UNEQUAL, vectors
 
-from stewart_drake import load_robot
+from stewart_drake import Scenario, load_robot, run
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.identification.estimate import consistent, estimate, is_consistent
-from stewart_drake.identification.excitation import ROOM, excite
 from stewart_drake.identification.identified import identify
 from stewart_drake.identification.parameters import (
     BODIES,
@@ -24,9 +25,9 @@ from stewart_drake.identification.parameters import (
     of_robot,
     scales,
 )
-from stewart_drake.identification.samples import samples_of, samples_of_motion
+from stewart_drake.identification.samples import of_log, samples_of, samples_of_motion
 from stewart_drake.mechanics.dynamics import inverse_dynamics
-from stewart_drake.planning.limits import Limits, limit_margins
+from stewart_drake.references.motions import HoldReference
 
 AT = {str(own): at for at, own in enumerate(PARAMETERS)}
 
@@ -75,19 +76,6 @@ def test_what_no_motion_tells_is_named_with_its_sum(exact):
     samples = exact[1]
     moved = exact[0] + 0.1 * unidentifiable.direction
     np.testing.assert_allclose(samples.predicted(moved), samples.predicted(exact[0]), atol=1e-12)
-
-
-def test_a_known_mass_makes_torque_constants_absolute():
-    truth = truth_of(ROBOT)
-    truth[0] = ROBOT.platform_mass
-    truth[GAIN] += 0.1
-    found = identify(ROBOT, [recording(ROBOT, truth)], hold=["platform_mass", "rod_mass"])
-    np.testing.assert_allclose(found.torque_constants, np.exp(truth[GAIN]), rtol=1e-3)
-    relative = identify(ROBOT, [recording(ROBOT, truth)], hold=["rod_mass"])
-    np.testing.assert_allclose(relative.torque_constants, np.exp(truth[GAIN] - 0.1), rtol=1e-3)
-    # All masses seem smaller; that of the rods, which is held, leaves its part to the platform.
-    half_rods = 3.0 * ROBOT.rod_mass
-    assert relative.values[0] == pytest.approx((ROBOT.platform_mass + half_rods) * np.exp(-0.1) - half_rods, rel=1e-3)
 
 
 def test_a_lag_of_the_torques_is_made_up_for(exact):
@@ -148,19 +136,72 @@ def test_the_nearest_bodies_are_bodies_and_nearest(change):
 EXCITED = samples_of_motion(ROBOT, np.linspace(0, 20, 400), motion(ROBOT).evaluate(np.linspace(0, 20, 400)), 9.81)
 
 
-@pytest.mark.slow
-def test_a_designed_motion_is_better_than_random_ones_and_keeps_to_the_limits():
-    limits = Limits()
-    found = excite(ROBOT, limits, changes=60)
-    assert found.condition < 0.6 * found.random_condition
-    time = np.linspace(3.0, 23.0, 1000)
-    pose, rate, acceleration = found.reference.evaluate(time)
-    margins = limit_margins(ROBOT, limits, pose, rate, acceleration, 9.81)
-    assert all((values > 0.0).all() for values in margins.values())
-    # With room: a motion larger by a tenth is within them too.
-    home, scale = ROBOT.home_pose, 1.0 + 0.5 * (ROOM - 1.0)
-    margins = limit_margins(ROBOT, limits, home + scale * (pose - home), scale * rate, scale * acceleration, 9.81)
-    assert all((values > 0.0).all() for values in margins.values())
-    at_rest = found.reference.evaluate(0.0)
-    np.testing.assert_allclose(at_rest[0], home, atol=1e-12)
-    np.testing.assert_allclose(np.concatenate(at_rest[1:]), 0.0, atol=1e-12)
+LOG = recording(ROBOT, truth_of(ROBOT), rate=100.0)
+
+
+def refused(log, robot=ROBOT, **options):
+    """The line."""
+    with pytest.raises(ConfigurationError) as caught:
+        identify(robot, [log], **options)
+    assert len(str(caught.value).splitlines()) == 1
+    return str(caught.value)
+
+
+def changed(**changes):
+    return dataclasses.replace(LOG, **changes)
+
+
+def test_angles_that_wrap_or_were_homed_a_turn_away_are_the_same_log():
+    # They jump where each crank is in the middle of the log.
+    there = LOG.angles[len(LOG.time) // 2]
+    wrapped = there + (LOG.angles - there) % math.tau
+    assert (np.abs(np.diff(wrapped, axis=0)).max(axis=0) > 6.0).all()
+    for angles in (wrapped, LOG.angles - math.tau):
+        np.testing.assert_allclose(changed(angles=angles).angles, LOG.angles, atol=1e-12)
+
+
+def test_a_file_without_a_column(tmp_path):
+    rows = [",".join(line.split(",")[:12]) for line in LOG.to_csv().splitlines()]
+    (tmp_path / "log.csv").write_text("\n".join(rows))
+    assert "column of torque_5: expected " in refused(tmp_path / "log.csv")
+    assert "readable" in refused(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    ("change", "wanted"),
+    [
+        ({"torque": LOG.torque * [1, 1, 0, 1, 1, 1]}, "torque_2: expected "),
+        ({"time": LOG.time + 0.3 * (LOG.time > LOG.time[700])}, "row 702'"),
+        ({"angles": LOG.angles + np.where(np.arange(len(LOG.time)) == 41, np.nan, 0.0)[:, None]}, "row 42"),
+        ({"angles": np.degrees(LOG.angles)}, "radians within"),
+    ],
+    ids=["still", "gap", "nan", "degrees"],
+)
+def test_readings_that_cannot_be_right(change, wanted):
+    with pytest.raises(ConfigurationError, match=wanted):
+        changed(**change)
+
+
+def test_readings_and_torques_that_are_not_those_of_the_robot():
+    assert "cannot be assembled" in refused(changed(angles=np.degrees(LOG.angles) / 4.0))
+    assert "N m" in refused(changed(torque=1e3 * LOG.torque))
+    other = recording(ROBOT, truth_of(ROBOT), motion(ROBOT, seed=9), rate=100.0)
+    assert "no parameters explain" in refused(changed(torque=other.torque))
+    assert "s of motion" in refused(recording(ROBOT, truth_of(ROBOT), seconds=1.0, rate=100.0))
+    assert "hold: expected " in refused(LOG, hold=["mass"])
+
+
+def test_a_motion_that_does_not_tell_what_is_asked():
+    line = refused(recording(ROBOT, truth_of(ROBOT), HoldReference(pose=tuple(ROBOT.home_pose)), rate=100.0))
+    assert "excite" in line
+    slow = recording(ROBOT, truth_of(ROBOT), motion(ROBOT, size=0.02), rate=100.0, noise=0.02)
+    assert "platform_inertia" in refused(slow, ask=["platform_inertia"])
+
+
+def test_a_log_of_another_robot_or_with_a_pose_that_was_not_read():
+    log = run(Scenario(duration=0.1))
+    with pytest.raises(ConfigurationError, match="expected a log of the robot that is guessed"):
+        of_log(log, load_robot("reachy_mini"))
+    scenario = log.scenario.replace({"estimator": {"kind": "observer"}, "sensors": {"kind": "encoders"}})
+    with pytest.raises(ConfigurationError, match="estimator"):
+        of_log(dataclasses.replace(log, scenario=scenario), ROBOT)

@@ -28,15 +28,6 @@ def test_a_smooth_value_reaches_its_target_without_overshoot(start: float, end: 
     assert path[-1] == pytest.approx(end, abs=1e-6)
 
 
-def test_looking_ahead_is_where_it_will_be() -> None:
-    value = SmoothValue(np.zeros(2), STEP)
-    value.target[:] = 0.3, -0.1
-    ahead = value.after(7)
-    for _ in range(7):
-        value.advance()
-    np.testing.assert_allclose(value.state, ahead, atol=1e-12)
-
-
 def test_the_reference_tells_its_own_rates_while_hand_and_motion_move() -> None:
     reference = HandReference(SineReference(), STEP)
     reference.hand.target[:] = HOME + [0.1, 0.0, 0.0, 0.01, 0.0, 0.0]
@@ -48,11 +39,6 @@ def test_the_reference_tells_its_own_rates_while_hand_and_motion_move() -> None:
     rows = np.array(rows)
     np.testing.assert_allclose(np.gradient(rows[:, :6], STEP, axis=0)[2:-2], rows[2:-2, 6:12], atol=1e-4)
     np.testing.assert_allclose(np.gradient(rows[:, 6:12], STEP, axis=0)[2:-2], rows[2:-2, 12:], atol=1e-2)
-
-
-def test_without_a_hand_the_reference_is_the_motion() -> None:
-    reference = HandReference(SineReference(), STEP)
-    np.testing.assert_allclose(reference.at(0.7), np.concatenate(SineReference().evaluate(0.7)), atol=1e-12)
 
 
 def _margin(pose: np.ndarray) -> float:

@@ -8,7 +8,7 @@ import pytest
 from made_logs import made_log
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.logs.log import AXIS_NAMES, SIGNALS, distinct_names, load_log
+from stewart_drake.logs.log import AXIS_NAMES, SIGNALS, load_log
 
 
 @pytest.fixture
@@ -112,28 +112,9 @@ def test_what_is_no_log_is_named_in_one_line(log, tmp_path):
         log.save(tmp_path / "log.xlsx")
 
 
-def test_a_log_becomes_a_frame_of_pandas(log):
+def test_a_log_becomes_a_frame_a_dataset_with_named_axes_and_a_cell_of_a_notebook(log):
     np.testing.assert_array_equal(log.to_pandas()["pose_x_m"], log["pose"][:, 3])
-
-
-def test_a_log_becomes_a_dataset_with_named_axes_and_units(log):
     dataset = log.to_xarray()
     np.testing.assert_array_equal(dataset["pose"].sel(axis="z"), log["pose"][:, 5])
-    np.testing.assert_array_equal(dataset["torque"].sel(leg="2"), log["torque"][:, 2])
-    assert dataset["time"].attrs["units"] == "s"
-    assert dataset["pose"].attrs["units"][5] == "m"
-
-
-def test_a_notebook_shows_how_a_log_ended_with_its_error_over_time(log):
-    page = log._repr_html_()
-    assert page.startswith(f"<div><b>SimulationLog of {log.scenario.name}: failed")
-    largest = 1e3 * np.linalg.norm((log["pose"] - log["reference"])[:, 3:], axis=1).max()
-    assert f"error [mm], at most {largest:.3g}" in page
-    assert page.count("<polyline") == 2
-
-
-def test_logs_of_one_scenario_are_told_apart(log):
-    assert distinct_names([log]) == [log.scenario.name]
-    assert distinct_names([log, log]) == [f"{log.scenario.name} (1)", f"{log.scenario.name} (2)"]
-    with pytest.raises(KeyError, match="psoe; did you mean pose"):
-        log["psoe"]
+    assert (dataset["time"].attrs["units"], dataset["pose"].attrs["units"][5]) == ("s", "m")
+    assert log._repr_html_().count("<polyline") == 2

@@ -5,12 +5,7 @@ import pytest
 from made_logs import made_log
 
 from stewart_drake.control.features import CostScales
-from stewart_drake.logs.metrics import (
-    FAILED,
-    METRICS,
-    run_cost,
-    run_metrics,
-)
+from stewart_drake.logs.metrics import FAILED, METRICS, run_cost, run_metrics
 
 PROMISED = {
     "rmse_deg", "rmse_mm", "peak_deg", "peak_mm", "torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m",

@@ -151,14 +151,6 @@ def test_what_the_safety_layer_holds_at_the_end_is_stopped_however_small_the_err
         assert (outcome.outcome_time, outcome.leg) == (pytest.approx(8.0 if last == "hold" else 0.5), 1)
 
 
-def test_what_happens_after_the_safety_layer_took_over_is_not_the_controllers_loss():
-    pose = np.zeros((101, 6))
-    pose[60:, 3] = 0.5
-    held = level([0.0] * 50 + [2.0] * 51)
-    assert verdict(trip=trip("ramp"), pose=pose, safety=held).status == "stopped"
-    assert rows_of(pose=pose, safety=held).largest["position"] == 0.0
-
-
 def test_a_stop_that_held_is_stopped_and_one_that_could_not_hold_failed():
     held = SafetyStop("crank_speed", "crank_speed: stopped, and held for 0.5 s", 1, trip("safe_hold"))
     given_up = SafetyStop("crank_speed", "a crank turns at 40 rad/s", 1, trip("end", "end"))

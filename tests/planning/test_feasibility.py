@@ -5,33 +5,20 @@ import numpy as np
 import pytest
 from strategies import ROBOT
 
-from stewart_drake.errors import InfeasibleReferenceError
-from stewart_drake.planning.feasibility import (
-    check_motion,
-    check_reference,
-    largest_amplitude,
-    largest_scale,
-)
+from stewart_drake.planning.feasibility import check_motion, check_reference, largest_amplitude
 from stewart_drake.planning.limits import Limits
-from stewart_drake.references import HoldReference, SineReference, paper_reference
+from stewart_drake.references import SineReference, paper_reference
 
 ALL = Limits()
 NONE = Limits(**{field.name: None for field in dataclasses.fields(Limits)})
 GRAVITY = 9.81
 AXES = np.eye(6)
 HOME = tuple(ROBOT.home_pose)
-REACH_MM = {"X": (-218, 203), "Y": (-201, 201), "Z": (-108, 121)}
-TURN_DEG = {"roll": (-70, 70), "pitch": (-62, 85), "yaw": (-83, 83)}
 
 
 def only(**limits):
     """Limits of which all but these are off."""
     return dataclasses.replace(NONE, **limits)
-
-
-def at_rest(poses, limits=ALL):
-    poses = np.atleast_2d(poses)
-    return check_motion(ROBOT, limits, np.arange(len(poses)), poses, 0.0 * poses, 0.0 * poses, GRAVITY)
 
 
 def sine(axis, amplitude, frequency_hz, center=HOME):
@@ -54,30 +41,6 @@ def test_the_papers_reference_keeps_to_what_the_geometry_promises():
     swing = smallest["joint_swing"]
     assert (swing.leg, swing.where) == (2, "universal joint of leg 2")
     assert swing.time == pytest.approx(math.pi / 4.0, abs=2e-3)
-
-
-@pytest.mark.parametrize(("name", "axis"), [(n, i) for i, n in enumerate([*TURN_DEG, *REACH_MM])])
-def test_the_range_at_rest_ends_where_the_geometry_says(name, axis):
-    low, high = (TURN_DEG | REACH_MM)[name]
-    unit = math.radians(1.0) if axis < 3 else 1e-3
-    limits = only(conditioning=0.05, transmission=0.2)
-    for end, inwards in ((low, 1.0), (high, -1.0)):
-        inside = np.linspace(0.0, end + inwards, 200)[:, None] * unit * AXES[axis]
-        assert at_rest(ROBOT.home_pose + inside, limits).feasible
-        assert not at_rest(ROBOT.home_pose + (end - inwards) * unit * AXES[axis], limits).feasible
-
-
-def test_out_of_reach_breaks_reach_whatever_the_limits_and_leaves_out_what_cannot_be_judged():
-    for limits, known, bound in ((ALL, ["reach", "euler_pitch"], 0.98), (NONE, ["reach"], 1.0)):
-        report = at_rest([[0, 0, 0, 0, 0, 0.6]], limits)
-        assert list(report.smallest) == known
-        assert (report.first_violation.limit, report.first_violation.bound) == ("reach", bound)
-    # The samples within reach are judged on.
-    report = check_reference(ROBOT, ALL, sine(5, 0.2, 0.05), 20.0, GRAVITY)
-    first = report.first_violation
-    with pytest.raises(InfeasibleReferenceError, match=rf"{first.limit} with .* at t = {first.time:.3f} s"):
-        report.raise_if_infeasible()
-    assert first.time < report.smallest["reach"].time
 
 
 def test_the_earliest_violation_wins_and_of_simultaneous_ones_the_first_in_order():
@@ -113,13 +76,3 @@ def test_the_largest_amplitude_is_feasible_and_a_little_more_is_not(limits, freq
     assert all(feasible(factor) for factor in (0.1, 0.5, 0.9, 0.9995))
     # A turn ends at pi.
     assert amplitude == math.pi or not feasible(1.001)
-
-
-def test_the_largest_scale_is_the_first_at_which_a_limit_breaks():
-    def hold(scale):
-        # A larger scale that is feasible again is not taken.
-        return HoldReference(pose=(0.0, 0.0, 0.0, 0.0, 0.0, 0.6 if 0.3 < scale < 0.5 else 0.3))
-
-    assert largest_scale(ROBOT, ALL, hold, 0.1, GRAVITY) == pytest.approx(0.3, rel=1e-3)
-    assert largest_scale(ROBOT, ALL, lambda _: HoldReference(), 0.1, GRAVITY) == 1.0
-    assert largest_scale(ROBOT, only(torque_fraction=0.01), lambda _: HoldReference(), 0.1, GRAVITY) == 0.0

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from strategies import ROBOT, ROBOTS
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import force_map, static_torque
 from stewart_drake.mechanics.kinematics import conditioning, leg_geometry, reach_margin, rod_lines
 from stewart_drake.planning.limits import Limits, limit_margins, measure_poses
@@ -10,7 +9,6 @@ from stewart_drake.planning.workspace import (
     COORDINATES,
     LIMIT_NAMES,
     boundary,
-    check_center,
     governing_limit,
     spanning_grid,
     spread_directions,
@@ -87,12 +85,6 @@ def test_utilisation_is_above_one_exactly_where_a_margin_is_negative():
         broken = (margins[name][1:] < 0.0).any(axis=1)
         np.testing.assert_array_equal(use[name] > 1.0, broken, err_msg=name)
         assert 0 < broken.sum() < len(pose), name
-
-
-def test_bad_centers_are_refused():
-    for center in (np.zeros(5), HOME + [0, 0, 0, 0, 0, 0.3], HOME + [0, 2.0, 0, 0, 0, 0]):
-        with pytest.raises(ConfigurationError, match="center"):
-            check_center(ROBOT, center)
 
 
 @pytest.mark.parametrize("kind", ["position", "orientation"])

@@ -41,28 +41,9 @@ class Run:
         return self.diagram.GetOutputPort("state").Eval(self.context)
 
     @property
-    def pose(self):
-        return self.stewart.pose_and_rate(self.state)[0]
-
-    @property
     def angles(self):
         return self.state[self.stewart.indices.crank].copy()
 
     @property
     def rates(self):
         return self.state[self.stewart.indices.crank_rate]
-
-    @property
-    def kinetic_energy(self):
-        plant = self.stewart.plant
-        return plant.CalcKineticEnergy(plant.GetMyContextFromRoot(self.context))
-
-    @property
-    def contacts(self):
-        plant = self.stewart.plant
-        results = plant.get_contact_results_output_port().Eval(plant.GetMyContextFromRoot(self.context))
-        infos = [results.point_pair_contact_info(k) for k in range(results.num_point_pair_contacts())]
-        return {
-            frozenset({plant.get_body(info.bodyA_index()).name(), plant.get_body(info.bodyB_index()).name()})
-            for info in infos
-        }

@@ -56,9 +56,6 @@ def test_it_converges_to_the_equation_of_motion_with_order_one(robot):
     np.testing.assert_allclose(orders, 1.0, atol=0.15)
 
 
-PLACE, PAYLOAD = np.array([0.0, 0.02, 0.04]), 0.3
-
-
 def test_a_crank_at_its_dead_centre_ends_it_and_angles_go_on_beyond_half_a_turn():
     chain = ClosedChain(PAPER, PlantOptions(), GRAVITY)
     start = chain.initial(PAPER.home_pose, STILL)

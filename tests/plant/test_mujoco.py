@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mujoco_robot import MujocoRobot
-from pydrake.systems.analysis import Simulator
+from plant_runs import Run
 from strategies import ROBOT
 
-from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
-from stewart_drake.plant.multibody_plant import build_plant
+from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.robot.robot_files import load_robot
 
@@ -35,16 +34,10 @@ MOTIONS = {
 
 def platforms(robot, pose, torque, time_step):
     # Where Drake and MuJoCo have the platform after DURATION: X, Y, Z and the quaternion.
-    options = PlantOptions(time_step=time_step)
-    diagram, stewart = build_plant(robot, options)
-    simulator = Simulator(diagram)
-    context = simulator.get_mutable_context()
-    stewart.set_state(context, pose)
-    diagram.GetInputPort("torque").FixValue(context, torque)
-    simulator.AdvanceTo(DURATION)
-    state = diagram.GetOutputPort("state").Eval(context)
+    run = Run(pose, torque=torque, robot=robot, time_step=time_step).to(DURATION)
+    stewart, state = run.stewart, run.state
     quaternion = state[stewart.indices.quaternion]
-    engine = MujocoRobot(robot, STANDARD_GRAVITY, options, "Euler")
+    engine = MujocoRobot(robot, options=PlantOptions(time_step=time_step))
     engine.set_state(stewart, stewart.assemble(pose))
     engine.advance(torque, round(DURATION / time_step))
     # Drake lets the length of its quaternion grow, by parts in a million here.

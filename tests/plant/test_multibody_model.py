@@ -8,10 +8,7 @@ from multibody_model import task_dynamics
 from strategies import ALTERNATING, ROBOT, TANGENTIAL, UNEQUAL, poses, vectors
 
 from stewart_drake.mechanics.dynamics import task_bias, task_inertia
-from stewart_drake.mechanics.kinematics import (
-    pose_rate_to_twist,
-    twist_jacobian,
-)
+from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from made_logs import made_log
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plotting import plot_states, plot_torques, save_figure
-from stewart_drake.plotting.study_plots import plot_bands, plot_error, plot_rmse
 from stewart_drake.scenario import Scenario
 
 AXES = ("φ", "θ", "ψ", "X", "Y", "Z")
@@ -71,37 +69,9 @@ def test_weights_and_settings_are_drawn_where_they_change_and_nothing_is_empty()
     np.testing.assert_array_equal(lines(both)["omega_q"][:, 1], log["weights"][:, 0])
     np.testing.assert_allclose(ratio.lines[0].get_ydata(), log["weights"][:, 0] / log["weights"][:, 1])
     assert both.get_yscale() == ratio.get_yscale() == "log"
-    for more, last in (
-        ({}, "Integral state"),
-        ({"weights": np.ones((400, 2))}, "Integral state"),
-        ({"setting": setting}, "Tuner"),
-    ):
-        figure = plot_states(dataclasses.replace(log, signals={**without, **more}))
-        drawn = [axes for axes in figure.axes if axes.axison]
+    for more, last in (({"weights": np.ones((400, 2))}, "Integral state"), ({"setting": setting}, "Tuner")):
+        drawn = [a for a in plot_states(dataclasses.replace(log, signals={**without, **more})).axes if a.axison]
         assert drawn[-1].get_title(loc="left") == last
-        assert all(axes.lines for axes in drawn)
-
-
-def test_several_runs_share_their_panels():
-    one, two = make_log(), make_log(rows=200)
-    axes = plot_states([one, two]).axes[0]
-    assert [len(line.get_xdata()) for line in axes.lines] == [400, 400, 200, 200]
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == [r"$\phi$", "reference"]
-
-
-def test_a_panel_of_several_runs_shows_all_of_each():
-    log = make_log()
-    quiet, loud = (
-        dataclasses.replace(log, signals={**log.signals, "pose": log["reference"] + error})
-        for error in (np.linspace(0.0, 1e-7, 400)[:, None], np.linspace(0.0, 0.01, 400)[:, None])
-    )
-    for axes in plot_states([quiet, loud]).axes:
-        low, high = axes.get_ylim()
-        for line in axes.lines:
-            values = np.asarray(line.get_ydata(), dtype=float)
-            if len(values) == len(log.time):
-                assert low <= np.nanmin(values)
-                assert np.nanmax(values) <= high
 
 
 def test_each_motor_has_its_panel_with_torque_rms_and_peak_on_one_scale():
@@ -154,17 +124,6 @@ def test_a_blow_up_is_drawn_within_bounds(plot, value, rows, tmp_path):
 
 
 @BOTH
-def test_a_single_row_is_a_dot_and_an_empty_log_is_refused(plot):
-    figure = plot(dataclasses.replace(make_log(rows=1), status="failed"))
-    drawn = [line for axes in figure.axes for line in axes.lines if len(line.get_xdata()) == 1]
-    assert {line.get_marker() for line in drawn} == {"o"}
-    still = make_log(rows=1)
-    assert plot(dataclasses.replace(still, signals={**still.signals, "pose": still["reference"]})).axes
-    with pytest.raises(ConfigurationError, match=r"log: expected .*got 'no rows'"):
-        plot(make_log(rows=0))
-
-
-@BOTH
 def test_a_picture_is_the_same_every_time_whatever_the_user_s_style_which_stays(plot, tmp_path):
     before = dict(mpl.rcParams)
     save_figure(plot(make_log()), tmp_path / "plain.png")
@@ -172,30 +131,3 @@ def test_a_picture_is_the_same_every_time_whatever_the_user_s_style_which_stays(
     with mpl.style.context(["dark_background", {"lines.linewidth": 9.0, "font.size": 20.0, "axes.grid": False}]):
         save_figure(plot(make_log()), tmp_path / "dark.png")
     assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "dark.png").read_bytes()
-
-
-def run(controller, rmse, condition="calm", status="completed"):
-    trace = {"time": [0.0, 1.0], "pose_mm": [0.0, rmse]}
-    named = {"controller": controller, "condition": condition, "reference": "sine", "status": status}
-    return {**named, "pose_rmse_mm": rmse, "trace": trace}
-
-
-def test_the_plot_of_bands_is_a_bode_plot():
-    rows = [
-        {"controller": "lqi", "reference": "roll", "frequency_hz": f, "ratio": 1.0 / f, "phase_deg": -90.0 * f}
-        for f in (1.0, 10.0)
-    ]
-    magnitude, phase = plot_bands(rows).axes
-    assert {magnitude.get_xscale(), phase.get_xscale()} == {"log"}
-    np.testing.assert_allclose(magnitude.lines[0].get_ydata(), [0.0, -20.0])
-    assert (magnitude.get_ylabel(), phase.get_ylabel()) == ("magnitude [dB]", "phase [deg]")
-
-
-def test_a_failed_run_is_a_cross_at_the_edge_and_others_are_where_their_error_is():
-    rows = [run("pid", 2.0), run("lqi", 1.0), run("lqi", None, "windy", "failed"), run("pid", 4.0, "windy")]
-    calm, windy = plot_rmse(rows).axes
-    dots = [line.get_xdata()[0] for line in calm.lines if line.get_marker() not in ("None", "x")]
-    assert sorted(dots) == [1.0, 2.0]
-    (cross,) = (line for line in windy.lines if line.get_marker() == "x")
-    assert 8.0 < cross.get_xdata()[0] < windy.get_xlim()[1]
-    assert plot_error(rows[:2], 0.5).axes[0].get_yscale() == "log"

@@ -5,7 +5,6 @@ import pyarrow as pa
 import pyarrow.csv as pc
 import pyarrow.parquet as pq
 import pytest
-from references.laws import check_derivatives, check_smooth
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references import RecordedReference, SineReference, center_of
@@ -38,17 +37,6 @@ def test_a_recording_comes_back_row_by_row_and_smoothly_between(tmp_path, name):
     for values, true, atol in zip(motion.evaluate(between), MOTION.evaluate(between), (1e-7, 2e-5, 2e-3), strict=True):
         np.testing.assert_allclose(values, true, atol=atol)
     np.testing.assert_array_equal(center_of(motion), motion.evaluate(0.0)[0])
-
-
-def test_rates_and_accelerations_are_the_derivatives_of_the_pose_and_do_not_jump(tmp_path):
-    rng = np.random.default_rng(1)
-    times = np.cumsum(rng.uniform(0.1, 0.4, 12))
-    motion = reference(save(table(times), tmp_path / "motion.parquet"), settle=0.5)
-    ends = np.append(times - times[0], times[-1] - times[0] + 0.5)
-    for time in rng.uniform(0.0, ends[-1] + 0.5, 60):
-        if np.abs(ends - time).min() > 3e-4:
-            check_derivatives(motion, time)
-    check_smooth(motion, ends[1:], jerk=1000.0)
 
 
 @pytest.mark.parametrize("middle", [math.pi, -math.pi])

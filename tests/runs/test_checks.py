@@ -6,12 +6,7 @@ import pytest
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.planning.limits import Limits
-from stewart_drake.references import (
-    AdjustedReference,
-    HeartbeatReference,
-    MinimumJerkReference,
-    SineReference,
-)
+from stewart_drake.references import AdjustedReference, HeartbeatReference, MinimumJerkReference, SineReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.checks import adjusted, check_scenario, fit_amplitude, fit_speed
 from stewart_drake.scenario import Scenario

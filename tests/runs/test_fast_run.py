@@ -2,13 +2,10 @@
 
 import numpy as np
 import pytest
-from pydrake.systems.framework import LeafSystem
 
-from stewart_drake import Controller
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
-from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.scenario import load_scenario
 
 ENCODERS = "sensors={kind: encoders, resolution_bits: 0}"
 PUSH = "disturbances=[{kind: step, wrench: [0.02, 0, 0.03, 3, -2, -4], time: 0.2, until: 0.4}]"
@@ -80,18 +77,3 @@ def test_it_ends_as_the_run_on_drakes_plant_ends(given):
     assert mine.end_time == pytest.approx(drake.end_time, abs=0.003)
     assert mine.outcome_time == pytest.approx(drake.outcome_time, abs=0.003)
     assert (mine.safety or {}) | {"leg": 0} == (drake.safety or {}) | {"leg": 0}
-
-
-class Own(LeafSystem):
-    def __init__(self):
-        super().__init__()
-        self.DeclareVectorInputPort("measurement", 12)
-        self.DeclareVectorInputPort("reference", 18)
-        self.DeclareVectorOutputPort("torque", 6, lambda _, output: output.SetZero())
-
-
-def test_where_there_is_no_diagram_a_leafsystem_is_refused():
-    with pytest.raises(ConfigurationError, match=r"^plant\.engine: expected drake, "):
-        run(Scenario.from_dict({"duration": 0.05, "plant": {"engine": "reduced"}, "controller": Own}))
-    with pytest.raises(ConfigurationError, match=r"^controller: .*no LeafSystem"):
-        Controller(Scenario(controller=Own))

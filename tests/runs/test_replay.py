@@ -9,15 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from matplotlib.image import imread
 from PIL import Image
 from pydrake.math import RollPitchYaw
-from strategies import ROBOT
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.runs.pictures import render_png, write_film
 from stewart_drake.runs.replay import nearest_rows, write_replay
 from stewart_drake.scenario import Scenario
 
@@ -38,26 +34,22 @@ def shown(page):
     return json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.DOTALL)[1])
 
 
-def commands(page, run=0):
-    """What a page tells the Meshcat of a run: MessagePack behind data URLs."""
-    packed = re.findall(r'fetch\("data:application/octet-binary;base64,([^"]*)"\)', shown(page)[run]["page"])
-    return [msgpack.unpackb(base64.b64decode(data), strict_map_key=False) for data in packed]
-
-
 def tracks(page):
-    (recording,) = (command for command in commands(page) if command["type"] == "set_animation")
-    rates, found = set(), {}
+    """Of the first run, out of the MessagePack behind data URLs: path and name -> frames, values."""
+    packed = re.findall(r'fetch\("data:application/octet-binary;base64,([^"]*)"\)', shown(page)[0]["page"])
+    commands = [msgpack.unpackb(base64.b64decode(data), strict_map_key=False) for data in packed]
+    (recording,) = (command for command in commands if command["type"] == "set_animation")
+    found = {}
     for animation in recording["animations"]:
-        rates.add(animation["clip"]["fps"])
+        assert animation["clip"]["fps"] == 30.0
         for track in animation["clip"]["tracks"]:
             frames, values = zip(*((key["time"], key["value"]) for key in track["keys"]), strict=True)
             found[animation["path"], track["name"]] = np.array(frames), np.array(values)
-    (rate,) = rates
-    return rate, found
+    return found
 
 
-def written(log, folder, **options):
-    write_replay(log, folder / "replay.html", **options)
+def written(log, folder):
+    write_replay(log, folder / "replay.html")
     return (folder / "replay.html").read_text()
 
 
@@ -70,8 +62,7 @@ def page(tmp_path_factory):
 
 
 def test_platform_and_reference_move_as_logged(page):
-    rate, found = tracks(page)
-    assert rate == 30.0
+    found = tracks(page)
     assert all(np.array_equal(frames, np.arange(16)) for frames, _ in found.values())
     (platform,) = {path for path, _ in found if path.endswith("platform")}
     for path, signal in ((platform, "pose"), ("/drake/reference", "reference")):
@@ -85,11 +76,7 @@ def test_platform_and_reference_move_as_logged(page):
             assert abs(dot) == pytest.approx(1.0, abs=1e-12)
 
 
-@given(
-    st.integers(1, 300),
-    st.sampled_from([0.0007, 0.001, 0.005, 0.02, 1.0 / 30.0, 0.1, 1.0]),
-    st.sampled_from([1.0, 24.0, 30.0, 60.0, 1000.0]),
-)
+@given(st.integers(1, 300), st.sampled_from([0.0007, 0.005, 1.0 / 30.0, 1.0]), st.sampled_from([1.0, 30.0, 1000.0]))
 def test_every_frame_shows_the_nearest_row_and_no_row_twice(rows, period, rate):
     time = period * np.arange(rows)
     frames, chosen = nearest_rows(time, rate)
@@ -107,8 +94,6 @@ def test_page_names_the_run_and_needs_nothing_from_outside(page):
     assert "<title>made up</title>" in page
     (run,) = shown(page)
     assert (run["name"], run["lines"]) == ("made up", [["completed at 0.5 s", False]])
-    hidden = {each["path"] for each in commands(page) if each.get("property") == "visible" and not each["value"]}
-    assert {"/Grid", "/Axes"} <= {path.removesuffix("/<object>") for path in hidden}
     for text in (page, run["page"]):
         assert re.findall(r'<[a-z]+ [^>]*\b(?:src|href|srcset|poster)=["\']?https?:', text) == []
         script = text[text.index("</script>") :]
@@ -130,26 +115,6 @@ def test_errors_and_torques_of_several_runs_stand_beside_their_robots(tmp_path):
     assert runs[1]["lines"] == [["stopped at 0.25 s", True], ["why", True], ["and where", True]]
 
 
-def test_what_cannot_be_shown_is_refused_and_writes_nothing(tmp_path):
-    log = make_log(rows=3)
-    nowhere = dataclasses.replace(log, signals={**log.signals, "plant_state": np.nan * log["plant_state"]})
-    for bad, rows in ((nowhere, 3), (make_log(rows=0), 0)):
-        with pytest.raises(ConfigurationError, match=f"log: expected .*got '{rows} rows'"):
-            written(bad, tmp_path)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="Drake's renderer needs libEGL")
-def test_a_still_shows_the_whole_robot_on_white(tmp_path):
-    render_png(ROBOT, ROBOT.home_pose, tmp_path / "robot.png", width=240, height=180, passes=1)
-    image = imread(tmp_path / "robot.png")[..., :3]
-    assert image.shape == (180, 240, 3)
-    edges = [part.reshape(-1, 3) for part in (image[:2], image[-2:], image[:, :2], image[:, -2:])]
-    assert np.mean(np.concatenate(edges).min(axis=-1) < 0.9) < 0.02
-    assert 0.01 < np.mean(image[..., 2] > image[..., 0] + 0.2) < 0.2, "the platform's disc"
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="Drake's renderer needs libEGL")
 def test_a_film_shows_each_frame_at_its_time_and_the_reference_in_green(tmp_path):
@@ -163,8 +128,3 @@ def test_a_film_shows_each_frame_at_its_time_and_the_reference_in_green(tmp_path
     assert np.abs(frames[-1] - frames[0]).mean() > 1.0
     red, green, blue = np.moveaxis(frames[0], -1, 0)
     assert np.mean((green > red + 20) & (green > blue + 5)) > 0.002
-
-
-def test_a_film_of_another_kind_is_refused_before_anything_is_drawn(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"film: expected a name that ends in \.gif or \.mp4"):
-        write_film(make_log(rows=3), tmp_path / "film.avi")

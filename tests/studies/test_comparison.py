@@ -1,13 +1,10 @@
-from itertools import product
-
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.runs.simulation import run
-from stewart_drake.studies.comparison import AXES, Comparison
+from stewart_drake.studies.comparison import Comparison
 from stewart_drake.studies.runs import settling_time, sine_response
 from stewart_drake.studies.study import number, run_study
 from stewart_drake.studies.workers import Workers
@@ -49,38 +46,6 @@ def done(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_every_run_that_is_asked_for_is_there_once():
-    cells = [(c.controller, c.reference, c.condition, c.seed) for c in small().cells if c.frequency is None]
-    assert cells == [
-        *((c, r, "nominal", 3) for c in ("soft", "stiff", "pid") for r in ("sine", "hold")),
-        ("stiff", "sine", "noise", 3),
-        ("stiff", "sine", "noise", 4),
-        ("paper", "long", "nominal", 3),
-    ]
-    everything = small(runs=None, bands=None)
-    assert everything.runs == 4 * 3 * 3
-    assert everything.scenario(0).duration == 0.1
-    assert small().scenario(7).sensors.noise_seed == 4
-
-
-@pytest.mark.slow
-def test_bands_move_one_axis_by_what_is_feasible_over_whole_periods():
-    bands = {**SMALL["bands"], "axes": ["Z", "roll"], "frequencies": [0.5, 20.0], "transient": 1.0}
-    comparison = small(bands=bands)
-    cells = [(i, cell) for i, cell in enumerate(comparison.cells) if cell.frequency is not None]
-    assert [(cell.reference, cell.frequency) for _, cell in cells] == list(product(["Z", "roll"], [0.5, 20.0]))
-    for index, cell in cells:
-        scenario = comparison.scenario(index)
-        assert scenario.duration == pytest.approx(1.0 + cell.window)
-        assert cell.window * cell.frequency == pytest.approx(round(cell.window * cell.frequency))
-        assert cell.window >= 1.0
-        axis = AXES.index(cell.reference)
-        most = largest_amplitude(scenario.robot, scenario.limits, axis, cell.frequency, 9.81)
-        assert cell.amplitude == pytest.approx(min(0.005 if axis == 5 else 0.05, 0.5 * most))
-        assert np.flatnonzero(scenario.reference.amplitude).tolist() == [axis]
-
-
-@pytest.mark.slow
 def test_the_table_has_the_figures_and_failures_of_the_runs(done):
     comparison, result, folder = done
     by_run = {(r["controller"], r["reference"], r["condition"], r["seed"]): r for r in result.rows["comparison"]}
@@ -100,16 +65,6 @@ def test_the_table_has_the_figures_and_failures_of_the_runs(done):
     assert (band["controller"], band["reference"], band["frequency_hz"]) == ("pid", "Z", 20.0)
     assert 0.9 < band["ratio"] < 1.3
     assert -60.0 < band["phase_deg"] < -20.0
-
-
-@pytest.mark.slow
-def test_best_of_names_the_controller_that_it_is(done):
-    rows = done[1].rows["comparison"]
-    for reference in ("sine", "hold"):
-        here = {r["controller"]: r for r in rows if (r["reference"], r["condition"]) == (reference, "nominal")}
-        better = min(("soft", "stiff"), key=lambda name: here[name]["pose_rmse_mm"])
-        assert here["best"]["chosen"] == better
-        assert here["best"]["pose_rmse_mm"] == here[better]["pose_rmse_mm"]
 
 
 def test_the_markdown_is_a_table_with_failures_and_the_chosen_one(done):

@@ -7,23 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import ROBOT, poses
 
+from stewart_drake.cli import study_commands
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import twist_jacobian
-from stewart_drake.runs.simulation import run
 from stewart_drake.safety import MONITORS
-from stewart_drake.studies import runs, workers
-from stewart_drake.studies.faults import (
-    COLUMNS,
-    DURATION,
-    FAULTS,
-    MOTIONS,
-    ONSET,
-    FaultStudy,
-    base,
-    holdable_load,
-    measure_fault,
-)
+from stewart_drake.studies import runs
+from stewart_drake.studies.faults import COLUMNS, DURATION, FAULTS, MOTIONS, FaultStudy, base, holdable_load
 from stewart_drake.studies.runs import execute
+from stewart_drake.studies.workers import Workers
 
 IN_TURN = [(fault, tuple(MOTIONS)[number % len(MOTIONS)]) for number, fault in enumerate(FAULTS.values())]
 
@@ -68,21 +59,6 @@ def test_the_catalogue_has_58_faults_and_its_monitors_exist():
     assert {monitor for fault in FAULTS.values() for monitor in fault.monitors} <= set(MONITORS)
 
 
-@pytest.mark.slow
-def test_a_rows_figures_are_those_of_its_log():
-    fault = FAULTS["command_nan"]
-    log = run(base().replace(fault.in_motion("paper", base())))
-    row = measure_fault(log, fault)
-    after, taken = log.time >= ONSET - 1e-9, log["safety"][:, 0] >= 2
-    error = np.linalg.norm(log["pose"][:, 3:] - log["reference"][:, 3:], axis=1)
-    assert row["peak_error_mm"] == pytest.approx(1e3 * error[after & ~taken].max())
-    moved = np.linalg.norm(log["pose"][taken][:, 3:] - log["pose"][taken][0, 3:], axis=1)
-    assert row["travel_mm"] == pytest.approx(1e3 * moved.max())
-    assert row["peak_torque"] == np.abs(log["torque_applied"][after]).max()
-    assert row["latency_ms"] == pytest.approx(1e3 * (log.safety["time"] - ONSET))
-    assert (row["latency_ms"], row["reaction"], row["safety_leg"]) == (pytest.approx(0.0, abs=1e-6), "ramped", 3)
-
-
 def instantly(task):
     figures = {"safety_monitor": "deadline", "safety_leg": 2, "latency_ms": 3.0, "peak_error_mm": 1.25}
     return {**task.row("completed", None, None), "reaction": "held", "peak_torque": 0.5, **figures}
@@ -91,8 +67,8 @@ def instantly(task):
 def test_the_command_writes_a_row_a_run_and_a_line_a_fault_quick_that_of_the_held_platform_alone(
     call, tmp_path, monkeypatch
 ):
-    here = workers.Workers(0)
-    monkeypatch.setattr(workers, "Workers", lambda *_: here)
+    here = Workers(0)
+    monkeypatch.setattr(study_commands, "Workers", lambda *_: here)
     monkeypatch.setattr(runs, "execute", instantly)
     for options, motions in ((["--quick"], ["hold"]), (["--restart"], MOTIONS)):
         status, out, err = call("faults", "--out", "out", *options)

@@ -8,15 +8,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import parse_yaml
 from stewart_drake.logs.metrics import mean_cost
 from stewart_drake.studies.comparison import Comparison
-from stewart_drake.studies.tune import (
-    SEARCHED,
-    START,
-    TUNED,
-    Tuning,
-    minimise,
-    run_tuning,
-    write_picture,
-)
+from stewart_drake.studies.tune import START, TUNED, Tuning, minimise, run_tuning, write_picture
 from stewart_drake.studies.workers import Workers
 
 FILE = {
@@ -95,15 +87,6 @@ def test_what_is_found_goes_into_the_comparison(done):
     assert table["cost"].to_pylist() == [row["cost"] for row in result.rows]
     write_picture(result, folder)
     assert {"tune.md", "tune.png"} <= {path.name for path in folder.iterdir()}
-
-
-def test_in_the_search_alone_some_keys_are_others():
-    plan = tuning(**tune_changed(set={"duration": 0.05}))
-    assert {plan.comparison.scenario(place).duration for place in plan.cells("pid")} == {0.05}
-    verdict = plan.verdict({"pid": {"controller.kp": 9.0, "controller.kd": 0.1}})
-    durations = {cell.controller: verdict.scenario(place).duration for place, cell in enumerate(verdict.cells)}
-    assert durations[f"pid, {START}"] == durations[f"pid, {TUNED}"] == 0.12
-    assert durations[f"pid, {SEARCHED}"] == 0.05
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,9 @@ import pytest
 from conftest import ROOT, make_network
 
 from stewart_drake.control.network import load_network
-from stewart_drake.errors import UnreachablePoseError
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario
-from stewart_drake.systems.diagram import ClosedLoop, build_diagram
+from stewart_drake.systems.diagram import build_diagram
 
 DIAGRAMS = ROOT / "diagrams"
 PORTS = {"measurement": 12, "reference": 18, "torque": 6, "error": 6, "integral": 6, "weights": 2, "density": 12}
@@ -28,20 +27,6 @@ def test_every_signal_is_an_exported_port_by_its_name():
     assert loop.num_input_ports() == 0
     assert set(loop.sinks) == {*PORTS, "plant_state"}
     assert set(loop.systems) == {"controller", "density"} == {part.name for part in loop.loop.parts}
-
-
-def test_a_start_context_stands_assembled_at_the_references_start():
-    offset = (0.05, -0.02, 0.03, 0.01, -0.01, 0.02)
-    case = scenario(initial_offset=list(offset))
-    loop = ClosedLoop(case)
-    context = loop.create_start_context()
-    pose, rate, _ = case.reference.evaluate(0.0)
-    measured = loop.GetOutputPort("measurement").Eval(context)
-    np.testing.assert_allclose(measured, np.concatenate([pose + offset, rate]), atol=1e-12)
-    assert loop.plant.loop_gap(loop.GetOutputPort("plant_state").Eval(context)).max() < 1e-12
-    np.testing.assert_allclose(loop.GetOutputPort("error").Eval(context), offset, atol=1e-12)
-    with pytest.raises(UnreachablePoseError):
-        ClosedLoop(scenario(initial_offset=[0, 0, 0, 0, 0, 0.3])).create_start_context()
 
 
 @pytest.mark.slow

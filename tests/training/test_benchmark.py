@@ -2,36 +2,26 @@ import numpy as np
 import pytest
 
 from stewart_drake.control.features import CostScales
-from stewart_drake.logs.metrics import FAILED, run_cost, run_metrics
+from stewart_drake.logs.metrics import run_cost, run_metrics
+from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.workers import Workers
 from stewart_drake.training.benchmark import (
     BEST_FIXED,
-    LEAST_COST,
     Baselines,
     Verdict,
     assess,
     estimate,
-    log_cost,
     mean_over_cells,
     with_setting,
 )
-from stewart_drake.training.situations import HELD_OUT, ROBOTS, Case, kinds_of, situation
+from stewart_drake.training.situations import HELD_OUT, ROBOTS, TRAINING, Case, kinds_of, situation
 
 
 def test_each_cell_counts_alike_however_many_runs_it_has():
     cases = [Case("hold", "paper", 0), Case("fast", "paper", 0), Case("fast", "paper", 1), Case("fast", "paper", 2)]
     values = np.array([[1.0, 3.0, 4.0, 5.0], [0.0, 0.0, 0.0, 3.0]])
     assert mean_over_cells(values, cases) == pytest.approx([2.5, 0.5])
-
-
-def test_a_failed_run_costs_the_most_and_one_of_nothing_the_least():
-    good = {"status": "completed", **dict.fromkeys(("rmse_norm_mm", "torque_change_rms"), 0.0), "period": 0.001}
-    scales = CostScales()
-    assert log_cost({**good, "rmse_norm_deg": 0.03}, scales) == pytest.approx(0.0)
-    assert log_cost({**good, "rmse_norm_deg": 0.03, "status": "lost"}, scales) == pytest.approx(np.log(FAILED))
-    assert log_cost({"status": "rejected"}, scales) == pytest.approx(np.log(FAILED))
-    assert log_cost({**good, "rmse_norm_deg": 0.0}, scales) == pytest.approx(np.log(LEAST_COST))
 
 
 CASES = tuple(Case(kind, "paper", seed) for kind in ("hold", "fast") for seed in range(40))
@@ -78,3 +68,23 @@ def test_the_shipped_baselines_have_every_kind():
     baselines = Baselines.load()
     for robot in ROBOTS:
         assert set(baselines.best_of_kind[robot]) == set(kinds_of(robot))
+
+
+EACH = [(kind, robot) for robot in ROBOTS for kind in kinds_of(robot)]
+
+
+@pytest.mark.parametrize(("kind", "robot"), EACH)
+def test_a_motion_is_within_the_limits_and_nothing_else_than_drawn_is_changed(kind, robot):
+    for seed in (TRAINING[0], HELD_OUT[0]):
+        made, base = situation(kind, robot, seed), ROBOTS[robot].base
+        assert check_reference(made.robot, made.limits, made.reference, made.duration).feasible
+        assert made.to_dict() == situation(kind, robot, seed).to_dict()
+        for name in ("robot", "tuner", "controller", "estimator", "duration", "friction_compensation", "safety"):
+            assert getattr(made, name) == getattr(base, name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "robot"), EACH)
+def test_a_run_completes_at_the_default_setting(kind, robot):
+    for seed in (TRAINING[1], HELD_OUT[1]):
+        assert run(situation(kind, robot, seed).replace({"plant.engine": "reduced"})).status == "completed"

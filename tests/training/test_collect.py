@@ -4,6 +4,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import torch
 
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.logs.log import SimulationLog
@@ -14,11 +15,12 @@ from stewart_drake.training.collect import (
     BURST,
     COLUMNS,
     FREQUENCIES,
+    Dataset,
     collect_dataset,
     dataset_from_logs,
-    experiment_scenarios,
     load_dataset,
 )
+from stewart_drake.training.train import TrainingOptions, r_squared, train_network
 
 SAMPLES, WINDOW = 60, 9
 SMALL = SineBurstsReference(
@@ -27,19 +29,6 @@ SMALL = SineBurstsReference(
     phase=tuple(np.pi / 3.0 * np.arange(6)),
     burst_duration=BURST,
 )
-
-
-def base():
-    # A fast controller: six 3-state problems, and a short window that fills within the few samples.
-    return Scenario.from_dict({"controller": {"solver": "split"}, "tuner": {"kind": "paper", "window": WINDOW}})
-
-
-@pytest.fixture(scope="module")
-def collected():
-    # Nine short experiments on a small motion; the search for the largest feasible one is tested apart.
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(collect, "experiment_reference", lambda _: SMALL)
-        yield collect_dataset(base(), lambda _: None, SAMPLES), experiment_scenarios(base(), SAMPLES)
 
 
 @pytest.mark.parametrize("kind", ["magnitude", "signed"])
@@ -71,8 +60,11 @@ def test_an_experiment_that_ended_early_stops_the_collection_and_is_named(change
         dataset_from_logs(logs, 30, "magnitude", 4, {})
 
 
-def test_a_collected_dataset_comes_back_whole(tmp_path, collected):
-    dataset, _ = collected
+def test_a_collected_dataset_comes_back_whole(tmp_path, monkeypatch):
+    # Nine short experiments on a small motion; the search for the largest feasible one is tested apart.
+    monkeypatch.setattr(collect, "experiment_reference", lambda _: SMALL)
+    base = Scenario.from_dict({"controller": {"solver": "split"}, "tuner": {"kind": "paper", "window": WINDOW}})
+    dataset = collect_dataset(base, lambda _: None, SAMPLES)
     dataset.save(tmp_path / "data.parquet")
     loaded = load_dataset(tmp_path / "data.parquet")
     for name in ("inputs", "outputs", "run", "time"):
@@ -99,3 +91,44 @@ def test_what_is_no_dataset_is_refused_by_its_name(tmp_path, about, changed, wor
     with pytest.raises(ConfigurationError, match=words) as caught:
         load_dataset(path)
     assert str(path) in caught.value.key
+
+
+METADATA = {"density": "signed", "window": 7, "sample_time": 0.005, "scenario": {"name": "left out"}}
+
+
+def made_up(rows_per_run=40, runs=9, seed=0):
+    """Samples from which omega_Q and omega_R can be read: the first densities lean towards their logarithms."""
+    rng = np.random.default_rng(seed)
+    run = np.repeat(np.arange(runs), rows_per_run)
+    logs = np.stack([run % 3 - 1.0, run // 3 - 1.0], axis=-1)
+    inputs = rng.uniform(0.5, 1.5, (len(run), 12))
+    inputs[:, 0] += 0.8 * logs[:, 0]
+    inputs[:, 6] -= 0.8 * logs[:, 1]
+    time = 0.005 * np.tile(np.arange(rows_per_run), runs)
+    return Dataset(inputs, 10.0**logs, run, time, dict(METADATA))
+
+
+def options(**changes):
+    return TrainingOptions(**{"epochs": 60, **changes})
+
+
+def test_it_finds_the_weights_that_can_be_read_from_the_densities():
+    dataset = made_up()
+    network = train_network(dataset, options(epochs=600)).network
+    for column in (0, 1):
+        assert r_squared(np.log10(dataset.outputs[:, column]), network.log_weights(dataset.inputs)[:, column]) > 0.7
+
+
+def test_the_same_data_options_and_seed_give_the_same_file_to_the_byte_and_others_another():
+    def network(of=0, seed=0):
+        torch.rand(7)  # nobody else's random numbers
+        return train_network(made_up(seed=of), options(seed=seed)).network.to_bytes()
+
+    assert network() == network()
+    assert len({network(), network(of=1), network(seed=1)}) == 3
+
+
+def test_a_side_without_samples_is_refused():
+    with pytest.raises(ConfigurationError) as caught:
+        train_network(made_up(1, 1), options())
+    assert caught.value.key == "training.training_share"

@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 
 from stewart_drake.control.features import CostScales
-from stewart_drake.control.policy import answer, default_policy_path, load_policy
+from stewart_drake.control.policy import default_policy_path, load_policy
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.jit import record
 from stewart_drake.logs.metrics import run_cost, run_metrics
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.workers import Workers
 from stewart_drake.training import policy_training
-from stewart_drake.training.benchmark import Baselines
 from stewart_drake.training.policy_training import (
     HIGHEST,
     LOWEST,
@@ -22,12 +20,10 @@ from stewart_drake.training.policy_training import (
     Training,
     episode_cost,
     episode_features,
-    policy_of,
     train_policy,
 )
 from stewart_drake.training.situations import Case, situation
 
-CENTRE = np.array(Baselines.load().best)
 SMALL = PolicyOptions(generations=2, situations=1, pool=2, validation=1, robots=("reachy_mini",))
 
 
@@ -36,18 +32,6 @@ def state_of(training):
     pool, validation = (np.zeros(len(cases)) for cases in (training.pool, training.validation))
     weights = np.zeros(WEIGHTS)
     return State(pool, validation, np.zeros(13), np.ones(13), weights, np.zeros((2, WEIGHTS)), weights)
-
-
-def test_weights_of_zero_stay_at_the_centre_and_any_others_in_the_box():
-    rng = np.random.default_rng(0)
-    for weights in (np.zeros(WEIGHTS), 10.0 * rng.normal(size=WEIGHTS)):
-        for features in rng.normal(size=(20, 13)):
-            setting = np.empty(4)
-            assert answer(record(policy_of(weights, CENTRE).numbers()), features, setting) == 1.0
-            assert (setting >= LOWEST - 1e-12).all()
-            assert (setting <= HIGHEST + 1e-12).all()
-            if not weights.any():
-                np.testing.assert_allclose(setting, CENTRE)
 
 
 @pytest.mark.slow
