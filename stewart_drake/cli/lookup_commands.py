@@ -117,6 +117,9 @@ def explain(key: str) -> None:
     inside = [
         each for each in every if each.name.rpartition(".")[0] == found[0].name and not each.name.endswith(".kind")
     ]
+    if found[0].name.rpartition(".")[2] == "kind":
+        print_table(key, [(each.kind, each.text) for each in found], ("kind", "what it is"), numbers=())
+        return
     shown: dict[tuple[str, ...], list[str]] = {}
     for each in [*found, *inside]:
         default = _short(each.schema["default"]) if "default" in each.schema else ""
@@ -178,7 +181,7 @@ def init(file: Path) -> None:
     root = scenario_schema()
     texts: dict[str, Key] = {}
     given = read_mapping("scenario", shipped_folder("scenarios") / "exact_breathing.yaml", 100)
-    given["reference"] = {"kind": "sine", "amplitude": [0.05, 0, 0, 0, 0, 0.01], "angular_frequency": [2] * 6}
+    given["reference"] = {"kind": "sine", "amplitude": [0.05, 0, 0, 0, 0, 0.01], "angular_frequency": 2}
     for key in keys_of(root, root):
         section = given.get(key.name.partition(".")[0])
         kind = section.get("kind") if isinstance(section, dict) else section
@@ -202,7 +205,7 @@ def _commented(data: Mapping[str, Any], texts: Mapping[str, Key], before: str = 
     """Lines of YAML, each with what its key does."""
     indent = "  " * before.count(".")
     for name, value in data.items():
-        comment = _comment(texts[before + name]) if before + name in texts else ""
+        comment = _comment(texts[before + name], value) if before + name in texts else ""
         if isinstance(value, dict):
             yield f"{indent}{name}:{comment}"
             yield from _commented(value, texts, f"{before}{name}.")
@@ -211,8 +214,11 @@ def _commented(data: Mapping[str, Any], texts: Mapping[str, Key], before: str = 
             yield f"{indent}{name}: {value if plain else json.dumps(value)}{comment}"
 
 
-def _comment(key: Key) -> str:
-    words = f"[{key.unit}] {key.sentence}" if key.unit else key.sentence
+def _comment(key: Key, value: Any = None) -> str:
+    """What a key does; of a text that goes through the values, what this one does."""
+    chosen = re.search(rf"(?:^|\. ){value}: ([^.]+)", key.text) if isinstance(value, str) else None
+    sentence = chosen[1] if chosen else key.sentence
+    words = f"[{key.unit}] {sentence}" if key.unit else sentence
     return f"  # {words.strip()}" if words else ""
 
 
