@@ -43,7 +43,7 @@ MISSING = 20  # How a tick may end beside the statuses of `kinematics_laws`.
 
 
 class ObserverOptions(EstimatorOptions):
-    """A Kalman filter with the exact model in it: pose, rate and what the model does not explain, see docs/observer.md."""
+    """A Kalman filter with the exact model in it, see docs/observer.md."""
 
     kind: Literal["observer"] = "observer"
     disturbance: Annotated[Positive, Field(le=1e6)] = 16.0
