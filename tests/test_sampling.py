@@ -20,7 +20,6 @@ PAIRS = [
     for slow in family
     if slow > fast and math.isclose(slow / fast, round(slow / fast), rel_tol=1e-12)
 ]
-LAST = 8192.0
 
 
 def test_a_multiple_of_a_period_is_the_same_multiple_on_the_grid():
