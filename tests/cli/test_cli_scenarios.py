@@ -58,15 +58,6 @@ def test_what_cannot_be_done_is_named_and_the_scenario_written_can_be(call):
         assert call("check", "fit.yaml")[0] == 0
 
 
-def test_what_no_size_or_speed_can_mend_is_said(call, tmp_path):
-    away = ("--set", "reference.center=[0,0,0,0,0,0.6]", "--set", "duration=1")
-    status, out, _ = call("check", "paper_fig7", *away, "--scale", "--retime")
-    assert status == 2
-    assert "feasible at no size; resting in its centre, reference: breaks the limit reach" in out
-    assert "feasible at no speed; standing still, reference: breaks the limit reach" in out
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_margins_are_printed_and_written(call, tmp_path):
     status, out, err = call("margins", "--poses", 10, "--set", "estimator.kind=observer")
     assert (status, err) == (0, "")

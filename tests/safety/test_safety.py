@@ -11,7 +11,7 @@ from setups import setup_for
 from strategies import ROBOT
 
 from stewart_drake.errors import ConfigurationError, SafetyStop, failure_code
-from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.part import WELL
 from stewart_drake.safety import (
@@ -354,3 +354,17 @@ def test_a_start_that_would_trip_is_refused():
     refuse_start(ROBOT, SafetyOptions(torque_limit=1.001 * weak), STANDARD_GRAVITY, HOME, STILL, HOME)
     with pytest.raises(ConfigurationError, match=r"safety\.torque_limit.*to stand at the start.*t = 0\.000 s, leg"):
         refuse_start(ROBOT, SafetyOptions(torque_limit=0.999 * weak), STANDARD_GRAVITY, HOME, STILL, HOME)
+
+
+@pytest.mark.parametrize("name", ["torque_limit", "torque_rate"])
+def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wider_ones_are_not(name):
+    # Two slow periods along Z: half of what they need is exceeded for much longer than is allowed.
+    time, omega, along = np.arange(0.0, 2.0, PERIOD), 2.0 * np.pi, np.eye(6)[5]
+    sine, cosine = (0.003 * wave(omega * time[:, None]) * along for wave in (np.sin, np.cos))
+    motion = HOME + sine, omega * cosine, -(omega**2) * sine
+    torque = inverse_dynamics(ROBOT, *motion)
+    steepest = np.abs(np.diff(torque, axis=0)).max() / PERIOD
+    needed = {"torque_limit": np.abs(torque).max() / ROBOT.effort_limit, "torque_rate": steepest}[name]
+    refuse_motion(ROBOT, SafetyOptions(**{name: 1.001 * needed}), STANDARD_GRAVITY, time, motion)
+    with pytest.raises(ConfigurationError, match=rf"safety\.{name}: .* leg \d"):
+        refuse_motion(ROBOT, SafetyOptions(**{name: 0.5 * needed}), STANDARD_GRAVITY, time, motion)
