@@ -84,8 +84,10 @@ def chart(
 ) -> Figure:
     """Curves (x, y) by name in one panel; `decades` are the axes that are logarithmic; texts for y are named rows."""
     figure, ((panel,),) = panels(1, 1, height)
-    for name, (along, values) in curves.items():
-        panel.plot(along, values, style, label=name)
+    for number, (name, (along, values)) in enumerate(curves.items()):
+        # Colours come again after the last; dashes tell such curves apart.
+        again: Any = {"linestyle": "--"} if number >= len(COLORS) and "-" in style else {}
+        panel.plot(along, values, style, label=name, **again)
     logarithmic(panel, decades)
     panel.set(title=title, xlabel=x, ylabel=y)
     panel.legend()
