@@ -86,8 +86,9 @@ def chart(
     figure, ((panel,),) = panels(1, 1, height)
     for number, (name, (along, values)) in enumerate(curves.items()):
         # Colours come again after the last; dashes tell such curves apart.
-        again: Any = {"linestyle": "--"} if number >= len(COLORS) and "-" in style else {}
-        panel.plot(along, values, style, label=name, **again)
+        (line,) = panel.plot(along, values, style, label=name)
+        if number >= len(COLORS) and line.get_linestyle() == "-":
+            line.set_linestyle("--")
     logarithmic(panel, decades)
     panel.set(title=title, xlabel=x, ylabel=y)
     panel.legend()
