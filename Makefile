@@ -10,7 +10,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test test-all check golden results lint bench docs docs-quick picture robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety format clean
+.PHONY: demo install test test-all check golden results lint bench docs docs-quick picture gallery robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety format clean
 
 demo: $(BASE)
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -72,6 +72,10 @@ docs-quick: install
 picture: install
 	$(BIN)/python docs/draw_robot.py
 	$(BIN)/python docs/draw_density.py
+
+# The films of docs/gallery.md, and the README's: two minutes.
+gallery: install
+	$(BIN)/python docs/draw_gallery.py
 
 # docs/results/calibration.md, and the example of docs/calibration.md.
 calibration: install

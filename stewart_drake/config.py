@@ -225,12 +225,17 @@ class Section:
         section = handler.resolve_ref_schema(result)
         section["description"] = cls._text
         section["properties"] = {name: section["properties"][name] for name in cls.__pydantic_fields__}
+        cls.add_units(section["properties"])
+        return result
+
+    @classmethod
+    def add_units(cls, properties: dict[str, Any]) -> None:
+        """Adds to the JSON schema of the keys what they are, and that a number may have a unit."""
         for name, field in cls.__pydantic_fields__.items():
             if cls.unit_of(name):
-                section["properties"][name] = or_text(section["properties"][name])
+                properties[name] = or_text(properties[name])
             if field.description:
-                section["properties"][name].setdefault("description", field.description)
-        return result
+                properties[name].setdefault("description", field.description)
 
 
 def plain(value: Any) -> Any:

@@ -69,14 +69,13 @@ class InfeasibleReferenceError(ConfigurationError):
 
     reason = "infeasible_reference"
 
-    def __init__(self, limit: str, time: float, leg: int | None, margin: float, allowed: str) -> None:
+    def __init__(self, limit: str, time: float, leg: int | None, value: str, margin: float, allowed: str) -> None:
         self.limit, self.time, self.leg, self.margin = limit, time, leg, margin
         where = "the platform" if leg is None else f"leg {leg}"
-        self.found = f"{limit} at t = {time:.3f} s, {where}, margin {margin:.4g}"
-        super().__init__("reference", self.found, allowed)
+        super().__init__("reference", f"{value} at t = {time:.3f} s, {where}", allowed)
 
     def __str__(self) -> str:
-        return f"reference: breaks the limit {self.found}; expected {self.allowed}"
+        return f"reference: breaks the limit {self.limit} with {self.value}; expected {self.allowed}"
 
 
 class RunFailure(StewartDrakeError, RuntimeError):

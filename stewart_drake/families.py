@@ -192,10 +192,7 @@ class Family(Table):
         for kind in self.kinds:
             section = self[kind]
             ways.append({**handler(section.__pydantic_core_schema__)})
-            for name, field in section.__pydantic_fields__.items():
-                # Those that a section inherits are not in its own schema.
-                if field.description:
-                    ways[-1]["properties"][name].setdefault("description", field.description)
+            section.add_units(ways[-1]["properties"])
             if kind != self.default:
                 ways[-1]["required"] = ["kind"]
             if not any(field.is_required() for field in section.__pydantic_fields__.values()):

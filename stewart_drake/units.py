@@ -44,8 +44,19 @@ def in_unit(value: Any, key: str, units: str, place: tuple[int, int] = (0, 1)) -
     if of != base or not factor:
         fitting = [name for name, (each, _) in UNITS.items() if each == base]
         allowed = f"a number [{unit}]" + (f", or one with {', '.join(fitting)} behind it" if fitting else "")
-        raise ConfigurationError(key, value, allowed)
+        raise ConfigurationError(key, value, allowed + _reciprocal(match[1], match[2], base))
     return float(match[1]) * factor / size
+
+
+def _reciprocal(number: str, name: str, wanted: str) -> str:
+    """What a period is as a frequency, and the other way round."""
+    unit, size = UNITS.get(name, ("", 1.0))
+    if float(number) == 0.0 or (unit, wanted) not in (("s", "Hz"), ("s", "rad/s"), ("Hz", "s")):
+        return ""
+    inverse = 1.0 / (float(number) * size)
+    if unit == "s":
+        return f" (a period of {number} {name} is {inverse:g} Hz)"
+    return f" ({number} {name} is a period of {inverse:g} s)"
 
 
 def or_text(schema: Any) -> Any:

@@ -24,7 +24,7 @@ POSE = np.array([0.1, 0.2, 0.3, 0.01, 0.02, 0.5])
 EXAMPLES = [
     StewartDrakeError("plain"),
     ConfigurationError("robot.branch", 2, "-1 or 1"),
-    InfeasibleReferenceError("torque", 0.25, 3, -1.5, "|motor torque| <= 5 N m"),
+    InfeasibleReferenceError("torque", 0.25, 3, "6.5 N m", -1.5, "|motor torque| <= 5 N m"),
     RunFailure("stopped", leg=2),
     UnreachablePoseError(POSE, 4, -0.125),
     SingularPoseError("serial", POSE, 1e-4, 0.01, leg=5),
@@ -56,8 +56,8 @@ def test_a_message_says_key_what_was_expected_and_what_was_given():
     assert str(ConfigurationError("robot.branch", 2, "-1 or 1")) == "robot.branch: expected -1 or 1, got 2"
     hinted = ConfigurationError("rod_length", 404, "metres; millimetres?")
     assert str(hinted) == "rod_length: expected metres, got 404; millimetres?"
-    refused = str(InfeasibleReferenceError("conditioning", 0.25, None, -0.01, "sigma >= 0.05"))
-    assert all(word in refused for word in ("conditioning", "0.250 s", "the platform", "-0.01", "sigma >= 0.05"))
+    refused = str(InfeasibleReferenceError("conditioning", 0.25, None, "0.04", -0.01, "sigma >= 0.05"))
+    assert all(word in refused for word in ("conditioning", "0.250 s", "the platform", "0.04", "sigma >= 0.05"))
 
 
 @pytest.mark.parametrize("error", EXAMPLES, ids=lambda e: type(e).__name__)

@@ -50,6 +50,8 @@ def test_a_name_is_no_number():
     ("text", "answer"),
     [
         ("duration=3 kg", r"expected a number \[s\], or one with s, ms, us, min behind it, got '3 kg'"),
+        ("reference.angular_frequency=5 s", r"a period of 5 s is 0.2 Hz\), got '5 s'"),
+        ("duration=5 Hz", r"5 Hz is a period of 0.2 s\), got '5 Hz'"),
         ("controller.period=5", "at most 1, got 5; did you mean 5 ms"),
     ],
 )
@@ -63,7 +65,7 @@ def test_a_unit_that_does_not_fit_is_answered_with_those_that_do(text, answer):
     [
         ([30.0, 0, 0, 0, 0, 0], "30 rad is -?1719 deg: did you mean -?30 deg"),
         ([0, 0, 0, 0, 0, 50.0], "reference.amplitude has 50 m; did you mean 50 mm"),
-        ([0, 0, 0, 0, 0, 0.2], "check` with --scale or --retime"),
+        ([0, 0, 0, 0, 0, 0.2], "about 53 % of its size"),
     ],
 )
 def test_a_motion_that_is_refused_says_what_to_do(amplitude, answer):

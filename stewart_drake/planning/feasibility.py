@@ -36,6 +36,11 @@ class LimitMargin:
         return RULES[self.limit][0]
 
     @property
+    def value(self) -> float:
+        """What is limited, in `unit`; for what has a sign or a length its size."""
+        return self.bound + self.margin if ">=" in RULES[self.limit][1] else self.bound - self.margin
+
+    @property
     def allowed(self) -> str:
         return f"{RULES[self.limit][1].format(self.bound)} ({self.where})"
 
@@ -57,7 +62,9 @@ class FeasibilityReport:
     def raise_if_infeasible(self) -> None:
         v = self.first_violation
         if v is not None:
-            raise InfeasibleReferenceError(v.limit, v.time, v.leg, v.margin, v.allowed)
+            raise InfeasibleReferenceError(
+                v.limit, v.time, v.leg, f"{v.value:.4g} {v.unit}".removesuffix(" -"), v.margin, v.allowed
+            )
 
 
 def check_motion(

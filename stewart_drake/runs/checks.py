@@ -25,6 +25,7 @@ from stewart_drake.scenario import Scenario
 _LARGEST = {"rad": math.tau, "m": 2.0}
 """Of what a motion is made; more was perhaps meant in degrees or millimetres."""
 _NUDGES = 100
+_SLOWEST = 1e-3  # [-] of its speed at which a motion is tried
 _PASSED: set[Any] = set()  # Motions that have passed: a search runs the same one a thousand times.
 
 
@@ -49,11 +50,10 @@ def check_scenario(scenario: Scenario) -> None:
         try:
             motion_report(scenario).raise_if_infeasible()
         except InfeasibleReferenceError as error:
-            hints = unit_hints(scenario.reference, _LARGEST) or _length_hint(scenario)
-            error.allowed += "; " + "; ".join(
-                hints
-                or ["`stewart-drake check` with --scale or --retime finds how much smaller or slower it can be done"]
+            hints = (
+                unit_hints(scenario.reference, _LARGEST) or _length_hint(scenario) or _remedies(scenario, error.limit)
             )
+            error.allowed = "; ".join([error.allowed, *hints])
             raise
         _check_rates(scenario)
         if scenario.safety is not None:
@@ -77,6 +77,33 @@ def _length_hint(scenario: Scenario) -> list[str]:
     pose, _, _ = scenario.reference.evaluate(np.linspace(0.0, scenario.duration, 101))
     farthest = float(np.abs(pose[:, 3:]).max())
     return [f"the motion goes to {farthest:.4g} m: are its lengths in mm?"] if farthest > _LARGEST["m"] else []
+
+
+def _remedies(scenario: Scenario, limit: str) -> list[str]:
+    """How much smaller, and how much slower, the motion can be done, from few samples."""
+    motion, gravity, rate = scenario.reference, scenario.gravity, 50.0
+    limited = scenario.robot, scenario.limits
+    jump = ["does it jump, or is one of its numbers in another unit?"] if limit in ("crank_speed", "torque") else []
+    if user_parts(motion):
+        return jump
+
+    def feasible(speed: float) -> bool:
+        slower = adjusted(motion, slowdown=1.0 / speed)
+        return feasibility.check_reference(*limited, slower, scenario.duration / speed, gravity, rate * speed).feasible
+
+    def smaller(scale: float) -> Reference:
+        return adjusted(motion, scale=scale)
+
+    with np.errstate(all="ignore"):
+        scale = feasibility.largest_scale(*limited, smaller, scenario.duration, gravity, rate)
+        speed = feasibility.bisect(feasible, _SLOWEST, 1.0)
+    ways = []
+    if scale > 0.0:
+        ways.append(f"about {100.0 * scale:.2g} % of its size (`stewart-drake check --scale`)")
+    if speed > _SLOWEST:
+        ways.append(f"about {1.0 / speed:.3g} times slower (`check --retime`)")
+    possible = f"it can be done at {', or '.join(ways)}" if ways else "smaller or slower it cannot be done either"
+    return [possible, *(jump if speed < 0.05 else [])]
 
 
 def _check_rates(scenario: Scenario) -> None:

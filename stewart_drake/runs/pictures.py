@@ -176,6 +176,18 @@ def write_film(
     """
     path = Path(path)
     check_film(path)
+    frames, rate = film_frames(log, frames_per_second=frames_per_second, width=width, progress=progress)
+    save_film(frames, rate, path)
+
+
+def film_frames(
+    log: SimulationLog,
+    *,
+    frames_per_second: float = FRAMES_PER_SECOND,
+    width: int = 480,
+    progress: Callable[[float], None] = lambda _: None,
+) -> tuple[list[Image], float]:
+    """The pictures of a film, and how many of them make a second; arguments and errors as of `write_film`."""
     states = log.signals.get("plant_state")
     usable = np.flatnonzero(np.isfinite(log["pose"] if states is None else states).all(axis=1))
     if len(usable) == 0:
@@ -196,8 +208,12 @@ def write_film(
             image = studio.picture(state, log["reference"][row]).resize(size)
             frames.append(_captioned(image, log.scenario.name, log.time[row], rotation[row], position[row]))
             progress(float(log.time[row]))
-    content = _gif(frames, rate) if path.suffix == ".gif" else _mp4(frames, rate)
-    write_atomically(path, content)
+    return frames, rate
+
+
+def save_film(frames: list[Image], rate: float, path: Path) -> None:
+    """Writes pictures, `rate` of them a second, as .gif or .mp4."""
+    write_atomically(path, _gif(frames, rate) if path.suffix == ".gif" else _mp4(frames, rate))
 
 
 def check_film(path: Path) -> None:

@@ -75,7 +75,7 @@ def test_out_of_reach_breaks_reach_whatever_the_limits_and_leaves_out_what_canno
     # The samples within reach are judged on.
     report = check_reference(ROBOT, ALL, sine(5, 0.2, 0.05), 20.0, GRAVITY)
     first = report.first_violation
-    with pytest.raises(InfeasibleReferenceError, match=rf"{first.limit} at t = {first.time:.3f} s"):
+    with pytest.raises(InfeasibleReferenceError, match=rf"{first.limit} with .* at t = {first.time:.3f} s"):
         report.raise_if_infeasible()
     assert first.time < report.smallest["reach"].time
 

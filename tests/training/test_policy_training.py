@@ -127,6 +127,6 @@ def test_the_state_of_another_training_is_refused(tmp_path):
 def test_the_shipped_policy_is_one_and_names_the_revision_that_trained_it():
     policy = load_policy()
     assert policy.to_bytes() == default_policy_path().read_bytes()
-    assert len(policy.provenance["revision"]) == 40
+    assert len(policy.provenance["versions"]["git_revision"]) == 40
     np.testing.assert_allclose(PolicyTuner().chooser().centre, policy.centre)
     np.testing.assert_allclose([policy.lowest, policy.lowest + policy.width], [LOWEST, HIGHEST])
