@@ -7,12 +7,11 @@ from collections.abc import Iterator
 
 from pydantic import TypeAdapter
 
+from stewart_drake.cli.lookup_commands import allowed, ways
 from stewart_drake.scenario import Scenario
 from stewart_drake.studies.comparison_file import CompareFile
 from stewart_drake.studies.sweep import SweepFile
 
-BOUNDS = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
-NOUNS = {"number": "number", "integer": "whole number", "string": "text", "boolean": "`true` or `false`"}
 TEXT = """Files are YAML. Every key has a default unless it says *required*. An unknown key is refused, with the
 one that you perhaps meant. `--set controller.period=0.002` changes a key on the command line. A number that has a unit
 may be written with another one: `30 deg`, `5 mm`. Where a section has kinds, the word in brackets after a key is its
@@ -20,16 +19,6 @@ kind, and in a scenario a name such as `sensors: encoders` stands for a section 
 those of the paper's robot; for another one they change in proportion. `stewart-drake schema` prints the JSON schema,
 with which editors complete keys.
 """
-
-
-def options(schema: dict, root: dict) -> list[dict]:
-    """What a value may be, references followed; a number that may have a unit behind it counts as a number."""
-    if "$ref" in schema:
-        return options(root["$defs"][schema["$ref"].rpartition("/")[2]], root)
-    if "anyOf" in schema:
-        return [each for option in schema["anyOf"] for each in options(option, root)]
-    kind = schema.get("type")
-    return [{**schema, "type": kind[0]} if isinstance(kind, list) else schema]
 
 
 def items(schema: dict) -> list[dict]:
@@ -41,41 +30,12 @@ def items(schema: dict) -> list[dict]:
 def sections(schema: dict, root: dict, path: str) -> list[tuple[str, dict]]:
     """Path and schema of the sections under a key, in it or in a list or mapping of it."""
     found = []
-    for option in options(schema, root):
+    for option in ways(root, schema):
         if "properties" in option:
             found.append((path, option))
         place = f"{path}[i]" if option.get("type") == "array" else f"{path}.NAME"
         found += [each for inner in items(option) for each in sections(inner, root, place)]
     return found
-
-
-def bound(word: str, value: float) -> str:
-    """A bound in words; nothing where it is that of a computer's numbers."""
-    if 0.0 < value < 1e-300:
-        return "above 0"
-    return "" if abs(value) > 1e15 else f"{word} {f'{value:g}' if abs(value) < 1e5 else f'{value:,.0f}'}"
-
-
-def in_words(schema: dict, root: dict) -> str:
-    """What is allowed, with its bounds."""
-    words = []
-    for option in options(schema, root):
-        kind, inner = option.get("type"), " or ".join(in_words(each, root) for each in items(option)) or "any value"
-        bounds = [bound(word, option[name]) for name, word in BOUNDS.items() if name in option]
-        if "enum" in option or "const" in option:
-            words.append(", ".join(f"`{each}`" for each in option.get("enum", [option.get("const")])))
-        elif "properties" in option:
-            words.append("section")
-        elif kind == "array":
-            count = f" of {len(option['prefixItems'])}" if "prefixItems" in option else ""
-            words.append(f"list{count}, each: {inner}")
-        elif kind == "object":
-            words.append(f"mapping of names, each to: {inner}")
-        elif kind == "string" and ":" in option.get("pattern", ""):
-            words.append("`path/to/file.py:Class`")
-        elif kind != "null":
-            words.append(f"{NOUNS.get(kind, 'any value')} {' and '.join(filter(None, bounds))}".strip())
-    return " or ".join(dict.fromkeys(filter(None, words))) + ", or `null`" * ({"type": "null"} in options(schema, root))
 
 
 def plain(value: object) -> str:
@@ -86,14 +46,14 @@ def plain(value: object) -> str:
 def key(name: str, schema: dict, root: dict, required: bool, text: str = "") -> Iterator[str]:
     """One key: what is allowed, its unit and default, what it does."""
     unit, text = re.fullmatch(r"(?:\[(.*?)\] ?)?(.*)", schema.get("description", text), re.DOTALL).groups()
-    kinds = {option.get("type"): option for option in options(schema, root)}
+    kinds = {option.get("type"): option for option in ways(root, schema)}
     if "default" in schema:
         default = f"default `{plain(schema['default'])}`"
     elif required or "object" not in kinds:
         default = "required"
     else:
         default = "default: its own keys have theirs" if "properties" in kinds["object"] else "default: none"
-    facts = filter(None, [in_words(schema, root), unit and f"unit {unit}".replace("unit -", "no unit"), default])
+    facts = filter(None, [allowed(root, schema), unit and f"unit {unit}".replace("unit -", "no unit"), default])
     if not re.match(r"\w+:", text):  # a value that is explained
         text = text[:1].upper() + text[1:]
     yield f"````{{key}} {name}\n{' · '.join(facts)}\n\n{text}\n````\n"

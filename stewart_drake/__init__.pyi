@@ -49,7 +49,7 @@ from stewart_drake.scenario import FixedTuner as FixedTuner
 from stewart_drake.scenario import PaperTuner as PaperTuner
 from stewart_drake.scenario import Scenario as Scenario
 from stewart_drake.scenario import load_scenario as load_scenario
-from stewart_drake.stability.linearize import linearize as linearize
+from stewart_drake.stability.linear_loop import linearize as linearize
 from stewart_drake.systems.diagram import ClosedLoop as ClosedLoop
 from stewart_drake.systems.diagram import build_diagram as build_diagram
 

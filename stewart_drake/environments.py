@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 
 from stewart_drake.control.base import Measurement, Setpoint
-from stewart_drake.control.features import FEATURES, CostScales, cost, features
+from stewart_drake.control.features import FEATURES, CostScales, cost
 from stewart_drake.control.policy import Policy, load_policy, settle
 from stewart_drake.errors import RunFailure
 from stewart_drake.jit import njit, record
@@ -21,7 +21,7 @@ from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.runs.engine import FastLoop
 from stewart_drake.sampling import times_of
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.training.policy_training import GivenTuner
+from stewart_drake.training.policy_training import hear, tuned_by
 from stewart_drake.training.situations import TRAINING, kinds_of, situation
 
 
@@ -184,12 +184,8 @@ class TuneEnvironment(_Environment):
         robot = str(self.np_random.choice(list(self._robots)))
         kind = str(self.np_random.choice(kinds_of(robot, trained=True)))
         drawn = situation(kind, robot, int(self.np_random.integers(TRAINING.start, TRAINING.stop)))
-        setting = _Setting(self.policy)
-        base = {name: getattr(drawn.tuner, name) for name in ("q_pose", "q_rate", "q_integral", "r")}
-        tuner = GivenTuner(**base)
-        vars(tuner)["chosen_by"] = setting
-        self._setting = setting
-        self.episode = _Episode(drawn.replace({"plant.engine": "reduced", "tuner": tuner}))
+        self._setting = _Setting(self.policy)
+        self.episode = _Episode(tuned_by(self._setting, drawn.replace({"plant.engine": "reduced"})))
         return self._observe(), {"situation": drawn.name}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -212,15 +208,8 @@ class _Setting:
 
     def law(self, setup: np.ndarray, _: np.ndarray, *inputs: np.ndarray) -> None:
         density, error, torque, innovation, reference, state = inputs
-        _hear(setup, density, error, torque, innovation, reference, state, self.heard)
+        hear(setup, density, error, torque, innovation, reference, state, self.heard)
         _follow(setup, self.wanted, state)
-
-
-@njit
-def _hear(
-    setups: Any, density: Any, error: Any, torque: Any, innovation: Any, reference: Any, states: Any, out: Any
-) -> None:
-    features(record(setups), density, error, torque, innovation, reference, record(states), out)
 
 
 @njit

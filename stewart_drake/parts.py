@@ -14,12 +14,12 @@ import numpy as np
 
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.hardware.disturbances import total_wrench
-from stewart_drake.hardware.motors import delay_part, friction_part, link_part, motor_part, standing_torque
+from stewart_drake.hardware.motors import delay_part, standing_torque
 from stewart_drake.hardware.observer import SMALLEST_NOISE
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.part import Part, Setup, guarded
 from stewart_drake.safety import safety_part
-from stewart_drake.sampling import on_grid, steps_per
+from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario
 
 
@@ -34,27 +34,18 @@ class Source(NamedTuple):
 class Loop(NamedTuple):
     """The loop of a scenario.
 
-    Attributes:
-        parts: In order.
-        sources: Signals of time alone: `reference` (18,), where an observer looks ahead `reference_ahead` (18,), with
-            disturbances `wrench` (6,).
-        torque: Name of the signal (6,) [N m] that the plant gets.
-        reading: Name of what the controller's side reads: `reading`, or `plant_pose` itself.
-        first: Index of the controller's first part; those before it are sensors.
-        last: Index after the controller's last part but the late ones; those behind it carry the command to the motors.
-        logged: Signals by their names in a log; an array stays as it is.
-
     The plant gives the signals `plant_pose` (12,), pose [rad, m] and rate, and `crank_state` (12,), angles [rad] and
     their rates.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[Part, ...]  # In order.
+    # `reference` (18,), where an observer looks ahead `reference_ahead` (18,), with disturbances `wrench` (6,).
     sources: tuple[Source, ...]
-    torque: str
-    reading: str
-    first: int
-    last: int
-    logged: Mapping[str, str | np.ndarray]
+    torque: str  # Name of the signal (6,) [N m] that the plant gets.
+    reading: str  # Name of what the controller's side reads: `reading`, or `plant_pose` itself.
+    first: int  # Index of the controller's first part; those before it are sensors.
+    last: int  # Index after its last part but the late ones; those behind carry the command to the motors.
+    logged: Mapping[str, str | np.ndarray]  # Signals by their names in a log; an array stays as it is.
 
 
 def loop_of(scenario: Scenario, split: bool = False) -> Loop:
@@ -166,7 +157,7 @@ class _Builder:
             return
         against: dict[str, str | np.ndarray] = {"against_friction": np.zeros(6), "compensation": np.zeros(6)}
         if friction is not None:
-            self.parts.append(_reading(friction_part(setup.robot, friction), **self.sees))
+            self.parts.append(_reading(friction.part(setup), **self.sees))
             against["against_friction"] = "against_friction"
         if self.observes:
             against["compensation"] = "compensation"
@@ -196,16 +187,14 @@ class _Builder:
             self.parts.append(delay_part(scenario.command_delay, setup.still)._replace(says={"torque": "delayed"}))
             torque = "delayed"
         if not scenario.link.perfect:
-            steps = steps_per("controller.period", setup.period, setup.time_step)
-            part = link_part(scenario.link, steps, setup.still)
-            self.parts.append(_reading(part, torque=torque)._replace(says={"torque": "arrived"}))
+            self.parts.append(_reading(scenario.link.part(setup), torque=torque)._replace(says={"torque": "arrived"}))
             torque, age = "arrived", {"age": "age"}
         if scenario.safety is not None:
             self.parts.append(self._safety(command=torque, **age))
             torque = "guarded"
             self.logged["safety"] = "safety"
         if not scenario.motors.perfect:
-            self.parts.append(_reading(motor_part(scenario.motors), torque=torque)._replace(says={"torque": "driven"}))
+            self.parts.append(_reading(scenario.motors.part(), torque=torque)._replace(says={"torque": "driven"}))
             torque = "driven"
         if scenario.safety is None and (scenario.controller.code is not None or scenario.link.faults):
             # The plant would clip an infinite torque to one that looks valid; our own controllers never give one.
@@ -216,8 +205,7 @@ class _Builder:
     def _safety(self, **reads: str) -> Part:
         scenario, setup = self.scenario, self.setup
         assert scenario.safety is not None
-        more = scenario.sensors.quantum, scenario.estimator.innovation_scale(setup)
-        part = safety_part(setup.robot, scenario.safety, setup.gravity, setup.period, setup.still, *more)
+        part = safety_part(scenario.safety, setup, scenario.estimator.innovation_scale(setup))
         reads["measurement"] = self.measurement
         if setup.reading == 6:
             reads["angles"] = self.reading

@@ -55,11 +55,7 @@ def unwrapped(angles: np.ndarray) -> np.ndarray:
 
 
 def steps_per(key: str, period: float, time_step: float) -> int:
-    """Whole number of plant steps in `period`.
-
-    Raises:
-        ConfigurationError: `period` is not a positive whole multiple of `time_step`.
-    """
+    """Number of plant steps in a period, which is refused where it is no whole multiple of the time step."""
     ratio = period / time_step if time_step > 0.0 and math.isfinite(time_step) else math.nan
     count = round(ratio) if math.isfinite(ratio) else 0
     if count < 1 or abs(ratio - count) > _TOLERANCE * count:

@@ -171,11 +171,7 @@ class Scenario(Section):
 
     @property
     def lqi(self) -> LqiOptions:
-        """`controller`, for what needs the LQI.
-
-        Raises:
-            ConfigurationError: It is of another kind.
-        """
+        """`controller`, for what needs the LQI; refused where it is of another kind."""
         if not isinstance(self.controller, LqiOptions):
             raise ConfigurationError("controller.kind", self.controller.kind, "lqi, for this")
         return self.controller

@@ -179,7 +179,9 @@ def test_tuner(page, tmp_path):
 def test_tuner_training(page, tmp_path):
     cases = cases_of([("heart", "paper")], VALIDATION[100:120])
     fixed, policy = log_costs(tmp_path, "reduced", [with_setting(Baselines.load().best), POLICY], cases)
-    assert_says(page.cell("seed 1, stewart_drake/weights/policy.json", column="worst kind"), np.exp((policy - fixed).mean()))
+    assert_says(
+        page.cell("seed 1, stewart_drake/weights/policy.json", column="worst kind"), np.exp((policy - fixed).mean())
+    )
 
 
 @pytest.mark.long

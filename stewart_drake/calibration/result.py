@@ -9,16 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.linalg
 
-from stewart_drake.calibration.model import (
-    IN_THOUSANDTHS,
-    NAMES,
-    OF_LEG,
-    OF_ROBOT,
-    PER_LEG,
-    FrameName,
-    Name,
-    pose_of,
-)
+from stewart_drake.calibration.model import IN_THOUSANDTHS, NAMES, OF_LEG, OF_ROBOT, PER_LEG, FrameName, Name, pose_of
 from stewart_drake.calibration.poses import Measurements
 from stewart_drake.files.report import Report
 from stewart_drake.files.tables import numbers_to_csv

@@ -52,20 +52,21 @@ class Key(NamedTuple):
         return re.split(r"(?<=[a-z)])\. |; ", self.text.removesuffix("."))[0]
 
 
-def _ways(root: Mapping[str, Any], schema: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """What a part of a schema may be, references followed."""
+def ways(root: Mapping[str, Any], schema: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """What a part of a schema may be, references followed; a number that may have a unit counts as a number."""
     if "$ref" in schema:
-        yield from _ways(root, root["$defs"][schema["$ref"].rpartition("/")[2]])
+        yield from ways(root, root["$defs"][schema["$ref"].rpartition("/")[2]])
     elif "anyOf" in schema:
         for each in schema["anyOf"]:
-            yield from _ways(root, each)
+            yield from ways(root, each)
     else:
-        yield schema
+        kind = schema.get("type")
+        yield {**schema, "type": kind[0]} if isinstance(kind, list) else schema
 
 
 def keys_of(root: Mapping[str, Any], schema: Mapping[str, Any], before: str = "", depth: int = 0) -> Iterator[Key]:
     """All keys of a scenario, those of each kind of section too."""
-    for way in _ways(root, schema):
+    for way in ways(root, schema):
         kind = way.get("properties", {}).get("kind", {}).get("const", "")
         for name, inner in way.get("properties", {}).items():
             # What a kind is stands above its section.
@@ -88,7 +89,7 @@ def list_(what: str | None) -> None:
         schema = scenario_schema()
         rows = []
         for name, inner in schema["properties"].items():
-            for way in _ways(schema, inner.get("items", inner)):
+            for way in ways(schema, inner.get("items", inner)):
                 kind = way.get("properties", {}).get("kind", {}).get("const")
                 if kind is not None:
                     rows.append((name, kind, Key(kind, "", way).text))
@@ -119,9 +120,8 @@ def explain(key: str) -> None:
     shown: dict[tuple[str, ...], list[str]] = {}
     for each in [*found, *inside]:
         default = _short(each.schema["default"]) if "default" in each.schema else ""
-        allowed = either(list(dict.fromkeys(_allowed(root, each.schema))))
         name, text = (each.name.rpartition(".")[2], each.sentence) if each in inside else (each.name, each.text)
-        shown.setdefault((name, text, each.unit, default, allowed), []).append(each.kind)
+        shown.setdefault((name, text, each.unit, default, allowed(root, each.schema)), []).append(each.kind)
     rows = [(*rest, ", ".join(filter(None, kinds))) for rest, kinds in shown.items()]
     header = ("key", "what it does", "unit", "default", "allowed", "of kind")
     used = [place for place in range(len(header)) if any(row[place] for row in rows)]
@@ -131,29 +131,37 @@ def explain(key: str) -> None:
         print_table(key, [[row[place] for place in used] for row in rows], [header[place] for place in used], ())
 
 
-_NOUNS = {"boolean": "true or false", "string": "a text", "integer": "a whole number", "null": "null"}
+_NOUNS = {"boolean": "true or false", "string": "a text", "number": "a number", "integer": "a whole number"}
 _BOUNDS = {"exclusiveMinimum": "above", "minimum": "at least", "exclusiveMaximum": "below", "maximum": "at most"}
 
 
-def _allowed(root: Mapping[str, Any], schema: Mapping[str, Any]) -> list[str]:
+def allowed(root: Mapping[str, Any], schema: Mapping[str, Any]) -> str:
     """What a part of a JSON schema allows, in words."""
-    texts = []
-    for way in _ways(root, schema):
+    texts, null = [], ""
+    for way in ways(root, schema):
+        kind, fixed = str(way.get("type")), way.get("prefixItems")
         if "const" in way or "enum" in way:
             texts += [str(each) for each in way.get("enum", [way.get("const")])]
-        elif way.get("type") == "object":
+        elif "properties" in way:
             texts.append("a section")
-        elif way.get("type") == "array":
-            fixed = way.get("prefixItems")
-            inner = _allowed(root, fixed[0] if fixed else way.get("items", {}))
-            texts.append(f"a list of {len(fixed)}, each {either(inner)}" if fixed else f"a list, each {either(inner)}")
+        elif kind == "array":
+            count = f"a list of {len(fixed)}" if fixed else "a list"
+            texts.append(f"{count}, each {allowed(root, fixed[0] if fixed else way.get('items', {}))}")
+        elif kind == "object":
+            inner = way.get("additionalProperties")
+            texts.append(f"names, each with {allowed(root, inner if isinstance(inner, dict) else {})}")
+        elif ":" in way.get("pattern", ""):
+            texts.append("path/to/file.py:Class")
+        elif kind == "null":
+            null = ", or null"
         else:
-            noun = _NOUNS.get(str(way.get("type")), "a number")
-            positive = way.get("minimum") == TINY
-            bounds = [f"{text} {way[key]:g}" for key, text in _BOUNDS.items() if key in way and way[key] != TINY]
-            noun = noun.replace("a ", "a positive ", 1) if positive else noun
+            noun = _NOUNS.get(kind, "any value")
+            noun = noun.replace("a ", "a positive ", 1) if way.get("minimum") == TINY else noun
+            # Where a computer's numbers end nobody has to know.
+            ends = {word: way[key] for key, word in _BOUNDS.items() if TINY != way.get(key, TINY) < 1e15}
+            bounds = [f"{word} {f'{end:g}' if abs(end) < 1e5 else f'{end:,.0f}'}" for word, end in ends.items()]
             texts.append(" ".join([noun, " and ".join(bounds)]).strip())
-    return texts
+    return either(list(dict.fromkeys(texts))) + null
 
 
 def _short(value: Any) -> str:

@@ -119,6 +119,7 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
         numbers[name] = asdict(worst) | {"unit": worst.unit}
     header = ("limit", "allowed", "smallest margin", "at", "where")
     print_table(f"{loaded.name}, {loaded.duration:g} s", rows, header, numbers=(1, 2, 3), data=numbers)
+    tell("stewart-drake explain limits: what each of them is")
     motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
     changes: dict[str, Any] = {}
     if scale:

@@ -29,8 +29,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     legs_at,
     twist_of,
 )
-from stewart_drake.part import Part
-from stewart_drake.robot import RobotParameters
+from stewart_drake.part import Part, Setup
 
 # --- PID of the cranks -----------------------------------------------------------------------------------------------
 
@@ -61,9 +60,17 @@ class PidOptions(ControllerOptions):
     reset_time: Positive = 0.05
     """[s] of back_calculation."""
 
-    def parts(self, setup: Any) -> tuple[Part, ...]:
-        """The controller in a loop, see `part.Setup`."""
-        return (pid_part(self, setup.robot, setup.gravity),)
+    def parts(self, setup: Setup) -> tuple[Part, ...]:
+        gives_back = self.saturation == "back_calculation" and self.ki > 0.0
+        numbers = new_record(
+            _PID,
+            self,
+            gravity=setup.gravity if self.feedforward == "gravity" else 0.0,
+            limit=np.inf if self.saturation == "none" else setup.robot.effort_limits,
+            clamp=self.saturation == "clamp",
+            given_back=min(1.0, self.period / self.reset_time) / self.ki if gives_back else 0.0,
+        )
+        return (law_part(pid_tick, setup.robot, numbers, PID_STATE),)
 
 
 PID_STATE = fields(torque=6, error=6, integral=6, health=2, crank_integral=6)
@@ -121,20 +128,6 @@ def pid_tick(robots: Any, setups: Any, measurement: Any, reference: Any, leg_rec
     return OK, -1, 0.0
 
 
-def pid_part(options: PidOptions, robot: RobotParameters, gravity: float) -> Part:
-    """The PID as a part of a loop, for a robot as believed, in a gravity [m/s^2]."""
-    gives_back = options.saturation == "back_calculation" and options.ki > 0.0
-    setup = new_record(
-        _PID,
-        options,
-        gravity=gravity if options.feedforward == "gravity" else 0.0,
-        limit=np.inf if options.saturation == "none" else robot.effort_limits,
-        clamp=options.saturation == "clamp",
-        given_back=min(1.0, options.period / options.reset_time) / options.ki if gives_back else 0.0,
-    )
-    return law_part(pid_tick, robot, setup, PID_STATE)
-
-
 # --- computed torque -------------------------------------------------------------------------------------------------
 
 
@@ -157,9 +150,10 @@ class ComputedTorqueOptions(ControllerOptions):
     """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still
     meanwhile."""
 
-    def parts(self, setup: Any) -> tuple[Part, ...]:
-        """The controller in a loop, see `part.Setup`."""
-        return (computed_torque_part(self, setup.robot, setup.gravity),)
+    def parts(self, setup: Setup) -> tuple[Part, ...]:
+        limit = setup.robot.effort_limits if self.saturation == "clamp" else np.inf
+        numbers = new_record(_COMPUTED_TORQUE, self, gravity=setup.gravity, limit=limit)
+        return (law_part(computed_torque_tick, setup.robot, numbers, COMPUTED_TORQUE_STATE),)
 
 
 COMPUTED_TORQUE_STATE = fields(torque=6, error=6, integral=6, health=2)
@@ -201,10 +195,3 @@ def computed_torque_tick(
         for k in range(6):
             state.integral[k] += setup.period * state.error[k]
     return OK, -1, 0.0
-
-
-def computed_torque_part(options: ComputedTorqueOptions, robot: RobotParameters, gravity: float) -> Part:
-    """Computed torque as a part of a loop, for a robot as believed, in a gravity [m/s^2]."""
-    limit = robot.effort_limits if options.saturation == "clamp" else np.inf
-    setup = new_record(_COMPUTED_TORQUE, options, gravity=gravity, limit=limit)
-    return law_part(computed_torque_tick, robot, setup, COMPUTED_TORQUE_STATE)

@@ -75,11 +75,7 @@ class LqiOptions(ControllerOptions):
 
     @property
     def length(self) -> float:
-        """[m] `weight_length`.
-
-        Raises:
-            ConfigurationError: It is null, and no scenario has put the robot's in.
-        """
+        """[m] `weight_length`; refused where it is null, and no scenario has put the robot's in."""
         if self.weight_length is None:
             raise ConfigurationError("controller.weight_length", None, "a length, outside of a scenario")
         return self.weight_length

@@ -167,31 +167,19 @@ class Chooser(Protocol):
 
 
 class Layers(NamedTuple):
-    """A policy in arrays; h hidden units.
+    """A policy in arrays; h hidden units, which are tanh, and so are the outputs."""
 
-    Attributes:
-        mean: (13,) subtracted from the features.
-        scale: (13,) divides them afterwards; > 0. Zero weights and not this leave a feature out.
-        hidden: (h, 13). hidden_bias: (h,). Hidden units are tanh.
-        output: (4, h). output_bias: (4,). Outputs too.
-        centre: (4,) setting in the middle of the box, the best fixed one.
-        below: (4,) how far the box reaches below it; > 0.
-        above: (4,) likewise above.
-        low: (13,) least features of the training data.
-        high: (13,) largest.
-    """
-
-    mean: np.ndarray
-    scale: np.ndarray
-    hidden: np.ndarray
-    hidden_bias: np.ndarray
-    output: np.ndarray
-    output_bias: np.ndarray
-    centre: np.ndarray
-    below: np.ndarray
-    above: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+    mean: np.ndarray  # (13,) subtracted from the features.
+    scale: np.ndarray  # (13,) divides them afterwards; > 0. Zero weights and not this leave a feature out.
+    hidden: np.ndarray  # (h, 13).
+    hidden_bias: np.ndarray  # (h,).
+    output: np.ndarray  # (4, h).
+    output_bias: np.ndarray  # (4,).
+    centre: np.ndarray  # (4,) setting in the middle of the box, the best fixed one.
+    below: np.ndarray  # (4,) how far the box reaches below it; > 0.
+    above: np.ndarray  # (4,) likewise above.
+    low: np.ndarray  # (13,) least features of the training data.
+    high: np.ndarray  # (13,) largest.
 
 
 def _shapes(hidden: Any) -> dict[str, tuple[int, ...]]:

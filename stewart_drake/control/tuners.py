@@ -137,12 +137,7 @@ class PaperTuner(PairTuner):
     """Path of a trained network, relative to the scenario file; null takes the one of the package."""
 
     def network(self) -> TunerNetwork:
-        """The network that it asks.
-
-        Raises:
-            ConfigurationError: Missing or corrupt file, trained on another kind of density, or first weights outside of
-                the range that it was trained on.
-        """
+        """The network that it asks; refused where this kind of density, or the first weights, are new to it."""
         path = self.weights_file or default_network_path()
         network = load_network(path)
         if network.density != self.density:

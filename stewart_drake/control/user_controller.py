@@ -49,11 +49,7 @@ class PythonOptions(UserMade, ControllerOptions):
         return f"controller {self.kind.name}"
 
     def load(self) -> Any:
-        """The class, function or object.
-
-        Raises:
-            ConfigurationError: It cannot be loaded; it is no System of pydrake, and nothing that is called.
-        """
+        """The class, function or object; refused where it is no System of pydrake, and nothing that is called."""
         loaded = self.code.load(self.code_key)
         called = "__call__" in dir(loaded) if isinstance(loaded, type) else callable(loaded)
         if not (_is_system(loaded) or called):

@@ -157,10 +157,7 @@ class CodePath(os.PathLike[str]):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: Any) -> dict[str, Any]:
-        return {
-            "type": "string",
-            "pattern": CLASS_PATH,
-        }
+        return {"type": "string", "pattern": CLASS_PATH}
 
 
 def path_of(given: Any) -> str:

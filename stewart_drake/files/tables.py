@@ -66,16 +66,10 @@ def quantity_of(column: str) -> tuple[str, float]:
 def read_numbers(
     path: str | Path, source: str, quantities: Sequence[tuple[str, str]], most_bytes: int, most_rows: int
 ) -> np.ndarray:
-    """Chosen quantities (n, k) of a table, in any order of its columns; further columns are left alone.
+    """Some quantities (n, k) of a .csv or .parquet file with a header, in the units that stand beside them.
 
-    A cell that is empty is NaN. A column that is missing or there twice, and a cell that is no number, are refused.
-
-    Args:
-        path: A .csv or .parquet file with a header.
-        source: What it is, with its path, for messages.
-        quantities: k of them with the units in which they are kept, such as ("pose_roll", "rad").
-        most_bytes: Of the file.
-        most_rows: Likewise.
+    Columns may come in any order; further ones are left alone. A cell that is empty is NaN. A column that is missing or
+    there twice, and a cell that is no number, are refused; `source` is what messages call the file.
     """
 
     def choose(names: list[str]) -> Chosen:

@@ -12,6 +12,7 @@ import numpy as np
 from stewart_drake.config import NotNegative, Positive, Real, Section, Seed, Vector6
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import UserMade
+from stewart_drake.references.surgical import random_sines
 from stewart_drake.registry import DISTURBANCES
 
 _SINES = 64  # Enough that the sum passes for noise: near-normal, and it repeats after hours. Assumed.
@@ -108,9 +109,7 @@ class NoiseWrench(Section, key="disturbances"):
     @cached_property
     def _sines(self) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies [Hz] and phases [rad], (6, 64) each."""
-        rng = np.random.default_rng(self.seed)
-        share = (np.arange(_SINES) + rng.random((6, _SINES))) / _SINES
-        return self.low + (self.high - self.low) * share, rng.uniform(0.0, 2.0 * math.pi, (6, _SINES))
+        return random_sines(self.seed, (self.low, self.high), 6, _SINES)
 
 
 def _shares(time: float | np.ndarray, start: float = -math.inf, end: float = math.inf) -> np.ndarray:

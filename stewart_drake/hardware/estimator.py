@@ -17,7 +17,6 @@ from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.mechanics.kinematics_laws import NO_CONVERGENCE, NOT_FINITE, OK, PARALLEL, SERIAL
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 from stewart_drake.part import WELL, Part, Setup
-from stewart_drake.robot import RobotParameters
 
 TOLERANCE = 1e-12  # [m] rod-length error at which Newton's method stops.
 ITERATIONS = 12  # Newton steps at most; a warm start needs two.
@@ -60,7 +59,7 @@ class DifferenceOptions(EstimatorOptions):
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         if setup.reading == 12:
             return ()
-        return (difference_part(setup.robot, setup.sensors, setup.period, setup.pose, setup.pose_rate),)
+        return (difference_part(setup),)
 
 
 _SETUP = fields(period=(), smoothing=(), max_speed=(), max_turn=(), max_shift=())
@@ -121,36 +120,30 @@ def _difference(robots: Any, setups: Any, angles: Any, leg_records: Any, states:
     return OK, -1, 0.0
 
 
-def difference_part(
-    robot: RobotParameters,
-    options: EncoderOptions,
-    period: float,
-    pose: np.ndarray,
-    pose_rate: np.ndarray | tuple[float, ...] = (0.0,) * 6,
-) -> Part:
+def difference_part(setup: Setup) -> Part:
     """`reading` (6,) [rad] of encoders -> `measurement` (12,), pose [rad, m] and its rate; see `_difference`.
 
-    `pose` is roughly where the platform stands at first, which picks the assembly mode. Up to `hold_ticks` failures in
-    a row are bridged by the last good pose and rate.
+    The pose at the start, which need only be about right, picks the assembly mode. Up to `hold_ticks` failures in a row
+    are bridged by the last good pose and rate.
     """
-    cutoff = options.rate_cutoff
-    setup = new_record(
+    robot, options, cutoff = setup.robot, setup.sensors, setup.sensors.rate_cutoff
+    numbers = new_record(
         _SETUP,
         options,
-        period=period,
-        smoothing=1.0 if cutoff is None else 1.0 - math.exp(-2.0 * math.pi * cutoff * period),
+        period=setup.period,
+        smoothing=1.0 if cutoff is None else 1.0 - math.exp(-2.0 * math.pi * cutoff * setup.period),
         max_turn=options.max_step[0],
         max_shift=options.max_step[1],
     )
     initial, own, legs = new_record(_STATE, health=WELL), laws.robot_record(robot), np.empty(1, laws.LEGS)
-    initial["measurement"][0, :6] = pose
+    initial["measurement"][0, :6] = setup.pose
     # A robot that cannot stand there: the first tick says so, with a log.
     with contextlib.suppress(errors.UnreachablePoseError), np.errstate(all="ignore"):
-        rates = crank_rates(robot, leg_geometry(robot, pose), pose, np.array(pose_rate))
+        rates = crank_rates(robot, leg_geometry(robot, setup.pose), setup.pose, setup.pose_rate)
         initial["crank_rate"] = rates if np.isfinite(rates).all() else 0.0
 
     def tick(reading: np.ndarray, state: np.ndarray) -> None:
-        status, leg, margin = _difference(own, setup, reading, legs, state)
+        status, leg, margin = _difference(own, numbers, reading, legs, state)
         if status == OK:
             return
         if state["started"][0] == 0.0 or state["held"][0] >= options.hold_ticks:

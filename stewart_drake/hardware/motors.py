@@ -16,9 +16,10 @@ from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.friction import dry_level
 from stewart_drake.mechanics.kinematics_laws import LEGS, crank_rates, legs_at, robot_record, twist_of
-from stewart_drake.part import Part
+from stewart_drake.part import Part, Setup
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import SMALLEST, FrictionOptions
+from stewart_drake.sampling import steps_per
 
 _STREAM = 3  # Of random numbers, see `faults.tick_numbers`.
 
@@ -55,34 +56,34 @@ class LinkOptions(Section, key="link"):
             return "dropped"
         return "late" if late < self.late_probability else "arrives"
 
+    def part(self, setup: Setup) -> Part:
+        """What has arrived by each step of the plant; `setup.still` stands until the first command arrives."""
+        steps_per_tick = steps_per("controller.period", setup.period, setup.time_step)
+
+        def tick(torque: np.ndarray, time: np.ndarray, state: np.ndarray) -> None:
+            now: Any = state[0]
+            step = int(now["steps"])
+            if now["due"] > 0.0 and step >= now["due"]:
+                now["torque"], now["arrived"], now["due"] = now["arriving"], now["sent"], 0.0
+            number, within = divmod(step, steps_per_tick)
+            if within == 0:
+                signal = Signal(np.array(torque, dtype=float), float(time[0]), number)
+                for fault in self.faults:
+                    fault.spoil(signal)
+                fate = self.fate(number, signal.time)
+                if fate == "arrives":
+                    now["torque"], now["arrived"], now["due"] = signal.says, number, 0.0
+                elif fate == "late":
+                    now["arriving"], now["sent"], now["due"] = signal.says, number, step + 1
+            now["age"], now["steps"] = number - now["arrived"], step + 1
+
+        first = new_record(_LINK_STATE, torque=setup.still)
+        return Part("link", {"torque": 6, "time": 1}, ("torque", "age"), first, tick, every_step=True)
+
 
 _LINK_STATE = fields(torque=6, age=(1,), steps=(), arriving=6, due=(), sent=(), arrived=())
 """torque: in force [N m]. age: of it, counted from the newest tick there was [ticks]. steps: done. arriving: under way
 [N m]. due: step at which that arrives, 0 for none. sent: its tick. arrived: tick of the command in force."""
-
-
-def link_part(options: LinkOptions, steps_per_tick: int, initial: np.ndarray) -> Part:
-    """What has arrived by each step of the plant; `initial` (6,) [N m] stands until the first command arrives."""
-
-    def tick(torque: np.ndarray, time: np.ndarray, state: np.ndarray) -> None:
-        now: Any = state[0]
-        step = int(now["steps"])
-        if now["due"] > 0.0 and step >= now["due"]:
-            now["torque"], now["arrived"], now["due"] = now["arriving"], now["sent"], 0.0
-        number, within = divmod(step, steps_per_tick)
-        if within == 0:
-            signal = Signal(np.array(torque, dtype=float), float(time[0]), number)
-            for fault in options.faults:
-                fault.spoil(signal)
-            fate = options.fate(number, signal.time)
-            if fate == "arrives":
-                now["torque"], now["arrived"], now["due"] = signal.says, number, 0.0
-            elif fate == "late":
-                now["arriving"], now["sent"], now["due"] = signal.says, number, step + 1
-        now["age"], now["steps"] = number - now["arrived"], step + 1
-
-    first = new_record(_LINK_STATE, torque=initial)
-    return Part("link", {"torque": 6, "time": 1}, ("torque", "age"), first, tick, every_step=True)
 
 
 def delay_part(ticks: int, initial: np.ndarray) -> Part:
@@ -149,15 +150,14 @@ class MotorOptions(Section, key="motors"):
             torque[self.dead.leg] = 0.0
         return torque
 
+    def part(self) -> Part:
+        """`torque` (6,) [N m], `crank_state` (12,), angles [rad] and rates -> `torque` that the motors give."""
 
-def motor_part(options: MotorOptions) -> Part:
-    """`torque` (6,) [N m], `time` (1,) [s], `crank_state` (12,), angles [rad] and rates -> `torque` that they give."""
+        def tick(torque: np.ndarray, time: np.ndarray, crank_state: np.ndarray, state: np.ndarray) -> None:
+            state["torque"][0] = self.torque(torque, crank_state[:6], float(time[0]))
 
-    def tick(torque: np.ndarray, time: np.ndarray, crank_state: np.ndarray, state: np.ndarray) -> None:
-        state["torque"][0] = options.torque(torque, crank_state[:6], float(time[0]))
-
-    inputs = {"torque": 6, "time": 1, "crank_state": 12}
-    return Part("motors", inputs, ("torque",), new_record(fields(torque=6)), tick, every_step=True)
+        inputs = {"torque": 6, "time": 1, "crank_state": 12}
+        return Part("motors", inputs, ("torque",), new_record(fields(torque=6)), tick, every_step=True)
 
 
 class FrictionCompensation(FrictionOptions, key="friction_compensation"):
@@ -169,6 +169,18 @@ class FrictionCompensation(FrictionOptions, key="friction_compensation"):
 
     width: Positive = 0.002
     """[rad/s] a crank that is to turn at this rate gets 76 % of its dry friction: reversals are that smooth."""
+
+    def part(self, setup: Setup) -> Part:
+        """`reference` (18,) -> `against_friction` (6,) [N m]."""
+        own, legs = robot_record(setup.robot), np.empty(1, LEGS)
+        levels = dict(zip(("coulomb", "break_away", "stribeck_rate", "viscous"), self.levels, strict=True))
+        believed = new_record(_BELIEVED, **levels, width=self.width)
+
+        def tick(reference: np.ndarray, state: np.ndarray) -> None:
+            _against_friction(own, believed, reference, legs, state["against_friction"][0])
+
+        state = new_record(fields(against_friction=6))
+        return Part("friction_compensation", {"reference": 18}, ("against_friction",), state, tick)
 
 
 _BELIEVED = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, width=())
@@ -190,16 +202,3 @@ def _against_friction(robots: Any, believed: Any, reference: Any, leg_records: A
     for i in range(6):
         dry = dry_level(friction.coulomb[i], friction.break_away[i], friction.stribeck_rate[i], rates[i])
         out[i] = dry * np.tanh(rates[i] / friction.width) + friction.viscous[i] * rates[i]
-
-
-def friction_part(robot: RobotParameters, options: FrictionCompensation) -> Part:
-    """`reference` (18,) -> `against_friction` (6,) [N m], for a robot as believed."""
-    own, legs = robot_record(robot), np.empty(1, LEGS)
-    levels = dict(zip(("coulomb", "break_away", "stribeck_rate", "viscous"), options.levels, strict=True))
-    believed = new_record(_BELIEVED, **levels, width=options.width)
-
-    def tick(reference: np.ndarray, state: np.ndarray) -> None:
-        _against_friction(own, believed, reference, legs, state["against_friction"][0])
-
-    state = new_record(fields(against_friction=6))
-    return Part("friction_compensation", {"reference": 18}, ("against_friction",), state, tick)

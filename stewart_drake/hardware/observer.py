@@ -28,7 +28,6 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, SERIAL, UNREACHABLE, dot, legs_at
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve, spectral_factor
 from stewart_drake.part import WELL, Part, Setup
-from stewart_drake.robot import RobotParameters
 
 SMALLEST_NOISE = 1e-5  # [rad] that readings have at least for the observer: finer than that no model is.
 ARRIVED = 6.0  # Standard deviations of a reading within which a crank stands where it is wanted, whatever its friction.
@@ -66,14 +65,11 @@ class ObserverOptions(EstimatorOptions):
         return delay if self.delay is None else self.delay
 
     def innovation_scale(self, setup: Setup) -> tuple[float, float]:
-        noise = max(setup.noise, SMALLEST_NOISE)
-        turn = bandwidth(noise, self.disturbance * setup.levels[1], setup.period)
-        return NOISE_AT_MOST * noise, 1.0 / turn**2 + setup.period**2
+        turn = bandwidth(setup.noise, self.disturbance * setup.levels[1], setup.period)
+        return NOISE_AT_MOST * setup.noise, 1.0 / turn**2 + setup.period**2
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
-        fixed = setup.robot, self, setup.gravity, setup.period, setup.noise, setup.pose, setup.pose_rate, setup.still
-        part = observer_part(*fixed, command_delay=setup.delay, friction=setup.friction, size=setup.reading)
-        return (part._replace(reads={"disturbance": np.array([self.disturbance])}),)
+        return (observer_part(self, setup),)
 
 
 SETUP = fields(period=(), gravity=(), noise=(), max_innovation=(), hold_ticks=(), arrived=(), slip=(), delay=())
@@ -256,58 +252,45 @@ def _look_ahead(robots: Any, setups: Any, leg_records: Any, states: Any) -> Any:
     return OK, -1, 0.0
 
 
-def observer_part(
-    robot: RobotParameters,
-    options: ObserverOptions,
-    gravity: float,
-    period: float,
-    noise: float,
-    pose: np.ndarray,
-    pose_rate: np.ndarray,
-    still: np.ndarray,
-    *,
-    command_delay: int = 0,
-    friction: float = 0.0,
-    size: int = 6,
-) -> Part:
-    """The observer, for a robot as believed; its outputs are the first fields of `_STATE`; further as of `part.Setup`.
+def observer_part(options: ObserverOptions, setup: Setup) -> Part:
+    """The observer; its outputs are the first fields of `_STATE`.
 
-    Inputs: reading of `size` 6, angles of the cranks [rad], NaN for one that is missing, or 12, pose [rad, m] and its
-    rate; sent (6,) [N m] the last command, less what of it the friction takes; reference (18,) wanted now; disturbance
-    (1,) [rad/s^2 per sqrt(s)] to expect. `command_delay` [ticks], of which `options.delay` may say otherwise.
+    Inputs: reading, (6,) angles of the cranks [rad], NaN for one that is missing, or (12,) pose [rad, m] and its rate;
+    sent (6,) [N m] the last command, less what of it the friction takes; reference (18,) wanted now; disturbance (1,)
+    [rad/s^2 per sqrt(s)] to expect.
     """
-    delay, noise = options.ahead(command_delay), max(noise, SMALLEST_NOISE)
+    robot, period, delay = setup.robot, setup.period, options.ahead(setup.delay)
     if delay * period > FARTHEST:
-        given = ("command_delay", command_delay) if options.delay is None else ("estimator.delay", options.delay)
+        given = ("command_delay", setup.delay) if options.delay is None else ("estimator.delay", options.delay)
         allowed = f"at most {int(FARTHEST / period)} ticks: an observer looks no farther ahead than {FARTHEST:g} s"
         raise ConfigurationError(*given, allowed)
     # [1/(kg m^2)] acceleration of a crank for its own torque, at home.
     mobility = np.diag(pose_jacobian(robot, robot.home_pose) @ pose_acceleration_map(robot, robot.home_pose))
-    setup = new_record(
+    numbers = new_record(
         SETUP,
         options,
         period=period,
-        gravity=gravity,
-        noise=noise,
-        arrived=ARRIVED * noise if friction > 0.0 else -1.0,
-        slip=SLIP * friction * float(mobility.max()),
+        gravity=setup.gravity,
+        noise=setup.noise,
+        arrived=ARRIVED * setup.noise if setup.friction > 0.0 else -1.0,
+        slip=SLIP * setup.friction * float(mobility.max()),
         delay=delay,
     )
     own, legs = laws.robot_record(robot), np.empty(1, laws.LEGS)
-    first = difference_part(robot, EncoderOptions(), period, pose)
-    start = np.concatenate([pose, pose_rate])
+    first = difference_part(setup._replace(sensors=EncoderOptions()))
+    start = np.concatenate([setup.pose, setup.pose_rate])
     initial = new_record(_STATE, measurement=start, ahead=start, health=WELL)
-    initial["commands"][0, : delay + 1] = still
+    initial["commands"][0, : delay + 1] = setup.still
 
     def begin(reading: np.ndarray, state: np.ndarray) -> Any:
         """The first tick: the pose that its readings tell, and the rate of the state."""
         angles, estimate = reading, first.initial.copy()
-        if size == 12:
+        if setup.reading == 12:
             finite = bool(np.isfinite(reading[:6]).all())
             angles = inverse_kinematics(robot, reading[:6]) if finite else np.full(6, np.nan)
         first.tick(angles, estimate)
         state["measurement"][0, :6], state["side"] = estimate["measurement"][0, :6], estimate["side"]
-        return _look_ahead(own, setup, legs, state)
+        return _look_ahead(own, numbers, legs, state)
 
     def tick(
         reading: np.ndarray, sent: np.ndarray, reference: np.ndarray, disturbance: np.ndarray, state: np.ndarray
@@ -315,12 +298,13 @@ def observer_part(
         if state["side"][0] == 0.0:
             status, leg, margin = begin(reading, state)
         else:
-            status, leg, margin = _observe(own, setup, reading, sent, reference, disturbance[0], legs, state)
+            status, leg, margin = _observe(own, numbers, reading, sent, reference, disturbance[0], legs, state)
         if status != OK:
             raise _error(status, leg, margin, reading, state)
 
-    inputs = {"reading": size, "sent": 6, "reference": 18, "disturbance": 1}
-    return Part("observer", inputs, ("measurement", "ahead", "compensation", "innovation"), initial, tick)
+    inputs = {"reading": setup.reading, "sent": 6, "reference": 18, "disturbance": 1}
+    outputs, expected = ("measurement", "ahead", "compensation", "innovation"), np.array([options.disturbance])
+    return Part("observer", inputs, outputs, initial, tick, reads={"disturbance": expected})
 
 
 def _error(status: int, leg: int, margin: float, reading: np.ndarray, state: np.ndarray) -> RunFailure:

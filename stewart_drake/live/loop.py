@@ -19,19 +19,9 @@ class LiveLoop:
     """The loop of a scenario on the plant that `plant.engine` names, changed while it runs.
 
     Every change but a new target and a push is a change of the scenario: its loop is built again, and each part that
-    is still there keeps its state, as the robot does.
-
-    Args:
-        scenario: What to begin with.
-
-    Raises:
-        ConfigurationError: As `loop_of`; a controller that is a LeafSystem, which only Drake can run.
-
-    Attributes:
-        scenario: As changed until now.
-        steps: Of the plant, done since the beginning.
-        reference: The pose set by hand, and the motion about it.
-        ended: Why the loop cannot go on; empty while it can.
+    is still there keeps its state, as the robot does. `scenario` is as changed until now, `steps` of the plant are done
+    since the beginning, `reference` is the pose set by hand with the motion about it, and `ended` says why the loop
+    cannot go on; it is empty while it can.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -67,12 +57,7 @@ class LiveLoop:
         self.reference.share.target[0] = float(on)
 
     def push(self, wrench: np.ndarray, duration: float) -> None:
-        """Pushes the platform from now on.
-
-        Args:
-            wrench: (6,) [N m, N] moment about P and force, in B.
-            duration: [s].
-        """
+        """Pushes the platform from now on, for a duration [s]: wrench (6,) [N m, N], moment about P and force, in B."""
         self._push[:], self._push_ends = wrench, self.steps + round(duration / self._step)
 
     def advance(self, steps: int) -> None:

@@ -18,17 +18,9 @@ _TYPES = {"html": "text/html; charset=utf-8", "js": "text/javascript", "css": "t
 
 
 class LiveServer:
-    """Serves the page, its events and its commands from threads of its own.
+    """Serves the page at `url`, its events and its commands from threads of its own.
 
-    Args:
-        session: What the page shows and steers.
-        about: What the page has to know before the first row.
-
-    Raises:
-        StewartDrakeError: No port is free.
-
-    Attributes:
-        url: Of the page.
+    `about` is what the page has to know before the first row.
     """
 
     def __init__(self, session: LiveSession, about: Mapping[str, Any]) -> None:

@@ -32,12 +32,7 @@ PANEL = {"plant.payload_mass", "motors.dead", "sensors.faults", "tuner.kappa"}
 
 
 class LiveSession:
-    """Paces a `LiveLoop` by the clock and answers commands.
-
-    Args:
-        scenario: What to run.
-        show: Called about 30 times a second with the loop, to draw the robot.
-    """
+    """Paces a `LiveLoop` by the clock and answers commands; `show` draws the robot, some 50 times a second."""
 
     def __init__(self, scenario: Scenario, show: Callable[[LiveLoop], None]) -> None:
         self.loop, self._show = LiveLoop(scenario), show

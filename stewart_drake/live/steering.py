@@ -20,16 +20,12 @@ SAMPLES = 24
 class SmoothValue:
     """A value (n,) that follows a target through a filter with three equal poles; it never overshoots.
 
-    Its rate is continuous and its acceleration too, so that a controller with feedforward can follow it.
-
-    Args:
-        value: (n,) at first, at rest.
-        step: [s] between two calls of `advance`.
-        bandwidth: [rad/s] of the poles.
+    Its rate is continuous and its acceleration too, so that a controller with feedforward can follow it. At first it
+    rests; `step` [s] is the time between two calls of `advance`.
     """
 
-    def __init__(self, value: np.ndarray, step: float, bandwidth: float = BANDWIDTH) -> None:
-        w = bandwidth
+    def __init__(self, value: np.ndarray, step: float) -> None:
+        w = BANDWIDTH
         chain = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-(w**3), -3.0 * w**2, -3.0 * w]])
         self._transition = expm(chain * step)
         self.target = np.array(value, dtype=float)
@@ -52,10 +48,6 @@ class HandReference:
     """The pose set by hand, with the motion of the scenario about it.
 
     reference(t) = hand(t) + share(t) (motion(t) - motion(0)), hand and share each a `SmoothValue`.
-
-    Args:
-        motion: Of the scenario.
-        step: [s] between two calls of `advance`.
     """
 
     def __init__(self, motion: Reference, step: float) -> None:
@@ -90,29 +82,18 @@ class HandReference:
 
 
 class Reached(NamedTuple):
-    """How far towards a pose the robot can go.
+    """How far towards a pose the robot can go."""
 
-    Attributes:
-        pose: (6,) [rad, m] the pose asked for, or the last allowed one on the straight way to it.
-        limit: What is at its limit there, as a text; empty where the pose asked for is allowed.
-    """
-
-    pose: np.ndarray
-    limit: str
+    pose: np.ndarray  # (6,) [rad, m] asked for, or the last allowed one on the straight way to it.
+    limit: str  # What is at its limit there; empty where the pose asked for is allowed.
 
 
 def nearest_allowed(
     robot: RobotParameters, limits: Limits, here: np.ndarray, wanted: np.ndarray, gravity: float, around: np.ndarray
 ) -> Reached:
-    """The pose asked for, or the last one on the straight way to it that keeps to the limits at rest.
+    """The last pose on the straight way from `here` to the one that is wanted, (6,) each, that keeps to the limits.
 
-    Args:
-        robot: The robot.
-        limits: See `planning.limits`.
-        here: (6,) [rad, m] where the way begins.
-        wanted: (6,) [rad, m] where it shall end.
-        gravity: [m/s^2].
-        around: (n, 6) [rad, m] what a motion adds to the pose; zeros (1, 6) for none.
+    Limits are those at rest; `around` (n, 6) [rad, m] is what a motion adds to the pose, zeros (1, 6) for none.
     """
     here, wanted = np.asarray(here, dtype=float), np.asarray(wanted, dtype=float)
     low, high, limit = 0.0, 1.0, ""

@@ -134,17 +134,6 @@ def differences(claims: Iterable[Claim], size: str) -> list[str]:
     return lines
 
 
-def markdown(header: Iterable[str], lines: Iterable[Iterable[object]]) -> str:
-    """A table in Markdown; numbers with four digits, a dash for nothing."""
-
-    def cell(value: object) -> str:
-        text = "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
-        return text.replace("|", "\\|")
-
-    every = [list(header), ["---"] * len(list(header)), *lines]
-    return "\n".join("| " + " | ".join(map(cell, line)) + " |" for line in every)
-
-
 def pair_of(ratio: float) -> tuple[float, float]:
     return next(pair for pair in PAIRS if np.isclose(pair[0] / pair[1], ratio))
 

@@ -46,13 +46,16 @@ class Limits(Section, key="limits"):
     """
 
     reach: Ratio | None = 0.98
-    """[-] largest |C| / sqrt(A^2 + B^2) of a crank equation; None leaves 1, beyond which a rod cannot span."""
+    """[-] how near a leg may come to the end of its reach, where it is 1: largest |C| / sqrt(A^2 + B^2) of a crank
+    equation. null leaves 1, beyond which the rod cannot reach its joint."""
     euler_pitch: Annotated[Positive, Field(le=math.pi / 2.0)] | None = math.radians(85.0)
     """[rad] largest |pitch|: poses and their rates are given in Euler angles, singular at pi/2."""
     conditioning: Ratio | None = 0.05
-    """[-] smallest sigma_min / sigma_max of the rods' lines, `kinematics.conditioning`."""
+    """[-] how near the platform may come to a pose that the rods cannot hold (a parallel singularity), where it is 0:
+    smallest ratio of the singular values of the rods' lines."""
     transmission: Ratio | None = 0.2
-    """[-] smallest |e_l . e_N| of a leg."""
+    """[-] how near a crank may come to its dead centre, in one line with its rod, where it is 0: smallest |cosine| of
+    the angle between the rod and the way of the crank's end, |e_l . e_N|."""
     joint_swing: Annotated[Positive, Field(le=math.pi)] | None = math.radians(65.0)
     """[rad] largest swing of a rod from home, seen in the platform (ball) and in its crank (universal joint). The
     paper's own reference (37), (38) needs 63.1 deg at the universal joint of leg 2."""
@@ -60,7 +63,7 @@ class Limits(Section, key="limits"):
     """[m] smallest distance between the surfaces of links (cranks, rods) of different legs; for another
     robot than the paper's in proportion."""
     crank_speed: Positive | None = 10.0
-    """[rad/s] largest |theta'|."""
+    """[rad/s] largest speed of a crank."""
     torque_fraction: Positive | None = 1.0
     """[-] largest |motor torque| of the exact inverse dynamics, as a part of `RobotParameters.effort_limit`."""
 

@@ -17,13 +17,7 @@ from stewart_drake.robot import RobotParameters
 
 
 class SteppedPlant:
-    """The `MultibodyPlant`, a step at a call.
-
-    Args:
-        robot: Geometry and masses.
-        options: What else is modelled.
-        gravity: [m/s^2].
-    """
+    """The `MultibodyPlant`, a step at a call."""
 
     def __init__(self, robot: RobotParameters, options: PlantOptions, gravity: float) -> None:
         builder = DiagramBuilder()

@@ -130,7 +130,7 @@ class HeartbeatReference(Section, key="reference"):
     @cached_property
     def _variation(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Angular frequency [rad/s], share of the rate [-] and phase [rad] of each sine in the heart's rate."""
-        frequency, phase = _random_sines(self.seed, _SLOW_BAND, 1, _SLOW_SINES)
+        frequency, phase = random_sines(self.seed, _SLOW_BAND, 1, _SLOW_SINES)
         omega = 2.0 * math.pi * np.append(self.respiratory_frequency, frequency[0])
         share = np.append(self.respiratory_variation, np.full(_SLOW_SINES, self.slow_variation / _SLOW_SINES))
         return omega, share, np.append(0.0, phase[0])
@@ -182,10 +182,10 @@ class TremorReference(Section, key="reference"):
 
     @cached_property
     def _sines(self) -> tuple[np.ndarray, np.ndarray]:
-        return _random_sines(self.seed, (self.low, self.high), 6, _TREMOR_SINES)
+        return random_sines(self.seed, (self.low, self.high), 6, _TREMOR_SINES)
 
 
-def _random_sines(seed: int, band: tuple[float, float], rows: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+def random_sines(seed: int, band: tuple[float, float], rows: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies [Hz] and phases [rad], (rows, count) each; one frequency in each of `count` equal parts of a band."""
     rng = np.random.default_rng(seed)
     low, high = band

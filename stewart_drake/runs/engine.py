@@ -50,19 +50,10 @@ class Plant(Protocol):
 
 
 class FastLoop:
-    """The parts of a scenario on a plant, called in order; who has it writes signals of time.
+    """The parts of a scenario, called in order, on a plant, by default its closed form.
 
-    Args:
-        scenario: What it runs.
-        plant: The robot; None takes its closed form.
-
-    Attributes:
-        scenario: What it runs.
-        parts: The loop, see `loop_of`.
-        running: The parts at work.
-        step: [s] of the plant.
-        state: `CHAIN_STATE` record of the robot.
-        torque: (6,) [N m] that the plant gets.
+    Who has it writes the signals of time. `parts` is the loop, see `loop_of`, `running` the parts at work, `step` is
+    that of the plant [s], `state` the robot's `CHAIN_STATE` record, and `torque` (6,) [N m] what the plant gets.
     """
 
     def __init__(self, scenario: Scenario, plant: Plant | None = None) -> None:

@@ -48,13 +48,9 @@ def viewpoint(robot: RobotParameters) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Studio:
-    """A robot on a white floor in soft light, before a camera.
+    """A robot on a white floor in soft light, before a camera; width and height in pixels.
 
-    Args:
-        robot: Geometry.
-        width, height: [px] of a picture.
-        rod_joint: As in the plant whose states are drawn.
-        film: For many pictures: few lights, no shadows, and the reference as a translucent disc.
+    `film` is for many pictures: few lights, no shadows, and the reference as a translucent disc.
     """
 
     def __init__(
@@ -139,15 +135,9 @@ class Studio:
 def render_png(
     robot: RobotParameters, pose: np.ndarray, path: Path, *, width: int = 1200, height: int = 900, passes: int = 16
 ) -> None:
-    """Writes a picture of the robot at a pose. It needs the system's libEGL.
+    """Writes a PNG of the robot at a pose (6,) [rad, m]; more `passes` give softer shadows and smoother edges.
 
-    Args:
-        robot: Geometry.
-        pose: (6,) [rad, m] of P in B.
-        path: The PNG to write.
-        width: [px].
-        height: [px].
-        passes: Pictures under different lights that are averaged; more give softer shadows and smoother edges.
+    It needs the system's libEGL.
     """
     studio = Studio(robot, width, height)
     studio.picture(studio.stewart.assemble(pose), passes=passes).save(path)

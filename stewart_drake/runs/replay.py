@@ -17,7 +17,6 @@ from pydrake import geometry
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.framework import DiagramBuilder
 
-from stewart_drake.config import Positive, check_value
 from stewart_drake.errors import ConfigurationError, drake_guard
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.log import SimulationLog, distinct_names
@@ -28,7 +27,7 @@ from stewart_drake.plant.sdf_model import RodJoint
 from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.pictures import viewpoint
 
-MAX_FRAMES = 9000
+FRAMES_PER_SECOND, MAX_FRAMES = 30.0, 9000
 """A longer recording gets fewer frames a second: at some 2 kB a frame, a browser opens no more than this with ease."""
 MAX_POINTS = 3000
 """Of a trace."""
@@ -36,28 +35,15 @@ _LENS = 36.0
 """[deg] vertical field of view; Meshcat's own 75 deg would distort a robot so near."""
 
 
-def write_replay(
-    logs: SimulationLog | Sequence[SimulationLog], path: str | Path, frames_per_second: float = 30.0
-) -> None:
+def write_replay(logs: SimulationLog | Sequence[SimulationLog], path: str | Path) -> None:
     """Writes the motion of one run or of several side by side as one HTML page that plays in any browser, offline.
 
     The page has play and pause, a time slider, speed and loop, and traces of errors and torques whose cursor follows.
     A green translucent disc shows where the reference wants the platform. Each frame is the row of the log nearest to
-    it in time; between frames the browser interpolates.
-
-    Args:
-        logs: A run, completed or not, or several.
-        path: The page to write; about 2.5 MB a run and 2 kB for each frame.
-        frames_per_second: [1/s] at most this; less where the run is so long that `MAX_FRAMES` would be exceeded.
-
-    Raises:
-        ConfigurationError: No row of finite state, unusable `frames_per_second`, or a folder that is missing or not
-            writable.
-        DrakeCheckError: Drake could not record, such as for want of a free port.
+    it in time; between frames the browser interpolates. A page has about 2.5 MB a run and 2 kB for each frame.
     """
-    check_value("frames_per_second", frames_per_second, Positive)
     shown = [logs] if isinstance(logs, SimulationLog) else list(logs)
-    runs = [_shown(log, frames_per_second) for log in shown]
+    runs = [_shown(log) for log in shown]
     for run, name in zip(runs, distinct_names(shown), strict=True):
         run["name"] = name
     # A text in a script element must not end it.
@@ -73,7 +59,7 @@ def _page_file(name: str) -> str:
     return (files("stewart_drake") / "pages" / name).read_text()
 
 
-def _shown(log: SimulationLog, frames_per_second: float) -> dict[str, Any]:
+def _shown(log: SimulationLog) -> dict[str, Any]:
     """What the page shows of a run."""
     # Without a state of Drake's own the robot is assembled at the platform's pose.
     usable = np.flatnonzero(np.isfinite(log.signals.get("plant_state", log["pose"])).all(axis=1))
@@ -81,7 +67,7 @@ def _shown(log: SimulationLog, frames_per_second: float) -> dict[str, Any]:
         allowed = "a log with at least one row of finite state to replay"
         raise ConfigurationError("log", f"{len(log.time)} rows", allowed)
     time = log.time[usable]
-    rate = min(frames_per_second, (MAX_FRAMES - 1) / time[-1]) if time[-1] > 0.0 else frames_per_second
+    rate = min(FRAMES_PER_SECOND, (MAX_FRAMES - 1) / time[-1]) if time[-1] > 0.0 else FRAMES_PER_SECOND
     frames, rows = nearest_rows(time, rate)
     try:
         with drake_guard("recording the replay"):
@@ -111,14 +97,9 @@ def _digits(values: np.ndarray) -> list[float]:
 
 
 def nearest_rows(time: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frames of an animation for which there is a row, and the row nearest to each.
+    """Frames (k,) at a rate [1/s] for which there is a row, by their number, and the row (k,) nearest to each.
 
-    Args:
-        time: (n,) [s] ascending, from 0 on.
-        rate: [1/s] frames.
-
-    Returns:
-        Frame numbers (k,), ascending, and indices (k,) into `time`. Frames between sparser rows are left out.
+    Rows are at times (n,) [s], ascending from 0 on; frames between sparser rows are left out.
     """
     frame = np.rint(time * rate).astype(int)
     order = np.lexsort((np.abs(time - frame / rate), frame))
@@ -140,12 +121,7 @@ def _record(log: SimulationLog, frames: np.ndarray, rows: np.ndarray, rate: floa
 
 
 class RobotView:
-    """A robot and its reference in a Meshcat that only this machine can open.
-
-    Attributes:
-        meshcat: With our camera and background.
-        stewart: The plant that is drawn, with `assemble`.
-    """
+    """A robot, the plant `stewart`, and its reference in a Meshcat that only this machine can open."""
 
     def __init__(self, robot: RobotParameters, rod_joint: RodJoint = "universal") -> None:
         # Drake announces every Meshcat; ours is seen in a page of our own.

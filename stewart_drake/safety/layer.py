@@ -12,8 +12,7 @@ from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import static_torque
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
-from stewart_drake.part import WELL, Part
-from stewart_drake.robot import RobotParameters
+from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.safety import limits
 from stewart_drake.safety.limits import MEANINGS, MONITORS, OBSERVED, QUIET, SafetyInputs, SafetyOptions
 
@@ -254,22 +253,14 @@ def _stop(setup: Any, is_observed: bool, observed: Any, state: Any) -> Any:
     return GOES_ON, 0.0
 
 
-def safety_part(
-    robot: RobotParameters,
-    options: SafetyOptions,
-    gravity: float,
-    period: float,
-    initial: np.ndarray,
-    quantum: float = 0.0,
-    innovation_scale: tuple[float, float] = (0.0, 1.0),
-) -> Part:
+def safety_part(options: SafetyOptions, setup: Setup, innovation_scale: tuple[float, float] = (0.0, 1.0)) -> Part:
     """The safety layer; ports for which a loop may have no signal read `NOT_THERE`, unless `reads` is replaced.
 
-    `initial` (6,) [N m] are held where the very first command is bad; `quantum` [rad] is a count of the encoders; for
-    `innovation_scale` see `EstimatorOptions.innovation_scale`.
+    Where the very first command is bad, `setup.still` is held; for `innovation_scale` see `EstimatorOptions`.
     """
-    setup, none = limits.setup_of(robot, options, gravity, period, quantum, innovation_scale), np.full((6, 6), np.nan)
-    held = dict.fromkeys(("torque", "good", "weight", "command"), initial)
+    robot, period = setup.robot, setup.period
+    numbers = limits.setup_of(robot, options, setup.gravity, period, setup.sensors.quantum, innovation_scale)
+    held, none = dict.fromkeys(("torque", "good", "weight", "command"), setup.still), np.full((6, 6), np.nan)
     first = new_record(_STATE, **held, safety=(NONE, QUIET, -1.0), readings=none[0], anchors=none)
     own, nothing, law = laws.robot_record(robot), np.zeros(2), cast(Any, _tick)
     legs, observed = np.empty(1, laws.LEGS), np.empty(1, OBSERVED)
@@ -284,7 +275,7 @@ def safety_part(
                 SafetyInputs(command, measured[:6], measured[6:], wanted[:6], float(age[0]), *health)
             )
         asked = nothing if trip is None else np.array(trip, dtype=float)
-        status, fastest = law(own, setup, *inputs, asked, legs, observed, state)
+        status, fastest = law(own, numbers, *inputs, asked, legs, observed, state)
         if status != GOES_ON:
             raise _stopped(options, period, status, fastest, state)
 

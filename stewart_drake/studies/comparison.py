@@ -183,10 +183,8 @@ class Comparison(Study):
         return "\n".join(sheet.markdown() for sheet in self.sheets(rows))
 
 
-def load_comparison(
-    path: str | Path, quick: bool = False, robot: str | None = None, trust_code: bool = False
-) -> Comparison:
-    return load_study("comparison", path, partial(Comparison.from_dict, quick=quick, robot=robot), trust_code)
+def load_comparison(path: str | Path, quick: bool = False, robot: str | None = None) -> Comparison:
+    return load_study("comparison", path, partial(Comparison.from_dict, quick=quick, robot=robot))
 
 
 def write_pictures(comparison: Comparison, result: StudyResult) -> None:

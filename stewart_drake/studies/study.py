@@ -185,11 +185,10 @@ def compare_engines(study: Study, rows: Iterable[Row]) -> str | None:
     return f"{line}; no run completed to compare."
 
 
-def load_study(kind: str, path: str | Path, make: Callable[[dict[str, Any], Path], T], trust_code: bool) -> T:
+def load_study(kind: str, path: str | Path, make: Callable[[dict[str, Any], Path], T]) -> T:
+    """Code that the file names runs where it is loaded within `trusting_code`."""
     path = find_file(kind, path)
-    data = read_mapping(kind, path, 80)
-    with trusting_code(trust_code):
-        return make(data, path.parent)
+    return make(read_mapping(kind, path, 80), path.parent)
 
 
 @contextmanager

@@ -254,9 +254,9 @@ class Sweep(Study):
                 raise ConfigurationError(where, error.value, error.allowed) from None
 
 
-def load_sweep(path: str | Path, runs: int | None = None, trust_code: bool = False) -> Sweep:
+def load_sweep(path: str | Path, runs: int | None = None) -> Sweep:
     more = {} if runs is None else {"runs": runs}
-    return load_study("sweep", path, lambda data, folder: Sweep.from_dict({**data, **more}, folder), trust_code)
+    return load_study("sweep", path, lambda data, folder: Sweep.from_dict({**data, **more}, folder))
 
 
 def summary(rows: Sequence[Row]) -> list[tuple[str, str]]:

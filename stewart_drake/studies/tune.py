@@ -130,14 +130,10 @@ class Tuning:
 
 
 def load_tuning(
-    path: str | Path,
-    controllers: Sequence[str] = (),
-    budget: int | None = None,
-    quick: bool = False,
-    trust_code: bool = False,
+    path: str | Path, controllers: Sequence[str] = (), budget: int | None = None, quick: bool = False
 ) -> Tuning:
     make = partial(Tuning.from_dict, controllers=controllers, budget=budget, quick=quick)
-    return load_study("comparison", path, make, trust_code)
+    return load_study("comparison", path, make)
 
 
 def _start(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, float]]) -> Setting:

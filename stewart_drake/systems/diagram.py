@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
@@ -16,10 +16,6 @@ from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario, require_scenario
 from stewart_drake.systems.library import PartSystem, PlatformWrench, ReferenceSource, TaskSpaceSensor
-
-if TYPE_CHECKING:
-    from pydrake.geometry import Meshcat
-
 
 _System = TypeVar("_System")
 
@@ -35,7 +31,6 @@ class ClosedLoop(Diagram):
 
     Args:
         scenario: The run to build.
-        meshcat: A Meshcat to show the run in while it happens, or None.
         log_period: [s] between two rows of the sinks; None takes that of the scenario.
 
     Attributes:
@@ -44,11 +39,11 @@ class ClosedLoop(Diagram):
         systems, sinks: The System of each part, and the VectorLogSink of each signal, by name.
     """
 
-    def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None, log_period: float | None = None) -> None:
+    def __init__(self, scenario: Scenario, log_period: float | None = None) -> None:
         super().__init__()
         require_scenario(scenario)
         self.scenario, self.loop = scenario, loop_of(scenario)
-        wiring = _Wiring(scenario, meshcat)
+        wiring = _Wiring(scenario)
         for source in self.loop.sources:
             wiring.add_source(source.signal)
         for part in self.loop.parts:
@@ -83,18 +78,10 @@ class ClosedLoop(Diagram):
 class _Wiring:
     """A closed loop under construction: ports by the names of their signals, systems by those of the parts."""
 
-    def __init__(self, scenario: Scenario, meshcat: Meshcat | None) -> None:
+    def __init__(self, scenario: Scenario) -> None:
         self.scenario, self.period = scenario, scenario.controller.period
         self.builder = DiagramBuilder()
-        self.plant: StewartPlant = add_plant(
-            self.builder, scenario.robot, scenario.plant, scenario.gravity, visuals=meshcat is not None
-        )
-        if meshcat is not None:
-            # Half a second to import; only a live view pays it.
-            from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
-
-            config = VisualizationConfig(publish_contacts=False, enable_alpha_sliders=False)
-            ApplyVisualizationConfig(config, builder=self.builder, meshcat=meshcat)
+        self.plant: StewartPlant = add_plant(self.builder, scenario.robot, scenario.plant, scenario.gravity)
         sensor = self.add("sensor", TaskSpaceSensor(self.plant))
         self.builder.Connect(self.plant.state_output_port, sensor.plant_state)
         self.signals: dict[str, OutputPort] = {"plant_pose": sensor.measurement, "crank_state": sensor.crank_state}
@@ -142,6 +129,6 @@ class _Wiring:
         return self.add(name, ConstantVectorSource(source)).get_output_port()
 
 
-def build_diagram(scenario: Scenario, meshcat: Meshcat | None = None) -> ClosedLoop:
+def build_diagram(scenario: Scenario) -> ClosedLoop:
     """The closed loop of `scenario` as a Drake Diagram, see `ClosedLoop`."""
-    return ClosedLoop(scenario, meshcat)
+    return ClosedLoop(scenario)

@@ -1,10 +1,14 @@
-"""The LeafSystems of the loop, to wire by hand: parts in one shell, `PartSystem`, and what has no tick."""
+"""The LeafSystems of the loop, to wire by hand: parts in one shell, `PartSystem`, and what has no tick.
+
+The systems of the paper's controller take their own options. The others take a scenario, and are the part that its loop
+has: `PlatformObserver(Scenario(sensors="encoders", estimator="observer"))`. A part of your own is `PartSystem(part,
+period)`.
+"""
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydrake.common.value import Value
@@ -12,47 +16,17 @@ from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort
 
-from stewart_drake.control.classical import ComputedTorqueOptions, PidOptions, computed_torque_part, pid_part
 from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.control.network import DensityKind, TunerNetwork, density_part, network_part
 from stewart_drake.errors import ConfigurationError, RunFailure
-from stewart_drake.hardware import motors
 from stewart_drake.hardware.disturbances import Disturbance, total_wrench
-from stewart_drake.hardware.estimator import difference_part
-from stewart_drake.hardware.observer import ObserverOptions, observer_part
-from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
 from stewart_drake.part import Part
+from stewart_drake.parts import loop_of
 from stewart_drake.plant.multibody_plant import StewartPlant
 from stewart_drake.references import Reference, in_blocks
 from stewart_drake.robot import RobotParameters
-from stewart_drake.safety import SafetyOptions, safety_part
 from stewart_drake.sampling import on_grid
-
-SIGNALS = {
-    "measurement": "(12,), pose [rad, m], pose rate [rad/s, m/s] (Euler rates)",
-    "reference": "(18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2]",
-    "weights": "(2,), omega_Q, omega_R; or, for block weights, (4,), q_e, q_v, q_z, r; all > 0",
-    "torque": "(6,) [N m]",
-    "error": "(6,) [rad, m], pose minus reference at the tick",
-    "integral": "(6,) [rad s, m s], z after the tick",
-    "crank_state": "(12,), angles of the cranks [rad] from the horizontal and their rates [rad/s]",
-    "against_friction": "(6,) [N m]",
-    "density": "(12,) [-], of the errors, then of the torques",
-    "reading": "(6,) [rad], angles of the cranks; or, for an observer, (12,), pose [rad, m] and its rate",
-    "sent": "(6,) [N m], the command of the tick before less what friction takes of it",
-    "disturbance": "(1,) [rad/s^2 per sqrt(s)] to expect, see `ObserverOptions`",
-    "ahead": "(12,), as `measurement`, when the command of this tick acts",
-    "compensation": "(6,) [N m], against what the model does not explain",
-    "innovation": "(6,) [rad], readings less what an observer expected",
-    "command": "(6,) [N m], the controller's torque",
-    "age": "(1,) [ticks] of the command in force; 0 where it is that of the present tick",
-    "sensor_health": "(2,), what was wrong in the last tick and where, see `part.guarded`",
-    "controller_health": "(2,), likewise",
-    "angles": "(6,) [rad], readings of the encoders",
-    "pose_reading": "(12,), what a sensor of the pose says, where an observer stands behind it",
-    "safety": "(3,): number of the level in `safety.LEVELS`, of the monitor in `safety.MONITORS`, leg or -1",
-}
-"""What is at the ports of the systems below."""
+from stewart_drake.scenario import Scenario
 
 _AHEAD = 1.0 + 4e-10
 """A tick's instant begins a little early: decimal times, at which others may ask, come before the stretched ones."""
@@ -69,17 +43,6 @@ class PartSystem(LeafSystem):
     Ports: those of the part by name and as attributes, and `result`, its state and the number of ticks done; an output
     with the name of an input is the attribute `NAME_out`. An input whose part has an array for it may be left alone.
     """
-
-    def __init_subclass__(cls, ports: str = "") -> None:
-        """Adds to the text of a class its ports, `inputs -> outputs`, as `SIGNALS` has them."""
-        super().__init_subclass__()
-        if ports:
-            lines = ["result: out, the part's whole state and the number of ticks done"]
-            for way, names in zip(("in", "out"), ports.split("->"), strict=True):
-                lines += [f"{name}: {way} {SIGNALS[name]}" for name in names.split()]
-            cls.__doc__ = "\n    ".join([inspect.cleandoc(cls.__doc__ or ""), "\nPorts:", *lines]).replace(
-                "    \n", "\n"
-            )
 
     if TYPE_CHECKING:
         # Ports are attributes by name; a type checker cannot know which.
@@ -164,10 +127,19 @@ class PartSystem(LeafSystem):
             discrete_state.set_value(0, self.result.Eval(context))
 
 
-class LqiController(PartSystem, ports="measurement reference weights -> torque error integral"):
+class LqiController(PartSystem):
     """Linear quadratic integral regulator, (19)-(34): a new gain at every tick, from that tick's pose and weights.
 
     Answers within the tick; `weights` is the size of its port, 2, or 4 for block weights; gravity in [m/s^2].
+
+    Ports:
+        measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s] (Euler rates).
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
+        weights: in (2,), omega_Q, omega_R; or, for block weights, (4,), q_e, q_v, q_z, r; all > 0.
+        torque: out (6,) [N m].
+        error: out (6,) [rad, m], pose minus reference at the tick.
+        integral: out (6,) [rad s, m s], z after the tick.
+        result: out, the part's whole state and the number of ticks done.
     """
 
     def __init__(self, robot: RobotParameters, options: LqiOptions, gravity: float, weights: int = 2) -> None:
@@ -176,101 +148,97 @@ class LqiController(PartSystem, ports="measurement reference weights -> torque e
         super().__init__(lqi_part(options, robot, gravity, weights), options.period)
 
 
-class JointPid(PartSystem, ports="measurement reference -> torque error integral"):
-    """PID in the space of the cranks."""
-
-    def __init__(self, robot: RobotParameters, options: PidOptions, gravity: float) -> None:
-        super().__init__(pid_part(options, robot, gravity), options.period)
-
-
-class ComputedTorque(PartSystem, ports="measurement reference -> torque error integral"):
-    """Computed torque in the space of the platform."""
-
-    def __init__(self, robot: RobotParameters, options: ComputedTorqueOptions, gravity: float) -> None:
-        super().__init__(computed_torque_part(options, robot, gravity), options.period)
-
-
-class DensityFeatures(PartSystem, ports="error torque -> density"):
+class DensityFeatures(PartSystem):
     """Density of each input over a sliding window, (35), (36); answers within the tick.
 
     `window` is m of (35) [ticks]; means run over m + 1 samples, which live in the Context. The period is in [s].
+
+    Ports:
+        error: in (6,) [rad, m], pose minus reference at the tick.
+        torque: in (6,) [N m].
+        density: out (12,) [-], of the errors, then of the torques.
+        result: out, the part's whole state and the number of ticks done.
     """
 
     def __init__(self, window: int, period: float, kind: DensityKind = "magnitude") -> None:
         super().__init__(density_part(window, kind), period)
 
 
-class AnnTuner(PartSystem, ports="density -> weights"):
+class AnnTuner(PartSystem):
     """omega_Q and omega_R from the densities, Fig. 5; `initial` until the first inference.
 
     The weights found at a tick act from the next one on: the densities of a tick need its torque, which needs them.
+
+    Ports:
+        density: in (12,) [-], of the errors, then of the torques.
+        weights: out (2,), omega_Q, omega_R; all > 0.
+        result: out, the part's whole state and the number of ticks done.
     """
 
     def __init__(self, network: TunerNetwork, period: float, initial: Sequence[float] = (1.0, 1.0)) -> None:
         super().__init__(network_part(network, initial), period)
 
 
-class MotorEncoders(PartSystem, ports="crank_state -> reading"):
-    """Crank angles as the encoders read them, without faults."""
+class ScenarioSystem(PartSystem):
+    """The part of that name in the loop of a scenario; its ports are the part's.
 
-    def __init__(self, options: EncoderOptions, period: float) -> None:
-        super().__init__(encoder_part(options), period)
-
-
-class PoseEstimator(PartSystem, ports="reading -> measurement"):
-    """Forward kinematics of the readings, and their differences; `start` as of `difference_part`: pose, rate."""
-
-    def __init__(self, robot: RobotParameters, options: EncoderOptions, period: float, *start: np.ndarray) -> None:
-        super().__init__(difference_part(robot, options, period, *start), period)
-
-
-class PlatformObserver(
-    PartSystem, ports="reading sent reference disturbance -> measurement ahead compensation innovation"
-):
-    """State of the platform from readings and sent commands; start and more as of `observer_part`."""
-
-    def __init__(
-        self, robot: RobotParameters, options: ObserverOptions, gravity: float, period: float, *start: Any, **more: Any
-    ) -> None:
-        super().__init__(observer_part(robot, options, gravity, period, *start, **more), period)
-
-
-class FrictionFeedforward(PartSystem, ports="reference -> against_friction"):
-    """Torque against the motors' friction along the reference."""
-
-    def __init__(self, robot: RobotParameters, options: motors.FrictionCompensation, period: float) -> None:
-        super().__init__(motors.friction_part(robot, options), period)
-
-
-class CommandLink(PartSystem, ports="torque -> torque age"):
-    """Passes a controller's commands on, or loses, delays and spoils them, at every step [s]; `initial` (6,) [N m]."""
-
-    def __init__(self, options: motors.LinkOptions, time_step: float, steps_per_tick: int, initial: np.ndarray) -> None:
-        super().__init__(motors.link_part(options, steps_per_tick, initial), time_step)
-
-
-class MotorDrive(PartSystem, ports="torque crank_state -> torque"):
-    """Torque of imperfect motors for the torque asked for, at every step [s] of the plant."""
-
-    def __init__(self, options: motors.MotorOptions, time_step: float) -> None:
-        super().__init__(motors.motor_part(options), time_step)
-
-
-class SafetyLayer(
-    PartSystem,
-    ports="command measurement reference age sensor_health controller_health angles innovation pose_reading"
-    " -> torque safety",
-):
-    """Watches commands and measurements, and passes on what may go to the motors; answers within the tick.
-
-    A port for which there is no signal may be left alone, and takes its array of `safety.NOT_THERE`. More arguments as
-    of `safety.safety_part`.
+    Raises:
+        ConfigurationError: The loop has no such part.
     """
 
-    def __init__(
-        self, robot: RobotParameters, options: SafetyOptions, gravity: float, period: float, *more: Any, **named: Any
-    ) -> None:
-        super().__init__(safety_part(robot, options, gravity, period, *more, **named), period)
+    name: ClassVar[str]
+
+    def __init_subclass__(cls, part: str) -> None:
+        super().__init_subclass__()
+        cls.name = part
+
+    def __init__(self, scenario: Scenario) -> None:
+        parts = {part.name: part for part in loop_of(scenario).parts}
+        if self.name not in parts:
+            allowed = f"a scenario whose loop has the part {self.name}; it has {', '.join(parts)}"
+            raise ConfigurationError("scenario", scenario.name, allowed)
+        part = parts[self.name]
+        super().__init__(part, scenario.plant.time_step if part.every_step else scenario.controller.period)
+
+
+class JointPid(ScenarioSystem, part="controller"):
+    """`controller: pid`; measurement, reference -> torque, error, integral."""
+
+
+class ComputedTorque(ScenarioSystem, part="controller"):
+    """`controller: computed_torque`; measurement, reference -> torque, error, integral."""
+
+
+class MotorEncoders(ScenarioSystem, part="encoders"):
+    """`sensors: encoders`, angles of the cranks as they are read; crank_state -> reading."""
+
+
+class PoseEstimator(ScenarioSystem, part="estimator"):
+    """`estimator: difference`, forward kinematics and differences; reading -> measurement."""
+
+
+class PlatformObserver(ScenarioSystem, part="observer"):
+    """`estimator: observer`; reading, sent, reference, disturbance -> measurement, ahead, compensation, innovation."""
+
+
+class FrictionFeedforward(ScenarioSystem, part="friction_compensation"):
+    """`friction_compensation`, torque against the motors' friction; reference -> against_friction."""
+
+
+class CommandLink(ScenarioSystem, part="link"):
+    """`link`, which loses, delays and spoils commands at every step of the plant; torque -> torque, age."""
+
+
+class MotorDrive(ScenarioSystem, part="motors"):
+    """`motors`, the torque of imperfect motors at every step of the plant; torque, crank_state -> torque."""
+
+
+class SafetyLayer(ScenarioSystem, part="safety"):
+    """`safety`, which passes on what may go to the motors.
+
+    command, measurement, reference, age, sensor_health, controller_health, angles, innovation, pose_reading -> torque,
+    safety; a port for which there is no signal may be left alone.
+    """
 
 
 class ReferenceSource(LeafSystem):

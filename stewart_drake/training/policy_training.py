@@ -80,11 +80,7 @@ def policy_of(
 
 def episode_cost(chooser: Chooser, case: Case) -> float:
     """Logarithm of what a run of a policy on the fast engine costs, at the kappa of the case."""
-    scenario = _fast(case)
-    q_pose, q_rate, q_integral, r = scenario.tuner.weights
-    tuner = GivenTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=case.kappa)
-    vars(tuner)["chosen_by"] = chooser
-    log = simulate_unchecked(scenario.replace({"tuner": tuner}))
+    log = simulate_unchecked(tuned_by(chooser, _fast(case), case.kappa))
     return log_cost({"status": log.status, **measure_parts(log)}, CostScales().at(case.kappa))
 
 
@@ -112,6 +108,14 @@ class GivenTuner(PolicyTuner):
         return given
 
 
+def tuned_by(chooser: Chooser, scenario: Scenario, kappa: float = 0.0) -> Scenario:
+    """A scenario with block weights, its settings chosen by an object."""
+    q_pose, q_rate, q_integral, r = scenario.tuner.weights
+    tuner = GivenTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=kappa)
+    vars(tuner)["chosen_by"] = chooser
+    return scenario.replace({"tuner": tuner})
+
+
 class _Recorder:
     def __init__(self, policy: Policy) -> None:
         self.centre, self.lowest, self.width = policy.centre, policy.lowest, policy.width
@@ -121,15 +125,16 @@ class _Recorder:
     def _tick(self, setups: np.ndarray, own: np.ndarray, *inputs: np.ndarray) -> None:
         density, error, torque, innovation, reference, state = inputs
         found = np.empty(len(FEATURES))
-        _features(setups, density, error, torque, innovation, reference, state.copy(), found)
+        hear(setups, density, error, torque, innovation, reference, state.copy(), found)
         self.rows.append(found)
         policy_tick(setups, own, *inputs)
 
 
 @njit
-def _features(
+def hear(
     setups: Any, density: Any, error: Any, torque: Any, innovation: Any, reference: Any, states: Any, out: Any
 ) -> None:
+    """`features` of records that are arrays (1,)."""
     features(record(setups), density, error, torque, innovation, reference, record(states), out)
 
 

@@ -24,7 +24,7 @@ def test_what_there_is_to_choose_from_is_listed(call):
 @pytest.mark.parametrize(
     ("key", "expected"),
     [
-        ("gravity", {"unit": "m/s^2", "default": 9.81, "allowed": "a number at least 0 and at most 1e+06"}),
+        ("gravity", {"unit": "m/s^2", "default": 9.81, "allowed": "a number at least 0 and at most 1,000,000"}),
         ("payload_mass", {"key": "plant.payload_mass", "unit": "kg", "default": 0.0}),
         ("tuner.kappa", {"of kind": "policy", "allowed": "a number at least -1 and at most 1"}),
     ],

@@ -2,11 +2,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from setups import setup_for
 from strategies import ROBOT, poses, vectors
 from ticks import GRAVITY, REST, standing, ticked
 
 from stewart_drake.control.base import Setpoint
-from stewart_drake.control.classical import ComputedTorqueOptions, PidOptions, computed_torque_part, pid_part
+from stewart_drake.control.classical import ComputedTorqueOptions, PidOptions
 from stewart_drake.errors import NotFiniteError, SingularPoseError, UnreachablePoseError
 from stewart_drake.mechanics.dynamics import forward_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
@@ -16,7 +17,7 @@ WEAK = ROBOT.replace(effort_limit=1.0)
 
 
 def pid(options, pose, rate=REST, wanted=HOME, wanted_rate=REST, integral=REST, robot=ROBOT):
-    part = pid_part(options, robot, GRAVITY)
+    (part,) = options.parts(setup_for(robot))
     return ticked(part, pose, rate, Setpoint(wanted, wanted_rate, REST), crank_integral=integral)
 
 
@@ -60,13 +61,14 @@ def test_back_calculation_gives_back_what_was_cut():
     ],
 )
 def test_measurements_that_cannot_be_end_the_run(pose, error):
-    for part in (pid_part(PidOptions(), ROBOT, GRAVITY), computed_torque_part(ComputedTorqueOptions(), ROBOT, GRAVITY)):
+    for options in (PidOptions(), ComputedTorqueOptions()):
+        (part,) = options.parts(setup_for())
         with pytest.raises(error):
             ticked(part, pose, REST, standing(HOME))
 
 
 def computed(pose, rate, setpoint, integral=REST, **options):
-    part = computed_torque_part(ComputedTorqueOptions(**options), ROBOT, GRAVITY)
+    (part,) = ComputedTorqueOptions(**options).parts(setup_for())
     return ticked(part, pose, rate, setpoint, integral=integral)
 
 

@@ -1,15 +1,16 @@
 import numpy as np
 import pytest
+from setups import setup_for
 
 from stewart_drake.hardware.faults import CommandFault
-from stewart_drake.hardware.motors import LinkOptions, link_part
+from stewart_drake.hardware.motors import LinkOptions
 
 STEPS = 4
 
 
 def arrivals(options, ticks=8, steps=STEPS):
     """Command in force and its age at every step; tick k sends k + 1 to all motors, and says so until the next."""
-    part = link_part(options, steps, np.zeros(6))
+    part = options.part(setup_for(period=0.001 * steps, time_step=0.001, still=np.zeros(6)))
     state, said = part.initial.copy(), []
     for step in range(ticks * steps):
         part.tick(np.full(6, step // steps + 1.0), np.array([0.001 * step]), state)
@@ -50,7 +51,8 @@ def test_chance_drops_its_share_by_the_seed_alone_and_by_the_tick():
     ],
 )
 def test_commands_are_spoilt_as_told_and_the_controllers_own_are_left_alone(fault, expected):
-    part, command, time = link_part(LinkOptions(faults=(fault,)), 1, np.zeros(6)), np.arange(6.0), np.array([0.1])
+    part = LinkOptions(faults=(fault,)).part(setup_for(period=0.001, time_step=0.001))
+    command, time = np.arange(6.0), np.array([0.1])
     state = part.initial.copy()
     for _ in range(8):
         part.tick(command, time, state)

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from setups import setup_for
 from strategies import ROBOT, poses
 
 from stewart_drake.errors import (
@@ -25,7 +26,7 @@ PLUS = RobotParameters(branch=1)
 
 def estimator(options=SMOOTH, start=HOME, rate=STILL, robot=ROBOT, period=PERIOD):
     """`tick(angles, state)`: the state after a tick; and the state before the first."""
-    part = difference_part(robot, options, period, start, rate)
+    part = difference_part(setup_for(robot, sensors=options, period=period, pose=start, pose_rate=rate))
 
     def tick(angles, state):
         after = state.copy()

@@ -1,6 +1,7 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from setups import setup_for
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake.hardware.faults import MotorFault
@@ -8,7 +9,6 @@ from stewart_drake.hardware.motors import (
     DeadMotor,
     FrictionCompensation,
     MotorOptions,
-    friction_part,
 )
 from stewart_drake.mechanics.kinematics import pose_jacobian
 
@@ -40,7 +40,7 @@ SIX = np.array([0.01, 0.02, 0.03, 0.04, 0.05, 0.06])
 
 def against_friction(pose, rate):
     options = FrictionCompensation(coulomb=tuple(SIX), break_away=0.1, stribeck_velocity=0.05, viscous=0.2)
-    part = friction_part(ROBOT, options)
+    part = options.part(setup_for())
     state = part.initial.copy()
     state["against_friction"] = np.nan
     part.tick(np.concatenate([pose, rate, np.zeros(6)]), state)

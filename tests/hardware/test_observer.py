@@ -4,6 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
+from setups import setup_for
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake.errors import RunFailure, SingularPoseError
@@ -12,7 +13,6 @@ from stewart_drake.hardware.observer import (
     ObserverOptions,
     bandwidth,
     kalman_gains,
-    observer_part,
 )
 from stewart_drake.mechanics.dynamics import forward_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
@@ -20,6 +20,7 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 GRAVITY, PERIOD, NOISE = 9.81, 0.001, 2.5e-5
 HOME, STILL = ROBOT.home_pose, np.zeros(6)
 OPTIONS = ObserverOptions(disturbance=20.0)
+ENCODERS = {"reading": 6, "friction": 0.0}
 EXPECTED = np.array([ObserverOptions().disturbance])
 AWAY = np.concatenate([HOME + 0.01, np.zeros(12)])
 
@@ -27,7 +28,8 @@ AWAY = np.concatenate([HOME + 0.01, np.zeros(12)])
 def begun(pose=HOME, rate=STILL, delay=0, torque=None, **more):
     """`tick(reading, sent, reference=AWAY, **changes)` of an observer that has had its first tick; its last state."""
     torque = static_torque(ROBOT, pose, GRAVITY) if torque is None else torque
-    part = observer_part(ROBOT, OPTIONS, GRAVITY, PERIOD, NOISE, pose, rate, torque, command_delay=delay, **more)
+    place = {"pose": pose, "pose_rate": rate, "still": torque}
+    (part,) = OPTIONS.parts(setup_for(noise=NOISE, delay=delay, **(ENCODERS | place | more)))
     state = part.initial.copy()
 
     def tick(reading, sent=torque, reference=AWAY, **changes):
@@ -71,7 +73,7 @@ def test_the_gains_are_those_of_the_riccati_equation(noise, disturbance, period)
 @given(poses(0.3), vectors(6, 0.2), st.integers(0, 4), st.sampled_from([6, 12]))
 def test_it_sees_where_the_robot_will_be_when_the_command_acts(pose, rate, delay, size):
     torque = static_torque(ROBOT, pose, GRAVITY) + 0.2
-    tick, _ = begun(pose, rate, delay, torque, size=size)
+    tick, _ = begun(pose, rate, delay, torque, reading=size)
     now = moved(pose, rate, torque, PERIOD)
     seen = tick(inverse_kinematics(ROBOT, now[0]) if size == 6 else np.concatenate(now))
     ahead = moved(pose, rate, torque, PERIOD * (1 + delay)) if delay else now

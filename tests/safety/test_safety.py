@@ -7,6 +7,7 @@ import pytest
 from conftest import field_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from setups import setup_for
 from strategies import ROBOT
 
 from stewart_drake.errors import ConfigurationError, SafetyStop, failure_code
@@ -50,7 +51,7 @@ def inputs(command=WEIGHT, pose=HOME, rate=STILL, reference=None, **rest):
 
 def run(sequence, options=OPTIONS, period=PERIOD, quantum=0.0):
     """What the layer says after each tick, and how it ended."""
-    part = safety_part(ROBOT, options, STANDARD_GRAVITY, period, WEIGHT, quantum)
+    part = safety_part(options, setup_for(period=period, still=WEIGHT, sensors=SimpleNamespace(quantum=quantum)))
     state, done = part.initial.copy(), []
     for one in sequence:
         angles = NOT_THERE["angles"] if one.angles is None else one.angles

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake import run
+from stewart_drake import Scenario, linearize, run
 from stewart_drake.control.lqi import lqi_gain
 from stewart_drake.control.riccati import INTEGRAL, POSITION, RATE
 from stewart_drake.errors import ConfigurationError
@@ -11,6 +11,7 @@ from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.planning.pose_box import NEAR, sample_poses
+from stewart_drake.plant.closed_chain import ClosedChain
 from stewart_drake.scenario import load_scenario
 from stewart_drake.stability.linear_loop import linear_loops, plant_at
 
@@ -118,3 +119,33 @@ def test_a_pose_that_cannot_be_held_is_left_out():
     weak = scenario(*IDEAL, "controller={kind: pid, ki: 0, feedforward: none, kp: 0.001, kd: 0.001}")
     with pytest.raises(ConfigurationError, match="stands still at some pose"):
         linear_loops(weak, POSE[None])
+
+
+FAST = load_scenario("exact_fig7").replace({"plant.engine": "reduced", "plant.time_step": 1e-4})
+
+
+def test_the_plant_moves_as_the_robot_does_under_a_small_torque():
+    near = linearize(FAST, POSE)
+    torque = 1e-3 * np.array([1.0, -0.5, 0.3, 0.7, -0.2, 0.4])
+    robot = ClosedChain(FAST.robot, FAST.plant, FAST.gravity)
+    state, x = robot.initial(POSE, np.zeros(6)), np.zeros(12)
+    for _ in range(20):
+        for _ in range(10):
+            robot.step(near.torque + torque, np.zeros(6), state)
+        x = near.plant.a @ x + near.plant.b @ torque
+    np.testing.assert_allclose(state["pose"][0] - POSE, x[:6], atol=0.01 * np.abs(x[:6]).max())
+    np.testing.assert_allclose(state["pose_rate"][0], x[6:], atol=0.01 * np.abs(x[6:]).max())
+
+
+def test_the_loop_is_stable_when_it_is_closed_and_python_control_agrees():
+    near = linearize(FAST, POSE)
+    closed = np.linalg.eigvals(near.loop.a + near.loop.b @ near.loop.c)
+    assert np.abs(closed).max() < 1.0
+    system = near.loop.to_control()
+    assert system.dt == FAST.controller.period
+    np.testing.assert_allclose(np.sort(np.abs(system.feedback(np.eye(6), sign=1).poles())), np.sort(np.abs(closed)))
+
+
+def test_what_is_no_pose_is_refused():
+    with pytest.raises(ConfigurationError, match="pose"):
+        linearize(Scenario(), [0.0, 0.0])

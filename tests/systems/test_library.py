@@ -11,38 +11,23 @@ from hypothesis import strategies as st
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake import systems
-from stewart_drake.control.classical import ComputedTorqueOptions, PidOptions
 from stewart_drake.control.lqi import LqiOptions
-from stewart_drake.hardware.motors import FrictionCompensation, LinkOptions, MotorOptions
-from stewart_drake.hardware.observer import ObserverOptions
-from stewart_drake.hardware.sensors import EncoderOptions
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import paper_reference
-from stewart_drake.safety import SafetyOptions
+from stewart_drake.scenario import Scenario
 from stewart_drake.systems.library import PlatformWrench
 
 GRAVITY, PERIOD = 9.81, 0.001
-HOME, ZERO = ROBOT.home_pose, np.zeros(6)
 PLANTS = {kind: build_plant(ROBOT, PlantOptions(rod_joint=kind))[1] for kind in ("universal", "ball")}
 PLANT = PLANTS["universal"]
 
-ENCODERS = EncoderOptions(resolution_bits=17, rate_cutoff=80.0, noise=1e-4, hold_ticks=2)
-
 EVERY = [
     systems.AnnTuner(make_network(), PERIOD),
-    systems.CommandLink(LinkOptions(), PERIOD, 1, ZERO),
-    systems.ComputedTorque(ROBOT, ComputedTorqueOptions(), GRAVITY),
     systems.DensityFeatures(4, PERIOD),
-    systems.FrictionFeedforward(ROBOT, FrictionCompensation(coulomb=0.01), PERIOD),
-    systems.JointPid(ROBOT, PidOptions(), GRAVITY),
     systems.LqiController(ROBOT, LqiOptions(solver="split", period=PERIOD), GRAVITY),
-    systems.MotorDrive(MotorOptions(ripple=0.01), PERIOD),
-    systems.MotorEncoders(ENCODERS, PERIOD),
-    systems.PlatformObserver(ROBOT, ObserverOptions(), GRAVITY, PERIOD, 2e-5, HOME, ZERO, ZERO, size=6),
-    systems.PoseEstimator(ROBOT, ENCODERS, PERIOD, HOME + 0.002),
-    systems.SafetyLayer(ROBOT, SafetyOptions(), GRAVITY, PERIOD, ZERO),
 ]
 PLAIN = [PlatformWrench(PLANT, ()), systems.ReferenceSource(paper_reference()), systems.TaskSpaceSensor(PLANT)]
 """Those without a part."""
@@ -67,6 +52,43 @@ def test_ports_are_those_of_the_docstring(system):
     for (way, name), port in ports.items():
         attribute = f"{name}_out" if way == "out" and ("in", name) in ports else name
         assert getattr(system, attribute).get_index() == port.get_index()
+
+
+SCENARIOS = {
+    systems.JointPid: {"controller": "pid"},
+    systems.ComputedTorque: {"controller": "computed_torque"},
+    systems.MotorEncoders: {"sensors": "encoders"},
+    systems.PoseEstimator: {"sensors": "encoders"},
+    systems.PlatformObserver: {"sensors": "encoders", "estimator": "observer"},
+    systems.FrictionFeedforward: {"friction_compensation": {"coulomb": 0.01}},
+    systems.CommandLink: {"link": {"drop_probability": 0.1}},
+    systems.MotorDrive: {"motors": {"ripple": 0.1}},
+    systems.SafetyLayer: {"safety": {}},
+}
+
+
+@pytest.mark.parametrize("kind", SCENARIOS, ids=lambda kind: kind.__name__)
+def test_a_part_of_a_scenario_has_the_ports_that_its_class_names(kind):
+    system = kind(Scenario(**SCENARIOS[kind]))
+    line = " ".join(inspect.getdoc(kind).split())
+    named = re.search(r"([a-z_, ]+) -> ([a-z_, ]+)", line)
+    inputs, outputs = (set(re.findall(r"\w+", names)) for names in named.groups())
+    assert (inputs, outputs) == (set(system.part.inputs) - {"time"}, set(system.part.outputs))
+
+
+def test_a_scenario_without_the_part_is_refused():
+    with pytest.raises(ConfigurationError, match=r"whose loop has the part observer.*; it has controller"):
+        systems.PlatformObserver(Scenario())
+
+
+def test_an_observer_wired_by_hand_knows_where_the_platform_is():
+    system = systems.PlatformObserver(Scenario(sensors="encoders", estimator="observer"))
+    context = system.CreateDefaultContext()
+    home = ROBOT.home_pose
+    system.reading.FixValue(context, inverse_kinematics(ROBOT, home))
+    system.sent.FixValue(context, np.zeros(6))
+    system.reference.FixValue(context, [*home, *np.zeros(12)])
+    np.testing.assert_allclose(system.measurement.Eval(context)[:6], home, atol=1e-4)
 
 
 @settings(max_examples=30)
