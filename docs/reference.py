@@ -83,7 +83,7 @@ def write_all() -> None:
     rmtree(OUT, ignore_errors=True)
     OUT.mkdir()
     rmtree(DOCS / "notebooks", ignore_errors=True)
-    copytree(ROOT / "notebooks", DOCS / "notebooks", ignore=ignore_patterns("runs", ".ipynb_checkpoints"))
+    copytree(ROOT / "notebooks", DOCS / "notebooks", ignore=ignore_patterns("runs", "*.gif", ".ipynb_checkpoints"))
     pages = {OUT / f"{name}.md": text for name, text in yaml_keys.pages()}
     pages[OUT / "commands.md"] = "\n".join(["# Commands\n", *command_lines(cli, None, "stewart-drake")])
     pages[OUT / "python.md"] = "\n".join(python_lines())

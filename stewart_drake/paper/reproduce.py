@@ -25,6 +25,7 @@ from stewart_drake.planning.pose_box import Region
 from stewart_drake.plotting import save_figure
 from stewart_drake.scenario import FixedTuner, PaperTuner, Scenario
 from stewart_drake.studies.runs import simulate
+from stewart_drake.studies.study import markdown
 from stewart_drake.studies.workers import Workers, run_all
 from stewart_drake.training.collect import OMEGAS
 
@@ -133,6 +134,16 @@ def differences(claims: Iterable[Claim], size: str) -> list[str]:
         if not abs(ours - expected) <= within:
             lines.append(f"{name}: expected {expected:g} within {within:g}, got {ours:g}")
     return lines
+
+
+def markdown_table(header: Iterable[object], lines: Iterable[Iterable[object]]) -> str:
+    """A table in Markdown of any values: numbers with four digits, a dash for nothing."""
+
+    def cell(value: object) -> str:
+        text = "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+        return text.replace("|", "\\|")
+
+    return "\n".join(markdown([cell(each) for each in header], ([cell(each) for each in line] for line in lines)))
 
 
 def pair_of(ratio: float) -> tuple[float, float]:

@@ -84,8 +84,11 @@ def chart(
 ) -> Figure:
     """Curves (x, y) by name in one panel; `decades` are the axes that are logarithmic; texts for y are named rows."""
     figure, ((panel,),) = panels(1, 1, height)
-    for name, (along, values) in curves.items():
-        panel.plot(along, values, style, label=name)
+    for number, (name, (along, values)) in enumerate(curves.items()):
+        # Colours come again after the last; dashes tell such curves apart.
+        (line,) = panel.plot(along, values, style, label=name)
+        if number >= len(COLORS) and line.get_linestyle() == "-":
+            line.set_linestyle("--")
     logarithmic(panel, decades)
     panel.set(title=title, xlabel=x, ylabel=y)
     panel.legend()

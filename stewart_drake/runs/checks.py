@@ -85,7 +85,7 @@ def _remedies(scenario: Scenario, limit: str) -> list[str]:
     limited = scenario.robot, scenario.limits
     jump = ["does it jump, or is one of its numbers in another unit?"] if limit in ("crank_speed", "torque") else []
     if user_parts(motion):
-        return jump
+        return ["make it smaller or slower", *jump]
 
     def feasible(speed: float) -> bool:
         slower = adjusted(motion, slowdown=1.0 / speed)
