@@ -1,4 +1,4 @@
-"""The policy from stiff to quiet against fixed settings: `make tuner_front`.
+"""The policy from stiff to quiet against settings that stay: `make tuner_front`.
 
 python docs/tuner_front.py runs/tuner-front [FILE]     # FILE: a policy [default: the shipped one]
 
@@ -40,11 +40,12 @@ LEAST = 1e-6
 """[mm], [N m] smaller ones count as this."""
 TEXT = """# From stiff to quiet: one policy, one number
 
-`make tuner_front`: the paper's robot in {kinds} kinds of situations, {seeds} of each, with seeds not used in
-training, on the reduced engine. `tuner.kappa` sets how much a change of torque counts against an error: in J the scale
-of torques is 0.03 N m times 10^-kappa. It is an input of the policy. The comparison has {settings} fixed settings:
-{drawn} drawn evenly from the box of the searches, and those that the searches found. Values are geometric means over
-the kinds. *best fixed* is the cheapest of these settings at that kappa in these very runs, which favours it.
+`make tuner_front`: the paper's robot in {kinds} kinds of situations, {seeds} of each, of seeds that nothing was trained
+on, on the reduced engine. `tuner.kappa` says how much a change of torque counts against an error: in J the scale of
+torques is 0.03 N m times 10^-kappa. The policy gets it as an input and serves all values. Against it {settings}
+settings that stay: {drawn} drawn evenly from the box of the searches, and those that the searches found. Geometric
+means over the kinds; *best fixed* is the setting among all of these that costs least at that kappa in these very runs,
+which flatters it.
 
 {table}
 
@@ -83,9 +84,9 @@ def _log_change(row):
 
 @look.styled
 def picture(cloud, policy, fixed):
-    """Error [mm] against change of torque [N m], (n, 2) each: fixed settings, the policy, the best of them."""
+    """Error [mm] against change of torque [N m], (n, 2) each: settings that stay, the policy, the best of them."""
     figure, ((panel,),) = look.panels(1, 1, 5.0)
-    panel.plot(cloud[:, 1], cloud[:, 0], ".", color=look.QUIET, markersize=6.0, label="fixed settings")
+    panel.plot(cloud[:, 1], cloud[:, 0], ".", color=look.QUIET, markersize=6.0, label="settings that stay")
     panel.plot(
         fixed[:, 1], fixed[:, 0], "D", color=look.ORANGE, markersize=6.0, label="the best of them at a smoothness"
     )

@@ -91,14 +91,14 @@ def frozen_row(name):
 
 TEXT = """# Whether a tuner of settings can make the loop unstable
 
-`make tuner_safety` writes this page. A setting is four powers of ten
+`make tuner_safety` writes this page. A setting is four decades
 ({names}), see `control/policy.py`. The box: {box};
 a setting moves by {step:g} % of it in a tick. Base: the default weights of `tuner: block` for each robot, and the
 observer's own disturbance of 16. Loops: those of [margins](margins.md), with observer, encoders, delay and the exact
-model in the LQI; no friction, no saturation, no rounding of readings.
+model in the LQI; no friction, no saturation, no counts.
 
-{poses} poses around home (seed 0) and {places} settings: the centre, all corners, the centres of all faces, and
-{random} more. *Radius*: the largest spectral radius. *Decay*: -ln(radius) per period, the slowest of all, and the
+{poses} poses of the near box (seed 0) and {places} settings: the centre, all corners, the centres of all faces, and
+{random} more. *Radius*: largest spectral radius of all. *Decay*: -ln(radius) per period, the slowest of all, and the
 median over poses at the centre of the box; the slowest mode is that of the integral. *Disk*: disk margin of all motors
 at once, {frequencies} frequencies, all settings at {few} poses and the three worst of them at all poses; least of all,
 and the median at the centre.
@@ -107,12 +107,12 @@ and the median at the centre.
 |---|---|---|---|---|---|---|---|---|
 {frozen}
 
-At revision eb925fb the box went down to a speed of -0.1: there 5 of the 41000 loops of Reachy Mini were unstable, all
-at one pose, with a radius of up to 1.00139.
+At eb925fb the box went down to a speed of -0.1: there 5 of the 41000 loops of Reachy Mini were unstable, all at one
+pose, with a radius of up to 1.00139.
 
-Changing settings were studied up to revision 1c46462 (docs/tuner_safety_study.py there): swings between opposite
-corners at the rate limit decayed at 3.73 1/s and more for the paper's robot with one tick of delay, at 0.55 1/s and
-more for Reachy Mini; with jumps instead, Reachy Mini's loop can grow.
+Settings that change have been studied up to 1c46462 (docs/tuner_safety_study.py there): swings between opposite corners
+at the rate limit decayed at 3.73 1/s and more for the paper's robot with one tick of delay, at 0.55 1/s and more for
+Reachy Mini; with jumps instead, Reachy Mini's loop can grow.
 
 ![Decay of frozen settings](../images/tuner_safety.png)
 
@@ -128,7 +128,7 @@ def picture(decays):
         ordered = np.sort(values.ravel())
         panel.plot(ordered, 100.0 * np.arange(1, len(ordered) + 1) / len(ordered), color=color, label=name)
     look.logarithmic(panel, "x")
-    title = "Fixed settings: how many decay more slowly"
+    title = "Settings that stay: how many decay more slowly"
     panel.set(title=title, xlabel="decay [1/s]", ylabel="of settings and poses [%]")
     panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18))
     save_figure(figure, HERE / "images" / "tuner_safety.png")

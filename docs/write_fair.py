@@ -22,24 +22,23 @@ POSES = 100
 
 TEXT = """# What the LQI itself adds
 
-Four controllers with the same observer (its disturbance is searched, too) and the same friction compensation. All are
-tuned by the same search, CMA-ES with {evaluations} evaluations each, for the same cost over the same {runs} runs:
+Four controllers with the same observer, whose level is searched for each, and the same torque against friction. All
+are tuned by the same search, CMA-ES with {evaluations} evaluations each, for the same cost over the same {runs} runs:
 J = sqrt((RMSE / 0.03 deg)^2 + (RMSE / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2), the plain
 mean of the runs. Runs, bounds, start and scales are in [fair.yaml](../../diagrams/comparisons/fair.yaml). The search
 runs on the reduced engine; the verdict is Drake's plant with other noise. {made}
 
 {answer}
 
-A few percent are not significant: with the settings of the first search, a change of the observer moved computed torque
-from 0.90 to 1.04 times the cost of the LQI. The two tie.
+A few percent decide nothing: with the settings of the first search a change of the observer took computed torque from
+0.90 to 1.04 times the cost of the LQI. The two tie.
 
-The tuned gains are less robust. Disk margin, all six motors at once, the least of {poses} poses around home
-(`stewart-drake margins`; 0.45 means 25 deg; not available for a user's own controller):
-{margins}.
-So none of these settings is a default.
+What that costs in robustness, which the cost sees but in the runs with a payload and a later tick: disk margin, all six
+motors at once, the least of {poses} poses of the near box (`stewart-drake margins`; 0.45 stands for 25 deg; of a user's
+own controller the linear loop is not known): {margins}. So none of these settings is a default.
 
 {settings}
-"tuned, as searched" is the same on the reduced engine; its difference from "tuned" is the effect of the engine.
+"tuned, as searched" is the reduced engine with the verdict's noise: against "tuned" it is what the engine makes of it.
 
 ![Cost over evaluations](fair_search.png)
 

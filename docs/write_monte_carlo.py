@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-TEXT = """# A thousand robots that differ from the controller's model
+TEXT = """# A thousand robots that are not what the controller believes
 
-`stewart-drake sweep monte_carlo` draws these values at random, see
+`stewart-drake sweep monte_carlo`; what is drawn, and from what, is in
 [monte_carlo.yaml](../../diagrams/sweeps/monte_carlo.yaml): masses and inertias within 20 %, payload up to 0.3 kg off
 centre, 0 to 0.08 N m of friction, encoder noise up to a count, 1 to 3 ticks of delay, a push of up to 5 N, and a motion
 of six sines of 0.1 to 1.5 Hz each. The controller is the exact-model LQI of `exact_breathing` with its observer. It
-assumes the nominal robot, 2 ticks of delay and 0.04 N m of friction. The runs are on the reduced engine
+believes in the nominal robot, 2 ticks of delay and 0.04 N m of friction. The runs are on the reduced engine
 (`plant.engine`). {judged} A row a run:
 [monte_carlo.parquet](monte_carlo.parquet). `make montecarlo` writes both.
 

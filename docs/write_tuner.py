@@ -13,13 +13,13 @@ from stewart_drake.training.situations import KINDS, ROBOTS
 DOCS = Path(__file__).parent
 TEXT = """# What a tuner is worth
 
-`make tuner_verdict` compares tuners on Drake's plant in random situations (`stewart_drake/training/situations.py`).
-There are {kinds} kinds; neither {untrained} of them nor any of the seeds were used in training or searches. The robots
-are the paper's at 1 kHz and Reachy Mini at 100 Hz. All tuners have the same observer with noisy encoders, at least a
-tick of delay, and the same feedforward. The cost is J = sqrt((RMS error / 0.03 deg)^2 +
-(RMS error / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2) of the second half of a run, or 1000
-if the run was not completed. An error larger than the motion is no failure here (`bounds.error_ratio: null`); it shows
-in J.
+`make tuner_verdict`, Drake's plant: candidates in situations drawn by kind, robot and seed
+(`stewart_drake/training/situations.py`): {kinds} kinds, of which {untrained} were never trained or searched on, with
+the paper's robot at 1 kHz and Reachy Mini at 100 Hz, and seeds that nobody had trained or searched on. All have the
+same observer on noisy encoders, a tick of delay and more, and the same feedforward. J = sqrt((RMS error / 0.03 deg)^2 +
+(RMS error / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2) of the second half of a run, and 1000
+for one that failed: that was not completed. An error larger than its motion is no failure here
+(`bounds.error_ratio: null`); J says how large it is.
 
 - *best fixed*: the setting of least mean log J over all kinds that are trained on, by CMA-ES with {evaluations}
   evaluations of {seeds} runs of each kind on the reduced engine (`make tuner_baselines`): {best}.
@@ -28,8 +28,8 @@ in J.
 - *schedule*: two settings, switched by the innovation; ten numbers found by the same search, {schedule} evaluations.
 - *best of the nine pairs*: the paper's omega_Q and omega_R, of 0.1, 1 and 10 each, the best for each robot ({pairs}),
   with the observer of the best fixed setting.
-- *the paper's tuner*: its network, with that observer.
-- *oracle of each kind*: a setting searched in the same way for each kind of each robot, also for untrained kinds.
+- *the paper's tuner*: its network as printed, with that observer.
+- *oracle of each kind*: a setting searched likewise for each kind of each robot, also for those that nobody else saw.
 
 {verdict}
 ![Cost by kind](../images/tuner_verdict.png)

@@ -150,16 +150,16 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
 @command("margins")
 @click.argument("scenario", default="exact_breathing", **opt.SCENARIO)
 @opt.out_folder("runs/margins")
-@click.option("--poses", type=click.IntRange(1, 100_000), default=1000, help="Drawn at random around home.")
+@click.option("--poses", type=click.IntRange(1, 100_000), default=1000, help="Drawn from the near box.")
 @opt.overrides("estimator.kind=observer")
 def margins(scenario: str, out: Path, poses: int, overrides: tuple[str, ...]) -> None:
     """SCENARIO is a file or a shipped name [default: exact_breathing].
 
-    The loop has sensors, estimator, controller and delay; it is linearised at rest and opened at the six motor
-    torques. Gain, phase, delay and disk margins, one motor at a time and all at once. The poses are random: up to
-    30 deg about each axis, 60 mm in X and Y and 50 mm in Z from home, shifts scaled to the robot, within the
-    scenario's limits. Friction, saturation and rounding are left out, and weights are those of the start.
-    Writes margins.json and margins.png.
+    At poses at rest the loop, with sensors, estimator, controller and delay, is broken at the six motors' torques:
+    gain, phase, delay and disk margins, one motor at a time and all at once. The poses are drawn from the near box: up
+    to 30 deg about each axis, 60 mm in X and Y and 50 mm in Z about home, shifts by the robot's size, within the
+    scenario's limits. Friction, saturation and counts of encoders are not linear, and left out; weights stay as at the
+    start. Writes margins.json and margins.png.
     """
     from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 

@@ -172,7 +172,7 @@ def show(file: Path | None) -> None:
 @click.option("--seeds", type=click.IntRange(2), default=14, help="Of each kind of each robot.")
 @study_options
 def judge(file: Path | None, seeds: int, **options: Any) -> None:
-    """A policy, fixed settings and other tuners in situations that none was trained on, on Drake's plant.
+    """Settings that stay and other tuners, in situations that none of them has seen, on Drake's plant.
 
     FILE is a policy's weights file [default: the shipped one]. Writes verdict.md, .parquet, .csv and .png.
     """

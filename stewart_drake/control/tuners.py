@@ -85,9 +85,9 @@ class PairTuner(Tuner):
 
     kind: str
     omega_q: Positive = 1.0
-    """Weight of the errors, omega_Q of (27); for a network, its value until the first output."""
+    """omega_Q of (27); for a network, its value before the first inference."""
     omega_r: Positive = 1.0
-    """Weight of the torques, omega_R of (27); for a network, its value until the first output."""
+    """omega_R of (27); for a network, its value before the first inference."""
 
     @property
     def weights(self) -> tuple[float, ...]:
@@ -95,7 +95,7 @@ class PairTuner(Tuner):
 
 
 class FixedTuner(PairTuner):
-    """Fixed weights; densities are logged as well."""
+    """Weights that stay as given; densities are logged all the same."""
 
     kind: Literal["fixed"] = "fixed"
 
@@ -111,7 +111,7 @@ class BlockWeights(Tuner):
     q_pose: Annotated[Positive, POSE_WEIGHT] = 4.0e5
     """Weight of the pose's error."""
     q_rate: Annotated[Positive, RATE_WEIGHT] = 30.0
-    """Weight of its rate (derivative)."""
+    """Weight of its rate."""
     q_integral: Annotated[Positive, INTEGRAL_WEIGHT] = 4.0e7
     """Weight of its integral."""
     r: Positive = 1.0
@@ -123,7 +123,7 @@ class BlockWeights(Tuner):
 
 
 class BlockTuner(BlockWeights):
-    """Fixed block weights; see `controller.weight_length`."""
+    """Block weights that stay as given; see `controller.weight_length`."""
 
     kind: Literal["block"] = "block"
 
@@ -134,7 +134,7 @@ class PaperTuner(PairTuner):
     label: ClassVar[str] = "Output of the ANN"
     kind: Literal["paper"] = "paper"
     weights_file: Text | None = None
-    """Path of a trained network, relative to the scenario file; null: the one of the package."""
+    """Path of a trained network, relative to the scenario file; null takes the one of the package."""
 
     def network(self) -> TunerNetwork:
         """The network that it asks; refused where this kind of density, or the first weights, are new to it."""
@@ -192,7 +192,7 @@ class PolicyTuner(SettingTuner):
     kappa: Annotated[Real, Field(ge=-1.0, le=1.0)] = 0.0
     """From stiff, -1, to quiet, 1: a change of torque counts 10^kappa times as much against an error."""
     weights_file: Text | None = None
-    """Path of a trained policy, relative to the scenario file; null: the one of the package."""
+    """Path of a trained policy, relative to the scenario file; null takes the one of the package."""
 
     def chooser(self) -> Policy:
         return load_policy(self.weights_file)
@@ -205,18 +205,18 @@ FourNumbers = tuple[Decades, Decades, Decades, Decades]
 
 
 class ScheduleTuner(SettingTuner):
-    """Two settings: one while innovations are small, the other while they are large and for a while after."""
+    """Two settings: one while readings are as expected, one when they are not and for a while after."""
 
     label: ClassVar[str] = "Weights of the schedule"
     kind: Literal["schedule"] = "schedule"
     calm: FourNumbers = (0.0, 0.0, 0.0, 0.0)
-    """Setting while innovations are small: powers of ten of speed, damping, integral and disturbance."""
+    """Decades of speed, damping, integral and disturbance, see `control.policy`."""
     alert: FourNumbers = (0.0, 0.0, 0.0, 0.0)
-    """Setting while innovations are large."""
+    """Likewise."""
     threshold: Positive = 2.0
-    """[-] RMS of the innovations over 10 ms, divided by the noise of a reading, above which `alert` is used."""
+    """[-] RMS of the innovations of some 10 ms over the noise of a reading, above which the second one holds."""
     hold: NotNegative = 0.1
-    """[s] that `alert` is kept afterwards."""
+    """[s] that it stays afterwards."""
 
     law: ClassVar[Callable[..., None]] = staticmethod(schedule_tick)
 
