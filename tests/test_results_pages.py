@@ -244,7 +244,7 @@ def test_summary(page):
         roll, height = figures["rmse_deg"][0], figures["rmse_mm"][2]
         assert_says(page.after(f"| yes | {words}", 2), roll, height)
     error = run_metrics(run(load_scenario("reachy_nod")))["rmse_norm_deg"]
-    assert_says(page.after("at 1 Hz with an error of"), error)
+    assert_says(page.cell("policy", column="nod by 15 deg at 1 Hz (`reachy_nod`)"), error)
 
 
 def test_every_page_has_a_test_and_says_so():
