@@ -100,17 +100,14 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(content)
 
     def _stream(self) -> None:
-        self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", "text/event-stream")
-        self.send_header("Cache-Control", "no-store")
-        self.end_headers()
         rows = self.session.listen()
-        try:
+        # The page may be closed at any time.
+        with suppress(OSError):
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", "text/event-stream")
+            self.send_header("Cache-Control", "no-store")
+            self.end_headers()
             while True:
                 self.wfile.write(f"data: {json.dumps(rows.get())}\n\n".encode())
                 self.wfile.flush()
-        except OSError:
-            # The page was closed.
-            pass
-        finally:
-            self.session.leave(rows)
+        self.session.leave(rows)
