@@ -42,7 +42,8 @@ def in_unit(value: Any, key: str, units: str, place: tuple[int, int] = (0, 1)) -
     if (of, base) == ("Hz", "rad/s"):
         of, factor = base, math.tau * factor
     if of != base or not factor:
-        fitting = [name for name, (each, _) in UNITS.items() if each == base]
+        bases = ("rad/s", "Hz") if base == "rad/s" else (base,)
+        fitting = [name for name, (each, _) in UNITS.items() if each in bases]
         allowed = f"a number [{unit}]" + (f", or one with {', '.join(fitting)} behind it" if fitting else "")
         raise ConfigurationError(key, value, allowed + _reciprocal(match[1], match[2], base))
     return float(match[1]) * factor / size

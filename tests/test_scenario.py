@@ -143,7 +143,11 @@ def test_an_override_sets_one_key(text, key, value):
         ),
         ("duration=-1", "duration", "a positive number [s]"),
         ("duration=3 kg", "duration", "a number [s], or one with s, ms, us, min behind it, got '3 kg'"),
-        ("reference.angular_frequency=5 s", "reference.angular_frequency", "a period of 5 s is 0.2 Hz), got '5 s'"),
+        (
+            "reference.angular_frequency=5 s",
+            "reference.angular_frequency",
+            "rpm, Hz, kHz behind it (a period of 5 s is 0.2 Hz), got '5 s'",
+        ),
         ("duration=5 Hz", "duration", "5 Hz is a period of 0.2 s), got '5 Hz'"),
         ("controller.period=5", "controller.period", "at most 1, got 5; did you mean 5 ms"),
     ],

@@ -31,15 +31,16 @@ def main() -> None:
             cli(arguments, prog_name="stewart-drake", standalone_mode=False)
         sys.stdout.flush()
         status = 0
-    except BrokenPipeError:
-        # Nobody reads any more, as with `| head`.
-        drop_output()
-        status = 0
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.ctx.get_help() if error.ctx else "")
         status = 0
-    except SystemExit as error:
-        status = error.code if isinstance(error.code, int) else _end(error)
+    except (SystemExit, BrokenPipeError) as error:
+        # click and rich make a SystemExit of it where nobody reads any more, as with `| head`.
+        if isinstance(error, BrokenPipeError) or isinstance(error.__context__, BrokenPipeError):
+            drop_output()
+            status = 0
+        else:
+            status = error.code if isinstance(error.code, int) else _end(error)
     except (Exception, KeyboardInterrupt) as error:
         status = _end(error)
     sys.exit(status)

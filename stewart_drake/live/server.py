@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 from collections.abc import Mapping
-from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
@@ -27,7 +27,6 @@ class LiveServer:
     def __init__(self, session: LiveSession, about: Mapping[str, Any]) -> None:
         handler = type("Handler", (_Handler,), {"session": session, "about": about})
         self._server = _first_free(handler)
-        self._server.daemon_threads = True
         self.url = f"http://localhost:{self._server.server_port}/"
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
@@ -37,10 +36,19 @@ class LiveServer:
         self._server.server_close()
 
 
-def _first_free(handler: type[BaseHTTPRequestHandler]) -> ThreadingHTTPServer:
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Nothing where the page was closed while it asked."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
+
+def _first_free(handler: type[BaseHTTPRequestHandler]) -> _Server:
     for port in PORTS:
         try:
-            return ThreadingHTTPServer(("127.0.0.1", port), handler)
+            return _Server(("127.0.0.1", port), handler)
         except OSError:
             continue
     raise StewartDrakeError(f"no port from {PORTS[0]} to {PORTS[-1]} is free: close another live session")
@@ -91,13 +99,11 @@ class _Handler(BaseHTTPRequestHandler):
         """Nothing."""
 
     def _answer(self, content: bytes, kind: str) -> None:
-        # The page may have been closed meanwhile.
-        with suppress(ConnectionError):
-            self.send_response(HTTPStatus.OK)
-            self.send_header("Content-Type", kind)
-            self.send_header("Content-Length", str(len(content)))
-            self.end_headers()
-            self.wfile.write(content)
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
 
     def _stream(self) -> None:
         self.send_response(HTTPStatus.OK)
@@ -109,8 +115,5 @@ class _Handler(BaseHTTPRequestHandler):
             while True:
                 self.wfile.write(f"data: {json.dumps(rows.get())}\n\n".encode())
                 self.wfile.flush()
-        except OSError:
-            # The page was closed.
-            pass
         finally:
             self.session.leave(rows)

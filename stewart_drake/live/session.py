@@ -43,9 +43,7 @@ class LiveSession:
         self._do = {
             "aim": self._aim,
             "move": lambda told: self.loop.move(bool(told["on"])),
-            "push": lambda told: self.loop.push(
-                np.array(told["wrench"], dtype=float).reshape(6), float(told["duration"])
-            ),
+            "push": lambda told: self.loop.push(_six(told["wrench"]), float(told["duration"])),
             "change": self._change,
             "controller": self._choose,
             "pause": self._pause,
@@ -96,11 +94,11 @@ class LiveSession:
             self._do[command["do"]](command)
         except StewartDrakeError as error:
             self.message = " ".join(str(error).split())
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             self.message = f"not understood: {error}"
 
     def _aim(self, told: Mapping[str, Any]) -> None:
-        reached = self.loop.aim(np.array(told["pose"], dtype=float).reshape(6))
+        reached = self.loop.aim(_six(told["pose"]))
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
@@ -144,3 +142,10 @@ class LiveSession:
             "ended": loop.ended,
             "message": self.message,
         }
+
+
+def _six(values: Any) -> np.ndarray:
+    six = np.array(values, dtype=float).reshape(6)
+    if not np.isfinite(six).all():
+        raise ValueError(f"{six} is not finite")
+    return six

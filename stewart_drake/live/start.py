@@ -38,9 +38,10 @@ def start_live(scenario: Scenario) -> tuple[LiveSession, LiveServer]:
         "meshcat": view.meshcat.web_url(),
         "home": session.loop.reference.home.tolist(),
         "room": _room(scenario, session.loop.reference.home).tolist(),
-        "payload": float(f"{0.5 * robot.platform_mass:.1g}"),
+        "payload": scenario.plant.payload_mass,
+        "payload_most": max(float(f"{0.5 * robot.platform_mass:.1g}"), scenario.plant.payload_mass),
         "encoders": scenario.sensors.reading_size == 6,
-        "kappa": hasattr(scenario.tuner, "kappa"),
+        "kappa": getattr(scenario.tuner, "kappa", None),
         "setting": session.loop.logged("setting") is not None,
         "controllers": list(CONTROLLERS),
     }

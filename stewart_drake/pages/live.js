@@ -83,11 +83,12 @@ async function begin() {
     at("pushes").append(button);
   }
   const change = (keys) => tell({ do: "change", keys });
-  at("payload").max = about.payload;
-  at("payload").step = about.payload / 20;
-  at("payload").addEventListener("input", (event) => {
-    at("payload-text").textContent = `${Number(event.target.value).toPrecision(2)} kg`;
-  });
+  at("payload").max = about.payload_most;
+  at("payload").step = about.payload_most / 20;
+  const writePayload = () => { at("payload-text").textContent = `${Number(at("payload").value).toPrecision(2)} kg`; };
+  at("payload").value = about.payload;
+  writePayload();
+  at("payload").addEventListener("input", writePayload);
   at("payload").addEventListener("change", (event) => change({ "plant.payload_mass": Number(event.target.value) }));
   const legs = [["", "none"], ...[0, 1, 2, 3, 4, 5].map((leg) => [leg, `leg ${leg}`])];
   options(at("dead"), legs);
@@ -98,8 +99,14 @@ async function begin() {
     change({ "sensors.faults": event.target.value === "" ? [] : [{ kind: "freeze", leg: Number(event.target.value) }] }));
   at("frozen-label").hidden = !about.encoders;
   options(at("controller"), about.controllers.map((name) => [name, name]));
-  at("controller").addEventListener("change", (event) => tell({ do: "controller", name: event.target.value }));
-  at("kappa").addEventListener("input", (event) => { at("kappa-text").textContent = Number(event.target.value).toFixed(1); });
+  const writeKappa = () => { at("kappa-text").textContent = Number(at("kappa").value).toFixed(1); };
+  const ownKappa = () => { at("kappa").value = about.kappa; writeKappa(); };
+  ownKappa();
+  at("controller").addEventListener("change", (event) => {
+    tell({ do: "controller", name: event.target.value });
+    ownKappa();
+  });
+  at("kappa").addEventListener("input", writeKappa);
   at("kappa").addEventListener("change", (event) => change({ "tuner.kappa": Number(event.target.value) }));
   at("pause").addEventListener("click", () => tell({ do: "pause", on: !(last && last.paused) }));
   at("reset").addEventListener("click", () => location.reload(tell({ do: "reset" })));
@@ -124,7 +131,7 @@ async function begin() {
     traces.angle.add(last.time, [last.rotation_deg]);
     traces.torque.add(last.time, last.torque);
     // Not every controller has a tuner.
-    at("kappa-label").hidden = !(about.kappa && last.setting);
+    at("kappa-label").hidden = about.kappa === null || !last.setting;
     if (traces.setting) traces.setting.box.hidden = !last.setting;
     if (traces.setting && last.setting) traces.setting.add(last.time, last.setting.slice(0, 4));
     stale = true;

@@ -15,6 +15,7 @@ from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
 
 SEARCH_RTOL = 1e-4  # Relative width at which the searches for the largest amplitude and scale stop.
+SAMPLES_PER_SECOND = 500.0
 _HALF_PERIOD_SAMPLES = 257
 _SCALE_STEPS = 16
 _WHOLE_TURN = 1e-3  # [rad] within which an angle counts as a number of whole turns.
@@ -124,7 +125,7 @@ def check_reference(
     reference: Reference,
     duration: float,
     gravity: float = STANDARD_GRAVITY,
-    samples_per_second: float = 500.0,
+    samples_per_second: float = SAMPLES_PER_SECOND,
 ) -> FeasibilityReport:
     """`check_motion` of a reference from 0 to a duration [s] > 0, both ends included; gravity in [m/s^2].
 
@@ -133,8 +134,13 @@ def check_reference(
     for name, value in (("duration", duration), ("samples_per_second", samples_per_second)):
         if not 0.0 < value < math.inf:
             raise ConfigurationError(name, value, "a finite number above 0")
-    time = np.linspace(0.0, duration, math.ceil(duration * samples_per_second) + 1)
+    time = checked_times(duration, samples_per_second)
     return check_motion(robot, limits, time, *reference.evaluate(time), gravity)
+
+
+def checked_times(duration: float, samples_per_second: float = SAMPLES_PER_SECOND) -> np.ndarray:
+    """(n,) [s] from 0 to a duration, both ends included, at least so many a second."""
+    return np.linspace(0.0, duration, math.ceil(duration * samples_per_second) + 1)
 
 
 def largest_amplitude(robot: RobotParameters, limits: Limits, axis: int, frequency_hz: float, gravity: float) -> float:
@@ -176,18 +182,20 @@ def largest_scale(
     make_reference: Callable[[float], Reference],
     duration: float,
     gravity: float,
-    samples_per_second: float = 500.0,
 ) -> float:
     """Largest scale in [0, 1] for which it, and each smaller one of 16 steps, is feasible; to 1e-4."""
+    return largest_share(
+        lambda scale: check_reference(robot, limits, make_reference(scale), duration, gravity).feasible
+    )
 
-    def feasible(scale: float) -> bool:
-        return check_reference(robot, limits, make_reference(scale), duration, gravity, samples_per_second).feasible
 
-    scales = np.linspace(0.0, 1.0, _SCALE_STEPS + 1).tolist()
-    first = next((at for at, scale in enumerate(scales) if not feasible(scale)), None)
+def largest_share(feasible: Callable[[float], bool]) -> float:
+    """Largest share in [0, 1] that is feasible, as is each smaller one of 16 steps; to 1e-4."""
+    shares = np.linspace(0.0, 1.0, _SCALE_STEPS + 1).tolist()
+    first = next((at for at, share in enumerate(shares) if not feasible(share)), None)
     if first is None:
         return 1.0
-    return bisect(feasible, scales[first - 1], scales[first]) if first else 0.0
+    return bisect(feasible, shares[first - 1], shares[first]) if first else 0.0
 
 
 def bisect(feasible: Callable[[float], bool], low: float, high: float) -> float:

@@ -26,6 +26,7 @@ _LARGEST = {"rad": math.tau, "m": 2.0}
 """Of what a motion is made; more was perhaps meant in degrees or millimetres."""
 _NUDGES = 100
 _SLOWEST = 1e-3  # [-] of its speed at which a motion is tried
+_FEW = 500  # Samples of a motion, beside its worst ones, that a hint looks at
 _PASSED: set[Any] = set()  # Motions that have passed: a search runs the same one a thousand times.
 
 
@@ -47,12 +48,12 @@ def check_scenario(scenario: Scenario) -> None:
     # A user's code is asked again.
     known = not user_parts(scenario)
     if not (known and subject in _PASSED):
+        report = motion_report(scenario)
         try:
-            motion_report(scenario).raise_if_infeasible()
+            report.raise_if_infeasible()
         except InfeasibleReferenceError as error:
-            hints = (
-                unit_hints(scenario.reference, _LARGEST) or _length_hint(scenario) or _remedies(scenario, error.limit)
-            )
+            hints = unit_hints(scenario.reference, _LARGEST) or _length_hint(scenario)
+            hints = hints or _remedies(scenario, report, error.limit)
             error.allowed = "; ".join([error.allowed, *hints])
             raise
         _check_rates(scenario)
@@ -79,31 +80,31 @@ def _length_hint(scenario: Scenario) -> list[str]:
     return [f"the motion goes to {farthest:.4g} m: are its lengths in mm?"] if farthest > _LARGEST["m"] else []
 
 
-def _remedies(scenario: Scenario, limit: str) -> list[str]:
-    """How much smaller, and how much slower, the motion can be done, from few samples."""
-    motion, gravity, rate = scenario.reference, scenario.gravity, 50.0
-    limited = scenario.robot, scenario.limits
-    jump = ["does it jump, or is one of its numbers in another unit?"] if limit in ("crank_speed", "torque") else []
-    if user_parts(motion):
-        return ["make it smaller or slower", *jump]
+def _remedies(scenario: Scenario, report: feasibility.FeasibilityReport, limit: str) -> list[str]:
+    """How much smaller, and how much slower, the motion can be done, from few samples and its worst ones."""
+    motion, duration = scenario.reference, scenario.duration
+    every = feasibility.checked_times(duration)
+    worst = [margin.time for margin in report.smallest.values()]
+    times = np.union1d(every[:: math.ceil(len(every) / _FEW)], worst)
 
-    def feasible(speed: float) -> bool:
-        slower = adjusted(motion, slowdown=1.0 / speed)
-        return feasibility.check_reference(*limited, slower, scenario.duration / speed, gravity, rate * speed).feasible
+    def feasible(scale: float, speed: float) -> bool:
+        at, changed = times / speed, adjusted(motion, scale, 1.0 / speed)
+        signals = changed.evaluate(at)
+        return feasibility.check_motion(scenario.robot, scenario.limits, at, *signals, scenario.gravity).feasible
 
-    def smaller(scale: float) -> Reference:
-        return adjusted(motion, scale=scale)
-
-    with np.errstate(all="ignore"):
-        scale = feasibility.largest_scale(*limited, smaller, scenario.duration, gravity, rate)
-        speed = feasibility.bisect(feasible, _SLOWEST, 1.0)
+    with user_code(scenario), np.errstate(all="ignore"):
+        scale = feasibility.largest_share(lambda share: feasible(share, 1.0))
+        speed = feasibility.bisect(lambda share: feasible(1.0, share), _SLOWEST, 1.0)
+    # `check` runs no user's code.
+    smaller, slower = ("", "") if user_parts(motion) else (" (`stewart-drake check --scale`)", " (`check --retime`)")
     ways = []
     if scale > 0.0:
-        ways.append(f"about {100.0 * scale:.2g} % of its size (`stewart-drake check --scale`)")
+        ways.append(f"about {min(100.0 * scale, 99.0):.2g} % of its size{smaller}")
     if speed > _SLOWEST:
-        ways.append(f"about {1.0 / speed:.3g} times slower (`check --retime`)")
+        ways.append(f"about {max(1.0 / speed, 1.01):.3g} times slower{slower}")
     possible = f"it can be done at {', or '.join(ways)}" if ways else "smaller or slower it cannot be done either"
-    return [possible, *(jump if speed < 0.05 else [])]
+    jump = limit in ("crank_speed", "torque") and speed < 0.05
+    return [possible, *(["does it jump, or is one of its numbers in another unit?"] if jump else [])]
 
 
 def _check_rates(scenario: Scenario) -> None:

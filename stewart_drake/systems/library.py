@@ -26,7 +26,7 @@ from stewart_drake.plant.multibody_plant import StewartPlant
 from stewart_drake.references import Reference, in_blocks
 from stewart_drake.robot import RobotParameters
 from stewart_drake.sampling import on_grid
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario import Scenario, require_scenario
 
 _AHEAD = 1.0 + 4e-10
 """A tick's instant begins a little early: decimal times, at which others may ask, come before the stretched ones."""
@@ -183,16 +183,20 @@ class ScenarioSystem(PartSystem):
     """The part of that name in the loop of a scenario; its ports are the part's.
 
     Raises:
-        ConfigurationError: The loop has no such part.
+        ConfigurationError: The loop has no such part, or another controller.
     """
 
     name: ClassVar[str]
+    controller: ClassVar[str]
 
-    def __init_subclass__(cls, part: str) -> None:
+    def __init_subclass__(cls, part: str, controller: str = "") -> None:
         super().__init_subclass__()
-        cls.name = part
+        cls.name, cls.controller = part, controller
 
     def __init__(self, scenario: Scenario) -> None:
+        require_scenario(scenario)
+        if self.controller and scenario.controller.kind != self.controller:
+            raise ConfigurationError("controller.kind", scenario.controller.kind, self.controller)
         parts = {part.name: part for part in loop_of(scenario).parts}
         if self.name not in parts:
             allowed = f"a scenario whose loop has the part {self.name}; it has {', '.join(parts)}"
@@ -201,11 +205,11 @@ class ScenarioSystem(PartSystem):
         super().__init__(part, scenario.plant.time_step if part.every_step else scenario.controller.period)
 
 
-class JointPid(ScenarioSystem, part="controller"):
+class JointPid(ScenarioSystem, part="controller", controller="pid"):
     """`controller: pid`; measurement, reference -> torque, error, integral."""
 
 
-class ComputedTorque(ScenarioSystem, part="controller"):
+class ComputedTorque(ScenarioSystem, part="controller", controller="computed_torque"):
     """`controller: computed_torque`; measurement, reference -> torque, error, integral."""
 
 

@@ -1,6 +1,9 @@
 """The commands `list`, `explain`, `init`, `doctor` and `completion`."""
 
 import json
+import os
+import subprocess
+import sys
 
 import pytest
 
@@ -68,3 +71,14 @@ def test_a_shell_completes_commands_and_names(call, monkeypatch):
         monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
         monkeypatch.setenv("_STEWART_DRAKE_COMPLETE", "bash_complete")
         assert call()[1].split() == [f"plain,{completed}"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", ["gravity", "reference.parts.amplitude"])
+def test_where_nobody_reads_any_more_a_command_ends_well(key):
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "stewart_drake", "explain", key]
+    ended = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, check=False)
+    os.close(writer)
+    assert (ended.returncode, ended.stderr) == (0, b"")

@@ -85,7 +85,13 @@ def test_every_controller_of_the_panel_takes_over_without_a_jump(name):
 
 @pytest.mark.parametrize(
     "command",
-    [{"do": "change", "keys": {"controller": {"kind": "mine.py:Mine"}}}, {"do": "aim", "pose": [1.0]}, {"do": "dance"}],
+    [
+        {"do": "change", "keys": {"controller": {"kind": "mine.py:Mine"}}},
+        {"do": "aim", "pose": [1.0]},
+        {"do": "aim", "pose": [np.nan] * 6},
+        {"do": "push", "wrench": [0.0] * 6, "duration": np.inf},
+        {"do": "dance"},
+    ],
 )
 def test_what_the_panel_does_not_say_changes_nothing(command):
     session = LiveSession(load_scenario("exact_fig7").replace(STILL), lambda _: None)

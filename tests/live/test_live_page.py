@@ -91,10 +91,12 @@ def test_a_push_shows_in_the_trace_and_a_dead_motor_in_the_torque(page):
 
 
 def test_smoothness_is_there_where_the_controller_has_a_tuner(browser):
-    session = Live("exact_breathing", "--set", "plant.engine=reduced")
+    own = ["plant.engine=reduced", "plant.payload_mass=0.2", "tuner={kind: policy, kappa: 0.5}"]
+    session = Live("exact_breathing", *(word for each in own for word in ("--set", each)))
     page = browser.new_page()
     page.goto(session.url)
     wait(page, "last && !document.getElementById('kappa-label').hidden", 60_000)
+    assert [page.inner_text(f"#{name}-text") for name in ("payload", "kappa")] == ["0.20 kg", "0.5"]
     page.select_option("#controller", "PID of each motor")
     wait(page, "document.getElementById('kappa-label').hidden && traces.setting.box.hidden")
     page.close()

@@ -1,9 +1,10 @@
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.planning.limits import Limits
 from stewart_drake.references import AdjustedReference, HeartbeatReference, MinimumJerkReference, SineReference
@@ -55,6 +56,19 @@ def test_the_speed_found_is_feasible_and_one_per_cent_more_is_not(robot, referen
 def test_a_motion_bound_by_crank_speed_is_slowed_by_the_ratio_of_the_speeds():
     fastest = 10.0 - check_reference(ROBOT, LIMITS, FAST, 1.0, GRAVITY).smallest["crank_speed"].margin
     assert fit_speed(ROBOT, LIMITS, FAST, 1.0, GRAVITY)[1] == pytest.approx(fastest / 10.0, rel=5e-4)
+
+
+BRIEF = MinimumJerkReference(poses=((0.0, 0.0, 0.0, 0.0, 0.0, 0.3), (0.0, 0.0, 0.0, 0.0, 0.0, 0.38)), durations=(0.02,))
+
+
+@pytest.mark.parametrize("reference", [BRIEF, lambda time: BRIEF.evaluate(time)[0]], ids=["shipped", "own"])
+def test_a_refusal_says_how_much_smaller_or_slower_a_brief_motion_can_be(reference):
+    with pytest.raises(InfeasibleReferenceError, match="can be done at about") as caught:
+        check_scenario(Scenario(reference=reference, duration=20.0))
+    size, slowdown = map(float, re.search(r"([\d.]+) % .* ([\d.]+) times slower", str(caught.value)).groups())
+    for more, expected in ((0.9, True), (1.1, False)):
+        assert feasible(ROBOT, adjusted(BRIEF, scale=0.01 * size * more), 1.0) is expected
+        assert feasible(ROBOT, adjusted(BRIEF, slowdown=slowdown / more), 1.0) is expected
 
 
 class Slow:
