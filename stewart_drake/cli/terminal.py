@@ -129,10 +129,10 @@ def print_table(
     Columns `numbers` stand right and never fold, None for all but the first. With `--json` it is `data`, or where that
     is None the rows by their header.
     """
-    if _asked(QUIET):
+    tables = _asked(AS_JSON)
+    if _asked(QUIET) and tables is None:
         return
     rows = [[str(cell) for cell in row] for row in rows]
-    tables = _asked(AS_JSON)
     if tables is not None:
         plain = [[_plain(cell) for cell in row] for row in rows]
         if data is None and any(header):

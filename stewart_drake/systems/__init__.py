@@ -1,7 +1,9 @@
 """The LeafSystems of the loop: parts in one shell, and what connects them."""
 
 from stewart_drake.systems.library import AnnTuner as AnnTuner
+from stewart_drake.systems.library import CommandDelay as CommandDelay
 from stewart_drake.systems.library import CommandLink as CommandLink
+from stewart_drake.systems.library import CommandSum as CommandSum
 from stewart_drake.systems.library import ComputedTorque as ComputedTorque
 from stewart_drake.systems.library import DensityFeatures as DensityFeatures
 from stewart_drake.systems.library import FrictionFeedforward as FrictionFeedforward
@@ -14,4 +16,5 @@ from stewart_drake.systems.library import PlatformObserver as PlatformObserver
 from stewart_drake.systems.library import PoseEstimator as PoseEstimator
 from stewart_drake.systems.library import ReferenceSource as ReferenceSource
 from stewart_drake.systems.library import SafetyLayer as SafetyLayer
+from stewart_drake.systems.library import SentCommand as SentCommand
 from stewart_drake.systems.library import TaskSpaceSensor as TaskSpaceSensor

@@ -229,6 +229,18 @@ class FrictionFeedforward(ScenarioSystem, part="friction_compensation"):
     """`friction_compensation`, torque against the motors' friction; reference -> against_friction."""
 
 
+class CommandSum(ScenarioSystem, part="command"):
+    """The torque asked for; control_torque, compensation, against_friction -> torque."""
+
+
+class SentCommand(ScenarioSystem, part="sent"):
+    """What an observer takes for the last command; torque, against_friction -> sent."""
+
+
+class CommandDelay(ScenarioSystem, part="command_delay"):
+    """`command_delay`, whole ticks; torque -> torque."""
+
+
 class CommandLink(ScenarioSystem, part="link"):
     """`link`, which loses, delays and spoils commands at every step of the plant; torque -> torque, age."""
 
