@@ -39,7 +39,9 @@ class Controller:
         own = [*loop.parts[loop.first : loop.last], *(part for part in loop.parts[loop.last :] if part.late)]
         safety = [part for part in loop.parts if part.name == "safety"]
         if any(part.system is not None for part in own):
-            raise ConfigurationError("controller", scenario.controller.kind, "one that is no LeafSystem, to run alone")
+            raise ConfigurationError(
+                "controller", scenario.controller.kind, "a controller that is no LeafSystem, to run without a plant"
+            )
         self.period, self.reading = scenario.controller.period, scenario.sensors.reading_size
         outside = {loop.reading: self.reading, **{source.signal: source.size for source in loop.sources}}
         for layer in safety:

@@ -80,7 +80,7 @@ def keys_of(root: Mapping[str, Any], schema: Mapping[str, Any], before: str = ""
 @command("list")
 @click.argument("what", required=False, type=click.Choice([*_FILES, "kinds"]))
 def list_(what: str | None) -> None:
-    """WHAT: scenarios, comparisons, sweeps, robots, or kinds of what a scenario is made of [default: all]."""
+    """WHAT: scenarios, comparisons, sweeps, robots, or kinds, those of a scenario's sections [default: all]."""
     for folder in _FILES:
         if what in (None, folder):
             files = sorted(shipped_folder(folder).glob("*.yaml"))
@@ -107,7 +107,7 @@ def _about(path: Path) -> str:
 @command("explain")
 @click.argument("key")
 def explain(key: str) -> None:
-    """KEY is one such as controller.period, a section such as limits, or the last part of one, such as payload_mass."""
+    """KEY is a scenario key such as controller.period, its last part such as period, or a section such as limits."""
     root = scenario_schema()
     every = list(keys_of(root, root))
     found = [each for each in every if each.name == key] or [each for each in every if each.name.endswith(f".{key}")]
@@ -175,9 +175,9 @@ def _short(value: Any) -> str:
 @command("init")
 @click.argument("file", type=opt.OUT_FILE, default="scenario.yaml")
 def init(file: Path) -> None:
-    """FILE gets a scenario to begin with, each key with what it does [default: scenario.yaml]."""
+    """FILE is the scenario to write [default: scenario.yaml]."""
     if file.exists():
-        raise ConfigurationError("FILE", str(file), "a file that is not there yet")
+        raise ConfigurationError("FILE", str(file), "a new file")
     root = scenario_schema()
     texts: dict[str, Key] = {}
     given = read_mapping("scenario", shipped_folder("scenarios") / "exact_breathing.yaml", 100)
@@ -190,10 +190,10 @@ def init(file: Path) -> None:
     others = [name for name in root["properties"] if name not in given]
     lines = [
         f"# A scenario: `stewart-drake run {file}` runs it, `stewart-drake check {file}` checks its motion,",
-        "# `stewart-drake explain KEY` says more of a key. A chest that breathes, followed with what a real robot has.",
+        "# `stewart-drake explain KEY` explains a key. The robot has encoders, delay and friction, as a real one.",
         *_commented({"name": file.stem, **{key: given[key] for key in given if key != "name"}}, texts),
         "",
-        "# Keys that are not given have their defaults:",
+        "# These keys have their defaults:",
         *(f"# {name}{_comment(texts[name])}" for name in others),
     ]
     write_text(file, "\n".join(lines) + "\n")
@@ -224,7 +224,7 @@ def _comment(key: Key, value: Any = None) -> str:
 
 @command("doctor")
 def doctor() -> None:
-    """Versions, graphviz, where compiled laws are kept, the speed of a tick, and whether files can be written."""
+    """Prints versions, graphviz, the cache of compiled code, the time of a control tick, and write permission."""
     from stewart_drake import jit
     from stewart_drake.logs.versions import collect_versions, package_version
     from stewart_drake.runs.simulation import run
@@ -233,19 +233,19 @@ def doctor() -> None:
         name: package_version(name) for name in ("numba", "torch", "mujoco", "distributed")
     }
     rows = [(name, version or "not installed") for name, version in versions.items() if name != "source"]
-    rows.append(("graphviz", shutil.which("dot") or "not installed: runs leave diagram.dot, but no diagram.svg"))
+    rows.append(("graphviz", shutil.which("dot") or "not installed: runs write diagram.dot, but no diagram.svg"))
     cache = jit._FOLDER
-    kept = "nowhere: set NUMBA_CACHE_DIR to a folder that can be written to"
+    kept = "not cached: set NUMBA_CACHE_DIR to a writable folder"
     if cache is not None:
         size = sum(path.stat().st_size for path in cache.rglob("*") if path.is_file())
         kept = f"{cache}, {size / 1e6:.0f} MB"
-    rows.append(("compiled laws", kept))
+    rows.append(("compiled code", kept))
     with shown_compiling():
         logs = [run(load_scenario("exact_breathing", ["plant.engine=reduced", "duration=1"])) for _ in range(2)]
     ticks = logs[1].end_time / logs[1].scenario.controller.period
     rows.append(("a tick of exact_breathing, fast engine", f"{1e6 * logs[1].wall_time / ticks:.0f} us of 1000 us"))
     rows.append(("cores", str(os.cpu_count())))
-    rows.append(("this folder", "can be written to" if os.access(".", os.W_OK) else "cannot be written to: use --out"))
+    rows.append(("this folder", "writable" if os.access(".", os.W_OK) else "not writable: use --out"))
     print_table("doctor", rows, numbers=())
 
 
@@ -257,7 +257,7 @@ def schema() -> None:
 @command("completion")
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def completion(shell: str) -> None:
-    """In ~/.bashrc (or that of SHELL): eval "$(stewart-drake completion bash)"."""
+    """For bash, add to ~/.bashrc: eval "$(stewart-drake completion bash)". Other shells: to their start file."""
     cls = get_completion_class(shell)
     assert cls is not None
     click.echo(cls(opt.cli, {}, "stewart-drake", "_STEWART_DRAKE_COMPLETE").source())

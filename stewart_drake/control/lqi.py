@@ -36,42 +36,42 @@ CLAMP, BACK_CALCULATION = 1, 2
 
 
 class LqiOptions(ControllerOptions):
-    """Options of the LQI controller; the defaults are the paper's, with gravity compensated."""
+    """Linear quadratic regulator with integral action (LQI); the defaults are the paper's, with gravity compensated."""
 
     kind: Literal["lqi"] = "lqi"
     """The default kind."""
     period: Period = 0.005
     model: Literal["paper", "exact"] = "paper"
-    """paper: (9), the platform's mass alone, moments as accelerations of Euler angles. exact: inertia of the whole
-    closed chain at the measured pose."""
+    """Model that the regulator is designed for. paper: (9), the platform's mass alone, with moments taken as
+    Euler-angle accelerations. exact: inertia of the whole closed chain at the measured pose."""
     force_map: ForceMapKind = "statics"
-    """tau_2 of (15) as printed, or by statics; the exact model has its own map."""
+    """Map from wrench to torques in the paper's model: tau_2 of (15) as the paper prints it, or from statics; the exact
+    model has its own."""
     feedforward: Feedforward = "gravity"
-    """none: the paper, (34) alone. gravity: adds the static torque of all bodies at the measured pose. platform: adds
-    to that M q''_d of (9) through the force map at the measured pose. full: inverse dynamics of the exact model for the
-    reference's acceleration."""
+    """Torque added to the feedback. none: nothing, as in the paper's (34). gravity: static torque of all bodies at the
+    measured pose. platform: that and M q''_d of (9) through the force map at the measured pose. full: inverse dynamics
+    of the exact model for the reference's acceleration."""
     feedforward_at: Literal["measured", "reference"] = "measured"
-    """Pose and rate at which `full` is evaluated: the measured ones, or the reference's."""
+    """Pose and rate at which feedforward `full` is evaluated: the measured ones or the reference's."""
     weight_length: Annotated[Positive | None, Field(le=LARGEST), CHARACTERISTIC_LENGTH] = 1.0
-    """[m] rotations in Q are multiplied by this, so that they compare with metres; 1 is the paper, the platform's joint
-    radius 0.11 makes an error of the joints count alike in both. In a scenario null takes the robot's
-    `characteristic_length`."""
+    """[m] length that makes rotations comparable with translations in Q. 1 is the paper's; 0.11, the radius of the
+    platform's joints, weighs both alike at the joints. In a scenario null takes the robot's `characteristic_length`."""
     discretization: Discretization = "exact"
-    """Zero-order hold of (25): exact, or first order (euler)."""
+    """Discretization of (25). exact: zero-order hold. euler: first order."""
     solver: RiccatiSolver = "drake"
-    """drake: one equation of 18 states. split: six of 3 states, without Drake."""
+    """Solver of the Riccati equation. drake: one equation of 18 states. split: six of 3 states, without Drake."""
     saturation: Saturation = "none"
-    """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still meanwhile.
-    back_calculation: it is limited, and z is led back by what was cut off."""
+    """Torque limit and anti-windup. none: commands may exceed the motors' limit. clamp: commands are limited and the
+    integral z waits. back_calculation: commands are limited and z is corrected by the excess."""
     reset_time: Positive = 0.05
-    """[s] time in which back-calculation takes z back."""
+    """[s] time constant of back-calculation."""
     integral_limit: PositivePair | None = None
     """[rad s, m s] largest |z| of rotations and translations; null for none."""
     bumpless: Flag = False
-    """When the weights change, z changes too, so that the torque by z does not."""
+    """Whether z changes with the weights, so that the integral torque does not jump."""
     hold_ticks: Annotated[Natural, Field(le=1000)] = 0
-    """Ticks in a row for which a pose near a singularity, a gain that does not exist or a measurement that is not
-    finite is bridged by the last good gain and torque, before the run ends."""
+    """Ticks in a row that the last good gain and torque may bridge before the run ends; at a pose near a singularity,
+    without a gain, or when a measurement is not finite."""
 
     @property
     def length(self) -> float:

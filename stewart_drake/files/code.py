@@ -110,7 +110,7 @@ class CodePath(os.PathLike[str]):
         """Raises a `ConfigurationError` where its file is missing, or it is not trusted."""
         self.find(key)
         if not self.trusted:
-            allowed = f"code that you trust; read {self.place}, then say --trust-code (trust_code=True)"
+            allowed = f"code that you trust; read {self.place}, then add --trust-code (trust_code=True)"
             raise ConfigurationError(key, self, allowed)
 
     def load(self, key: str) -> Any:

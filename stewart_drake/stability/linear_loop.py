@@ -71,7 +71,7 @@ def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
         except (RunFailure, UnreachablePoseError) as error:
             left_out.append(str(error))
     if not results:
-        raise ConfigurationError("scenario", scenario.name, f"a loop that stands still at some pose: {left_out[0]}")
+        raise ConfigurationError("scenario", scenario.name, f"a loop with an equilibrium at some pose: {left_out[0]}")
     a, b, c = (np.stack(each) for each in zip(*results, strict=True))
     observable = _observable(a, c)
     return LinearLoops(
@@ -225,7 +225,7 @@ def _loop(
             )
         if not np.isfinite(x).all():
             break
-    raise RunFailure(f"the loop does not stand still at {pose.tolist()}", reason="standstill")
+    raise RunFailure(f"the loop has no equilibrium at {pose.tolist()}", reason="standstill")
 
 
 def _derivatives(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
