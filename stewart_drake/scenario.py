@@ -63,7 +63,7 @@ class Scenario(Section):
     name: Annotated[Text, Field(max_length=100, pattern=NAME), words(f"at most 100 {NAME_WORDS}")] = "scenario"
     """Name of the run, for the output folder and titles; letters, digits and, after the first, space and . + - too."""
     duration: Annotated[Positive, Field(le=1e6)] = 10.0
-    """[s] simulated time, cut to whole steps of the plant; at most 1e9 of them."""
+    """[s] simulated time; the run ends with the last whole step of the plant, at most 1e9 of them."""
     gravity: Annotated[NotNegative, Field(le=LARGEST)] = STANDARD_GRAVITY
     """[m/s^2] gravity, along -z of the base frame B; 0 for none."""
     robot: AnyRobot = Field(default_factory=lambda: PAPER)
@@ -92,7 +92,8 @@ class Scenario(Section):
     friction_compensation: FrictionCompensation | None = None
     """The controller's model of motor friction, to compensate it; null for none."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
-    """[ticks] delay from a command to its torque, in control periods; until then the motors hold the start pose."""
+    """[ticks] delay from a command to its torque, in control periods; until the first arrives the motors hold the start
+    pose."""
     link: LinkOptions = Field(default_factory=LinkOptions)
     """The link that carries commands to the motors, after `command_delay`: what it drops, delays or corrupts."""
     safety: SafetyOptions | None = None

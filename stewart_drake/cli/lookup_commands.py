@@ -29,7 +29,7 @@ _FILES = ("scenarios", "comparisons", "sweeps", "robots")
 
 
 class Key(NamedTuple):
-    """A key of a scenario: where it stands, and of which kind of section; its part of the JSON schema."""
+    """A key of a scenario: its dotted name, the kind of its section, and its part of the JSON schema."""
 
     name: str
     kind: str
@@ -46,6 +46,11 @@ class Key(NamedTuple):
         text = self.schema.get("description", "").partition("\n\n")[0]
         found = _UNIT.match(text)
         return " ".join((found[2] if found else text).split())
+
+    @property
+    def chooses(self) -> bool:
+        """Whether it is the kind of its section."""
+        return self.name.rpartition(".")[2] == "kind" and "enum" not in self.schema
 
     @property
     def sentence(self) -> str:
@@ -69,9 +74,10 @@ def keys_of(root: Mapping[str, Any], schema: Mapping[str, Any], before: str = ""
     for way in ways(root, schema):
         kind = way.get("properties", {}).get("kind", {}).get("const", "")
         for name, inner in way.get("properties", {}).items():
-            # What a kind is stands above its section.
-            about = {**inner, "description": way.get("description", "")} if name == "kind" else inner
-            yield Key(f"{before}{name}", kind, about)
+            # The text of a kind is its section's.
+            key = Key(f"{before}{name}", kind, inner)
+            about = {**inner, "description": way.get("description", "")}
+            yield key._replace(schema=about) if key.chooses else key
             if depth < _DEPTH:
                 inside = inner.get("items", inner)
                 yield from keys_of(root, inside, f"{before}{name}.", depth + 1)
@@ -114,10 +120,8 @@ def explain(key: str) -> None:
     if not found:
         names = dict.fromkeys(name for each in every for name in (each.name, each.name.rpartition(".")[2]))
         raise ConfigurationError("KEY", key, f"a key of a scenario{meant(key, names)}")
-    inside = [
-        each for each in every if each.name.rpartition(".")[0] == found[0].name and not each.name.endswith(".kind")
-    ]
-    if found[0].name.rpartition(".")[2] == "kind":
+    inside = [each for each in every if each.name.rpartition(".")[0] == found[0].name and not each.chooses]
+    if found[0].chooses:
         print_table(key, [(each.kind, each.text) for each in found], ("kind", "what it is"), numbers=())
         return
     shown: dict[tuple[str, ...], list[str]] = {}

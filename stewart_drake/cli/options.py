@@ -35,7 +35,7 @@ COMMANDS = {
     "reproduce": About("run", "--quick", "Test the paper claim by claim"),
     "calibrate": About("robot", "poses.csv --robot guess.yaml", "Estimate geometry and homing from measured poses"),
     "identify": About("robot", "runs/excite --robot guess.yaml", "Estimate masses, friction and payload from logs"),
-    "excite": About("robot", "--robot guess.yaml", "Design an exciting motion for `identify`"),
+    "excite": About("robot", "--robot guess.yaml", "Design a motion from which `identify` learns most"),
     "margins": About("run", "exact_breathing --poses 100", "Stability margins of the linearised loop"),
     "workspace": About("run", "--scenario sway --samples 100000", "Compute where a robot can go, and with what torque"),
     "robots": About("robot", "", "List the robots that a scenario can name"),

@@ -94,7 +94,7 @@ def _print_run(log: SimulationLog, results: Results) -> None:
 @click.option("--retime", is_flag=True, help="If the motion is infeasible, find the highest feasible speed.")
 @click.option("--out", type=opt.OUT_FILE, help="Write the feasible scenario; needs --scale or --retime.")
 def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None) -> None:
-    """Checks the motion of SCENARIO over the whole run. It names your own code but does not run it.
+    """The check covers the whole run of SCENARIO. Your own code is named but not run.
 
     Exit status 2: the motion is infeasible.
     """
@@ -189,11 +189,11 @@ def margins(scenario: str, out: Path, poses: int, overrides: tuple[str, ...]) ->
 @click.option("--scenario", default="paper_fig7", help="Scenario with the robot, limits and controller.")
 @opt.overrides("limits.clearance=0.01")
 def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]) -> None:
-    """Computes the workspace about home, and writes workspace.json and figures/.
+    """Writes workspace.json and figures/.
 
     There are two workspaces: positions at the home orientation, and orientations at the home position. Both respect
     reach, joint swing, clearance, conditioning and motor torque, and distinguish serial from parallel singularities.
-    A third part shows which states and torques the paper's motions visit.
+    A third part shows which states and torques some motions visit.
     """
     from stewart_drake.paper.reproduce import Study
     from stewart_drake.paper.workspace import motion_numbers

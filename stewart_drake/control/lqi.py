@@ -70,8 +70,8 @@ class LqiOptions(ControllerOptions):
     bumpless: Flag = False
     """Whether z changes with the weights, so that the integral torque does not jump."""
     hold_ticks: Annotated[Natural, Field(le=1000)] = 0
-    """Ticks in a row that the last good gain and torque may bridge before the run ends; at a pose near a singularity,
-    without a gain, or when a measurement is not finite."""
+    """Ticks in a row that the last good gain and torque may bridge before the run ends: near a singularity, without a
+    gain, or when a measurement is not finite."""
 
     @property
     def length(self) -> float:

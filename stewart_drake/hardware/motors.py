@@ -36,11 +36,11 @@ class LinkOptions(Section, key="link"):
     dropped: tuple[Natural, ...] = ()
     """Numbers of ticks whose commands are always dropped; tick k is at k controller.period."""
     stop_time: NotNegative | None = None
-    """[s] from when on all commands are dropped, as if the controller hangs; null for never."""
+    """[s] time from which all commands are dropped, as if the controller hangs; null for never."""
     late_probability: Share = 0.0
     """[-] probability that a tick's command is late, 0 to 1."""
     seed: Seed = 0
-    """Seed of what is dropped and late; each tick has its own random number."""
+    """Seed of the random drops and delays; each tick has its own random number."""
     faults: tuple[CommandFault, ...] = ()
     """Faults that corrupt commands before they are sent."""
 

@@ -51,11 +51,11 @@ class Limits(Section, key="limits"):
     euler_pitch: Annotated[Positive, Field(le=math.pi / 2.0)] | None = math.radians(85.0)
     """[rad] largest |pitch|; the Euler angles of a pose are singular at pi/2."""
     conditioning: Ratio | None = 0.05
-    """[-] smallest sigma_min / sigma_max of the rods' lines; 0 is a parallel singularity, a pose that the rods cannot
-    hold."""
+    """[-] smallest distance from a parallel singularity, a pose that the rods cannot hold: sigma_min / sigma_max of the
+    rods' lines."""
     transmission: Ratio | None = 0.2
-    """[-] smallest |e_l . e_N|, the cosine of the angle between a rod and the velocity of its crank's end; 0 is the
-    crank's dead centre, in line with the rod."""
+    """[-] smallest distance of a crank from its dead centre, in line with its rod: |e_l . e_N|, the cosine of the angle
+    between the rod and the velocity of the crank's end."""
     joint_swing: Annotated[Positive, Field(le=math.pi)] | None = math.radians(65.0)
     """[rad] largest swing of a rod from home, at the platform (ball joint) and at its crank (universal joint). The
     paper's own reference (37), (38) needs 63.1 deg at the universal joint of leg 2."""

@@ -45,7 +45,7 @@ class SafetyOptions(Section, key="safety"):
     """[ticks] longest time without a new command; a constant `command_delay` does not count."""
     frozen_encoder: Positive | None = 0.04
     """[rad] turn of two other cranks (plus 50 counts) after which an encoder that repeats its reading to the last bit
-    is frozen. Its crank must also be a quarter of this from its reference: friction can hold one that is nearer."""
+    is frozen. Its crank must also be a quarter of this from its reference; friction can hold one that is nearer."""
     frozen_pose: Annotated[PositivePair | None, LENGTH] = (0.01, 0.001)
     """[rad, m] change of the reference on an axis after which a measured pose that repeats to the last bit is frozen;
     for sensors other than encoders."""
@@ -57,13 +57,14 @@ class SafetyOptions(Section, key="safety"):
     0.1 s in sum."""
     torque_rate: Annotated[Positive | None, TORQUE] = 4000.0
     """[N m/s] largest rate of a motor's torque. A command that jumps further is replaced by the last good one, for up
-    to 10 ms in sum; the next good command is approached at that rate."""
+    to 10 ms in sum; the next good command is approached at this rate."""
     workspace: Annotated[PositivePair | None, LENGTH] = (1.2, 0.12)
     """[rad, m] largest distance from the home pose: angle of the rotation, and distance of P."""
     transmission: Fraction | None = 0.1
-    """[-] smallest |e_l . e_N|; 0 is a crank's dead centre (serial singularity)."""
+    """[-] smallest distance |e_l . e_N| of a crank from its dead centre (serial singularity), where it is 0."""
     conditioning: Fraction | None = 0.04
-    """[-] smallest sigma_min / sigma_max of the rods' lines, without crossing zero; 0 is a parallel singularity."""
+    """[-] smallest distance from a parallel singularity: sigma_min / sigma_max of the rods' lines, without crossing
+    zero."""
     horizon: NotNegative = 0.01
     """[s] prediction horizon of `workspace`, `transmission` and `conditioning`: the pose is extrapolated at its
     measured rate."""

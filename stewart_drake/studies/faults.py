@@ -247,11 +247,11 @@ def holdable_load(
 
 PAGE = """# Fault table
 
-{runs} runs of {duration:g} s; faults begin at {onset:g} s, or are there from the start. The
+{runs} runs of {duration:g} s; faults begin at {onset:g} s, or from the start. The
 exact-model LQI at 1 kHz behind the safety layer with its defaults. In brackets: monitor, latency, leg;
 after the colon: the outcome of the run, and its warnings.
 Peak error: how far the true pose was from the reference while the controller was in charge. Travel: how far
-it went after the safety layer took over. The worst of the motions counts.
+it moved after the safety layer took over. Both are the worst of the motions.
 
 {table}
 With a dead motor, the wrench that the other five can hold at rest:
