@@ -33,9 +33,9 @@ TEXT = """# What a calibration is worth
 0.02 mm and 0.1 mrad per coordinate (standard deviation), the encoders have 17 bits; a trial's seed is its number.
 
 "Estimated" frames: the positions of the tracker and of its marker were unknown. The error before is then the guess's
-after its frames were fitted, which hides a good part of it. Errors are RMS over the test poses, medians over the robots.
-The last column is the share of 95 % intervals that hold the truth: over all parameters, and from the least to the most
-of a kind.
+after its frames were fitted, which hides a good part of it. Errors are RMS over the test poses, medians over the
+robots. The last column is the share of 95 % intervals that hold the truth: over all parameters, and from the least to
+the most of a kind.
 
 | robot | poses | frames | before [mm, mrad] | after [mm, mrad] | times smaller: median | worst robot | truth held |
 |---|---|---|---|---|---|---|---|"""

@@ -41,14 +41,14 @@ resolution, the estimator with its filter, the controller and the delay. It leav
 network's changes of weights. `stewart-drake margins` does the same for any scenario.
 
 Drake's plant at its usual step of 1 ms responds about half a step sooner than this linear loop. At 0.1 ms the agreement
-is at least five times better (`tests/stability/test_linear_loop.py`). A fast loop that is unstable here, such as the PID
-of the last row at some poses, may look stable at 1 ms.
+is at least five times better (`tests/stability/test_linear_loop.py`). A fast loop that is unstable here, such as the
+PID of the last row at some poses, may look stable at 1 ms.
 
 *Disk*: each motor gives (1 + d/2) / (1 - d/2) times its command, d complex; the loop is stable while every |d| is
 below the disk margin. It covers gain and phase at once: 0.45 means gains from 0.63 to 1.58 or 25 deg. *All at
 once*: each motor has its own d (structured singular value, upper bound); gain, phase and delay follow from it. *One
-motor*: the other motors are nominal; gain, phase and delay are the classical margins. Delay is in addition to the loop's
-own, in ticks of its period. Each number is the worst of all poses; a second number is the median.
+motor*: the other motors are nominal; gain, phase and delay are the classical margins. Delay is in addition to the
+loop's own, in ticks of its period. Each number is the worst of all poses; a second number is the median.
 
 | loop | stable | all at once: {margins} | one motor: {margins} |
 |---|---|---|---|---|---|---|---|---|---|

@@ -71,10 +71,10 @@ def calibrate(
     known_frames: Collection[FrameName] = (),
     hold: Collection[Name] = (),
 ) -> Calibration:
-    """The robot that measured poses and encoder readings belong to.
+    """Estimates a robot's geometry and homing offsets from measured poses and encoder readings.
 
     Args:
-        robot: The guess; of it the branches, masses and limits are kept.
+        robot: The guess; its branches, masses and limits are kept.
         poses: Measured poses with readings, or a CSV file of them, see `load_measurements`.
         noise: Of tracker and encoders; only the ratios of its numbers act on the estimate.
         known_frames: `base` if the tracker measures in B, `platform` if it measures the pose of P itself. Other
@@ -87,7 +87,7 @@ def calibrate(
 
     Raises:
         ConfigurationError: Too few poses, or such as cannot be this robot's: wrong units, an inverted encoder, a
-            single wrong row, another branch; each is named where the residuals tell.
+            single wrong row, another branch; the message names it where the residuals show it.
     """
     for key, given, allowed in (("known_frames", known_frames, FRAMES), ("hold", hold, NAMES)):
         if strange := sorted(set(given) - set(allowed)):

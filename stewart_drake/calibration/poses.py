@@ -139,7 +139,7 @@ def plan_poses(
     seed: int = 0,
     candidates: int = CANDIDATES,
 ) -> PosePlan:
-    """Poses that tell a robot's parameters best: the largest determinant of what they tell, by Fedorov's exchange.
+    """Most informative poses to calibrate a robot: D-optimal, by Fedorov's exchange.
 
     V. V. Fedorov, Theory of Optimal Experiments (1972). Begun with the pose that adds most, one after the other; then
     each is taken out and the best of all put in its place, until none is better. What is known before the first pose

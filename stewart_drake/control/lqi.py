@@ -54,12 +54,14 @@ class LqiOptions(ControllerOptions):
     feedforward_at: Literal["measured", "reference"] = "measured"
     """Pose and rate at which feedforward `full` is evaluated: the measured ones or the reference's."""
     weight_length: Annotated[Positive | None, Field(le=LARGEST), CHARACTERISTIC_LENGTH] = 1.0
-    """[m] length that makes rotations comparable with translations in Q. 1 is the paper's; 0.11, the radius of the
-    platform's joints, weighs both alike at the joints. In a scenario null takes the robot's `characteristic_length`."""
+    """[m] length that makes rotations comparable with translations in the weight Q; 1 is the paper's. 0.11, the radius
+    of the platform's joints, weighs both alike at the joints. In a scenario null takes the robot's
+    `characteristic_length`."""
     discretization: Discretization = "exact"
     """Discretization of (25). exact: zero-order hold. euler: first order."""
     solver: RiccatiSolver = "drake"
-    """Solver of the Riccati equation. drake: one equation of 18 states. split: six of 3 states, without Drake."""
+    """Solver of the Riccati equation. drake: one equation of 18 states. split: six equations of 3 states, without
+    Drake."""
     saturation: Saturation = "none"
     """Torque limit and anti-windup. none: commands may exceed the motors' limit. clamp: commands are limited and the
     integral z waits. back_calculation: commands are limited and z is corrected by the excess."""
@@ -213,7 +215,7 @@ def command(
 
 @njit
 def paper_acceleration_map(robot: Any, legs: Any, printed: bool, out: Any) -> None:
-    """M^-1 tau (6, 6) of (10): M the platform's mass and moments alone, tau by statics or tau_2 of (15) as printed."""
+    """M^-1 tau (6, 6) of (10): M the platform's mass and moments alone, tau by statics or tau_2 of the paper's (15)."""
     for i in range(6):
         force = legs.transmission[i] / robot.crank_length[i] if printed else 1.0 / legs.lever[i]
         for k in range(3):
@@ -341,7 +343,7 @@ def _bridged(robot: Any, setup: Any, measurement: Any, reference: Any, state: An
 def lqi_part(
     options: LqiOptions, robot: RobotParameters, gravity: float, weights: int, solver: RiccatiSolver | None = None
 ) -> Part:
-    """The LQI as a part of a loop, for a robot as believed, in a gravity [m/s^2], with a port of 2 or 4 weights.
+    """The LQI as a part of a loop, for the controller's model, gravity [m/s^2], and a port of 2 or 4 weights.
 
     Another `solver` than the options' may be named: `split` is one compiled call and needs no Drake. The part's tick
     raises as `failure` where no good tick came before or more than `hold_ticks` failed in a row.

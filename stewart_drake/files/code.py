@@ -40,7 +40,7 @@ _TRUST: ContextVar[bool] = ContextVar("trust", default=False)
 
 @contextmanager
 def trusting_code(trust: bool = True) -> Iterator[None]:
-    """Within it code that is named may run, then and later; `trust` off changes nothing."""
+    """Context manager: user code named within it may run, then and later; with `trust` off it changes nothing."""
     before = _TRUST.set(trust or _TRUST.get())
     try:
         yield

@@ -38,7 +38,7 @@ class EstimatorOptions(Section, key="estimator"):
         return 0.0
 
     def ahead(self, delay: int) -> int:
-        """[ticks] from a command to its torque, as believed."""
+        """[ticks] from a command to its torque, as assumed."""
         return delay
 
     def innovation_scale(self, setup: Setup) -> tuple[float, float]:  # noqa: ARG002 - there are none

@@ -99,7 +99,7 @@ def delay_part(ticks: int, initial: np.ndarray) -> Part:
 
 
 def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: float) -> np.ndarray:
-    """Torques (6,) [N m] that hold the robot, as believed, at a pose; zeros where it cannot stand there."""
+    """Torques (6,) [N m] that hold the controller's model at a pose; zeros where it cannot be held."""
     # In that case the first tick says so, with a log.
     with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
         return static_torque(robot, pose, gravity)

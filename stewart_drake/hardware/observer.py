@@ -127,7 +127,7 @@ def predict(robot: Any, setup: Any, torque: Any, disturbance: Any, pose: Any, ra
 def _observe(
     robots: Any, setups: Any, reading: Any, sent: Any, reference: Any, expected: float, leg_records: Any, states: Any
 ) -> Any:
-    """One tick: predicts, corrects by what is believed of the readings, looks ahead; status, leg or -1, margin."""
+    """One tick: predicts, corrects by the readings that are accepted, looks ahead; status, leg or -1, margin."""
     robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
     cosine, sine = np.empty(6), np.empty(6)
     for i in range(6):
@@ -312,5 +312,5 @@ def _error(status: int, leg: int, margin: float, reading: np.ndarray, state: np.
         return UnreachablePoseError(reading[:6].copy(), leg, margin)
     if status in (SERIAL, PARALLEL):
         return singular_pose(status, leg, margin, state["measurement"][0, :6].copy())
-    text = f"encoder readings {pose_text(reading[:6])}: encoder {leg} is missing or not believed"
+    text = f"encoder readings {pose_text(reading[:6])}: encoder {leg} is missing or rejected"
     return RunFailure(text, reason="encoder", leg=leg)

@@ -40,12 +40,12 @@ _HOMOTOPY = 4
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """n readings of six cranks and six torques at an even rate, checked.
+    """n readings of six cranks and six torques at a constant rate, checked.
 
     Attributes:
         time: (n,) [s].
         angles: (n, 6) [rad] encoder readings; kept without jumps by whole turns, the first within half a turn.
-        torque: (n, 6) [N m] as the motors' amplifiers say.
+        torque: (n, 6) [N m] as reported by the motors' amplifiers.
         lag: [s] from a row's time to the middle of that over which its torque acts.
         gravity: [m/s^2].
         source: What it is called in messages, such as the file's name.

@@ -52,9 +52,9 @@ class Metric:
     Attributes:
         name: Key of metrics.json, and column of tables; it means the same everywhere.
         unit: Of its numbers, separated by commas where they differ.
-        text: What it says; which part of the run it is of follows from `over`.
+        text: What it measures; `over` adds the part of the run.
         of: Computes it from the rows of a run, see `outcomes.RunRows`; called only where there are such rows.
-        over: Which rows it is of, a count of theirs; without any it is None.
+        over: The rows that it uses; without any it is None.
         parts: Columns of a metric that is a list, one for each of its numbers.
         label: In tables that are read; empty for those that are not shown there.
         form: How its numbers are shown.
@@ -318,8 +318,8 @@ def figures_of(rows: RunRows) -> dict[str, Any]:
 def run_metrics(log: SimulationLog) -> dict[str, Any]:
     """Figures of a run, ready for JSON; every key is always there.
 
-    Of a log that `run` made they come from every control tick, and peaks from every step of the plant, whatever rows
-    the log has; of another from its rows.
+    For a log from `run` they use every control tick, and peaks every step of the plant, whatever rows the log has. For
+    another log they use its rows.
 
     Returns:
         How it ended, see `SimulationLog`; rmse_deg to finite, see `METRICS`; not_finite: figures that were NaN or

@@ -48,7 +48,7 @@ class LinearLoops(NamedTuple):
 
 
 def poses_to_stand_at(scenario: Scenario, count: int, seed: int) -> np.ndarray:
-    """Poses (count, 6) [rad, m] of the near box, in the robot's size, at which a run of the scenario may stand."""
+    """Poses (count, 6) [rad, m] of the box `NEAR`, scaled to the robot, at which a run of the scenario may rest."""
     robot, rng = scenario.robot, np.random.default_rng(seed)
     box = NEAR.around(robot)
     return sample_poses(robot, box, count, rng, limits=scenario.limits, gravity=scenario.gravity)
