@@ -169,6 +169,8 @@ def out_file(default: str) -> Callable[[Any], Any]:
 
 def trust_flag(function: Any) -> Any:
     words = "Allow Python code named in files or by --set to run."
+    if any(each.name == "trust_code" for each in getattr(function, "__click_params__", ())):
+        return function
     return click.option("--trust-code", is_flag=True, expose_value=False, callback=_trust, help=words)(function)
 
 

@@ -131,10 +131,11 @@ def _work_off(
     pending: dict[Future[Any], K] = {}
     lost: list[K] = []
     try:
-        while pending or (waiting and workers.left > 0 and not lost):
-            while waiting and workers.left > 0 and not lost and len(pending) <= workers.count:
+        while not lost and (pending or (waiting and workers.left > 0)):
+            while waiting and workers.left > 0 and len(pending) <= workers.count:
                 function, arguments = work(waiting[0])
-                pending[_submit(executor, _checked, source, function, arguments)] = waiting.popleft()
+                future = _submit(executor, _checked, source, function, arguments)
+                pending[future] = waiting.popleft()
                 workers.left -= 1
             for future in wait(pending, return_when=FIRST_COMPLETED).done:
                 key, error = pending.pop(future), future.exception()
@@ -145,8 +146,7 @@ def _work_off(
                 else:
                     keep(key, future.result())
     except BrokenExecutor:
-        # It broke between two pieces of work.
-        lost += pending.values()
+        pass  # It broke between two pieces of work.
     except BaseException as error:
         for future in pending:
             future.cancel()
@@ -154,9 +154,12 @@ def _work_off(
         if isinstance(error, CancelledError):
             raise StewartDrakeError("the Dask cluster is gone; finished rows are kept") from error
         raise
+    for future in pending:
+        # Dask may forget work whose worker died beside it.
+        future.cancel()
     if workers.left <= 0:
         workers.replace()
-    return lost
+    return [*lost, *pending.values()]
 
 
 def _submit(executor: Executor, *call: Any) -> Future[Any]:
