@@ -132,7 +132,7 @@ class EncoderFault(Fault, key="sensors.faults"):
     leg: LegNumber | None
     """Number of the leg, 0 to 5; null for all."""
     duration: Positive | None = None
-    """[s] how long the fault lasts; null for ever."""
+    """[s] how long the fault lasts; null for the rest of the run."""
     size: Real = 0.0
     """[rad] size of a jump, or [rad/s] of a drift."""
     delay: Delay | None = None
@@ -149,7 +149,7 @@ class PoseFault(Fault, key="sensors.faults"):
     """Kind of fault. freeze: repeats its last good reading. nan: reads not a number. late: gives its reading of `delay`
     ago."""
     duration: Positive | None = None
-    """[s] how long the fault lasts; null for ever."""
+    """[s] how long the fault lasts; null for the rest of the run."""
     delay: Delay | None = None
     """[s] delay of a late reading, up to 1; rounded up to whole ticks."""
 
@@ -164,7 +164,7 @@ class CommandFault(Fault, key="link.faults"):
     leg: LegNumber | None = None
     """Number of the leg, 0 to 5; null for all."""
     duration: Positive | None = None
-    """[s] how long the fault lasts; null for ever."""
+    """[s] how long the fault lasts; null for the rest of the run."""
     size: Real = 0.0
     """[N m] size of an offset or chatter."""
 

@@ -85,7 +85,7 @@ paper_reference = SineReference
 
 
 class SineBurstsReference(Section, key="reference"):
-    """Bursts of sines one after the other, each with its own frequency and amplitudes, faded in and out.
+    """A sequence of sine bursts, each with its own frequency and amplitudes, faded in and out.
 
     Every burst starts and ends at rest in the centre; the fades are quintic, so accelerations are continuous. After the
     last burst the centre is held.

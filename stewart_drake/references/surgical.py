@@ -23,7 +23,7 @@ _TREMOR_SINES = 24
 
 
 class BreathingReference(Section, key="reference"):
-    """center + excursion cos^(2 order)(pi frequency t - phase) on each axis: long at end-exhale, short at end-inhale.
+    """Breathing: center + excursion cos^(2 order)(pi frequency t - phase) on each axis, longest at end-exhale.
 
     A. E. Lujan et al., Med. Phys. 26 (1999) 715, with z0 = center, b = -excursion; default size of lower lung lobes, 12
     mm cranio-caudal and 2 mm across: Y. Seppenwoolde et al., Int. J. Radiat. Oncol. Biol. Phys. 53 (2002) 822; axes
@@ -53,7 +53,7 @@ class BreathingReference(Section, key="reference"):
 
 
 class HeartbeatReference(Section, key="reference"):
-    """A periodic wave of several harmonics, run through at a heart's varying rate, with early beats where asked for.
+    """A heartbeat: a periodic wave of several harmonics at a varying rate, optionally with premature beats.
 
     On each axis center + excursion w(2 pi beats(t) - phase), w(x) = sum a_k cos(k x - p_k) scaled to 1 from end to end:
     R. Ginhoux et al., IEEE Trans. Robot. 21 (2005) 67; the default harmonics, sizes and phases of the axes are assumed.
@@ -150,7 +150,7 @@ class HeartbeatReference(Section, key="reference"):
 
 
 class TremorReference(Section, key="reference"):
-    """Physiological tremor of a hand: on each axis a seeded sum of sines spread over a band of frequencies.
+    """Physiological tremor of a hand: on each axis a seeded sum of sines in a frequency band.
 
     A peak at 6-12 Hz, errors of 0.14 to 0.29 mm RMS over three axes: T. S. Wells et al., IEEE SMC (2013). That the axes
     are independent, and the spectrum flat within the band, is assumed.
