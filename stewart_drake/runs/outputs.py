@@ -74,7 +74,7 @@ def results_place(scenario: Scenario, out: str | Path | None = None, force: bool
     except OSError as error:
         raise ConfigurationError("--out", str(out), f"a folder that can be written to ({error.strerror})") from None
     if not before.startswith(_AS_RUN.encode()):
-        raise ConfigurationError("--out", str(out), "a new or empty folder, or one with results of a run")
+        raise ConfigurationError("--out", str(out), "a new or empty folder, or one with the results of a run")
     if before != _own_files(scenario)["scenario.yaml"] and not force:
         allowed = "a folder without the results of another scenario, or --force to replace them"
         raise ConfigurationError("--out", str(out), allowed)
