@@ -28,13 +28,14 @@ SETTINGS = (
 NOISE = MeasurementNoise(position=2e-5, rotation=1e-4)
 TEXT = """# What a calibration is worth
 
-`make calibration`: {robots} simulated robots a row, each off by up to ±1 mm and ±1 mrad (uniform) in every one of its
-{numbers} parameters, calibrated from {poses} poses and judged at {unseen} others. The tracker's noise is 0.02 mm and
-0.1 mrad a coordinate (standard deviation), the encoders have 17 bits; each trial's seed is its number.
+`make calibration` simulates {robots} robots per row, each off by up to ±1 mm and ±1 mrad (uniform) in each of its
+{numbers} parameters. They are calibrated from {poses} poses and tested at {unseen} others. The tracker's noise is
+0.02 mm and 0.1 mrad per coordinate (standard deviation), the encoders have 17 bits; a trial's seed is its number.
 
-Frames estimated: neither where the tracker stands nor where its marker is was known; the error before is then that of
-the guess with its frames fitted as well as the guess allows, which hides a good part of it. Errors are RMS over the
-unseen poses, medians over the robots. The last column is over all parameters, and from the least to the most of a kind.
+"Estimated" frames: the positions of the tracker and of its marker were unknown. The error before is then the guess's
+after its frames were fitted, which hides a good part of it. Errors are RMS over the test poses, medians over the
+robots. The last column is the share of 95 % intervals that hold the truth: over all parameters, and from the least to
+the most of a kind.
 
 | robot | poses | frames | before [mm, mrad] | after [mm, mrad] | times smaller: median | worst robot | truth held |
 |---|---|---|---|---|---|---|---|"""

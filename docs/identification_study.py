@@ -40,18 +40,18 @@ ROBOT_OF = {
 }
 TEXT = """# What an identification is worth
 
-`make identification`: {robots} simulated robots a row. Of each robot rods, cranks and rotors are off by up to 20 %, the
-torque constants by up to 20 % about their mean, friction differs from motor to motor by a factor of 3 (0.5 to 1.5 of
-the middle, {friction});
-on the platform is an unknown payload of 10 to 30 % of its mass. The guess knows of none of that. Masses of platform and
-rods are right: no torque tells a rod's mass. A log is 60 s long; `paper`: 1 kHz, 17 bits with 2e-5 rad of noise,
-torques with 0.01 N m of noise; `reachy_mini`: 100 Hz, 12 bits, torques with 0.005 N m. Each trial's seed is its number.
-Torques are those of the exact inverse dynamics with Coulomb and viscous friction; what is so on the Drake plant is
-shown below.
+`make identification` simulates {robots} robots per row. In each, rods, cranks and rotors are off by up to 20 %, and the
+torque constants by up to 20 % about their mean. Friction differs between motors by a factor of 3 (0.5 to 1.5 of
+the middle, {friction}).
+The platform carries an unknown payload of 10 to 30 % of its mass. The guess has none of this. Its masses of platform
+and rods are right, because torques do not determine a rod's mass. A log is 60 s long; `paper`: 1 kHz, 17 bits with
+2e-5 rad of noise, torques with 0.01 N m of noise; `reachy_mini`: 100 Hz, 12 bits, torques with 0.005 N m. A trial's
+seed is its number. Torques come from the exact inverse dynamics with Coulomb and viscous friction; results on Drake's
+plant are below.
 
-The motion is that of `stewart-drake excite`; the one that was not used is another, at random, as large as the limits
-let it be, 20 s of it. Errors are relative: median, 95th percentile and largest of the robots, of friction that of the
-worst motor. Torques are compared after the filter, where no crank sticks: median and largest.
+The motion is that of `stewart-drake excite`. The motion for validation is random, as large as the limits allow, and
+20 s long. Errors are relative: median, 95th percentile and largest over the robots; for friction the worst motor
+counts. Torques are compared after the filter, where no crank sticks: median and largest.
 """
 HEADER = (
     "robot",
@@ -65,12 +65,12 @@ HEADER = (
     "intervals that hold the truth",
 )
 DRAKE = """
-On the Drake plant (discrete, 1 ms steps, friction that sticks), {robots} robots of the same kind a row: 60 s of the
-same motion under a controller that believes in the guess; `paper` with the LQI of `exact_breathing`, `reachy_mini` on a
-100 Hz bus with computed torque (natural frequency 25 rad/s, integral 2 rad/s), a tick of delay. Torque constants
-and torque noise are put on the log's torques. Then that controller follows a motion ({motions})
-with the guess, and with what was found: as `model_robot`, and as `friction_compensation`. Errors are the largest of the
-robots; RMSE after the first second, medians.
+On Drake's plant (discrete, 1 ms steps, stiction) there are {robots} such robots per row. They follow the same motion
+for 60 s, under a controller with the guess as its model: `paper` with the LQI of `exact_breathing`, `reachy_mini` on a
+100 Hz bus with computed torque (natural frequency 25 rad/s, integral 2 rad/s), with a tick of delay. Torque constants
+and torque noise are applied to the log's torques. Then the same controller follows a motion ({motions})
+with the guess, and with the result as `model_robot` and as `friction_compensation`. Errors are the largest over the
+robots; the RMSE is the median, after the first second.
 """
 DRAKE_HEADER = (
     "robot",

@@ -32,23 +32,23 @@ ROWS = {
 }
 TEXT = """# How far the loop is from instability
 
-`make margins`: the linear loop of `exact_breathing` at {poses} poses of the near box
+`make margins` linearises the loop of `exact_breathing` at {poses} random poses near home
 ({box}),
-within the limits that a run must keep (seed 0), the robot at rest, broken at the six motors' torques; by the row with
-another estimator, delay, period or controller, with gains that are the defaults for it. A period of 1 ms and a
-delay of 1 tick where nothing else is said. In the loop: the exact model under held torques, gravity's stiffness,
-encoders without counts, the estimator with its filter, the controller, the delay. Not in it: friction, saturation, the
+within the scenario's limits (seed 0), with the robot at rest. The loop is opened at the six motor torques. Each row has
+another estimator, delay, period or controller, with its default gains. The period is 1 ms and the delay 1 tick unless
+the row says otherwise. The loop contains the exact model under held torques, gravity's stiffness, encoders of infinite
+resolution, the estimator with its filter, the controller and the delay. It leaves out friction, saturation and the
 network's changes of weights. `stewart-drake margins` does the same for any scenario.
 
-Drake's plant at its usual step of 1 ms answers sooner than that, by about half a step. At 0.1 ms it agrees with the
-linear loop five times better and more (`tests/stability/test_linear_loop.py`); a fast loop that is unstable here, such
-as the PID of the last row at some poses, may look stable at 1 ms.
+Drake's plant at its usual step of 1 ms responds about half a step sooner than this linear loop. At 0.1 ms the agreement
+is at least five times better (`tests/stability/test_linear_loop.py`). A fast loop that is unstable here, such as the
+PID of the last row at some poses, may look stable at 1 ms.
 
-*Disk*: each motor gives (1 + d/2) / (1 - d/2) times what it is told, d complex; the loop is stable while every |d| is
-below the disk margin. It stands for gain and phase at once: 0.45 means gains from 0.63 to 1.58 or 25 deg. *All at
-once*: each motor has a d of its own (structured singular value, upper bound), and the rest follows from that. *One
-motor*: the others are as they should be; gain, phase and delay are the classical ones. Delay: beside the one that the
-loop has, in ticks of its period. Each number is the worst of all poses, with the median behind it where there are two.
+*Disk*: each motor gives (1 + d/2) / (1 - d/2) times its command, d complex; the loop is stable while every |d| is
+below the disk margin. It covers gain and phase at once: 0.45 means gains from 0.63 to 1.58 or 25 deg. *All at
+once*: each motor has its own d (structured singular value, upper bound); gain, phase and delay follow from it. *One
+motor*: the other motors are nominal; gain, phase and delay are the classical margins. Delay is in addition to the
+loop's own, in ticks of its period. Each number is the worst of all poses; a second number is the median.
 
 | loop | stable | all at once: {margins} | one motor: {margins} |
 |---|---|---|---|---|---|---|---|---|---|

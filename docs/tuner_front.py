@@ -40,12 +40,12 @@ LEAST = 1e-6
 """[mm], [N m] smaller ones count as this."""
 TEXT = """# From stiff to quiet: one policy, one number
 
-`make tuner_front`: the paper's robot in {kinds} kinds of situations, {seeds} of each, of seeds that nothing was trained
-on, on the reduced engine. `tuner.kappa` says how much a change of torque counts against an error: in J the scale of
-torques is 0.03 N m times 10^-kappa. The policy gets it as an input and serves all values. Against it {settings}
-settings that stay: {drawn} drawn evenly from the box of the searches, and those that the searches found. Geometric
-means over the kinds; *best fixed* is the setting among all of these that costs least at that kappa in these very runs,
-which flatters it.
+`make tuner_front` runs the paper's robot in {kinds} kinds of situations, {seeds} of each, with new seeds, on the
+reduced engine. `tuner.kappa` weighs changes of torque against errors: in J the scale of torques is 0.03 N m times
+10^-kappa. It is an input of the policy, and one policy serves all values. It is compared with {settings} fixed
+settings: {drawn} drawn uniformly from the range of the searches, and the searches' results. All are geometric means
+over the kinds. *best fixed* is the fixed setting with the least cost at that kappa in these very runs, which favours
+it.
 
 {table}
 

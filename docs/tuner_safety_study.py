@@ -92,27 +92,28 @@ def frozen_row(name):
 TEXT = """# Whether a tuner of settings can make the loop unstable
 
 `make tuner_safety` writes this page. A setting is four decades
-({names}), see `control/policy.py`. The box: {box};
-a setting moves by {step:g} % of it in a tick. Base: the default weights of `tuner: block` for each robot, and the
-observer's own disturbance of 16. Loops: those of [margins](margins.md), with observer, encoders, delay and the exact
-model in the LQI; no friction, no saturation, no counts.
+({names}), see `control/policy.py`. Their ranges, the box: {box};
+a setting changes by at most {step:g} % of its range in a tick. The decades are relative to the default weights of
+`tuner: block` for each robot and to the observer's default disturbance of 16. The loops are those of
+[margins](margins.md), with observer, encoders, delay and the exact model in the LQI; without friction, saturation and
+encoder resolution.
 
-{poses} poses of the near box (seed 0) and {places} settings: the centre, all corners, the centres of all faces, and
-{random} more. *Radius*: largest spectral radius of all. *Decay*: -ln(radius) per period, the slowest of all, and the
-median over poses at the centre of the box; the slowest mode is that of the integral. *Disk*: disk margin of all motors
-at once, {frequencies} frequencies, all settings at {few} poses and the three worst of them at all poses; least of all,
-and the median at the centre.
+There are {poses} random poses near home (seed 0) and {places} settings: the centre of the box, all corners, the centres
+of all faces, and {random} random ones. *Radius* is the largest spectral radius. *Decay* is -ln(radius) per period: the
+slowest, and the median over poses at the centre; the slowest mode is the integral's. *Disk* is the disk margin of all
+motors at once at {frequencies} frequencies, for all settings at {few} poses and for the three worst of them at all
+poses: the least, and the median at the centre.
 
 | loop | stable | radius | slowest decay [1/s] | at | centre [1/s] | least disk | centre | at |
 |---|---|---|---|---|---|---|---|---|
 {frozen}
 
-At eb925fb the box went down to a speed of -0.1: there 5 of the 41000 loops of Reachy Mini were unstable, all at one
+At revision eb925fb the lowest speed was -0.1: there 5 of the 41000 loops of Reachy Mini were unstable, all at one
 pose, with a radius of up to 1.00139.
 
-Settings that change have been studied up to 1c46462 (docs/tuner_safety_study.py there): swings between opposite corners
-at the rate limit decayed at 3.73 1/s and more for the paper's robot with one tick of delay, at 0.55 1/s and more for
-Reachy Mini; with jumps instead, Reachy Mini's loop can grow.
+Changing settings were studied up to revision 1c46462 (docs/tuner_safety_study.py there). With swings between opposite
+corners at the rate limit the loop decayed at 3.73 1/s or faster for the paper's robot with one tick of delay, and at
+0.55 1/s or faster for Reachy Mini. With jumps instead, Reachy Mini's loop can grow.
 
 ![Decay of frozen settings](../images/tuner_safety.png)
 

@@ -22,23 +22,23 @@ POSES = 100
 
 TEXT = """# What the LQI itself adds
 
-Four controllers with the same observer, whose level is searched for each, and the same torque against friction. All
-are tuned by the same search, CMA-ES with {evaluations} evaluations each, for the same cost over the same {runs} runs:
-J = sqrt((RMSE / 0.03 deg)^2 + (RMSE / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2), the plain
-mean of the runs. Runs, bounds, start and scales are in [fair.yaml](../../diagrams/comparisons/fair.yaml). The search
-runs on the reduced engine; the verdict is Drake's plant with other noise. {made}
+Four controllers have the same observer and the same friction compensation. The same search, CMA-ES with {evaluations}
+evaluations each, tunes their gains and the observer's disturbance for the same cost over the same {runs} runs:
+J = sqrt((RMSE / 0.03 deg)^2 + (RMSE / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2), averaged
+over the runs. Runs, bounds, start and scales are in [fair.yaml](../../diagrams/comparisons/fair.yaml). The search
+runs on the reduced engine; the verdict is on Drake's plant with other noise. {made}
 
 {answer}
 
-A few percent decide nothing: with the settings of the first search a change of the observer took computed torque from
+A few percent decide nothing: with the settings of the first search, a change of the observer took computed torque from
 0.90 to 1.04 times the cost of the LQI. The two tie.
 
-What that costs in robustness, which the cost sees but in the runs with a payload and a later tick: disk margin, all six
-motors at once, the least of {poses} poses of the near box (`stewart-drake margins`; 0.45 stands for 25 deg; of a user's
-own controller the linear loop is not known): {margins}. So none of these settings is a default.
+The tuned settings are less robust; of the cost's runs only those with a payload or a later tick show it. The disk
+margin, all six motors at once, least of {poses} random poses near home (`stewart-drake margins`; 0.45 means 25 deg; not
+available for a user's own controller) is: {margins}. So none of these settings is a default.
 
 {settings}
-"tuned, as searched" is the reduced engine with the verdict's noise: against "tuned" it is what the engine makes of it.
+"tuned, as searched" has the verdict's noise on the reduced engine: its difference from "tuned" is due to the engine.
 
 ![Cost over evaluations](fair_search.png)
 
@@ -53,7 +53,7 @@ def main(searched: Path | None) -> None:
     """Writes them; ends with a line where the search is not whole."""
     results = Path(__file__).with_name("results")
     kept = results.parents[1] / "diagrams" / "comparisons" / "tuned" / "fair.yaml"
-    made = "The settings are those of an earlier search, judged\nanew by `make fair_verdict`."
+    made = "The settings are those of an earlier search, tested\nagain by `make fair_verdict`."
     if searched is not None:
         shutil.copyfile(searched / "tuned.yaml", kept)
         shutil.copyfile(searched / "tune.png", results / "fair_search.png")

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-TEXT = """# A thousand robots that are not what the controller believes
+TEXT = """# A thousand robots that differ from the controller's model
 
-`stewart-drake sweep monte_carlo`; what is drawn, and from what, is in
+`stewart-drake sweep monte_carlo`; the random values and their distributions are in
 [monte_carlo.yaml](../../diagrams/sweeps/monte_carlo.yaml): masses and inertias within 20 %, payload up to 0.3 kg off
 centre, 0 to 0.08 N m of friction, encoder noise up to a count, 1 to 3 ticks of delay, a push of up to 5 N, and a motion
-of six sines of 0.1 to 1.5 Hz each. The controller is the exact-model LQI of `exact_breathing` with its observer. It
-believes in the nominal robot, 2 ticks of delay and 0.04 N m of friction. The runs are on the reduced engine
-(`plant.engine`). {judged} A row a run:
+of six sines of 0.1 to 1.5 Hz each. The controller is the exact-model LQI of `exact_breathing` with its observer. Its
+model has the nominal robot, 2 ticks of delay and 0.04 N m of friction. The runs are on the reduced engine
+(`plant.engine`). {judged} One row per run:
 [monte_carlo.parquet](monte_carlo.parquet). `make montecarlo` writes both.
 
 | of {runs} runs of 4 s | 50 % | 95 % | 99 % | largest |

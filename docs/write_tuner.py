@@ -13,23 +13,23 @@ from stewart_drake.training.situations import KINDS, ROBOTS
 DOCS = Path(__file__).parent
 TEXT = """# What a tuner is worth
 
-`make tuner_verdict`, Drake's plant: candidates in situations drawn by kind, robot and seed
-(`stewart_drake/training/situations.py`): {kinds} kinds, of which {untrained} were never trained or searched on, with
-the paper's robot at 1 kHz and Reachy Mini at 100 Hz, and seeds that nobody had trained or searched on. All have the
-same observer on noisy encoders, a tick of delay and more, and the same feedforward. J = sqrt((RMS error / 0.03 deg)^2 +
+`make tuner_verdict` tests the candidates on Drake's plant, in random situations by kind, robot and seed
+(`stewart_drake/training/situations.py`). There are {kinds} kinds, {untrained} of them never used in training or search,
+with the paper's robot at 1 kHz and Reachy Mini at 100 Hz; all seeds are new. All candidates have the same observer on
+noisy encoders, a delay of at least one tick, and the same feedforward. J = sqrt((RMS error / 0.03 deg)^2 +
 (RMS error / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2) of the second half of a run, and 1000
-for one that failed: that was not completed. An error larger than its motion is no failure here
-(`bounds.error_ratio: null`); J says how large it is.
+for a run that failed, that is, was not completed. An error larger than the motion is no failure here
+(`bounds.error_ratio: null`); J includes it.
 
-- *best fixed*: the setting of least mean log J over all kinds that are trained on, by CMA-ES with {evaluations}
-  evaluations of {seeds} runs of each kind on the reduced engine (`make tuner_baselines`): {best}.
-- *policy*: the network of `tuner: policy`; `stewart-drake tuner show` prints its card. The file before it, of another
+- *best fixed*: the fixed setting with the least mean log J over all kinds used in training, by CMA-ES with
+  {evaluations} evaluations of {seeds} runs of each kind on the reduced engine (`make tuner_baselines`): {best}.
+- *policy*: the network of `tuner: policy`; `stewart-drake tuner show` describes it. The file before it, of another
   training, had 0.61 (0.59 to 0.64) here: [how both were trained](tuner_training.md).
 - *schedule*: two settings, switched by the innovation; ten numbers found by the same search, {schedule} evaluations.
 - *best of the nine pairs*: the paper's omega_Q and omega_R, of 0.1, 1 and 10 each, the best for each robot ({pairs}),
   with the observer of the best fixed setting.
-- *the paper's tuner*: its network as printed, with that observer.
-- *oracle of each kind*: a setting searched likewise for each kind of each robot, also for those that nobody else saw.
+- *the paper's tuner*: the paper's network, with that observer.
+- *oracle of each kind*: a fixed setting from the same search, for each kind of each robot, untrained kinds included.
 
 {verdict}
 ![Cost by kind](../images/tuner_verdict.png)

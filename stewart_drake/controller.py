@@ -24,7 +24,7 @@ class Controller:
     allows for it. The Riccati equation of an LQI is solved by the compiled split solution.
 
     Args:
-        scenario: What the controller believes and does: robot, reference, controller, tuner, estimator, safety.
+        scenario: Model of the robot, reference, controller, tuner, estimator and safety layer.
 
     Raises:
         ConfigurationError: A controller that is a LeafSystem, which needs a Diagram; as `loop_of`.
@@ -39,7 +39,9 @@ class Controller:
         own = [*loop.parts[loop.first : loop.last], *(part for part in loop.parts[loop.last :] if part.late)]
         safety = [part for part in loop.parts if part.name == "safety"]
         if any(part.system is not None for part in own):
-            raise ConfigurationError("controller", scenario.controller.kind, "one that is no LeafSystem, to run alone")
+            raise ConfigurationError(
+                "controller", scenario.controller.kind, "a controller that is no LeafSystem, to run without a plant"
+            )
         self.period, self.reading = scenario.controller.period, scenario.sensors.reading_size
         outside = {loop.reading: self.reading, **{source.signal: source.size for source in loop.sources}}
         for layer in safety:
@@ -60,7 +62,7 @@ class Controller:
 
         Args:
             readings: (6,) [rad] angles of the cranks, or (12,) pose [rad, m] and its rate, see `reading`.
-            time: [s] of the motion; a multiple of the period is answered fastest.
+            time: [s] of the motion; fastest at multiples of the period.
             out: (6,) [N m] out, for the motors.
 
         Raises:
@@ -76,13 +78,13 @@ class Controller:
         self._running.late()
 
     def reset(self) -> None:
-        """As before the first step."""
+        """Resets the state to that before the first step."""
         self._running.reset()
 
     def signal(self, name: str) -> np.ndarray:
         """A signal of the last step by its name, such as `torque`, `error` or `measurement`; a view.
 
-        What a tuner says, `weights` or `setting`, is what acts from the next step on.
+        The tuner's `weights` or `setting` apply from the next step on.
         """
         return self._running.signal(name)
 

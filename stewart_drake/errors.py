@@ -135,7 +135,7 @@ class SingularPoseError(RunFailure):
         reason, what = {
             "serial": ("crank_dead_centre", f"crank of leg {leg} at its dead centre: transmission |e_l . e_N|"),
             "parallel": ("parallel_singularity", "parallel singularity: sigma_min / sigma_max"),
-            "rod_joint": ("rod_joint", f"rod of leg {leg} turned by 90 deg in its joint on the crank: cos"),
+            "rod_joint": ("rod_joint", f"rod of leg {leg} turned by 90 deg in its joint at the crank: cos"),
         }[kind]
         text = f"{what} = {margin:.4g} at pose {pose_text(pose)} (allowed: >= {limit:g})"
         super().__init__(text, leg, reason)
@@ -150,7 +150,7 @@ class ForwardKinematicsError(RunFailure):
         self.residual, self.iterations = residual, iterations
         super().__init__(
             f"forward kinematics did not converge in {iterations} iterations: rod-length error {residual:.3g} m; "
-            "give a guess nearer to the pose, or check that these crank angles can be assembled"
+            "give a guess closer to the pose, or check that these crank angles can be assembled"
         )
 
 

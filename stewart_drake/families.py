@@ -50,7 +50,7 @@ class Table:
 
     def _refuse_known(self, name: str) -> None:
         if name in self._lines:
-            raise ConfigurationError("kind", name, f"a name that no kind has, unlike {either(self.names)}")
+            raise ConfigurationError("kind", name, f"a new name; there are already {either(self.names)}")
 
     def added_code(self) -> dict[str, str]:
         """Kind -> source of what was added from outside of the package, and of the modules that it stands in.
@@ -130,7 +130,7 @@ class Family(Table):
     def register(self, name: str, path: str) -> None:
         """Lets a name stand for the import path of a user's own class, `module:Class`, wherever a kind does."""
         if self._own is None or ":" not in path:
-            raise ConfigurationError(name, path, "module:Class, of a part that may be a class of your own")
+            raise ConfigurationError(name, path, "module:Class, for a part that may be your own class")
         self._refuse_known(name)
         self._paths[name] = path
 
@@ -179,7 +179,7 @@ class Family(Table):
 
     def _refusal(self, value: Any) -> ConfigurationError:
         if not isinstance(value, (Mapping, Section)):
-            allowed = f"a section, with kind: {either(self.words)}, or a kind by itself"
+            allowed = f"a section with kind {either(self.words)}, or such a kind alone"
             allowed = chosen(value, self.words) if isinstance(value, str) else allowed
             return ConfigurationError("", value, allowed)
         kind = value.get("kind") if isinstance(value, Mapping) else getattr(value, "kind", None)
@@ -205,15 +205,16 @@ class Family(Table):
 class UserMade(Section):
     """Base of sections for what a class of the user's own makes.
 
-    In a file `kind` is the import path of the class; in Python the class itself, or an object, may stand there, or in
-    place of the whole section.
+    In a file `kind` is the import path of the class. In Python it may also be the class itself or an object, and an
+    object may replace the whole section.
     """
 
     asked: ClassVar[str]
     """What an object of the class does, such as `evaluate(t) returns ...`; begins with its method."""
 
     kind: CodePath
-    """path/to/file.py:Class, from the folder of the file that names it, or module:Class. Its code is run."""
+    """Import path of your class, from the folder of the file that names it: path/to/file.py:Class, or module:Class. Its
+    code is run."""
     arguments: dict[str, Any] = Field(default_factory=dict)
     """Keyword arguments of the constructor, plain values."""
 

@@ -20,7 +20,7 @@ _TOLERANCE = 1e-11
 
 
 def on_grid(seconds: float) -> float:
-    """Sample time for `seconds`, of which multiples are exact: that of n x is n times that of x, to the last bit.
+    """Sample time near `seconds` whose multiples are exact: that of n x is n times that of x, to the last bit.
 
     Drake fires a periodic event at k * period. Decimal periods drift apart by rounding (10 k * 0.0001 s and
     k * 0.001 s differ for 384 of the first 2001 k), and a controller that ticks just after the plant sees it one step

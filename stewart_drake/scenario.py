@@ -61,49 +61,52 @@ class Scenario(Section):
     """
 
     name: Annotated[Text, Field(max_length=100, pattern=NAME), words(f"at most 100 {NAME_WORDS}")] = "scenario"
-    """Used for the output folder and titles: letters, digits and, after the first, space and . + - too."""
+    """Name of the run, for the output folder and titles; letters, digits and, after the first, space and . + - too."""
     duration: Annotated[Positive, Field(le=1e6)] = 10.0
-    """[s] simulated time; at most 1e9 steps of the plant. A run ends with the last whole step."""
+    """[s] simulated time; the run ends with the last whole step of the plant, at most 1e9 of them."""
     gravity: Annotated[NotNegative, Field(le=LARGEST)] = STANDARD_GRAVITY
-    """[m/s^2] along -z of B; 0 for none."""
+    """[m/s^2] gravity, along -z of the base frame B; 0 for none."""
     robot: AnyRobot = Field(default_factory=lambda: PAPER)
-    """Geometry, masses and limits of the simulated robot; or its name, or a YAML file with the same keys."""
+    """The simulated robot: geometry, masses and limits; a section, a robot's name, or a YAML file with the same
+    keys."""
     model_robot: AnyRobot | None = None
-    """The robot as the controller believes it to be; null for the truth."""
+    """The controller's model of the robot; null for the simulated robot itself."""
     plant: PlantOptions = Field(default_factory=PlantOptions)
-    """The simulated robot."""
+    """The simulation of the robot: time step, engine, friction, payload."""
     motors: MotorOptions = Field(default_factory=MotorOptions)
-    """How its motors differ from ideal ones."""
+    """Imperfections of the motors; none by default."""
     disturbances: tuple[AnyDisturbance, ...] = ()
-    """Wrenches from outside on the platform; they add up."""
+    """External wrenches on the platform; they add up."""
     reference: AnyReference = Field(default_factory=SineReference)
     """The motion to follow."""
     initial_offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    """[rad, m] start pose minus the reference's; the start velocity is the reference's."""
+    """[rad, m] start pose minus the reference's start pose; the start velocity is the reference's."""
     controller: Annotated[ControllerOptions, CONTROLLERS] = Field(default_factory=LqiOptions)
-    """What computes the torques; without `kind`, the LQI."""
+    """The control law that computes the motor torques; without `kind`, the LQI."""
     tuner: Annotated[Tuner, TUNERS] = Field(default_factory=PaperTuner)
-    """Where the weights come from; without effect for controllers that take none."""
+    """Sets the weights of the LQI; ignored by controllers without weights."""
     sensors: Annotated[SensorOptions, SENSORS] = Field(default_factory=IdealSensors)
-    """What is read of the robot."""
+    """The sensors: what they measure, their resolution, noise and faults."""
     estimator: Annotated[EstimatorOptions, ESTIMATORS] = Field(default_factory=DifferenceOptions)
-    """What makes of it the pose and rate that the controller sees."""
+    """Estimates the platform's pose and rate for the controller from the sensor readings."""
     friction_compensation: FrictionCompensation | None = None
-    """Friction of the motors that every command makes up for; null for none."""
+    """The controller's model of motor friction, to compensate it; null for none."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
-    """Control periods from a tick to its torque at the motors; until the first arrives they hold the start pose."""
+    """[ticks] delay from a command to its torque, in control periods; until the first arrives the motors hold the start
+    pose."""
     link: LinkOptions = Field(default_factory=LinkOptions)
-    """The link that carries the commands to the motors: what it drops, delays or corrupts. It comes after the delay."""
+    """The link that carries commands to the motors, after `command_delay`: what it drops, delays or corrupts."""
     safety: SafetyOptions | None = None
-    """What stands between the commands and the motors; null for nothing."""
+    """The safety layer between controller and motors; null for none."""
     bounds: Bounds = Field(default_factory=Bounds)
-    """Bounds that the run must stay within for its motion to count as followed; they decide the outcome."""
+    """Bounds on the run, such as its largest error; they decide whether it counts as followed."""
     limits: Limits = Field(default_factory=Limits)
-    """Limits that the reference must stay within; checked before the run."""
+    """Limits on the reference, such as crank speed; checked before the run."""
     metrics: tuple[Annotated[Any, OWN_METRICS], ...] = ()
-    """Further metrics of the run, each a `Metric` by its import path: module:name or path/to/file.py:name."""
+    """Your own metrics, each a `Metric` by its import path: module:name or path/to/file.py:name."""
     log_period: Positive | None = None
-    """[s] between log rows, a whole multiple of plant.time_step, at most duration; null takes controller.period."""
+    """[s] time between log rows, a whole multiple of plant.time_step, at most duration; null takes
+    controller.period."""
 
     @classmethod
     def _validated(cls, data: Any, key: str, **details: Any) -> Any:
@@ -326,10 +329,10 @@ def _refuse_part(key: str, here: Any, part: str | int, inside: str) -> None:
     """Raises a `ConfigurationError` where what a key goes into is no section, or no list that is long enough."""
     if isinstance(part, str) and not isinstance(here, dict):
         hint = "; `mismatch: true` fills it" if inside == "model_robot" and here is None else ""
-        raise ConfigurationError(key, here, f"a key in a section, which {inside} is not{hint}")
+        raise ConfigurationError(key, here, f"a section with this key, which {inside} is not{hint}")
     if isinstance(part, int) and not (isinstance(here, list) and part < len(here)):
         has = f"components from 0 to {len(here) - 1}" if isinstance(here, list) else "no components"
-        raise ConfigurationError(key, here, f"a key that is there: {inside} has {has}")
+        raise ConfigurationError(key, here, f"an existing key: {inside} has {has}")
 
 
 def _changed(data: dict[str, Any], changes: Mapping[str, Any]) -> Scenario:

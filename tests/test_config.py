@@ -189,7 +189,7 @@ def test_a_kind_alone_is_one_on_the_command_line_in_python_and_in_a_list(tmp_pat
         ({"tuner": "fixd"}, r"tuner: expected fixed, .* or schedule, got 'fixd'; did you mean fixed\?"),
         ({"reference": {"center": 2}}, r"reference.center: expected a list of 6 numbers \[rad, m\], got 2"),
         ({"reference": "spline"}, "reference.times: expected .*, got None; this key is required\n.*poses: .*"),
-        ({"reference": ["hold"]}, "reference: expected a section, with kind: .* or a kind by itself, got .*"),
+        ({"reference": ["hold"]}, "reference: expected a section with kind .* or such a kind alone, got .*"),
     ],
 )
 def test_what_is_wrong_with_a_kind_is_a_line_a_problem_under_its_key(data, line):

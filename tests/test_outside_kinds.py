@@ -226,7 +226,7 @@ class AnotherLqi(ControllerOptions):
 
 @pytest.mark.usefixtures("added")
 def test_a_kind_needs_a_name_of_its_own():
-    with pytest.raises(ConfigurationError, match=r"^kind: .*no kind has.*'lqi'"):
+    with pytest.raises(ConfigurationError, match=r"^kind: .*a new name.*'lqi'"):
         CONTROLLERS.add(AnotherLqi)
     assert CONTROLLERS["lqi"] is LqiOptions
     SENSORS.add(ToySensorOptions)  # as a cell of a notebook does

@@ -166,8 +166,8 @@ def test_masses_without_inertias_are_uniform_bars_and_a_disc():
     [
         ("a, b\n1, 2", r"header: expected "),
         (f"{HEADER}, crank_x\n", r"header.*in groups, crank_x, crank_y, crank_z.*without crank_y, crank_z"),
-        (f"{HEADER}\n1, 2, 3, 4, five, 6\n", r"expected 6 rows, one a leg.*five"),
-        (f"{HEADER}\n1, 2, 3, 4, nan, 6\n" * 1, r"6 rows, one a leg.*got \(1, 6\)"),
+        (f"{HEADER}\n1, 2, 3, 4, five, 6\n", r"expected 6 rows, one per leg.*five"),
+        (f"{HEADER}\n1, 2, 3, 4, nan, 6\n" * 1, r"6 rows, one per leg.*got \(1, 6\)"),
         (f"leg, {HEADER}\n" + "3, 1, 2, 3, 4, 5, 6\n" * 6, r"leg: expected "),
     ],
 )
@@ -187,7 +187,7 @@ def swapped(one, other):
 @pytest.mark.parametrize(
     ("make", "wanted"),
     [
-        (lambda: RobotParameters.from_table(POINTS[:5], **LEG), r"6 rows, one a leg.*got \(5, 6\)"),
+        (lambda: RobotParameters.from_table(POINTS[:5], **LEG), r"6 rows, one per leg.*got \(5, 6\)"),
         (lambda: RobotParameters.from_table(1e3 * POINTS, **LEG), r"rod_length of leg \d.*millimetres\?"),
         (lambda: RobotParameters.from_table(POINTS * [1, 1, 1, 1, -1, 1], **LEG), r"is an axis of P mirrored\?"),
         (lambda: RobotParameters.from_table(POINTS * [-1, 1, 1, 1, 1, 1], **LEG), r"is an axis of P mirrored\?"),
@@ -200,7 +200,7 @@ def swapped(one, other):
         (lambda: RobotParameters(legs=[{"platform_joint": (110, 0, 0)}, *[{}] * 5]), r"legs\.0\..*at most 30"),
         (lambda: RobotParameters(legs=[{"rod_length": 0.2}, *[{}] * 5]), r"leg 0 .* is 0\.3967 m from its shaft"),
         (lambda: RobotParameters(legs=[{"crank_angle_range": (-40, 40)}, *[{}] * 5]), r"\[rad\].*degrees\?"),
-        (lambda: RobotParameters(platform_inertia=(1.0, 1.0, 3.0)), r"kg m\^2.*as 3 is"),
+        (lambda: RobotParameters(platform_inertia=(1.0, 1.0, 3.0)), r"kg m\^2.*; 3 is"),
     ],
 )  # fmt: skip
 def test_what_was_perhaps_meant_is_said_with_the_leg_and_the_number(make, wanted):

@@ -131,7 +131,7 @@ def test_an_override_sets_one_key(text, key, value):
     [
         (" =3", "--set", "key=value"),
         ("duration=[1", "--set duration", "line 1"),
-        ("duration.x=3", "duration.x", "a key in a section, which duration is not"),
+        ("duration.x=3", "duration.x", "a section with this key, which duration is not"),
         ("reference.center.5=3", "reference.center.5", "initial_offset[0]"),
         ("reference.center[6]=3", "reference.center[6]", "center has components from 0 to 5"),
         ("initial_offset=3", "initial_offset", "a list of 6 numbers [rad, m]"),

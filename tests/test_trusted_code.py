@@ -75,7 +75,7 @@ def ran(parts):
     return found
 
 
-def refused(words="read .*parts.py, then say --trust-code"):
+def refused(words="read .*parts.py, then add --trust-code"):
     return pytest.raises(ConfigurationError, match=words)
 
 
@@ -89,7 +89,7 @@ def write_scenario(place, code):
 def test_a_file_that_names_code_is_read_and_checked_and_runs_only_with_the_flag(call, parts, place):
     write_scenario(place, f"elsewhere/parts.py:{PLACES[place][1]}")
     status, out, _ = call("check", "s.yaml")
-    assert (status, f"runs code: {parts}" in out, "asks for --trust-code" in out) == (0, True, True)
+    assert (status, f"runs code: {parts}" in out, "needs --trust-code" in out) == (0, True, True)
     status, _, err = call("run", "s.yaml")
     assert (status, err.count("\n"), str(parts) in err, "--trust-code" in err) == (2, 1, True, True)
     assert PLACES[place][0].split(":")[0] in err
@@ -109,7 +109,7 @@ def test_a_module_is_not_imported_to_read_or_check_it(call, tmp_path, monkeypatc
     monkeypatch.syspath_prepend(tmp_path)
     write_scenario("disturbance", f"{module}:Mine")
     assert call("check", "s.yaml")[0] == 0
-    with refused(f"read {module}, then say"):
+    with refused(f"read {module}, then add"):
         run(load_scenario("s.yaml"))
     assert not [name for name in sys.modules if name.partition(".")[0] in ("loose", "package", "space")]
 

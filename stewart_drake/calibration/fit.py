@@ -71,10 +71,10 @@ def calibrate(
     known_frames: Collection[FrameName] = (),
     hold: Collection[Name] = (),
 ) -> Calibration:
-    """The robot that measured poses and encoder readings belong to.
+    """Estimates a robot's geometry and homing offsets from measured poses and encoder readings.
 
     Args:
-        robot: The guess; of it the branches, masses and limits are kept.
+        robot: The guess; its branches, masses and limits are kept.
         poses: Measured poses with readings, or a CSV file of them, see `load_measurements`.
         noise: Of tracker and encoders; only the ratios of its numbers act on the estimate.
         known_frames: `base` if the tracker measures in B, `platform` if it measures the pose of P itself. Other
@@ -87,7 +87,7 @@ def calibrate(
 
     Raises:
         ConfigurationError: Too few poses, or such as cannot be this robot's: wrong units, an inverted encoder, a
-            single wrong row, another branch; each is named where the residuals tell.
+            single wrong row, another branch; the message names it where the residuals show it.
     """
     for key, given, allowed in (("known_frames", known_frames, FRAMES), ("hold", hold, NAMES)):
         if strange := sorted(set(given) - set(allowed)):
@@ -219,8 +219,8 @@ def located(guess: RobotParameters, measurements: Measurements, known: Collectio
     believed, good = Model(guess).assembled(measurements.angles)
     observed = measurements.marker[good]
     if len(observed) < _LEAST:
-        got = f"readings of which {len(observed)} of {len(measurements)} can be those of this robot"
-        allowed = "readings in rad (or _deg), in the order of the legs, near to crank angles of the guess"
+        got = f"readings, of which only {len(observed)} of {len(measurements)} are possible for this robot"
+        allowed = "readings in rad (or _deg), in the order of the legs, near the crank angles of the guess"
         raise ConfigurationError(f"{measurements.source}: crank_angle", got, allowed)
     free = [OF_ROBOT + 6 * FRAMES.index(frame) + axis for frame in FRAMES if frame not in known for axis in range(6)]
     if not free:
@@ -281,7 +281,7 @@ def _explained(fit: Callable[[Measurements], _Start], guess: RobotParameters, me
     if start.score == np.inf:
         leg, at = divmod(int(start.relative.argmax()), PER_LEG)
         off = f"{abs(start.change[PER_LEG * leg + at]):.3g} {OF_LEG[at].unit}"
-        got = f"poses that tell a {OF_LEG[at]} of leg {leg} {off} off the guess"
+        got = f"poses that give a {OF_LEG[at]} of leg {leg} {off} off the guess"
         allowed = "readings of this robot; is it another one, or are two encoders swapped?"
         raise ConfigurationError(measurements.source, got, allowed)
     by_angle = derivative(lambda step: start.closures(step[0]), 1)[..., 0]
@@ -289,7 +289,7 @@ def _explained(fit: Callable[[Measurements], _Start], guess: RobotParameters, me
     wrong = (np.sign(by_angle) == -guess.branches).all(axis=0)
     if wrong.any():
         leg = int(wrong.argmax())
-        allowed = f"{-guess.branches[leg]}: there the readings of {measurements.source} stand"
+        allowed = f"{-guess.branches[leg]}, the branch of the readings of {measurements.source}"
         raise ConfigurationError(f"robot.legs.{leg}.branch", int(guess.branches[leg]), allowed)
     return start
 
@@ -303,18 +303,18 @@ def _others(
         scaled = table.copy()
         scaled[:, columns] *= factor
         got = f"numbers that fit if they are multiplied by {factor:.4g}"
-        yield scaled, f"{source}: {key}", got, f"the unit that the column's name says; perhaps {what}?"
+        yield scaled, f"{source}: {key}", got, f"the unit in the column's name; perhaps {what}?"
     strays = _stray_rows(guess, measurements)
     suspects = [strays] if 0 < len(strays) <= _FEW * len(measurements) else []
     if start is not None:
         off = np.abs(start.closures()).max(axis=-1)
         suspects += [[row] for row in np.argsort(-off)[:_ROWS].tolist()]
     for rows in suspects:
-        got, allowed = "a pose that does not fit the others, which fit without it", "pose and readings at rest"
+        got, allowed = "a pose that does not fit the others", "pose and readings at rest"
         yield np.delete(table, rows, axis=0), f"{source}: row {rows[0] + 1}", got, allowed
     for leg in range(LEGS):
         inverted = table * np.where(np.arange(12) == 6 + leg, -1.0, 1.0)
-        got, allowed = "readings that fit with the other sign", "angles that grow as the guess's crank angle does"
+        got, allowed = "readings that fit with the other sign", "angles with the sign of the guess's crank angle"
         yield inverted, f"{source}: crank_angle_{leg}", got, allowed
 
 

@@ -49,14 +49,15 @@ _GAIN = 1e-6
 
 
 class MeasurementNoise(Section, key="noise"):
-    """Standard deviations of what is measured; each is independent and alike in all directions."""
+    """Standard deviations of the measurements; independent, and the same in all directions."""
 
     position: Annotated[Positive, Field(le=1.0)] = 2e-5
     """[m] of each coordinate of a measured position."""
     rotation: Annotated[Positive, Field(le=1.0)] = 1e-4
     """[rad] of a measured orientation about each axis."""
     encoder: Annotated[Positive, Field(le=1.0)] = 2.0 * math.pi / 2**17 / math.sqrt(12.0)
-    """[rad] of a reading. An encoder that is exact but for its steps has a step over the root of 12: here 17 bits."""
+    """[rad] of an encoder reading. An encoder limited by its resolution has a step over the root of 12: here 17
+    bits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +79,7 @@ class Measurements:
         most = np.array([math.pi, math.pi / 2.0, math.pi] + [_FARTHEST] * 3 + [4.0 * math.pi] * LEGS)
         allowed = (
             "metres, and radians, roll and yaw within +-pi, pitch within +-pi/2, readings within +-4 pi; "
-            "millimetres go by _mm, degrees by _deg"
+            "name columns _mm for millimetres, _deg for degrees"
         )
         refuse_cells(self.source, QUANTITIES, self.table, ~np.isfinite(self.table), "a finite number")
         refuse_cells(self.source, QUANTITIES, self.table, np.abs(self.table) > most * (1.0 + 1e-9), allowed)
@@ -86,7 +87,7 @@ class Measurements:
         again = np.flatnonzero(first[which.ravel()] != np.arange(len(self)))
         if again.size:
             got = f"the pose of row {first[which.ravel()[again[0]]] + 1} again in row {again[0] + 1}"
-            allowed = "poses that were each measured: a tracker never gives the same numbers twice"
+            allowed = "measured poses; a tracker never gives the same numbers twice"
             raise ConfigurationError(self.source, got, allowed)
 
     def __len__(self) -> int:
@@ -138,7 +139,7 @@ def plan_poses(
     seed: int = 0,
     candidates: int = CANDIDATES,
 ) -> PosePlan:
-    """Poses that tell a robot's parameters best: the largest determinant of what they tell, by Fedorov's exchange.
+    """Most informative poses to calibrate a robot: D-optimal, by Fedorov's exchange.
 
     V. V. Fedorov, Theory of Optimal Experiments (1972). Begun with the pose that adds most, one after the other; then
     each is taken out and the best of all put in its place, until none is better. What is known before the first pose
@@ -189,7 +190,7 @@ def candidate_poses(robot: RobotParameters, count: int, limits: Limits, rng: np.
         way /= np.linalg.norm(way / size, axis=1, keepdims=True)
         last, limit = way_out(robot, limits, home, way, _WAY, most=MARGIN)
         if not last.any():
-            got = f"a limit {LIMIT_NAMES[limit[0]]} that no way from home keeps to"
+            got = f"a limit {LIMIT_NAMES[limit[0]]} that is broken on every line from home"
             raise ConfigurationError("limits", got, f"limits of which the home pose uses at most {MARGIN:g}")
         # Nearer to the end than to home, where poses tell more; the step before the last holds the limits.
         share = rng.uniform(0.0, 1.0, count) ** (1.0 / 3.0)

@@ -27,18 +27,18 @@ class Calibration(Report):
     """A calibrated robot, and how well it is known.
 
     Attributes:
-        robot: Its crank angles are the encoders' readings: the homing offsets are in its crank directions.
-        guess: What the calibration started from.
-        measurements: What it was made of.
-        known_frames: Frames of the tracker that were those of the robot.
+        robot: The result. Its crank angles are the encoder readings: its crank directions include the homing offsets.
+        guess: The robot that the calibration started from.
+        measurements: The measured poses.
+        known_frames: Frames of the tracker that were known.
         hold: Parameters that kept their value.
         change: (78,) [m, rad] of the guess's parameters and the tracker's frames, see `model`.
         half_width: (78,) [m, rad] of the 95 % intervals; 0 for what was held or known, infinite if unidentifiable.
-        identifiable: How many independent numbers were estimated.
-        unidentifiable: What these poses cannot tell, a sentence each.
+        identifiable: Number of independent parameters that were estimated.
+        unidentifiable: What these poses cannot determine, one sentence each.
         base: (4, 4) B in the tracker's frame.
         marker: (4, 4) the marker in P.
-        before: (n, 6) [rad, m] measured minus believed poses of the marker, the tracker's frames being fitted to the
+        before: (n, 6) [rad, m] measured minus predicted poses of the marker, with the tracker's frames fitted to the
             guess; NaN where the guess cannot be assembled.
         after: (n, 6) [rad, m] measured minus calibrated poses of the marker.
         noise_ratio: [-] errors over the stated noise; the intervals are scaled by it.
@@ -61,8 +61,8 @@ class Calibration(Report):
 
     columns: ClassVar = ("leg", "parameter", "axis", "unit", "guess", "value", "half_width")
     about: ClassVar = (
-        "Changes against the guess, with 95 % intervals. The homing offset is reading minus true angle; the robot\n"
-        "has it in its crank directions, so that its crank angles are the readings."
+        "Changes from the guess, with 95 % intervals. The homing offset is reading minus true angle. It is part of\n"
+        "the robot's crank directions, so that its crank angles are the readings."
     )
     picture: ClassVar = "Errors of the poses and changes of the parameters"
 
@@ -102,10 +102,10 @@ class Calibration(Report):
         if self.noise_ratio > _NOISY:
             ratio += ": the noise is larger than stated, or legs have play or bend; the intervals are widened by it"
         rows = [
-            ("poses, numbers estimated", f"{len(self.measurements)}, {self.identifiable}"),
+            ("poses, parameters estimated", f"{len(self.measurements)}, {self.identifiable}"),
             ("pose error before (RMS)", before),
             ("pose error after (RMS)", after),
-            ("errors that are left", ratio),
+            ("remaining errors", ratio),
             ("widest 95 % intervals, ±", widths),
         ]
         for frame, name, where, points in (
@@ -113,8 +113,8 @@ class Calibration(Report):
             ("platform", "platform_joint", "where P is", "the platform's joints"),
         ):
             if frame not in self.known_frames and name not in self.hold:
-                line = f"{where} (6 numbers): it was put where {points} lie nearest to the guess's"
-                rows.append(("cannot be told by any poses", line))
+                line = f"{where} (6 numbers); it is placed so that {points} are closest to the guess's"
+                rows.append(("not identifiable by any poses", line))
         return [*rows, *(("not identifiable by these poses", line) for line in self.unidentifiable), *self._frames()]
 
     def _frames(self) -> Iterator[tuple[str, str]]:

@@ -29,7 +29,7 @@ _FILES = ("scenarios", "comparisons", "sweeps", "robots")
 
 
 class Key(NamedTuple):
-    """A key of a scenario: where it stands, and of which kind of section; its part of the JSON schema."""
+    """A key of a scenario: its dotted name, the kind of its section, and its part of the JSON schema."""
 
     name: str
     kind: str
@@ -46,6 +46,11 @@ class Key(NamedTuple):
         text = self.schema.get("description", "").partition("\n\n")[0]
         found = _UNIT.match(text)
         return " ".join((found[2] if found else text).split())
+
+    @property
+    def chooses(self) -> bool:
+        """Whether it is the kind of its section."""
+        return self.name.rpartition(".")[2] == "kind" and "enum" not in self.schema
 
     @property
     def sentence(self) -> str:
@@ -69,9 +74,10 @@ def keys_of(root: Mapping[str, Any], schema: Mapping[str, Any], before: str = ""
     for way in ways(root, schema):
         kind = way.get("properties", {}).get("kind", {}).get("const", "")
         for name, inner in way.get("properties", {}).items():
-            # What a kind is stands above its section.
-            about = {**inner, "description": way.get("description", "")} if name == "kind" else inner
-            yield Key(f"{before}{name}", kind, about)
+            # The text of a kind is its section's.
+            key = Key(f"{before}{name}", kind, inner)
+            about = {**inner, "description": way.get("description", "")}
+            yield key._replace(schema=about) if key.chooses else key
             if depth < _DEPTH:
                 inside = inner.get("items", inner)
                 yield from keys_of(root, inside, f"{before}{name}.", depth + 1)
@@ -80,7 +86,7 @@ def keys_of(root: Mapping[str, Any], schema: Mapping[str, Any], before: str = ""
 @command("list")
 @click.argument("what", required=False, type=click.Choice([*_FILES, "kinds"]))
 def list_(what: str | None) -> None:
-    """WHAT: scenarios, comparisons, sweeps, robots, or kinds of what a scenario is made of [default: all]."""
+    """WHAT: scenarios, comparisons, sweeps, robots, or kinds, those of a scenario's sections [default: all]."""
     for folder in _FILES:
         if what in (None, folder):
             files = sorted(shipped_folder(folder).glob("*.yaml"))
@@ -107,17 +113,15 @@ def _about(path: Path) -> str:
 @command("explain")
 @click.argument("key")
 def explain(key: str) -> None:
-    """KEY is one such as controller.period, a section such as limits, or the last part of one, such as payload_mass."""
+    """KEY is a scenario key such as controller.period, its last part such as period, or a section such as limits."""
     root = scenario_schema()
     every = list(keys_of(root, root))
     found = [each for each in every if each.name == key] or [each for each in every if each.name.endswith(f".{key}")]
     if not found:
         names = dict.fromkeys(name for each in every for name in (each.name, each.name.rpartition(".")[2]))
         raise ConfigurationError("KEY", key, f"a key of a scenario{meant(key, names)}")
-    inside = [
-        each for each in every if each.name.rpartition(".")[0] == found[0].name and not each.name.endswith(".kind")
-    ]
-    if found[0].name.rpartition(".")[2] == "kind":
+    inside = [each for each in every if each.name.rpartition(".")[0] == found[0].name and not each.chooses]
+    if found[0].chooses:
         print_table(key, [(each.kind, each.text) for each in found], ("kind", "what it is"), numbers=())
         return
     shown: dict[tuple[str, ...], list[str]] = {}
@@ -175,9 +179,9 @@ def _short(value: Any) -> str:
 @command("init")
 @click.argument("file", type=opt.OUT_FILE, default="scenario.yaml")
 def init(file: Path) -> None:
-    """FILE gets a scenario to begin with, each key with what it does [default: scenario.yaml]."""
+    """FILE is the scenario to write [default: scenario.yaml]."""
     if file.exists():
-        raise ConfigurationError("FILE", str(file), "a file that is not there yet")
+        raise ConfigurationError("FILE", str(file), "a new file")
     root = scenario_schema()
     texts: dict[str, Key] = {}
     given = read_mapping("scenario", shipped_folder("scenarios") / "exact_breathing.yaml", 100)
@@ -190,10 +194,10 @@ def init(file: Path) -> None:
     others = [name for name in root["properties"] if name not in given]
     lines = [
         f"# A scenario: `stewart-drake run {file}` runs it, `stewart-drake check {file}` checks its motion,",
-        "# `stewart-drake explain KEY` says more of a key. A chest that breathes, followed with what a real robot has.",
+        "# `stewart-drake explain KEY` explains a key. The robot has encoders, delay and friction, as a real one.",
         *_commented({"name": file.stem, **{key: given[key] for key in given if key != "name"}}, texts),
         "",
-        "# Keys that are not given have their defaults:",
+        "# These keys have their defaults:",
         *(f"# {name}{_comment(texts[name])}" for name in others),
     ]
     write_text(file, "\n".join(lines) + "\n")
@@ -224,7 +228,7 @@ def _comment(key: Key, value: Any = None) -> str:
 
 @command("doctor")
 def doctor() -> None:
-    """Versions, graphviz, where compiled laws are kept, the speed of a tick, and whether files can be written."""
+    """Prints versions, graphviz, the cache of compiled code, the time of a control tick, and write permission."""
     from stewart_drake import jit
     from stewart_drake.logs.versions import collect_versions, package_version
     from stewart_drake.runs.simulation import run
@@ -233,19 +237,19 @@ def doctor() -> None:
         name: package_version(name) for name in ("numba", "torch", "mujoco", "distributed")
     }
     rows = [(name, version or "not installed") for name, version in versions.items() if name != "source"]
-    rows.append(("graphviz", shutil.which("dot") or "not installed: runs leave diagram.dot, but no diagram.svg"))
+    rows.append(("graphviz", shutil.which("dot") or "not installed: runs write diagram.dot, but no diagram.svg"))
     cache = jit._FOLDER
-    kept = "nowhere: set NUMBA_CACHE_DIR to a folder that can be written to"
+    kept = "not cached: set NUMBA_CACHE_DIR to a writable folder"
     if cache is not None:
         size = sum(path.stat().st_size for path in cache.rglob("*") if path.is_file())
         kept = f"{cache}, {size / 1e6:.0f} MB"
-    rows.append(("compiled laws", kept))
+    rows.append(("compiled code", kept))
     with shown_compiling():
         logs = [run(load_scenario("exact_breathing", ["plant.engine=reduced", "duration=1"])) for _ in range(2)]
     ticks = logs[1].end_time / logs[1].scenario.controller.period
     rows.append(("a tick of exact_breathing, fast engine", f"{1e6 * logs[1].wall_time / ticks:.0f} us of 1000 us"))
     rows.append(("cores", str(os.cpu_count())))
-    rows.append(("this folder", "can be written to" if os.access(".", os.W_OK) else "cannot be written to: use --out"))
+    rows.append(("this folder", "writable" if os.access(".", os.W_OK) else "not writable: use --out"))
     print_table("doctor", rows, numbers=())
 
 
@@ -257,7 +261,7 @@ def schema() -> None:
 @command("completion")
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def completion(shell: str) -> None:
-    """In ~/.bashrc (or that of SHELL): eval "$(stewart-drake completion bash)"."""
+    """For bash, add to ~/.bashrc: eval "$(stewart-drake completion bash)". Other shells: to their start file."""
     cls = get_completion_class(shell)
     assert cls is not None
     click.echo(cls(opt.cli, {}, "stewart-drake", "_STEWART_DRAKE_COMPLETE").source())

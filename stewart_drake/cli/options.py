@@ -27,34 +27,36 @@ COMMANDS = {
     "run": About("run", "exact_fig7 --set duration=2", "Simulate a scenario"),
     "live": About("view", "exact_breathing", "Steer a robot in the browser, in real time"),
     "replay": About("view", "runs/exact_fig7 runs/exact_fig7-2", "Show runs side by side as one page"),
-    "check": About("run", "paper_fig7 --retime", "Check a motion against every limit, without running it"),
-    "compare": About("study", "tracking --quick", "Compare controllers on motions under conditions"),
-    "tune": About("study", "fair --quick", "Search the gains of controllers for the least cost"),
-    "sweep": About("study", "initial_offset --runs 20", "Run a scenario many times over, with drawn values"),
-    "faults": About("study", "--quick", "Inject every fault, and see what the safety layer makes of it"),
+    "check": About("run", "paper_fig7 --retime", "Check a motion against every limit, without a run"),
+    "compare": About("study", "tracking --quick", "Compare controllers over motions and conditions"),
+    "tune": About("study", "fair --quick", "Search the gains with the least cost for each controller"),
+    "sweep": About("study", "initial_offset --runs 20", "Run a scenario many times with random values"),
+    "faults": About("study", "--quick", "Inject every fault, and see how the safety layer reacts"),
     "reproduce": About("run", "--quick", "Test the paper claim by claim"),
-    "calibrate": About("robot", "poses.csv --robot guess.yaml", "Find geometry and homing offsets from measured poses"),
-    "identify": About("robot", "runs/excite --robot guess.yaml", "Find masses, friction and payload from logs"),
-    "excite": About("robot", "--robot guess.yaml", "Design a motion that tells a robot's parameters"),
-    "margins": About("run", "exact_breathing --poses 100", "Stability margins of the linear loop at poses"),
-    "workspace": About("run", "--scenario sway --samples 100000", "Where a robot can go, and with what force"),
+    "calibrate": About("robot", "poses.csv --robot guess.yaml", "Estimate geometry and homing from measured poses"),
+    "identify": About("robot", "runs/excite --robot guess.yaml", "Estimate masses, friction and payload from logs"),
+    "excite": About("robot", "--robot guess.yaml", "Design a motion from which `identify` learns most"),
+    "margins": About("run", "exact_breathing --poses 100", "Stability margins of the linearised loop"),
+    "workspace": About("run", "--scenario sway --samples 100000", "Compute where a robot can go, and with what torque"),
     "robots": About("robot", "", "List the robots that a scenario can name"),
-    "robots show": About("robot", "reachy_mini", "Print the numbers of a robot, and what follows from them"),
+    "robots show": About("robot", "reachy_mini", "Print a robot's parameters, and what follows from them"),
     "robots table": About("robot", "paper desk.yaml", "Compare robots in workspace, tracking and torque"),
-    "robots from-table": About("robot", "points.csv --unit mm --set crank_length=30", "Make a robot from points"),
+    "robots from-table": About(
+        "robot", "points.csv --unit mm --set crank_length=30", "Make a robot from joint positions"
+    ),
     "write-sdf": About("robot", "mini.sdf --robot reachy_mini", "Write a robot as an SDF file, for Drake and others"),
     "write-mjcf": About("robot", "mini.xml --robot reachy_mini", "Write a robot as an MJCF file, for MuJoCo"),
     "collect": About("study", "", "Run the paper's nine experiments: the tuner's training data"),
     "train": About("study", "runs/dataset.parquet", "Train a tuner, the paper's or a policy"),
-    "tuner": About("study", "show", "Look at the tuners of settings, and assess them"),
-    "tuner show": About("study", "", "Print the card of a policy: its box, what it hears, its training"),
-    "tuner judge": About("study", "runs/tuner.json", "Set a policy against its rivals in new situations"),
+    "tuner": About("study", "show", "Show and assess tuners that change settings online"),
+    "tuner show": About("study", "", "Print a policy: its settings, inputs and training"),
+    "tuner judge": About("study", "runs/tuner.json", "Compare a policy with other tuners, in new situations"),
     "list": About("lookup", "scenarios", "List scenarios, comparisons, sweeps, robots and kinds"),
-    "explain": About("lookup", "controller.period", "Explain a key: unit, default, bounds, what it does"),
-    "init": About("lookup", "mine.yaml", "Write a scenario to begin with, with a comment on each key"),
-    "doctor": About("lookup", "", "Check what is installed here, and how fast it is"),
+    "explain": About("lookup", "controller.period", "Explain a key: what it does, unit, default, allowed values"),
+    "init": About("lookup", "mine.yaml", "Write a first scenario, with a comment on each key"),
+    "doctor": About("lookup", "", "Check the installation and its speed"),
     "schema": About("lookup", "> schema.json", "Print the JSON schema of scenario files, for editors"),
-    "completion": About("lookup", "bash", "Print what makes a shell complete commands and names"),
+    "completion": About("lookup", "bash", "Print a script for shell completion"),
 }
 
 
@@ -128,12 +130,12 @@ def _print_version(context: click.Context, _: click.Parameter, wanted: bool) -> 
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120, "show_default": True},
 )
 @click.option("--version", is_flag=True, expose_value=False, callback=_print_version, help="Show the version.")
-@click.option("--debug", is_flag=True, expose_value=False, help="Show tracebacks; may stand anywhere.")
+@click.option("--debug", is_flag=True, expose_value=False, help="Show tracebacks; anywhere on the line.")
 def cli() -> None:
     """Closed-loop torque control of rotary Stewart platforms in Drake.
 
-    Exit status: 0 done, 1 a number differs (reproduce), 2 bad input, 3 a run was stopped, lost or failed, or a machine
-    has no memory or workers left, 4 an internal error, 130 interrupted.
+    Exit status: 0 done, 1 a number differs (reproduce), 2 bad input, 3 a run was stopped, lost or failed, or no memory
+    or workers are left, 4 an internal error, 130 interrupted.
     """
 
 
@@ -152,7 +154,7 @@ def command(name: str, kind: type[click.Command] = Command, **options: Any) -> C
 PATH = click.Path(path_type=Path)
 OUT_FILE, OUT_FOLDER = click.Path(dir_okay=False, path_type=Path), click.Path(file_okay=False, path_type=Path)
 guess_option = click.option(
-    "--robot", required=True, metavar="GUESS", help="The robot as believed: a YAML file or a name."
+    "--robot", required=True, metavar="GUESS", help="First guess of the robot: a YAML file or a name."
 )
 
 
@@ -166,7 +168,7 @@ def out_file(default: str) -> Callable[[Any], Any]:
 
 
 def trust_flag(function: Any) -> Any:
-    words = "Run the code that files and --set name."
+    words = "Allow Python code named in files or by --set to run."
     if any(each.name == "trust_code" for each in getattr(function, "__click_params__", ())):
         return function
     return click.option("--trust-code", is_flag=True, expose_value=False, callback=_trust, help=words)(function)

@@ -27,15 +27,15 @@ _OWN = ("platform_mass", "rod_mass", "crank_mass", "rotor_inertia", "effort_limi
 """What no table says and no robot shares with another."""
 
 report_option = click.option(
-    "--report", "report_folder", type=opt.OUT_FOLDER, help="Folder for a page, tables, a picture."
+    "--report", "report_folder", type=opt.OUT_FOLDER, help="Folder for a report with tables and a plot."
 )
-hold_option = click.option("--hold", multiple=True, type=click.Choice(KINDS), help="Keep these parameters as they are.")
+hold_option = click.option("--hold", multiple=True, type=click.Choice(KINDS), help="Do not estimate these parameters.")
 
 
 @command("robots", kind=opt.Group, invoke_without_command=True)
 @click.pass_context
 def robots(context: click.Context) -> None:
-    """A scenario says `robot: NAME`."""
+    """A scenario names its robot by `robot: NAME`."""
     if context.invoked_subcommand is not None:
         return
     rows = []
@@ -48,7 +48,7 @@ def robots(context: click.Context) -> None:
 
 @command("robots show")
 @click.argument("robot")
-@click.option("--picture", type=opt.OUT_FILE, help="Draw it at home to this PNG.")
+@click.option("--picture", type=opt.OUT_FILE, help="Write a picture of it at home: FILE.png.")
 def show(robot: str, picture: Path | None) -> None:
     """ROBOT is a name or a YAML file."""
     from stewart_drake.planning.robot_sheet import robot_sheets
@@ -66,17 +66,17 @@ def show(robot: str, picture: Path | None) -> None:
 
 @command("robots from-table")
 @click.argument("table", type=opt.PATH)
-@click.option("--unit", default="m", help="Of all lengths, in the table and after --set: m or mm.")
+@click.option("--unit", default="m", help="Unit of all lengths, in the table and after --set: m or mm.")
 @click.option(
     "--cranks",
     default="outwards",
-    help="Where level cranks point, if the table does not say: outwards, towards the partner, away from it.",
+    help="Direction of level cranks, if the table has none: outwards, towards the partner, away from it.",
 )
 @opt.overrides("crank_length=0.025")
 @click.option("--about", default="", help="One line on the robot.")
 @opt.out_file("robot.yaml")
 def from_table(table: Path, unit: Any, cranks: Any, overrides: tuple[str, ...], about: str, out: Path) -> None:
-    """TABLE is a CSV file with a row a leg: shaft_x, shaft_y, shaft_z, joint_x, joint_y, joint_z."""
+    """TABLE is a CSV file with one row per leg: shaft_x, shaft_y, shaft_z, joint_x, joint_y, joint_z."""
     parameters = {}
     for text in overrides:
         key, separator, value = text.partition("=")
@@ -88,14 +88,14 @@ def from_table(table: Path, unit: Any, cranks: Any, overrides: tuple[str, ...], 
     tell(f"robot in {out}: home at Z = {robot.home_height:.4g} m")
     missing = [f"{name} = {getattr(robot, name):g}" for name in _OWN if name not in parameters]
     if missing:
-        tell(f"not given, so taken from the paper's robot [kg, kg m^2, N m]: {', '.join(missing)}")
+        tell(f"taken from the paper's robot, because not given [kg, kg m^2, N m]: {', '.join(missing)}")
 
 
 @command("robots table")
 @click.argument("names", nargs=-1)
 @opt.out_file("robots.md")
 def table(names: tuple[str, ...], out: Path) -> None:
-    """NAMES, or files [default: all], also in conditioning and size; written as Markdown."""
+    """NAMES are robots or YAML files [default: all]. Also compares conditioning and size; writes Markdown."""
     from stewart_drake.studies.robots import HEADER, robot_rows, robots_page
 
     chosen = {name: load_robot(name) for name in names or robot_names()}
@@ -111,8 +111,8 @@ def _model_options(write: Callable[[Scenario], str]) -> Callable[..., None]:
     """Options and end of a command that writes a scenario's robot for another program."""
 
     @click.argument("out", type=opt.OUT_FILE)
-    @click.option("--robot", help="Name or YAML file [default: that of the scenario].")
-    @click.option("--scenario", default="hold", help="Take robot and plant of this scenario.")
+    @click.option("--robot", help="Name or YAML file [default: the scenario's robot].")
+    @click.option("--scenario", default="hold", help="Scenario with the robot and plant.")
     @opt.overrides("plant.motor_damping=0.01")
     def model(out: Path, robot: str | None, scenario: str, overrides: tuple[str, ...]) -> None:
         own = [] if robot is None else [f"robot={json.dumps(robot)}"]
@@ -126,7 +126,7 @@ def _model_options(write: Callable[[Scenario], str]) -> Callable[..., None]:
 @command("write-sdf")
 @_model_options
 def write_sdf(scenario: Scenario) -> str:
-    """With the scenario's plant.rod_joint."""
+    """Uses the scenario's plant.rod_joint."""
     from stewart_drake.plant.sdf_model import sdf_text
 
     return sdf_text(scenario.robot, rod_joint=scenario.plant.rod_joint)
@@ -135,7 +135,7 @@ def write_sdf(scenario: Scenario) -> str:
 @command("write-mjcf")
 @_model_options
 def write_mjcf(scenario: Scenario) -> str:
-    """With the scenario's time step, gravity and friction of the motors."""
+    """Uses the scenario's time step, gravity and motor friction."""
     from stewart_drake.mujoco_model import mjcf_text
 
     return mjcf_text(scenario.robot, scenario.gravity, scenario.plant)
@@ -148,18 +148,18 @@ def write_mjcf(scenario: Scenario) -> str:
     "--out", type=opt.OUT_FILE, help="File to write [default: runs/calibrated.yaml; with --plan runs/poses.csv]."
 )
 @report_option
-@click.option("--plan", type=int, metavar="N", help="Write N poses that tell most; needs no POSES.")
-@click.option("--position-noise", type=float, default=2e-5, help="Of the tracker [m].")
-@click.option("--rotation-noise", type=float, default=1e-4, help="Of the tracker [rad].")
-@click.option("--encoder-bits", type=click.IntRange(4, 40), default=17, help="Counts a turn.")
+@click.option("--plan", type=int, metavar="N", help="Write the N most informative poses to measure; without POSES.")
+@click.option("--position-noise", type=float, default=2e-5, help="Standard deviation of the tracker [m].")
+@click.option("--rotation-noise", type=float, default=1e-4, help="Standard deviation of the tracker [rad].")
+@click.option("--encoder-bits", type=click.IntRange(4, 40), default=17, help="Encoder resolution, bits per turn.")
 @click.option(
     "--known-frame",
     "known_frames",
     multiple=True,
     type=click.Choice(FRAMES),
-    help="The tracker measures in B (base), or the pose of P itself (platform).",
+    help="Known frame: the tracker measures in B (base), or the pose of P itself (platform).",
 )
-@click.option("--hold", multiple=True, type=click.Choice(NAMES), help="Keep these parameters as they are.")
+@click.option("--hold", multiple=True, type=click.Choice(NAMES), help="Do not estimate these parameters.")
 @opt.overrides("limits.clearance=0.01")
 def calibrate(
     poses: Path | None,
@@ -174,21 +174,21 @@ def calibrate(
     hold: tuple[Name, ...],
     overrides: tuple[str, ...],
 ) -> None:
-    """POSES is a CSV file with a row for each pose at rest.
+    """POSES is a CSV file with one row per pose at rest.
 
-    Columns: pose_roll_rad, pose_pitch_rad, pose_yaw_rad, pose_x_m, pose_y_m, pose_z_m of the tracker's marker in the
-    tracker's frame (or _deg, _mm) and crank_angle_0_rad to crank_angle_5_rad, the readings (or _deg). Where the tracker
-    stands, and where on the platform its marker is, need not be known.
+    Columns: pose_roll_rad, pose_pitch_rad, pose_yaw_rad, pose_x_m, pose_y_m, pose_z_m (or _deg, _mm), the pose of the
+    tracker's marker in the tracker's frame; crank_angle_0_rad to crank_angle_5_rad (or _deg), the encoder readings. The
+    positions of the tracker, and of its marker on the platform, need not be known.
 
-    With --plan it writes poses to measure in that form: within the limits of the robot, which --set changes, and such
-    as tell most.
+    With --plan it writes the most informative poses to measure, in the same form. They are within the limits of the
+    robot, which --set changes.
     """
     from stewart_drake.calibration.fit import calibrate as fit
     from stewart_drake.calibration.poses import MeasurementNoise, plan_poses
     from stewart_drake.plotting.model_plots import plot_calibration
 
     if (poses is None) == (plan is None):
-        raise click.UsageError("either POSES or --plan N")
+        raise click.UsageError("give either POSES or --plan N")
     encoder = 2.0 * math.pi / 2**encoder_bits / math.sqrt(12.0)
     noise = MeasurementNoise(position=position_noise, rotation=rotation_noise, encoder=encoder)
     guess = load_robot(robot)
@@ -199,7 +199,7 @@ def calibrate(
             planned = plan_poses(guess, plan, limits, noise, known_frames, hold)
         write_text(out, planned.targets.to_csv())
         header, rows = planned.table()
-        print_table(f"largest 95 % interval of any leg to expect of {plan} poses, +-", rows, header)
+        print_table(f"expected 95 % intervals with {plan} poses, largest of the legs, +-", rows, header)
         tell(f"poses in {out}; once they are measured: stewart-drake calibrate {out} --robot {robot}")
     elif poses is not None:
         out = out or Path("runs/calibrated.yaml")
@@ -208,7 +208,7 @@ def calibrate(
         tables = {"residuals.csv": found.residuals_csv}
         _write_result(found, str(poses), out, report_folder, "calibration.png", plot_calibration, tables)
         header, rows = found.table()
-        print_table("change against the guess, 95 % interval", rows, header)
+        print_table("change from the guess, 95 % interval", rows, header)
 
 
 def _write_result(
@@ -237,15 +237,15 @@ def _write_result(
 @opt.guess_option
 @opt.out_file("runs/identified.yaml")
 @report_option
-@click.option("--validate", multiple=True, type=opt.PATH, help="A log that is only predicted.")
+@click.option("--validate", multiple=True, type=opt.PATH, help="A log that is predicted, but not fitted.")
 @hold_option
-@click.option("--ask", multiple=True, type=click.Choice(KINDS), help="Refuse logs that do not tell these.")
-@click.option("--torque-lag", "lag", type=float, default=0.0, help="Of a CSV file's torques [s].")
+@click.option("--ask", multiple=True, type=click.Choice(KINDS), help="Parameters that the logs must determine.")
+@click.option("--torque-lag", "lag", type=float, default=0.0, help="Delay of the torques in a CSV file [s].")
 def identify(logs: tuple[Path, ...], robot: str, out: Path, report_folder: Path | None, **options: Any) -> None:
-    """A log is a results folder or log of `run`, or a CSV file with a row for each instant, at an even rate.
+    """LOGS are results folders or logs of `run`, or CSV files sampled at a constant rate.
 
-    Its columns: time_s, crank_angle_0_rad to crank_angle_5_rad (or _deg), torque_0_Nm to torque_5_Nm. `excite` designs
-    a motion that tells most. Without --ask the platform's mass and all friction must be told.
+    Columns: time_s, crank_angle_0_rad to crank_angle_5_rad (or _deg), torque_0_Nm to torque_5_Nm. `excite` designs an
+    informative motion. Without --ask the logs must determine the platform's mass and all friction.
     """
     from stewart_drake.identification.estimate import ASKED
     from stewart_drake.identification.identified import identify as fit
@@ -262,11 +262,11 @@ def identify(logs: tuple[Path, ...], robot: str, out: Path, report_folder: Path 
 @command("excite")
 @opt.guess_option
 @opt.out_file("runs/excitation.yaml")
-@click.option("--duration", type=click.FloatRange(min=5.0), default=60.0, help="Of the run [s].")
+@click.option("--duration", type=click.FloatRange(min=5.0), default=60.0, help="Duration of the run [s].")
 @hold_option
 @opt.overrides("limits.crank_speed=5")
 def excite(robot: str, out: Path, duration: float, hold: tuple[Kind, ...], overrides: tuple[str, ...]) -> None:
-    """Within its limits, and written as a scenario that `run` runs; --set changes limits, encoders, or controller."""
+    """Writes a scenario for `run`, within the robot's limits. --set changes limits, encoders or controller."""
     from stewart_drake.identification.excitation import excite as design
     from stewart_drake.planning.feasibility import check_reference
 
@@ -282,7 +282,7 @@ def excite(robot: str, out: Path, duration: float, hold: tuple[Kind, ...], overr
     write_text(out, to_yaml(designed.to_dict()))
     rows = [
         ("condition number", f"{found.condition:.4g}"),
-        ("of motions at random", f"{found.random_condition:.4g}, median"),
+        ("median of random motions", f"{found.random_condition:.4g}"),
         ("scenario in", str(out)),
     ]
     print_table(f"excitation of {robot}", rows)

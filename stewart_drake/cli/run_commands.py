@@ -30,7 +30,7 @@ from stewart_drake.scenario import load_scenario
 @click.option("--out", type=opt.PATH, help="Folder for the results [default: runs/NAME, or runs/NAME-2, ...].")
 @opt.overrides()
 @click.option("--force", is_flag=True, help="Replace the results of another scenario in the folder.")
-@click.option("--video", type=opt.PATH, help="Write a film of the run too: FILE.gif, or FILE.mp4 where ffmpeg is.")
+@click.option("--video", type=opt.PATH, help="Also write a film of the run: FILE.gif, or FILE.mp4 (needs ffmpeg).")
 def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool, video: Path | None) -> None:
     """SCENARIO is a YAML file, or the name of a shipped one such as paper_fig7."""
     from stewart_drake.runs.checks import check_scenario, refuse_unrunnable
@@ -90,26 +90,29 @@ def _print_run(log: SimulationLog, results: Results) -> None:
 @command("check")
 @click.argument("scenario", **opt.SCENARIO)
 @opt.overrides()
-@click.option("--scale", is_flag=True, help="If it cannot be done, find how much smaller it can.")
-@click.option("--retime", is_flag=True, help="If it cannot be done, find how much slower it can.")
-@click.option("--out", type=opt.OUT_FILE, help="Write the scenario so made feasible; with one of --scale, --retime.")
+@click.option("--scale", is_flag=True, help="If the motion is infeasible, find the largest feasible size.")
+@click.option("--retime", is_flag=True, help="If the motion is infeasible, find the highest feasible speed.")
+@click.option("--out", type=opt.OUT_FILE, help="Write the feasible scenario; needs --scale or --retime.")
 def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None) -> None:
-    """The motion of SCENARIO over the whole run; its code is named and not run. Exit status 2: it cannot be done."""
+    """The check covers the whole run of SCENARIO. Your own code is named but not run.
+
+    Exit status 2: the motion is infeasible.
+    """
     from stewart_drake.runs.checks import check_scenario, fit_amplitude, fit_speed, motion_report
 
     if out is not None and scale == retime:
-        raise click.UsageError("--out needs one of --scale and --retime")
+        raise click.UsageError("--out needs either --scale or --retime")
     loaded = load_scenario(scenario, overrides)
     for part in user_parts(loaded):
         part.code.find(part.code_key)
     for code in dict.fromkeys(part.code for part in user_parts(loaded)):
-        asks = "" if code.trusted else "; `run` asks for --trust-code"
+        asks = "" if code.trusted else "; `run` needs --trust-code for it"
         tell(f"runs code: {code}{asks}")
     if user_parts((loaded.reference, loaded.safety)):
         if scale or retime:
-            allowed = "a motion and monitors of the package, for --scale and --retime: check runs no user's code"
+            allowed = "a motion and monitors of the package for --scale and --retime; check does not run your own code"
             raise ConfigurationError("SCENARIO", scenario, allowed)
-        tell("the motion or a monitor is a user's code, which check does not run: `run` checks the motion first")
+        tell("the motion or a monitor is your own code, which check does not run; `run` checks the motion first")
         return
     rows, numbers = [], {}
     for name, worst in motion_report(loaded).smallest.items():
@@ -119,7 +122,7 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
         numbers[name] = asdict(worst) | {"unit": worst.unit}
     header = ("limit", "allowed", "smallest margin", "at", "where")
     print_table(f"{loaded.name}, {loaded.duration:g} s", rows, header, numbers=(1, 2, 3), data=numbers)
-    tell("stewart-drake explain limits: what each of them is")
+    tell("what each limit is: stewart-drake explain limits")
     motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
     changes: dict[str, Any] = {}
     if scale:
@@ -128,19 +131,19 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
                 changes["reference"], factor = fit_amplitude(*motion)
             tell(f"feasible at {factor:.4f} of its size")
         except InfeasibleReferenceError as error:
-            tell(f"feasible at no size; resting in its centre, {error}")
+            tell(f"infeasible at every size; even at rest in its centre, {error}")
     if retime:
         try:
             with working("looking for the highest speed"):
                 changes["reference"], factor = fit_speed(*motion)
             changes["duration"] = factor * loaded.duration
             tell(
-                "feasible as fast as it is"
+                "feasible at its own speed"
                 if factor == 1.0
                 else f"feasible {factor:.4f} times slower, over {changes['duration']:.4g} s"
             )
         except InfeasibleReferenceError as error:
-            tell(f"feasible at no speed; standing still, {error}")
+            tell(f"infeasible at every speed; even at rest, {error}")
     if out is not None and changes:
         write_atomically(out, to_yaml(loaded.replace(changes).to_dict()).encode())
         tell(f"scenario in {out}")
@@ -150,16 +153,16 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
 @command("margins")
 @click.argument("scenario", default="exact_breathing", **opt.SCENARIO)
 @opt.out_folder("runs/margins")
-@click.option("--poses", type=click.IntRange(1, 100_000), default=1000, help="Drawn from the near box.")
+@click.option("--poses", type=click.IntRange(1, 100_000), default=1000, help="Number of random poses.")
 @opt.overrides("estimator.kind=observer")
 def margins(scenario: str, out: Path, poses: int, overrides: tuple[str, ...]) -> None:
     """SCENARIO is a file or a shipped name [default: exact_breathing].
 
-    At poses at rest the loop, with sensors, estimator, controller and delay, is broken at the six motors' torques:
-    gain, phase, delay and disk margins, one motor at a time and all at once. The poses are drawn from the near box: up
-    to 30 deg about each axis, 60 mm in X and Y and 50 mm in Z about home, shifts by the robot's size, within the
-    scenario's limits. Friction, saturation and counts of encoders are not linear, and left out; weights stay as at the
-    start. Writes margins.json and margins.png.
+    The loop with sensors, estimator, controller and delay is linearised at rest and opened at the six motor torques.
+    The margins are gain, phase, delay and disk margins, one motor at a time and all at once. The random poses are up to
+    30 deg about each axis, 60 mm in X and Y and 50 mm in Z from home, within the scenario's limits; lengths scale with
+    the robot. Friction, saturation and encoder resolution are left out; weights keep their start values. Writes
+    margins.json and margins.png.
     """
     from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 
@@ -183,14 +186,14 @@ def margins(scenario: str, out: Path, poses: int, overrides: tuple[str, ...]) ->
 @command("workspace")
 @opt.out_folder("runs/workspace")
 @click.option("--samples", type=click.IntRange(1000, 10**7), default=10**6, help="Poses in each of the two workspaces.")
-@click.option("--scenario", default="paper_fig7", help="Take robot, limits and controller of this scenario.")
+@click.option("--scenario", default="paper_fig7", help="Scenario with the robot, limits and controller.")
 @opt.overrides("limits.clearance=0.01")
 def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]) -> None:
-    """Writes workspace.json and figures/, about home.
+    """Writes workspace.json and figures/.
 
-    Positions at a fixed orientation and orientations at a fixed position, within reach, joint swing, clearance,
-    conditioning and motor torque, with serial and parallel singularities told apart; and the region of states and
-    torques that motions visit.
+    There are two workspaces: positions at the home orientation, and orientations at the home position. Both respect
+    reach, joint swing, clearance, conditioning and motor torque, and distinguish serial from parallel singularities.
+    A third part shows which states and torques some motions visit.
     """
     from stewart_drake.paper.reproduce import Study
     from stewart_drake.paper.workspace import motion_numbers
@@ -206,7 +209,7 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
         check_scenario(base)
     except ConfigurationError as error:
         # A region of poses needs no motion.
-        say(f"left out is the scenario's own motion: {error}")
+        say(f"the scenario's own motion is left out: {error}")
     figures = prepare_folder(out / "figures", out)
     of_base = base.robot, base.limits, base.gravity
     with progress_bar("workspace", 100.0, unit="%") as advance:
@@ -226,19 +229,19 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
         rows += [
             (f"{kind}s that the mechanism can reach", f"{scale * found['regular']:.3g} {unit}"),
             (f"{kind}s within all limits", f"{scale * found['connected']:.3g} {unit}"),
-            (f"first limit on straight ways through {kind}s", next(iter(found["first"]), "none").replace("_", " ")),
+            (f"first limit on straight lines through {kind}s", next(iter(found["first"]), "none").replace("_", " ")),
         ]
     way, turn = (numbers["workspaces"][kind]["inscribed_radius"] for kind in ("position", "orientation"))
-    rows.append(("free in every direction", f"{1e3 * way:.0f} mm, {math.degrees(turn):.0f} deg"))
-    rows += [(f"torque of {name}", f"{of['peak_torque']:.3f} N m, {of['status']}") for name, of in motions.items()]
+    rows.append(("free distance in every direction", f"{1e3 * way:.0f} mm, {math.degrees(turn):.0f} deg"))
+    rows += [(f"peak torque of {name}", f"{of['peak_torque']:.3f} N m, {of['status']}") for name, of in motions.items()]
     print_table(f"numbers and figures in {out}", rows, data=numbers)
 
 
 @command("reproduce")
-@click.option("--quick", is_flag=True, help="Smaller sizes, a minute or two.")
+@click.option("--quick", is_flag=True, help="Smaller samples; takes a minute or two.")
 @click.option("--out", type=opt.PATH, help="Folder for numbers.json and figures/ [default: none is written].")
 def reproduce(quick: bool, out: Path | None) -> None:
-    """A table of claim, paper, ours, verdict, compared with the one that this package has; what differs is named."""
+    """Prints a table of claim, paper, ours, verdict, and each difference from the recorded table in this package."""
     from stewart_drake.paper.reproduce import differences, rows
     from stewart_drake.paper.reproduce import reproduce as results_of
 

@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from stewart_drake.studies.study import Sheet
 
 sized_option = click.option(
-    "--robot", help="Name or YAML file: motions, loads and faults in its size [default: that of the file]."
+    "--robot", help="Name or YAML file; motions, loads and faults are scaled to it [default: the file's robot]."
 )
-quick_flag = click.option("--quick", is_flag=True, help="Few and short runs: to look at, not to quote.")
+quick_flag = click.option("--quick", is_flag=True, help="Few and short runs, for a first look.")
 
 
 def study_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """What all commands of many runs take."""
     for option in (
         opt.trust_flag,
-        click.option("--restart", is_flag=True, help="Do not go on from what an earlier call has left."),
-        click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster to run on, e.g. tcp://host:8786."),
+        click.option("--restart", is_flag=True, help="Start anew: ignore the finished runs of an earlier call."),
+        click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster, e.g. tcp://host:8786."),
         click.option("--workers", type=click.IntRange(1, 1024), help="Processes [default: one per core, at most 8]."),
     ):
         function = option(function)
@@ -52,7 +52,7 @@ def _under_way(
         with where, progress_bar(name, float(runs), unit="runs") as advance:
             yield folder, where, advance, restart
     except KeyboardInterrupt:
-        say(f"interrupted; finished runs are kept in {folder}; the same command goes on from there")
+        say(f"interrupted; finished runs are kept in {folder}; the same command continues")
         sys.exit(opt.EXIT_INTERRUPTED)
 
 
@@ -67,13 +67,13 @@ def _print_sheets(sheets: Sequence[Sheet], *lines: str | None) -> None:
 @command("sweep")
 @click.argument("sweep", shell_complete=opt.names("sweeps"))
 @opt.out_folder()
-@click.option("--runs", type=click.IntRange(1), help="In place of the number in the file; run i stays the same.")
+@click.option("--runs", type=click.IntRange(1), help="Number of runs, in place of the file's.")
 @study_options
 def sweep(sweep: str, runs: int | None, **options: Any) -> None:
     """SWEEP is a YAML file, or the name of a shipped one such as initial_offset.
 
-    Writes sweep.parquet and .csv: one row a run, with the values drawn, how it went and how well. A run that is
-    refused, breaks or kills its worker is a row with its reason.
+    Writes sweep.parquet and .csv: one row per run, with random values, outcome and metrics. A run that is rejected,
+    fails or crashes its worker also has a row, with the reason.
     """
     from stewart_drake.studies.study import run_study
     from stewart_drake.studies.sweep import load_sweep, summary
@@ -94,7 +94,7 @@ def sweep(sweep: str, runs: int | None, **options: Any) -> None:
 def compare(comparison: str, quick: bool, robot: str | None, **options: Any) -> None:
     """COMPARISON is a YAML file or one of tracking, controllers, fair, observer [default: tracking].
 
-    Writes comparison.parquet, .csv and .md (tables for a README), bands.parquet and .csv, and pictures.
+    Writes comparison.parquet, .csv and .md, bands.parquet and .csv (frequency response), and plots.
     """
     from stewart_drake.studies.comparison import load_comparison, write_pictures
     from stewart_drake.studies.study import run_study
@@ -109,16 +109,16 @@ def compare(comparison: str, quick: bool, robot: str | None, **options: Any) -> 
 @command("tune")
 @click.argument("comparison", shell_complete=opt.names("comparisons"))
 @opt.out_folder()
-@click.option("--controller", "controllers", multiple=True, metavar="NAME", help="Of those to search [default: all].")
-@click.option("--budget", type=click.IntRange(1), help="Evaluations of each controller, in place of those in the file.")
+@click.option("--controller", "controllers", multiple=True, metavar="NAME", help="Controller to tune [default: all].")
+@click.option("--budget", type=click.IntRange(1), help="Evaluations for each controller, in place of the file's.")
 @quick_flag
 @study_options
 def tune(comparison: str, controllers: tuple[str, ...], budget: int | None, quick: bool, **options: Any) -> None:
-    """COMPARISON is a file with `tune` in it, or a name as fair.
+    """COMPARISON is a YAML file with the key `tune`, or a shipped name such as fair.
 
-    Every controller gets the same search (CMA-ES) over the same runs; then those before and after are compared as the
-    file says, in OUT/verdict-*. Writes tuned.yaml (for `tuned` of the comparison), tune.parquet and .csv (a row an
-    evaluation), tune.md and tune.png.
+    Every controller gets the same search (CMA-ES) over the same runs. Then the controllers before and after the search
+    are compared as in the file, in OUT/verdict-*. Writes tuned.yaml (for the key `tuned` of the comparison),
+    tune.parquet and .csv (one row per evaluation), tune.md and tune.png.
     """
     from stewart_drake.studies.tune import load_tuning, run_tuning, write_picture
 
@@ -137,7 +137,7 @@ def tune(comparison: str, controllers: tuple[str, ...], budget: int | None, quic
 @opt.overrides("estimator.kind=observer")
 @study_options
 def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], **options: Any) -> None:
-    """Writes faults.parquet, .csv and .md; --quick is the held platform alone, a third of the runs."""
+    """Writes faults.parquet, .csv and .md. --quick runs the platform at rest only, a third of the runs."""
     from stewart_drake.studies.faults import fault_study, holdable_lines, sheet
     from stewart_drake.studies.study import run_study
 
@@ -145,7 +145,7 @@ def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], **options
     with _under_way(plan.name, plan.runs, **options) as way:
         rows = run_study(plan, *way).rows["faults"]
     holdable = [f"  {line}" for line in holdable_lines(rows)]
-    words = "with a dead motor, the wrench that the other five hold at rest:"
+    words = "with a dead motor, the wrench that the other five can hold at rest:"
     _print_sheets([sheet(rows)], words, *holdable, f"table in {way[0] / 'faults.md'}")
 
 
@@ -162,19 +162,19 @@ def show(file: Path | None) -> None:
 
     path = default_policy_path() if file is None else file
     policy = load_policy(path)
-    print_table(f"{path.name}: settings, decades above the base", policy.box_rows(), BOX_HEADER)
+    print_table(f"{path.name}: settings, in decades above the default", policy.box_rows(), BOX_HEADER)
     print_table(path.name, policy.facts(), numbers=())
 
 
 @command("tuner judge")
 @click.argument("file", required=False, type=opt.PATH)
 @opt.out_folder("runs/tuner-verdict")
-@click.option("--seeds", type=click.IntRange(2), default=14, help="Of each kind of each robot.")
+@click.option("--seeds", type=click.IntRange(2), default=14, help="Situations of each kind and robot.")
 @study_options
 def judge(file: Path | None, seeds: int, **options: Any) -> None:
-    """Settings that stay and other tuners, in situations that none of them has seen, on Drake's plant.
+    """FILE is a policy's weights file [default: the shipped one].
 
-    FILE is a policy's weights file [default: the shipped one]. Writes verdict.md, .parquet, .csv and .png.
+    The situations are new to all of them, on Drake's plant. Writes verdict.md, .parquet, .csv and .png.
     """
     from stewart_drake.control.policy import load_policy
     from stewart_drake.training.benchmark import Baselines, assess, candidates, cells_for, write_picture
@@ -193,7 +193,7 @@ def judge(file: Path | None, seeds: int, **options: Any) -> None:
 @command("collect")
 @opt.out_file("runs/dataset.parquet")
 def collect(out: Path) -> None:
-    """A Parquet file of 14,400 samples."""
+    """Writes a Parquet file with 14,400 samples."""
     from stewart_drake.training.collect import collect_dataset
 
     prepare_file(out)
@@ -210,14 +210,14 @@ def collect(out: Path) -> None:
     "--tuner",
     type=click.Choice(["paper", "policy"]),
     default="paper",
-    help="paper: the network of the paper, on DATASET. policy: by evolution on the fast engine, an hour on two cores.",
+    help="paper: the paper's network, on DATASET. policy: by evolution on the fast engine, an hour on two cores.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, help="Of everything that is drawn.")
+@click.option("--seed", type=click.IntRange(0), default=0, help="Seed of everything random.")
 def train(dataset: Path, out: Path, tuner: str, seed: int) -> None:
-    """The paper's: the 12-10-2 network on DATASET, by back-propagation.
+    """The paper's tuner is the 12-10-2 network, trained on DATASET by back-propagation.
 
-    The policy: in the loop, on situations of two robots, on all cores; interrupted, the same command goes on from its
-    last generation.
+    The policy is trained in the loop, on situations of two robots, on all cores. After an interruption the same command
+    continues from the last generation.
     """
     title, rows = _train_policy(out, seed) if tuner == "policy" else _train_paper(dataset, out, seed)
     print_table(title, rows)
@@ -233,7 +233,7 @@ def _train_policy(out: Path, seed: int) -> tuple[str, list[tuple[str, str]]]:
     policy.save(out)
     card = policy.provenance
     ratios = {"all kinds": card["J_over_best_fixed"], **card["J_over_best_fixed_by_kind"]}
-    title = f"J over that of the best fixed setting on validation, policy in {out}"
+    title = f"cost J relative to the best fixed setting, on validation; policy in {out}"
     return title, [(name, f"{value:.3f}") for name, value in ratios.items()]
 
 

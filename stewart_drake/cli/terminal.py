@@ -96,7 +96,7 @@ def shown_compiling() -> Iterator[None]:
         def on_start(self, event: Any) -> None:  # noqa: ARG002
             nonlocal depth, laws
             depth, laws = depth + 1, laws + 1
-            bar.update(task, description=f"compiling, once on this machine: {laws} laws")
+            bar.update(task, description=f"compiling, once on this machine: {laws} functions")
             bar.start()
 
         def on_end(self, event: Any) -> None:  # noqa: ARG002
@@ -163,7 +163,7 @@ def print_table(
         table.add_row(*map(escape, row[:shown]))
     terminal.print(table)
     if shown < len(header):
-        tell(f"a wider terminal, or --json, also shows: {', '.join(header[shown:])}")
+        tell(f"more columns in a wider terminal or with --json: {', '.join(header[shown:])}")
 
 
 def _plain(cell: str) -> float | str:

@@ -12,7 +12,7 @@ from stewart_drake.cli.terminal import shown_compiling, tell
 from stewart_drake.logs.log import load_log
 from stewart_drake.scenario import load_scenario
 
-browser_flag = click.option("--browser/--no-browser", default=True, help="Open the page.")
+browser_flag = click.option("--browser/--no-browser", default=True, help="Open the page in a browser.")
 
 
 @command("live")
@@ -22,8 +22,8 @@ browser_flag = click.option("--browser/--no-browser", default=True, help="Open t
 def live(scenario: str, overrides: tuple[str, ...], browser: bool) -> None:
     """SCENARIO is a file or a shipped name [default: exact_fig7].
 
-    Sliders for the platform, pushes, a payload, a dead motor, a frozen encoder, another controller; traces of errors
-    and torques. The page is served to this machine alone. Ctrl-C ends it.
+    The page has sliders for the pose, pushes, a payload, a dead motor, a frozen encoder, other controllers, and plots
+    of errors and torques. Only this machine can open it. Ctrl-C ends it.
     """
     from stewart_drake.live.start import start_live
 
@@ -46,7 +46,7 @@ def live(scenario: str, overrides: tuple[str, ...], browser: bool) -> None:
 @out_file("runs/replay.html")
 @browser_flag
 def replay(logs: tuple[Path, ...], out: Path, browser: bool) -> None:
-    """LOGS are results folders of `run`, or their logs."""
+    """LOGS are results folders of `run`, or log files."""
     from stewart_drake.runs.outputs import prepare_file
     from stewart_drake.runs.replay import write_replay
 

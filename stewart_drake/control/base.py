@@ -39,9 +39,9 @@ class ControllerOptions(Section, ABC, key="controller"):
 
     own_keys = frozenset({"feedforward", "saturation"})
     kind: str
-    """Of controller."""
+    """Kind of controller."""
     period: Period
-    """[s] control period, > 0, a whole multiple of the plant's time step."""
+    """[s] control period, a whole multiple of plant.time_step."""
 
     @property
     def label(self) -> str:
@@ -176,7 +176,7 @@ def failure(ended: tuple[int, int, float], measurement: np.ndarray, reference: n
         return SingularPoseError("serial", pose, max(margin, 0.0), LEAST_TRANSMISSION, leg)
     if status == PARALLEL:
         return SingularPoseError("parallel", pose, margin, LEAST_CONDITIONING)
-    return RiccatiError(f"no gain at pose {pose.tolist()}: M^-1 tau is singular or its gain leaves floating point")
+    return RiccatiError(f"no gain at pose {pose.tolist()}: M^-1 tau is singular, or its gain overflows")
 
 
 def controller_part(tick: Callable[..., None], initial: np.ndarray, weights: int = 0) -> Part:

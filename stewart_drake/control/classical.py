@@ -35,30 +35,29 @@ from stewart_drake.part import Part, Setup
 
 
 class PidOptions(ControllerOptions):
-    """Options of the joint-space PID; the same gains for all six motors.
+    """PID in joint space, with the same gains for all six motors.
 
-    The default gains give heave at home the stiffness, damping and integral action that the exact-model LQI has there
-    with weights 4e5, 30, 4e7, 1 and a weight length of 0.11 m: for the inertia M of heave and J = d(theta)/dZ, a
-    feedback k of acceleration is k M / (6 J^2) at each crank. For another robot than the paper's a scenario scales them
-    by its M / sum J^2.
+    The default gains give heave at home the stiffness, damping and integral action of the exact-model LQI with weights
+    4e5, 30, 4e7, 1 and a weight length of 0.11 m. With the inertia M of heave and J = d(theta)/dZ, an acceleration gain
+    k becomes k M / (6 J^2) at each crank. A scenario scales the gains to another robot by its M / sum J^2.
     """
 
     kind: Literal["pid"] = "pid"
     period: Period = 0.001
     kp: Annotated[NotNegative, PROPORTIONAL] = 37.3
-    """[N m/rad] torque for the error of a crank's angle."""
+    """[N m/rad] proportional gain, on the error of a crank's angle."""
     ki: Annotated[NotNegative, INTEGRAL] = 316.0
-    """[N m/(rad s)] torque for the integral of the error."""
+    """[N m/(rad s)] integral gain."""
     kd: Annotated[NotNegative, DERIVATIVE] = 0.624
-    """[N m s/rad] torque for the error of a crank's rate."""
+    """[N m s/rad] derivative gain, on the error of a crank's rate."""
     feedforward: Literal["none", "gravity"] = "gravity"
-    """gravity: adds the static torque of all bodies at the measured pose."""
+    """Torque added to the feedback. none: nothing. gravity: static torque of all bodies at the measured pose."""
     saturation: Literal["none", "clamp", "back_calculation"] = "clamp"
-    """none: the torque asked for may exceed what the motors have. clamp: it is limited, and the integral of a motor at
-    its limit grows no further. back_calculation: it is limited, and the integral gives back what was cut within
-    `reset_time`."""
+    """Torque limit and anti-windup. none: commands may exceed the motors' limit. clamp: commands are limited, and the
+    integral of a motor at its limit stops growing. back_calculation: commands are limited, and the integral gives back
+    the excess within `reset_time`."""
     reset_time: Positive = 0.05
-    """[s] of back_calculation."""
+    """[s] time constant of back-calculation."""
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         gives_back = self.saturation == "back_calculation" and self.ki > 0.0
@@ -132,23 +131,24 @@ def pid_tick(robots: Any, setups: Any, measurement: Any, reference: Any, leg_rec
 
 
 class ComputedTorqueOptions(ControllerOptions):
-    """Options of the computed-torque controller; all six coordinates of the pose behave alike.
+    """Computed torque, with the same error dynamics in all six coordinates of the pose.
 
-    The default feedback is what the exact-model LQI has on heave at home with weights 4e5, 30, 4e7, 1 and a weight
+    The default feedback is that of the exact-model LQI for heave at home, with weights 4e5, 30, 4e7, 1 and a weight
     length of 0.11 m.
     """
 
     kind: Literal["computed_torque"] = "computed_torque"
     period: Period = 0.001
     natural_frequency: Annotated[Positive, FREQUENCY] = 93.8
-    """[rad/s] omega of e'' + 2 damping omega e' + omega^2 (e + integral_frequency z) = 0."""
+    """[rad/s] natural frequency omega of e'' + 2 damping omega e' + omega^2 (e + integral_frequency z) = 0."""
     damping: Positive = 0.785
-    """[-] damping ratio of the error."""
+    """[-] damping ratio of the error dynamics."""
     integral_frequency: Annotated[NotNegative, FREQUENCY] = 8.47
-    """[rad/s] 0 leaves a PD loop, which errors of the model keep away from the reference."""
+    """[rad/s] integral action, see `natural_frequency`; 0 is a PD loop, which keeps a steady error where the model is
+    wrong."""
     saturation: Literal["none", "clamp"] = "clamp"
-    """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still
-    meanwhile."""
+    """Torque limit and anti-windup. none: commands may exceed the motors' limit. clamp: commands are limited and the
+    integral z waits."""
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         limit = setup.robot.effort_limits if self.saturation == "clamp" else np.inf

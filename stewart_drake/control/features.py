@@ -15,14 +15,14 @@ from stewart_drake.jit import fields, njit
 
 
 class CostScales(Section, key="cost"):
-    """What counts as one in the cost of a run."""
+    """Scales of the cost of a run: how large an error or change of torque counts as one."""
 
     rotation: Positive = 0.03
-    """[deg] of the error's RMS length."""
+    """[deg] RMS rotation error that counts as one."""
     position: Positive = 0.03
-    """[mm] likewise."""
+    """[mm] RMS position error that counts as one."""
     torque_change: Positive = 0.03
-    """[N m] RMS change of a motor's torque in a millisecond."""
+    """[N m] RMS change of a motor's torque in a millisecond that counts as one."""
 
     def at(self, kappa: float) -> CostScales:
         """The scales by smoothness, from stiff, kappa = -1, to quiet, 1: the last one divided by 10^kappa."""

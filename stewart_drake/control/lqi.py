@@ -36,42 +36,44 @@ CLAMP, BACK_CALCULATION = 1, 2
 
 
 class LqiOptions(ControllerOptions):
-    """Options of the LQI controller; the defaults are the paper's, with gravity compensated."""
+    """Linear quadratic regulator with integral action (LQI); the defaults are the paper's, with gravity compensated."""
 
     kind: Literal["lqi"] = "lqi"
     """The default kind."""
     period: Period = 0.005
     model: Literal["paper", "exact"] = "paper"
-    """paper: (9), the platform's mass alone, moments as accelerations of Euler angles. exact: inertia of the whole
-    closed chain at the measured pose."""
+    """Model that the regulator is designed for. paper: (9), the platform's mass alone, with moments taken as
+    Euler-angle accelerations. exact: inertia of the whole closed chain at the measured pose."""
     force_map: ForceMapKind = "statics"
-    """tau_2 of (15) as printed, or by statics; the exact model has its own map."""
+    """Map from wrench to torques in the paper's model: tau_2 of (15) as the paper prints it, or from statics; the exact
+    model has its own."""
     feedforward: Feedforward = "gravity"
-    """none: the paper, (34) alone. gravity: adds the static torque of all bodies at the measured pose. platform: adds
-    to that M q''_d of (9) through the force map at the measured pose. full: inverse dynamics of the exact model for the
-    reference's acceleration."""
+    """Torque added to the feedback. none: nothing, as in the paper's (34). gravity: static torque of all bodies at the
+    measured pose. platform: that and M q''_d of (9) through the force map at the measured pose. full: inverse dynamics
+    of the exact model for the reference's acceleration."""
     feedforward_at: Literal["measured", "reference"] = "measured"
-    """Pose and rate at which `full` is evaluated: the measured ones, or the reference's."""
+    """Pose and rate at which feedforward `full` is evaluated: the measured ones or the reference's."""
     weight_length: Annotated[Positive | None, Field(le=LARGEST), CHARACTERISTIC_LENGTH] = 1.0
-    """[m] rotations in Q are multiplied by this, so that they compare with metres; 1 is the paper, the platform's joint
-    radius 0.11 makes an error of the joints count alike in both. In a scenario null takes the robot's
+    """[m] length that makes rotations comparable with translations in the weight Q; 1 is the paper's. 0.11, the radius
+    of the platform's joints, weighs both alike at the joints. In a scenario null takes the robot's
     `characteristic_length`."""
     discretization: Discretization = "exact"
-    """Zero-order hold of (25): exact, or first order (euler)."""
+    """Discretization of (25). exact: zero-order hold. euler: first order."""
     solver: RiccatiSolver = "drake"
-    """drake: one equation of 18 states. split: six of 3 states, without Drake."""
+    """Solver of the Riccati equation. drake: one equation of 18 states. split: six equations of 3 states, without
+    Drake."""
     saturation: Saturation = "none"
-    """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still meanwhile.
-    back_calculation: it is limited, and z is led back by what was cut off."""
+    """Torque limit and anti-windup. none: commands may exceed the motors' limit. clamp: commands are limited and the
+    integral z waits. back_calculation: commands are limited and z is corrected by the excess."""
     reset_time: Positive = 0.05
-    """[s] time in which back-calculation takes z back."""
+    """[s] time constant of back-calculation."""
     integral_limit: PositivePair | None = None
     """[rad s, m s] largest |z| of rotations and translations; null for none."""
     bumpless: Flag = False
-    """When the weights change, z changes too, so that the torque by z does not."""
+    """Whether z changes with the weights, so that the integral torque does not jump."""
     hold_ticks: Annotated[Natural, Field(le=1000)] = 0
-    """Ticks in a row for which a pose near a singularity, a gain that does not exist or a measurement that is not
-    finite is bridged by the last good gain and torque, before the run ends."""
+    """Ticks in a row that the last good gain and torque may bridge before the run ends: near a singularity, without a
+    gain, or when a measurement is not finite."""
 
     @property
     def length(self) -> float:
@@ -213,7 +215,7 @@ def command(
 
 @njit
 def paper_acceleration_map(robot: Any, legs: Any, printed: bool, out: Any) -> None:
-    """M^-1 tau (6, 6) of (10): M the platform's mass and moments alone, tau by statics or tau_2 of (15) as printed."""
+    """M^-1 tau (6, 6) of (10): M the platform's mass and moments alone, tau by statics or tau_2 of the paper's (15)."""
     for i in range(6):
         force = legs.transmission[i] / robot.crank_length[i] if printed else 1.0 / legs.lever[i]
         for k in range(3):
@@ -341,7 +343,7 @@ def _bridged(robot: Any, setup: Any, measurement: Any, reference: Any, state: An
 def lqi_part(
     options: LqiOptions, robot: RobotParameters, gravity: float, weights: int, solver: RiccatiSolver | None = None
 ) -> Part:
-    """The LQI as a part of a loop, for a robot as believed, in a gravity [m/s^2], with a port of 2 or 4 weights.
+    """The LQI as a part of a loop, for the controller's model, gravity [m/s^2], and a port of 2 or 4 weights.
 
     Another `solver` than the options' may be named: `split` is one compiled call and needs no Drake. The part's tick
     raises as `failure` where no good tick came before or more than `hold_ticks` failed in a row.

@@ -149,7 +149,7 @@ def load_weights(path: Path, kind: str, version: int, build: Callable[[dict[str,
     except ConfigurationError as error:
         raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
     except (ValueError, RecursionError) as error:
-        raise ConfigurationError(key, str(error), "a file as `stewart-drake train` left it") from None
+        raise ConfigurationError(key, str(error), "an unchanged file from `stewart-drake train`") from None
 
 
 def read_weights(path: Path) -> str:

@@ -249,7 +249,7 @@ class Policy:
     def facts(self) -> list[tuple[str, str]]:
         """Rows of two texts: what it is made of, then its provenance."""
         heard = [name for name, column in zip(FEATURES, self.layers.hidden.T, strict=True) if column.any()]
-        card = {"hears": ", ".join(heard) or "nothing", "hidden units": len(self.layers.hidden), **self.provenance}
+        card = {"inputs": ", ".join(heard) or "nothing", "hidden units": len(self.layers.hidden), **self.provenance}
         return [(name, value if isinstance(value, str) else json.dumps(value)) for name, value in card.items()]
 
 

@@ -101,7 +101,7 @@ def riccati_gain(a: np.ndarray, b: np.ndarray, r: np.ndarray, p: np.ndarray) -> 
     try:
         return np.linalg.solve(r + b.T @ pb, pb.T @ a)
     except np.linalg.LinAlgError:
-        raise RiccatiError("R + B' P B is singular: masses or weights lie too far apart") from None
+        raise RiccatiError("R + B' P B is singular: masses or weights differ by too much") from None
 
 
 def solve_drake(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:

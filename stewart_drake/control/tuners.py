@@ -48,10 +48,10 @@ class Tuner(Section, ABC, key="tuner"):
     """Whether it needs the innovations of an observer."""
     kind: str
     density: DensityKind = "magnitude"
-    """Kind of density (35), (36); for a network, the one that it was trained on."""
+    """Kind of density (35), (36) that is computed and logged; for a network, the one that it was trained on."""
     window: Annotated[Window, Field(le=100_000)] = 49
-    """Window m of (35), (36) [ticks]; means run over m + 1 samples. A network works with any: a density has no unit of
-    time."""
+    """[ticks] window m of (35), (36); means run over m + 1 samples. A network works with any window, because a density
+    has no unit of time."""
 
     @property
     @abstractmethod
@@ -85,9 +85,9 @@ class PairTuner(Tuner):
 
     kind: str
     omega_q: Positive = 1.0
-    """omega_Q of (27); for a network, its value before the first inference."""
+    """Weight omega_Q of (27); for a network, its value before the first inference."""
     omega_r: Positive = 1.0
-    """omega_R of (27); for a network, its value before the first inference."""
+    """Weight omega_R of (27); for a network, its value before the first inference."""
 
     @property
     def weights(self) -> tuple[float, ...]:
@@ -95,7 +95,7 @@ class PairTuner(Tuner):
 
 
 class FixedTuner(PairTuner):
-    """Weights that stay as given; densities are logged all the same."""
+    """Constant weights omega_Q and omega_R; densities are logged all the same."""
 
     kind: Literal["fixed"] = "fixed"
 
@@ -103,17 +103,17 @@ class FixedTuner(PairTuner):
 class BlockWeights(Tuner):
     """What tuners of block weights have: Q = diag(q_pose I, q_rate I, q_integral I), R = r I.
 
-    The defaults are for the paper's robot; for any other a scenario scales them by what a torque does there, so that
-    the loop is as fast. Where commands act later than after 5 ms it is slower in proportion.
+    The defaults are for the paper's robot. A scenario scales them to another robot by what a torque does there, so that
+    the loop is as fast. With a command delay above 5 ms the loop is slower in proportion.
     """
 
     kind: str
     q_pose: Annotated[Positive, POSE_WEIGHT] = 4.0e5
-    """Weight of the pose's error."""
+    """Weight of the pose error."""
     q_rate: Annotated[Positive, RATE_WEIGHT] = 30.0
-    """Weight of its rate."""
+    """Weight of the rate of the pose error."""
     q_integral: Annotated[Positive, INTEGRAL_WEIGHT] = 4.0e7
-    """Weight of its integral."""
+    """Weight of the integral of the pose error."""
     r: Positive = 1.0
     """Weight of the torques."""
 
@@ -123,7 +123,7 @@ class BlockWeights(Tuner):
 
 
 class BlockTuner(BlockWeights):
-    """Block weights that stay as given; see `controller.weight_length`."""
+    """Constant block weights; `controller.weight_length` sets how rotations count in them."""
 
     kind: Literal["block"] = "block"
 
@@ -134,7 +134,7 @@ class PaperTuner(PairTuner):
     label: ClassVar[str] = "Output of the ANN"
     kind: Literal["paper"] = "paper"
     weights_file: Text | None = None
-    """Path of a trained network, relative to the scenario file; null takes the one of the package."""
+    """File of a trained network, relative to the scenario file; null takes the package's."""
 
     def network(self) -> TunerNetwork:
         """The network that it asks; refused where this kind of density, or the first weights, are new to it."""
@@ -159,7 +159,7 @@ class PaperTuner(PairTuner):
 class SettingTuner(BlockWeights):
     """What tuners of settings have; a setting is decades above these weights and `estimator.disturbance`.
 
-    They hear the innovations of an observer, see `features`, and change its bandwidth too.
+    They use the innovations of an observer, see `features`, and change its bandwidth too.
     """
 
     listens: ClassVar[bool] = True
@@ -185,14 +185,14 @@ class SettingTuner(BlockWeights):
 
 
 class PolicyTuner(SettingTuner):
-    """Settings from a neural network that was trained in the loop, for the least cost."""
+    """Weights and observer bandwidth from a neural network, trained in the loop for the least cost."""
 
     label: ClassVar[str] = "Output of the policy"
     kind: Literal["policy"] = "policy"
     kappa: Annotated[Real, Field(ge=-1.0, le=1.0)] = 0.0
-    """From stiff, -1, to quiet, 1: a change of torque counts 10^kappa times as much against an error."""
+    """Preference from -1, stiff, to 1, quiet: a change of torque counts 10^kappa times as much against an error."""
     weights_file: Text | None = None
-    """Path of a trained policy, relative to the scenario file; null takes the one of the package."""
+    """File of a trained policy, relative to the scenario file; null takes the package's."""
 
     def chooser(self) -> Policy:
         return load_policy(self.weights_file)
@@ -205,18 +205,19 @@ FourNumbers = tuple[Decades, Decades, Decades, Decades]
 
 
 class ScheduleTuner(SettingTuner):
-    """Two settings: one while readings are as expected, one when they are not and for a while after."""
+    """Two settings of weights and observer: one while readings are as expected, one while they are not."""
 
     label: ClassVar[str] = "Weights of the schedule"
     kind: Literal["schedule"] = "schedule"
     calm: FourNumbers = (0.0, 0.0, 0.0, 0.0)
-    """Decades of speed, damping, integral and disturbance, see `control.policy`."""
+    """Setting while readings are as expected: decades of speed, damping, integral and disturbance, see
+    `control.policy`."""
     alert: FourNumbers = (0.0, 0.0, 0.0, 0.0)
-    """Likewise."""
+    """Setting while they are not: the same four decades."""
     threshold: Positive = 2.0
-    """[-] RMS of the innovations of some 10 ms over the noise of a reading, above which the second one holds."""
+    """[-] innovation above which `alert` is used: its RMS over some 10 ms, relative to the noise of a reading."""
     hold: NotNegative = 0.1
-    """[s] that it stays afterwards."""
+    """[s] how long `alert` is still used afterwards."""
 
     law: ClassVar[Callable[..., None]] = staticmethod(schedule_tick)
 

@@ -22,27 +22,27 @@ FUNCTION_STATE = fields(torque=6, error=6, integral=6, health=2)
 
 
 class PythonOptions(UserMade, ControllerOptions):
-    """A controller of the user's own by import path.
+    """Your own controller, by its import path.
 
     A function `torque = f(measurement, setpoint, time)`, or a class of objects that are called so, runs on both
-    engines: measurement has pose [rad, m] and pose_rate, setpoint pose, pose_rate and pose_acceleration, all (6,);
-    time is in seconds, torque (6,) [N m]. A System of pydrake runs on Drake.
+    engines: measurement has pose [rad, m] and pose_rate, setpoint pose, pose_rate and pose_acceleration, all (6,); time
+    is in seconds, torque (6,) [N m]. A System of pydrake runs on Drake.
 
-    Ports that it must have: inputs measurement (12,) and reference (18,), output torque (6,), as in `LqiController`.
-    Ports that it may have: input weights, (2,) or (4,) as the tuner gives; outputs error (6,) and integral (6,), both
-    or none.
+    It must have the ports of `LqiController`: inputs measurement (12,) and reference (18,), output torque (6,). It may
+    have the input weights, (2,) or (4,) as the tuner gives, and both outputs error (6,) and integral (6,).
 
-    Its continuous state, if any, is integrated by Runge and Kutta's method of third order in tenths of the plant's time
-    step; time constants below a 25th of that step diverge.
+    A continuous state is integrated by a third-order Runge-Kutta method in tenths of the plant's time step; time
+    constants below a 25th of that step diverge.
     """
 
     kind: CodePath  # type: ignore[assignment]
-    """path/to/file.py:Class, from the folder of the file that names it, or module:Class. Its code is run."""
+    """Import path of your class, from the folder of the file that names it: path/to/file.py:Class, or module:Class. Its
+    code is run."""
     arguments: dict[str, Any] = Field(default_factory=dict)
-    """Keyword arguments of the constructor, plain values. `robot` (as the controller believes it), `period` and
+    """Keyword arguments of the constructor, plain values. `robot` (the controller's model of it), `period` and
     `gravity` are added where the constructor names them."""
     period: Period = 0.001
-    """[s] period of the log, of a delay and of the tuner; the controller should tick with it."""
+    """[s] control period, for log, delay and tuner; the controller should tick with it."""
 
     @property
     def label(self) -> str:

@@ -40,7 +40,7 @@ _TRUST: ContextVar[bool] = ContextVar("trust", default=False)
 
 @contextmanager
 def trusting_code(trust: bool = True) -> Iterator[None]:
-    """Within it code that is named may run, then and later; `trust` off changes nothing."""
+    """Context manager: user code named within it may run, then and later; with `trust` off it changes nothing."""
     before = _TRUST.set(trust or _TRUST.get())
     try:
         yield
@@ -110,7 +110,7 @@ class CodePath(os.PathLike[str]):
         """Raises a `ConfigurationError` where its file is missing, or it is not trusted."""
         self.find(key)
         if not self.trusted:
-            allowed = f"code that you trust; read {self.place}, then say --trust-code (trust_code=True)"
+            allowed = f"code that you trust; read {self.place}, then add --trust-code (trust_code=True)"
             raise ConfigurationError(key, self, allowed)
 
     def load(self, key: str) -> Any:

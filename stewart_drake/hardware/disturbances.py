@@ -19,10 +19,10 @@ _SINES = 64  # Enough that the sum passes for noise: near-normal, and it repeats
 
 
 class ConstantWrench(Section, key="disturbances"):
-    """The same wrench all the time."""
+    """A constant wrench."""
 
     wrench: Vector6
-    """[N m, N] moment about P and force, in B."""
+    """[N m, N] moment about P and force, in the base frame B."""
     kind: Literal["constant"] = "constant"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
@@ -30,14 +30,14 @@ class ConstantWrench(Section, key="disturbances"):
 
 
 class StepWrench(Section, key="disturbances"):
-    """A wrench from one time on, to another."""
+    """A constant wrench that begins at one time and ends at another."""
 
     wrench: Vector6
-    """[N m, N] moment about P and force, in B."""
+    """[N m, N] moment about P and force, in the base frame B."""
     time: NotNegative
-    """[s] when it begins."""
+    """[s] when the wrench begins."""
     until: NotNegative | None = None
-    """[s] when it ends, after `time`; null for never."""
+    """[s] when the wrench ends, after `time`; null for never."""
     kind: Literal["step"] = "step"
 
     def rules(self) -> None:
@@ -50,17 +50,17 @@ class StepWrench(Section, key="disturbances"):
 
 
 class ImpulseWrench(Section, key="disturbances"):
-    """A blow: impulse / duration for a short while.
+    """A blow: the constant wrench impulse / duration for a short time.
 
-    The plant takes it step by step, and in full where `duration` is a whole number of its steps.
+    It is exact where `duration` is a whole number of the plant's steps.
     """
 
     impulse: Vector6
-    """[N m s, N s] moment about P and force, in B, integrated over the blow."""
+    """[N m s, N s] time integral of the moment about P and of the force, in the base frame B."""
     time: NotNegative
-    """[s] when it begins."""
+    """[s] when the blow begins."""
     duration: Positive = 0.005
-    """[s] of the blow."""
+    """[s] duration of the blow."""
     kind: Literal["impulse"] = "impulse"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
@@ -69,14 +69,14 @@ class ImpulseWrench(Section, key="disturbances"):
 
 
 class SineWrench(Section, key="disturbances"):
-    """wrench sin(2 pi frequency t + phase)."""
+    """A sinusoidal wrench: wrench sin(2 pi frequency t + phase)."""
 
     wrench: Vector6
-    """[N m, N] amplitude: moment about P and force, in B."""
+    """[N m, N] amplitude: moment about P and force, in the base frame B."""
     frequency: Positive
-    """[Hz], above 0."""
+    """[Hz] frequency, above 0."""
     phase: Real = 0.0
-    """[rad] at time 0."""
+    """[rad] phase at time 0."""
     kind: Literal["sine"] = "sine"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
@@ -85,16 +85,16 @@ class SineWrench(Section, key="disturbances"):
 
 
 class NoiseWrench(Section, key="disturbances"):
-    """Noise of a flat spectrum in a band, independent on each axis: a seeded sine in each 64th of the band."""
+    """Band-limited noise with a flat spectrum, independent on each axis: a seeded sine in each 64th of the band."""
 
     rms: tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
-    """[N m, N] of each axis: moment about P and force, in B."""
+    """[N m, N] RMS on each axis: moment about P and force, in the base frame B."""
     low: NotNegative = 0.5
     """[Hz] lower end of the band."""
     high: Positive = 50.0
     """[Hz] upper end of the band, above `low`."""
     seed: Seed = 0
-    """Of the sines."""
+    """Seed of the noise."""
     kind: Literal["noise"] = "noise"
 
     def rules(self) -> None:
@@ -120,7 +120,7 @@ def _shares(time: float | np.ndarray, start: float = -math.inf, end: float = mat
 
 
 class UserDisturbance(UserMade, key="disturbances"):
-    """What a class of the user's own says with `evaluate(time)`: a wrench (6,) [N m, N] at a time."""
+    """A disturbance by your own class: `evaluate(time)` returns a wrench (6,) [N m, N]."""
 
     asked = "evaluate(t) returns a wrench (6,)"
 

@@ -38,7 +38,7 @@ class EstimatorOptions(Section, key="estimator"):
         return 0.0
 
     def ahead(self, delay: int) -> int:
-        """[ticks] from a command to its torque, as believed."""
+        """[ticks] from a command to its torque, as assumed."""
         return delay
 
     def innovation_scale(self, setup: Setup) -> tuple[float, float]:  # noqa: ARG002 - there are none
@@ -51,7 +51,7 @@ class EstimatorOptions(Section, key="estimator"):
 
 
 class DifferenceOptions(EstimatorOptions):
-    """The pose as it is read, its rate from the difference of two readings; a sensor that measures both is believed."""
+    """Pose from the readings, rate from the difference of two; a sensor of pose and rate is passed on unchanged."""
 
     exact: ClassVar[bool] = True
     kind: Literal["difference"] = "difference"

@@ -84,7 +84,7 @@ class Fault(Section):
     kinds: ClassVar[Table]
     kind: str
     time: NotNegative = 0.0
-    """[s] when it begins."""
+    """[s] when the fault begins."""
 
     def _key(self, name: str) -> Any:
         return getattr(self, name, None)
@@ -125,55 +125,57 @@ class EncoderFault(Fault, key="sensors.faults"):
 
     kinds: ClassVar[Table] = ENCODER_FAULTS
     kind: Annotated[Text, ENCODER_FAULTS]
-    """freeze: repeats its last good reading. nan: not a number. jump: off by `size`, as after slipped counts. late:
-    says what it read `delay` ago. drift: off by `size` more each second. reversed: counts backwards from its last good
-    reading. inverted: says the negative angle. swapped: `leg` and `other` say each other's angle."""
+    """Kind of fault. freeze: repeats its last good reading. nan: reads not a number. jump: is off by `size`, as after
+    slipped counts. late: gives its reading of `delay` ago. drift: is off by `size` more each second. reversed: counts
+    backwards from its last good reading. inverted: gives the negative angle. swapped: `leg` and `other` give each
+    other's angle."""
     leg: LegNumber | None
-    """0 to 5; null for all."""
+    """Number of the leg, 0 to 5; null for all."""
     duration: Positive | None = None
-    """[s] after which the encoder works again; null for never."""
+    """[s] how long the fault lasts; null for the rest of the run."""
     size: Real = 0.0
-    """[rad] of a jump, [rad/s] of a drift."""
+    """[rad] size of a jump, or [rad/s] of a drift."""
     delay: Delay | None = None
-    """[s] of a late reading, up to 1; rounded up to whole ticks."""
+    """[s] delay of a late reading, up to 1; rounded up to whole ticks."""
     other: LegNumber | None = None
-    """0 to 5, of swapped encoders."""
+    """The second leg of swapped encoders, 0 to 5."""
 
 
 class PoseFault(Fault, key="sensors.faults"):
-    """A sensor of pose and rate that fails as a whole."""
+    """A fault of a sensor of pose and rate, in all its readings."""
 
     kinds: ClassVar[Table] = POSE_FAULTS
     kind: Annotated[Text, POSE_FAULTS]
-    """freeze: repeats its last good reading. nan: not a number. late: says what it read `delay` ago."""
+    """Kind of fault. freeze: repeats its last good reading. nan: reads not a number. late: gives its reading of `delay`
+    ago."""
     duration: Positive | None = None
-    """[s] after which the sensor works again; null for never."""
+    """[s] how long the fault lasts; null for the rest of the run."""
     delay: Delay | None = None
-    """[s] of a late reading, up to 1; rounded up to whole ticks."""
+    """[s] delay of a late reading, up to 1; rounded up to whole ticks."""
 
 
 class CommandFault(Fault, key="link.faults"):
-    """Commands that a broken controller would send."""
+    """Corrupted commands, as from a broken controller."""
 
     kinds: ClassVar[Table] = COMMAND_FAULTS
     kind: Annotated[Text, COMMAND_FAULTS]
-    """nan and inf in place of the torque; offset: `size` is added; chatter: `size` is added in one tick and
-    subtracted in the next."""
+    """Kind of fault. nan: sends not a number. inf: sends infinity. offset: adds `size`. chatter: adds `size` in one
+    tick and subtracts it in the next."""
     leg: LegNumber | None = None
-    """0 to 5; null for all."""
+    """Number of the leg, 0 to 5; null for all."""
     duration: Positive | None = None
-    """[s] after which commands are correct again; null for never."""
+    """[s] how long the fault lasts; null for the rest of the run."""
     size: Real = 0.0
-    """[N m] of offset and chatter."""
+    """[N m] size of an offset or chatter."""
 
 
 class MotorFault(Fault, key="motors.faults"):
-    """Motors wired wrong, for good."""
+    """Motors that are wired wrongly, for the whole run."""
 
     kinds: ClassVar[Table] = MOTOR_FAULTS
     kind: Annotated[Text, MOTOR_FAULTS]
-    """reversed: a torque of the other sign. swapped: each of two motors gives the other's torque."""
+    """Kind of fault. reversed: the torque has the opposite sign. swapped: two motors get each other's torque."""
     leg: LegNumber
-    """0 to 5."""
+    """Number of the leg, 0 to 5."""
     other: LegNumber | None = None
-    """0 to 5, of swapped motors."""
+    """The second leg of swapped motors, 0 to 5."""

@@ -25,24 +25,24 @@ _STREAM = 3  # Of random numbers, see `faults.tick_numbers`.
 
 
 class LinkOptions(Section, key="link"):
-    """What may happen to a command on its way; by default nothing does.
+    """Faults of the link that carries commands to the motors; none by default.
 
-    A dropped tick's command never arrives and the last one holds. A late one arrives a step of the plant after its
-    tick. Where a tick is both, it is dropped.
+    After a dropped command the last one holds. A late command arrives a step of the plant after its tick. A tick that
+    is both is dropped.
     """
 
     drop_probability: Share = 0.0
-    """[-] that a tick is dropped, 0 to 1."""
+    """[-] probability that a tick's command is dropped, 0 to 1."""
     dropped: tuple[Natural, ...] = ()
-    """Ticks that are dropped in any case, whatever `drop_probability` is; tick k is at k controller.period."""
+    """Numbers of ticks whose commands are always dropped; tick k is at k controller.period."""
     stop_time: NotNegative | None = None
-    """[s] from which on every tick is dropped: the controller hangs; null for never."""
+    """[s] time from which all commands are dropped, as if the controller hangs; null for never."""
     late_probability: Share = 0.0
-    """[-] that a tick is late, 0 to 1."""
+    """[-] probability that a tick's command is late, 0 to 1."""
     seed: Seed = 0
-    """Of what is dropped and late; each tick has its own number, whatever came before."""
+    """Seed of the random drops and delays; each tick has its own random number."""
     faults: tuple[CommandFault, ...] = ()
-    """Commands that are corrupted before they are sent."""
+    """Faults that corrupt commands before they are sent."""
 
     @cached_property
     def perfect(self) -> bool:
@@ -99,7 +99,7 @@ def delay_part(ticks: int, initial: np.ndarray) -> Part:
 
 
 def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: float) -> np.ndarray:
-    """Torques (6,) [N m] that hold the robot, as believed, at a pose; zeros where it cannot stand there."""
+    """Torques (6,) [N m] that hold the controller's model at a pose; zeros where it cannot be held."""
     # In that case the first tick says so, with a log.
     with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
         return static_torque(robot, pose, gravity)
@@ -107,27 +107,27 @@ def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: float) ->
 
 
 class DeadMotor(Section, key="motors.dead"):
-    """A motor without torque from some time on; its crank turns freely."""
+    """A motor that loses its torque; its crank turns freely."""
 
     leg: LegNumber
-    """0 to 5."""
+    """Number of the leg, 0 to 5."""
     time: NotNegative = 0.0
-    """[s] when it dies."""
+    """[s] when it loses its torque."""
 
 
 class MotorOptions(Section, key="motors"):
     """Imperfections of the motors; by default there are none."""
 
     ripple: NotNegative = 0.0
-    """[N m] amplitude of the torque ripple (cogging), added as a sine of the crank's angle."""
+    """[N m] amplitude of the torque ripple (cogging), a sine of the crank's angle."""
     ripple_periods: Annotated[Natural, Field(ge=1, le=10_000)] = 12
-    """Periods of the ripple in a turn."""
+    """Periods of the torque ripple in one turn of the crank."""
     resolution: NotNegative = 0.0
-    """[N m] step of the amplifier; the torque is rounded to whole steps. 0 for none."""
+    """[N m] torque resolution of the amplifier; torques are rounded to whole steps. 0 for none."""
     dead: DeadMotor | None = None
-    """A motor that fails; null for none."""
+    """A motor that loses its torque; null for none."""
     faults: tuple[MotorFault, ...] = ()
-    """Motors wired wrong, in order, between amplifier and motor."""
+    """Motors that are wired wrongly, in order, between amplifier and motor."""
 
     def rules(self) -> None:
         if 0.0 < self.resolution < SMALLEST:
@@ -161,14 +161,14 @@ class MotorOptions(Section, key="motors"):
 
 
 class FrictionCompensation(FrictionOptions, key="friction_compensation"):
-    """Friction of the motors as the controller believes it; its torque along the reference is added to the command.
+    """The controller's model of motor friction; its torque for the reference's velocity is added to the command.
 
-    Along the reference and not along the measurement: noise cannot make it chatter, nor can it push a robot that is to
-    stand still.
+    It uses the reference and not the measurement: noise cannot make it chatter, and it does not push a robot that
+    should rest.
     """
 
     width: Positive = 0.002
-    """[rad/s] a crank that is to turn at this rate gets 76 % of its dry friction: reversals are that smooth."""
+    """[rad/s] crank speed at which 76 % of the dry friction is compensated; larger smooths reversals more."""
 
     def part(self, setup: Setup) -> Part:
         """`reference` (18,) -> `against_friction` (6,) [N m]."""

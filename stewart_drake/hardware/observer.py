@@ -43,19 +43,19 @@ MISSING = 20  # How a tick may end beside the statuses of `kinematics_laws`.
 
 
 class ObserverOptions(EstimatorOptions):
-    """A Kalman filter with the exact model in it, see docs/observer.md."""
+    """A Kalman filter with the exact model of the robot, see docs/observer.md."""
 
     kind: Literal["observer"] = "observer"
     disturbance: Annotated[Positive, Field(le=1e6)] = 16.0
-    """[rad/s^2 per sqrt(s)] by which the unexplained part of each crank's acceleration is expected to change in a
-    second: low is quiet, high is stiff. With the noise of the readings it sets the bandwidth."""
+    """[rad/s^2 per sqrt(s)] expected change in a second of each crank's unmodelled acceleration; low is quiet, high is
+    stiff. With the noise of the readings it sets the bandwidth."""
     delay: Annotated[Natural, Field(le=LONGEST_DELAY)] | None = None
-    """[ticks] from a command to its torque, as believed; null takes `command_delay`. The controller gets the state, and
-    the reference, of the time at which its command acts."""
+    """[ticks] command delay that the observer assumes; null takes `command_delay`. The controller gets the state and
+    the reference at the time when its command acts."""
     max_innovation: Positive = 0.05
-    """[rad] a reading further than this from what was expected is not believed."""
+    """[rad] largest innovation, reading minus prediction; a reading beyond it is rejected."""
     hold_ticks: Annotated[Natural, Field(le=1000)] = 10
-    """Ticks in a row in which a reading may be missing before the run ends; meanwhile the model stands in for it."""
+    """Missing readings in a row that the model may replace before the run ends."""
 
     @property
     def expected(self) -> float:
@@ -127,7 +127,7 @@ def predict(robot: Any, setup: Any, torque: Any, disturbance: Any, pose: Any, ra
 def _observe(
     robots: Any, setups: Any, reading: Any, sent: Any, reference: Any, expected: float, leg_records: Any, states: Any
 ) -> Any:
-    """One tick: predicts, corrects by what is believed of the readings, looks ahead; status, leg or -1, margin."""
+    """One tick: predicts, corrects by the readings that are accepted, looks ahead; status, leg or -1, margin."""
     robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
     cosine, sine = np.empty(6), np.empty(6)
     for i in range(6):
@@ -262,7 +262,7 @@ def observer_part(options: ObserverOptions, setup: Setup) -> Part:
     robot, period, delay = setup.robot, setup.period, options.ahead(setup.delay)
     if delay * period > FARTHEST:
         given = ("command_delay", setup.delay) if options.delay is None else ("estimator.delay", options.delay)
-        allowed = f"at most {int(FARTHEST / period)} ticks: an observer looks no farther ahead than {FARTHEST:g} s"
+        allowed = f"at most {int(FARTHEST / period)} ticks: an observer predicts no farther ahead than {FARTHEST:g} s"
         raise ConfigurationError(*given, allowed)
     # [1/(kg m^2)] acceleration of a crank for its own torque, at home.
     mobility = np.diag(pose_jacobian(robot, robot.home_pose) @ pose_acceleration_map(robot, robot.home_pose))
@@ -312,5 +312,5 @@ def _error(status: int, leg: int, margin: float, reading: np.ndarray, state: np.
         return UnreachablePoseError(reading[:6].copy(), leg, margin)
     if status in (SERIAL, PARALLEL):
         return singular_pose(status, leg, margin, state["measurement"][0, :6].copy())
-    text = f"encoder readings {pose_text(reading[:6])}: encoder {leg} is missing or not believed"
+    text = f"encoder readings {pose_text(reading[:6])}: encoder {leg} is missing or rejected"
     return RunFailure(text, reason="encoder", leg=leg)

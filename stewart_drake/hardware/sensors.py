@@ -26,9 +26,9 @@ class SensorOptions(Section, key="sensors"):
     reading_size: ClassVar[int] = 12
     """Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate."""
     kind: str
-    """Of sensor."""
+    """Kind of sensor."""
     faults: tuple[Any, ...] = ()
-    """Times at which it fails."""
+    """Faults of the sensor."""
 
     @property
     def exact(self) -> bool:
@@ -51,11 +51,11 @@ class SensorOptions(Section, key="sensors"):
 
 
 class IdealSensors(SensorOptions):
-    """Pose and rate of the platform, exact."""
+    """Ideal sensors: exact pose and rate of the platform."""
 
     kind: Literal["ideal"] = "ideal"
     faults: tuple[PoseFault, ...] = ()
-    """Times at which the sensor fails."""
+    """Faults of the sensor."""
 
     @property
     def exact(self) -> bool:
@@ -68,29 +68,30 @@ class IdealSensors(SensorOptions):
 
 
 class EncoderOptions(SensorOptions):
-    """Motor encoders, and the estimator that knows nothing else."""
+    """Motor encoders, and how the pose is computed from their readings."""
 
     reading_size: ClassVar[int] = 6
     kind: Literal["encoders"] = "encoders"
     resolution_bits: Annotated[Natural, Field(le=40)] = 17
-    """Counts a turn: 2 to the power of this; 0 for encoders without steps."""
+    """Encoder resolution: 2 to the power of this, in counts per turn; 0 for encoders without steps."""
     offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    """[rad] reading minus true angle of each motor: an error of homing."""
+    """[rad] homing error of each encoder: reading minus true angle."""
     noise: Annotated[NotNegative, Field(le=LARGEST)] = 0.0
-    """[rad] standard deviation of each reading, before it is rounded to counts; independent from tick to tick."""
+    """[rad] standard deviation of each reading before it is rounded to counts; independent from tick to tick."""
     noise_seed: Seed = 0
-    """Of the noise."""
+    """Seed of the noise."""
     faults: tuple[EncoderFault, ...] = ()
-    """Encoders that fail, in order: each acts on what those before it left of the readings."""
+    """Faults of the encoders, applied in order."""
     rate_cutoff: Positive | None = None
-    """[Hz] crank rates are differences over one tick through a low pass of first order with this corner; null: bare."""
+    """[Hz] corner frequency of the first-order low pass on crank rates, which are differences over one tick; null for
+    none."""
     max_speed: Positive = 60.0
-    """[rad/s] a reading that has moved faster than this is rejected."""
+    """[rad/s] largest plausible crank speed; a reading that has moved faster is rejected."""
     max_step: Annotated[PositivePair, LENGTH] = (0.2, 0.05)
-    """[rad, m] a pose further than this from the last one, at first from the start, is rejected: Newton has found
-    another assembly mode."""
+    """[rad, m] largest plausible step from the last pose, at first from the start; a pose beyond it is rejected, for
+    Newton's method has found another assembly mode."""
     hold_ticks: Annotated[Natural, Field(le=1000)] = 10
-    """Ticks in a row for which the last good pose stands in for one that is not believed, before the run ends."""
+    """Rejected readings in a row that the last good pose may replace before the run ends."""
 
     @cached_property
     def quantum(self) -> float:

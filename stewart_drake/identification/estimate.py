@@ -101,8 +101,8 @@ def estimate(
             unidentifiable = _unidentifiable(slope, samples, held, size)
             for each in unidentifiable:
                 if (own := PARAMETERS[each.at]).kind in set(asked) - set(held):
-                    got = f"a motion by which it could be off by {each.deviation:.3g} times its size"
-                    allowed = "a motion that tells it, as `excite` designs them"
+                    got = f"a motion that leaves an uncertainty of {each.deviation:.3g} times its size"
+                    allowed = "a motion that determines it; `excite` designs one"
                     raise ConfigurationError(f"{samples.source}: {own}", got, allowed)
             values = of_robot(guess) if unidentifiable else values
     slope, left = _whitened(samples, values, ways, noise)
@@ -180,12 +180,12 @@ def _refuse_other(guess: RobotParameters, samples: Samples, values: np.ndarray) 
     measured, expected = size(torque), size(samples.predicted(of_robot(guess)))
     left, changes = size(torque - samples.predicted(values)), size(torque - torque.mean(axis=0))
     if left > max(_UNLIKE * changes, _NOISY * measured):
-        got = f"torques of whose changes no parameters explain {min(100.0, 100.0 * left / changes):.0f} %"
+        got = f"torques with {min(100.0, 100.0 * left / changes):.0f} % of their changes unexplained by any parameters"
     elif expected > 0.0 and not 1.0 / _FACTOR < measured / expected < _FACTOR:
-        got = f"torques of {measured:.3g} N m where the guess has {expected:.3g} N m (RMS)"
+        got = f"torques of {measured:.3g} N m where the guess needs {expected:.3g} N m (RMS)"
     else:
         return
-    raise ConfigurationError(samples.source, got, "a log of the robot that is guessed, angles in rad, torques in N m")
+    raise ConfigurationError(samples.source, got, "a log of the guessed robot, angles in rad, torques in N m")
 
 
 def pseudo_inertia(guess: RobotParameters, values: Any) -> Any:

@@ -50,11 +50,11 @@ def excite(
 
     Args:
         robot: The guess.
-        limits: What the motion keeps to, with `ROOM` to spare.
+        limits: Limits of the motion, kept with the margin `ROOM`.
         hold: As for `identify`.
         gravity: [m/s^2].
         seed: Of the random motions.
-        changes: How many to try.
+        changes: Number of changes to try.
 
     Raises:
         ConfigurationError: No motion at all is within the limits.

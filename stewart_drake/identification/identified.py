@@ -47,13 +47,13 @@ class Identification(Report):
     """A robot's parameters, and how well they are known.
 
     Attributes:
-        guess: What the identification started from.
-        values: (32,) parameters that bodies can have.
-        estimate: What the least squares said before that.
+        guess: The robot that the identification started from.
+        values: (32,) estimated parameters, physically consistent.
+        estimate: (32,) result of the least squares before that.
         held: Kinds that kept the guess's value.
-        samples: What it was made of.
-        logs: How many recordings these are.
-        predictions: Of the recordings that it was made of, then of those that were not used.
+        samples: The samples that it used.
+        logs: Number of recordings.
+        predictions: Of the recordings that were fitted, then of those for validation.
     """
 
     guess: RobotParameters
@@ -67,9 +67,9 @@ class Identification(Report):
     columns: ClassVar = ("parameter", "part", "unit", "guess", "value", "half_width", "base_parameter")
     about: ClassVar = (
         "Values with 95 % intervals. Moments and inertias of the platform are about the origin of P. Where a value\n"
-        "means a sum, the parameters after the first have the guess's values; the logs tell the sum alone."
+        "means a sum, the parameters after the first have the guess's values; the logs determine only the sum."
     )
-    picture: ClassVar = "Torques and what is left of them"
+    picture: ClassVar = "Torques and their residuals"
 
     @property
     def title(self) -> str:
@@ -96,7 +96,7 @@ class Identification(Report):
 
     @property
     def torque_constants(self) -> np.ndarray:
-        """(6,) [-] torques over what the log says; of geometric mean 1 unless the platform's mass is held."""
+        """(6,) [-] true torques over those of the log; of geometric mean 1 unless the platform's mass is held."""
         return np.exp(self.values[GAIN])
 
     @property
@@ -129,21 +129,21 @@ class Identification(Report):
         corrected = (np.abs(self.values - self.estimate.values) > 1e-9 * scales(self.guess)).any()
         torques = [
             (
-                f"torques off (RMS), {'fitted' if at < self.logs else 'not used'}: {each.source}",
+                f"torque error (RMS), {'fitted' if at < self.logs else 'not used'}: {each.source}",
                 f"{100 * each.guess:.3g} % -> {100 * each.found:.3g} % where no crank sticks, "
                 f"{100 * each.everywhere:.3g} % everywhere",
             )
             for at, each in enumerate(self.predictions)
         ]
         return [
-            ("instants, numbers estimated", f"{len(self.samples.time)}, {len(self.estimate.covariance)}"),
+            ("samples, parameters estimated", f"{len(self.samples.time)}, {len(self.estimate.covariance)}"),
             ("rows in which a crank moves", f"{100.0 * self.samples.used.mean():.0f} %"),
             *torques,
             ("platform beyond the guess", f"{mass:+.4g} ± {self.half_width[0]:.2g} kg{at}"),
-            ("bodies", "moved to the nearest that can be" if corrected else "as estimated: they can be"),
+            ("bodies", "moved to the nearest physical ones" if corrected else "physical as estimated"),
             ("coulomb, viscous friction", f"{_few(self.coulomb)} N m, {_few(self.viscous)} N m s/rad"),
             ("torque constants", self._constants()),
-            *(("not identifiable, the guess's stays", self._sentence(each)) for each in self.estimate.unidentifiable),
+            *(("not identifiable, guess kept", self._sentence(each)) for each in self.estimate.unidentifiable),
         ]
 
     def _constants(self) -> str:
@@ -205,17 +205,17 @@ def identify(
     """Masses, inertias, friction and torque constants of a robot from logs of its motion.
 
     Args:
-        robot: The guess: its geometry is taken as it is, its bodies where nothing else is told.
+        robot: The guess. Its geometry is kept, and its bodies where the logs do not determine them.
         logs: At least one: recordings, logs, or files of them, see `load_recording`.
         hold: Kinds that keep the guess's value; friction is none there, torque constants are 1.
-        ask: Kinds that must be told.
+        ask: Kinds that the logs must determine.
         validate: Logs that are only predicted.
         bandwidth: [Hz] of the filter, see `samples_of`; None for one by the logs' rate.
         lag: [s] of torques in CSV files, see `Recording`.
 
     Raises:
         ConfigurationError: Nothing to read or free, an unknown kind; as `load_recording`, `samples_of` and `estimate`.
-        InconsistentError: No bodies are near what the logs say.
+        InconsistentError: No physical bodies are near the estimate.
     """
     for name, kinds in (("hold", hold), ("ask", ask)):
         if strange := set(kinds) - set(KINDS):

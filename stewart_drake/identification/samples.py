@@ -40,12 +40,12 @@ _HOMOTOPY = 4
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """n readings of six cranks and six torques at an even rate, checked.
+    """n readings of six cranks and six torques at a constant rate, checked.
 
     Attributes:
         time: (n,) [s].
         angles: (n, 6) [rad] encoder readings; kept without jumps by whole turns, the first within half a turn.
-        torque: (n, 6) [N m] as the motors' amplifiers say.
+        torque: (n, 6) [N m] as reported by the motors' amplifiers.
         lag: [s] from a row's time to the middle of that over which its torque acts.
         gravity: [m/s^2].
         source: What it is called in messages, such as the file's name.
@@ -77,9 +77,9 @@ class Recording:
         if uneven.any() or np.median(steps) <= 0.0:
             row = int(uneven.argmax())
             got = f"{self.time[row]:g} s and then {self.time[row + 1]:g} s in row {row + 2}"
-            raise ConfigurationError(f"{self.source}: time", got, "rows at an even rate, without gaps")
+            raise ConfigurationError(f"{self.source}: time", got, "rows at a constant rate, without gaps")
         beyond = np.abs(self.angles) > 4.0 * math.pi
-        allowed = "radians within +-4 pi; degrees go by crank_angle_0_deg"
+        allowed = "radians within +-4 pi; for degrees name the columns crank_angle_0_deg to crank_angle_5_deg"
         refuse_cells(self.source, CRANK_ANGLES, self.angles, beyond, allowed)
         object.__setattr__(self, "angles", unwrapped(self.angles))
         for values in (self.time, self.angles, self.torque):
@@ -87,7 +87,7 @@ class Recording:
         still = (self.torque == 0.0).all(axis=0)
         if still.any():
             got = "0 in all rows"
-            raise ConfigurationError(f"{self.source}: torque_{still.argmax()}", got, "torques that were measured")
+            raise ConfigurationError(f"{self.source}: torque_{still.argmax()}", got, "measured torques")
 
     @property
     def rate(self) -> float:
@@ -117,10 +117,10 @@ def of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> R
         off = np.abs(getattr(robot, name) - getattr(guess, name)).max()
         if off > 1e-9:
             got = f"a robot whose {name} differ by up to {off:.3g}"
-            raise ConfigurationError(source, got, "a log of the robot that is guessed")
+            raise ConfigurationError(source, got, "a log of the guessed robot")
     if not log.scenario.estimator.exact:
-        got = f"poses of estimator.kind {log.scenario.estimator.kind}, which uses the robot that is guessed"
-        raise ConfigurationError(source, got, "poses as they are read: estimator.kind difference")
+        got = f"poses of estimator.kind {log.scenario.estimator.kind}, which uses the guessed robot"
+        raise ConfigurationError(source, got, "poses straight from the encoders; run with estimator.kind=difference")
     # Between two ticks nothing is read, and the torque is held.
     tick, step = log.scenario.controller.period, log.scenario.effective_log_period
     rows = slice(None, None, max(1, round(tick / step)))
@@ -246,6 +246,6 @@ def poses_of(guess: RobotParameters, angles: np.ndarray, source: str) -> np.ndar
     except (ForwardKinematicsError, UnreachablePoseError):
         pass
     if stray > 1e-6:
-        allowed = "readings of the robot that is guessed, in radians or, by their columns' names, in degrees"
+        allowed = "readings of the guessed robot, in radians, or in degrees if the columns are named so"
         raise ConfigurationError(source, "crank angles at which the robot cannot be assembled", allowed)
     return pose

@@ -63,8 +63,8 @@ SIGNALS: Mapping[str, SignalSpec] = {
     "torque": _legs("N m", "torque commanded by the controller, about the motor axis"),
     "torque_applied": _legs("N m", "torque at the motors, delayed and within their limit"),
     "crank_angle": _legs("rad", "theta, from the horizontal"),
-    "weights": _plain(("omega_q", "omega_r"), "weights in force"),
-    "block_weights": _plain(("q_pose", "q_rate", "q_integral", "r"), "block weights in force, in place of `weights`"),
+    "weights": _plain(("omega_q", "omega_r"), "weights in use"),
+    "block_weights": _plain(("q_pose", "q_rate", "q_integral", "r"), "block weights in use, in place of `weights`"),
     "setting": _plain(
         (*NAMES, "outside"),
         "decades of a tuner's setting above the base, and how far what it hears lies outside of its training",
@@ -115,9 +115,9 @@ class SimulationLog(Mapping[str, np.ndarray]):
         scenario: As run.
         signals: Name -> array, (n,) for time and (n, k) for the rest, see `SIGNALS`.
         state_names: Names of the columns of `plant_state`.
-        status, reason, message: See `outcomes.Status`; stable name of what happened, and one line on it, or None.
-        outcome_time, end_time: [s] when that was decided, or None; simulated time reached.
-        leg: Leg 0..5 to which it belongs, or None.
+        status, reason, message: See `outcomes.Status`; the reason as a fixed name, and in one line, or None.
+        outcome_time, end_time: [s] time of the reason, or None; simulated time reached.
+        leg: Leg 0..5 of the reason, or None.
         warnings: See `outcomes.find_warnings`.
         safety: monitor, level, time [s], leg, cause of the first trip of the safety layer, and worst level; or None.
         wall_time: [s] spent in the simulation.

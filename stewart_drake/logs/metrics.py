@@ -52,9 +52,9 @@ class Metric:
     Attributes:
         name: Key of metrics.json, and column of tables; it means the same everywhere.
         unit: Of its numbers, separated by commas where they differ.
-        text: What it says; which part of the run it is of follows from `over`.
+        text: What it measures; `over` adds the part of the run.
         of: Computes it from the rows of a run, see `outcomes.RunRows`; called only where there are such rows.
-        over: Which rows it is of, a count of theirs; without any it is None.
+        over: The rows that it uses; without any it is None.
         parts: Columns of a metric that is a list, one for each of its numbers.
         label: In tables that are read; empty for those that are not shown there.
         form: How its numbers are shown.
@@ -186,28 +186,28 @@ METRICS: tuple[Metric, ...] = (
         lambda t: np.array([t.largest["rotation"], t.largest["position"]]), "steps", "largest {} from the reference",
     ),
     Metric(
-        "motion_ratio", "1", "size of the platform's motion over that of its reference, null where that is small",
+        "motion_ratio", "1", "size of the platform's motion over its reference's, null for a small motion",
         lambda t: t.motion_ratio, "ticks",
     ),
     Metric(
-        "error_ratio", "1", "RMS error over motion where that is worst, null where the motion is small",
-        lambda t: t.error_ratio, "ticks", label="error over motion, at worst", form=".3g",
+        "error_ratio", "1", "worst RMS error over the size of the motion, null for a small motion",
+        lambda t: t.error_ratio, "ticks", label="error over motion, worst", form=".3g",
     ),
     Metric(
-        "torque_rms", "N m", "of all motors, within their limits, whole run",
+        "torque_rms", "N m", "RMS torque of all motors, within their limits, whole run",
         lambda t: _rms(t["torque_applied"][t.tick]), "ticks", label="torque RMS", form=".3f",
     ),
     Metric(
-        "torque_rms_second_half", "N m", "of all motors, within their limits",
+        "torque_rms_second_half", "N m", "RMS torque of all motors, within their limits",
         lambda t: _rms(t["torque_applied"][t.late_tick]),
     ),
-    Metric("torque_change_rms", "N m", "of the torque asked for, from tick to tick", _torque_change),
+    Metric("torque_change_rms", "N m", "RMS change of the commanded torque from tick to tick", _torque_change),
     Metric(
-        "torque_peak", "N m", "of all motors, within their limits, whole run",
+        "torque_peak", "N m", "largest torque of any motor, within their limits, whole run",
         lambda t: float(np.abs(t["torque_applied"]).max()), "steps", label="torque peak", form=".3f",
     ),
     Metric(
-        "saturated_fraction", "1", "share of torques at the limit, of ticks and motors",
+        "saturated_fraction", "1", "share of torques at their limit, over ticks and motors",
         lambda t: int(t.at_limit.sum()) / (6 * t.ticks), "ticks", label="share of torques at the limit", form=".2%",
     ),
     Metric(
@@ -240,24 +240,24 @@ METRICS: tuple[Metric, ...] = (
 OUTCOME: tuple[Column, ...] = (
     Column(
         "status", "", "completed, stopped, lost or failed, see `outcomes.Status`, failed also where the worker process "
-        "died; rejected: refused before the run; raised: an exception that is no verdict on the run", "text",
+        "died; rejected: refused before the run; raised: any other exception", "text",
     ),
-    Column("reason", "", "stable name of what happened, null for completed", "text"),
-    Column("message", "", "one line on it", "text"),
-    Column("outcome_time", "s", "when that was decided, null for completed"),
-    Column("safety_monitor", "", "monitor of the safety layer that tripped first, null for none", "text"),
-    Column("safety_time", "s", "when it did"),
-    Column("safety_level", "", "how far the safety layer went: hold, ramp, safe_hold or end", "text"),
+    Column("reason", "", "reason of the status, a fixed name; null for completed", "text"),
+    Column("message", "", "the reason in one line", "text"),
+    Column("outcome_time", "s", "time of the reason; null for completed"),
+    Column("safety_monitor", "", "safety monitor that tripped first; null for none", "text"),
+    Column("safety_time", "s", "time of that trip"),
+    Column("safety_level", "", "last reaction of the safety layer: hold, ramp, safe_hold or end", "text"),
     Column("warnings", "", "names of the warnings, null for none", "text"),
     Column("end_time", "s", "simulated time reached"),
-    Column("leg", "", "leg 0..5 to which the outcome belongs", "whole"),
-    Column(NOT_FINITE, "", "metrics that are null because they are no finite numbers, with what they are", "text"),
+    Column("leg", "", "leg 0..5 of the outcome", "whole"),
+    Column(NOT_FINITE, "", "metrics that are null because they are not finite, with their values", "text"),
 )  # fmt: skip
 """How a run ended, before the metrics."""
 
 
 class UserMetric(UserMade, key="metrics"):
-    """A `Metric` that a module or file of the user's has; in Python it may stand here itself."""
+    """Your own `Metric`, by its import path; in Python it may be the object itself."""
 
     asked = "of(rows) returns plain values"
 
@@ -285,7 +285,7 @@ def metrics_of(*scenarios: Scenario) -> list[Metric]:
             taken |= set(type(scenarios[0]).__pydantic_fields__)
             for name in (metric.name, *metric.parts):
                 if name in taken:
-                    raise ConfigurationError("metric", name, "a name that no metric or column has")
+                    raise ConfigurationError("metric", name, "a new name; a metric or column already has this one")
             found.append(metric)
     return found
 
@@ -318,8 +318,8 @@ def figures_of(rows: RunRows) -> dict[str, Any]:
 def run_metrics(log: SimulationLog) -> dict[str, Any]:
     """Figures of a run, ready for JSON; every key is always there.
 
-    Of a log that `run` made they come from every control tick, and peaks from every step of the plant, whatever rows
-    the log has; of another from its rows.
+    For a log from `run` they use every control tick, and peaks every step of the plant, whatever rows the log has. For
+    another log they use its rows.
 
     Returns:
         How it ended, see `SimulationLog`; rmse_deg to finite, see `METRICS`; not_finite: figures that were NaN or

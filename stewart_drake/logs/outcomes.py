@@ -211,7 +211,7 @@ def assess(
         return Outcome("failed", ended_by.reason, text, when, ended_by.leg)
     by = None if trip is None else trip["stopped"] or rows.interventions()[1]
     if trip is not None and by is not None:
-        text = str(ended_by) if held else f"{by['monitor']}: {trip['last'].replace('_', ' ')} when the time was up"
+        text = str(ended_by) if held else f"{by['monitor']}: {trip['last'].replace('_', ' ')} at the end of the run"
         return Outcome("stopped", by["monitor"], text, by["time"], by["leg"])
     bounds, left = rows.scenario.bounds, rows.left()
     if left:
@@ -219,7 +219,7 @@ def assess(
         time, leg = left[name]
         scale, unit = (math.degrees(1.0), "deg") if name == "rotation" else (1e3, "mm")
         bound, worst = (f"{scale * value:.4g} {unit}" for value in (getattr(bounds, name), rows.largest[name]))
-        what = "the loops opened by more than" if name == "loop_gap" else f"the error in {name} went beyond"
+        what = "the loop gap exceeded" if name == "loop_gap" else f"the {name} error exceeded"
         text = f"{what} {bound} at t = {time:.3f} s; the largest was {worst}"
         return Outcome("lost", f"{name}_bound", text, time, leg)
     ratio = rows.motion_ratio

@@ -32,7 +32,7 @@ MODELS = {
     "printed": "the same with e_M from R^-1 p_i",
     "statics": "and with F_i = T_i / (|a| e_l.e_N)",
     "statics, I in B": "and with the platform's inertia turned into B, as its moments are",
-    "massless legs": "and with Euler second derivatives told from the angular acceleration: exact without legs",
+    "massless legs": "and with angular acceleration in place of Euler second derivatives: exact without legs",
 }
 """The controller's model of M q'' = tau T, mended step by step."""
 

@@ -40,52 +40,52 @@ Ratio = Annotated[Positive, Field(le=1.0)]
 
 
 class Limits(Section, key="limits"):
-    """What a motion must keep to; None switches a limit off.
+    """Limits on the reference motion; null switches a limit off.
 
     The paper gives none of these; the defaults are assumptions of this project.
     """
 
     reach: Ratio | None = 0.98
-    """[-] how near a leg may come to the end of its reach, where it is 1: largest |C| / sqrt(A^2 + B^2) of a crank
-    equation. null leaves 1, beyond which the rod cannot reach its joint."""
+    """[-] largest extension of a leg, where 1 is the end of its reach: |C| / sqrt(A^2 + B^2) of the crank equation.
+    null means 1, beyond which the rod cannot reach its joint."""
     euler_pitch: Annotated[Positive, Field(le=math.pi / 2.0)] | None = math.radians(85.0)
-    """[rad] largest |pitch|: poses and their rates are given in Euler angles, singular at pi/2."""
+    """[rad] largest |pitch|; the Euler angles of a pose are singular at pi/2."""
     conditioning: Ratio | None = 0.05
-    """[-] how near the platform may come to a pose that the rods cannot hold (a parallel singularity), where it is 0:
-    smallest ratio of the singular values of the rods' lines."""
+    """[-] smallest distance from a parallel singularity, a pose that the rods cannot hold: sigma_min / sigma_max of the
+    rods' lines."""
     transmission: Ratio | None = 0.2
-    """[-] how near a crank may come to its dead centre, in one line with its rod, where it is 0: smallest |cosine| of
-    the angle between the rod and the way of the crank's end, |e_l . e_N|."""
+    """[-] smallest distance of a crank from its dead centre, in line with its rod: |e_l . e_N|, the cosine of the angle
+    between the rod and the velocity of the crank's end."""
     joint_swing: Annotated[Positive, Field(le=math.pi)] | None = math.radians(65.0)
-    """[rad] largest swing of a rod from home, seen in the platform (ball) and in its crank (universal joint). The
+    """[rad] largest swing of a rod from home, at the platform (ball joint) and at its crank (universal joint). The
     paper's own reference (37), (38) needs 63.1 deg at the universal joint of leg 2."""
     clearance: Annotated[Positive | None, LENGTH] = 0.005
-    """[m] smallest distance between the surfaces of links (cranks, rods) of different legs; for another
-    robot than the paper's in proportion."""
+    """[m] smallest distance between the surfaces of cranks and rods of different legs; the default scales with the
+    robot."""
     crank_speed: Positive | None = 10.0
-    """[rad/s] largest speed of a crank."""
+    """[rad/s] largest crank speed that the reference may need."""
     torque_fraction: Positive | None = 1.0
-    """[-] largest |motor torque| of the exact inverse dynamics, as a part of `RobotParameters.effort_limit`."""
+    """[-] largest |motor torque| of the exact inverse dynamics, as a fraction of `robot.effort_limit`."""
 
 
 class Bounds(Section, key="bounds"):
-    """What a run must keep to for its motion to count as followed. A bound that is null is off.
+    """Bounds that a run must keep for its motion to count as followed; null switches a bound off.
 
-    A bound acts while the controller is in charge, from the time on when the run has first been inside it: a start that
-    is off by more has to come back. Lengths are for the paper's robot; another has them in proportion.
+    A bound applies while the controller is in charge, from when the run is first inside it; a run that never gets
+    inside is lost. The default lengths scale with the robot.
     """
 
     rotation: Positive | None = math.radians(10.0)
-    """[rad] largest angle between the platform and its reference."""
+    """[rad] largest rotation error, the angle between platform and reference."""
     position: Annotated[Positive | None, LENGTH] = 0.03
-    """[m] largest distance between the platform and its reference."""
+    """[m] largest position error, the distance between platform and reference."""
     loop_gap: Annotated[Positive | None, LENGTH] = 0.001
-    """[m] largest distance from a rod's end to its platform joint: beyond it the simulated loops are open."""
+    """[m] largest gap between a rod's end and its platform joint; a larger one opens the simulated closed chain."""
     motion_ratio: Positive | None = 0.25
-    """[-] least size of the platform's motion over that of its reference, see docs/promises.md. Friction that swallows
-    a motion makes it 0."""
+    """[-] smallest size of the platform's motion over its reference's, see docs/promises.md. Friction that holds the
+    robot makes it 0."""
     error_ratio: Positive | None = 1.0
-    """[-] largest error, after a time for settling, over the size of the reference's motion, see docs/promises.md."""
+    """[-] largest error after settling, over the size of the reference's motion, see docs/promises.md."""
 
 
 RULES = {

@@ -62,5 +62,5 @@ def sample_poses(
         kept, drawn = np.concatenate([kept, poses]), drawn + _DRAWN
     if not len(kept):
         within = "" if limits is None else ", within its limits"
-        raise ConfigurationError("robot", robot, f"a robot that reaches some pose of this box{within}: {region.words}")
+        raise ConfigurationError("robot", robot, f"a robot that reaches a pose of this box{within}: {region.words}")
     return kept[:count]

@@ -44,7 +44,7 @@ def robot_sheets(robot: RobotParameters) -> list[Sheet]:
     figures = [
         ("conditioning of the rods' lines", f"{measures.conditioning:.3f}", "-"),
         ("smallest gap between links of two legs", f"{1e3 * measures.clearance:.2f}", "mm"),
-        ("inertia felt in heave, motors and rods included", f"{task_inertia(robot, robot.home_pose)[5, 5]:.4g}", "kg"),
+        ("effective inertia in heave, with motors and rods", f"{task_inertia(robot, robot.home_pose)[5, 5]:.4g}", "kg"),
         ("largest torque at rest, of the effort limit", f"{share:.1f}", "%"),
     ]
     of_leg = ("leg", "shaft in B [mm]", "crank at 0", "crank at pi/2", "joint in P [mm]", "crank, rod [mm]")

@@ -104,12 +104,12 @@ def add_plant(
 ) -> StewartPlant:
     """Adds the robot's plant to a Diagram under construction; its default state is the home pose at rest.
 
-    It wires what belongs to the plant alone: what friction needs, and a SceneGraph for pictures or collision.
+    It also connects the systems for friction, and a SceneGraph for pictures or collision.
 
     Args:
         builder: Receives the system `plant`, and as needed `scene_graph`, `friction` and its `friction_...`.
         robot: Geometry and masses.
-        options: What else is modelled; None takes the defaults.
+        options: Options of the plant; None takes the defaults.
         gravity: [m/s^2] magnitude, along -z.
         visuals: Register the geometry with a SceneGraph even where nothing collides, for visualisers and cameras.
 

@@ -23,9 +23,9 @@ class BrokenRod(Section, key="plant.broken_rod"):
     """A rod that comes off the platform and hangs from its crank."""
 
     leg: LegNumber
-    """0 to 5."""
+    """Number of the leg, 0 to 5."""
     time: NotNegative
-    """[s] when it breaks."""
+    """[s] when the rod breaks."""
 
 
 # What only the plant of Drake can have.
@@ -36,39 +36,39 @@ class PlantOptions(Section, key="plant"):
     """Options of the simulated robot."""
 
     time_step: Annotated[Real, Field(ge=MIN_TIME_STEP, le=MAX_TIME_STEP)] = 0.001
-    """[s] period of the discrete plant."""
+    """[s] time step of the discrete plant."""
     engine: Literal["drake", "reduced"] = "drake"
-    """drake: the MultibodyPlant, in a Diagram. reduced: the exact closed form of the robot, compiled, without a
-    Diagram: several times faster, for searches, sweeps and comparisons. What it cannot have is refused."""
+    """Simulation engine. drake: MultibodyPlant in a Diagram. reduced: exact closed-form dynamics, compiled, without a
+    Diagram; several times faster, for searches, sweeps and comparisons. It rejects options that it does not support."""
     rod_joint: RodJoint = "universal"
-    """Joint between crank and rod; `ball` is the paper's, with six spins that nothing controls."""
+    """Joint between crank and rod; `ball` is the paper's and leaves the rods' six spins uncontrolled."""
     collision: Flag = False
-    """Links collide: cranks, rods, platform and base, except where a joint holds them together."""
+    """Whether cranks, rods, platform and base collide; bodies that a joint connects never do."""
     motor_damping: Moderate = 0.0
     """[N m s/rad] viscous friction of each motor; implicit, stable at any step. Short for `friction.viscous`."""
     universal_damping: Moderate = 0.0
-    """[N m s/rad] viscous friction about each axis of each joint between crank and rod; implicit."""
+    """[N m s/rad] viscous friction about each axis of the joints between crank and rod; implicit."""
     platform_joint_damping: Moderate = 0.0
-    """[N m s/rad] viscous friction of each ball between rod and platform; explicit, see `platform_damping_limit`. The
-    same in all directions near home only: at 45 deg of swing it is 0.6 to 3.4 times as large, by direction."""
+    """[N m s/rad] viscous friction of each ball joint between rod and platform; explicit, see `platform_damping_limit`.
+    It is isotropic near home only: at 45 deg of swing it is 0.6 to 3.4 times as large, by direction."""
     motor_friction: Moderate = 0.0
-    """[N m] dry friction of each motor, the same at rest and in sliding. Short for `friction.coulomb`."""
+    """[N m] dry (Coulomb) friction of each motor, the same at rest and in motion. Short for `friction.coulomb`."""
     friction: FrictionOptions | None = None
-    """Friction of the motors, one by one and weaker in sliding, in place of these two; null for what they say."""
+    """Friction of the motors with stiction, for each motor; null takes `motor_damping` and `motor_friction`."""
     payload_mass: Moderate = 0.0
-    """[kg] of a point that the platform carries and nobody but the plant knows of: not `robot`, nor the controller."""
+    """[kg] point mass on the platform that only the plant has; neither `robot` nor the controller knows it."""
     payload_position: tuple[Place, Place, Place] = (0.0, 0.0, 0.0)
-    """[m] of the payload, in P."""
+    """[m] position of the payload in the platform's frame P."""
     broken_rod: BrokenRod | None = None
-    """A rod that breaks midway, see `simulation.run`; null for none."""
+    """A rod that breaks during the run; null for none."""
 
     def rules(self) -> None:
         for name in _OF_DRAKE if self.engine == "reduced" else ():
             if getattr(self, name) != self.__pydantic_fields__[name].default:
-                raise ConfigurationError("engine", "reduced", f"drake, where {name} is given")
+                raise ConfigurationError("engine", "reduced", f"drake, because {name} is given")
         for name in ("motor_friction", "motor_damping"):
             if self.friction is not None and getattr(self, name) > 0.0:
-                raise ConfigurationError(name, getattr(self, name), "0 where `friction` is given, which has this value")
+                raise ConfigurationError(name, getattr(self, name), "0, because `friction` is given and has this value")
 
     def friction_law(self, robot: RobotParameters) -> np.ndarray:
         """`FRICTION` record of a robot's motors."""

@@ -57,13 +57,13 @@ def plot_identification(found: Identification, path: str | Path) -> None:
     for leg, (over_time, over_rate) in enumerate(axes):
         used, rest, moving = samples.used[some, leg], left[some, leg], samples.used[:, leg]
         over_time.plot(time, samples.torque[some, leg], color=look.BLUE, label="torque", linewidth=1.0)
-        over_time.plot(time, np.where(used, rest, np.nan), color=look.ORANGE, label="left", linewidth=1.0)
-        over_time.plot(time, np.where(used, np.nan, rest), color=look.QUIET, label="left, no say", linewidth=1.0)
+        over_time.plot(time, np.where(used, rest, np.nan), color=look.ORANGE, label="residual", linewidth=1.0)
+        over_time.plot(time, np.where(used, np.nan, rest), color=look.QUIET, label="residual, not used", linewidth=1.0)
         over_rate.plot(samples.rates[moving, leg], 1e3 * left[moving, leg], ".", color=look.ORANGE, markersize=2)
         over_time.set(title=f"Motor {leg}", ylabel="N m")
-        over_rate.set(ylabel="left [mN m]")
+        over_rate.set(ylabel="residual [mN m]")
     axes[-1, 0].set(xlabel="time [s]")
-    axes[-1, 1].set(xlabel="crank's rate [rad/s]")
+    axes[-1, 1].set(xlabel="crank rate [rad/s]")
     look.legend_below(figure, axes[0, 0].get_legend_handles_labels()[0], columns=3)
     look.save_figure(figure, path)
 
@@ -76,14 +76,14 @@ def plot_margins(found: LoopMargins, path: str | Path) -> None:
     curves.fill_between(found.frequencies, drawn.min(axis=0), drawn.max(axis=0), color=look.SKY, alpha=0.5, lw=0)
     curves.plot(found.frequencies, np.median(drawn, axis=0), color=look.BLUE, label="median, and all poses")
     look.logarithmic(curves, "x")
-    curves.set(title="All motors at once, at each frequency", xlabel="rad/s", ylabel="disk margin [-]")
+    curves.set(title="All motors at once, by frequency", xlabel="frequency [rad/s]", ylabel="disk margin [-]")
     percent = 100.0 * (np.arange(len(found.radius)) + 1) / len(found.radius)
     for motor, color in enumerate((look.SKY, *look.COLORS[1:4], *look.COLORS[5:], look.QUIET)):
         own = np.sort(np.minimum(found.single.disk[:, motor], _LARGEST))
         shares.plot(own, percent, color=color, lw=1.0, label=f"motor {motor} alone")
     every = np.sort(np.minimum(found.all_at_once.disk, _LARGEST))
     shares.plot(every, percent, color=look.BLUE, lw=2.0, label="all at once")
-    shares.set(title="Poses with less than that", xlabel="disk margin [-]", ylabel="%")
+    shares.set(title="Share of poses with a smaller margin", xlabel="disk margin [-]", ylabel="%")
     curves.set_ylim(0.0)
     shares.set_xlim(0.0)
     for panel in (curves, shares):

@@ -123,14 +123,14 @@ def _tuner_panels(log: SimulationLog) -> Iterator[_Panel]:
     if "setting" in log.signals:
         *names, outside = SIGNALS["setting"].components
         curves = dict(zip([*names, outside], log["setting"].T, strict=True))
-        for title, shown in (("Tuner", names), ("What the tuner hears, outside of its training", [outside])):
+        for title, shown in (("Tuner", names), ("Tuner inputs outside their training range", [outside])):
             decades = {name: curves[name] for name in shown}
             if any(np.ptp(each) > 0.0 for each in decades.values()):
                 yield _Panel(title, "[decades]", decades, look.COLORS, 0.1, True)
     elif "weights" in log.signals and np.ptp(log["weights"]) > 0.0:
         q, r = log["weights"].T
         weights = {r"$\omega_Q$": q, r"$\omega_R$": r}
-        title, axis = "Ratio of the weights, on which alone the gain depends", r"$\omega_Q\,/\,\omega_R$ [-]"
+        title, axis = "Ratio of the weights, which alone sets the gain", r"$\omega_Q\,/\,\omega_R$ [-]"
         yield _Panel(_capital(log.scenario.tuner.label), "weight [-]", weights, look.COLORS, 2.0, True, decades=True)
         yield _Panel(title, axis, {"_": q / r}, (look.TEXT,), 2.0, True, decades=True)
 

@@ -145,7 +145,7 @@ def plot_costs(kinds: Sequence[str], ratios: Mapping[str, Any], against: str) ->
         panel.plot(value, at, marker, color=color, markersize=5.0, label=name)
     look.logarithmic(panel, "x")
     panel.set_yticks(places, kinds)
-    panel.set(title=f"Cost in situations not seen before, over that of: {against}", xlabel="ratio [-], less is better")
+    panel.set(title=f"Cost in new situations, relative to: {against}", xlabel="ratio [-], lower is better")
     panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 

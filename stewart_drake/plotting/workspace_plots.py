@@ -40,7 +40,7 @@ def plot_capability(survey: Survey) -> Figure:
         return np.ma.masked_invalid(on_grid.T if x < y else on_grid)
 
     lines = (
-        ("edge of what the limits allow", np.minimum(governing_limit(survey.use)[0], 1.5), 1.0, look.TEXT, 1.3),
+        ("boundary of the limits", np.minimum(governing_limit(survey.use)[0], 1.5), 1.0, look.TEXT, 1.3),
         ("serial singularity", measures.reach, 0.0, "#C2270A", 2.2),
         ("parallel singularity", measures.conditioning, 0.0, "#0B4FB3", 2.2),
     )

@@ -47,11 +47,11 @@ def in_blocks(reference: Reference, period: float) -> InBlocks:
 
 
 class HoldReference(Section, key="reference"):
-    """A pose held still."""
+    """A constant pose."""
 
     kind: Literal["hold"] = "hold"
     pose: Annotated[Vector6, HOME_POSE] = HOME
-    """[rad, m] by default the robot's home."""
+    """[rad, m] the pose; by default the robot's home."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         shape = (*np.shape(time), 6)
@@ -59,20 +59,20 @@ class HoldReference(Section, key="reference"):
 
 
 class SineReference(Section, key="reference"):
-    """center + amplitude sin(angular_frequency t + phase) on each axis.
+    """A sine on each axis: center + amplitude sin(angular_frequency t + phase).
 
     By default the paper's (37), (38): roll pi/6 sin(2 t), Z = 0.05 sin(2 t) + 0.3, the rest zero.
     """
 
     kind: Literal["sine"] = "sine"
     center: Annotated[Vector6, HOME_POSE] = HOME
-    """[rad, m] by default the robot's home."""
+    """[rad, m] centre of the motion; by default the robot's home."""
     amplitude: Annotated[Vector6, LENGTH] = (math.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.05)
-    """[rad, m] of each axis."""
+    """[rad, m] amplitude on each axis."""
     angular_frequency: SixNumbers = (2.0, 2.0, 2.0, 2.0, 2.0, 2.0)
-    """[rad/s] of each axis."""
+    """[rad/s] angular frequency of each axis."""
     phase: SixNumbers = ZERO
-    """[rad] of each axis at time 0."""
+    """[rad] phase of each axis at time 0."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         omega, amplitude = np.array(self.angular_frequency), np.array(self.amplitude)
@@ -85,7 +85,7 @@ paper_reference = SineReference
 
 
 class SineBurstsReference(Section, key="reference"):
-    """Bursts of sines one after the other, each with its own frequency and amplitudes, faded in and out.
+    """A sequence of sine bursts, each with its own frequency and amplitudes, faded in and out.
 
     Every burst starts and ends at rest in the centre; the fades are quintic, so accelerations are continuous. After the
     last burst the centre is held.
@@ -93,17 +93,17 @@ class SineBurstsReference(Section, key="reference"):
 
     kind: Literal["sine_bursts"] = "sine_bursts"
     frequency: Annotated[tuple[Positive, ...], Field(min_length=1)]
-    """[Hz] one per burst."""
+    """[Hz] frequency of each burst."""
     amplitude: tuple[Vector6, ...]
-    """[rad, m] one vector per burst."""
+    """[rad, m] amplitude on each axis, one vector per burst."""
     center: Annotated[Vector6, HOME_POSE] = HOME
-    """[rad, m] by default the robot's home."""
+    """[rad, m] centre of the motion; by default the robot's home."""
     phase: SixNumbers = ZERO
-    """[rad] per axis, the same in every burst."""
+    """[rad] phase of each axis, the same in every burst."""
     burst_duration: Positive = 1.6
-    """[s] of each burst, its fades included."""
+    """[s] duration of each burst, its fades included."""
     fade: Positive = 0.2
-    """[s] at each end of a burst."""
+    """[s] duration of the fade at each end of a burst."""
 
     def rules(self) -> None:
         if len(self.amplitude) != len(self.frequency):
@@ -129,16 +129,17 @@ class SineBurstsReference(Section, key="reference"):
 
 
 class MinimumJerkReference(Section, key="reference"):
-    """Straight moves of minimum jerk from pose to pose, at rest at each of them; after the last it stays there.
+    """Straight minimum-jerk moves from pose to pose, at rest at each of them.
 
-    The profile is 6 u^5 - 15 u^4 + 10 u^3 of a hand's reach: T. Flash, N. Hogan, J. Neurosci. 5 (1985) 1688.
+    After the last move the pose is held. The profile is 6 u^5 - 15 u^4 + 10 u^3 of a hand's reach: T. Flash, N. Hogan,
+    J. Neurosci. 5 (1985) 1688.
     """
 
     kind: Literal["minimum_jerk"] = "minimum_jerk"
     poses: Annotated[tuple[Vector6, ...], Field(min_length=2)]
-    """[rad, m] at least 2; the motion starts at the first."""
+    """[rad, m] the poses, at least 2; the motion starts at the first."""
     durations: tuple[Positive, ...]
-    """[s] of each move, one fewer than poses."""
+    """[s] duration of each move, one fewer than poses."""
     dwell: tuple[NotNegative, ...] = ()
     """[s] rest before each move, as many as moves; empty for none."""
 
@@ -161,13 +162,13 @@ class MinimumJerkReference(Section, key="reference"):
 
 
 class SplineReference(Section, key="reference"):
-    """A quintic spline through timed poses, at rest at both ends; before and after them it stays there."""
+    """A quintic spline through timed poses, at rest at both ends; the end poses are held before and after."""
 
     kind: Literal["spline"] = "spline"
     times: tuple[NotNegative, ...]
-    """[s] ascending, at least 2, the first not below 0."""
+    """[s] time of each pose: ascending, at least 2, the first not below 0."""
     poses: Annotated[tuple[Vector6, ...], Field(min_length=2)]
-    """[rad, m] one per time."""
+    """[rad, m] the poses, one per time."""
 
     def rules(self) -> None:
         if len(self.times) != len(self.poses):
@@ -194,17 +195,17 @@ Scale = Annotated[Real, Field(ge=0.0, le=1e6)]
 
 
 class SumReference(Section, key="reference"):
-    """Several motions at once, such as breathing, heartbeat and tremor: center + sum (part - the part's own centre).
+    """Sum of several motions, such as breathing, heartbeat and tremor: center + sum (part - the part's own centre).
 
     Angles are added as angles: exact for one axis, a good approximation while tilts are small.
     """
 
     kind: Literal["sum"] = "sum"
     parts: Annotated[tuple[Motion, ...], Field(min_length=1)]
-    """Motions, at least one. Of each counts how far it is from its own centre: `center` of a wave; the first pose of a
+    """Motions to add, at least one. Each counts relative to its own centre: `center` of a wave; the first pose of a
     path, a recording or a hold."""
     center: Vector6 | None = None
-    """[rad, m] null takes the first part's."""
+    """[rad, m] centre of the sum; null takes the first part's."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         motions = [part.evaluate(time) for part in self.parts]
@@ -213,7 +214,7 @@ class SumReference(Section, key="reference"):
 
 
 class AdjustedReference(Section, key="reference"):
-    """A motion made smaller, slower or faded in: center + scale fade(s) (motion(s) - center) at s = t / slowdown.
+    """A motion scaled, slowed or faded in: center + scale fade(s) (motion(s) - center) at s = t / slowdown.
 
     Slowed by k, rates are 1/k and accelerations 1/k^2 of what they were.
     """
@@ -224,11 +225,12 @@ class AdjustedReference(Section, key="reference"):
     scale: Scale = 1.0
     """[-] size of the motion about the centre, at least 0."""
     slowdown: Annotated[Real, Field(ge=1e-6, le=1e6)] = 1.0
-    """[-] by how much longer the motion takes, 1e-6 to 1e6."""
+    """[-] factor by which the motion takes longer, 1e-6 to 1e6."""
     fade_in: Scale = 0.0
-    """[s] of the motion's own time over which it grows from rest in the centre, a quintic; 0 for none."""
+    """[s] duration of the quintic fade-in from rest in the centre, in the motion's own time; 0 for none."""
     center: Vector6 | None = None
-    """[rad, m] null takes the motion's own: `center` of a wave; the first pose of a path, a recording or a hold."""
+    """[rad, m] centre of the scaling; null takes the motion's own: `center` of a wave; the first pose of a path, a
+    recording or a hold."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         own = np.asarray(time, dtype=float) / self.slowdown

@@ -26,22 +26,22 @@ DIFFERENCE = 1e-4  # [s] of differences of a pose that is given alone.
 
 
 class RecordedReference(Section, key="reference"):
-    """A cubic spline through the rows of a CSV or Parquet file; its first row is t = 0.
+    """A recorded motion: a cubic spline through the rows of a CSV or Parquet file, the first at t = 0.
 
     The file has the columns `time_s`, `pose_roll_rad`, `pose_pitch_rad`, `pose_yaw_rad`, `pose_x_m`, `pose_y_m`,
-    `pose_z_m` (`_ms`, `_deg`, `_mm` will do), as a saved log has; times ascend. Angles may wrap: jumps by a whole turn
-    are taken out. The spline (not-a-knot) goes through every row, noise included, so filter a recording first. A run
-    starts with the recording's own velocity; after the last row the motion coasts to rest, acceleration being
-    continuous.
+    `pose_z_m` as in a saved log; `_ms`, `_deg` and `_mm` are accepted too. Times ascend. Angles may wrap: jumps by a
+    whole turn are removed. The spline (not-a-knot) passes through every row, noise included, so filter a recording
+    first. A run starts with the recording's own velocity. After the last row the motion comes to rest with continuous
+    acceleration.
     """
 
     kind: Literal["recorded"] = "recorded"
     motion_file: Text
-    """Path of a .csv or .parquet file, relative to the scenario file."""
+    """File of the motion, .csv or .parquet, relative to the scenario file."""
     time_scale: Positive = 1.0
-    """[s] that one unit of the file's time lasts: 0.001 for a file in milliseconds, 2 for half the speed."""
+    """[s] duration of one unit of the file's time: 0.001 for a file in milliseconds, 2 for half the speed."""
     settle: Annotated[Real, Field(ge=1e-6, le=1e6)] = 0.25
-    """[s] from the last row to rest."""
+    """[s] time from the last row to rest."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         time = np.asarray(time, dtype=float)
@@ -58,7 +58,7 @@ class RecordedReference(Section, key="reference"):
         data, t = load_recording(self.motion_file), self.settle
         apart = self.time_scale * float(np.median(np.diff(data[:, 0])))
         if apart > _FAR_APART:
-            allowed = f"rows less than {_FAR_APART:g} s apart; of times in ms the column is time_ms"
+            allowed = f"rows less than {_FAR_APART:g} s apart; are the times in ms? name the column time_ms"
             raise ConfigurationError(f"recorded motion {self.motion_file}", f"rows {apart:g} s apart", allowed)
         rows = CubicSpline((data[:, 0] - data[0, 0]) * self.time_scale, data[:, 1:], axis=0)
         pose, rate, acceleration = (rows(rows.x[-1], order) for order in range(3))
@@ -89,10 +89,10 @@ def load_recording(path: str | Path) -> np.ndarray:
 
 
 class UserReference(UserMade, key="reference"):
-    """What a class of the user's own says with `evaluate(time)`, as in `Reference`, of one time [s].
+    """Your own motion: `evaluate(time)` returns pose, rate and acceleration at a time [s], as in `Reference`.
 
-    A plain function of the time that gives the pose (6,) alone will do: its rate and acceleration are then differences
-    over `DIFFERENCE`, so that it must be smooth.
+    A plain function of time that returns the pose (6,) is enough. It must be smooth: rate and acceleration are then
+    differences over `DIFFERENCE`.
     """
 
     asked = "evaluate(t) returns pose, rate and acceleration, (6,) each"
@@ -140,5 +140,5 @@ class _PoseFunction:
     def _at(self, time: float) -> np.ndarray:
         pose = self._section.numbers(self._pose(time))
         if pose.shape != (6,):
-            raise self._section.refusal(f"a function that gives {pose.shape}, not a pose (6,)")
+            raise self._section.refusal(f"a result of shape {pose.shape}, not a pose (6,)")
         return pose

@@ -23,7 +23,7 @@ _TREMOR_SINES = 24
 
 
 class BreathingReference(Section, key="reference"):
-    """center + excursion cos^(2 order)(pi frequency t - phase) on each axis: long at end-exhale, short at end-inhale.
+    """Breathing: center + excursion cos^(2 order)(pi frequency t - phase) on each axis, longest at end-exhale.
 
     A. E. Lujan et al., Med. Phys. 26 (1999) 715, with z0 = center, b = -excursion; default size of lower lung lobes, 12
     mm cranio-caudal and 2 mm across: Y. Seppenwoolde et al., Int. J. Radiat. Oncol. Biol. Phys. 53 (2002) 822; axes
@@ -36,11 +36,11 @@ class BreathingReference(Section, key="reference"):
     excursion: Vector6 = (0.0, 0.0, 0.0, 0.002, 0.002, 0.012)
     """[rad, m] from end-exhale to end-inhale, peak to peak; its sign is the direction."""
     frequency: Positive = 0.25
-    """[Hz] breaths per second, above 0."""
+    """[Hz] breathing rate, above 0."""
     order: Annotated[Count, Field(ge=1, le=3)] = 2
-    """n of the waveform, 1 to 3: the larger, the longer the stay at end-exhale."""
+    """Exponent n of the waveform, 1 to 3; larger rests longer at end-exhale."""
     phase: Real = math.pi / 2.0
-    """[rad] phi of the waveform; pi/2 starts at end-exhale, at rest."""
+    """[rad] phase phi of the waveform; pi/2 starts at end-exhale, at rest."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         omega, power = math.pi * self.frequency, 2 * self.order
@@ -53,7 +53,7 @@ class BreathingReference(Section, key="reference"):
 
 
 class HeartbeatReference(Section, key="reference"):
-    """A periodic wave of several harmonics, run through at a heart's varying rate, with early beats where asked for.
+    """A heartbeat: a periodic wave of several harmonics at a varying rate, optionally with premature beats.
 
     On each axis center + excursion w(2 pi beats(t) - phase), w(x) = sum a_k cos(k x - p_k) scaled to 1 from end to end:
     R. Ginhoux et al., IEEE Trans. Robot. 21 (2005) 67; the default harmonics, sizes and phases of the axes are assumed.
@@ -66,29 +66,30 @@ class HeartbeatReference(Section, key="reference"):
 
     kind: Literal["heartbeat"] = "heartbeat"
     center: Annotated[Vector6, HOME_POSE] = HOME
-    """[rad, m] mean of the wave."""
+    """[rad, m] mean of the wave; by default the robot's home."""
     excursion: Vector6 = (0.0, 0.0, 0.0, 0.003, 0.002, 0.006)
-    """[rad, m] peak to peak; its sign is the direction."""
+    """[rad, m] peak-to-peak size on each axis; its sign is the direction."""
     rate: Positive = 1.25
-    """[Hz] mean beats per second, above 0; 1-2 Hz is usual."""
+    """[Hz] mean heart rate, above 0; 1-2 Hz is usual."""
     phase: SixNumbers = (0.0, 0.0, 0.0, 0.8, 0.4, 0.0)
-    """[rad] by which each axis lags, 2 pi for a beat; what differs turns the line into a loop."""
+    """[rad] lag of each axis, 2 pi for a beat; different lags turn the line into a loop."""
     harmonics: Annotated[tuple[Real, ...], Field(min_length=1, max_length=20)] = (1.0, 0.6, 0.35, 0.15, 0.05)
-    """[-] a_k, sizes relative to each other of the harmonics 1, 2, ... of the rate; at most 20."""
+    """[-] relative amplitudes a_k of the harmonics 1, 2, ... of the rate; at most 20."""
     harmonic_phase: tuple[Real, ...] = (0.0, 0.5, 1.0, 1.5, 2.0)
-    """[rad] p_k, one per harmonic."""
+    """[rad] phases p_k of the harmonics, one each."""
     respiratory_variation: Share = 0.02
-    """[-] amplitude of the rate's swing with breathing (respiratory sinus arrhythmia), as a part of the rate."""
+    """[-] amplitude of the rate's variation with breathing (respiratory sinus arrhythmia), relative to the rate."""
     respiratory_frequency: Positive = 0.25
-    """[Hz] of that swing. With a `breathing` motion of this frequency the rate is highest while it breathes in."""
+    """[Hz] breathing frequency of `respiratory_variation`. With a `breathing` motion of this frequency the rate is
+    highest during inhalation."""
     slow_variation: Share = 0.015
-    """[-] largest slow departure of the rate, as a part of it; together with respiratory_variation below 1."""
+    """[-] largest slow variation of the rate, relative to it; below 1 together with respiratory_variation."""
     seed: Seed = 0
-    """Of the slow variation."""
+    """Seed of the slow variation."""
     premature_beats: tuple[Annotated[Count, Field(ge=1, le=10**6)], ...] = ()
-    """Numbers of the beats that come early, ascending, at least 2 apart; beat 0 begins at t = 0."""
+    """Numbers of the premature beats, ascending, at least 2 apart; beat 0 begins at t = 0."""
     prematurity: Annotated[NotNegative, Field(le=0.7)] = 0.4
-    """[-] by which part of a beat they come early, 0 to 0.7."""
+    """[-] how much too early premature beats come, as a fraction of a beat, 0 to 0.7."""
 
     def rules(self) -> None:
         if not any(self.harmonics):
@@ -97,7 +98,7 @@ class HeartbeatReference(Section, key="reference"):
             allowed = f"{len(self.harmonics)} numbers, one per harmonic"
             raise ConfigurationError("harmonic_phase", self.harmonic_phase, allowed)
         if self.respiratory_variation + self.slow_variation >= 1.0:
-            allowed = "below 1 together with respiratory_variation: a heart does not beat backwards"
+            allowed = "a sum with respiratory_variation below 1; a heart does not beat backwards"
             raise ConfigurationError("slow_variation", self.slow_variation, allowed)
         beats = self.premature_beats
         if any(later - beat < 2 for beat, later in itertools.pairwise(beats)):
@@ -149,7 +150,7 @@ class HeartbeatReference(Section, key="reference"):
 
 
 class TremorReference(Section, key="reference"):
-    """Physiological tremor of a hand: on each axis a seeded sum of sines spread over a band of frequencies.
+    """Physiological tremor of a hand: on each axis a seeded sum of sines in a frequency band.
 
     A peak at 6-12 Hz, errors of 0.14 to 0.29 mm RMS over three axes: T. S. Wells et al., IEEE SMC (2013). That the axes
     are independent, and the spectrum flat within the band, is assumed.
@@ -157,15 +158,15 @@ class TremorReference(Section, key="reference"):
 
     kind: Literal["tremor"] = "tremor"
     center: Annotated[Vector6, HOME_POSE] = HOME
-    """[rad, m] about which the hand trembles; by default the robot's home."""
+    """[rad, m] centre of the motion; by default the robot's home."""
     rms: Vector6 = (0.0, 0.0, 0.0, 1e-4, 1e-4, 1e-4)
-    """[rad, m] root mean square over a long time; peaks are some three times as large."""
+    """[rad, m] RMS on each axis over a long time; peaks are some three times as large."""
     low: Positive = 6.0
     """[Hz] lower end of the band, above 0."""
     high: Positive = 12.0
-    """[Hz] upper end of the band, above its lower end."""
+    """[Hz] upper end of the band, above `low`."""
     seed: Seed = 0
-    """Of frequencies and phases."""
+    """Seed of frequencies and phases."""
 
     def rules(self) -> None:
         if self.high <= self.low:

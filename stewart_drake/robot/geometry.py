@@ -30,7 +30,7 @@ def check_geometry(robot: RobotParameters) -> None:
     for leg, own in enumerate(robot.legs or ()):
         quarter = own.crank_quarter_direction or (0.0, 0.0, 1.0)
         if abs(np.dot(robot.crank_zero_directions[leg], quarter)) > PARALLEL:
-            allowed = "a direction at a right angle to crank_zero_direction"
+            allowed = "a direction perpendicular to crank_zero_direction"
             raise ConfigurationError(f"robot.legs.{leg}.crank_quarter_direction", quarter, allowed)
     check_order(robot.shaft_positions, robot.platform_joints)
     _check_home(robot)
@@ -45,11 +45,11 @@ def check_order(shafts: np.ndarray, joints: np.ndarray) -> None:
     steps = wrapped(around[:, following] - around[:, order])
     wrong = (steps[0] > _SLACK) & (steps[1] < -_SLACK)
     if wrong.sum() >= LEGS - 1:
-        allowed = "joints that go round as the shafts do: these go round the other way; is an axis of P mirrored?"
+        allowed = "joints in the same order around z as the shafts; the order is reversed: is an axis of P mirrored?"
         raise ConfigurationError("robot.legs.0.platform_joint", joints[0].tolist(), allowed)
     if wrong.any():
         one, other = sorted((int(order[wrong][0]), int(following[wrong][0])))
-        allowed = f"a joint [m] on its own side of leg {other}'s: are the joints of legs {one} and {other} swapped?"
+        allowed = f"a joint [m] that is not beyond leg {other}'s; are the joints of legs {one} and {other} swapped?"
         raise ConfigurationError(f"robot.legs.{one}.platform_joint", joints[one].tolist(), allowed)
 
 
@@ -63,7 +63,7 @@ def _check_home(robot: RobotParameters) -> None:
     if not margin.min() > 0.0:
         leg = int(margin.argmin())
         allowed = (
-            f"a height with which leg {leg} closes at home: its joint is {np.linalg.norm(span[leg]):.4g} m from its "
+            f"a height at which leg {leg} can be assembled: its joint is {np.linalg.norm(span[leg]):.4g} m from its "
             f"shaft, its crank {robot.crank_lengths[leg]:g} m and its rod {robot.rod_lengths[leg]:g} m long "
             f"(margin {margin[leg]:.3g}); are all lengths in metres?"
         )
@@ -73,7 +73,7 @@ def _check_home(robot: RobotParameters) -> None:
     beyond = np.abs(wrapped(theta - 0.5 * (low + high))) > 0.5 * (high - low)
     if beyond.any():
         leg = int(beyond.argmax())
-        allowed = f"a range that holds the angle at home, {theta[leg]:.4g} rad"
+        allowed = f"a range that contains the angle at home, {theta[leg]:.4g} rad"
         raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", (float(low[leg]), float(high[leg])), allowed)
 
 
@@ -169,7 +169,7 @@ def _columns(table: Any) -> dict[str, np.ndarray]:
         lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
         names, *table = [[cell.strip() for cell in row] for row in csv.reader(lines)] or [[]]
         _check_header(f"{what}: header", names)
-    allowed = f"{LEGS} rows, one a leg, of {', '.join(names)}"
+    allowed = f"{LEGS} rows, one per leg, of {', '.join(names)}"
     try:
         values = np.asarray(table, dtype=float)
     except (TypeError, ValueError) as error:
@@ -210,7 +210,7 @@ def _directions(columns: Mapping[str, np.ndarray], shafts: np.ndarray, cranks: C
     zero = _unit(zero, "crank", "a direction: crank_x to crank_z")
     up = _vectors(columns, "up") if "up_x" in columns else np.eye(3)[[2] * LEGS]
     across = up - np.sum(up * zero, axis=-1, keepdims=True) * zero
-    return zero, _unit(across, "up", "a direction across the crank: up_x to up_z")
+    return zero, _unit(across, "up", "a direction not along the crank: up_x to up_z")
 
 
 def _unit(vectors: np.ndarray, name: str, allowed: str) -> np.ndarray:
@@ -227,7 +227,7 @@ def _level(tips: np.ndarray, joints: np.ndarray, rods: np.ndarray) -> float:
     if (rods <= across).any():
         leg = int((rods - across).argmin())
         allowed = f"more than {across[leg]:.4g} m from level crank to joint of leg {leg}, or a home_height"
-        hint = "; positions in millimetres? unit: mm" if across[leg] > 100.0 * rods[leg] else ""
+        hint = "; are the positions in millimetres? set unit to mm" if across[leg] > 100.0 * rods[leg] else ""
         raise ConfigurationError(f"table: rod_length of leg {leg}", float(rods[leg]), allowed + hint)
     return float(np.mean(tips[:, 2] - joints[:, 2] + np.sqrt(rods**2 - across**2)))
 

@@ -36,26 +36,27 @@ Branch = Annotated[Literal[-1, 1], BeforeValidator(lambda given: given if type(g
 
 
 class LegParameters(Section, key="robot.legs"):
-    """What one leg has of its own; null is that of the symmetric robot."""
+    """Parameters of one leg that differ from the symmetric robot's; null for no difference."""
 
     shaft_position: Position | None = None
     """[m] centre of the motor shaft in B."""
     crank_zero_direction: Signed3 | None = None
     """[-] unit vector in B along which the crank points at theta = 0."""
     crank_quarter_direction: Signed3 | None = None
-    """[-] unit vector in B along which it points at theta = pi/2: up, if null. The motor axis is zero x quarter."""
+    """[-] unit vector in B along which the crank points at theta = pi/2; null for up. The motor axis is zero x
+    quarter."""
     platform_joint: Position | None = None
-    """[m] joint centre in P."""
+    """[m] centre of the platform joint in P."""
     crank_length: Length | None = None
-    """[m] shaft to crank tip."""
+    """[m] length of the crank, shaft to tip."""
     rod_length: Length | None = None
-    """[m] crank tip to platform joint."""
+    """[m] length of the rod, crank tip to platform joint."""
     effort_limit: Size | None = None
-    """[N m] largest torque of its motor."""
+    """[N m] largest torque of the motor."""
     branch: Branch | None = None
     """Sign of the acos in the inverse kinematics: -1 or +1."""
     crank_angle_range: tuple[Signed, Signed] | None = None
-    """[rad] lowest and highest theta, within one turn; the plant has stops there. Null: none."""
+    """[rad] lowest and highest theta, within one turn; the plant has stops there. null for none."""
 
     def rules(self) -> None:
         """Angles rise, directions are unit vectors."""
@@ -96,16 +97,17 @@ SixFloats = tuple[float, float, float, float, float, float]
 
 
 class FrictionOptions(Section, key="plant.friction"):
-    """Friction of the motors that sticks, see `mechanics.friction`: for each key one number, or one for each motor."""
+    """Motor friction with stiction, see `mechanics.friction`: for each key one number, or one for each motor."""
 
     coulomb: EachMotor = _NONE
-    """[N m] dry friction in sliding."""
+    """[N m] dry (Coulomb) friction in motion."""
     break_away: EachMotor | None = None
-    """[N m] what moves a motor that rests, at least `coulomb`; null: the same."""
+    """[N m] break-away torque (static friction), at least `coulomb`; null for the same."""
     stribeck_velocity: EachRate = (0.01, 0.01, 0.01, 0.01, 0.01, 0.01)
-    """[rad/s] of sliding at which 37 % of what `break_away` is above `coulomb` are left; the default is our own."""
+    """[rad/s] Stribeck velocity: at it 37 % of the excess of `break_away` over `coulomb` is left; the default is our
+    own."""
     viscous: EachMotor = _NONE
-    """[N m s/rad] beside it, in proportion to speed."""
+    """[N m s/rad] viscous friction, in proportion to speed."""
 
     def rules(self) -> None:
         """What breaks a motor away is not less than what it slides with."""

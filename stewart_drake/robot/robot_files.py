@@ -35,12 +35,12 @@ def load_robot(name: str | Path) -> RobotParameters:
 
 
 def save_robot(robot: RobotParameters, path: str | Path, about: str = "") -> None:
-    """Writes a robot as a YAML file that `load_robot` and `robot:` in a scenario read; what is default is left out.
+    """Writes a robot as a YAML file that `load_robot` and `robot:` in a scenario read; defaults are left out.
 
     Args:
         robot: What to write.
         path: The file; its folder must exist.
-        about: One line on it.
+        about: One line about the robot.
 
     Raises:
         ConfigurationError: The folder is missing or not writable.

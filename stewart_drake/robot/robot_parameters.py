@@ -42,7 +42,7 @@ def _of_legs(name: str, symmetric: Callable[[Any], np.ndarray]) -> cached_proper
 class RobotParameters(Section, key="robot"):
     """One robot: six motors in three pairs 120 deg apart, six cranks, six rods, one platform.
 
-    Leg i = 0..5 belongs to pair k = i // 2 and stands on side s = -1 (even i) or +1 (odd i) of the pair's direction
+    Leg i = 0..5 belongs to pair k = i // 2 and is on side s = -1 (even i) or +1 (odd i) of the pair's direction
     c_k = 120 deg * k. Frames: B at the base, z up; P at the centre of the platform's joint circle. Lengths, radii,
     masses and inertias are those of Table I; the joint positions are our own, because the paper gives none.
 
@@ -61,66 +61,66 @@ class RobotParameters(Section, key="robot"):
     shaft_circle_radius: Length = 0.20
     """[m] radius of the circle of the motor shafts."""
     shaft_height: Signed = -0.07
-    """[m] z of the motor shafts in B."""
+    """[m] height of the motor shafts, z in B."""
     shaft_half_angle: HalfAngle = math.radians(8.0)
-    """[rad] half of the angle between the two shafts of a pair, seen from the centre."""
+    """[rad] half the angle between the two shafts of a pair, seen from the centre."""
     crank_plane_angle: Signed = 0.0
     """[rad] from the pair's direction to each crank's plane, about z, away from its partner: pi/2 is tangential."""
     platform_joint_radius: Length = 0.11
     """[m] radius of the circle of the platform's joints."""
     platform_half_angle: HalfAngle = math.radians(52.0)
-    """[rad] half of the angle between the two platform joints of a pair."""
+    """[rad] half the angle between the two platform joints of a pair."""
     crank_length: Length = 0.11
-    """[m] shaft to crank tip; |a| in the paper."""
+    """[m] length of a crank, shaft to tip; |a| in the paper."""
     rod_length: Length = 0.404
-    """[m] crank tip to platform joint."""
+    """[m] length of a rod, crank tip to platform joint."""
     home_height: Length = 0.30
-    """[m] Z of P in B at the home pose; roll, pitch, yaw, X, Y are zero there."""
+    """[m] Z of P in B at home, the pose with roll, pitch, yaw, X, Y zero."""
     branch: Branch = -1
-    """Sign of the acos in the inverse kinematics: -1 (default) or +1."""
+    """Sign of the acos in the inverse kinematics: -1 (default) or +1; it selects one of the two crank angles."""
     legs: SixLegs | None = None
-    """Six sections with what each leg has of its own; null for none."""
+    """Six sections with the parameters that differ from leg to leg; null for none."""
 
     rod_mass: Size = 0.08
-    """[kg] of each rod."""
+    """[kg] mass of each rod."""
     rod_inertia: Size3 = (0.0016, 0.0016, 0.000001)
-    """[kg m^2] about the centre of mass; z along the rod, Ixx = Iyy."""
+    """[kg m^2] inertia of a rod about its centre of mass; z along the rod, Ixx = Iyy."""
     crank_mass: Size = 0.04
-    """[kg] of each crank."""
+    """[kg] mass of each crank."""
     crank_inertia: Size3 = (0.000001, 0.000058, 0.000059)
-    """[kg m^2] about the centre of mass; x along the crank, y along the motor axis."""
+    """[kg m^2] inertia of a crank about its centre of mass; x along the crank, y along the motor axis."""
     platform_mass: Size = 1.0
-    """[kg] of the platform, without payload."""
+    """[kg] mass of the platform, without payload."""
     platform_inertia: Size3 = (0.003, 0.003, 0.006)
-    """[kg m^2] Ixx, Iyy, Izz about its centre of mass, along the axes of P."""
+    """[kg m^2] inertia Ixx, Iyy, Izz of the platform about its centre of mass, along the axes of P."""
     platform_products: Signed3 = (0.0, 0.0, 0.0)
-    """[kg m^2] Ixy, Ixz, Iyz of the same inertia."""
+    """[kg m^2] products of inertia Ixy, Ixz, Iyz of the platform."""
     platform_center_of_mass: Signed3 = (0.0, 0.0, 0.0)
-    """[m] in P."""
+    """[m] centre of mass of the platform in P."""
     rotor_inertia: Moderate = 0.0
-    """[kg m^2] of a motor's rotor and gear as its crank feels it, about the motor axis."""
+    """[kg m^2] inertia of a motor's rotor and gear, reflected to its crank, about the motor axis."""
     base_mass: Size = 7.0
-    """[kg]; welded to the world, so it never acts."""
+    """[kg] mass of the base; it is fixed, so this has no effect."""
     base_inertia: Size3 = (0.027, 0.027, 0.054)
-    """[kg m^2] about the base's centre of mass; the base is fixed, so that it never acts."""
+    """[kg m^2] inertia of the base about its centre of mass; it is fixed, so this has no effect."""
 
     effort_limit: Size = 5.0
     """[N m] largest torque of a motor."""
     link_radius: Size = 0.005
     """[m] radius of cranks and rods, for pictures, collisions and clearance."""
     characteristic_length: Size = 0.11
-    """[m] makes rotations and translations comparable in conditioning."""
+    """[m] length that makes rotations comparable with translations in conditioning."""
 
     def rules(self) -> None:
         """Inertias are those of bodies, and the robot can stand at home."""
         for name in ("rod_inertia", "crank_inertia", "platform_inertia", "base_inertia"):
             inertia = getattr(self, name)
             if 2.0 * max(inertia) > sum(inertia) * (1.0 + 1e-12):
-                allowed = f"no moment [kg m^2] above the sum of the other two, as {max(inertia):g} is"
+                allowed = f"three moments [kg m^2], none above the sum of the other two; {max(inertia):g} is"
                 raise ConfigurationError(f"robot.{name}", inertia, allowed)
         principal = np.linalg.eigvalsh(self._central_inertia)
         if principal[0] <= 0.0 or 2.0 * principal[2] > principal.sum() * (1.0 + 1e-9):
-            allowed = "products with which the principal moments are positive and none is above the sum of the others"
+            allowed = "products that leave principal moments positive, and none above the sum of the others"
             raise ConfigurationError("robot.platform_products", self.platform_products, allowed)
         if self.rod_inertia[0] != self.rod_inertia[1]:
             raise ConfigurationError("robot.rod_inertia", self.rod_inertia, "Ixx = Iyy: a rod is symmetric about z")

@@ -14,7 +14,7 @@ LATENCY = 0.005
 """[s] of a control period and the delay of a command, up to which the defaults of gains hold; their natural frequency
 of some 66 rad/s is then a third of a radian of phase. For a longer one they are as much slower."""
 _BELIEVED = ("controller", "tuner", "sensors", "safety")
-"""Sections that go by the robot as the controller believes it to be."""
+"""Sections scaled by the controller's model of the robot."""
 
 
 class OfRobot(NamedTuple):

@@ -70,7 +70,7 @@ def check_scenario(scenario: Scenario) -> None:
             key, value = "reference", start.tolist()
             if any(scenario.initial_offset):
                 key, value = "initial_offset", list(scenario.initial_offset)
-            raise ConfigurationError(key, value, f"a start where the robot can stand ({failure})") from None
+            raise ConfigurationError(key, value, f"a start pose that the robot can hold ({failure})") from None
 
 
 def _length_hint(scenario: Scenario) -> list[str]:

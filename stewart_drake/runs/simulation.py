@@ -55,13 +55,13 @@ def run(
 
     Args:
         scenario: What to run; a file, or the name of a shipped one, is read.
-        progress: Called with the simulated time [s] now and then; what it raises passes, but for KeyboardInterrupt,
+        progress: Called with the simulated time [s] regularly; its exceptions pass through, but KeyboardInterrupt,
             which ends the run as Ctrl-C does.
         check: Check the reference against `scenario.limits` first.
         engine: What `engine_of` has made of the scenario, closed afterwards; None makes one.
 
     Raises:
-        ConfigurationError: Found before the run: what is no run, or none that the robot can do.
+        ConfigurationError: Found before the run: an invalid scenario, or a motion that the robot cannot do.
         UnreachablePoseError: The start pose is out of reach, with `check` off.
     """
     if isinstance(scenario, (str, Path)):

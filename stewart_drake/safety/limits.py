@@ -34,49 +34,52 @@ HOLD_TIME = 0.03  # [s] for which the last good command is repeated at most.
 
 
 class SafetyOptions(Section, key="safety"):
-    """Limits and reactions of the safety layer; a limit that is null is off.
+    """Limits and reactions of the safety layer; null switches a limit off.
 
-    The defaults are assumptions of this project: wide enough for every motion that keeps to `limits`, and inside of
-    what the controllers themselves bear. Lengths and torques are for the paper's robot: another has them in proportion
-    to its characteristic length and effort limit.
+    The defaults are assumptions of this project: wide enough for every motion within `limits`, and tighter than what
+    the controllers themselves can bear. Default lengths and torques scale with the robot's characteristic length and
+    effort limit.
     """
 
     deadline: Annotated[Natural, Field(le=1000)] | None = 2
-    """Ticks for which no newer command may have arrived; a constant `command_delay` does not count."""
+    """[ticks] longest time without a new command; a constant `command_delay` does not count."""
     frozen_encoder: Positive | None = 0.04
-    """[rad] by which two other cranks may turn, and 50 counts more, while an encoder repeats one reading to the last
-    bit and is a quarter as far from where its crank is wanted: one that friction holds stands nearer."""
+    """[rad] turn of two other cranks (plus 50 counts) after which an encoder that repeats its reading to the last bit
+    is frozen. Its crank must also be a quarter of this from its reference; friction can hold one that is nearer."""
     frozen_pose: Annotated[PositivePair | None, LENGTH] = (0.01, 0.001)
-    """[rad, m] by which an axis of the reference may move while the measured pose, of a sensor that is no encoder,
-    stays the same to the last bit."""
+    """[rad, m] change of the reference on an axis after which a measured pose that repeats to the last bit is frozen;
+    for sensors other than encoders."""
     innovation: Positive | None = 100.0
-    """[rad/s^2] acceleration of a crank that an observer's model does not explain, as its innovations tell beyond their
-    noise, for more than 10 ms in sum: a rod that is lost, a motor that is dead, an encoder that lies."""
+    """[rad/s^2] largest crank acceleration that the observer's model does not explain, from its innovations beyond
+    their noise, for more than 10 ms in sum. It detects a lost rod, a dead motor or a wrong encoder."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
-    """[-] of the motors' limit; commands are cut there, and may be there or beyond for 0.1 s in sum."""
+    """[-] largest command as a fraction of the motors' limit; commands are cut there. They may be there or beyond for
+    0.1 s in sum."""
     torque_rate: Annotated[Positive | None, TORQUE] = 4000.0
-    """[N m/s] by which a motor's torque may change. In a tick whose command jumps further, for 10 ms in sum, the last
-    good one stands; what comes next is led after at that rate."""
+    """[N m/s] largest rate of a motor's torque. A command that jumps further is replaced by the last good one, for up
+    to 10 ms in sum; the next good command is approached at this rate."""
     workspace: Annotated[PositivePair | None, LENGTH] = (1.2, 0.12)
-    """[rad, m] farthest from the home pose: angle of the rotation, and distance of P."""
+    """[rad, m] largest distance from the home pose: angle of the rotation, and distance of P."""
     transmission: Fraction | None = 0.1
-    """[-] smallest |e_l . e_N|: nearer to its dead centre a crank may not come (serial singularity)."""
+    """[-] smallest distance |e_l . e_N| of a crank from its dead centre (serial singularity), where it is 0."""
     conditioning: Fraction | None = 0.04
-    """[-] smallest sigma_min / sigma_max of the rods' lines, without crossing zero (parallel singularity)."""
+    """[-] smallest distance from a parallel singularity: sigma_min / sigma_max of the rods' lines, without crossing
+    zero."""
     horizon: NotNegative = 0.01
-    """[s] by which the pose is led ahead of the measurement, at its rate, for the three limits above."""
+    """[s] prediction horizon of `workspace`, `transmission` and `conditioning`: the pose is extrapolated at its
+    measured rate."""
     crank_speed: Positive | None = 15.0
-    """[rad/s] largest |theta'|."""
+    """[rad/s] largest measured crank speed |theta'|."""
     following_error: Annotated[PositivePair | None, LENGTH] = (0.1, 0.02)
-    """[rad, m] largest distance to the reference: angle of the rotation, and distance of P."""
+    """[rad, m] largest following error, to the reference: angle of the rotation, and distance of P."""
     hold_ticks: Annotated[Natural, Field(le=20)] = 20
-    """Ticks for which the last good command is repeated at most, up to 20 and to 30 ms."""
+    """[ticks] longest repetition of the last good command, up to 20 ticks and 30 ms."""
     ramp_time: Positive = 0.02
-    """[s] from the last good command to the safe hold: short, for the command may have been wrong for a while."""
+    """[s] time from the last good command to the safe hold; short, for that command may have been wrong for a while."""
     safe_hold_time: Positive = 0.5
-    """[s] after which a safe hold ends the run."""
+    """[s] duration of a safe hold, after which the run ends."""
     monitors: tuple[Annotated[Any, OWN_MONITORS], ...] = ()
-    """Further monitors, each a class of the user's own by its import path, see `UserMonitor`."""
+    """Your own monitors, each a class by its import path, see `UserMonitor`."""
 
     @property
     def monitor_names(self) -> tuple[str, ...]:
@@ -110,11 +113,10 @@ class SafetyInputs(NamedTuple):
 
 
 class UserMonitor(UserMade, key="safety.monitors"):
-    """What a class of the user's own says with `look(inputs)`, once a tick.
+    """Your own safety monitor: `look(inputs)` is called once a tick.
 
-    It gets `SafetyInputs` with a measurement that is finite, and returns the leg with which something is wrong, -1 for
-    the robot as a whole, None for nothing. Where something is, and no other monitor trips, the robot is taken from its
-    controller.
+    It gets `SafetyInputs` with a finite measurement. It returns the leg with a fault, -1 for the robot as a whole, None
+    for no fault. If it reports a fault and no other monitor trips, the safety layer takes over from the controller.
     """
 
     asked = "look(inputs) returns a leg, -1 or None"
@@ -356,10 +358,10 @@ def refuse_start(
     trip = options.first_own(SafetyInputs(torque, pose, pose_rate, reference))
     if trip is not None:
         name, place = options.monitor_names[trip[0]], trip[0] - len(MONITORS)
-        raise ConfigurationError(f"safety.monitors.{place}", name, "one that the start does not trip")
+        raise ConfigurationError(f"safety.monitors.{place}", name, "a monitor that does not trip at the start")
     if options.torque_limit is not None:
         needed = np.abs(torque[None])
-        allowed = f"enough to stand at the start, which needs up to {needed.max():.3g} N m; the limit is exceeded"
+        allowed = f"enough to hold the start pose, which needs up to {needed.max():.3g} N m; the limit is exceeded"
         margin = options.torque_limit * robot.effort_limits - needed
         _refuse("torque_limit", options.torque_limit, margin, np.zeros(1), allowed)
 
@@ -385,7 +387,7 @@ def _refuse(
     given: Any,
     margin: np.ndarray,
     time: np.ndarray,
-    allowed: str = "a limit that the reference keeps to; the limit is exceeded",
+    allowed: str = "a limit that the reference keeps; it is exceeded",
 ) -> None:
     """Raises for the first sample whose margin (n,), or (n, 6) of any leg, is negative."""
     margin = margin.reshape(len(time), -1)

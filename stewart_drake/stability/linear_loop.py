@@ -48,7 +48,7 @@ class LinearLoops(NamedTuple):
 
 
 def poses_to_stand_at(scenario: Scenario, count: int, seed: int) -> np.ndarray:
-    """Poses (count, 6) [rad, m] of the near box, in the robot's size, at which a run of the scenario may stand."""
+    """Poses (count, 6) [rad, m] of the box `NEAR`, scaled to the robot, at which a run of the scenario may rest."""
     robot, rng = scenario.robot, np.random.default_rng(seed)
     box = NEAR.around(robot)
     return sample_poses(robot, box, count, rng, limits=scenario.limits, gravity=scenario.gravity)
@@ -71,7 +71,7 @@ def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
         except (RunFailure, UnreachablePoseError) as error:
             left_out.append(str(error))
     if not results:
-        raise ConfigurationError("scenario", scenario.name, f"a loop that stands still at some pose: {left_out[0]}")
+        raise ConfigurationError("scenario", scenario.name, f"a loop with an equilibrium at some pose: {left_out[0]}")
     a, b, c = (np.stack(each) for each in zip(*results, strict=True))
     observable = _observable(a, c)
     return LinearLoops(
@@ -225,7 +225,7 @@ def _loop(
             )
         if not np.isfinite(x).all():
             break
-    raise RunFailure(f"the loop does not stand still at {pose.tolist()}", reason="standstill")
+    raise RunFailure(f"the loop has no equilibrium at {pose.tolist()}", reason="standstill")
 
 
 def _derivatives(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

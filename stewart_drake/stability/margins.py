@@ -37,7 +37,7 @@ class LoopMargins(NamedTuple):
 
     radius: np.ndarray  # (m,) spectral radius of the closed loop; stable below 1.
     single: Margins  # One motor at a time, the others as they should be; gain, phase and delay are the classical ones.
-    all_at_once: Margins  # The motors differ at will, each within the margin; all follow from the disk.
+    all_at_once: Margins  # Each motor varies independently within the margin; all follow from the disk.
     # (m,) [-] what the disk margin all at once is certainly not above; where it meets that of `all_at_once`, both are
     # exact but for the grid.
     not_above: np.ndarray

@@ -48,22 +48,22 @@ class Cell(NamedTuple):
 
 
 _NAMES = (
-    Column("controller", "", "its name", "text"),
-    Column("chosen", "", "of a best of several: which it is here", "text"),
-    Column("reference", "", "its name; of a band, the axis", "text"),
-    Column("condition", "", "its name", "text"),
-    Column("seed", "", "what {seed} stood for", "whole"),
+    Column("controller", "", "name of the controller", "text"),
+    Column("chosen", "", "in a best-of row: the controller that is best here", "text"),
+    Column("reference", "", "name of the reference; for a frequency response, the axis", "text"),
+    Column("condition", "", "name of the condition", "text"),
+    Column("seed", "", "value of {seed}", "whole"),
 )
-_SETTLING = Column("settling_s", "s", "after which the pose error stays within the comparison's band; null: never")
+_SETTLING = Column("settling_s", "s", "time after which the pose error is within the comparison's band; null for never")
 _COST = Column("cost", "1", f"J, see `cost` in the comparison; {FAILED:g} for a run that was not completed")
 BANDS = (
     *_NAMES,
     *OUTCOME,
-    Column("frequency_hz", "Hz", "of the sine that is tracked"),
-    Column("amplitude", "rad or m", "of that sine"),
+    Column("frequency_hz", "Hz", "frequency of the reference sine"),
+    Column("amplitude", "rad or m", "amplitude of the reference sine"),
     Column("ratio", "1", "amplitude of the pose over that of the reference"),
-    Column("phase_deg", "deg", "of the pose to the reference, negative for a lag"),
-    Column("rest", "1", "RMS of the pose that is no sine of this frequency, as a part of the RMS of the sine"),
+    Column("phase_deg", "deg", "phase of the pose relative to the reference, negative for a lag"),
+    Column("rest", "1", "RMS of the pose at other frequencies, relative to the RMS of the sine"),
 )
 
 
@@ -244,7 +244,9 @@ def _band_cells(bands: Bands, seed: int, base: Scenario, parts: _Parts, quick: b
         most = largest_amplitude(plain.robot, plain.limits, place, frequency, plain.gravity)
         amplitude = min(LARGEST[place], 0.5 * most)
         if amplitude <= 0.0:
-            raise ConfigurationError("bands.frequencies", frequency, f"frequencies at which {axis} can move at all")
+            raise ConfigurationError(
+                "bands.frequencies", frequency, f"frequencies at which {axis} can move within the limits"
+            )
         reference = {
             "kind": "sine",
             "center": plain.robot.home_pose.tolist(),

@@ -18,7 +18,7 @@ Names = Annotated[tuple[Text, ...], Field(min_length=1)]
 
 
 class BestOf(Section):
-    """A row for the best of some controllers, picked again for each reference and condition."""
+    """A row for the best of some controllers, chosen anew for each reference and condition."""
 
     of: Names
     """Names of controllers; the one with the smallest pose RMSE is taken. They have no row of their own."""
@@ -39,26 +39,26 @@ class Bands(Section):
     condition: Text
     """Name of a condition."""
     axes: tuple[Literal["roll", "pitch", "yaw", "X", "Y", "Z"], ...] = ("Z", "roll")
-    """One after the other."""
+    """Axes to test, one after the other."""
     frequencies: tuple[Annotated[Positive, Field(le=100.0)], ...] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
     """[Hz] at which amplitude and phase are taken."""
     transient: NotNegative = 3.0
-    """[s] before the fit begins; it takes whole periods of 1 s or more."""
+    """[s] time before the fit begins; the fit takes whole periods of 1 s or more."""
 
 
 class TuneOptions(Section, key="tune"):
-    """Keys of controllers, searched by CMA-ES in their logarithms for the least cost over the comparison's own runs."""
+    """Search of controller keys by CMA-ES, in their logarithms, for the least cost over the comparison's runs."""
 
     controllers: dict[Text, dict[Text, PositivePair]]
-    """Name -> (scenario key -> lowest and highest value). The search starts from what the controller has."""
+    """Name -> (scenario key -> lowest and highest value). The search starts from the controller's own values."""
     generations: Annotated[Count, Field(ge=1, le=10_000)] = 12
-    """Most of them, each of `population` settings; fewer where the search has converged."""
+    """Largest number of generations, of `population` settings each; fewer if the search converges."""
     population: Annotated[Count, Field(ge=4, le=1000)] = 8
-    """Settings of a generation, the same for all controllers."""
+    """Settings in a generation, the same for all controllers."""
     seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (1,)
-    """In place of the comparison's own: of the noise in the runs of the search."""
+    """Seeds of the noise in the runs of the search, in place of the comparison's own."""
     set: dict[Text, Any] = Field(default_factory=dict)
-    """Scenario key -> value, in the runs of the search alone."""
+    """Scenario key -> value, in the runs of the search only."""
 
     def rules(self) -> None:
         if not self.controllers:
@@ -66,14 +66,16 @@ class TuneOptions(Section, key="tune"):
         for name, keys in self.controllers.items():
             for key, (low, high) in keys.items():
                 if not low < high:
-                    raise ConfigurationError(f"controllers.{name}.{key}", [low, high], "a lowest below a highest value")
+                    raise ConfigurationError(
+                        f"controllers.{name}.{key}", [low, high], "a lowest value below the highest"
+                    )
 
 
 class TunedFile(Section, key=""):
     """The result of a search."""
 
     name: Text
-    """Of the comparison."""
+    """Name of the comparison."""
     controllers: dict[Text, dict[Text, Positive]]
     """Name -> (scenario key -> value)."""
 
@@ -85,32 +87,33 @@ class CompareFile(StudyFile):
     controllers: dict[Text, dict[Text, Any]]
     """Name -> (scenario key -> value)."""
     references: dict[Text, dict[Text, Any]]
-    """Name -> (scenario key -> value); `duration` and `initial_offset` go well here."""
+    """Name -> (scenario key -> value); `duration` and `initial_offset` may be among them."""
     conditions: dict[Text, dict[Text, Any]] = Field(default_factory=lambda: {"nominal": dict[str, Any]()})
-    """Name -> (scenario key -> value), changed last."""
+    """Name -> (scenario key -> value), applied last."""
     best_of: dict[Text, BestOf] = Field(default_factory=dict)
-    """Name -> the controllers that it is the best of."""
+    """Name -> the controllers of which it is the best."""
     runs: Annotated[tuple[Product, ...], Field(min_length=1)] | None = None
-    """What is run, at least one; null for all controllers on all references under all conditions."""
+    """Combinations to run, at least one; null for all controllers on all references under all conditions."""
     seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (0,)
-    """A run with the text {seed} among its values is done once with each, any other once with the first."""
+    """Seeds: a run with the text {seed} among its values is done with each, any other once with the first."""
     layout: Literal["rows", "grid"] = "rows"
-    """Of the Markdown: a row a run, or a table for each condition with a column for each reference."""
+    """Layout of the Markdown. rows: one row per run. grid: one table per condition, with a column for each
+    reference."""
     band: Positive = 0.5
-    """[mm] of pose error, rotations times the characteristic length, within which a run counts as settled."""
+    """[mm] pose error within which a run counts as settled; rotations times the characteristic length."""
     traced: Text | None = None
-    """Reference whose error over time is drawn; null for the first."""
+    """Reference whose error over time is plotted; null for the first."""
     bands: Bands | None = None
-    """Tracked frequencies; null for none."""
+    """Closed-loop frequency response to measure; null for none."""
     cost: CostScales | None = None
     """Scales of the cost of a run; null for no cost."""
     tune: TuneOptions | None = None
     """What `stewart-drake tune` searches; null for nothing."""
     tuned: Text | None = None
-    """File, relative to this one, with values for keys of controllers, as `stewart-drake tune` writes it; `tune` itself
-    starts without them. Null for none."""
+    """File with tuned values for the controllers, as `stewart-drake tune` writes it, relative to this file. `tune`
+    itself starts without them. null for none."""
     quick: Positive = 1.5
-    """[s] longest run under `--quick`, which also leaves but two of the frequencies."""
+    """[s] longest run under `--quick`, which also keeps only two of the frequencies."""
 
     @property
     def products(self) -> tuple[Product, ...]:

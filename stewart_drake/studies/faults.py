@@ -85,14 +85,14 @@ def base(robot: str | None = None, overrides: Sequence[str] = ()) -> Scenario:
 FAULTS = {name: Fault.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items()}
 _WORST = {"hold": "held", "ramp": "ramped", "safe_hold": "ramped", "end": "ended"}
 _HELD = (
-    Column("holds_weight", "", "whether the motors that are left carry the robot at rest; null: no dead motor", "flag"),
-    Column("support_newton", "N", "smallest outside force with which they would"),
-    Column("force_newton", "N", "largest outside force that they hold; null where not even the weight"),
-    Column("moment_newton_metre", "N m", "largest outside moment likewise"),
+    Column("holds_weight", "", "whether the other motors carry the robot at rest; null without a dead motor", "flag"),
+    Column("support_newton", "N", "smallest external force with which they do"),
+    Column("force_newton", "N", "largest external force that they hold; null if they cannot carry the weight"),
+    Column("moment_newton_metre", "N m", "largest external moment that they hold, likewise"),
 )
 COLUMNS = (
-    Column("fault", "", "name in FAULTS", "text"),
-    Column("motion", "", "name in MOTIONS", "text"),
+    Column("fault", "", "name of the fault", "text"),
+    Column("motion", "", "name of the motion", "text"),
     Column(
         "reaction",
         "",
@@ -100,14 +100,14 @@ COLUMNS = (
         "text",
     ),
     *run_columns(),
-    Column("safety_cause", "", "of the trip, where an estimator or controller failed", "text"),
-    Column("safety_leg", "", "leg 0..5 to which the trip belongs", "whole"),
-    Column("latency_ms", "ms", "from the fault to the trip"),
-    Column("peak_error_deg", "deg", "largest angle from the reference after the fault, with the controller in charge"),
-    Column("peak_error_mm", "mm", "largest distance likewise"),
-    Column("travel_deg", "deg", "largest angle turned after the safety layer took over"),
-    Column("travel_mm", "mm", "largest distance moved likewise"),
-    Column("peak_torque", "N m", "largest torque given to a motor after the fault, within its limit"),
+    Column("safety_cause", "", "cause of the trip, if an estimator or controller failed", "text"),
+    Column("safety_leg", "", "leg 0..5 of the trip", "whole"),
+    Column("latency_ms", "ms", "time from the fault to the trip"),
+    Column("peak_error_deg", "deg", "largest rotation error after the fault, while the controller is in charge"),
+    Column("peak_error_mm", "mm", "largest position error, likewise"),
+    Column("travel_deg", "deg", "largest rotation after the safety layer took over"),
+    Column("travel_mm", "mm", "largest distance moved, likewise"),
+    Column("peak_torque", "N m", "largest motor torque after the fault, within its limit"),
     *_HELD,
 )
 
@@ -247,14 +247,14 @@ def holdable_load(
 
 PAGE = """# Fault table
 
-{runs} runs of {duration:g} s; faults begin at {onset:g} s, or are there from the start. The
+{runs} runs of {duration:g} s; faults begin at {onset:g} s, or from the start. The
 exact-model LQI at 1 kHz behind the safety layer with its defaults. In brackets: monitor, latency, leg;
 after the colon: the outcome of the run, and its warnings.
 Peak error: how far the true pose was from the reference while the controller was in charge. Travel: how far
-it went after the safety layer took over. The worst of the motions counts.
+it moved after the safety layer took over. Both are the worst of the motions.
 
 {table}
-With a dead motor, the wrench that the other five hold at rest:
+With a dead motor, the wrench that the other five can hold at rest:
 
 {held}
 
@@ -305,7 +305,7 @@ def _end(row: Row, fault: Fault) -> str:
 def holdable_lines(rows: Sequence[Row]) -> list[str]:
     lines = []
     for row in rows:
-        held = "none: not even the weight; the smallest outside force with which it stands: {support_newton:.1f} N"
+        held = "none, not even the weight without an external force of {support_newton:.1f} N"
         if row.get("holds_weight"):
             held = "{force_newton:.0f} N or {moment_newton_metre:.1f} N m"
         if row.get("support_newton") is not None:

@@ -250,7 +250,7 @@ class KeptRuns:
         except (OSError, ValueError):
             unlike = [f"{HEADER}, which cannot be read"]
         if unlike:
-            allowed = "a new folder, the same work by the same version, or --restart to throw away what is there"
+            allowed = "a new folder, or one with the same study by the same version; --restart replaces it"
             raise ConfigurationError("--out", str(self.folder), f"{allowed}; it differs in {', '.join(unlike[:5])}")
 
 

@@ -37,10 +37,10 @@ StudyName = Annotated[Text, Field(max_length=80, pattern=NAME), words(f"at most 
 Tables = Mapping[str, tuple[Sequence[Column], list[Row]]]
 """Name of a table -> its columns, and its rows, which may say more."""
 INCIDENTAL = (
-    Column("wall_s", "s", "wall-clock time of the run in its worker: diagram, simulation, metrics"),
-    Column("simulation_s", "s", "of that, the simulation alone"),
-    Column("host", "", "machine that the run was on", "text"),
-    Column("worker", "", "process that the run was in", "whole"),
+    Column("wall_s", "s", "wall-clock time of the run: diagram, simulation, metrics"),
+    Column("simulation_s", "s", "wall-clock time of the simulation alone"),
+    Column("host", "", "name of the machine", "text"),
+    Column("worker", "", "number of the worker process", "whole"),
 )
 COMPARED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
 SMALLEST = 1e-5  # What is smaller is not written out
@@ -50,11 +50,11 @@ class StudyFile(Section):
     """Keys that the files of sweeps and comparisons have; paths among them are absolute."""
 
     name: StudyName
-    """Used for the output folder and titles."""
+    """Name of the study, for the output folder and titles."""
     scenario: Text
-    """What is changed: a file, relative to this one, or the name of a shipped scenario."""
+    """The scenario to change: a file, relative to this one, or the name of a shipped scenario."""
     set: dict[Text, Any] = Field(default_factory=dict)
-    """Scenario key -> value, in every run."""
+    """Scenario key -> value, for every run."""
 
     @classmethod
     def read(cls, what: str, data: Any, folder: Path | None) -> tuple[Self, Scenario]:

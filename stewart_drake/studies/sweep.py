@@ -28,15 +28,14 @@ from stewart_drake.studies.study import INCIDENTAL, Study, StudyFile, StudyName,
 
 BEFORE = (
     Column("index", "", "number of the run, from 0", "whole"),
-    Column("seed", "", "of the run; its draws follow from it", "whole"),
+    Column("seed", "", "seed of the run's random values", "whole"),
 )
 
 
 class _Distribution(Section):
     kind: str
     factor: Flag = False
-    """The number drawn multiplies the value of the key in the scenario instead of replacing it; all of its components
-    where it is a list."""
+    """Whether the drawn number multiplies the scenario's value instead of replacing it; all components of a list."""
 
     @abstractmethod
     def at(self, quantile: float) -> Any:
@@ -73,7 +72,7 @@ class LogUniform(_Between):
 
 
 class Normal(_Distribution):
-    """Normal, cut off at `low` and `high` where they are given."""
+    """Normal distribution, truncated at `low` and `high` where they are given."""
 
     kind: Literal["normal"] = "normal"
     mean: Real
@@ -99,7 +98,7 @@ class Normal(_Distribution):
 
 
 class Integers(_Between):
-    """Whole numbers from `low` to `high`, both included, equally often."""
+    """Whole numbers from `low` to `high`, both included, equally likely."""
 
     kind: Literal["integers"] = "integers"
     low: Count
@@ -110,7 +109,7 @@ class Integers(_Between):
 
 
 class Choice(_Distribution):
-    """One of `values`, equally often: numbers, texts, truth values, lists, sections."""
+    """One of `values`, equally likely: numbers, texts, truth values, lists, sections."""
 
     kind: Literal["choice"] = "choice"
     values: Annotated[tuple[Any, ...], Field(min_length=1, max_length=100_000)]
@@ -141,11 +140,11 @@ class SweepFile(StudyFile):
 
     name: StudyName = "sweep"
     runs: Annotated[Count, Field(ge=1, le=1_000_000)] | None = None
-    """Number of runs; null takes as many as the grids have combinations. Run i stays the same when this changes."""
+    """Number of runs; null takes as many as the grids have combinations. Run i does not depend on this number."""
     seed: Seed = 0
-    """Everything random follows from it."""
+    """Seed of everything random."""
     mismatch: Flag = False
-    """The controller keeps believing in the robot of the scenario while `robot.*` varies: `model_robot` becomes that
+    """Whether the controller keeps the scenario's robot as its model while `robot.*` varies: `model_robot` becomes that
     robot, where the scenario has none of its own."""
     distributions: dict[Text, Annotated[Distribution, DISTRIBUTIONS]]
     """Scenario key -> distribution. A component of a list is `initial_offset[0]`, or `disturbances[0].wrench[3]`."""
@@ -176,7 +175,7 @@ class Sweep(Study):
         if runs is None:
             grids = [len(each.values) for each in file.distributions.values() if isinstance(each, Grid)]
             if not grids:
-                raise ConfigurationError("runs", None, "a number of runs; it may be left out where a key has a grid")
+                raise ConfigurationError("runs", None, "a number of runs; optional only where a key has a grid")
             runs = math.prod(grids)
         return cls(base, file, name=file.name, indices=range(runs))
 
@@ -215,7 +214,7 @@ class Sweep(Study):
         for key, distribution in self.file.distributions.items():
             kind = column_of(distribution)
             if key in factors:
-                varied.append(Column(f"{key}.factor", "1", f"what the scenario's {key} is multiplied by", kind))
+                varied.append(Column(f"{key}.factor", "1", f"factor on the scenario's {key}", kind))
                 kind = "json" if isinstance(self._values[key], list) else "number"
             text = f"scenario key {key} as run{', as JSON' if kind == 'json' else ''}"
             varied.append(Column(key, "", text, kind))
@@ -247,7 +246,7 @@ class Sweep(Study):
         try:
             vary(self.base, self._changes({key: distribution.at(0.5)}))
         except TypeError:
-            raise ConfigurationError(where, current, "a key that holds a number or numbers, to multiply") from None
+            raise ConfigurationError(where, current, "a key with a number or numbers, to multiply") from None
         except ConfigurationError as error:
             path = ".".join(map(str, split_key(key)))
             if error.key == path or error.key.startswith(f"{path}."):

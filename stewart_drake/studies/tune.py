@@ -37,11 +37,11 @@ from stewart_drake.studies.study import (
 from stewart_drake.studies.workers import Workers
 
 COLUMNS = (
-    Column("controller", "", "its name", "text"),
-    Column("evaluation", "", "number of it for this controller; 0 is the start", "whole"),
-    Column("cost", "1", "mean of its runs"),
-    Column("best", "1", "the least until then"),
-    Column("not_completed", "", "how many of its runs were not", "whole"),
+    Column("controller", "", "name of the controller", "text"),
+    Column("evaluation", "", "number of the evaluation of this controller; 0 is the start", "whole"),
+    Column("cost", "1", "mean cost of its runs"),
+    Column("best", "1", "least cost so far"),
+    Column("not_completed", "", "number of its runs that were not completed", "whole"),
     Column("setting", "", "scenario key -> value, as JSON", "json"),
 )
 DIGITS = 4
@@ -75,9 +75,9 @@ class Tuning:
         plain = {**data, "tuned": None, "bands": None}
         options = Comparison.from_dict(plain, folder, quick).file.tune
         if options is None:
-            raise ConfigurationError("tune", None, "a section that says what to search, as in the comparison `fair`")
+            raise ConfigurationError("tune", None, "a section with the keys to search, as in the comparison `fair`")
         if data.get("cost") is None:
-            raise ConfigurationError("cost", None, "scales of what is to be small, such as {position: 0.03}")
+            raise ConfigurationError("cost", None, "scales of the cost, such as {position: 0.03}")
         changed = {"seeds": list(options.seeds), "set": {**(data.get("set") or {}), **options.set}}
         with within("tune: "):
             comparison = Comparison.from_dict({**plain, **changed}, folder, quick)

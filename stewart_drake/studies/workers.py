@@ -152,7 +152,7 @@ def _work_off(
             future.cancel()
         workers.replace()
         if isinstance(error, CancelledError):
-            raise StewartDrakeError("the Dask cluster is gone; rows done are kept") from error
+            raise StewartDrakeError("the Dask cluster is gone; finished rows are kept") from error
         raise
     for future in pending:
         # Dask may forget work whose worker died beside it.
@@ -177,8 +177,8 @@ def _submit(executor: Executor, *call: Any) -> Future[Any]:
 def _checked(source: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     if _own_source() != source:
         raise StewartDrakeError(
-            "a worker has another version of stewart-drake than this process: install the same everywhere, and leave "
-            "its files alone while a study runs"
+            "a worker has another version of stewart-drake than this process: install the same one everywhere, and do "
+            "not change its files during a study"
         )
     return function(*arguments)
 

@@ -65,7 +65,7 @@ class ClosedLoop(Diagram):
         self.systems = wiring.systems
 
     def create_start_context(self) -> Context:
-        """A Context at the scenario's start, in motion; a default one stands at home, at rest."""
+        """A Context at the scenario's start, in motion; a default Context is at home, at rest."""
         context = self.CreateDefaultContext()
         self.plant.set_state(context, *self.scenario.start())
         return context

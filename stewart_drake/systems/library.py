@@ -199,7 +199,7 @@ class ScenarioSystem(PartSystem):
             raise ConfigurationError("controller.kind", scenario.controller.kind, self.controller)
         parts = {part.name: part for part in loop_of(scenario).parts}
         if self.name not in parts:
-            allowed = f"a scenario whose loop has the part {self.name}; it has {', '.join(parts)}"
+            allowed = f"a scenario with the part {self.name}; it has {', '.join(parts)}"
             raise ConfigurationError("scenario", scenario.name, allowed)
         part = parts[self.name]
         super().__init__(part, scenario.plant.time_step if part.every_step else scenario.controller.period)

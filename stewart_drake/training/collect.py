@@ -71,7 +71,7 @@ def load_dataset(path: str | Path) -> Dataset:
         raise ConfigurationError(key, "another format", f"a dataset of version {_VERSION}, written by `collect`")
     columns = read_columns(path, key, lambda _: {name: (name, 1.0) for name in COLUMNS}, _MOST_BYTES, _MOST_ROWS)
     if not all(len(values) and np.isfinite(values).all() for values in columns.values()):
-        raise ConfigurationError(key, "no numbers, or such as are not finite", "a dataset written by `collect`")
+        raise ConfigurationError(key, "values that are not finite numbers", "a dataset written by `collect`")
     time, run, *inputs, omega_q, omega_r = columns.values()
     outputs = np.stack([omega_q, omega_r], axis=-1)
     return Dataset(np.stack(inputs, axis=-1), outputs, run.astype(int), time, metadata)

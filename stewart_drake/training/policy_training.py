@@ -182,9 +182,11 @@ class State:
             own = values.pop("identity")
             state = cls(**values)
         except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-            raise ConfigurationError(f"state {file}", str(error), "a file as training left it") from None
+            raise ConfigurationError(
+                f"state {file}", str(error), "an unchanged file from `stewart-drake train`"
+            ) from None
         if own != identity:
-            allowed = "that of a training with the same options; remove the file to begin anew"
+            allowed = "the state of a training with the same options; remove the file to start anew"
             raise ConfigurationError(f"state {file}", "of other options", allowed)
         return state
 

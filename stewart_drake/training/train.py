@@ -22,7 +22,7 @@ Split = Literal["samples", "runs"]
 
 class TrainingOptions(Section, key="training"):
     seed: Seed = 0
-    """Of the split and of the first weights."""
+    """Seed of the split and of the initial weights."""
     epochs: Window = 2000
     """Steps of Adam over the whole training set."""
     learning_rate: Annotated[Positive, Field(lt=10.0)] = 0.01
@@ -49,7 +49,11 @@ def split_samples(dataset: Dataset, options: TrainingOptions) -> np.ndarray:
     groups = rng.permutation(np.unique(group_of))
     training = np.isin(group_of, groups[: round(options.training_share * len(groups))])
     if training.all() or not training.any():
-        raise ConfigurationError("training.training_share", options.training_share, "a share that leaves no side empty")
+        raise ConfigurationError(
+            "training.training_share",
+            options.training_share,
+            "a share that leaves samples for both training and validation",
+        )
     return training
 
 

@@ -128,7 +128,7 @@ def test_a_plan_keeps_to_the_limits_tells_more_than_chance_and_says_what_interva
     found = calibrate(ROBOT, measured(ROBOT, plan.targets, NOISE, np.random.default_rng(0)), NOISE)
     ratio = found.half_width[:OF_ROBOT] / found.noise_ratio / plan.half_width[:OF_ROBOT]
     assert ratio == pytest.approx(1.0, abs=0.1)
-    with pytest.raises(ConfigurationError, match="a limit conditioning that no way from home"):
+    with pytest.raises(ConfigurationError, match="a limit conditioning that is broken on every line from home"):
         plan_poses(ROBOT, 20, Limits(conditioning=0.9))
 
 
@@ -180,7 +180,7 @@ def refused(tmp_path):
     [
         (slice(3, 6), 1e3, "millimetres for metres"),
         (slice(6, 12), 1.0 / TURN, "radians for degrees"),
-        (slice(0, 3), TURN, "degrees by _deg"),
+        (slice(0, 3), TURN, "_deg for degrees"),
         (9, -1.0, "crank_angle_3: expected "),
     ],
 )

@@ -94,10 +94,10 @@ def test_the_schema_command_writes_what_the_checkout_holds(call):
 
 
 def test_tables_are_json_on_request_and_choose_columns_by_the_terminals_width(call, monkeypatch):
-    status, out, _ = call("check", "paper_fig7", "--json")
-    assert status == 0
+    status, out, err = call("check", "paper_fig7", "--json")
+    assert (status, err) == (0, "what each limit is: stewart-drake explain limits\n")
     assert json.loads(out)["reach"]["bound"] == 0.98
-    for width, shown, left_out in ((200, "where", ""), (50, "allowed", "also shows: ")):
+    for width, shown, left_out in ((200, "where", ""), (50, "allowed", "more columns")):
         monkeypatch.setenv("COLUMNS", str(width))
         out = call("check", "paper_fig7")[1]
         assert shown in out
@@ -122,7 +122,7 @@ BAD = [
     ("write-sdf x.sdf --set robot.rod_lenght=1", ["robot.rod_lenght", "did you mean rod_length?"]),
     ("train none.parquet", ["none.parquet", "collect"]),
     ("margins --poses 0", ["--poses"]),
-    ("check paper_fig7 --out fit.yaml", ["--out needs one of --scale and --retime"]),
+    ("check paper_fig7 --out fit.yaml", ["--out needs either --scale or --retime"]),
     ("compare compare.yaml", ["weak, hold, nominal: controller.kpp"]),
     ("sweep initial_ofset", ["sweep file", "'initial_ofset'", "initial_offset"]),
     ("calibrate --robot paper --out x.yaml", ["either POSES or --plan N"]),

@@ -29,6 +29,7 @@ def test_what_there_is_to_choose_from_is_listed(call):
     [
         ("gravity", {"unit": "m/s^2", "default": 9.81, "allowed": "a number at least 0 and at most 1,000,000"}),
         ("payload_mass", {"key": "plant.payload_mass", "unit": "kg", "default": 0.0}),
+        ("link.faults.kind", {"allowed": "nan, inf, offset or chatter"}),
         ("tuner.kappa", {"of kind": "policy", "allowed": "a number at least -1 and at most 1"}),
     ],
 )
@@ -57,7 +58,7 @@ def test_a_scenario_to_begin_with_has_a_comment_on_each_key_and_runs(call, tmp_p
 @pytest.mark.slow
 def test_the_doctor_knows_versions_speed_and_cache(call):
     facts = json.loads(call("doctor", "--json")[1])
-    assert {"python", "drake", "graphviz", "compiled laws", "cores", "this folder"} <= set(facts)
+    assert {"python", "drake", "graphviz", "compiled code", "cores", "this folder"} <= set(facts)
     assert facts["a tick of exact_breathing, fast engine"].endswith(" us of 1000 us")
 
 

@@ -38,7 +38,7 @@ def test_a_robot_from_a_table_is_kept_and_comes_back(call, tmp_path):
     status, out, _ = call("robots", *arguments, "--set", "rod_length=180", "--about", "mine", "--out", "mine.yaml")
     assert status == 0
     assert out.splitlines()[0] == "robot in mine.yaml: home at Z = 0.2002 m"
-    assert "taken from the paper's robot [kg, kg m^2, N m]: platform_mass = 1" in out
+    assert "because not given [kg, kg m^2, N m]: platform_mass = 1" in out
     assert load_robot("mine.yaml").rod_lengths.tolist() == [0.18] * 6
     assert (tmp_path / "mine.yaml").read_text().startswith("about: mine\n")
 

@@ -113,6 +113,6 @@ def test_missing_readings_are_bridged_by_the_model_and_then_end_the_run():
         assert seen["missed"].tolist() == [0.0] * 4 + [float(missed), 0.0]
         assert seen["innovation"][4] == 0.0
         np.testing.assert_allclose(seen["measurement"][:6], pose[0], atol=1e-7)
-    with pytest.raises(RunFailure, match="4 is missing or not believed") as caught:
+    with pytest.raises(RunFailure, match="4 is missing or rejected") as caught:
         tick(angles)
     assert (caught.value.reason, caught.value.leg) == ("encoder", 4)

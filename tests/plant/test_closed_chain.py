@@ -74,4 +74,4 @@ def test_what_it_cannot_have_is_refused_by_name(changes):
     assert PlantOptions.from_dict(changes).engine == "drake"
     with pytest.raises(ConfigurationError) as caught:
         PlantOptions.from_dict({"engine": "reduced", **changes})
-    assert str(caught.value) == f"plant.engine: expected drake, where {next(iter(changes))} is given, got 'reduced'"
+    assert str(caught.value) == f"plant.engine: expected drake, because {next(iter(changes))} is given, got 'reduced'"

@@ -41,5 +41,5 @@ def test_below_break_away_a_motor_yields_5e_6_rad_at_most_and_then_rests(robot, 
 def test_bad_friction_is_refused_in_a_line():
     with pytest.raises(ConfigurationError, match=r"plant\.friction\.break_away: expected at least"):
         PlantOptions.from_dict({"friction": {"coulomb": 0.1, "break_away": 0.05}})
-    with pytest.raises(ConfigurationError, match=r"plant\.motor_friction: expected 0 where `friction`"):
+    with pytest.raises(ConfigurationError, match=r"plant\.motor_friction: expected 0, because `friction`"):
         PlantOptions.from_dict({"friction": {}, "motor_friction": 0.1})

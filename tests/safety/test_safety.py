@@ -352,7 +352,7 @@ def test_a_start_that_would_trip_is_refused():
     # At rest at the start the motors need what the weight needs, whatever the motion is.
     weak = np.abs(WEIGHT).max() / ROBOT.effort_limit
     refuse_start(ROBOT, SafetyOptions(torque_limit=1.001 * weak), STANDARD_GRAVITY, HOME, STILL, HOME)
-    with pytest.raises(ConfigurationError, match=r"safety\.torque_limit.*to stand at the start.*t = 0\.000 s, leg"):
+    with pytest.raises(ConfigurationError, match=r"safety\.torque_limit.*to hold the start pose.*t = 0\.000 s, leg"):
         refuse_start(ROBOT, SafetyOptions(torque_limit=0.999 * weak), STANDARD_GRAVITY, HOME, STILL, HOME)
 
 

@@ -87,7 +87,7 @@ def test_it_stands_still_where_the_model_is_wrong_or_the_integral_holds_the_robo
 def test_a_pose_that_cannot_be_held_is_left_out():
     # Nothing holds the weight of a robot under a law without integral and without its model.
     weak = scenario(*IDEAL, "controller={kind: pid, ki: 0, feedforward: none, kp: 0.001, kd: 0.001}")
-    with pytest.raises(ConfigurationError, match="stands still at some pose"):
+    with pytest.raises(ConfigurationError, match="an equilibrium at some pose"):
         linear_loops(weak, POSE[None])
 
 

@@ -165,7 +165,7 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(start, tmp_path)
     assert (process.returncode, out, "Traceback" in err) == (130, "", False)
     kept = rows.read_bytes().splitlines()
     assert 2 <= len(kept) < 12
-    assert "interrupted; finished runs are kept in out; the same command goes on from there" in err
+    assert "interrupted; finished runs are kept in out; the same command continues" in err
     process = start("sweep", "tiny.yaml", "--workers", 2, "--out", "out", "--quiet")
     assert process.communicate(timeout=120) == ("", "")
     assert process.returncode == 0

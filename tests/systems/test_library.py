@@ -83,7 +83,7 @@ def test_a_part_of_a_scenario_has_the_ports_that_its_class_names(kind):
 
 
 def test_a_scenario_without_the_part_is_refused():
-    with pytest.raises(ConfigurationError, match=r"whose loop has the part observer.*; it has controller"):
+    with pytest.raises(ConfigurationError, match=r"with the part observer.*; it has controller"):
         systems.PlatformObserver(Scenario())
     with pytest.raises(ConfigurationError, match=r"controller.kind: expected pid, got 'lqi'"):
         systems.JointPid(Scenario())
