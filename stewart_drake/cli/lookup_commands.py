@@ -129,8 +129,8 @@ def explain(key: str) -> None:
         default = _short(each.schema["default"]) if "default" in each.schema else ""
         name, text = (each.name.rpartition(".")[2], each.sentence) if each in inside else (each.name, each.text)
         shown.setdefault((name, text, each.unit, default, allowed(root, each.schema)), []).append(each.kind)
-    rows = [(*rest, ", ".join(filter(None, kinds))) for rest, kinds in shown.items()]
-    header = ("key", "what it does", "unit", "default", "allowed", "of kind")
+    rows = [(name, ", ".join(filter(None, kinds)), *rest) for (name, *rest), kinds in shown.items()]
+    header = ("key", "of kind", "what it does", "unit", "default", "allowed")
     used = [place for place in range(len(header)) if any(row[place] for row in rows)]
     if len(rows) == 1:
         print_table(key, [(header[place], rows[0][place]) for place in used], numbers=())
@@ -172,7 +172,9 @@ def allowed(root: Mapping[str, Any], schema: Mapping[str, Any]) -> str:
 
 
 def _short(value: Any) -> str:
-    """A default, its numbers in six digits."""
+    """A default, its numbers in six digits, equal ones once."""
+    if isinstance(value, (list, tuple)) and len(value) == 6 and len(set(map(str, value))) == 1:
+        value = value[0]
     return json.dumps(json.loads(json.dumps(value), parse_float=lambda text: float(f"{float(text):.6g}")))
 
 
