@@ -172,9 +172,10 @@ def is_code(text: str) -> bool:
 
 
 def source_of(thing: Any) -> str:
-    """Source of a function, class or module, to tell whether it has changed; else a function's compiled code."""
+    """Name and source of a function, class or module, to tell whether it has changed; else its compiled code."""
     try:
-        return inspect.getsource(thing)
+        # Python 3.13 gives a class that was made by a call the source of its base.
+        return f"{getattr(thing, '__qualname__', '')} {inspect.getsource(thing)}"
     except (OSError, TypeError):
         return repr(getattr(getattr(thing, "__code__", None), "co_code", None))
 
