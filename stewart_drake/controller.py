@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.part import Running
 from stewart_drake.parts import loop_of
 from stewart_drake.safety import LEVELS
@@ -36,6 +36,7 @@ class Controller:
 
     def __init__(self, scenario: Scenario) -> None:
         loop = loop_of(scenario, split=True)
+        self._age = np.zeros(1)
         own = [*loop.parts[loop.first : loop.last], *(part for part in loop.parts[loop.last :] if part.late)]
         safety = [part for part in loop.parts if part.name == "safety"]
         if any(part.system is not None for part in own):
@@ -45,7 +46,7 @@ class Controller:
         self.period, self.reading = scenario.controller.period, scenario.sensors.reading_size
         outside = {loop.reading: self.reading, **{source.signal: source.size for source in loop.sources}}
         for layer in safety:
-            reads = {**layer.reads, "command": "torque", "age": np.zeros(1)}
+            reads = {**layer.reads, "command": "torque", "age": self._age}
             own.insert(len(own) - sum(part.late for part in own), layer._replace(reads=reads))
         self._running = Running(own, outside)
         self._sources = [
@@ -56,30 +57,46 @@ class Controller:
         self._reading = self._running.signal(loop.reading)
         self._torque = self._running.signal("guarded" if safety else "torque")
         self._guarded = bool(safety)
+        self._limits = scenario.believed_robot.effort_limits
+        self._last = -np.inf
 
-    def step(self, readings: np.ndarray, time: float, out: np.ndarray) -> None:
+    def step(self, readings: np.ndarray, time: float, out: np.ndarray, age: float = 0.0) -> None:
         """One tick.
 
         Args:
             readings: (6,) [rad] angles of the cranks, or (12,) pose [rad, m] and its rate, see `reading`.
-            time: [s] of the motion; fastest at multiples of the period.
-            out: (6,) [N m] out, for the motors.
+            time: [s] of the motion, later than at the step before; fastest at multiples of the period.
+            out: (6,) [N m] out, for the motors: float64, within the effort limits of the robot.
+            age: [s] of the readings beyond what the scenario says; the safety layer's `deadline` refers to it.
 
         Raises:
+            ConfigurationError: An argument that is not as said; nothing has changed then.
             RunFailure: A part has failed, or the safety layer gives the robot up; `reason` and `leg` say why.
         """
+        if np.shape(readings) != self._reading.shape:
+            raise ConfigurationError("readings", np.shape(readings), f"an array of shape ({self.reading},)")
+        if not (isinstance(out, np.ndarray) and out.dtype == np.float64 and out.shape == (6,)):
+            raise ConfigurationError("out", out, "an array of shape (6,), dtype float64, to write torques to")
+        if not self._last < time < np.inf:
+            raise ConfigurationError("time", time, f"a finite time later than that of the step before, {self._last} s")
+        if not age >= 0.0:
+            raise ConfigurationError("age", age, "a number that is not negative [s]")
         self._reading[:] = readings
-        self._running.time[0] = time
+        self._age[0] = age / self.period
+        self._running.time[0] = self._last = time
         for signal, table, evaluate in self._sources:
             at, value = table.at(round(time / table.period))
             signal[:] = value if abs(at - time) < 1e-9 else evaluate(np.array([time]))[0]
         self._running.tick()
-        out[:] = self._torque
+        if not np.isfinite(self._torque).all():
+            raise NotFiniteError("torque", self._torque.copy())
+        np.clip(self._torque, -self._limits, self._limits, out=out)
         self._running.late()
 
     def reset(self) -> None:
         """Resets the state to that before the first step."""
         self._running.reset()
+        self._last = -np.inf
 
     def signal(self, name: str) -> np.ndarray:
         """A signal of the last step by its name, such as `torque`, `error` or `measurement`; a view.

@@ -1,14 +1,20 @@
 """The controller's side alone: what it says to the readings of a run is what it said in the run."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
 from conftest import python
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import vectors
 
-from stewart_drake import Controller, Scenario, load_scenario, run
-from stewart_drake.errors import SafetyStop
+from stewart_drake import Controller, RobotParameters, Scenario, load_scenario, run
+from stewart_drake.errors import ConfigurationError, RunFailure, SafetyStop
+from stewart_drake.hardware.motors import standing_torque
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
+from stewart_drake.plant.closed_chain import ClosedChain
 
 ENCODERS = {"sensors": {"kind": "encoders", "rate_cutoff": 150.0}}
 OBSERVED = {
@@ -134,3 +140,171 @@ def test_a_function_is_a_controller():
     controller, out = Controller(Scenario(controller=lambda *_: np.arange(6.0))), np.empty(6)
     controller.step(np.zeros(12), 0.0, out)
     np.testing.assert_array_equal(out, np.arange(6.0))
+
+
+@pytest.fixture(scope="module")
+def by_torque():
+    """A controller that asks for 8 N m of motors that give 5, with and without safety layer."""
+    scenario = Scenario(controller=lambda *_: np.full(6, 8.0), robot={"effort_limit": 5.0})
+    return {"alone": Controller(scenario), "safety": Controller(scenario.replace(safety={"torque_rate": None}))}
+
+
+@pytest.mark.parametrize("name", ["alone", "safety"])
+def test_it_gives_no_more_than_the_motors_can(by_torque, name):
+    controller, out = by_torque[name], np.empty(6)
+    controller.reset()
+    home = np.concatenate([RobotParameters().home_pose, np.zeros(6)])
+    controller.step(home, 0.0, out)
+    np.testing.assert_array_equal(out, 5.0)
+
+
+def test_a_torque_that_is_no_number_never_comes_out():
+    controller = Controller(
+        load_scenario("exact_fig7", ("controller=lqi", "tuner=fixed", "controller.feedforward=none"))
+    )
+    out = np.full(6, 1.5)
+    with pytest.raises(RunFailure):
+        controller.step(np.full(12, np.nan), 0.0, out)
+    np.testing.assert_array_equal(out, 1.5)
+
+
+HOME = RobotParameters().home_pose
+REFUSED = {
+    "five readings": ("readings", {"readings": np.zeros(5)}),
+    "one reading for all": ("readings", {"readings": 0.0}),
+    "whole numbers out": ("out", {"out": np.zeros(6, dtype=int)}),
+    "seven torques": ("out", {"out": np.zeros(7)}),
+    "a list": ("out", {"out": [0.0] * 6}),
+    "the same time": ("time", {"time": 0.0}),
+    "an earlier time": ("time", {"time": -1.0}),
+    "no time": ("time", {"time": np.nan}),
+    "a reading of the future": ("age", {"age": -0.001}),
+}
+
+
+@pytest.mark.parametrize(("key", "given"), REFUSED.values(), ids=REFUSED.keys())
+def test_what_is_not_as_said_is_refused_and_changes_nothing(by_torque, key, given):
+    controller = by_torque["alone"]
+    controller.reset()
+    usual = {"readings": np.concatenate([HOME, np.zeros(6)]), "time": 0.001, "out": np.full(6, 1.5)}
+    controller.step(usual["readings"], 0.0, np.empty(6))
+    before = controller._running.values.copy()
+    with pytest.raises(ConfigurationError) as caught:
+        controller.step(**{**usual, **given})
+    assert caught.value.key == key
+    assert "\n" not in str(caught.value)
+    np.testing.assert_array_equal(controller._running.values, before)
+    controller.step(**usual)
+
+
+def test_readings_that_are_too_old_reach_the_deadline():
+    scenario = Scenario(controller=lambda *_: np.zeros(6), gravity=0.0, reference="hold", safety={"deadline": 2})
+    controller, out = Controller(scenario), np.empty(6)
+    at_home, period = np.concatenate([HOME, np.zeros(6)]), controller.period
+    for tick, (age, status) in enumerate(
+        [(0.0, "none"), (2.0, "none"), (2.1, "hold"), (0.0, "none"), (np.inf, "hold")]
+    ):
+        controller.step(at_home, tick * period, out, age * period)
+        assert controller.status == status
+
+
+KINDS = [
+    {"kind": kind, "saturation": saturation, "period": 0.001}
+    for kind, ways in {
+        "lqi": ("none", "clamp", "back_calculation"),
+        "pid": ("none", "clamp", "back_calculation"),
+        "computed_torque": ("none", "clamp"),
+    }.items()
+    for saturation in ways
+]
+
+
+@pytest.mark.parametrize("safety", [None, {}])
+@pytest.mark.parametrize("controller", KINDS, ids=lambda keys: f"{keys['kind']}-{keys['saturation']}")
+@settings(max_examples=20, deadline=None)
+@given(steps=st.lists(st.tuples(vectors(6), st.floats(0.0, 5.0), st.floats(0.1, 5.0)), min_size=1, max_size=8))
+def test_whatever_it_reads_and_whenever_no_kind_gives_more_than_the_limit(controller, safety, steps):
+    """Angles far from the reference, readings of any age, ticks at any time; the limit is near the weight's torque."""
+    mine = the_controller(json.dumps(controller), json.dumps(safety))
+    mine.reset()
+    out, time = np.zeros(6), 0.0
+    for unit, age, later in steps:
+        pose = HOME + unit * [0.2, 0.2, 0.2, 0.03, 0.03, 0.02]
+        assert (abs(out) <= 0.6).all()
+        try:
+            mine.step(np.concatenate([pose, 0.1 * unit]), time, out, 0.001 * age)
+        except RunFailure:
+            break
+        time += 0.001 * later
+    assert (abs(out) <= 0.6).all()
+
+
+@cache
+def the_controller(controller, safety):
+    keys = {"controller": json.loads(controller), "safety": json.loads(safety), "robot.effort_limit": 0.6}
+    return Controller(short("exact_fig7", {**keys, "duration": 1.0}))
+
+
+class Machine:
+    """The closed chain as a machine with a clock of its own: steps of 0.1 ms, noisy encoders, commands under way."""
+
+    STEP = 1e-4
+
+    def __init__(self, scenario, noise, delay, seed=0):
+        options = scenario.replace({"plant.time_step": self.STEP, "log_period": 0.001}).plant
+        self.plant, self.rng = ClosedChain(scenario.robot, options, scenario.gravity), np.random.default_rng(seed)
+        self.state, self.noise, self.delay = self.plant.initial(*scenario.start()), noise, round(delay / self.STEP)
+        self.torque = standing_torque(scenario.robot, scenario.start()[0], scenario.gravity)
+        self.steps, self.under_way = 0, []
+
+    def advance(self, until):
+        while self.steps < round(until / self.STEP):
+            while self.under_way and self.under_way[0][0] <= self.steps:
+                self.torque = self.under_way.pop(0)[1]
+            self.plant.step(self.torque, np.zeros(6), self.state)
+            self.steps += 1
+
+    def read(self):
+        return self.state["angles"][0] + self.noise * self.rng.normal(size=6)
+
+    def command(self, torque):
+        self.under_way.append((self.steps + self.delay, torque.copy()))
+
+
+def error_on_a_machine(noise=2e-5, delay=0.001, late=0.0, lost=0.0, duration=1.0):
+    """RMS error [mm] where the controller believes in noise of 2e-5 rad, a delay of 1 ms and a tick a millisecond.
+
+    `late` [s]: by up to how much ticks are late; `lost`: share of readings of an encoder that never come.
+    """
+    scenario = short(
+        "exact_breathing", {**OBSERVED, "sensors.noise": 2e-5, "tuner": "block", "plant.motor_friction": 0}
+    )
+    controller, machine, rng = Controller(scenario), Machine(scenario, noise, delay), np.random.default_rng(1)
+    torque, errors = np.empty(6), []
+    for tick in range(round(duration / controller.period)):
+        time = tick * controller.period + late * rng.random()
+        machine.advance(time)
+        reading = machine.read()
+        reading[(rng.random(6) < lost) & (tick > 0)] = np.nan
+        controller.step(reading, time, torque)
+        machine.command(torque)
+        wanted = scenario.reference.evaluate(machine.steps * machine.STEP)[0]
+        errors.append(machine.state["pose"][0, 3:] - wanted[3:])
+    return 1e3 * np.sqrt(np.mean(np.sum(np.square(errors[len(errors) // 2 :]), axis=1)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("wrong", "most"),
+    [
+        ({"noise": 0.0}, 0.02),
+        ({"noise": 2e-4}, 0.04),
+        ({"delay": 0.0}, 0.02),
+        ({"delay": 0.003}, 0.02),
+        ({"late": 0.0009}, 0.02),
+        ({"lost": 0.2}, 0.02),
+    ],
+    ids=str,
+)
+def test_it_bears_a_machine_with_other_noise_delay_and_clock(wrong, most):
+    assert error_on_a_machine(**wrong) < most
