@@ -83,4 +83,4 @@ def test_a_whole_run(benchmark, changes):
         f"\nwhole run: drake / reduced = {ratio:.1f} (processor time, median; "
         f"reduced {1e6 * np.median(mine) / ticks:.0f} us a tick, drake {1e6 * np.median(drake) / ticks:.0f})"
     )
-    assert ratio > 5.0
+    assert ratio > 7.5
