@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError, NotFiniteError
-from stewart_drake.part import Running
+from stewart_drake.part import LoopRunner
 from stewart_drake.parts import loop_of
 from stewart_drake.safety import LEVELS
 from stewart_drake.sampling import InBlocks
@@ -37,7 +37,7 @@ class Controller:
     def __init__(self, scenario: Scenario) -> None:
         loop = loop_of(scenario, split=True)
         self._age = np.zeros(1)
-        own = [*loop.parts[loop.first : loop.last], *(part for part in loop.parts[loop.last :] if part.late)]
+        own = [*loop.parts[loop.first : loop.last], *(part for part in loop.parts[loop.last :] if part.end_of_tick)]
         safety = [part for part in loop.parts if part.name == "safety"]
         if any(part.system is not None for part in own):
             raise ConfigurationError(
@@ -46,17 +46,16 @@ class Controller:
         self.period, self.reading = scenario.controller.period, scenario.sensors.reading_size
         outside = {loop.reading: self.reading, **{source.signal: source.size for source in loop.sources}}
         for layer in safety:
-            reads = {**layer.reads, "command": "torque", "age": self._age}
-            own.insert(len(own) - sum(part.late for part in own), layer._replace(reads=reads))
-        self._running = Running(own, outside)
+            own.append(layer.connected(command="torque", age=self._age))
+        self._running = LoopRunner(own, outside, period=self.period)
         self._sources = [
             (self._running.signal(each.signal), InBlocks(each.evaluate, self.period), each.evaluate)
             for each in loop.sources
             if each.signal != "wrench"
         ]
         self._reading = self._running.signal(loop.reading)
-        self._torque = self._running.signal("guarded" if safety else "torque")
-        self._guarded = bool(safety)
+        self._torque = self._running.signal("safe_torque" if safety else "torque")
+        self._safe = bool(safety)
         self._limits = scenario.believed_robot.effort_limits
         self._last = -np.inf
 
@@ -87,11 +86,11 @@ class Controller:
         for signal, table, evaluate in self._sources:
             at, value = table.at(round(time / table.period))
             signal[:] = value if abs(at - time) < 1e-9 else evaluate(np.array([time]))[0]
-        self._running.tick()
+        self._running.run()
         if not np.isfinite(self._torque).all():
             raise NotFiniteError("torque", self._torque.copy())
         np.clip(self._torque, -self._limits, self._limits, out=out)
-        self._running.late()
+        self._running.end()
 
     def reset(self) -> None:
         """Resets the state to that before the first step."""
@@ -108,4 +107,4 @@ class Controller:
     @property
     def status(self) -> str:
         """Level of the safety layer: `none` where all is well, then `hold`, `ramp`, `safe_hold`, `end`."""
-        return LEVELS[int(self._running.signal("safety")[0])] if self._guarded else LEVELS[0]
+        return LEVELS[int(self._running.signal("safety")[0])] if self._safe else LEVELS[0]

@@ -1,11 +1,12 @@
-"""The type of which a run is made: a part of the loop, with named inputs and outputs, a state, and a law.
+"""The type of which a loop is made, a part: a kernel with constants, inputs, outputs and a state; and what runs parts.
 
-A run is an ordered list of parts. Drake's Diagram connects them by name, each in a LeafSystem; the fast engine calls
-them in order, each on the fields of the others' states; `Controller` does so without a plant.
+A run is an ordered list of parts. Drake's Diagram connects them by name, each in a LeafSystem; `LoopRunner` calls them
+in order on one vector of all signals and states, for the fast engine and for `Controller`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
@@ -15,55 +16,88 @@ import numpy as np
 
 from stewart_drake.errors import RunFailure, failure_code
 from stewart_drake.robot import RobotParameters
+from stewart_drake.sampling import steps_per
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
-WELL = (0.0, -1.0)
+HEALTHY = (0.0, -1.0)
 """The health of a part whose last tick did not fail: no cause, no leg."""
 
 
 class Part(NamedTuple):
     """A part of the loop.
 
+    Its kernel is called as `kernel(*constants, *inputs, *scratch, state)` and changes the state in place. It returns
+    nothing, or a tuple that begins with a status, 0 where all is well; who runs the part raises `error` for another.
+    The state is then worthless. A kernel of our own is compiled; a user's may be plain Python, and may raise
+    RunFailure.
+
     An input is the last signal of its name: of the same instant by a part before it in the list, or of the tick before
-    by a part after it, or by a late one.
+    by a part after it, or by one that runs at the end of a tick.
 
     Attributes:
         name: In the Diagram and in messages.
-        inputs: Port -> size. The port `time` (1,) [s] is given by who runs the part.
+        kernel: See above.
+        constants: Name -> what does not change: records of numbers, for a kernel in Python anything. A signal of as
+            many numbers may take the place of a record, see `connections`.
+        inputs: Port -> size; the kernel gets arrays (size,). The port `time` (1,) [s] is given by who runs the part.
         outputs: Fields of its state that are signals; they come first in the state, in this order.
         initial: State before the first tick: a record (1,) of float64 fields, see `jit.fields`.
-        tick: Takes the inputs, arrays (size,), in their order, and then the state, which it changes in place. Raises
-            RunFailure; the state is then worthless.
-        reads: Port -> name of the signal, where that is not the port's own; or an array that stays, for a port that
-            this loop has no signal for.
-        says: Output -> name of the signal, where that is not its own.
-        every_step: Whether it ticks at every step of the plant, not only at the ticks of the controller.
-        late: Whether it ticks once all others have, so that what it says acts from the next tick on.
-        system: A user's own LeafSystem in the place of state and tick; it runs in a Diagram alone.
+        scratch: Kinds of records that the kernel overwrites.
+        error: The error of a result of the kernel and of its arguments by name, with `scratch` and `state`.
+        connections: Port or constant -> name of the signal, where that is not the port's own; or an array that stays,
+            for a port that this loop has no signal for.
+        output_names: Output -> name of the signal, where that is not its own.
+        period: [s] between two ticks; None for that of the controller.
+        end_of_tick: Whether it runs once all others have, so that its outputs act from the next tick on.
+        fault_tolerant: Whether a tick that fails does not end the run: its last state is repeated, and its output
+            `health` (2,) has the cause as `errors.FAILURES` counts it, 0 for none, and the leg or -1.
+        system: A user's own LeafSystem in the place of kernel and state; it runs in a Diagram alone.
     """
 
     name: str
+    kernel: Callable[..., Any]
+    constants: Mapping[str, Any]
     inputs: Mapping[str, int]
     outputs: tuple[str, ...]
-    initial: np.ndarray = np.zeros(1)
-    tick: Callable[..., None] = lambda *_: None
-    reads: Mapping[str, str | np.ndarray] = NOTHING
-    says: Mapping[str, str] = NOTHING
-    every_step: bool = False
-    late: bool = False
+    initial: np.ndarray
+    scratch: tuple[np.dtype, ...] = ()
+    error: Callable[[Any, Mapping[str, Any]], RunFailure] | None = None
+    connections: Mapping[str, str | np.ndarray] = NOTHING
+    output_names: Mapping[str, str] = NOTHING
+    period: float | None = None
+    end_of_tick: bool = False
+    fault_tolerant: bool = False
     system: Any = None
 
     def source(self, port: str) -> str | np.ndarray:
         """Name of the signal at an input port, or the array that stands there."""
-        return self.reads.get(port, port)
+        return self.connections.get(port, port)
 
     def signal(self, output: str) -> str:
         """Name of the signal that an output is."""
-        return self.says.get(output, output)
+        return self.output_names.get(output, output)
+
+    @property
+    def replaced(self) -> tuple[str, ...]:
+        """Constants whose place a signal takes."""
+        return tuple(name for name in self.constants if name in self.connections)
 
     def size(self, field: str) -> int:
         """Numbers in a field of its state."""
         return int(np.prod(self.initial.dtype[field].shape, dtype=int))
+
+    def tick(self, *inputs: Any) -> None:
+        """A tick by hand: the inputs in their order and then the state, which is changed in place."""
+        BoundPart(self, inputs[:-1], inputs[-1])()
+
+    def connected(self, **sources: str | np.ndarray) -> Part:
+        """The part with these signals, or arrays, at those of its ports that have such a name."""
+        own = {port: source for port, source in sources.items() if port in self.inputs}
+        return self._replace(connections={**self.connections, **own})
+
+    def named(self, **signals: str) -> Part:
+        """The part with other names of its outputs."""
+        return self._replace(output_names={**self.output_names, **signals})
 
 
 class Setup(NamedTuple):
@@ -78,7 +112,7 @@ class Setup(NamedTuple):
     time_step: float  # [s] of the plant.
     pose: np.ndarray  # (6,) [rad, m] at the start.
     pose_rate: np.ndarray  # (6,) [rad/s, m/s] likewise.
-    still: np.ndarray  # (6,) [N m] at the motors until the first command arrives.
+    initial_torque: np.ndarray  # (6,) [N m] at the motors until the first command arrives.
     delay: int  # [ticks] of the commands.
     ahead: int  # [ticks] by which the controller sees state and reference ahead of time.
     latency: float  # [s] from a reading to its torque, as believed.
@@ -90,47 +124,88 @@ class Setup(NamedTuple):
     # What the tuner makes of the disturbance that an observer expects: shares at the start, and the least.
     levels: tuple[float, float]
     disturbance: float  # [rad/s^2 per sqrt(s)] that an observer expects; 0 without one.
-    guarded: bool  # Whether a tick that fails does not end the run.
+    fault_tolerant: bool  # Whether a tick that fails does not end the run.
     split: bool  # Whether an LQI takes the compiled split solution whatever its options say.
 
 
-def guarded(part: Part) -> Part:
-    """A part whose failing ticks do not end the run: it repeats its last state, and its output `health` says why.
+class BoundPart:
+    """A part with its arguments: a call of it is a tick.
 
-    Health (2,): the cause as `errors.FAILURES` counts it, 0 for none; the leg or -1. The part's state has a field of
-    that name.
+    Args:
+        part: The part.
+        inputs: Its inputs, in their order.
+        state: Its state.
+        signals: Signals in the place of constants, by their names.
     """
-    before = part.initial.copy()
 
-    def tick(*arguments: Any) -> None:
-        state = arguments[-1]
-        np.copyto(before, state)
+    def __init__(
+        self, part: Part, inputs: Sequence[Any], state: np.ndarray, signals: Mapping[str, np.ndarray] = NOTHING
+    ) -> None:
+        self.part = part
+        self._scratch = tuple(np.zeros(1, kind) for kind in part.scratch)
+        self._before = part.initial.copy()
+        self.bind(inputs, state, signals)
+
+    def bind(self, inputs: Sequence[Any], state: np.ndarray, signals: Mapping[str, np.ndarray] = NOTHING) -> None:
+        """Other arrays in the place of those that were given."""
+        constants = self.part.constants
+        if signals:
+            constants = {**constants, **{name: each.view(constants[name].dtype) for name, each in signals.items()}}
+        self.state = state
+        self.arguments = (*constants.values(), *inputs, *self._scratch, state)
+
+    def __call__(self) -> None:
+        """A tick; raises the named error of a part that is not fault tolerant."""
+        if not self.part.fault_tolerant:
+            result = self.part.kernel(*self.arguments)
+            if result is not None and result[0] != 0:
+                raise self._error(result)
+            return
+        np.copyto(self._before, self.state)
         try:
-            part.tick(*arguments)
-            state["health"] = WELL
+            result = self.part.kernel(*self.arguments)
+            if result is not None and result[0] != 0:
+                raise self._error(result)
+            self.state["health"] = HEALTHY
         except RunFailure as error:
-            np.copyto(state, before)
-            state["health"] = failure_code(error.reason), -1.0 if error.leg is None else error.leg
+            np.copyto(self.state, self._before)
+            self.state["health"] = failure_code(error.reason), -1.0 if error.leg is None else error.leg
 
-    return part._replace(outputs=(*part.outputs, "health"), tick=tick)
+    def _error(self, result: Any) -> RunFailure:
+        assert self.part.error is not None
+        named = dict(zip((*self.part.constants, *self.part.inputs), self.arguments, strict=False))
+        return self.part.error(result, {**named, "scratch": self._scratch, "state": self.state})
+
+    @property
+    def call(self) -> Callable[[], Any]:
+        """The same tick with the arguments that are bound now, by the shortest way."""
+        plain = self.part.error is None and not self.part.fault_tolerant
+        return partial(self.part.kernel, *self.arguments) if plain else self
 
 
-class Running:
+class LoopRunner:
     """Parts with their states, side by side in one vector, called in order outside of a Diagram.
 
     Args:
         parts: In order.
         outside: Signals that come from elsewhere -> size; whoever has this object writes them.
         inside: Signals that are parts of those -> where in `values` they are.
+        period: [s] of the parts that name none.
+        step: [s] between two calls of `run`; None for `period`.
 
     Attributes:
         values: (n,) all signals and states. A copy of it is a snapshot of the whole loop.
         places: Name of a signal -> where in `values` it is.
-        time: (1,) [s] of the tick; to be written before it.
+        time: (1,) [s] of the step; to be written before it.
     """
 
     def __init__(
-        self, parts: Sequence[Part], outside: Mapping[str, int], inside: Mapping[str, slice] | None = None
+        self,
+        parts: Sequence[Part],
+        outside: Mapping[str, int],
+        inside: Mapping[str, slice] | None = None,
+        period: float = 1.0,
+        step: float | None = None,
     ) -> None:
         self._parts = tuple(parts)
         sizes = [*outside.values(), *(part.initial.dtype.itemsize // 8 for part in parts)]
@@ -144,25 +219,28 @@ class Running:
             for output in part.outputs:
                 at = start + part.initial.dtype.fields[output][1] // 8  # type: ignore[index]
                 self.places[part.signal(output)] = slice(at, at + part.size(output))
-        calls = {
-            part.name: partial(part.tick, *self._inputs(part), state)
-            for part, state in zip(parts, self._states, strict=True)
-        }
-        self._tick = [calls[part.name] for part in parts if not part.late]
-        self._between = [calls[part.name] for part in parts if part.every_step]
-        self._late = [calls[part.name] for part in parts if part.late]
+        calls = [
+            BoundPart(part, *self._sources(part, state)).call for part, state in zip(parts, self._states, strict=True)
+        ]
+        steps = [steps_per(f"{part.name}.period", part.period or period, step or period) for part in parts]
+        self._cycle = math.lcm(*steps)
+        self._rows = list(zip(self._parts, calls, steps, strict=True))
+        self._due: dict[tuple[int, bool], list[Callable[[], Any]]] = {}
         self.reset()
 
-    def _inputs(self, part: Part) -> list[np.ndarray]:
-        sources = [self.time if port == "time" else part.source(port) for port in part.inputs]
-        return [self.values[self.places[each]] if isinstance(each, str) else each for each in sources]
+    def _sources(self, part: Part, state: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, dict[str, np.ndarray]]:
+        inputs = [self.time if port == "time" else self._array(part.source(port)) for port in part.inputs]
+        return inputs, state, {name: self._array(part.source(name)) for name in part.replaced}
+
+    def _array(self, source: str | np.ndarray) -> np.ndarray:
+        return self.values[self.places[source]] if isinstance(source, str) else source
 
     def reset(self) -> None:
         """All states as before the first tick."""
         for part, state in zip(self._parts, self._states, strict=True):
             state[:] = part.initial
 
-    def take_over(self, other: Running) -> None:
+    def take_over(self, other: LoopRunner) -> None:
         """Goes on where another one is: the plant, and each part that both have, as it is there."""
         self.signal("plant")[:] = other.signal("plant")
         states = {part.name: state for part, state in zip(other._parts, other._states, strict=True)}
@@ -178,19 +256,20 @@ class Running:
         """The record (1,) of a part, by its name; a view."""
         return next(state for part, state in zip(self._parts, self._states, strict=True) if part.name == name)
 
-    def tick(self) -> None:
-        """A tick of all parts but the late ones; a RunFailure of a part gets the time."""
-        self._call(self._tick)
+    def run(self, step: int = 0) -> None:
+        """The parts that are due at a step, but those of the end of a tick; a RunFailure of a part gets the time."""
+        self._run(step, False)
 
-    def between(self) -> None:
-        """A step of the plant between two ticks."""
-        self._call(self._between)
+    def end(self, step: int = 0) -> None:
+        """The parts that are due at the end of a step: what acts from the next one on."""
+        self._run(step, True)
 
-    def late(self) -> None:
-        """The end of a tick: what acts from the next one on."""
-        self._call(self._late)
-
-    def _call(self, calls: Sequence[Callable[[], None]]) -> None:
+    def _run(self, step: int, end: bool) -> None:
+        key = step % self._cycle, end
+        calls = self._due.get(key)
+        if calls is None:
+            calls = [call for part, call, every in self._rows if part.end_of_tick == end and step % every == 0]
+            self._due[key] = calls
         try:
             for call in calls:
                 call()

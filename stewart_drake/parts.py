@@ -17,7 +17,7 @@ from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.motors import delay_part, standing_torque
 from stewart_drake.hardware.observer import SMALLEST_NOISE
 from stewart_drake.jit import fields, new_record, njit, record
-from stewart_drake.part import Part, Setup, guarded
+from stewart_drake.part import Part, Setup
 from stewart_drake.safety import safety_part
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario
@@ -69,7 +69,7 @@ def setup_of(scenario: Scenario, split: bool = False) -> Setup:
         time_step=scenario.plant.time_step,
         pose=pose,
         pose_rate=rate,
-        still=standing_torque(robot, pose, scenario.gravity),
+        initial_torque=standing_torque(robot, pose, scenario.gravity),
         delay=scenario.command_delay,
         ahead=scenario.ahead,
         latency=scenario.controller.period * (1 + scenario.estimator.ahead(scenario.command_delay)),
@@ -80,7 +80,7 @@ def setup_of(scenario: Scenario, split: bool = False) -> Setup:
         weights=tuner.weights,
         levels=tuner.levels,
         disturbance=scenario.estimator.expected,
-        guarded=scenario.safety is not None,
+        fault_tolerant=scenario.safety is not None,
         split=split,
     )
 
@@ -92,7 +92,7 @@ class _Builder:
         self.scenario, self.setup = scenario, setup_of(scenario, split)
         self.parts: list[Part] = []
         self.logged: dict[str, str | np.ndarray] = {"reference": "reference"}
-        self.late: list[Part] = []
+        self.at_end: list[Part] = []
 
     def loop(self) -> Loop:
         scenario, setup = self.scenario, self.setup
@@ -118,13 +118,13 @@ class _Builder:
         torque = self.add_way_to_motors()
         if torque != "torque":
             self.logged["torque_applied"] = torque
-        parts = (*self.parts, *self.late)
+        parts = (*self.parts, *self.at_end)
         return Loop(parts, tuple(sources), torque, self.reading, len(sensors), last, self.logged)
 
     def add_estimator(self) -> None:
         """What the controller gets of the readings."""
-        parts = [_reading(part, reading=self.reading) for part in self.scenario.estimator.parts(self.setup)]
-        self.parts.extend(self._guarded(part, "sensor_health") for part in parts)
+        parts = [part.connected(reading=self.reading) for part in self.scenario.estimator.parts(self.setup)]
+        self.parts.extend(self._fault_tolerant(part, "sensor_health") for part in parts)
         self.measurement = "measurement" if parts else self.reading
         self.logged["measurement"] = self.measurement
         self.observes = any("ahead" in part.outputs for part in parts)
@@ -141,28 +141,28 @@ class _Builder:
         }
         self.compensated = self.observes or self.scenario.friction_compensation is not None
         (part,) = self.scenario.controller.parts(setup)
-        part = _reading(part, **self.sees)
+        part = part.connected(**self.sees)
         if self.compensated:
-            part = part._replace(says={**part.says, "torque": "control_torque"})
+            part = part.named(torque="control_torque")
         self.weighted = "weights" in part.inputs
-        self.parts.append(self._guarded(part, "controller_health"))
+        self.parts.append(self._fault_tolerant(part, "controller_health"))
         self.logged |= {"torque": "torque", "error": "error", "integral": "integral"}
         if "error" not in part.outputs:
-            self.parts.append(_reading(_ERROR, **self.sees))
+            self.parts.append(_ERROR.connected(**self.sees))
 
     def add_command(self) -> None:
         """What is added to a controller's torque: against friction, and against what an observer cannot explain."""
         setup, friction = self.setup, self.scenario.friction_compensation
         if not self.compensated:
             return
-        against: dict[str, str | np.ndarray] = {"against_friction": np.zeros(6), "compensation": np.zeros(6)}
+        added: dict[str, str | np.ndarray] = {"friction_torque": np.zeros(6), "compensation": np.zeros(6)}
         if friction is not None:
-            self.parts.append(_reading(friction.part(setup), **self.sees))
-            against["against_friction"] = "against_friction"
+            self.parts.append(friction.part(setup).connected(**self.sees))
+            added["friction_torque"] = "friction_torque"
         if self.observes:
-            against["compensation"] = "compensation"
-            self.late.append(_reading(_sent_part(setup.robot.effort_limits, setup.still), **against))
-        self.parts.append(_reading(_COMMAND, **against))
+            added["compensation"] = "compensation"
+            self.at_end.append(_sent_part(setup.robot.effort_limits, setup.initial_torque).connected(**added))
+        self.parts.append(_COMMAND.connected(**added))
 
     def add_tuner(self) -> None:
         """Densities, and the weights that a controller takes; nothing for one that takes none."""
@@ -172,61 +172,56 @@ class _Builder:
         self.parts.append(tuner.density_part())
         self.logged |= {"density": "density", "weights": self.sees["weights"]}
         for part in tuner.parts(setup):
-            self.late.append(_reading(part, reference=self.sees["reference"]))
+            self.at_end.append(part.connected(reference=self.sees["reference"]))
             if "setting" in part.outputs:
                 self.logged["setting"] = "setting"
             if "disturbance" in part.outputs:
                 # The tuner says what the observer is to expect.
-                self.parts = [_reading(each, disturbance=part.signal("disturbance")) for each in self.parts]
+                self.parts = [each.connected(disturbance=part.signal("disturbance")) for each in self.parts]
 
     def add_way_to_motors(self) -> str:
         """Delay, link, safety layer and motors; the name of the torque at the plant."""
         scenario, setup = self.scenario, self.setup
         torque, age = "torque", {}
         if scenario.command_delay > 0:
-            self.parts.append(delay_part(scenario.command_delay, setup.still)._replace(says={"torque": "delayed"}))
+            self.parts.append(delay_part(scenario.command_delay, setup.initial_torque).named(torque="delayed"))
             torque = "delayed"
         if not scenario.link.perfect:
-            self.parts.append(_reading(scenario.link.part(setup), torque=torque)._replace(says={"torque": "arrived"}))
+            self.parts.append(scenario.link.part(setup).connected(torque=torque).named(torque="arrived"))
             torque, age = "arrived", {"age": "age"}
         if scenario.safety is not None:
             self.parts.append(self._safety(command=torque, **age))
-            torque = "guarded"
+            torque = "safe_torque"
             self.logged["safety"] = "safety"
         if not scenario.motors.perfect:
-            self.parts.append(_reading(scenario.motors.part(), torque=torque)._replace(says={"torque": "driven"}))
+            self.parts.append(scenario.motors.part(setup).connected(torque=torque).named(torque="driven"))
             torque = "driven"
         if scenario.safety is None and (scenario.controller.code is not None or scenario.link.faults):
             # The plant would clip an infinite torque to one that looks valid; our own controllers never give one.
-            self.parts.append(_reading(_FINITE, torque=torque))
+            self.parts.append(_FINITE._replace(period=setup.time_step).connected(torque=torque))
             torque = "checked"
         return torque
 
-    def _safety(self, **reads: str) -> Part:
+    def _safety(self, **sources: str) -> Part:
         scenario, setup = self.scenario, self.setup
         assert scenario.safety is not None
         part = safety_part(scenario.safety, setup, scenario.estimator.innovation_scale(setup))
-        reads["measurement"] = self.measurement
+        sources["measurement"] = self.measurement
         if setup.reading == 6:
-            reads["angles"] = self.reading
+            sources["angles"] = self.reading
         if self.observes:
-            reads["innovation"] = "innovation"
+            sources["innovation"] = "innovation"
             if setup.reading == 12:
-                reads["pose_reading"] = self.reading
+                sources["pose_reading"] = self.reading
         for health in {"sensor_health", "controller_health"} & {each.signal("health") for each in self.parts}:
-            reads[health] = health
-        return _reading(part, **reads)._replace(says={"torque": "guarded"})
+            sources[health] = health
+        return part.connected(**sources).named(torque="safe_torque")
 
-    def _guarded(self, part: Part, health: str) -> Part:
+    def _fault_tolerant(self, part: Part, health: str) -> Part:
         """A part whose failing ticks the safety layer hears of, where there is one."""
-        if not self.setup.guarded or part.system is not None:
+        if not self.setup.fault_tolerant or part.system is not None:
             return part
-        return guarded(part)._replace(says={**part.says, "health": health})
-
-
-def _reading(part: Part, **sources: str | np.ndarray) -> Part:
-    """The part with these signals, or arrays, at those of its ports that have such a name."""
-    return part._replace(reads={**part.reads, **{port: sources[port] for port in sources if port in part.inputs}})
+        return part._replace(outputs=(*part.outputs, "health"), fault_tolerant=True).named(health=health)
 
 
 # --- parts that no room has ---
@@ -241,10 +236,11 @@ def _add_torques(control: Any, compensation: Any, friction: Any, states: Any) ->
 
 _COMMAND = Part(
     "command",
-    {"control_torque": 6, "compensation": 6, "against_friction": 6},
+    _add_torques,
+    {},
+    {"control_torque": 6, "compensation": 6, "friction_torque": 6},
     ("torque",),
     new_record(fields(torque=6)),
-    _add_torques,
 )
 """The torque asked for: a controller's, what an observer adds, and what makes up for friction."""
 
@@ -256,17 +252,13 @@ def _remember_sent(limit: Any, torque: Any, friction: Any, states: Any) -> None:
         state.sent[i] = min(max(torque[i], -limit[i]), limit[i]) - friction[i]
 
 
-def _sent_part(limit: np.ndarray, still: np.ndarray) -> Part:
+def _sent_part(limit: np.ndarray, initial: np.ndarray) -> Part:
     """The command of a tick less what friction takes of it, for the observer at the next one.
 
     What the motors cannot give is cut by them, or by the safety layer, which has to see it.
     """
-
-    def tick(torque: np.ndarray, against: np.ndarray, state: np.ndarray) -> None:
-        _remember_sent(limit, torque, against, state)
-
-    start = new_record(fields(sent=6), sent=still)
-    return Part("sent", {"torque": 6, "against_friction": 6}, ("sent",), start, tick, late=True)
+    first, inputs = new_record(fields(sent=6), sent=initial), {"torque": 6, "friction_torque": 6}
+    return Part("sent", _remember_sent, {"limit": limit}, inputs, ("sent",), first, end_of_tick=True)
 
 
 def _error_tick(measured: np.ndarray, wanted: np.ndarray, state: np.ndarray) -> None:
@@ -275,10 +267,11 @@ def _error_tick(measured: np.ndarray, wanted: np.ndarray, state: np.ndarray) -> 
 
 _ERROR = Part(
     "tracking_error",
+    _error_tick,
+    {},
     {"measurement": 12, "reference": 18},
     ("error", "integral"),
     new_record(fields(error=6, integral=6)),
-    _error_tick,
 )
 """Tracking error of a controller that does not tell its own, and an integral state of zeros."""
 
@@ -289,5 +282,5 @@ def _finite_tick(asked: np.ndarray, state: np.ndarray) -> None:
     state["checked"][0] = asked
 
 
-_FINITE = Part("finite", {"torque": 6}, ("checked",), new_record(fields(checked=6)), _finite_tick, every_step=True)
+_FINITE = Part("finite", _finite_tick, {}, {"torque": 6}, ("checked",), new_record(fields(checked=6)))
 """Ends a run whose torques are no numbers, where there is no safety layer."""

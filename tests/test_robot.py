@@ -226,7 +226,7 @@ def test_each_motor_has_its_own_effort_limit_everywhere():
     measures = measure_poses(WEAK, WEAK.home_pose[None])
     assert measures.holding_torque[0] == pytest.approx(5.0 * np.max(np.abs(held) / WEAK.effort_limits), rel=1e-9)
     assert measures.force[0] < measure_poses(ROBOT, ROBOT.home_pose[None]).force[0]
-    layer = safety_part(SafetyOptions(torque_rate=None), setup_for(WEAK, still=held))
+    layer = safety_part(SafetyOptions(torque_rate=None), setup_for(WEAK, initial_torque=held))
     state, at_home = layer.initial.copy(), np.concatenate([WEAK.home_pose, np.zeros(12)])
     given = {"command": ask, "measurement": at_home[:12], "reference": at_home}
     layer.tick(*(given[port] if port in given else layer.source(port) for port in layer.inputs), state)

@@ -52,6 +52,6 @@ def test_parts_in_python(folder, monkeypatch, capsys):
     exec(compile(GIVEN + ADDED, "page", "exec"), names)
     del sys.modules["parts"]
     assert names["log"].status == "completed"
-    assert [names[name].status for name in ("tilted", "heave")] == ["completed"] * 2
+    assert [names[name].status for name in ("tilted", "heaving")] == ["completed"] * 2
     assert names["broken"].status in ("stopped", "failed")
     assert "SimulationLog" in capsys.readouterr().out

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -97,6 +97,7 @@ AT_REFERENCE = 16
 """Added to a status that concerns the reference's pose, not the measured one."""
 POSE, RATE, REFERENCE, TORQUE = range(4)
 """Which signal is NOT_FINITE, in the place of the leg."""
+OUTPUTS = ("torque", "error", "integral")
 _SIGNALS = ("measured pose", "measured pose rate", "reference", "torque")
 _DEAD_CENTRE_SLACK = 0.05
 """[-] reach margin down to which a measured pose counts as a crank at its dead centre: loop gap and sensor error."""
@@ -179,22 +180,18 @@ def failure(ended: tuple[int, int, float], measurement: np.ndarray, reference: n
     return RiccatiError(f"no gain at pose {pose.tolist()}: M^-1 tau is singular, or its gain overflows")
 
 
-def controller_part(tick: Callable[..., None], initial: np.ndarray, weights: int = 0) -> Part:
-    """A controller's part of a loop, of those that say torque, error and integral; with a port for weights or none."""
-    inputs = {"measurement": 12, "reference": 18} | ({"weights": weights} if weights else {})
-    return Part("controller", inputs, ("torque", "error", "integral"), initial, tick)
+def controller_part(
+    kernel: Callable[..., Any], robot: RobotParameters, params: np.ndarray, state: np.dtype, *scratch: np.dtype
+) -> Part:
+    """A controller's part of a loop, with the outputs torque, error and integral.
 
-
-def law_part(law: Callable[..., Any], robot: RobotParameters, setup: np.ndarray, state: np.dtype) -> Part:
-    """A controller's part by a law of robots, setups, measurement, reference, `LEGS` (2,) and states.
-
-    The law returns status, leg and margin, see `failure`, which the tick raises.
+    The kernel takes the `ROBOT` record, its parameters, measurement (12,), reference (18,), the scratch and the state;
+    it returns status, leg and margin, see `failure`.
     """
-    robots, legs, compiled = robot_record(robot), np.empty(2, LEGS), cast(Any, law)
+    constants, inputs = {"robot": robot_record(robot), "params": params}, {"measurement": 12, "reference": 18}
+    return Part("controller", kernel, constants, inputs, OUTPUTS, new_record(state), scratch, controller_error)
 
-    def tick(measurement: np.ndarray, reference: np.ndarray, state: np.ndarray) -> None:
-        ended = compiled(robots, setup, measurement, reference, legs, state)
-        if ended[0] != OK:
-            raise failure(ended, measurement, reference)
 
-    return controller_part(tick, new_record(state))
+def controller_error(result: Any, arguments: Mapping[str, Any]) -> RunFailure:
+    """`failure` of a controller's part."""
+    return failure(result, arguments["measurement"], arguments["reference"])

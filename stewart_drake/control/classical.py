@@ -15,12 +15,13 @@ from stewart_drake.control.base import (
     PROPORTIONAL,
     TORQUE,
     ControllerOptions,
-    law_part,
+    controller_part,
     measured_legs,
 )
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics.dynamics_laws import motion_torque, static_torque
 from stewart_drake.mechanics.kinematics_laws import (
+    LEGS,
     NOT_FINITE,
     OK,
     PARALLEL,
@@ -69,7 +70,7 @@ class PidOptions(ControllerOptions):
             clamp=self.saturation == "clamp",
             given_back=min(1.0, self.period / self.reset_time) / self.ki if gives_back else 0.0,
         )
-        return (law_part(pid_tick, setup.robot, numbers, PID_STATE),)
+        return (controller_part(pid_tick, setup.robot, numbers, PID_STATE, LEGS, LEGS),)
 
 
 PID_STATE = fields(torque=6, error=6, integral=6, health=2, crank_integral=6)
@@ -79,7 +80,9 @@ _PID = fields(period=(), gravity=(), kp=(), ki=(), kd=(), limit=6, clamp=(), giv
 
 
 @njit
-def pid_tick(robots: Any, setups: Any, measurement: Any, reference: Any, leg_records: Any, states: Any) -> Any:
+def pid_tick(
+    robots: Any, setups: Any, measurement: Any, reference: Any, leg_records: Any, target_records: Any, states: Any
+) -> Any:
     """T = T_gravity - kp e - kd e' - ki z with e = theta(pose) - theta(reference), wrapped to half a turn.
 
     Crank angles by inverse kinematics, their rates by the Jacobian, of the measurement and of the reference alike. The
@@ -91,14 +94,15 @@ def pid_tick(robots: Any, setups: Any, measurement: Any, reference: Any, leg_rec
             integral of a motor at its limit stands still. given_back: by what it is led back for a torque that was cut.
         measurement: (12,) pose and rate now.
         reference: (18,) now.
-        leg_records: `LEGS` (2,), overwritten.
+        leg_records: `LEGS` of the measurement, overwritten.
+        target_records: `LEGS` of the reference, overwritten.
         states: `PID_STATE` of the tick before; that of this one where the status is OK.
 
     Returns:
         Status; leg or -1, or which signal is NOT_FINITE; margin.
     """
     robot, setup, state = record(robots), record(setups), record(states)
-    legs, target = record(leg_records[:1]), record(leg_records[1:])
+    legs, target = record(leg_records), record(target_records)
     status, leg, margin = measured_legs(robot, measurement, legs)
     if status != OK:
         return status, leg, margin
@@ -153,7 +157,7 @@ class ComputedTorqueOptions(ControllerOptions):
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         limit = setup.robot.effort_limits if self.saturation == "clamp" else np.inf
         numbers = new_record(_COMPUTED_TORQUE, self, gravity=setup.gravity, limit=limit)
-        return (law_part(computed_torque_tick, setup.robot, numbers, COMPUTED_TORQUE_STATE),)
+        return (controller_part(computed_torque_tick, setup.robot, numbers, COMPUTED_TORQUE_STATE, LEGS),)
 
 
 COMPUTED_TORQUE_STATE = fields(torque=6, error=6, integral=6, health=2)

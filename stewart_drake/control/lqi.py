@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, cast, get_args
 
 import numpy as np
@@ -13,12 +14,12 @@ from stewart_drake.control.base import (
     REFERENCE,
     TORQUE,
     ControllerOptions,
+    controller_error,
     controller_part,
-    failure,
     measured_legs,
 )
 from stewart_drake.control.riccati import Discretization, RiccatiSolver, drake_gain, split_gain, split_solution
-from stewart_drake.errors import ConfigurationError, RiccatiError
+from stewart_drake.errors import ConfigurationError, RiccatiError, RunFailure
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import ForceMapKind
@@ -348,8 +349,7 @@ def lqi_part(
     Another `solver` than the options' may be named: `split` is one compiled call and needs no Drake. The part's tick
     raises as `failure` where no good tick came before or more than `hold_ticks` failed in a row.
     """
-    robots, legs, problem = laws.robot_record(robot), np.empty(1, laws.LEGS), np.zeros(1, PROBLEM)
-    setup = new_record(
+    params = new_record(
         LQI_SETUP,
         options,
         gravity=gravity,
@@ -362,30 +362,34 @@ def lqi_part(
         exact_hold=options.discretization == "exact",
         saturation=get_args(Saturation).index(options.saturation),
     )
-    by_drake, finish = (solver or options.solver) == "drake", cast(Any, command)
-
-    def tick(measurement: np.ndarray, reference: np.ndarray, weights: np.ndarray, state: np.ndarray) -> None:
-        inputs, error = (measurement, reference, weights), None
-        if not by_drake:
-            ended = lqi_tick(robots, setup, *inputs, legs, problem, state)
-        else:
-            ended = pose_problem(robots, setup, *inputs, legs, problem, state)
-            if ended[0] == laws.OK:
-                try:
-                    _solve_by_drake(options, problem[0], state["weights"][0])
-                except RiccatiError as failed:
-                    error, ended = failed, (laws.NO_GAIN, -1, 0.0)
-            ended = finish(robots, setup, *inputs[:2], legs, problem, *ended, state)
-        if ended[0] == laws.NO_GAIN:
-            block_weights(weights)
-        if ended[0] != laws.OK:
-            raise error or failure(ended, measurement, reference)
-
-    return controller_part(tick, new_record(LQI_STATE), weights)
+    part = controller_part(lqi_tick, robot, params, LQI_STATE, laws.LEGS, PROBLEM)
+    part = part._replace(inputs={**part.inputs, "weights": weights}, error=_error)
+    if (solver or options.solver) == "drake":
+        part = part._replace(kernel=_tick_by_drake, constants={**part.constants, "options": options})
+    return part
 
 
-def _solve_by_drake(options: LqiOptions, problem: Any, weights_before: np.ndarray) -> None:
-    """Puts Drake's gains into a `PROBLEM`."""
-    problem["gain"] = lqi_gain(problem["map"], options, problem["weights"], "drake")
-    if problem["changed"]:
-        problem["before"] = lqi_gain(problem["map"], options, weights_before, "drake")
+def _tick_by_drake(
+    robots: Any, setups: Any, options: LqiOptions, measurement: Any, reference: Any, weights: Any, legs: Any,
+    problems: np.ndarray, states: np.ndarray,
+) -> Any:  # fmt: skip
+    """`lqi_tick` with the gains of Drake's solver."""
+    result: Any = pose_problem(robots, setups, measurement, reference, weights, legs, problems, states)
+    if result[0] == laws.OK:
+        problem = problems[0]
+        try:
+            problem["gain"] = lqi_gain(problem["map"], options, problem["weights"], "drake")
+            if problem["changed"]:
+                problem["before"] = lqi_gain(problem["map"], options, states["weights"][0], "drake")
+        except RiccatiError:
+            result = (laws.NO_GAIN, -1, 0.0)
+    return cast(Any, command)(robots, setups, measurement, reference, legs, problems, *result, states)
+
+
+def _error(result: Any, arguments: Mapping[str, Any]) -> RunFailure:
+    if result[0] == laws.NO_GAIN:
+        try:
+            block_weights(arguments["weights"])
+        except RiccatiError as error:
+            return error
+    return controller_error(result, arguments)

@@ -71,14 +71,14 @@ def density_part(window: int, kind: DensityKind) -> Part:
     """Densities of errors and torques over a window of m ticks as a part of a loop."""
     check_value("window", window, Window)
     check_value("density", kind, DensityKind)
-    signed = kind == "signed"
+    constants, inputs = {"signed": kind == "signed"}, {"error": 6, "torque": 6}
     initial = new_record(fields(density=12, filled=(), window=(window + 1, 12)), density=1.0)
+    return Part("density", _density_tick, constants, inputs, ("density",), initial)
 
-    def tick(error: np.ndarray, torque: np.ndarray, state: np.ndarray) -> None:
-        # Field by field: a record with the window in it would have to be compiled for each length.
-        density_tick(state["window"][0], state["filled"], error, torque, signed, state["density"][0])
 
-    return Part("density", {"error": 6, "torque": 6}, ("density",), initial, tick)
+def _density_tick(signed: bool, error: np.ndarray, torque: np.ndarray, state: np.ndarray) -> None:
+    # Field by field: a record with the window in it would have to be compiled for each length.
+    density_tick(state["window"][0], state["filled"], error, torque, signed, state["density"][0])
 
 
 INPUTS, HIDDEN, OUTPUTS = 12, 10, 2
@@ -282,10 +282,10 @@ def network_weights(networks: Any, densities: Any, out: Any) -> None:
 
 
 @njit
-def network_tick(networks: Any, densities: Any, states: Any) -> bool:
-    """`network_weights` into a state; False where a density is not finite."""
+def network_tick(networks: Any, densities: Any, states: Any) -> tuple[int]:
+    """`network_weights` into a state; the status is 1 where a density is not finite."""
     network_weights(networks, densities, record(states).weights)
-    return all_finite(densities)
+    return (0 if all_finite(densities) else 1,)
 
 
 def network_part(network: TunerNetwork, initial: Sequence[float]) -> Part:
@@ -294,11 +294,10 @@ def network_part(network: TunerNetwork, initial: Sequence[float]) -> Part:
     `initial` omega_Q, omega_R are clipped to the range that it was trained on.
     """
     check_value("initial", list(initial), tuple[Real, Real])
-    own = new_record(_NETWORK, network)
     first = new_record(_NETWORK_STATE, weights=np.clip(initial, network.omega_min, network.omega_max))
+    constants, inputs = {"network": new_record(_NETWORK, network)}, {"density": INPUTS}
+    return Part("tuner", network_tick, constants, inputs, ("weights",), first, error=_network_error, end_of_tick=True)
 
-    def tick(density: np.ndarray, state: np.ndarray) -> None:
-        if not network_tick(own, density, state):
-            raise NotFiniteError("density", density)
 
-    return Part("tuner", {"density": INPUTS}, ("weights",), first, tick, late=True)
+def _network_error(_: Any, arguments: Mapping[str, Any]) -> NotFiniteError:
+    return NotFiniteError("density", arguments["density"].copy())

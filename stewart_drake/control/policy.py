@@ -274,8 +274,8 @@ def setting_part(chooser: Chooser, context: Any, weights: np.ndarray, kappa: flo
     `weights` (4,) are those of the base; `kappa` [-] from stiff, -1, to quiet, 1: the scale of torque changes in the
     cost is divided by 10^kappa.
     """
-    law, own, centre, scales = chooser.law, chooser.numbers(), chooser.centre, CostScales()
-    setup = new_record(
+    centre, scales = chooser.centre, CostScales()
+    params = new_record(
         SETUP,
         context,
         length=context.robot.characteristic_length,
@@ -296,8 +296,7 @@ def setting_part(chooser: Chooser, context: Any, weights: np.ndarray, kappa: flo
         levels=[1.0, 1.0, 0.0, 0.0, 0.0],
     )
 
-    def tick(*inputs: np.ndarray) -> None:
-        law(setup, own, *inputs)
-
+    constants = {"params": params, "source": chooser.numbers()}
     inputs = {"density": 12, "error": 6, "torque": 6, "innovation": 6, "reference": 18}
-    return Part("tuner", inputs, ("weights", "disturbance", "setting"), initial, tick, late=True)
+    outputs = ("weights", "disturbance", "setting")
+    return Part("tuner", chooser.law, constants, inputs, outputs, initial, end_of_tick=True)

@@ -181,7 +181,7 @@ class SettingTuner(BlockWeights):
     def parts(self, setup: Any) -> tuple[Part, ...]:
         base = np.array([self.q_pose, self.q_rate, self.q_integral, self.r])
         part = setting_part(self.chooser(), setup, base, getattr(self, "kappa", 0.0))
-        return (part._replace(says={"disturbance": "expected_disturbance"}),)
+        return (part.named(disturbance="expected_disturbance"),)
 
 
 class PolicyTuner(SettingTuner):

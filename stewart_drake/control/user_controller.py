@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.config import Period
-from stewart_drake.control.base import ControllerOptions, Measurement, Setpoint
+from stewart_drake.control.base import OUTPUTS, ControllerOptions, Measurement, Setpoint
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.families import UserMade, user_parts
 from stewart_drake.files.code import CodePath, ControllerError, UserCode
@@ -78,7 +78,11 @@ class PythonOptions(UserMade, ControllerOptions):
                 if port is None or port.get_data_type() != PortDataType.kVectorValued or port.size() != size:
                     expected = f"a LeafSystem with the {side.lower()} port {name} ({size},)"
                     raise ConfigurationError(self.code_key, self.code, expected)
-        return Part("controller", inputs, tuple(outputs), system=system)
+        return Part("controller", _nothing, {}, inputs, tuple(outputs), np.zeros(1), system=system)
+
+
+def _nothing(*_: Any) -> None:
+    """Kernel of a part that is a LeafSystem."""
 
 
 def _is_system(loaded: Any) -> bool:
@@ -101,27 +105,32 @@ def function_part(function: Callable[[Measurement, Setpoint, float], Any]) -> Pa
     raises ControllerError where the function raises or returns something else, NotFiniteError where a torque is not
     finite. Its outputs `error` and `integral` are pose minus setpoint and zeros.
     """
-    name = getattr(function, "__qualname__", type(function).__qualname__)
     guard = UserCode(getattr(function, "__module__", None) or type(function).__module__)
-
-    def tick(measurement: np.ndarray, reference: np.ndarray, time: np.ndarray, state: np.ndarray) -> None:
-        # Copies: what it keeps or changes is its own.
-        pose, wanted = measurement.copy(), reference.copy()
-        with guard:
-            answer = function(
-                Measurement(pose[:6], pose[6:]), Setpoint(wanted[:6], wanted[6:12], wanted[12:]), float(time[0])
-            )
-        try:
-            torque = np.asarray(answer, dtype=float)
-        except (TypeError, ValueError):
-            torque = np.empty(())
-        if torque.shape != (6,):
-            what = f"an array of shape {torque.shape}" if torque.ndim else repr(answer)
-            raise ControllerError(f"{name} returned {what}; expected six torques [N m]")
-        if not np.isfinite(torque).all():
-            raise NotFiniteError(f"torque of {name}", torque)
-        state["torque"][0] = torque
-        state["error"][0] = measurement[:6] - reference[:6]
-
     inputs = {"measurement": 12, "reference": 18, "time": 1}
-    return Part("controller", inputs, ("torque", "error", "integral"), new_record(FUNCTION_STATE), tick)
+    return Part(
+        "controller", _call, {"function": function, "guard": guard}, inputs, OUTPUTS, new_record(FUNCTION_STATE)
+    )
+
+
+def _call(
+    function: Callable[[Measurement, Setpoint, float], Any], guard: UserCode, measurement: np.ndarray,
+    reference: np.ndarray, time: np.ndarray, state: np.ndarray,
+) -> None:  # fmt: skip
+    # Copies: what it keeps or changes is its own.
+    pose, wanted = measurement.copy(), reference.copy()
+    with guard:
+        answer = function(
+            Measurement(pose[:6], pose[6:]), Setpoint(wanted[:6], wanted[6:12], wanted[12:]), float(time[0])
+        )
+    name = getattr(function, "__qualname__", type(function).__qualname__)
+    try:
+        torque = np.asarray(answer, dtype=float)
+    except (TypeError, ValueError):
+        torque = np.empty(())
+    if torque.shape != (6,):
+        what = f"an array of shape {torque.shape}" if torque.ndim else repr(answer)
+        raise ControllerError(f"{name} returned {what}; expected six torques [N m]")
+    if not np.isfinite(torque).all():
+        raise NotFiniteError(f"torque of {name}", torque)
+    state["torque"][0] = torque
+    state["error"][0] = measurement[:6] - reference[:6]

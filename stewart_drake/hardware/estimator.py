@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.mechanics.kinematics_laws import NO_CONVERGENCE, NOT_FINITE, OK, PARALLEL, SERIAL
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
-from stewart_drake.part import WELL, Part, Setup
+from stewart_drake.part import HEALTHY, Part, Setup
 
 TOLERANCE = 1e-12  # [m] rod-length error at which Newton's method stops.
 ITERATIONS = 12  # Newton steps at most; a warm start needs two.
@@ -62,17 +63,17 @@ class DifferenceOptions(EstimatorOptions):
         return (difference_part(setup),)
 
 
-_SETUP = fields(period=(), smoothing=(), max_speed=(), max_turn=(), max_shift=())
-"""[s], share of a new difference in the filtered crank rate, [rad/s], [rad], [m]; see `EncoderOptions`."""
-_STATE = fields(measurement=12, health=2, angles=6, crank_rate=6, held=(), side=(), started=(), candidate=6)
+PARAMS = fields(period=(), smoothing=(), max_speed=(), max_turn=(), max_shift=(), hold_ticks=())
+"""[s], share of a new difference in the filtered crank rate, [rad/s], [rad], [m], [ticks]; see `EncoderOptions`."""
+STATE = fields(measurement=12, health=2, angles=6, crank_rate=6, held=(), side=(), started=(), candidate=6)
 """measurement: pose and its rate [rad, m and 1/s]. angles: the last that were believed [rad]. crank_rate: filtered
 [rad/s]. held: ticks since. side: sign of the rods' determinant. candidate: pose that was found in the last tick, which
 need not have been believed."""
 
 
 @njit
-def _difference(robots: Any, setups: Any, angles: Any, leg_records: Any, states: Any) -> Any:
-    """One tick: forward kinematics from the last pose, and the pose's rate from the difference of the angles (6,).
+def pose_of_angles(robots: Any, params: Any, angles: Any, leg_records: Any, states: Any) -> Any:
+    """Forward kinematics from the last pose, and the pose's rate from the difference of the angles (6,).
 
     The rate lags by half a period; the first repeats the crank rates of the state. A pose is believed if no angle has
     jumped, Newton's method converges near the last pose, the cranks stand on the robot's branch of the inverse
@@ -81,7 +82,7 @@ def _difference(robots: Any, setups: Any, angles: Any, leg_records: Any, states:
 
     Returns status, leg or -1, margin; of NO_CONVERGENCE steps taken and error [m]. If not OK only `candidate` changes.
     """
-    robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
+    robot, setup, legs, state = record(robots), record(params), record(leg_records), record(states)
     pose, last = state.candidate[:], state.measurement
     started, elapsed = state.started > 0.0, setup.period * (1.0 + state.held)
     copy_to(pose, last[:6])
@@ -120,37 +121,47 @@ def _difference(robots: Any, setups: Any, angles: Any, leg_records: Any, states:
     return OK, -1, 0.0
 
 
+@njit
+def difference_tick(robots: Any, params: Any, angles: Any, leg_records: Any, states: Any) -> Any:
+    """One tick: `pose_of_angles`; up to `hold_ticks` failures in a row repeat the last state."""
+    result = pose_of_angles(robots, params, angles, leg_records, states)
+    state = record(states)
+    if result[0] != OK and state.started > 0.0 and state.held < record(params).hold_ticks:
+        state.held += 1.0
+        return OK, -1, 0.0
+    return result
+
+
+def difference_params(options: EncoderOptions, period: float) -> np.ndarray:
+    """`PARAMS` record."""
+    cutoff = options.rate_cutoff
+    return new_record(
+        PARAMS,
+        options,
+        period=period,
+        smoothing=1.0 if cutoff is None else 1.0 - math.exp(-2.0 * math.pi * cutoff * period),
+        max_turn=options.max_step[0],
+        max_shift=options.max_step[1],
+    )
+
+
 def difference_part(setup: Setup) -> Part:
-    """`reading` (6,) [rad] of encoders -> `measurement` (12,), pose [rad, m] and its rate; see `_difference`.
+    """`reading` (6,) [rad] of encoders -> `measurement` (12,), pose [rad, m] and its rate; see `difference_tick`.
 
     The pose at the start, which need only be about right, picks the assembly mode. Up to `hold_ticks` failures in a row
     are bridged by the last good pose and rate.
     """
-    robot, options, cutoff = setup.robot, setup.sensors, setup.sensors.rate_cutoff
-    numbers = new_record(
-        _SETUP,
-        options,
-        period=setup.period,
-        smoothing=1.0 if cutoff is None else 1.0 - math.exp(-2.0 * math.pi * cutoff * setup.period),
-        max_turn=options.max_step[0],
-        max_shift=options.max_step[1],
-    )
-    initial, own, legs = new_record(_STATE, health=WELL), laws.robot_record(robot), np.empty(1, laws.LEGS)
+    robot, initial = setup.robot, new_record(STATE, health=HEALTHY)
     initial["measurement"][0, :6] = setup.pose
     # A robot that cannot stand there: the first tick says so, with a log.
     with contextlib.suppress(errors.UnreachablePoseError), np.errstate(all="ignore"):
         rates = crank_rates(robot, leg_geometry(robot, setup.pose), setup.pose, setup.pose_rate)
         initial["crank_rate"] = rates if np.isfinite(rates).all() else 0.0
 
-    def tick(reading: np.ndarray, state: np.ndarray) -> None:
-        status, leg, margin = _difference(own, numbers, reading, legs, state)
-        if status == OK:
-            return
-        if state["started"][0] == 0.0 or state["held"][0] >= options.hold_ticks:
-            raise _error(status, leg, margin, reading, options, state)
-        state["held"] += 1.0
-
-    return Part("estimator", {"reading": 6}, ("measurement",), initial, tick)
+    constants = {"robot": laws.robot_record(robot), "params": difference_params(setup.sensors, setup.period)}
+    return Part(
+        "estimator", difference_tick, constants, {"reading": 6}, ("measurement",), initial, (laws.LEGS,), encoder_error
+    )
 
 
 def singular_pose(status: int, leg: int, margin: float, pose: np.ndarray) -> errors.SingularPoseError:
@@ -160,9 +171,9 @@ def singular_pose(status: int, leg: int, margin: float, pose: np.ndarray) -> err
     return errors.SingularPoseError("parallel", pose, 0.0, 0.0)
 
 
-def _error(
-    status: int, leg: int, margin: float, angles: np.ndarray, options: EncoderOptions, state: np.ndarray
-) -> errors.RunFailure:
+def encoder_error(result: Any, arguments: Mapping[str, Any]) -> errors.RunFailure:
+    """The error of a tick that ended with a status of `pose_of_angles` other than OK."""
+    (status, leg, margin), state, angles = result, arguments["state"], arguments["reading"]
     pose = state["candidate"][0].copy()
     if status == NO_CONVERGENCE:
         return errors.ForwardKinematicsError(margin, leg)
@@ -170,5 +181,7 @@ def _error(
         return singular_pose(status, leg, margin, pose)
     if status == OTHER_MODE:
         return errors.AssemblyModeError(pose, state["measurement"][0, :6].copy())
-    what = "not finite" if status == NOT_FINITE else f"changed faster than {options.max_speed:g} rad/s"
+    what = (
+        "not finite" if status == NOT_FINITE else f"changed faster than {arguments['params']['max_speed'][0]:g} rad/s"
+    )
     return errors.RunFailure(f"encoder readings {errors.pose_text(angles)}: {what}", reason="encoder")

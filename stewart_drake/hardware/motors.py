@@ -57,28 +57,11 @@ class LinkOptions(Section, key="link"):
         return "late" if late < self.late_probability else "arrives"
 
     def part(self, setup: Setup) -> Part:
-        """What has arrived by each step of the plant; `setup.still` stands until the first command arrives."""
-        steps_per_tick = steps_per("controller.period", setup.period, setup.time_step)
-
-        def tick(torque: np.ndarray, time: np.ndarray, state: np.ndarray) -> None:
-            now: Any = state[0]
-            step = int(now["steps"])
-            if now["due"] > 0.0 and step >= now["due"]:
-                now["torque"], now["arrived"], now["due"] = now["arriving"], now["sent"], 0.0
-            number, within = divmod(step, steps_per_tick)
-            if within == 0:
-                signal = Signal(np.array(torque, dtype=float), float(time[0]), number)
-                for fault in self.faults:
-                    fault.spoil(signal)
-                fate = self.fate(number, signal.time)
-                if fate == "arrives":
-                    now["torque"], now["arrived"], now["due"] = signal.says, number, 0.0
-                elif fate == "late":
-                    now["arriving"], now["sent"], now["due"] = signal.says, number, step + 1
-            now["age"], now["steps"] = number - now["arrived"], step + 1
-
-        first = new_record(_LINK_STATE, torque=setup.still)
-        return Part("link", {"torque": 6, "time": 1}, ("torque", "age"), first, tick, every_step=True)
+        """What has arrived by each step of the plant; until the first command arrives, `setup.initial_torque`."""
+        per_tick = steps_per("controller.period", setup.period, setup.time_step)
+        constants, inputs = {"options": self, "steps_per_tick": per_tick}, {"torque": 6, "time": 1}
+        first = new_record(_LINK_STATE, torque=setup.initial_torque)
+        return Part("link", _carry, constants, inputs, ("torque", "age"), first, period=setup.time_step)
 
 
 _LINK_STATE = fields(torque=6, age=(1,), steps=(), arriving=6, due=(), sent=(), arrived=())
@@ -86,16 +69,34 @@ _LINK_STATE = fields(torque=6, age=(1,), steps=(), arriving=6, due=(), sent=(), 
 [N m]. due: step at which that arrives, 0 for none. sent: its tick. arrived: tick of the command in force."""
 
 
+def _carry(options: LinkOptions, steps_per_tick: int, torque: np.ndarray, time: np.ndarray, state: np.ndarray) -> None:
+    now: Any = state[0]
+    step = int(now["steps"])
+    if now["due"] > 0.0 and step >= now["due"]:
+        now["torque"], now["arrived"], now["due"] = now["arriving"], now["sent"], 0.0
+    number, within = divmod(step, steps_per_tick)
+    if within == 0:
+        signal = Signal(np.array(torque, dtype=float), float(time[0]), number)
+        for fault in options.faults:
+            fault.spoil(signal)
+        fate = options.fate(number, signal.time)
+        if fate == "arrives":
+            now["torque"], now["arrived"], now["due"] = signal.says, number, 0.0
+        elif fate == "late":
+            now["arriving"], now["sent"], now["due"] = signal.says, number, step + 1
+    now["age"], now["steps"] = number - now["arrived"], step + 1
+
+
 def delay_part(ticks: int, initial: np.ndarray) -> Part:
     """A constant delay of commands: `torque` (6,) [N m] -> that of so many ticks ago, and `initial` (6,) until then."""
     first = new_record(fields(torque=6, under_way=(ticks, 6)), torque=initial, under_way=initial)
+    return Part("command_delay", _delay, {}, {"torque": 6}, ("torque",), first)
 
-    def tick(torque: np.ndarray, state: np.ndarray) -> None:
-        state["torque"][0], under_way = state["under_way"][0, 0], state["under_way"][0]
-        under_way[:-1] = under_way[1:]
-        under_way[-1] = torque
 
-    return Part("command_delay", {"torque": 6}, ("torque",), first, tick)
+def _delay(torque: np.ndarray, state: np.ndarray) -> None:
+    state["torque"][0], under_way = state["under_way"][0, 0], state["under_way"][0]
+    under_way[:-1] = under_way[1:]
+    under_way[-1] = torque
 
 
 def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: float) -> np.ndarray:
@@ -150,14 +151,16 @@ class MotorOptions(Section, key="motors"):
             torque[self.dead.leg] = 0.0
         return torque
 
-    def part(self) -> Part:
+    def part(self, setup: Setup) -> Part:
         """`torque` (6,) [N m], `crank_state` (12,), angles [rad] and rates -> `torque` that the motors give."""
+        inputs, first = {"torque": 6, "time": 1, "crank_state": 12}, new_record(fields(torque=6))
+        return Part("motors", _drive, {"options": self}, inputs, ("torque",), first, period=setup.time_step)
 
-        def tick(torque: np.ndarray, time: np.ndarray, crank_state: np.ndarray, state: np.ndarray) -> None:
-            state["torque"][0] = self.torque(torque, crank_state[:6], float(time[0]))
 
-        inputs = {"torque": 6, "time": 1, "crank_state": 12}
-        return Part("motors", inputs, ("torque",), new_record(fields(torque=6)), tick, every_step=True)
+def _drive(
+    options: MotorOptions, torque: np.ndarray, time: np.ndarray, crank_state: np.ndarray, state: np.ndarray
+) -> None:
+    state["torque"][0] = options.torque(torque, crank_state[:6], float(time[0]))
 
 
 class FrictionCompensation(FrictionOptions, key="friction_compensation"):
@@ -171,16 +174,15 @@ class FrictionCompensation(FrictionOptions, key="friction_compensation"):
     """[rad/s] crank speed at which 76 % of the dry friction is compensated; larger smooths reversals more."""
 
     def part(self, setup: Setup) -> Part:
-        """`reference` (18,) -> `against_friction` (6,) [N m]."""
-        own, legs = robot_record(setup.robot), np.empty(1, LEGS)
+        """`reference` (18,) -> `friction_torque` (6,) [N m]."""
         levels = dict(zip(("coulomb", "break_away", "stribeck_rate", "viscous"), self.levels, strict=True))
         believed = new_record(_BELIEVED, **levels, width=self.width)
-
-        def tick(reference: np.ndarray, state: np.ndarray) -> None:
-            _against_friction(own, believed, reference, legs, state["against_friction"][0])
-
-        state = new_record(fields(against_friction=6))
-        return Part("friction_compensation", {"reference": 18}, ("against_friction",), state, tick)
+        constants, first = (
+            {"robot": robot_record(setup.robot), "friction": believed},
+            new_record(fields(friction_torque=6)),
+        )
+        outputs = ("friction_torque",)
+        return Part("friction_compensation", friction_tick, constants, {"reference": 18}, outputs, first, (LEGS,))
 
 
 _BELIEVED = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, width=())
@@ -188,9 +190,10 @@ _BELIEVED = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, width=()
 
 
 @njit
-def _against_friction(robots: Any, believed: Any, reference: Any, leg_records: Any, out: Any) -> None:
+def friction_tick(robots: Any, frictions: Any, reference: Any, leg_records: Any, states: Any) -> None:
     """Torques (6,) g(rate) tanh(rate / width) + viscous rate along a reference (18,); zeros out of reach."""
-    robot, friction, legs = record(robots), record(believed), record(leg_records)
+    robot, friction, legs = record(robots), record(frictions), record(leg_records)
+    out = record(states).friction_torque
     twist, rates = np.empty(6), np.empty(6)
     out[:] = 0.0
     if legs_at(robot, reference[:6], legs) >= 0:

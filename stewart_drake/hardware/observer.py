@@ -11,6 +11,7 @@ friction it stays as it is while the reference rests and all cranks stand where 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -18,16 +19,23 @@ from pydantic import Field
 
 from stewart_drake.config import Natural, Positive
 from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError, pose_text
-from stewart_drake.hardware.estimator import EstimatorOptions, difference_part, singular_pose
+from stewart_drake.hardware.estimator import (
+    STATE,
+    EstimatorOptions,
+    difference_params,
+    encoder_error,
+    pose_of_angles,
+    singular_pose,
+)
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.mechanics.dynamics_laws import forward_dynamics, task_inertia
-from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
+from stewart_drake.mechanics.kinematics import pose_jacobian
 from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, SERIAL, UNREACHABLE, dot, legs_at
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve, spectral_factor
-from stewart_drake.part import WELL, Part, Setup
+from stewart_drake.part import HEALTHY, Part, Setup
 
 SMALLEST_NOISE = 1e-5  # [rad] that readings have at least for the observer: finer than that no model is.
 ARRIVED = 6.0  # Standard deviations of a reading within which a crank stands where it is wanted, whatever its friction.
@@ -124,10 +132,48 @@ def predict(robot: Any, setup: Any, torque: Any, disturbance: Any, pose: Any, ra
 
 
 @njit
+def observer_tick(
+    robots: Any, setups: Any, first_params: Any, reading: Any, sent: Any, reference: Any, disturbance: Any,
+    leg_records: Any, estimates: Any, states: Any,
+) -> Any:  # fmt: skip
+    """One tick: predicts, corrects by the readings that are accepted, looks ahead; status, leg or -1, margin.
+
+    Takes `ROBOT`, `SETUP`, the parameters of the first tick (see `_begin`), then the inputs of `observer_part`,
+    `LEGS` and `estimator.STATE`, both overwritten, and `_STATE`.
+    """
+    if record(states).side == 0.0:
+        return _begin(robots, setups, first_params, reading, leg_records, estimates, states)
+    return _observe(robots, setups, reading, sent, reference, disturbance[0], leg_records, states)
+
+
+@njit
+def _begin(
+    robots: Any, setups: Any, first_params: Any, reading: Any, leg_records: Any, estimates: Any, states: Any
+) -> Any:
+    """The first tick: the pose that its readings tell by `pose_of_angles`, and the rate of the state."""
+    robot, legs, state, estimate = record(robots), record(leg_records), record(states), record(estimates)
+    estimate.started, estimate.held, estimate.side = 0.0, 0.0, 0.0
+    copy_to(estimate.measurement[:], state.measurement[:])
+    copy_to(estimate.angles[:], reading[:6])
+    if reading.size == 12:
+        estimate.angles[:] = np.nan
+        if all_finite(reading[:6]) and legs_at(robot, reading[:6], legs) < 0:
+            for i in range(6):
+                estimate.angles[i] = np.arctan2(legs.sine[i], legs.cosine[i])
+    angles = estimate.angles.copy()
+    status, leg, margin = pose_of_angles(robots, first_params, angles, leg_records, estimates)
+    if status != OK:
+        return status, leg, margin
+    copy_to(state.measurement[:6], estimate.measurement[:6])
+    state.side = estimate.side
+    return _look_ahead(robots, setups, leg_records, states)
+
+
+@njit
 def _observe(
     robots: Any, setups: Any, reading: Any, sent: Any, reference: Any, expected: float, leg_records: Any, states: Any
 ) -> Any:
-    """One tick: predicts, corrects by the readings that are accepted, looks ahead; status, leg or -1, margin."""
+    """A tick after the first; status, leg or -1, margin."""
     robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
     cosine, sine = np.empty(6), np.empty(6)
     for i in range(6):
@@ -266,7 +312,7 @@ def observer_part(options: ObserverOptions, setup: Setup) -> Part:
         raise ConfigurationError(*given, allowed)
     # [1/(kg m^2)] acceleration of a crank for its own torque, at home.
     mobility = np.diag(pose_jacobian(robot, robot.home_pose) @ pose_acceleration_map(robot, robot.home_pose))
-    numbers = new_record(
+    params = new_record(
         SETUP,
         options,
         period=period,
@@ -276,38 +322,24 @@ def observer_part(options: ObserverOptions, setup: Setup) -> Part:
         slip=SLIP * setup.friction * float(mobility.max()),
         delay=delay,
     )
-    own, legs = laws.robot_record(robot), np.empty(1, laws.LEGS)
-    first = difference_part(setup._replace(sensors=EncoderOptions()))
     start = np.concatenate([setup.pose, setup.pose_rate])
-    initial = new_record(_STATE, measurement=start, ahead=start, health=WELL)
-    initial["commands"][0, : delay + 1] = setup.still
+    initial = new_record(_STATE, measurement=start, ahead=start, health=HEALTHY)
+    initial["commands"][0, : delay + 1] = setup.initial_torque
 
-    def begin(reading: np.ndarray, state: np.ndarray) -> Any:
-        """The first tick: the pose that its readings tell, and the rate of the state."""
-        angles, estimate = reading, first.initial.copy()
-        if setup.reading == 12:
-            finite = bool(np.isfinite(reading[:6]).all())
-            angles = inverse_kinematics(robot, reading[:6]) if finite else np.full(6, np.nan)
-        first.tick(angles, estimate)
-        state["measurement"][0, :6], state["side"] = estimate["measurement"][0, :6], estimate["side"]
-        return _look_ahead(own, numbers, legs, state)
-
-    def tick(
-        reading: np.ndarray, sent: np.ndarray, reference: np.ndarray, disturbance: np.ndarray, state: np.ndarray
-    ) -> None:
-        if state["side"][0] == 0.0:
-            status, leg, margin = begin(reading, state)
-        else:
-            status, leg, margin = _observe(own, numbers, reading, sent, reference, disturbance[0], legs, state)
-        if status != OK:
-            raise _error(status, leg, margin, reading, state)
-
+    first = difference_params(EncoderOptions(), period)
+    constants = {"robot": laws.robot_record(robot), "params": params, "first_params": first}
     inputs = {"reading": setup.reading, "sent": 6, "reference": 18, "disturbance": 1}
     outputs, expected = ("measurement", "ahead", "compensation", "innovation"), np.array([options.disturbance])
-    return Part("observer", inputs, outputs, initial, tick, reads={"disturbance": expected})
+    part = Part("observer", observer_tick, constants, inputs, outputs, initial, (laws.LEGS, STATE), _error)
+    return part._replace(connections={"disturbance": expected})
 
 
-def _error(status: int, leg: int, margin: float, reading: np.ndarray, state: np.ndarray) -> RunFailure:
+def _error(result: Any, arguments: Mapping[str, Any]) -> RunFailure:
+    (status, leg, margin), state, reading = result, arguments["state"], arguments["reading"]
+    if state["side"][0] == 0.0:
+        estimate = arguments["scratch"][1]
+        first = {"state": estimate, "reading": estimate["angles"][0], "params": arguments["first_params"]}
+        return encoder_error(result, first)
     if status == UNREACHABLE:
         return UnreachablePoseError(reading[:6].copy(), leg, margin)
     if status in (SERIAL, PARALLEL):

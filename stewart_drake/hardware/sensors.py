@@ -64,7 +64,7 @@ class IdealSensors(SensorOptions):
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         if not self.faults:
             return ()
-        return (faulty_sensor_part(self.faults, 12, setup.period)._replace(reads={"reading": "plant_pose"}),)
+        return (faulty_sensor_part(self.faults, 12, setup.period).connected(reading="plant_pose"),)
 
 
 class EncoderOptions(SensorOptions):
@@ -105,8 +105,8 @@ class EncoderOptions(SensorOptions):
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         if not self.faults:
             return (encoder_part(self),)
-        true = encoder_part(self)._replace(says={"reading": "true_reading"})
-        return true, faulty_sensor_part(self.faults, 6, setup.period)._replace(reads={"reading": "true_reading"})
+        true = encoder_part(self).named(reading="true_reading")
+        return true, faulty_sensor_part(self.faults, 6, setup.period).connected(reading="true_reading")
 
     def read(self, crank_angles: np.ndarray) -> np.ndarray:
         """Readings (..., 6) [rad] of angles: with the offset, rounded to whole counts; without noise and faults."""
@@ -119,9 +119,9 @@ _ENCODER_STATE = fields(reading=6, ticks=())  # [rad], and ticks done, of which 
 
 
 @njit
-def _read(setups: Any, crank_state: Any, drawn: Any, states: Any) -> None:
+def _read(params: Any, drawn: Any, crank_state: Any, states: Any) -> None:
     """`EncoderOptions.read` for a tick of a loop, of true angles with noise for standard normal numbers (6,)."""
-    setup, state = record(setups), record(states)
+    setup, state = record(params), record(states)
     for k in range(6):
         angle = crank_state[k] + setup.offset[k] + setup.noise * drawn[k]
         state.reading[k] = np.rint(angle / setup.quantum) * setup.quantum if setup.quantum > 0.0 else angle
@@ -130,38 +130,42 @@ def _read(setups: Any, crank_state: Any, drawn: Any, states: Any) -> None:
 
 def encoder_part(options: EncoderOptions) -> Part:
     """Encoders without faults: `crank_state` (12,), angles [rad] and rates, -> `reading` (6,) [rad]."""
-    setup, noisy, nothing = new_record(_ENCODERS, options), options.noise > 0.0, np.zeros(6)
+    params, initial = new_record(_ENCODERS, options), new_record(_ENCODER_STATE)
+    if options.noise == 0.0:
+        constants: dict[str, Any] = {"params": params, "drawn": np.zeros(6)}
+        return Part("encoders", _read, constants, {"crank_state": 12}, ("reading",), initial)
+    constants = {"params": params, "seed": options.noise_seed}
+    return Part("encoders", _read_with_noise, constants, {"crank_state": 12}, ("reading",), initial)
 
-    def tick(crank_state: np.ndarray, state: np.ndarray) -> None:
-        drawn = nothing
-        if noisy:
-            drawn = tick_numbers(options.noise_seed, _STREAM, int(state["ticks"][0]), 6, normal=True)
-        _read(setup, crank_state, drawn, state)
 
-    return Part("encoders", {"crank_state": 12}, ("reading",), new_record(_ENCODER_STATE), tick)
+def _read_with_noise(params: np.ndarray, seed: int, crank_state: np.ndarray, state: np.ndarray) -> None:
+    _read(params, tick_numbers(seed, _STREAM, int(state["ticks"][0]), 6, normal=True), crank_state, state)
 
 
 def faulty_sensor_part(faults: Sequence[Fault], size: int, period: float) -> Part:
     """A sensor that may fail: true `reading` (n,) and `time` (1,) [s] -> `reading` (n,), fault after fault."""
-    late = [fault.ticks_late(period) for fault in faults]
+    late = tuple(fault.ticks_late(period) for fault in faults)
     # good: for each channel the last reading before it froze or began to count backwards. before: the true readings of
     # now and of the ticks before, newest first.
     kind = fields(reading=size, good=size, before=(1 + max(late, default=0), size), ticks=())
 
-    def tick(reading: np.ndarray, time: np.ndarray, state: np.ndarray) -> None:
-        good, before, now = state["good"][0], state["before"][0], reading.copy()
-        if state["ticks"][0] == 0.0:
-            # A sensor that fails from the start repeats what was there at the start.
-            good[:] = before[:] = reading
-        before[1:] = before[:-1].copy()
-        before[0] = reading
-        kept = np.zeros(size, dtype=bool)
-        for fault, ago in zip(faults, late, strict=True):
-            if fault.spoil(Signal(now, float(time[0]), int(state["ticks"][0]), good, before[ago])):
-                kept[fault.channels] |= fault.kinds[fault.kind].keeps
-        good[~kept] = reading[~kept]
-        state["reading"][0] = now
-        state["ticks"] += 1.0
+    constants, inputs = {"faults": faults, "late": late}, {"reading": size, "time": 1}
+    return Part("faulty_sensor", _fail, constants, inputs, ("reading",), new_record(kind))
 
-    inputs = {"reading": size, "time": 1}
-    return Part("faulty_sensor", inputs, ("reading",), new_record(kind), tick)
+
+def _fail(
+    faults: Sequence[Fault], late: Sequence[int], reading: np.ndarray, time: np.ndarray, state: np.ndarray
+) -> None:
+    good, before, now = state["good"][0], state["before"][0], reading.copy()
+    if state["ticks"][0] == 0.0:
+        # A sensor that fails from the start repeats what was there at the start.
+        good[:] = before[:] = reading
+    before[1:] = before[:-1].copy()
+    before[0] = reading
+    kept = np.zeros(len(reading), dtype=bool)
+    for fault, ago in zip(faults, late, strict=True):
+        if fault.spoil(Signal(now, float(time[0]), int(state["ticks"][0]), good, before[ago])):
+            kept[fault.channels] |= fault.kinds[fault.kind].keeps
+    good[~kept] = reading[~kept]
+    state["reading"][0] = now
+    state["ticks"] += 1.0

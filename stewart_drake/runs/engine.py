@@ -9,10 +9,10 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError
 from stewart_drake.logs.log import SIGNALS
-from stewart_drake.part import Running
+from stewart_drake.part import LoopRunner
 from stewart_drake.parts import loop_of
 from stewart_drake.plant.closed_chain import CHAIN_STATE, ClosedChain
-from stewart_drake.sampling import InBlocks, on_grid, steps_per, times_of
+from stewart_drake.sampling import InBlocks, on_grid, times_of
 from stewart_drake.scenario import Scenario
 
 
@@ -61,14 +61,14 @@ class FastLoop:
         if any(part.system is not None for part in self.parts.parts):
             raise ConfigurationError("plant.engine", "reduced", "drake, with a controller that is a LeafSystem")
         self.step = on_grid(scenario.plant.time_step)
-        self._per_tick = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
+        time_step, period = scenario.plant.time_step, scenario.controller.period
         self._plant = plant or ClosedChain(scenario.robot, scenario.plant, scenario.gravity)
         outside = {"plant": CHAIN_STATE.itemsize // 8, "wrench": 6}
         outside |= {source.signal: source.size for source in self.parts.sources}
-        self.running = Running(self.parts.parts, outside, {"plant_pose": _POSE, "crank_state": _CRANKS})
+        inside = {"plant_pose": _POSE, "crank_state": _CRANKS}
+        self.running = LoopRunner(self.parts.parts, outside, inside, period, time_step)
         self.state = self.running.signal("plant").view(CHAIN_STATE)
         self.torque, self._wrench = self.running.signal(self.parts.torque), self.running.signal("wrench")
-        time_step = scenario.plant.time_step
         self._tables = [
             (self.running.signal(each.signal), InBlocks(each.evaluate, time_step)) for each in self.parts.sources
         ]
@@ -85,15 +85,11 @@ class FastLoop:
     def answer(self, now: int) -> None:
         """What the parts say at a step of the plant."""
         self.running.time[0] = now * self.step
-        if now % self._per_tick == 0:
-            self.running.tick()
-        else:
-            self.running.between()
+        self.running.run(now)
 
     def move(self, now: int) -> None:
         """The step itself, after the parts that act from the next tick on."""
-        if now % self._per_tick == 0:
-            self.running.late()
+        self.running.end(now)
         try:
             self._plant.step(self.torque, self._wrench, self.state)
         except RunFailure as failure:

@@ -12,7 +12,7 @@ from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import static_torque
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
-from stewart_drake.part import WELL, Part, Setup
+from stewart_drake.part import HEALTHY, Part, Setup
 from stewart_drake.safety import limits
 from stewart_drake.safety.limits import MEANINGS, MONITORS, OBSERVED, QUIET, SafetyInputs, SafetyOptions
 
@@ -41,8 +41,8 @@ GOES_ON, BLIND, RUNAWAY, HELD = range(4)  # How a tick ends: in the last three t
 
 NOT_THERE = {
     "age": np.zeros(1),
-    "sensor_health": np.array(WELL),
-    "controller_health": np.array(WELL),
+    "sensor_health": np.array(HEALTHY),
+    "controller_health": np.array(HEALTHY),
     "angles": np.full(6, np.nan),
     "innovation": np.full(6, np.nan),
     "pose_reading": np.full(12, np.nan),
@@ -256,11 +256,11 @@ def _stop(setup: Any, is_observed: bool, observed: Any, state: Any) -> Any:
 def safety_part(options: SafetyOptions, setup: Setup, innovation_scale: tuple[float, float] = (0.0, 1.0)) -> Part:
     """The safety layer; ports for which a loop may have no signal read `NOT_THERE`, unless `reads` is replaced.
 
-    Where the very first command is bad, `setup.still` is held; for `innovation_scale` see `EstimatorOptions`.
+    Where the very first command is bad, `setup.initial_torque` is held; for `innovation_scale` see `EstimatorOptions`.
     """
     robot, period = setup.robot, setup.period
     numbers = limits.setup_of(robot, options, setup.gravity, period, setup.sensors.quantum, innovation_scale)
-    held, none = dict.fromkeys(("torque", "good", "weight", "command"), setup.still), np.full((6, 6), np.nan)
+    held, none = dict.fromkeys(("torque", "good", "weight", "command"), setup.initial_torque), np.full((6, 6), np.nan)
     first = new_record(_STATE, **held, safety=(NONE, QUIET, -1.0), readings=none[0], anchors=none)
     own, nothing, law = laws.robot_record(robot), np.zeros(2), cast(Any, _tick)
     legs, observed = np.empty(1, laws.LEGS), np.empty(1, OBSERVED)
@@ -280,7 +280,7 @@ def safety_part(options: SafetyOptions, setup: Setup, innovation_scale: tuple[fl
             raise _stopped(options, period, status, fastest, state)
 
     sizes = {"command": 6, "measurement": 12, "reference": 18} | {name: len(each) for name, each in NOT_THERE.items()}
-    return Part("safety", sizes, ("torque", "safety"), first, tick, reads=NOT_THERE)
+    return Part("safety", tick, {}, sizes, ("torque", "safety"), first, connections=NOT_THERE)
 
 
 def _stopped(options: SafetyOptions, period: float, status: int, fastest: float, state: np.ndarray) -> SafetyStop:

@@ -19,7 +19,7 @@ from stewart_drake.config import Vector6, check_value
 from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError, installed_with
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
-from stewart_drake.part import Part, Setup
+from stewart_drake.part import BoundPart, Part, Setup
 from stewart_drake.parts import setup_of
 from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.plant.closed_chain import loaded
@@ -64,7 +64,7 @@ def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
         reading, by_state = (each[k] for each in sensed)
         try:
             still = static_torque(setup.robot, pose, setup.gravity)
-            side, memory = _controllers_side(scenario, setup._replace(pose=pose, still=still), reading)
+            side, memory = _controllers_side(scenario, setup._replace(pose=pose, initial_torque=still), reading)
             robot = PlantAt(*(each[k] for each in plants))
             results.append(_loop(robot, reading, by_state, side, memory, setup.delay, pose))
             kept.append(k)
@@ -147,13 +147,16 @@ def _ticking(section: str, options: Any, setup: Setup, ports: Mapping[str, np.nd
         keeps = keeps[: 18 + 6 * (1 + options.ahead(setup.delay))]
     if section == "estimator":
         # Its first tick is another than those that follow.
-        part.tick(*(ports[name] for name in part.inputs), initial)
+        BoundPart(part, [ports[name] for name in part.inputs], initial)()
+
+    bound = BoundPart(part, [], initial)
 
     def tick(kept: np.ndarray, ports: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         state = initial.copy()
         flat = state.view(float)
         flat[keeps] = kept
-        part.tick(*(ports[name] for name in part.inputs), state)
+        bound.bind([ports[name] for name in part.inputs], state)
+        bound()
         return flat[says], flat[keeps]
 
     return tick, initial.view(float)[keeps]
@@ -170,7 +173,7 @@ def _controllers_side(
         "disturbance": np.array([expected]),
         "weights": np.array(setup.weights),
         "reading": reading,
-        "sent": setup.still,
+        "sent": setup.initial_torque,
     }
     estimate, estimated = _ticking("estimator", scenario.estimator, setup, ports)
     control, integral = _ticking("controller", scenario.controller, setup, ports)

@@ -106,7 +106,7 @@ class _Wiring:
             self.systems[part.name] = self.add(part.name, part.system)
             self.signals |= {part.signal(name): part.system.GetOutputPort(name) for name in part.outputs}
             return
-        system = PartSystem(part, self.scenario.plant.time_step if part.every_step else self.period)
+        system = PartSystem(part, self.period)
         self.systems[part.name] = self.add(part.name, system)
         sizes, places = system.split()
         split = self.add(f"{part.name}_outputs", Demultiplexer(sizes))
@@ -116,7 +116,7 @@ class _Wiring:
 
     def connect(self, part: Part) -> None:
         """Connects the inputs of a part."""
-        for port in part.inputs:
+        for port in (*part.inputs, *part.replaced):
             source = part.source(port)
             # A `PartSystem` has the time and its arrays without a port.
             if part.system is not None or (port != "time" and isinstance(source, str)):

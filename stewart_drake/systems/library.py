@@ -20,7 +20,7 @@ from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.control.network import DensityKind, TunerNetwork, density_part, network_part
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.hardware.disturbances import Disturbance, total_wrench
-from stewart_drake.part import Part
+from stewart_drake.part import BoundPart, Part
 from stewart_drake.parts import loop_of
 from stewart_drake.plant.multibody_plant import StewartPlant
 from stewart_drake.references import Reference, in_blocks
@@ -33,12 +33,12 @@ _AHEAD = 1.0 + 4e-10
 
 
 class PartSystem(LeafSystem):
-    """Runs a part at its ticks, at multiples of `period` [s]; its state is in the Context.
+    """Runs a part at its ticks, at multiples of its own period or else of `period` [s]; its state is in the Context.
 
     What a part says at a tick is computed from the inputs of that very instant, as soon as somebody asks for it, and
     the discrete update then stores it: a torque in discrete state alone would reach the plant one plant step late. A
-    part that is `late` ticks in the update. The plant must step in a discrete update too, as `plant.add_plant` makes
-    it.
+    part of the end of a tick runs in the update. The plant must step in a discrete update too, as `plant.add_plant`
+    makes it.
 
     Ports: those of the part by name and as attributes, and `result`, its state and the number of ticks done; an output
     with the name of an input is the attribute `NAME_out`. An input whose part has an array for it may be left alone.
@@ -50,8 +50,8 @@ class PartSystem(LeafSystem):
 
     def __init__(self, part: Part, period: float) -> None:
         super().__init__()
-        self.part, self.period = part, on_grid(period)
-        self._tick, self._kind = part.tick, part.initial.dtype
+        self.part, self.period = part, on_grid(part.period or period)
+        self._kind = part.initial.dtype
         initial = np.append(part.initial.view(np.float64), 0.0)
         index = self.DeclareDiscreteState(initial)
         self._time = np.zeros(1)
@@ -64,8 +64,12 @@ class PartSystem(LeafSystem):
             port, otherwise = self.DeclareVectorInputPort(name, size), part.source(name)
             self._ports.append((port, None if isinstance(otherwise, str) else otherwise))
             setattr(self, name, port)
+        self._signals = {
+            name: self.DeclareVectorInputPort(name, part.constants[name].nbytes // 8) for name in part.replaced
+        }
+        self._bound = BoundPart(part, [None] * len(part.inputs), part.initial.copy())
         self.result: OutputPort
-        if part.late:
+        if part.end_of_tick:
             self.result = self.DeclareStateOutputPort("result", index)
         else:
             needs = {self.time_ticket(), self.xd_ticket(), self.all_input_ports_ticket()}
@@ -79,7 +83,7 @@ class PartSystem(LeafSystem):
     def state(self, context: Context) -> np.ndarray:
         """The part's record (1,), of the tick asked for, though nothing has stored it; `context` of the Diagram."""
         mine = self.GetMyContextFromRoot(context)
-        if not self.part.late:
+        if not self.part.end_of_tick:
             entry = self.get_output_port(self.result.get_index()).cache_entry()
             if not entry.is_out_of_date(mine):
                 return np.array(self.result.Eval(mine)[:-1]).view(self._kind)
@@ -97,7 +101,7 @@ class PartSystem(LeafSystem):
             output.SetFromVector(self.result.Eval(context)[start : start + size])
 
         ticket = self.get_output_port(self.result.get_index()).cache_entry().ticket()
-        needs = {self.xd_ticket()} if self.part.late else {ticket}
+        needs = {self.xd_ticket()} if self.part.end_of_tick else {ticket}
         return self.DeclareVectorOutputPort(name, size, calc, prerequisites_of_calc=needs)
 
     def _ticked(self, context: Context, values: np.ndarray) -> None:
@@ -108,7 +112,9 @@ class PartSystem(LeafSystem):
             for port, otherwise in self._ports
         ]
         try:
-            self._tick(*inputs, values[:-1].view(self._kind))
+            signals = {name: port.Eval(context) for name, port in self._signals.items()}
+            self._bound.bind(inputs, values[:-1].view(self._kind), signals)
+            self._bound()
         except RunFailure as error:
             error.time = context.get_time()
             raise
@@ -121,7 +127,7 @@ class PartSystem(LeafSystem):
             self._ticked(context, values)
 
     def _store(self, context: Context, discrete_state: DiscreteValues) -> None:
-        if self.part.late:
+        if self.part.end_of_tick:
             self._ticked(context, discrete_state.get_mutable_value(0))
         else:
             discrete_state.set_value(0, self.result.Eval(context))
@@ -202,7 +208,7 @@ class ScenarioSystem(PartSystem):
             allowed = f"a scenario with the part {self.name}; it has {', '.join(parts)}"
             raise ConfigurationError("scenario", scenario.name, allowed)
         part = parts[self.name]
-        super().__init__(part, scenario.plant.time_step if part.every_step else scenario.controller.period)
+        super().__init__(part, scenario.controller.period)
 
 
 class JointPid(ScenarioSystem, part="controller", controller="pid"):
@@ -226,15 +232,15 @@ class PlatformObserver(ScenarioSystem, part="observer"):
 
 
 class FrictionFeedforward(ScenarioSystem, part="friction_compensation"):
-    """`friction_compensation`, torque against the motors' friction; reference -> against_friction."""
+    """`friction_compensation`, torque against the motors' friction; reference -> friction_torque."""
 
 
 class CommandSum(ScenarioSystem, part="command"):
-    """The torque asked for; control_torque, compensation, against_friction -> torque."""
+    """The torque asked for; control_torque, compensation, friction_torque -> torque."""
 
 
 class SentCommand(ScenarioSystem, part="sent"):
-    """What an observer takes for the last command; torque, against_friction -> sent."""
+    """What an observer takes for the last command; torque, friction_torque -> sent."""
 
 
 class CommandDelay(ScenarioSystem, part="command_delay"):

@@ -111,7 +111,7 @@ def test_the_same_systems_doing_nothing(compare, monkeypatch):
         start = part.initial.copy()
         if part.name == "controller":
             start["torque"] = hold
-        return part._replace(initial=start, tick=lambda *_: None)
+        return part._replace(initial=start, kernel=lambda *_: None, error=None)
 
     def idle_loop(scenario):
         loop = loop_of(scenario)

@@ -40,13 +40,13 @@ def test_motors_wired_wrong_give_the_torques_asked_for_elsewhere_or_with_the_oth
 SIX = np.array([0.01, 0.02, 0.03, 0.04, 0.05, 0.06])
 
 
-def against_friction(pose, rate):
+def friction_torque(pose, rate):
     options = FrictionCompensation(coulomb=tuple(SIX), break_away=0.1, stribeck_velocity=0.05, viscous=0.2)
     part = options.part(setup_for())
     state = part.initial.copy()
-    state["against_friction"] = np.nan
+    state["friction_torque"] = np.nan
     part.tick(np.concatenate([pose, rate, np.zeros(6)]), state)
-    return state["against_friction"][0]
+    return state["friction_torque"][0]
 
 
 @given(poses(0.9), vectors(6), st.sampled_from([1e-8, 0.02, 1.0]))
@@ -54,7 +54,7 @@ def test_it_is_friction_of_the_cranks_of_the_reference_and_smooth_at_reversals(p
     rates = pose_jacobian(ROBOT, pose) @ (size * rate)
     dry = SIX + (0.1 - SIX) * np.exp(-((rates / 0.05) ** 2))
     expected = dry * np.tanh(rates / 0.002) + 0.2 * rates
-    np.testing.assert_allclose(against_friction(pose, size * rate), expected, atol=1e-9)
+    np.testing.assert_allclose(friction_torque(pose, size * rate), expected, atol=1e-9)
 
 
 STEPS = 4
@@ -62,7 +62,7 @@ STEPS = 4
 
 def arrivals(options, ticks=8, steps=STEPS):
     """Command in force and its age at every step; tick k sends k + 1 to all motors, and says so until the next."""
-    part = options.part(setup_for(period=0.001 * steps, time_step=0.001, still=np.zeros(6)))
+    part = options.part(setup_for(period=0.001 * steps, time_step=0.001, initial_torque=np.zeros(6)))
     state, said = part.initial.copy(), []
     for step in range(ticks * steps):
         part.tick(np.full(6, step // steps + 1.0), np.array([0.001 * step]), state)

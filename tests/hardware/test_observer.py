@@ -23,7 +23,7 @@ AWAY = np.concatenate([HOME + 0.01, np.zeros(12)])
 def begun(pose=HOME, rate=STILL, delay=0, torque=None, **more):
     """`tick(reading, sent, reference=AWAY, **changes)` of an observer that has had its first tick; its last state."""
     torque = static_torque(ROBOT, pose, GRAVITY) if torque is None else torque
-    place = {"pose": pose, "pose_rate": rate, "still": torque}
+    place = {"pose": pose, "pose_rate": rate, "initial_torque": torque}
     (part,) = OPTIONS.parts(setup_for(noise=NOISE, delay=delay, **(ENCODERS | place | more)))
     state = part.initial.copy()
 

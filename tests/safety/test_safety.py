@@ -13,7 +13,7 @@ from strategies import ROBOT
 from stewart_drake.errors import ConfigurationError, SafetyStop, failure_code
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
-from stewart_drake.part import WELL
+from stewart_drake.part import HEALTHY
 from stewart_drake.safety import (
     HOLD,
     LEVELS,
@@ -39,7 +39,7 @@ OPTIONS = SafetyOptions()
 def inputs(command=WEIGHT, pose=HOME, rate=STILL, reference=None, **rest):
     """A tick: `rest` are age, sensor, controller, innovation, angles and pose_reading."""
     reference = pose if reference is None else reference
-    more = {"age": 0.0, "sensor": WELL, "controller": WELL, "innovation": 0.0, "angles": None, "pose_reading": None}
+    more = {"age": 0.0, "sensor": HEALTHY, "controller": HEALTHY, "innovation": 0.0, "angles": None, "pose_reading": None}
     command = np.asarray(command, dtype=float)
     return SimpleNamespace(
         command=command, pose=np.asarray(pose), rate=np.asarray(rate), reference=reference, **(more | rest)
@@ -48,7 +48,7 @@ def inputs(command=WEIGHT, pose=HOME, rate=STILL, reference=None, **rest):
 
 def run(sequence, options=OPTIONS, period=PERIOD, quantum=0.0):
     """What the layer says after each tick, and how it ended."""
-    part = safety_part(options, setup_for(period=period, still=WEIGHT, sensors=SimpleNamespace(quantum=quantum)))
+    part = safety_part(options, setup_for(period=period, initial_torque=WEIGHT, sensors=SimpleNamespace(quantum=quantum)))
     state, done = part.initial.copy(), []
     for one in sequence:
         angles = NOT_THERE["angles"] if one.angles is None else one.angles

@@ -111,7 +111,7 @@ def sampler(fail_at=math.inf, failure=None, **changes):
         state["value"][0] = value
         state["rest"][0] += 1.0, value[0]
 
-    part = Part("sampler", {"input": 1, "time": 1}, ("value", "rest"), new_record(SAMPLER, value=-1.0), tick)
+    part = Part("sampler", tick, {}, {"input": 1, "time": 1}, ("value", "rest"), new_record(SAMPLER, value=-1.0))
     return part._replace(**changes)
 
 
@@ -152,8 +152,8 @@ def test_outputs_answer_within_the_tick_and_are_held_to_the_next(stop):
     assert read(system.result, context) == [0.5 * count, *read(system.rest, context), 0.0, count + 1]
 
 
-def test_what_a_late_part_says_acts_from_the_next_tick_on():
-    diagram, system = wire(sampler(late=True), 0.5)
+def test_what_a_part_of_the_end_of_a_tick_gives_acts_from_the_next_tick_on():
+    diagram, system = wire(sampler(end_of_tick=True), 0.5)
     assert not system.HasAnyDirectFeedthrough()
     simulator = Simulator(diagram)
     assert read(system.value, simulator.get_context()) == [-1.0]
