@@ -6,7 +6,7 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.part import LoopRunner
-from stewart_drake.parts import loop_of
+from stewart_drake.parts import controllers_side, loop_of
 from stewart_drake.safety import LEVELS
 from stewart_drake.sampling import InBlocks
 from stewart_drake.scenario import Scenario
@@ -37,7 +37,7 @@ class Controller:
     def __init__(self, scenario: Scenario) -> None:
         loop = loop_of(scenario, split=True)
         self._age = np.zeros(1)
-        own = [*loop.parts[loop.first : loop.last], *(part for part in loop.parts[loop.last :] if part.end_of_tick)]
+        own = controllers_side(loop)
         safety = [part for part in loop.parts if part.name == "safety"]
         if any(part.system is not None for part in own):
             raise ConfigurationError(

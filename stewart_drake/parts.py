@@ -58,6 +58,11 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
     return _Builder(scenario, split).loop()
 
 
+def controllers_side(loop: Loop) -> list[Part]:
+    """The parts of a loop that run on a computer beside the robot: without sensors, delay, link, motors and safety."""
+    return [*loop.parts[loop.first : loop.last], *(part for part in loop.parts[loop.last :] if part.end_of_tick)]
+
+
 def setup_of(scenario: Scenario, split: bool = False) -> Setup:
     """What the parts of a scenario are made for; `split` as in `loop_of`."""
     robot, friction, tuner = scenario.believed_robot, scenario.friction_compensation, scenario.tuner

@@ -1,6 +1,6 @@
 """The sampled loop around poses at rest, broken at the six motors' torques: x+ = A x + B u, y = C x; u = y closes it.
 
-The exact robot without friction, estimator and controller of a run by central differences; weights as at the start.
+The exact robot without friction, and the controller's side of a run by central differences; weights as at the start.
 `linearize` gives the loop at one pose, and the robot alone, for numpy and for python-control.
 """
 
@@ -19,8 +19,8 @@ from stewart_drake.config import Vector6, check_value
 from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError, installed_with
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
-from stewart_drake.part import BoundPart, Part, Setup
-from stewart_drake.parts import setup_of
+from stewart_drake.part import LoopRunner, Part
+from stewart_drake.parts import controllers_side, loop_of
 from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.plant.closed_chain import loaded
 from stewart_drake.robot import RobotParameters
@@ -55,18 +55,19 @@ def poses_to_stand_at(scenario: Scenario, count: int, seed: int) -> np.ndarray:
 
 
 def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
-    """The loops of a scenario at poses (m, 6) [rad, m]; a pose that a part of it refuses is left out."""
+    """The loops of a scenario at poses (m, 6) [rad, m]; a pose at which a part fails is left out."""
     period, results, kept, left_out = scenario.controller.period, [], [], []
-    setup = setup_of(scenario, split=True)._replace(pose_rate=np.zeros(6), friction=0.0)
-    sensed = _sensed(scenario.sensors.kind, scenario.robot, poses)
+    # Without friction a robot stands where it is wanted; a safety layer would hide that a part fails.
+    scenario = scenario.replace({"safety": None, "friction_compensation": None})
+    sensed = _sensed(scenario.sensors.reading_size, scenario.robot, poses)
     plants = plant_at(loaded(scenario.robot, scenario.plant), poses, scenario.gravity, period)
+    active = None
     for k, pose in enumerate(poses):
         reading, by_state = (each[k] for each in sensed)
         try:
-            still = static_torque(setup.robot, pose, setup.gravity)
-            side, memory = _controllers_side(scenario, setup._replace(pose=pose, initial_torque=still), reading)
-            robot = PlantAt(*(each[k] for each in plants))
-            results.append(_loop(robot, reading, by_state, side, memory, setup.delay, pose))
+            side = _ControllersSide(scenario.replace({"reference": {"kind": "hold", "pose": pose}}), reading)
+            active = side.choose(active)
+            results.append(_loop(PlantAt(*(each[k] for each in plants)), by_state, side, scenario.command_delay, pose))
             kept.append(k)
         except (RunFailure, UnreachablePoseError) as error:
             left_out.append(str(error))
@@ -98,124 +99,105 @@ def plant_at(robots: np.ndarray, poses: np.ndarray, gravity: float, period: floa
     return PlantAt(moves[:, :12, :12], moves[:, :12, 12:], torque)
 
 
-def _sensed(kind: str, robot: RobotParameters, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What exact sensors say at poses (m, 6), and its derivative (m, k, 12) by pose and rate."""
-    if kind == "ideal":
+def _sensed(size: int, robot: RobotParameters, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Exact readings (m, size) at poses (m, 6), angles of the cranks or pose and rate; derivative by pose and rate."""
+    if size == 12:
         rest = np.concatenate([poses, np.zeros_like(poses)], axis=-1)
         return rest, np.broadcast_to(np.eye(12), (len(poses), 12, 12))
-    if kind == "encoders":
-        turned = pose_jacobian(robot, poses)
-        return inverse_kinematics(robot, poses), np.concatenate([turned, np.zeros_like(turned)], axis=-1)
-    raise ConfigurationError("sensors.kind", kind, "ideal or encoders, for a linear loop")
+    turned = pose_jacobian(robot, poses)
+    return inverse_kinematics(robot, poses), np.concatenate([turned, np.zeros_like(turned)], axis=-1)
 
 
-_LINEAR = {
-    "estimator": {
-        "difference": ("measurement", "angles crank_rate"),
-        "observer": ("ahead compensation", "measurement disturbance commands"),
-    },
-    "controller": {
-        "lqi": ("torque", "integral"),
-        "pid": ("torque", "crank_integral"),
-        "computed_torque": ("torque", "integral"),
-    },
-}
-"""Section -> kind -> fields of its part's state that it says, and those on which its next tick depends."""
+class _ControllersSide:
+    """Estimator, controller and what belongs to them as one function of reading and memory, near a standstill.
 
-_Tick = Callable[[np.ndarray, Mapping[str, np.ndarray]], tuple[np.ndarray, np.ndarray]]
+    The memory is what of the parts' states acts on later ticks. Weights are those of the start.
+    """
+
+    def __init__(self, scenario: Scenario, reading: np.ndarray) -> None:
+        loop = loop_of(scenario, split=True)
+        parts = controllers_side(loop)
+        if any(part.system is not None for part in parts):
+            raise ConfigurationError("controller.kind", scenario.controller.kind, "no LeafSystem, for a linear loop")
+        tuning = [part for part in parts if part.name in ("density", "tuner")]
+        weights = {
+            part.signal(name): part.initial[name][0] for part in tuning if part.name == "tuner" for name in part.outputs
+        }
+        parts = [part.connected(**_replaced(part, weights)) for part in parts if part not in tuning]
+        outside = {loop.reading: len(reading), **{each.signal: each.size for each in loop.sources}}
+        self.runner = LoopRunner(parts, outside, period=scenario.controller.period)
+        for source in loop.sources:
+            self.runner.signal(source.signal)[:] = source.evaluate(np.zeros(1))[0]
+        self.reading, self._memory = reading, self.runner.values[sum(outside.values()) :]
+        self._reading, self._torque = self.runner.signal(loop.reading), self.runner.signal("torque")
+        # The first tick is another than those that follow.
+        self._tick(reading)
+        self._start, self._active = self._memory.copy(), np.arange(len(self._memory))
+
+    def choose(self, active: np.ndarray | None) -> np.ndarray:
+        """Takes these numbers of the states for its memory, or finds those that have a way to the torque."""
+        self._active = self._leading() if active is None else active
+        return self._active
+
+    @property
+    def memory(self) -> np.ndarray:
+        """(n,) at first."""
+        return self._start[self._active]
+
+    def __call__(self, inputs: np.ndarray) -> np.ndarray:
+        """Memory (n,) and torque (6,) [N m] after a tick, of the reading and of the memory before it."""
+        self._memory[:] = self._start
+        self._memory[self._active] = inputs[len(self.reading) :]
+        self._tick(inputs[: len(self.reading)])
+        return np.concatenate([self._memory[self._active], self._torque])
+
+    def _tick(self, reading: np.ndarray) -> None:
+        self._reading[:] = reading
+        self.runner.run()
+        self.runner.end()
+
+    def _leading(self) -> np.ndarray:
+        n, columns = len(self._start), []
+        for way in _STEP * np.eye(n):
+            try:
+                ahead, behind = (self(np.concatenate([self.reading, self._start + each])) for each in (way, -way))
+                columns.append(ahead - behind)
+            except RunFailure:
+                # A flag, such as the side of a singularity.
+                columns.append(np.zeros(n + 6))
+        by = np.stack(columns, axis=-1)
+        return np.flatnonzero(_observable(by[None, :n], by[None, n:]))
 
 
-def _ticking(section: str, options: Any, setup: Setup, ports: Mapping[str, np.ndarray]) -> tuple[_Tick, np.ndarray]:
-    """A section's part near a standstill: kept, ports -> says, keeps; and what it keeps first."""
-    table = _LINEAR[section]
-    if options.kind not in table:
-        *most, last = table
-        allowed = f"{', '.join(most)} or {last}, for a linear loop"
-        raise ConfigurationError(f"{section}.kind", options.kind, allowed)
-    parts = options.parts(setup)
-    if not parts:
-        # An estimator whose reading is the measurement.
-        return lambda kept, ports: (ports["reading"], kept), np.zeros(0)
-    part: Part = parts[0]
-    initial, layout = part.initial.copy(), part.initial.dtype.fields
-    says, keeps = (
-        np.concatenate([np.arange(0), *(layout[name][1] // 8 + np.arange(part.size(name)) for name in names.split())])  # type: ignore[index]
-        for names in table[options.kind]
-    )
-    if options.kind == "observer":
-        # Of the commands it has place for more than are under way.
-        keeps = keeps[: 18 + 6 * (1 + options.ahead(setup.delay))]
-    if section == "estimator":
-        # Its first tick is another than those that follow.
-        BoundPart(part, [ports[name] for name in part.inputs], initial)()
-
-    bound = BoundPart(part, [], initial)
-
-    def tick(kept: np.ndarray, ports: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        state = initial.copy()
-        flat = state.view(float)
-        flat[keeps] = kept
-        bound.bind([ports[name] for name in part.inputs], state)
-        bound()
-        return flat[says], flat[keeps]
-
-    return tick, initial.view(float)[keeps]
-
-
-def _controllers_side(
-    scenario: Scenario, setup: Setup, reading: np.ndarray
-) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
-    """Estimator and controller as one function of reading and memory, which ends with the command; memory at first."""
-    expected = scenario.estimator.expected * scenario.tuner.levels[0]
-    ports = {
-        # Without friction the reference says nothing to an observer.
-        "reference": np.concatenate([setup.pose, np.zeros(12)]),
-        "disturbance": np.array([expected]),
-        "weights": np.array(setup.weights),
-        "reading": reading,
-        "sent": setup.initial_torque,
+def _replaced(part: Part, signals: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {
+        port: signals[source]
+        for port in part.inputs
+        if isinstance(source := part.source(port), str) and source in signals
     }
-    estimate, estimated = _ticking("estimator", scenario.estimator, setup, ports)
-    control, integral = _ticking("controller", scenario.controller, setup, ports)
-    ends = np.cumsum([len(reading), len(estimated), len(integral)])
-
-    def side(inputs: np.ndarray) -> np.ndarray:
-        said, kept, integral, sent = np.split(inputs, ends)
-        said, kept = estimate(kept, ports | {"reading": said, "sent": sent})
-        command, integral = control(integral, ports | {"measurement": said[:12]})
-        # Behind what it says of the platform an observer has a compensation for the command.
-        return np.concatenate([kept, integral, command + said[12:] if len(said) > 12 else command])
-
-    return side, np.concatenate([estimated, integral])
 
 
 def _loop(
-    robot: PlantAt,
-    reading: np.ndarray,
-    by_state: np.ndarray,
-    side: Any,
-    memory: np.ndarray,
-    delay: int,
-    pose: np.ndarray,
+    robot: PlantAt, by_state: np.ndarray, side: _ControllersSide, delay: int, pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A, B, C where the loop stands still, by Newton's method; a RunFailure where it does not.
 
-    The state: the plant's, the controller's side's with the last command at its end, older commands.
+    The state: the plant's, the memory of the controller's side, commands under way, newest first.
     """
-    x = np.concatenate([np.zeros(12), memory, np.tile(robot.torque, max(1, delay))])
-    n, end = len(x), 18 + len(memory)
-    command, older = slice(end - 6, end), np.arange(end, n)
+    x = np.concatenate([np.zeros(12), side.memory, np.tile(robot.torque, delay)])
+    n, read, end = len(x), len(side.reading), 12 + len(side.memory)
     a, b, c = np.zeros((n, n)), np.zeros((n, 6)), np.zeros((6, n))
     a[:12, :12], b[:12] = robot.a, robot.b
-    a[older, older - 6] = 1.0
+    a[end + 6 :, end : n - 6] = np.eye(max(0, n - 6 - end))
     for _ in range(_NEWTON_STEPS):
-        value, by = _derivatives(side, np.concatenate([reading + by_state @ x[:12], x[12:end]]))
-        a[12:end, :12], a[12:end, 12:end] = by[:, : len(reading)] @ by_state, by[:, len(reading) :]
-        after = np.concatenate([robot.a @ x[:12], value, x[end - 6 : n - 6]])
+        value, by = _derivatives(side, np.concatenate([side.reading + by_state @ x[:12], x[12:end]]))
+        by = np.concatenate([by[:, :read] @ by_state, by[:, read:]], axis=1)
+        a[12:end, :end] = by[:-6]
+        after = np.concatenate([robot.a @ x[:12], value, x[end:]])[:n]
         if delay:
-            c[:, n - 6 :], acts = np.eye(6), x[n - 6 :]
+            a[end : end + 6, :end], c[:, n - 6 :], acts = by[-6:], np.eye(6), x[n - 6 :]
         else:
-            c, acts = a[command].copy(), value[-6:]
+            c[:, :end], acts = by[-6:], value[-6:]
         after[:12] += robot.b @ (acts - robot.torque)
         change = after - x
         # An integral whose gain is zero need not stand still.
