@@ -245,8 +245,6 @@ def reproduce(quick: bool, out: Path | None) -> None:
     from stewart_drake.paper.reproduce import differences, rows
     from stewart_drake.paper.reproduce import reproduce as results_of
 
-    if out is not None:
-        prepare_folder(out)
     with progress_bar("reproduction", 100.0, unit="%") as advance:
         results = results_of(quick, out, lambda share, name: advance(100.0 * share, name.replace("_", " ")))
     claims = [claim for result in results.values() for claim in result.claims]

@@ -23,6 +23,7 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics, second_half, tracking_error
 from stewart_drake.planning.pose_box import Region
 from stewart_drake.plotting import save_figure
+from stewart_drake.runs.outputs import prepare_folder
 from stewart_drake.scenario import FixedTuner, PaperTuner, Scenario
 from stewart_drake.studies.runs import simulate
 from stewart_drake.studies.study import markdown
@@ -96,7 +97,7 @@ def reproduce(
     results: dict[str, Result] = {}
     import_module("stewart_drake.training.train")  # where torch is missing, not after minutes
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
+        prepare_folder(out)
     with TemporaryDirectory() as scratch:
         study = Study(quick, folder=out or Path(scratch))
         for name in MODULES:

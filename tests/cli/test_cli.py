@@ -120,7 +120,7 @@ BAD = [
     ("run paper_fig7 --set tuner.weights_file=short.json", ["short.json", "hidden_weights", "(10, 12)"]),
     ("run paper_fig7 --out twice.yaml/x", ["--out", "'twice.yaml/x'", "this is a file"]),
     ("write-sdf x.sdf --set robot.rod_lenght=1", ["robot.rod_lenght", "did you mean rod_length?"]),
-    ("train none.parquet", ["none.parquet", "collect"]),
+    pytest.param("train none.parquet", ["none.parquet", "collect"], marks=pytest.mark.torch),
     ("margins --poses 0", ["--poses"]),
     ("check paper_fig7 --out fit.yaml", ["--out needs either --scale or --retime"]),
     ("compare compare.yaml", ["weak, hold, nominal: controller.kpp"]),

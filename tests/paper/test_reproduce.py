@@ -48,6 +48,7 @@ def test_the_command_prints_the_table_and_fails_on_a_changed_one(monkeypatch, tm
 
 
 @pytest.mark.long
+@pytest.mark.torch
 def test_the_quick_reproduction_is_the_committed_one(tmp_path):
     results = module.reproduce(True, tmp_path)
     assert differences([claim for result in results.values() for claim in result.claims], "quick") == []
