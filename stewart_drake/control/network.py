@@ -32,7 +32,8 @@ def density_of(samples: Any, signed: bool, out: Any) -> None:
     """Densities (k,) [-] of the last sample of a window (n, k), oldest first, n <= m + 1 (fewer while it fills).
 
     (35), (36), `signed`: x over the window's mean. Deviation: the print is singular where the signed sum crosses zero;
-    the result is held within +-n there. Else |x| over the window's mean |x|, which lies in [0, n] by itself.
+    the result is held within +-n there. Close to it the quotient is ill-conditioned: rounding errors of the samples
+    decide it. Else |x| over the window's mean |x|, which lies in [0, n] by itself and is well-conditioned.
     """
     count = samples.shape[0]
     for k in range(samples.shape[1]):
