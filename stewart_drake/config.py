@@ -141,8 +141,7 @@ class Section:
 
         @wraps(cls.__init__)
         def init(self: Section, /, **keys: Any) -> None:
-            given = {name: plain(value) for name, value in keys.items()}
-            type(self)._validated(given, type(self).section_key, self_instance=self)
+            type(self)._validated(keys, type(self).section_key, self_instance=self)
 
         cls.__init__ = init  # type: ignore[method-assign, assignment]
 
@@ -168,6 +167,8 @@ class Section:
                 return cls.__pydantic_validator__.validate_python(data, **details)
             except ValidationError as error:
                 raise _as_one(error, key) from None
+            except RecursionError:
+                raise ConfigurationError(key or "scenario", data, "values that do not hold themselves") from None
 
     @model_validator(mode="wrap")
     @classmethod
@@ -179,7 +180,7 @@ class Section:
         given = {name: value is None for name, value in data.items()} if isinstance(data, dict) else None
         try:
             if isinstance(data, dict):
-                data = {name: in_unit(value, name, cls.unit_of(name)) for name, value in data.items()}
+                data = {name: in_unit(plain(value), name, cls.unit_of(name)) for name, value in data.items()}
             result = handler(data if fill is None or given is None else fill(cls, data))
         except ConfigurationError as error:
             error.key = error.key.removeprefix(f"{cls.section_key}.")

@@ -16,7 +16,7 @@ import numpy as np
 
 from stewart_drake.config import Real, Window, check_value
 from stewart_drake.errors import ConfigurationError, NotFiniteError
-from stewart_drake.files.whole import PACKAGE, plain_json, read_checked, seal, unseal, write_atomically
+from stewart_drake.files.whole import PACKAGE, plain_json, read_checked, seal, unseal_json, write_atomically
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
 from stewart_drake.part import Part
@@ -132,25 +132,19 @@ def weights_bytes(kind: str, version: int, content: dict[str, Any]) -> bytes:
 def load_weights(path: Path, kind: str, version: int, build: Callable[[dict[str, Any]], _Read]) -> _Read:
     """What `build` makes of the content of a weights file of a kind and version; errors name the path."""
     key = f"weights file {path}"
-    try:
-        document = json.loads(read_weights(path))
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(key, str(error), "a JSON document") from error
-    if not isinstance(document, dict) or document.get("format") != kind:
+    content = unseal_json(read_weights(path), key, "`stewart-drake train`")
+    if content.get("format") != kind:
         raise ConfigurationError(key, f"no {kind.partition(' ')[2]}", f'"format": "{kind}"')
-    if document.get("version") != version:
+    if content.get("version") != version:
         allowed = f"{version}; `stewart-drake train` makes a new one"
-        raise ConfigurationError(f"{key}: version", document.get("version"), allowed)
+        raise ConfigurationError(f"{key}: version", content.get("version"), allowed)
     try:
-        content = unseal(document)
         provenance = content.get("provenance", {})
         if not isinstance(provenance, dict):
             raise ConfigurationError("provenance", provenance, "a mapping")
         return build({"provenance": {}, **content})
     except ConfigurationError as error:
         raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(key, str(error), "an unchanged file from `stewart-drake train`") from None
 
 
 def read_weights(path: Path) -> str:

@@ -15,7 +15,7 @@ from pydantic import Field
 from stewart_drake.config import Positive, Real, Section, Text
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import UserMade
-from stewart_drake.files.tables import POSE, read_numbers, refuse_cells
+from stewart_drake.files.tables import POSE, read_numbers, refuse_back, refuse_cells
 from stewart_drake.sampling import unwrapped
 
 QUANTITIES = (("time", "s"), *POSE)
@@ -80,8 +80,7 @@ def load_recording(path: str | Path) -> np.ndarray:
     if len(data) < 4:
         raise ConfigurationError(key, f"{len(data)} rows", "at least 4 rows")
     refuse_cells(key, QUANTITIES, data, ~np.isfinite(data), "a finite number")
-    back = np.diff(data[:, :1], axis=0, prepend=-math.inf) <= 0.0
-    refuse_cells(key, QUANTITIES, data, back, "a time after that of the row before")
+    refuse_back(key, data[:, 0])
     turns = data[:, 1:4]
     wrapped = np.abs(turns).max(axis=0) <= 2.0 * math.pi * (1.0 + 1e-9)
     data[:, 1:4] = np.where(wrapped, unwrapped(turns), turns)
