@@ -1,8 +1,9 @@
-"""The page of a live session: served to this machine alone."""
+"""The page of a live session: served to this machine alone, and to no page but its own."""
 
 from __future__ import annotations
 
 import json
+import queue
 import sys
 import threading
 from collections.abc import Mapping
@@ -15,7 +16,16 @@ from stewart_drake.errors import StewartDrakeError
 from stewart_drake.live.session import LiveSession
 
 PORTS = range(8000, 8100)
-_TYPES = {"html": "text/html; charset=utf-8", "js": "text/javascript", "css": "text/css"}
+PATIENCE = 10.0
+"""[s] that another end may take to send or to read what is due."""
+MOST_CONNECTIONS, MOST_PAGES = 64, 16
+"""At a time; of pages that listen to the rows."""
+MOST_BYTES = 10_000
+"""Of a command."""
+_HTML, _JS, _CSS = "text/html; charset=utf-8", "text/javascript; charset=utf-8", "text/css"
+_FILES = {"live.html": _HTML, "common.css": _CSS, "live.css": _CSS, "uPlot.min.css": _CSS}
+_FILES |= dict.fromkeys(("three.min.js", "uPlot.iife.min.js", "scene.js", "plots.js", "live.js"), _JS)
+"""All files that are served, and their types."""
 
 
 class LiveServer:
@@ -32,16 +42,36 @@ class LiveServer:
 
     def close(self) -> None:
         """Ends it."""
+        self._server.open = False
         self._server.shutdown()
         self._server.server_close()
 
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
+    open = True
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self._room, self.pages = threading.Semaphore(MOST_CONNECTIONS), threading.Semaphore(MOST_PAGES)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """A thread for who asks, where there is room for one."""
+        if self._room.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Room for the next once it is done."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._room.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Nothing where the page was closed while it asked."""
-        if not isinstance(sys.exception(), ConnectionError):
+        """Nothing where the other end was closed while it asked, or did not read."""
+        if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
             super().handle_error(request, client_address)
 
 
@@ -57,15 +87,21 @@ def _first_free(handler: type[BaseHTTPRequestHandler]) -> _Server:
 class _Handler(BaseHTTPRequestHandler):
     session: LiveSession
     about: Mapping[str, Any]
+    server: _Server
+    timeout = PATIENCE
 
     def parse_request(self) -> bool:
-        """Refuses who came by another name than this machine's own, as a page of a foreign site would."""
+        """Refuses who comes by another name than this machine's own, or from a page of another origin."""
         if not super().parse_request():
             return False
-        if self.headers.get("Host", "").rpartition(":")[0] not in ("localhost", "127.0.0.1"):
+        host, site = self.headers.get("Host", ""), self.headers.get("Sec-Fetch-Site", "none")
+        ours = host.rpartition(":")[0] in ("localhost", "127.0.0.1")
+        ours &= self.headers.get("Origin", f"http://{host}") == f"http://{host}"
+        # A link may lead from anywhere to the page, and to nothing else.
+        ours &= site in ("none", "same-origin") or self.path == "/"
+        if not ours:
             self.send_error(HTTPStatus.FORBIDDEN)
-            return False
-        return True
+        return ours
 
     def do_GET(self) -> None:
         """The page and its files, what it shows, and the rows as server-sent events."""
@@ -74,29 +110,41 @@ class _Handler(BaseHTTPRequestHandler):
             self._stream()
         elif name == "about":
             self._answer(json.dumps(self.about).encode(), "application/json")
+        elif name in _FILES:
+            self._answer((files("stewart_drake") / "pages" / name).read_bytes(), _FILES[name])
         else:
-            page = files("stewart_drake") / "pages" / name
-            if "/" in name or not page.is_file():
-                self.send_error(HTTPStatus.NOT_FOUND)
-                return
-            self._answer(page.read_bytes(), _TYPES.get(name.rpartition(".")[2], "text/plain"))
+            self.send_error(HTTPStatus.NOT_FOUND)
 
     def do_POST(self) -> None:
-        """A command."""
+        """A command; its number is the answer."""
+        length = self.headers.get("Content-Length", "")
+        if self.path != "/do":
+            self.send_error(HTTPStatus.NOT_FOUND)
         # A page of another origin cannot send this type without asking first.
-        if self.headers.get("Content-Type") != "application/json":
+        elif self.headers.get("Content-Type") != "application/json":
             self.send_error(HTTPStatus.UNSUPPORTED_MEDIA_TYPE)
-            return
-        try:
-            command = json.loads(self.rfile.read(int(self.headers.get("Content-Length", 0))))
-        except ValueError:
-            self.send_error(HTTPStatus.BAD_REQUEST)
-            return
-        self.session.tell(command)
-        self._answer(b"{}", "application/json")
+        elif not length.isdecimal():
+            self.send_error(HTTPStatus.LENGTH_REQUIRED)
+        elif len(length) > len(str(MOST_BYTES)) or int(length) > MOST_BYTES:
+            self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+        else:
+            try:
+                number = self.session.tell(json.loads(self.rfile.read(int(length))))
+            except (ValueError, RecursionError):
+                self.send_error(HTTPStatus.BAD_REQUEST)
+            except queue.Full:
+                self.send_error(HTTPStatus.SERVICE_UNAVAILABLE)
+            else:
+                self._answer(json.dumps({"number": number}).encode(), "application/json")
 
     def log_message(self, *_: Any) -> None:
         """Nothing."""
+
+    def end_headers(self) -> None:
+        """With what keeps other pages from framing this one, and this one from loading anything from elsewhere."""
+        self.send_header("Content-Security-Policy", "default-src 'self'; img-src data:; frame-ancestors 'none'")
+        self.send_header("Cache-Control", "no-store")
+        super().end_headers()
 
     def _answer(self, content: bytes, kind: str) -> None:
         self.send_response(HTTPStatus.OK)
@@ -106,14 +154,17 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def _stream(self) -> None:
-        self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", "text/event-stream")
-        self.send_header("Cache-Control", "no-store")
-        self.end_headers()
-        rows = self.session.listen()
+        if not self.server.pages.acquire(blocking=False):
+            self.send_error(HTTPStatus.SERVICE_UNAVAILABLE)
+            return
         try:
-            while True:
-                self.wfile.write(f"data: {json.dumps(rows.get())}\n\n".encode())
-                self.wfile.flush()
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", "text/event-stream")
+            self.end_headers()
+            count = 0
+            while self.server.open:
+                # While the loop is busy, a remark finds out whether the page is still there.
+                count, rows = self.session.rows_after(count, 1.0)
+                self.wfile.write("".join(f"data: {row}\n\n" for row in rows).encode() or b": busy\n\n")
         finally:
-            self.session.leave(rows)
+            self.server.pages.release()
