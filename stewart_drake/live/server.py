@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
+import socket
 import sys
 import threading
 from collections.abc import Mapping
@@ -20,8 +21,8 @@ PATIENCE = 10.0
 """[s] that another end may take to send or to read what is due."""
 MOST_CONNECTIONS, MOST_PAGES = 64, 16
 """At a time; of pages that listen to the rows."""
-MOST_BYTES = 10_000
-"""Of a command."""
+MOST_BYTES, MOST_UNREAD = 10_000, 65_536
+"""Of a command; that the system keeps for a page which does not read."""
 _HTML, _JS, _CSS = "text/html; charset=utf-8", "text/javascript; charset=utf-8", "text/css"
 _FILES = {"live.html": _HTML, "common.css": _CSS, "live.css": _CSS, "uPlot.min.css": _CSS}
 _FILES |= dict.fromkeys(("three.min.js", "uPlot.iife.min.js", "scene.js", "plots.js", "live.js"), _JS)
@@ -38,7 +39,7 @@ class LiveServer:
         handler = type("Handler", (_Handler,), {"session": session, "about": about})
         self._server = _first_free(handler)
         self.url = f"http://localhost:{self._server.server_port}/"
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+        threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
 
     def close(self) -> None:
         """Ends it."""
@@ -48,8 +49,8 @@ class LiveServer:
 
 
 class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-    open = True
+    daemon_threads, open = True, True
+    request_queue_size = MOST_CONNECTIONS
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
@@ -158,6 +159,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE)
             return
         try:
+            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, MOST_UNREAD)
             self.send_response(HTTPStatus.OK)
             self.send_header("Content-Type", "text/event-stream")
             self.end_headers()
