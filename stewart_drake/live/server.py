@@ -19,14 +19,10 @@ from stewart_drake.live.session import LiveSession
 PORTS = range(8000, 8100)
 PATIENCE = 10.0
 """[s] that another end may take to send or to read what is due."""
-MOST_CONNECTIONS, MOST_PAGES = 64, 16
-"""At a time; of pages that listen to the rows."""
-MOST_BYTES, MOST_UNREAD = 10_000, 65_536
-"""Of a command; that the system keeps for a page which does not read."""
-_HTML, _JS, _CSS = "text/html; charset=utf-8", "text/javascript; charset=utf-8", "text/css"
-_FILES = {"live.html": _HTML, "common.css": _CSS, "live.css": _CSS, "uPlot.min.css": _CSS}
-_FILES |= dict.fromkeys(("three.min.js", "uPlot.iife.min.js", "scene.js", "plots.js", "live.js"), _JS)
-"""All files that are served, and their types."""
+MOST_PAGES, MOST_BYTES, MOST_UNREAD = 16, 10_000, 65_536
+"""Pages that listen at a time, bytes of a command, and bytes that the system keeps for a page which does not read."""
+_TYPES = {"html": "text/html; charset=utf-8", "js": "text/javascript; charset=utf-8", "css": "text/css"}
+_FILES = {page.name: page for page in (files("stewart_drake") / "pages").iterdir()}
 
 
 class LiveServer:
@@ -49,26 +45,11 @@ class LiveServer:
 
 
 class _Server(ThreadingHTTPServer):
-    daemon_threads, open = True, True
-    request_queue_size = MOST_CONNECTIONS
+    daemon_threads, open, request_queue_size = True, True, 64
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
-        self._room, self.pages = threading.Semaphore(MOST_CONNECTIONS), threading.Semaphore(MOST_PAGES)
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """A thread for who asks, where there is room for one."""
-        if self._room.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Room for the next once it is done."""
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            self._room.release()
+        self.pages = threading.Semaphore(MOST_PAGES)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Nothing where the other end was closed while it asked, or did not read."""
@@ -112,7 +93,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif name == "about":
             self._answer(json.dumps(self.about).encode(), "application/json")
         elif name in _FILES:
-            self._answer((files("stewart_drake") / "pages" / name).read_bytes(), _FILES[name])
+            self._answer(_FILES[name].read_bytes(), _TYPES.get(name.rpartition(".")[2], "text/plain"))
         else:
             self.send_error(HTTPStatus.NOT_FOUND)
 

@@ -33,10 +33,8 @@ CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
     "computed torque": {"controller": "computed_torque"},
 }
 """What can be chosen in the panel: name -> scenario key -> value."""
-ROWS_KEPT = 50
-"""Rows that a page may be late; one that reads more slowly misses some."""
-COMMANDS_KEPT = 200
-"""Commands that may wait for the loop."""
+ROWS_KEPT, COMMANDS_KEPT = 50, 200
+"""Rows that a page may be late, one that reads more slowly misses some; commands that may wait for the loop."""
 
 
 class LiveSession:
@@ -65,21 +63,14 @@ class LiveSession:
         }
 
     def tell(self, command: Any) -> int:
-        """Hands over a command of the browser, from any thread; its number, which a row has once it is obeyed.
-
-        Raises:
-            queue.Full: Too many wait already.
-        """
+        """Hands over a command, from any thread; its number, which rows have once it is obeyed; queue.Full if too many."""
         with self._receiving:
             self._commands.put_nowait((self._received + 1, command))
             self._received += 1
             return self._received
 
     def rows_after(self, count: int, timeout: float) -> tuple[int, list[str]]:
-        """How many rows there were, and those after the first `count` that are kept, as JSON; from any thread.
-
-        It waits for one, or for `timeout` [s] where none comes.
-        """
+        """How many rows there were, and those kept after the first `count`, as JSON; waits for one up to a time [s]."""
         with self._news:
             self._news.wait_for(lambda: self._published > count, timeout)
             late = min(self._published - count, len(self._rows))

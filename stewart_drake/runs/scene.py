@@ -64,14 +64,9 @@ def link_poses(
     reference: np.ndarray,
     e_l: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Position [m] and quaternion (x, y, z, w) (..., 14, 7) in B of cranks, rods, platform and reference disc.
+    """Position [m] and quaternion x, y, z, w (..., 14, 7) in B of cranks, rods, platform and reference disc.
 
-    Args:
-        robot: Geometry.
-        pose: (..., 6) [rad, m] of the platform.
-        crank_angles: (..., 6) [rad] theta.
-        reference: (..., 6) [rad, m] pose that is wanted.
-        e_l: (..., 6, 3) [-] along the rods; None takes the way from each crank's tip to its joint on the platform.
+    Rods lie along e_l (..., 6, 3); None takes the way from each crank's tip to its joint on the platform.
     """
     platform, wanted = rotation_matrix(pose[..., :3])[..., None, :, :], rotation_matrix(reference[..., :3])
     cranks = crank_rotations(robot, crank_angles)

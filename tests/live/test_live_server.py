@@ -128,7 +128,7 @@ def test_a_body_is_bounded_and_must_be_json(server, length, body, answer):
         ("GET /" + "a" * 1_000_000, 414),
         ("GET /../live/server.py", 404),
         ("GET /%00", 404),
-        ("GET /uPlot.LICENSE", 404),
+        ("GET /pages/live.js", 404),
         ("POST /events", 404),
         ("DELETE /do", 501),
     ],
