@@ -13,7 +13,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PINS)
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test test-all test-torch check newest golden results lint bench docs docs-quick picture gallery robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety format clean
+.PHONY: demo install test test-all test-torch check newest golden results lint bench docs docs-quick picture gallery robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three format clean
 
 demo: $(BASE)
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -70,6 +70,13 @@ lint: install
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# The part of three.js that the pages use, bundled anew; needs npm.
+three:
+	npm install --silent --no-save --prefix build/three three@0.187.0 esbuild@0.28.2
+	NODE_PATH=build/three/node_modules build/three/node_modules/.bin/esbuild stewart_drake/pages/three.entry.js --bundle --minify \
+		--format=iife --global-name=THREE --banner:js='/*! three.js 0.187.0, https://threejs.org, MIT */' --legal-comments=inline \
+		--outfile=stewart_drake/pages/three.min.js
 
 bench: install
 	$(BIN)/pytest tests/benchmarks -p no:xdist -s -q --benchmark-quiet

@@ -173,7 +173,7 @@ def _draw_graph(graph: str, folder: Path) -> None:
 
 
 def _draw(log: SimulationLog, folder: Path) -> None:
-    # matplotlib and Meshcat take a second to load; a sweep that wants numbers alone does without.
+    # matplotlib takes a second to load; a sweep that wants numbers alone does without.
     from stewart_drake.plotting import plot_states, plot_torques, save_figure
     from stewart_drake.runs.replay import write_replay
 
