@@ -96,9 +96,11 @@ def _print_run(log: SimulationLog, results: Results) -> None:
 def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None) -> None:
     """The check covers the whole run of SCENARIO. Your own code is named but not run.
 
-    Exit status 2: the motion is infeasible.
+    `plant_torque` is the torque with payload, motor friction and disturbances, which the controller does not know.
+
+    Exit status 2: the motion is infeasible, or the plant needs more torque than the motors have.
     """
-    from stewart_drake.runs.checks import check_scenario, fit_amplitude, fit_speed, motion_report
+    from stewart_drake.runs import checks
 
     if out is not None and scale == retime:
         raise click.UsageError("--out needs either --scale or --retime")
@@ -114,8 +116,9 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
             raise ConfigurationError("SCENARIO", scenario, allowed)
         tell("the motion or a monitor is your own code, which check does not run; `run` checks the motion first")
         return
-    rows, numbers = [], {}
-    for name, worst in motion_report(loaded).smallest.items():
+    rows, numbers, margins = [], {}, checks.motion_report(loaded).smallest
+    plant = checks.plant_torque(loaded)
+    for name, worst in (margins if plant is None else {**margins, "plant_torque": plant}).items():
         allowed = f"{'>=' if '>=' in worst.allowed else '<='} {worst.bound:.4g} {worst.unit}"
         margin = f"{'broken ' if worst.margin < 0.0 else ''}{worst.margin:.4g}"
         rows.append((name, allowed, margin, f"{worst.time:.3f} s", worst.where))
@@ -128,14 +131,14 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     if scale:
         try:
             with working("looking for the largest size"):
-                changes["reference"], factor = fit_amplitude(*motion)
+                changes["reference"], factor = checks.fit_amplitude(*motion)
             tell(f"feasible at {factor:.4f} of its size")
         except InfeasibleReferenceError as error:
             tell(f"infeasible at every size; even at rest in its centre, {error}")
     if retime:
         try:
             with working("looking for the highest speed"):
-                changes["reference"], factor = fit_speed(*motion)
+                changes["reference"], factor = checks.fit_speed(*motion)
             changes["duration"] = factor * loaded.duration
             tell(
                 "feasible at its own speed"
@@ -147,7 +150,10 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     if out is not None and changes:
         write_atomically(out, to_yaml(loaded.replace(changes).to_dict()).encode())
         tell(f"scenario in {out}")
-    check_scenario(loaded)
+    checks.check_scenario(loaded)
+    if plant is not None and plant.margin < 0.0:
+        say(f"the controller does not know: {checks.likely_cause(loaded)}")
+        sys.exit(opt.EXIT_BAD_INPUT)
 
 
 @command("margins")
