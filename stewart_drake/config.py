@@ -347,10 +347,9 @@ def _as_one(error: ValidationError, section: str) -> ConfigurationError:
     """Problems that are in our words already as one error, unknown keys first."""
     problems: dict[str, ConfigurationError] = {}
     for report in error.errors(include_url=False):
-        error_here = report["ctx"]["error"]
-        keys = [section, *(shown(str(part)) for part in report["loc"] if part != "[key]"), error_here.key]
-        key = ".".join(filter(None, keys)) or "scenario"
-        problem = ConfigurationError(key, error_here.value, error_here.allowed)
+        own: ConfigurationError = report["ctx"]["error"]
+        keys = [section, *(shown(str(part)) for part in report["loc"] if part != "[key]"), own.key]
+        problem = ConfigurationError(".".join(filter(None, keys)) or "scenario", own.value, own.allowed)
         problems[str(problem)] = problem
     first, *others = sorted(problems.values(), key=lambda each: not each.allowed.startswith("no such"))
     first.others = tuple(others)

@@ -87,7 +87,6 @@ class Setup(NamedTuple):
     noise: float  # [rad] of a reading, as an observer believes it.
     friction: float  # [N m] largest break-away torque that the motors are believed to have.
     tuner: Any  # Options of the tuner, with its file read.
-    weights: tuple[float, ...]  # Of the tuner at the start.
     disturbance: float  # [rad/s^2 per sqrt(s)] that an observer expects; 0 without one.
     guarded: bool  # Whether a tick that fails does not end the run.
     split: bool  # Whether an LQI takes the compiled split solution whatever its options say.

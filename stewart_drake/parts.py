@@ -81,7 +81,6 @@ def setup_of(scenario: Scenario, split: bool = False) -> Setup:
         noise=max(scenario.sensors.reading_noise, SMALLEST_NOISE),
         friction=0.0 if friction is None else max(friction.levels[1]),
         tuner=tuner,
-        weights=tuner.weights,
         disturbance=scenario.estimator.expected,
         guarded=scenario.safety is not None,
         split=split,
@@ -141,7 +140,7 @@ class _Builder:
         self.sees: dict[str, str | np.ndarray] = {
             "measurement": "ahead" if self.observes else self.measurement,
             "reference": "reference_ahead" if setup.ahead > 0 else "reference",
-            "weights": "weights" if self.tuning else np.array(setup.weights),
+            "weights": "weights" if self.tuning else np.array(setup.tuner.weights),
         }
         self.compensated = self.observes or self.scenario.friction_compensation is not None
         (part,) = self.scenario.controller.parts(setup)

@@ -96,9 +96,8 @@ def _print_run(log: SimulationLog, results: Results) -> None:
 def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None) -> None:
     """The check covers the whole run of SCENARIO. Your own code is named but not run.
 
-    `plant_torque` is the torque with payload, motor friction and disturbances, which the controller does not know.
-
-    Exit status 2: the motion is infeasible, or the plant needs more torque than the motors have.
+    `plant_torque` is with payload, friction and disturbances, which the controller does not know. Exit status 2: the
+    motion is infeasible, or the plant needs more torque than the motors have.
     """
     from stewart_drake.runs import checks
 
@@ -116,9 +115,8 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
             raise ConfigurationError("SCENARIO", scenario, allowed)
         tell("the motion or a monitor is your own code, which check does not run; `run` checks the motion first")
         return
-    rows, numbers, margins = [], {}, checks.motion_report(loaded).smallest
-    plant = checks.plant_torque(loaded)
-    for name, worst in (margins if plant is None else {**margins, "plant_torque": plant}).items():
+    rows, numbers, plant = [], {}, checks.plant_report(loaded)
+    for name, worst in {**checks.motion_report(loaded).smallest, **plant.smallest}.items():
         allowed = f"{'>=' if '>=' in worst.allowed else '<='} {worst.bound:.4g} {worst.unit}"
         margin = f"{'broken ' if worst.margin < 0.0 else ''}{worst.margin:.4g}"
         rows.append((name, allowed, margin, f"{worst.time:.3f} s", worst.where))
@@ -151,9 +149,7 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
         write_atomically(out, to_yaml(loaded.replace(changes).to_dict()).encode())
         tell(f"scenario in {out}")
     checks.check_scenario(loaded)
-    if plant is not None and plant.margin < 0.0:
-        say(f"the controller does not know: {checks.likely_cause(loaded)}")
-        sys.exit(opt.EXIT_BAD_INPUT)
+    plant.raise_if_infeasible()
 
 
 @command("margins")

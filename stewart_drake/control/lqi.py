@@ -91,7 +91,7 @@ class LqiOptions(ControllerOptions):
     def parts(self, setup: Any) -> tuple[Part, ...]:
         """The controller in a loop, see `part.Setup`."""
         solver: RiccatiSolver | None = "split" if setup.split else None
-        return (lqi_part(self, setup.robot, setup.gravity, len(setup.weights), solver),)
+        return (lqi_part(self, setup.robot, setup.gravity, len(setup.tuner.weights), solver),)
 
 
 LQI_STATE = fields(

@@ -148,11 +148,10 @@ class RunRows:
 
     def poorly_held(self) -> tuple[float, float, str] | None:
         """When [s], by how much [m] and in words a robot that should hold its place does not; None where it does."""
-        worst, robot = self.worst_error, self.scenario.robot
+        worst, noise = self.worst_error, self.scenario.sensors.reading_noise
         if worst is None or self.motion_sizes[0]:
             return None
-        noise = self.scenario.sensors.reading_noise * float(robot.crank_lengths.max())
-        allowed = LEAST_MOTION * self._scale[0] + NOISES * noise
+        allowed = LEAST_MOTION * self._scale[0] + NOISES * noise * self.scenario.robot.crank_lengths.max()
         if not worst[0] <= allowed:
             return (
                 worst[1],
@@ -295,10 +294,8 @@ def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None)
         if gap > LARGE_GAP * rmse:
             ratio = float(gap / rmse) if rmse > 0.0 else math.inf
             when = rows.time[int(rows.sizes["loop_gap"].argmax())]
-            text = (
-                f"a rod's end is up to {gap:.2g} m beside its joint, {ratio:.0%} of the RMSE of the position: "
-                "an error this small may depend on plant.time_step"
-            )
+            size = f"{gap:.2g} m, {ratio:.0%} of the RMSE of the position"
+            text = f"rods end off their joints by up to {size}: errors so small may depend on plant.time_step"
             found.append(("loop_gap", when, ratio, text))
         if length := rows.wrong_length():
             found.append(("motion_length", *length))

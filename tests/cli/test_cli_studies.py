@@ -33,7 +33,7 @@ def test_a_file_is_run_and_its_tables_are_shown_and_kept(call, tmp_path):
 
 @pytest.mark.slow
 def test_a_study_of_which_every_run_is_refused_ends_with_the_reason_and_status_2(call, tmp_path):
-    far = "{scenario: paper_fig7, runs: 2, distributions: {reference.amplitude[0]: {kind: grid, values: [2.0, 2.5]}}}"
+    far = '{scenario: paper_fig7, runs: 2, distributions: {"reference.amplitude[0]": {kind: grid, values: [2.0, 2.5]}}}'
     (tmp_path / "far.yaml").write_text(far)
     status, _, err = call("sweep", "far.yaml", "--workers", 1)
     assert status == 2
