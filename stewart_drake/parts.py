@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.errors import NotFiniteError
+from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.motors import delay_part, standing_torque
 from stewart_drake.hardware.observer import SMALLEST_NOISE
@@ -53,14 +53,17 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
 
     Raises:
         ConfigurationError: A weights file that is missing or corrupt; a user's code that cannot be used; an observer
-            that would have to look too far ahead.
+            that would have to look too far ahead; with `split`, the other solver.
     """
+    if split and getattr(scenario.controller, "solver", None) == "drake":
+        allowed = "split, or null for what runs without Drake: the reduced engine, and Controller"
+        raise ConfigurationError("controller.solver", "drake", allowed)
     return _Builder(scenario, split).loop()
 
 
 def setup_of(scenario: Scenario, split: bool = False) -> Setup:
     """What the parts of a scenario are made for; `split` as in `loop_of`."""
-    robot, friction, tuner = scenario.believed_robot, scenario.friction_compensation, scenario.tuner
+    robot, friction, tuner = scenario.believed_robot, scenario.friction_compensation, scenario.tuner.opened()
     pose, rate = scenario.start()
     return Setup(
         robot=robot,
@@ -77,8 +80,7 @@ def setup_of(scenario: Scenario, split: bool = False) -> Setup:
         reading=scenario.sensors.reading_size,
         noise=max(scenario.sensors.reading_noise, SMALLEST_NOISE),
         friction=0.0 if friction is None else max(friction.levels[1]),
-        weights=tuner.weights,
-        levels=tuner.levels,
+        tuner=tuner,
         disturbance=scenario.estimator.expected,
         guarded=scenario.safety is not None,
         split=split,
@@ -134,10 +136,11 @@ class _Builder:
     def add_controller(self) -> None:
         """From measurement and reference to a torque."""
         setup = self.setup
+        self.tuning = setup.tuner.parts(setup)
         self.sees: dict[str, str | np.ndarray] = {
             "measurement": "ahead" if self.observes else self.measurement,
             "reference": "reference_ahead" if setup.ahead > 0 else "reference",
-            "weights": "weights" if self.scenario.tuner.parts(setup) else np.array(setup.weights),
+            "weights": "weights" if self.tuning else np.array(setup.tuner.weights),
         }
         self.compensated = self.observes or self.scenario.friction_compensation is not None
         (part,) = self.scenario.controller.parts(setup)
@@ -166,12 +169,11 @@ class _Builder:
 
     def add_tuner(self) -> None:
         """Densities, and the weights that a controller takes; nothing for one that takes none."""
-        setup, tuner = self.setup, self.scenario.tuner
         if not self.weighted:
             return
-        self.parts.append(tuner.density_part())
+        self.parts.append(self.setup.tuner.density_part())
         self.logged |= {"density": "density", "weights": self.sees["weights"]}
-        for part in tuner.parts(setup):
+        for part in self.tuning:
             self.late.append(_reading(part, reference=self.sees["reference"]))
             if "setting" in part.outputs:
                 self.logged["setting"] = "setting"

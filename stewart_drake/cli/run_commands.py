@@ -107,9 +107,10 @@ def _print_run(log: SimulationLog, metrics: dict[str, Any], place: str) -> None:
 def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None) -> None:
     """The check covers the whole run of SCENARIO. Your own code is named but not run.
 
-    Exit status 2: the motion is infeasible.
+    `plant_torque` is with payload, friction and disturbances, which the controller does not know. Exit status 2: the
+    motion is infeasible, or the plant needs more torque than the motors have.
     """
-    from stewart_drake.runs.checks import check_scenario, fit_amplitude, fit_speed, motion_report
+    from stewart_drake.runs import checks
 
     if out is not None and scale == retime:
         raise click.UsageError("--out needs either --scale or --retime")
@@ -125,8 +126,8 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
             raise ConfigurationError("SCENARIO", scenario, allowed)
         tell("the motion or a monitor is your own code, which check does not run; `run` checks the motion first")
         return
-    rows, numbers = [], {}
-    for name, worst in motion_report(loaded).smallest.items():
+    rows, numbers, plant = [], {}, checks.plant_report(loaded)
+    for name, worst in {**checks.motion_report(loaded).smallest, **plant.smallest}.items():
         allowed = f"{'>=' if '>=' in worst.allowed else '<='} {worst.bound:.4g} {worst.unit}"
         margin = f"{'broken ' if worst.margin < 0.0 else ''}{worst.margin:.4g}"
         rows.append((name, allowed, margin, f"{worst.time:.3f} s", worst.where))
@@ -139,14 +140,14 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     if scale:
         try:
             with working("looking for the largest size"):
-                changes["reference"], factor = fit_amplitude(*motion)
+                changes["reference"], factor = checks.fit_amplitude(*motion)
             tell(f"feasible at {factor:.4f} of its size")
         except InfeasibleReferenceError as error:
             tell(f"infeasible at every size; even at rest in its centre, {error}")
     if retime:
         try:
             with working("looking for the highest speed"):
-                changes["reference"], factor = fit_speed(*motion)
+                changes["reference"], factor = checks.fit_speed(*motion)
             changes["duration"] = factor * loaded.duration
             tell(
                 "feasible at its own speed"
@@ -158,7 +159,8 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     if out is not None and changes:
         write_atomically(out, to_yaml(loaded.replace(changes).to_dict()).encode())
         tell(f"scenario in {out}")
-    check_scenario(loaded)
+    checks.check_scenario(loaded)
+    plant.raise_if_infeasible()
 
 
 @command("margins")

@@ -59,9 +59,9 @@ class LqiOptions(ControllerOptions):
     `characteristic_length`."""
     discretization: Discretization = "exact"
     """Discretization of (25). exact: zero-order hold. euler: first order."""
-    solver: RiccatiSolver = "drake"
-    """Solver of the Riccati equation. drake: one equation of 18 states. split: six equations of 3 states, without
-    Drake."""
+    solver: RiccatiSolver | None = None
+    """Solver of the Riccati equation. drake: one equation of 18 states, on Drake's engine alone. split: six equations
+    of 3 states, without Drake. null: drake on Drake's engine, split elsewhere."""
     saturation: Saturation = "none"
     """Torque limit and anti-windup. none: commands may exceed the motors' limit. clamp: commands are limited and the
     integral z waits. back_calculation: commands are limited and z is corrected by the excess."""
@@ -91,7 +91,7 @@ class LqiOptions(ControllerOptions):
     def parts(self, setup: Any) -> tuple[Part, ...]:
         """The controller in a loop, see `part.Setup`."""
         solver: RiccatiSolver | None = "split" if setup.split else None
-        return (lqi_part(self, setup.robot, setup.gravity, len(setup.weights), solver),)
+        return (lqi_part(self, setup.robot, setup.gravity, len(setup.tuner.weights), solver),)
 
 
 LQI_STATE = fields(
@@ -362,7 +362,7 @@ def lqi_part(
         exact_hold=options.discretization == "exact",
         saturation=get_args(Saturation).index(options.saturation),
     )
-    by_drake, finish = (solver or options.solver) == "drake", cast(Any, command)
+    by_drake, finish = (solver or options.solver) != "split", cast(Any, command)
 
     def tick(measurement: np.ndarray, reference: np.ndarray, weights: np.ndarray, state: np.ndarray) -> None:
         inputs, error = (measurement, reference, weights), None

@@ -65,7 +65,7 @@ class ObserverOptions(EstimatorOptions):
         return delay if self.delay is None else self.delay
 
     def innovation_scale(self, setup: Setup) -> tuple[float, float]:
-        turn = bandwidth(setup.noise, self.disturbance * setup.levels[1], setup.period)
+        turn = bandwidth(setup.noise, self.disturbance * setup.tuner.levels[1], setup.period)
         return NOISE_AT_MOST * setup.noise, 1.0 / turn**2 + setup.period**2
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:

@@ -187,11 +187,13 @@ class SimulationLog(Mapping[str, np.ndarray]):
     def __repr__(self) -> str:
         tick, time = self.scenario.controller.period, self.signals.get("time", np.empty(0))
         row = f", every {np.median(np.diff(time)):.4g} s" if len(time) > 1 else ""
+        # Only a controller with weights has densities; others ignore the tuner.
+        tuner = f", tuner {self.scenario.tuner.kind}" if "density" in self.signals else ""
         when = self.end_time if self.outcome_time is None else self.outcome_time
         lines = [
             f"SimulationLog of {self.scenario.name}: {told(self.status, self.reason, when)}",
             *([] if self.message is None else [f"  {self.message.splitlines()[0]}"]),
-            f"  controller {self.scenario.controller.kind}, tuner {self.scenario.tuner.kind}, a tick every {tick:g} s",
+            f"  controller {self.scenario.controller.kind}{tuner}, a tick every {tick:g} s",
             *(f"  {note}" for note in [getattr(self.scenario.reference, "note", "")] if note),
             f"  {len(time)} rows{row}",
             f"  signals: {', '.join(self.signals)}",

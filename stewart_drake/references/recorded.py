@@ -43,6 +43,11 @@ class RecordedReference(Section, key="reference"):
     settle: Annotated[Real, Field(ge=1e-6, le=1e6)] = 0.25
     """[s] time from the last row to rest."""
 
+    @property
+    def end(self) -> float:
+        """[s] from when on it is at rest."""
+        return float(self._splines[0].x[-1])
+
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         time = np.asarray(time, dtype=float)
         splines = self._splines

@@ -19,7 +19,7 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import figures_of
 from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.runs.checks import check_scenario, refuse_unrunnable
+from stewart_drake.runs.checks import check_scenario, likely_cause, refuse_unrunnable
 from stewart_drake.runs.engine import FastRun
 from stewart_drake.safety import first_trip
 from stewart_drake.sampling import steps_per, times_of
@@ -126,6 +126,9 @@ def _run_engine(
             outcome = assess(rows, trip, end_time, KeyboardInterrupt())
         held.clear()
         warnings = tuple(plain_json(each) for each in find_warnings(outcome.status, rows, trip))
+    if outcome.status in ("failed", "lost", "stopped") and (cause := likely_cause(scenario)):
+        first, *trace = (outcome.message or "").split("\n")
+        outcome = outcome._replace(message="\n".join([f"{first}; likely cause: {cause}", *trace]))
     if outcome.outcome_time is not None:
         outcome = outcome._replace(outcome_time=_nominal(outcome.outcome_time, time_step))
     stride = steps_per("log_period", scenario.effective_log_period, time_step)

@@ -168,7 +168,7 @@ def _controllers_side(
         # Without friction the reference says nothing to an observer.
         "reference": np.concatenate([setup.pose, np.zeros(12)]),
         "disturbance": np.array([expected]),
-        "weights": np.array(setup.weights),
+        "weights": np.array(setup.tuner.weights),
         "reading": reading,
         "sent": setup.still,
     }
