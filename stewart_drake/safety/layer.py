@@ -10,8 +10,8 @@ import numpy as np
 from stewart_drake.errors import FAILURES, SafetyStop, failure_code
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
-from stewart_drake.mechanics.dynamics_laws import static_torque
-from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
+from stewart_drake.mechanics.dynamics_laws import motion_torque, static_torque, task_inertia
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.safety import limits
 from stewart_drake.safety.limits import MEANINGS, MONITORS, OBSERVED, QUIET, SafetyInputs, SafetyOptions
@@ -24,10 +24,14 @@ REFILL = 0.05  # Ticks of the budget of holding that a good tick gives back: a f
 # Nearer to a singularity the weight's torque is not trusted any more, and the last one stays.
 USABLE_TRANSMISSION, USABLE_CONDITIONING = 0.02, 0.01
 _ROUNDING = 1e-9
+ITERATIONS = 12
+CONCENTRATED = 0.85
 
+_ROWS = 2 * limits.LONGEST_HALF + 1
 _STATE = fields(
     torque=6, safety=3, good=6, weight=6, held=(), at_limit=(), too_fast=(), unexplained=(), since=(), side=(),
-    ticks=(), first=5, worst=(), command=6, readings=6, anchors=(6, 6), encoders=(),
+    ticks=(), first=5, worst=(), command=6, readings=6, stood=6, seen=6, poses=(_ROWS, 6), sent=(_ROWS, 6),
+    residual=6, push=6, mobility=(6, 6), speed=(2, 6), bias=(2, 6), apart=(), fast=(), suspect=6,
 )  # fmt: skip
 """torque: for the motors [N m]. safety: numbers of level in `LEVELS` and monitor in `MONITORS`, leg or -1. good: last
 good command, one that no limit touched [N m]. weight: last torque that carried the robot's weight [N m]. held: ticks of
@@ -79,42 +83,119 @@ def _unusable(setup: Any, command: Any, is_measured: bool, age: float, sensor: A
     return (limits.READING, int(sensor[1]), 0) if stuck else (QUIET, -1, 0)
 
 
-_NOTHING_FROZEN = -2
+@njit
+def _pose_stuck(setup: Any, pose: Any, reference: Any, state: Any) -> bool:
+    """Whether a measured pose (6,) stays the same to the last bit while the reference moves on."""
+    if not (pose == state.readings).all():
+        copy_to(state.stood[:], reference)
+    copy_to(state.readings[:], pose)
+    return (np.abs(reference - state.stood) > setup.frozen_pose).any()
 
 
 @njit
-def _frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, state: Any, legs: Any) -> int:
-    """Looks for a reading that stays the same while things move: its leg, -1 for a pose, or `_NOTHING_FROZEN`.
+def _explain(robot: Any, setup: Any, angles: Any, pose: Any, state: Any, legs: Any) -> None:
+    """Compares what the motors were asked for with what is measured, both in the middle of a window of time.
 
-    Its sensor is frozen, or friction holds what it reads: nobody can tell which, nor while the robot stands still. A
-    crank that friction holds where it turns back does not count: it stands about where it is wanted. The state has the
-    `readings` (6,) before; for each what it is compared with as it was when the reading changed, in `anchors` (6, 6).
+    `residual` (6,) [N m] is the torque sent less inverse dynamics of the poses read; rates and accelerations are their
+    differences, and torques count as the second difference weighs accelerations. `push` (6,) is what accelerations of
+    the cranks it would make [rad/s^2]. Zeros while readings are missing. `model_speed` (6,) [rad/s] follows the
+    readings slowly, and the torques at once: it goes on where a reading fails.
     """
-    if state.encoders == 0.0 and np.isfinite(angles).any():
-        state.encoders = 1.0
-    if state.encoders == 0.0:
-        if not (pose == state.readings).all():
-            copy_to(state.anchors[0], reference)
-        copy_to(state.readings[:], pose)
-        return -1 if (np.abs(reference - state.anchors[0]) > setup.frozen_pose).any() else _NOTHING_FROZEN
-    limit, leg, farthest = setup.frozen_encoder, _NOTHING_FROZEN, 0.0
-    for i in range(6):
-        # NaN never equals itself; the monitor `measurement_not_finite` looks for it.
-        if angles[i] != state.readings[i]:
-            copy_to(state.anchors[i], angles)
-        # How far the last but one has turned: one that jumps would make all that stand still look frozen.
-        most, travel = 0.0, 0.0
+    half, h = int(setup.half), setup.period
+    for row in range(2 * half, 0, -1):
+        copy_to(state.poses[row], state.poses[row - 1])
+        copy_to(state.sent[row], state.sent[row - 1])
+    copy_to(state.sent[0], state.torque[:])
+    now, centre, old = state.poses[0], state.poses[half], state.poses[2 * half]
+    of_angles = np.isfinite(angles).any()
+    if of_angles:
+        copy_to(now, state.poses[1] if all_finite(state.poses[1]) else pose)
+        error, _ = laws.forward_kinematics(robot, angles, now, setup.closed, ITERATIONS)
+        if not error <= setup.closed:
+            now[:] = np.nan
+    else:
+        copy_to(now, pose)
+    state.residual[:] = 0.0
+    state.push[:] = 0.0
+    at_hand = all_finite(now) and all_finite(centre) and all_finite(old)
+    motion, acceleration, nothing, need, still = np.zeros(12), np.zeros(6), np.zeros(6), np.empty(6), np.empty(6)
+    copy_to(motion[:6], centre if at_hand else pose)
+    if not all_finite(motion) or laws.legs_at(robot, motion[:6], legs) >= 0:
+        copy_to(state.seen[:], angles)
+        return
+    if at_hand:
         for k in range(6):
-            moved = abs(angles[k] - state.anchors[i, k])
-            moved = moved if moved < np.inf else np.inf
-            most, travel = max(most, moved), max(travel, min(most, moved))
-        if max(limit, farthest) < travel < np.inf:
-            # Within a quarter of the limit of where it is wanted a crank stands; out of reach nobody can say.
-            laws.legs_at(robot, reference, legs)
-            off = angles[i] - np.arctan2(legs.sine[i], legs.cosine[i])
-            if legs.reach[i] < 0.0 or abs((off + np.pi) % (2.0 * np.pi) - np.pi) > 0.25 * limit:
-                leg, farthest = i, travel
-    copy_to(state.readings[:], angles)
+            motion[6 + k] = (now[k] - old[k]) / (2.0 * half * h)
+            acceleration[k] = (now[k] - 2.0 * centre[k] + old[k]) / (half * h) ** 2
+    if not motion_torque(robot, legs, motion, nothing, setup.gravity, still):
+        return
+    motion_torque(robot, legs, motion, acceleration, setup.gravity, need)
+    inertia, columns, jacobian, mobility = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), state.mobility
+    mobility[:] = 0.0
+    laws.crank_jacobian(legs, jacobian)
+    task_inertia(robot, legs, inertia)
+    for i in range(6):
+        for k in range(6):
+            columns[k, i] = jacobian[i, k]
+    if solve(inertia, columns) == 0.0:
+        return
+    for i in range(6):
+        for k in range(6):
+            for m in range(6):
+                mobility[i, k] += jacobian[i, m] * columns[m, k]
+    if at_hand:
+        for row in range(2 * half):
+            share = (min(row, 2 * half - 1 - row) + 0.5) / (half * half)
+            for i in range(6):
+                state.residual[i] += share * state.sent[row + 1, i]
+        for i in range(6):
+            state.residual[i] -= need[i]
+    turning, speeds, twist = np.zeros(6), np.empty(6), np.empty(6)
+    for i in range(6):
+        speeds[i] = (angles[i] - state.seen[i]) / h
+        for k in range(6):
+            state.push[i] += mobility[i, k] * state.residual[k]
+            turning[i] += mobility[i, k] * (state.sent[0, k] - still[k])
+    if not of_angles:
+        laws.twist_of(now, (now - state.poses[1]) / h, twist)
+        laws.crank_rates(legs, twist, speeds)
+    for row in range(2):
+        follow = setup.follow[row]
+        for i in range(6):
+            # The slow one follows no reading that is suspect.
+            off = 0.0 if row == 1 and state.suspect[i] == 1.0 else speeds[i] - state.speed[row, i]
+            off = min(max(off, -setup.clip[row]), setup.clip[row]) if off == off else 0.0
+            state.speed[row, i] += h * (turning[i] + state.bias[row, i] + 2.0 * follow * off)
+            state.bias[row, i] += h * follow**2 * off
+    copy_to(state.seen[:], angles)
+
+
+@njit
+def _suspect(state: Any) -> int:
+    """Legs that a residual speaks of: those one or two to which nearly all of it belongs; the first, or -1 for none.
+
+    A reading that is wrong shows as accelerations of its crank alone, a motor that is wrong as its torque alone. Marks
+    legs: 1 for readings, 2 for motors.
+    """
+    best, leg = 0.0, -1
+    for kind in range(2):
+        values = state.push if kind == 0 else state.residual
+        size, first, second = np.abs(values), 0, -1
+        for i in range(6):
+            if size[i] > size[first]:
+                first = i
+        for i in range(6):
+            if i != first and (second < 0 or size[i] > size[second]):
+                second = i
+        whole = np.sqrt((size * size).sum())
+        one, two = size[first] / whole, np.sqrt(size[first] ** 2 + size[second] ** 2) / whole
+        share = max(one, two if size[second] > 0.6 * size[first] else 0.0)
+        if share > max(best, CONCENTRATED):
+            best, leg = share, first
+            state.suspect[:] = 0.0
+            state.suspect[first] = kind + 1.0
+            if two > one + 0.05 and size[second] > 0.6 * size[first]:
+                state.suspect[second] = kind + 1.0
     return leg
 
 
@@ -129,9 +210,11 @@ def _tick(
     )  # fmt: skip
     pose, rate, wanted, health = measurement[:6], measurement[6:], reference[:6], sensor.copy()
     read = pose_reading[:6] if pose_reading[0] == pose_reading[0] else pose
-    leg = _frozen(robot, setup, angles, read, wanted, state, legs)
-    if leg != _NOTHING_FROZEN:
-        health[0], health[1] = FROZEN, leg
+    _explain(robot, setup, angles, read, state, legs)
+    odd = (np.abs(state.residual) > setup.unexplained).any()
+    state.apart = _counted(state.apart, odd)
+    if not np.isfinite(angles).any() and _pose_stuck(setup, read, wanted, state):
+        health[0], health[1] = FROZEN, -1.0
     state.ticks += 1.0
     is_measured = all_finite(rate) and all_finite(pose + setup.horizon * rate)
     is_observed = is_measured and health[0] == 0.0
@@ -144,10 +227,12 @@ def _tick(
         if observed.reached > 0.0 and far and static_torque(robot, legs, setup.gravity, torque):
             copy_to(state.weight[:], torque)
     if state.safety[0] >= RAMP:
-        return _stop(setup, is_observed, observed, state)
+        return _stop(setup, is_observed, odd, angles, observed, state)
     monitor, level, leg, cause = QUIET, RAMP, -1, 0
     if is_observed:
         monitor, leg = limits.broken(observed)
+    if monitor == QUIET and state.apart > setup.blow:
+        monitor = limits.UNEXPLAINED
     if monitor == QUIET:
         level = HOLD
         monitor, leg, cause = _unusable(setup, command, is_measured, age[0], health, controller)
@@ -163,13 +248,19 @@ def _tick(
     state.held += 1.0
     if level == HOLD and state.held > setup.budget:
         level = RAMP
+    if level == RAMP:
+        if monitor == limits.SENSOR and leg >= 0:
+            state.suspect[leg] = 1.0
+        elif odd:
+            other = _suspect(state)
+            leg = other if other >= 0 else leg
     state.safety[0], state.safety[1], state.safety[2] = level, monitor, leg
     state.worst = max(state.worst, float(level))
     if state.first[0] == 0.0:
         first = state.first
         first[0], first[1], first[2], first[3], first[4] = monitor, level, leg, state.ticks - 1.0, cause
     if level == RAMP:
-        return _stop(setup, is_observed, observed, state)
+        return _stop(setup, is_observed, odd, angles, observed, state)
     copy_to(state.torque[:], _led(setup, state.good[:], state))
     return GOES_ON, 0.0
 
@@ -228,28 +319,47 @@ def _led(setup: Any, torque: Any, state: Any) -> Any:
 
 
 @njit
-def _stop(setup: Any, is_observed: bool, observed: Any, state: Any) -> Any:
-    """Ramp and safe hold: from the last good command to the weight's torque, damped from the first tick on."""
+def _stop(setup: Any, is_observed: bool, odd: bool, angles: Any, observed: Any, state: Any) -> Any:
+    """Ramp and safe hold: from the last good command to the weight's torque, damped from the first tick on.
+
+    A leg whose reading is suspect is damped by the speed that torques alone say it has, one whose motor is not at all.
+    """
     state.since += 1.0
-    if not is_observed and state.held >= setup.budget:
+    if odd and not state.suspect.any():
+        leg = _suspect(state)
+        if state.safety[2] < 0.0:
+            state.safety[2] = leg
+    of_angles = 0
+    for i in range(6):
+        if np.isfinite(angles[i]):
+            of_angles += 1
+    is_seen = is_observed or of_angles >= 5
+    if not is_seen and state.held >= setup.budget:
         # Nobody can hold this robot without seeing it: an open loop falls over within half a second.
         return BLIND, 0.0
-    speed, elapsed, limit = np.zeros(6), state.since * setup.period, setup.most_torque
-    if is_observed and observed.reached > 0.0:
-        copy_to(speed, observed.speed[:])
-    fastest = 0.0
+    elapsed, limit, fastest, brake = state.since * setup.period, setup.most_torque, 0.0, np.empty((6, 1))
     for i in range(6):
-        fastest = max(fastest, abs(speed[i]))
-    if fastest > setup.most_speed:
+        brake[i, 0] = state.speed[1 if state.suspect[i] == 1.0 else 0, i]
+        if state.suspect[i] == 0.0:
+            fastest = max(fastest, abs(brake[i, 0]))
+    if not is_seen or solve(state.mobility.copy(), brake) == 0.0:
+        brake[:] = 0.0
+    for i in range(6):
+        if state.suspect[i] == 2.0:
+            brake[i, 0] = 0.0
+    state.fast = _counted(state.fast, fastest > setup.most_speed)
+    if state.fast * setup.period > limits.RUNAWAY_TIME + _ROUNDING:
         return RUNAWAY, fastest
-    if elapsed > setup.ramp_time + setup.safe_hold_time + _ROUNDING:
+    hold = setup.blind_hold if (state.suspect == 1.0).any() else setup.safe_hold_time
+    if elapsed > setup.ramp_time + hold + _ROUNDING:
         return HELD, 0.0
-    share = min(1.0, elapsed / setup.ramp_time)
-    wanted = (1.0 - share) * state.good + share * state.weight - setup.damping * speed
+    # A command that came from a wrong reading is not led on.
+    share = 1.0 if state.suspect.any() else min(1.0, elapsed / setup.ramp_time)
+    wanted = (1.0 - share) * state.good + share * state.weight - brake[:, 0] / setup.stopping
     copy_to(state.torque[:], _led(setup, np.minimum(np.maximum(wanted, -limit), limit), state))
-    state.safety[0] = SAFE_HOLD if share >= 1.0 else RAMP
+    state.safety[0] = SAFE_HOLD if elapsed >= setup.ramp_time else RAMP
     state.worst = max(state.worst, state.safety[0])
-    state.held = 0.0 if is_observed else state.held + 1.0
+    state.held = 0.0 if is_seen else state.held + 1.0
     return GOES_ON, 0.0
 
 
@@ -259,9 +369,10 @@ def safety_part(options: SafetyOptions, setup: Setup, innovation_scale: tuple[fl
     Where the very first command is bad, `setup.still` is held; for `innovation_scale` see `EstimatorOptions`.
     """
     robot, period = setup.robot, setup.period
-    numbers = limits.setup_of(robot, options, setup.gravity, period, setup.sensors.quantum, innovation_scale)
-    held, none = dict.fromkeys(("torque", "good", "weight", "command"), setup.still), np.full((6, 6), np.nan)
-    first = new_record(_STATE, **held, safety=(NONE, QUIET, -1.0), readings=none[0], anchors=none)
+    numbers = limits.setup_of(robot, options, setup.gravity, period, setup.noise, innovation_scale)
+    held = dict.fromkeys(("torque", "good", "weight", "command", "sent"), setup.still)
+    unread = dict.fromkeys(("readings", "stood", "seen", "poses"), np.nan)
+    first = new_record(_STATE, **held, **unread, safety=(NONE, QUIET, -1.0))
     own, nothing, law = laws.robot_record(robot), np.zeros(2), cast(Any, _tick)
     legs, observed = np.empty(1, laws.LEGS), np.empty(1, OBSERVED)
 

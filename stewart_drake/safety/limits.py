@@ -14,8 +14,8 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import UserMade
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
-from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque
-from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.mechanics.dynamics import pose_acceleration_map, inverse_dynamics, static_torque
+from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.mechanics.linear_algebra import copy_to, solve
 from stewart_drake.registry import OWN_MONITORS
 from stewart_drake.robot import RobotParameters
@@ -24,7 +24,7 @@ from stewart_drake.robot.robot_scale import LENGTH, TORQUE
 MONITORS = (
     "none", "measurement_not_finite", "sensor_failed", "controller_failed", "command_not_finite", "deadline",
     "workspace", "serial_singularity", "parallel_singularity", "crank_speed", "following_error", "torque_limit",
-    "torque_rate", "innovation", "reading_stuck",
+    "torque_rate", "innovation", "reading_stuck", "unexplained_torque",
 )  # fmt: skip
 """Stable names of the monitors, by their number in the log: new ones come last."""
 MEANINGS = {"reading_stuck": "a sensor repeats itself, or friction holds what it reads"}
@@ -43,9 +43,8 @@ class SafetyOptions(Section, key="safety"):
 
     deadline: Annotated[Natural, Field(le=1000)] | None = 2
     """[ticks] longest time without a new command; a constant `command_delay` does not count."""
-    frozen_encoder: Positive | None = 0.04
-    """[rad] turn of two other cranks (plus 50 counts) after which an encoder that repeats its reading to the last bit
-    is frozen. Its crank must also be a quarter of this from its reference; friction can hold one that is nearer."""
+    unexplained: Fraction | None = 0.2
+    """[-] largest torque as a fraction of the motors' limit."""
     frozen_pose: Annotated[PositivePair | None, LENGTH] = (0.01, 0.001)
     """[rad, m] change of the reference on an axis after which a measured pose that repeats to the last bit is frozen;
     for sensors other than encoders."""
@@ -139,7 +138,7 @@ class UserMonitor(UserMade, key="safety.monitors"):
 
 (
     QUIET, MEASUREMENT, SENSOR, CONTROLLER, COMMAND, DEADLINE, WORKSPACE, SERIAL, PARALLEL, CRANK_SPEED, FOLLOWING,
-    TORQUE_LIMIT, TORQUE_RATE, INNOVATION, READING,
+    TORQUE_LIMIT, TORQUE_RATE, INNOVATION, READING, UNEXPLAINED,
 ) = range(len(MONITORS))  # fmt: skip
 """Places in `MONITORS`."""
 LIMITS = (
@@ -157,9 +156,9 @@ SMALLEST = 1e-9  # Transmission at a dead centre, for the speed of that crank.
 
 SETUP = fields(
     period=(), gravity=(), horizon=(), home=6,
-    deadline=(), frozen_encoder=(), frozen_pose=6, innovation=(), innovation_noise=(), innovation_scale=(),
+    deadline=(), frozen_pose=6, innovation=(), innovation_noise=(), innovation_scale=(),
     torque_limit=6, torque_change=(), workspace=2, transmission=(), conditioning=(), crank_speed=(),
-    following_error=2, budget=(), ramp_time=(), safe_hold_time=(), damping=(), most_torque=6, most_speed=(),
+    following_error=2, half=(), blow=(), closed=(), unexplained=6, follow=2, clip=2, blind_hold=(), stopping=(), budget=(), ramp_time=(), safe_hold_time=(), damping=(), most_torque=6, most_speed=(),
 )  # fmt: skip
 """`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], what the innovation's
 noise is [rad] and what an acceleration leaves in it [s^2], torque_change: in a tick [N m], budget: ticks that may be
@@ -168,6 +167,8 @@ up [rad/s]."""
 AT_LIMIT_TIME, TOO_FAST_TIME, UNEXPLAINED_TIME = 0.1, 0.01, 0.01
 """[s] for which, in sum, commands may be at the torque limit or jump, and innovations be too large: a blow passes. Good
 ticks take away from the sum."""
+BLOW, HALF, LONGEST_HALF = 0.005, 0.005, 10
+RUNAWAY_TIME = 0.005
 DAMPING = 0.7  # Of what a crank alone, its rod broken off, bears in torques held over a period.
 RUNAWAY, FASTEST = 2.0, 15.0  # [-] times the crank speed, or where that is off times this one [rad/s].
 
@@ -183,10 +184,14 @@ def setup_of(
     options: SafetyOptions,
     gravity: float,
     period: float,
-    quantum: float = 0.0,
+    noise: float = 1e-5,
     innovation_scale: tuple[float, float] = (0.0, 1.0),
 ) -> np.ndarray:
     """`SETUP` record, see `safety_part`."""
+    bound = (math.inf if options.unexplained is None else options.unexplained) * robot.effort_limits
+    inertia = np.linalg.inv(pose_jacobian(robot, robot.home_pose) @ pose_acceleration_map(robot, robot.home_pose))
+    half = np.sqrt(8.0 * math.sqrt(6.0) * noise * np.linalg.norm(inertia, axis=1).max() / bound.min())
+    half = min(LONGEST_HALF, max(2, math.ceil(half / period)))
     pose, rate, share = options.frozen_pose, options.torque_rate, options.torque_limit
     return new_record(
         SETUP,
@@ -194,8 +199,14 @@ def setup_of(
         period=period,
         gravity=gravity,
         home=robot.home_pose,
-        # A reading in counts stays the same for longer.
-        frozen_encoder=math.inf if options.frozen_encoder is None else options.frozen_encoder + 50.0 * quantum,
+        half=half,
+        blow=BLOW / period + 2.0 * half + 1e-6,
+        closed=1e-12,
+        follow=(min(150.0, 0.3 / period), min(10.0, 0.02 / period)),
+        clip=(math.inf, 0.3),
+        blind_hold=min(0.04, options.safe_hold_time),
+        stopping=max(0.008, 4.0 * period),
+        unexplained=bound,
         frozen_pose=math.inf if pose is None else np.repeat(pose, 3),
         innovation_noise=innovation_scale[0],
         innovation_scale=innovation_scale[1],
