@@ -86,6 +86,7 @@ class Setup(NamedTuple):
     reading: int  # Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
     noise: float  # [rad] of a reading, as an observer believes it.
     friction: float  # [N m] largest break-away torque that the motors are believed to have.
+    viscous: tuple[float, ...]  # (6,) [N m s/rad] likewise, for each.
     weights: tuple[float, ...]  # Of the tuner at the start.
     # What the tuner makes of the disturbance that an observer expects: shares at the start, and the least.
     levels: tuple[float, float]

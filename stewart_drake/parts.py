@@ -77,6 +77,7 @@ def setup_of(scenario: Scenario, split: bool = False) -> Setup:
         reading=scenario.sensors.reading_size,
         noise=max(scenario.sensors.reading_noise, SMALLEST_NOISE),
         friction=0.0 if friction is None else max(friction.levels[1]),
+        viscous=(0.0,) * 6 if friction is None else friction.levels[3],
         weights=tuner.weights,
         levels=tuner.levels,
         disturbance=scenario.estimator.expected,

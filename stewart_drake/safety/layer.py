@@ -119,6 +119,7 @@ def _explain(robot: Any, setup: Any, angles: Any, pose: Any, state: Any, legs: A
     state.push[:] = 0.0
     at_hand = all_finite(now) and all_finite(centre) and all_finite(old)
     motion, acceleration, nothing, need, still = np.zeros(12), np.zeros(6), np.zeros(6), np.empty(6), np.empty(6)
+    speeds, twist = np.empty(6), np.empty(6)
     copy_to(motion[:6], centre if at_hand else pose)
     if not all_finite(motion) or laws.legs_at(robot, motion[:6], legs) >= 0:
         copy_to(state.seen[:], angles)
@@ -148,9 +149,11 @@ def _explain(robot: Any, setup: Any, angles: Any, pose: Any, state: Any, legs: A
             share = (min(row, 2 * half - 1 - row) + 0.5) / (half * half)
             for i in range(6):
                 state.residual[i] += share * state.sent[row + 1, i]
+        laws.twist_of(motion[:6], motion[6:], twist)
+        laws.crank_rates(legs, twist, speeds)
         for i in range(6):
-            state.residual[i] -= need[i]
-    turning, speeds, twist = np.zeros(6), np.empty(6), np.empty(6)
+            state.residual[i] -= need[i] + setup.viscous[i] * speeds[i]
+    turning = np.zeros(6)
     for i in range(6):
         speeds[i] = (angles[i] - state.seen[i]) / h
         for k in range(6):
@@ -369,7 +372,9 @@ def safety_part(options: SafetyOptions, setup: Setup, innovation_scale: tuple[fl
     Where the very first command is bad, `setup.still` is held; for `innovation_scale` see `EstimatorOptions`.
     """
     robot, period = setup.robot, setup.period
-    numbers = limits.setup_of(robot, options, setup.gravity, period, setup.noise, innovation_scale)
+    numbers = limits.setup_of(
+        robot, options, setup.gravity, period, setup.noise, setup.friction, setup.viscous, innovation_scale
+    )
     held = dict.fromkeys(("torque", "good", "weight", "command", "sent"), setup.still)
     unread = dict.fromkeys(("readings", "stood", "seen", "poses"), np.nan)
     first = new_record(_STATE, **held, **unread, safety=(NONE, QUIET, -1.0))

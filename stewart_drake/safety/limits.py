@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import reprlib
+from collections.abc import Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -158,7 +159,7 @@ SETUP = fields(
     period=(), gravity=(), horizon=(), home=6,
     deadline=(), frozen_pose=6, innovation=(), innovation_noise=(), innovation_scale=(),
     torque_limit=6, torque_change=(), workspace=2, transmission=(), conditioning=(), crank_speed=(),
-    following_error=2, half=(), blow=(), closed=(), unexplained=6, follow=2, clip=2, blind_hold=(), stopping=(), budget=(), ramp_time=(), safe_hold_time=(), damping=(), most_torque=6, most_speed=(),
+    following_error=2, half=(), blow=(), closed=(), unexplained=6, viscous=6, follow=2, clip=2, blind_hold=(), stopping=(), budget=(), ramp_time=(), safe_hold_time=(), damping=(), most_torque=6, most_speed=(),
 )  # fmt: skip
 """`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], what the innovation's
 noise is [rad] and what an acceleration leaves in it [s^2], torque_change: in a tick [N m], budget: ticks that may be
@@ -185,6 +186,8 @@ def setup_of(
     gravity: float,
     period: float,
     noise: float = 1e-5,
+    friction: float = 0.0,
+    viscous: Sequence[float] = (0.0,) * 6,
     innovation_scale: tuple[float, float] = (0.0, 1.0),
 ) -> np.ndarray:
     """`SETUP` record, see `safety_part`."""
@@ -206,7 +209,8 @@ def setup_of(
         clip=(math.inf, 0.3),
         blind_hold=min(0.04, options.safe_hold_time),
         stopping=max(0.008, 4.0 * period),
-        unexplained=bound,
+        unexplained=bound + friction,
+        viscous=viscous,
         frozen_pose=math.inf if pose is None else np.repeat(pose, 3),
         innovation_noise=innovation_scale[0],
         innovation_scale=innovation_scale[1],
