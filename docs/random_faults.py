@@ -69,7 +69,7 @@ def row(number: int) -> dict[str, Any]:
 
 
 def main(count: int = 500) -> None:
-    rows = [row(number) for number in range(count)]
+    rows = [row(number) for number in (range(count) if len(sys.argv) < 3 else map(int, sys.argv[2:]))]
     lines = []
     for kind in (*OF_ENCODERS, *OF_MOTORS, "all"):
         own = np.array([each["ends"] for each in rows if kind in (each["kind"], "all")])

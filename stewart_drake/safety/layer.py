@@ -25,13 +25,13 @@ REFILL = 0.05  # Ticks of the budget of holding that a good tick gives back: a f
 USABLE_TRANSMISSION, USABLE_CONDITIONING = 0.02, 0.01
 _ROUNDING = 1e-9
 ITERATIONS = 12
-CONCENTRATED = 0.85
+READING_WRONG, MOTOR_WEAK, MOTOR_REVERSED, MOTOR_SWAPPED = range(1, 5)
 
 _ROWS = 2 * limits.LONGEST_HALF + 1
 _STATE = fields(
     torque=6, safety=3, good=6, weight=6, held=(), at_limit=(), too_fast=(), unexplained=(), since=(), side=(),
     ticks=(), first=5, worst=(), command=6, readings=6, stood=6, seen=6, poses=(_ROWS, 6), sent=(_ROWS, 6),
-    residual=6, push=6, mobility=(6, 6), speed=(2, 6), bias=(2, 6), apart=(), fast=(), suspect=6,
+    given=6, residual=6, push=6, lost=6, mobility=(6, 6), speed=(2, 6), bias=(2, 6), apart=(), fast=(), suspect=6,
 )  # fmt: skip
 """torque: for the motors [N m]. safety: numbers of level in `LEVELS` and monitor in `MONITORS`, leg or -1. good: last
 good command, one that no limit touched [N m]. weight: last torque that carried the robot's weight [N m]. held: ticks of
@@ -115,8 +115,9 @@ def _explain(robot: Any, setup: Any, angles: Any, pose: Any, state: Any, legs: A
             now[:] = np.nan
     else:
         copy_to(now, pose)
-    state.residual[:] = 0.0
+    state.given[:] = 0.0
     state.push[:] = 0.0
+    state.residual[:] = 0.0
     at_hand = all_finite(now) and all_finite(centre) and all_finite(old)
     motion, acceleration, nothing, need, still = np.zeros(12), np.zeros(6), np.zeros(6), np.empty(6), np.empty(6)
     speeds, twist = np.empty(6), np.empty(6)
@@ -148,11 +149,11 @@ def _explain(robot: Any, setup: Any, angles: Any, pose: Any, state: Any, legs: A
         for row in range(2 * half):
             share = (min(row, 2 * half - 1 - row) + 0.5) / (half * half)
             for i in range(6):
-                state.residual[i] += share * state.sent[row + 1, i]
+                state.given[i] += share * state.sent[row + 1, i]
         laws.twist_of(motion[:6], motion[6:], twist)
         laws.crank_rates(legs, twist, speeds)
         for i in range(6):
-            state.residual[i] -= need[i] + setup.viscous[i] * speeds[i]
+            state.residual[i] = state.given[i] - need[i] - setup.viscous[i] * speeds[i]
     turning = np.zeros(6)
     for i in range(6):
         speeds[i] = (angles[i] - state.seen[i]) / h
@@ -162,11 +163,17 @@ def _explain(robot: Any, setup: Any, angles: Any, pose: Any, state: Any, legs: A
     if not of_angles:
         laws.twist_of(now, (now - state.poses[1]) / h, twist)
         laws.crank_rates(legs, twist, speeds)
+    if of_angles:
+        for i in range(6):
+            # No crank can: it is not read at all, or its reading jumps.
+            lost = not abs(speeds[i] - state.speed[0, i]) < setup.impossible and state.ticks > 1.0
+            state.lost[i] = setup.remembered if lost else max(0.0, state.lost[i] - 1.0)
+            speeds[i] = np.nan if lost else speeds[i]
     for row in range(2):
         follow = setup.follow[row]
         for i in range(6):
             # The slow one follows no reading that is suspect.
-            off = 0.0 if row == 1 and state.suspect[i] == 1.0 else speeds[i] - state.speed[row, i]
+            off = 0.0 if row == 1 and state.suspect[i] == READING_WRONG else speeds[i] - state.speed[row, i]
             off = min(max(off, -setup.clip[row]), setup.clip[row]) if off == off else 0.0
             state.speed[row, i] += h * (turning[i] + state.bias[row, i] + 2.0 * follow * off)
             state.bias[row, i] += h * follow**2 * off
@@ -174,32 +181,63 @@ def _explain(robot: Any, setup: Any, angles: Any, pose: Any, state: Any, legs: A
 
 
 @njit
-def _suspect(state: Any) -> int:
-    """Legs that a residual speaks of: those one or two to which nearly all of it belongs; the first, or -1 for none.
+def _largest_two(values: Any) -> Any:
+    """Places of the two largest sizes of six values, and by how much the first, and both, exceed thrice the rest."""
+    size, whole, first, second = np.abs(values), 0.0, 0, -1
+    for i in range(6):
+        whole += size[i] ** 2
+        if size[i] > size[first]:
+            first = i
+    for i in range(6):
+        if i != first and (second < 0 or size[i] > size[second]):
+            second = i
+    but_one = whole - size[first] ** 2
+    but_two = max(0.0, but_one - size[second] ** 2)
+    both = np.sqrt(size[first] ** 2 + size[second] ** 2)
+    return first, second, size[first] - 3.0 * np.sqrt(but_one), both - 3.0 * np.sqrt(but_two)
 
-    A reading that is wrong shows as accelerations of its crank alone, a motor that is wrong as its torque alone. Marks
-    legs: 1 for readings, 2 for motors.
+
+@njit
+def _is_odd(setup: Any, state: Any) -> bool:
+    """Whether the residual is more than load, push and friction may be.
+
+    A push moves several cranks, a wrong reading one or two: of what only these show, less is enough.
     """
-    best, leg = 0.0, -1
-    for kind in range(2):
-        values = state.push if kind == 0 else state.residual
-        size, first, second = np.abs(values), 0, -1
-        for i in range(6):
-            if size[i] > size[first]:
-                first = i
-        for i in range(6):
-            if i != first and (second < 0 or size[i] > size[second]):
-                second = i
-        whole = np.sqrt((size * size).sum())
-        one, two = size[first] / whole, np.sqrt(size[first] ** 2 + size[second] ** 2) / whole
-        share = max(one, two if size[second] > 0.6 * size[first] else 0.0)
-        if share > max(best, CONCENTRATED):
-            best, leg = share, first
-            state.suspect[:] = 0.0
-            state.suspect[first] = kind + 1.0
-            if two > one + 0.05 and size[second] > 0.6 * size[first]:
-                state.suspect[second] = kind + 1.0
-    return leg
+    first, _, lone, pair = _largest_two(state.push)
+    apart = setup.inertia * max(lone / limits.LONE, pair / limits.PAIR)
+    return (np.abs(state.residual) > setup.unexplained).any() or apart > setup.unexplained[first]
+
+
+@njit
+def _suspect(state: Any) -> int:
+    """Marks the one or two legs that a residual speaks of; the first, or -1 where it speaks of all.
+
+    A wrong reading shows as an acceleration of its crank alone, a wrong motor as a torque of its own alone.
+    """
+    for i in range(6):
+        if state.lost[i] > 0.0:
+            state.suspect[i] = READING_WRONG
+            return i
+    reading, other, by_one, by_two = _largest_two(state.push)
+    motor, another, by_motor, by_motors = _largest_two(state.residual)
+    given, missing = state.given, state.residual
+    if max(by_one, by_two) * np.abs(missing).max() >= max(by_motor, by_motors) * np.abs(state.push).max():
+        if max(by_one, by_two) <= 0.0:
+            return -1
+        state.suspect[reading] = READING_WRONG
+        if by_one <= 0.0:
+            state.suspect[other] = READING_WRONG
+        return reading
+    if max(by_motor, by_motors) <= 0.0:
+        return -1
+    apart, tolerance = given[motor] - given[another], 0.3 * abs(missing[motor])
+    if by_motor <= 0.0 and max(abs(missing[motor] - apart), abs(missing[another] + apart)) < tolerance:
+        state.suspect[motor], state.suspect[another] = MOTOR_SWAPPED, MOTOR_SWAPPED
+    elif missing[motor] * given[motor] > 1.5 * given[motor] ** 2:
+        state.suspect[motor] = MOTOR_REVERSED
+    else:
+        state.suspect[motor] = MOTOR_WEAK
+    return motor
 
 
 @njit
@@ -214,7 +252,7 @@ def _tick(
     pose, rate, wanted, health = measurement[:6], measurement[6:], reference[:6], sensor.copy()
     read = pose_reading[:6] if pose_reading[0] == pose_reading[0] else pose
     _explain(robot, setup, angles, read, state, legs)
-    odd = (np.abs(state.residual) > setup.unexplained).any()
+    odd = _is_odd(setup, state)
     state.apart = _counted(state.apart, odd)
     if not np.isfinite(angles).any() and _pose_stuck(setup, read, wanted, state):
         health[0], health[1] = FROZEN, -1.0
@@ -253,8 +291,8 @@ def _tick(
         level = RAMP
     if level == RAMP:
         if monitor == limits.SENSOR and leg >= 0:
-            state.suspect[leg] = 1.0
-        elif odd:
+            state.suspect[leg] = READING_WRONG
+        elif odd or state.lost.any():
             other = _suspect(state)
             leg = other if other >= 0 else leg
     state.safety[0], state.safety[1], state.safety[2] = level, monitor, leg
@@ -328,7 +366,7 @@ def _stop(setup: Any, is_observed: bool, odd: bool, angles: Any, observed: Any, 
     A leg whose reading is suspect is damped by the speed that torques alone say it has, one whose motor is not at all.
     """
     state.since += 1.0
-    if odd and not state.suspect.any():
+    if (odd or state.lost.any()) and not state.suspect.any():
         leg = _suspect(state)
         if state.safety[2] < 0.0:
             state.safety[2] = leg
@@ -342,23 +380,31 @@ def _stop(setup: Any, is_observed: bool, odd: bool, angles: Any, observed: Any, 
         return BLIND, 0.0
     elapsed, limit, fastest, brake = state.since * setup.period, setup.most_torque, 0.0, np.empty((6, 1))
     for i in range(6):
-        brake[i, 0] = state.speed[1 if state.suspect[i] == 1.0 else 0, i]
+        brake[i, 0] = state.speed[1 if state.suspect[i] == READING_WRONG else 0, i]
         if state.suspect[i] == 0.0:
             fastest = max(fastest, abs(brake[i, 0]))
     if not is_seen or solve(state.mobility.copy(), brake) == 0.0:
         brake[:] = 0.0
     for i in range(6):
-        if state.suspect[i] == 2.0:
+        if state.suspect[i] == MOTOR_WEAK:
             brake[i, 0] = 0.0
     state.fast = _counted(state.fast, fastest > setup.most_speed)
     if state.fast * setup.period > limits.RUNAWAY_TIME + _ROUNDING:
         return RUNAWAY, fastest
-    hold = setup.blind_hold if (state.suspect == 1.0).any() else setup.safe_hold_time
+    hold = setup.blind_hold if (state.suspect == READING_WRONG).any() else setup.safe_hold_time
     if elapsed > setup.ramp_time + hold + _ROUNDING:
         return HELD, 0.0
     # A command that came from a wrong reading is not led on.
     share = 1.0 if state.suspect.any() else min(1.0, elapsed / setup.ramp_time)
     wanted = (1.0 - share) * state.good + share * state.weight - brake[:, 0] / setup.stopping
+    swapped = -1
+    for i in range(6):
+        if state.suspect[i] == MOTOR_REVERSED:
+            wanted[i] = -wanted[i]
+        elif state.suspect[i] == MOTOR_SWAPPED and swapped < 0:
+            swapped = i
+        elif state.suspect[i] == MOTOR_SWAPPED:
+            wanted[i], wanted[swapped] = wanted[swapped], wanted[i]
     copy_to(state.torque[:], _led(setup, np.minimum(np.maximum(wanted, -limit), limit), state))
     state.safety[0] = SAFE_HOLD if elapsed >= setup.ramp_time else RAMP
     state.worst = max(state.worst, state.safety[0])

@@ -159,7 +159,7 @@ SETUP = fields(
     period=(), gravity=(), horizon=(), home=6,
     deadline=(), frozen_pose=6, innovation=(), innovation_noise=(), innovation_scale=(),
     torque_limit=6, torque_change=(), workspace=2, transmission=(), conditioning=(), crank_speed=(),
-    following_error=2, half=(), blow=(), closed=(), unexplained=6, viscous=6, follow=2, clip=2, blind_hold=(), stopping=(), budget=(), ramp_time=(), safe_hold_time=(), damping=(), most_torque=6, most_speed=(),
+    following_error=2, half=(), blow=(), closed=(), unexplained=6, viscous=6, inertia=(), follow=2, clip=2, impossible=(), remembered=(), blind_hold=(), stopping=(), budget=(), ramp_time=(), safe_hold_time=(), damping=(), most_torque=6, most_speed=(),
 )  # fmt: skip
 """`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], what the innovation's
 noise is [rad] and what an acceleration leaves in it [s^2], torque_change: in a tick [N m], budget: ticks that may be
@@ -168,7 +168,8 @@ up [rad/s]."""
 AT_LIMIT_TIME, TOO_FAST_TIME, UNEXPLAINED_TIME = 0.1, 0.01, 0.01
 """[s] for which, in sum, commands may be at the torque limit or jump, and innovations be too large: a blow passes. Good
 ticks take away from the sum."""
-BLOW, HALF, LONGEST_HALF = 0.005, 0.005, 10
+BLOW, LONGEST_HALF = 0.005, 10
+LONE, PAIR = 0.2, 0.5
 RUNAWAY_TIME = 0.005
 DAMPING = 0.7  # Of what a crank alone, its rod broken off, bears in torques held over a period.
 RUNAWAY, FASTEST = 2.0, 15.0  # [-] times the crank speed, or where that is off times this one [rad/s].
@@ -206,6 +207,9 @@ def setup_of(
         blow=BLOW / period + 2.0 * half + 1e-6,
         closed=1e-12,
         follow=(min(150.0, 0.3 / period), min(10.0, 0.02 / period)),
+        inertia=inertia.diagonal().min(),
+        impossible=FASTEST + 12.0 * noise / period,
+        remembered=0.05 / period,
         clip=(math.inf, 0.3),
         blind_hold=min(0.04, options.safe_hold_time),
         stopping=max(0.008, 4.0 * period),
