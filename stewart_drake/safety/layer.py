@@ -10,11 +10,20 @@ import numpy as np
 from stewart_drake.errors import FAILURES, SafetyStop, failure_code
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
-from stewart_drake.mechanics.dynamics_laws import motion_torque, static_torque, task_inertia
+from stewart_drake.mechanics.dynamics_laws import static_torque
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.safety import limits
 from stewart_drake.safety.limits import MEANINGS, MONITORS, OBSERVED, QUIET, SafetyInputs, SafetyOptions
+from stewart_drake.safety.residual import (
+    EXPLAINED,
+    MOTOR_WEAK,
+    explain,
+    is_odd,
+    mark_suspects,
+    motor_torques,
+    speeds_to_stop,
+)
 
 LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
@@ -24,22 +33,19 @@ REFILL = 0.05  # Ticks of the budget of holding that a good tick gives back: a f
 # Nearer to a singularity the weight's torque is not trusted any more, and the last one stays.
 USABLE_TRANSMISSION, USABLE_CONDITIONING = 0.02, 0.01
 _ROUNDING = 1e-9
-ITERATIONS = 12
-READING_WRONG, MOTOR_WEAK, MOTOR_REVERSED, MOTOR_SWAPPED = range(1, 5)
 
-_ROWS = 2 * limits.LONGEST_HALF + 1
-_STATE = fields(
+_STATE = np.dtype([*fields(
     torque=6, safety=3, good=6, weight=6, held=(), at_limit=(), too_fast=(), unexplained=(), since=(), side=(),
-    ticks=(), first=5, worst=(), command=6, readings=6, stood=6, seen=6, poses=(_ROWS, 6), sent=(_ROWS, 6),
-    given=6, residual=6, push=6, lost=6, mobility=(6, 6), speed=(2, 6), bias=(2, 6), apart=(), fast=(), suspect=6,
-)  # fmt: skip
+    ticks=(), first=5, worst=(), command=6, readings=6, stood=6, odd=(), fast=(),
+).descr, *EXPLAINED.descr])  # fmt: skip
 """torque: for the motors [N m]. safety: numbers of level in `LEVELS` and monitor in `MONITORS`, leg or -1. good: last
 good command, one that no limit touched [N m]. weight: last torque that carried the robot's weight [N m]. held: ticks of
-holding, less what good ones gave back; while stopping, ticks without a measurement. at_limit, too_fast, unexplained:
-ticks at the torque limit, of commands that jumped and of innovations that were too large, less good ones. since: ticks
-of ramp and safe hold. side: sign of the rods' determinant at the start, 0 before the first tick. ticks: done. first:
-monitor, level, leg, tick and cause in `FAILURES` of the first trip, zeros before. worst: highest level so far. command:
-that of the last tick, if it was finite [N m]. readings, anchors, encoders: see `_frozen`."""
+holding, less what good ones gave back; while stopping, ticks without a measurement. at_limit, too_fast, unexplained,
+odd, fast: ticks at the torque limit, of commands that jumped, of innovations and of residuals that were too large, and
+of a stop that runs away, less good ones. since: ticks of ramp and safe hold. side: sign of the rods' determinant at the
+start, 0 before the first tick. ticks: done. first: monitor, level, leg, tick and cause in `FAILURES` of the first trip,
+zeros before. worst: highest level so far. command: that of the last tick, if it was finite [N m]. readings, stood: last
+pose read, and the reference when it came [rad, m]. The rest: see `EXPLAINED`."""
 
 GOES_ON, BLIND, RUNAWAY, HELD = range(4)  # How a tick ends: in the last three the run is over.
 
@@ -93,154 +99,6 @@ def _pose_stuck(setup: Any, pose: Any, reference: Any, state: Any) -> bool:
 
 
 @njit
-def _explain(robot: Any, setup: Any, angles: Any, pose: Any, state: Any, legs: Any) -> None:
-    """Compares what the motors were asked for with what is measured, both in the middle of a window of time.
-
-    `residual` (6,) [N m] is the torque sent less inverse dynamics of the poses read; rates and accelerations are their
-    differences, and torques count as the second difference weighs accelerations. `push` (6,) is what accelerations of
-    the cranks it would make [rad/s^2]. Zeros while readings are missing. `model_speed` (6,) [rad/s] follows the
-    readings slowly, and the torques at once: it goes on where a reading fails.
-    """
-    half, h = int(setup.half), setup.period
-    for row in range(2 * half, 0, -1):
-        copy_to(state.poses[row], state.poses[row - 1])
-        copy_to(state.sent[row], state.sent[row - 1])
-    copy_to(state.sent[0], state.torque[:])
-    now, centre, old = state.poses[0], state.poses[half], state.poses[2 * half]
-    of_angles = np.isfinite(angles).any()
-    if of_angles:
-        copy_to(now, state.poses[1] if all_finite(state.poses[1]) else pose)
-        error, _ = laws.forward_kinematics(robot, angles, now, setup.closed, ITERATIONS)
-        if not error <= setup.closed:
-            now[:] = np.nan
-    else:
-        copy_to(now, pose)
-    state.given[:] = 0.0
-    state.push[:] = 0.0
-    state.residual[:] = 0.0
-    at_hand = all_finite(now) and all_finite(centre) and all_finite(old)
-    motion, acceleration, nothing, need, still = np.zeros(12), np.zeros(6), np.zeros(6), np.empty(6), np.empty(6)
-    speeds, twist = np.empty(6), np.empty(6)
-    copy_to(motion[:6], centre if at_hand else pose)
-    if not all_finite(motion) or laws.legs_at(robot, motion[:6], legs) >= 0:
-        copy_to(state.seen[:], angles)
-        return
-    if at_hand:
-        for k in range(6):
-            motion[6 + k] = (now[k] - old[k]) / (2.0 * half * h)
-            acceleration[k] = (now[k] - 2.0 * centre[k] + old[k]) / (half * h) ** 2
-    if not motion_torque(robot, legs, motion, nothing, setup.gravity, still):
-        return
-    motion_torque(robot, legs, motion, acceleration, setup.gravity, need)
-    inertia, columns, jacobian, mobility = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), state.mobility
-    mobility[:] = 0.0
-    laws.crank_jacobian(legs, jacobian)
-    task_inertia(robot, legs, inertia)
-    for i in range(6):
-        for k in range(6):
-            columns[k, i] = jacobian[i, k]
-    if solve(inertia, columns) == 0.0:
-        return
-    for i in range(6):
-        for k in range(6):
-            for m in range(6):
-                mobility[i, k] += jacobian[i, m] * columns[m, k]
-    if at_hand:
-        for row in range(2 * half):
-            share = (min(row, 2 * half - 1 - row) + 0.5) / (half * half)
-            for i in range(6):
-                state.given[i] += share * state.sent[row + 1, i]
-        laws.twist_of(motion[:6], motion[6:], twist)
-        laws.crank_rates(legs, twist, speeds)
-        for i in range(6):
-            state.residual[i] = state.given[i] - need[i] - setup.viscous[i] * speeds[i]
-    turning = np.zeros(6)
-    for i in range(6):
-        speeds[i] = (angles[i] - state.seen[i]) / h
-        for k in range(6):
-            state.push[i] += mobility[i, k] * state.residual[k]
-            turning[i] += mobility[i, k] * (state.sent[0, k] - still[k])
-    if not of_angles:
-        laws.twist_of(now, (now - state.poses[1]) / h, twist)
-        laws.crank_rates(legs, twist, speeds)
-    if of_angles:
-        for i in range(6):
-            # No crank can: it is not read at all, or its reading jumps.
-            lost = not abs(speeds[i] - state.speed[0, i]) < setup.impossible and state.ticks > 1.0
-            state.lost[i] = setup.remembered if lost else max(0.0, state.lost[i] - 1.0)
-            speeds[i] = np.nan if lost else speeds[i]
-    for row in range(2):
-        follow = setup.follow[row]
-        for i in range(6):
-            # The slow one follows no reading that is suspect.
-            off = 0.0 if row == 1 and state.suspect[i] == READING_WRONG else speeds[i] - state.speed[row, i]
-            off = min(max(off, -setup.clip[row]), setup.clip[row]) if off == off else 0.0
-            state.speed[row, i] += h * (turning[i] + state.bias[row, i] + 2.0 * follow * off)
-            state.bias[row, i] += h * follow**2 * off
-    copy_to(state.seen[:], angles)
-
-
-@njit
-def _largest_two(values: Any) -> Any:
-    """Places of the two largest sizes of six values, and by how much the first, and both, exceed thrice the rest."""
-    size, whole, first, second = np.abs(values), 0.0, 0, -1
-    for i in range(6):
-        whole += size[i] ** 2
-        if size[i] > size[first]:
-            first = i
-    for i in range(6):
-        if i != first and (second < 0 or size[i] > size[second]):
-            second = i
-    but_one = whole - size[first] ** 2
-    but_two = max(0.0, but_one - size[second] ** 2)
-    both = np.sqrt(size[first] ** 2 + size[second] ** 2)
-    return first, second, size[first] - 3.0 * np.sqrt(but_one), both - 3.0 * np.sqrt(but_two)
-
-
-@njit
-def _is_odd(setup: Any, state: Any) -> bool:
-    """Whether the residual is more than load, push and friction may be.
-
-    A push moves several cranks, a wrong reading one or two: of what only these show, less is enough.
-    """
-    first, _, lone, pair = _largest_two(state.push)
-    apart = setup.inertia * max(lone / limits.LONE, pair / limits.PAIR)
-    return (np.abs(state.residual) > setup.unexplained).any() or apart > setup.unexplained[first]
-
-
-@njit
-def _suspect(state: Any) -> int:
-    """Marks the one or two legs that a residual speaks of; the first, or -1 where it speaks of all.
-
-    A wrong reading shows as an acceleration of its crank alone, a wrong motor as a torque of its own alone.
-    """
-    for i in range(6):
-        if state.lost[i] > 0.0:
-            state.suspect[i] = READING_WRONG
-            return i
-    reading, other, by_one, by_two = _largest_two(state.push)
-    motor, another, by_motor, by_motors = _largest_two(state.residual)
-    given, missing = state.given, state.residual
-    if max(by_one, by_two) * np.abs(missing).max() >= max(by_motor, by_motors) * np.abs(state.push).max():
-        if max(by_one, by_two) <= 0.0:
-            return -1
-        state.suspect[reading] = READING_WRONG
-        if by_one <= 0.0:
-            state.suspect[other] = READING_WRONG
-        return reading
-    if max(by_motor, by_motors) <= 0.0:
-        return -1
-    apart, tolerance = given[motor] - given[another], 0.3 * abs(missing[motor])
-    if by_motor <= 0.0 and max(abs(missing[motor] - apart), abs(missing[another] + apart)) < tolerance:
-        state.suspect[motor], state.suspect[another] = MOTOR_SWAPPED, MOTOR_SWAPPED
-    elif missing[motor] * given[motor] > 1.5 * given[motor] ** 2:
-        state.suspect[motor] = MOTOR_REVERSED
-    else:
-        state.suspect[motor] = MOTOR_WEAK
-    return motor
-
-
-@njit
 def _tick(
     robots: Any, setups: Any, command: Any, measurement: Any, reference: Any, age: Any, sensor: Any, controller: Any,
     angles: Any, innovation: Any, pose_reading: Any, own: Any, leg_records: Any, observations: Any, states: Any,
@@ -251,10 +109,10 @@ def _tick(
     )  # fmt: skip
     pose, rate, wanted, health = measurement[:6], measurement[6:], reference[:6], sensor.copy()
     read = pose_reading[:6] if pose_reading[0] == pose_reading[0] else pose
-    _explain(robot, setup, angles, read, state, legs)
-    odd = _is_odd(setup, state)
-    state.apart = _counted(state.apart, odd)
-    if not np.isfinite(angles).any() and _pose_stuck(setup, read, wanted, state):
+    explain(robot, setup, angles, read, state.torque, state.ticks == 0.0, state, legs)
+    odd = is_odd(setup, state)
+    state.odd = _counted(state.odd, odd)
+    if state.encoders == 0.0 and _pose_stuck(setup, read, wanted, state):
         health[0], health[1] = FROZEN, -1.0
     state.ticks += 1.0
     is_measured = all_finite(rate) and all_finite(pose + setup.horizon * rate)
@@ -268,11 +126,11 @@ def _tick(
         if observed.reached > 0.0 and far and static_torque(robot, legs, setup.gravity, torque):
             copy_to(state.weight[:], torque)
     if state.safety[0] >= RAMP:
-        return _stop(setup, is_observed, odd, angles, observed, state)
+        return _stop(setup, is_observed, odd, angles, state)
     monitor, level, leg, cause = QUIET, RAMP, -1, 0
     if is_observed:
         monitor, leg = limits.broken(observed)
-    if monitor == QUIET and state.apart > setup.blow:
+    if monitor == QUIET and state.odd > setup.blow:
         monitor = limits.UNEXPLAINED
     if monitor == QUIET:
         level = HOLD
@@ -290,18 +148,15 @@ def _tick(
     if level == HOLD and state.held > setup.budget:
         level = RAMP
     if level == RAMP:
-        if monitor == limits.SENSOR and leg >= 0:
-            state.suspect[leg] = READING_WRONG
-        elif odd or state.lost.any():
-            other = _suspect(state)
-            leg = other if other >= 0 else leg
+        suspect = mark_suspects(state, leg if monitor == limits.SENSOR else -1, odd)
+        leg = suspect if suspect >= 0 else leg
     state.safety[0], state.safety[1], state.safety[2] = level, monitor, leg
     state.worst = max(state.worst, float(level))
     if state.first[0] == 0.0:
         first = state.first
         first[0], first[1], first[2], first[3], first[4] = monitor, level, leg, state.ticks - 1.0, cause
     if level == RAMP:
-        return _stop(setup, is_observed, odd, angles, observed, state)
+        return _stop(setup, is_observed, odd, angles, state)
     copy_to(state.torque[:], _led(setup, state.good[:], state))
     return GOES_ON, 0.0
 
@@ -360,51 +215,35 @@ def _led(setup: Any, torque: Any, state: Any) -> Any:
 
 
 @njit
-def _stop(setup: Any, is_observed: bool, odd: bool, angles: Any, observed: Any, state: Any) -> Any:
+def _stop(setup: Any, is_observed: bool, odd: bool, angles: Any, state: Any) -> Any:
     """Ramp and safe hold: from the last good command to the weight's torque, damped from the first tick on.
 
-    A leg whose reading is suspect is damped by the speed that torques alone say it has, one whose motor is not at all.
+    All ways of moving die away alike, in `setup.stopping`. A leg whose reading is suspect is damped by the speed that
+    torques alone say it has. That is good for a short time, as is a robot with a motor that fails.
     """
     state.since += 1.0
-    if (odd or state.lost.any()) and not state.suspect.any():
-        leg = _suspect(state)
-        if state.safety[2] < 0.0:
-            state.safety[2] = leg
-    of_angles = 0
-    for i in range(6):
-        if np.isfinite(angles[i]):
-            of_angles += 1
-    is_seen = is_observed or of_angles >= 5
+    if not state.suspect.any():
+        leg = mark_suspects(state, -1, odd)
+        state.safety[2] = leg if state.safety[2] < 0.0 else state.safety[2]
+    is_seen = is_observed or np.isfinite(angles).sum() >= 5
     if not is_seen and state.held >= setup.budget:
         # Nobody can hold this robot without seeing it: an open loop falls over within half a second.
         return BLIND, 0.0
-    elapsed, limit, fastest, brake = state.since * setup.period, setup.most_torque, 0.0, np.empty((6, 1))
-    for i in range(6):
-        brake[i, 0] = state.speed[1 if state.suspect[i] == READING_WRONG else 0, i]
-        if state.suspect[i] == 0.0:
-            fastest = max(fastest, abs(brake[i, 0]))
-    if not is_seen or solve(state.mobility.copy(), brake) == 0.0:
-        brake[:] = 0.0
-    for i in range(6):
-        if state.suspect[i] == MOTOR_WEAK:
-            brake[i, 0] = 0.0
+    brake, elapsed, limit = np.zeros((6, 1)), state.since * setup.period, setup.most_torque
+    fastest = speeds_to_stop(state, brake[:, 0])
     state.fast = _counted(state.fast, fastest > setup.most_speed)
     if state.fast * setup.period > limits.RUNAWAY_TIME + _ROUNDING:
         return RUNAWAY, fastest
-    hold = setup.blind_hold if (state.suspect == READING_WRONG).any() else setup.safe_hold_time
-    if elapsed > setup.ramp_time + hold + _ROUNDING:
+    is_whole = not state.suspect.any()
+    if elapsed > setup.ramp_time + (setup.safe_hold_time if is_whole else setup.suspect_hold_time) + _ROUNDING:
         return HELD, 0.0
-    # A command that came from a wrong reading is not led on.
-    share = 1.0 if state.suspect.any() else min(1.0, elapsed / setup.ramp_time)
-    wanted = (1.0 - share) * state.good + share * state.weight - brake[:, 0] / setup.stopping
-    swapped = -1
-    for i in range(6):
-        if state.suspect[i] == MOTOR_REVERSED:
-            wanted[i] = -wanted[i]
-        elif state.suspect[i] == MOTOR_SWAPPED and swapped < 0:
-            swapped = i
-        elif state.suspect[i] == MOTOR_SWAPPED:
-            wanted[i], wanted[swapped] = wanted[swapped], wanted[i]
+    # A command that came from a wrong reading is not led on. The inertia of the cranks makes a torque of a speed.
+    share = min(1.0, elapsed / setup.ramp_time) if is_whole else 1.0
+    wanted = (1.0 - share) * state.good + share * state.weight
+    if is_seen and solve(state.mobility.copy(), brake) != 0.0:
+        # Of a crank that may have lost its rod nothing says how much it bears.
+        wanted -= np.where(state.suspect == MOTOR_WEAK, 0.0, brake[:, 0]) / setup.stopping
+    motor_torques(state, wanted)
     copy_to(state.torque[:], _led(setup, np.minimum(np.maximum(wanted, -limit), limit), state))
     state.safety[0] = SAFE_HOLD if elapsed >= setup.ramp_time else RAMP
     state.worst = max(state.worst, state.safety[0])
@@ -422,7 +261,7 @@ def safety_part(options: SafetyOptions, setup: Setup, innovation_scale: tuple[fl
         robot, options, setup.gravity, period, setup.noise, setup.friction, setup.viscous, innovation_scale
     )
     held = dict.fromkeys(("torque", "good", "weight", "command", "sent"), setup.still)
-    unread = dict.fromkeys(("readings", "stood", "seen", "poses"), np.nan)
+    unread = dict.fromkeys(("readings", "stood", "angles", "poses"), np.nan)
     first = new_record(_STATE, **held, **unread, safety=(NONE, QUIET, -1.0))
     own, nothing, law = laws.robot_record(robot), np.zeros(2), cast(Any, _tick)
     legs, observed = np.empty(1, laws.LEGS), np.empty(1, OBSERVED)

@@ -195,10 +195,10 @@ def travel(log: SimulationLog, since: float) -> tuple[float, float]:
     took over. After the end of a run that the layer or the plant ended, brakes close: each holds its crank by dry
     friction as large as the motor's limit. The motors hold until then, or are off where the layer gave up.
     """
-    scenario, pose, wanted = log.scenario, log["pose"], log["reference"].copy()
+    pose, wanted = log["pose"], log["reference"].copy()
     if "safety" in log.signals and (taken := log["safety"][:, 0] >= RAMP).any():
         wanted[taken] = wanted[int(taken.argmax())]
-    if log.status in ("stopped", "failed") and log.safety is not None:
+    if log.status in ("stopped", "failed"):
         braked = _braked(log)
         pose, wanted = np.concatenate([pose, braked]), np.concatenate([wanted, np.tile(wanted[-1], (len(braked), 1))])
     counted = np.append(log.time, np.full(len(pose) - len(log.time), np.inf)) >= since - 1e-9
