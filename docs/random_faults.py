@@ -1,22 +1,23 @@
-"""Random faults on shipped scenarios: the platform's true travel with the safety layer, with a plain stop, and without.
+"""Random faults on shipped scenarios: the platform's true travel with the safety layer, with a stop, and without.
 
-`python docs/random_faults.py [N]` writes docs/results/random_faults.md: 500 faults, on the fast engine.
+`python docs/random_faults.py` writes docs/results/random_faults.md, on the fast engine: five minutes on one core.
 """
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from stewart_drake.logs.log import SimulationLog
+from stewart_drake.files.whole import write_atomically
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.studies.faults import stopped_at, travel
 from stewart_drake.studies.study import markdown
 
-PAGE = Path(__file__).parent / "results" / "random_faults.md"
+TARGET = Path(__file__).parent / "results" / "random_faults.md"
+BOUNDS = (5.0, 10.0)  # [deg, mm] beyond a stop at the onset, which 95 % of the faults are to keep.
 ENCODERS = {"sensors": {"kind": "encoders", "rate_cutoff": 150.0}, "command_delay": 1}
 SINE = {"reference": {"kind": "sine", "amplitude": [0, 0, 0, 0, 0, 0.004], "angular_frequency": "1 Hz"}}
 LOOPS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
@@ -82,21 +83,22 @@ def write(rows: Sequence[Mapping[str, Any]]) -> str:
     for kind in (*OF_ENCODERS, *OF_MOTORS, "all"):
         own = [each for each in rows if kind in (each["kind"], "all")]
         ways = np.array([each["travel"] for each in own])
-        beyond, worst = ways[:, 0] - ways[:, 1], [_words(each) for each in ways.max(axis=0).swapaxes(0, 0)]
+        beyond, largest = ways[:, 0] - ways[:, 1], [_words(each) for each in ways.max(axis=0)]
         latency = [each["latency"] for each in own if each["monitor"] is not None]
         late = f"{np.median(latency):.0f}, {max(latency):.0f}" if latency else "-"
         most = [_words(np.quantile(beyond, share, axis=0)) for share in (0.95, 1.0)]
-        lines.append((kind, f"{len(latency)} of {len(own)}", late, *most, *worst))
-    ways = np.array([each["travel"] for each in rows])
-    beyond, worse = ways[:, 0] - ways[:, 1], ways[:, 0] - ways[:, 2]
+        lines.append((kind, f"{len(latency)} of {len(own)}", late, *most, *largest))
+    ways, drifts = np.array([each["travel"] for each in rows]), np.array([each["kind"] == "drift" for each in rows])
+    beyond, worse = (ways[:, 0] - ways[:, 1] > BOUNDS).any(axis=1), ways[:, 0] - ways[:, 2]
     return PAGE.format(
         runs=len(rows),
         table="\n".join(markdown(HEADER, lines)),
-        beyond=int((beyond > BOUNDS).any(axis=1).sum()),
-        drifts=sum(bool((each["travel"][0] - each["travel"][1] > BOUNDS).any()) for each in rows if each["kind"] == "drift"),
-        worse=int((worse > 0.0).all(axis=1).sum()),
-        mixed=int(((worse > 0.0).any(axis=1)).sum()),
-        most=_words(worse.max(axis=0)),
+        beyond=int(beyond.sum()),
+        share=f"{100.0 * beyond.mean():.1f}",
+        drifts=int(beyond[drifts].sum()),
+        farther=int((worse[:, 1] > 0.1).sum()),
+        tilted=int((worse[:, 0] > 0.1).sum()),
+        most=f"{worse[:, 0].max():.1f}",
         wrong=sum(not each["named"] for each in rows),
     )
 
@@ -105,4 +107,32 @@ def _words(size: np.ndarray) -> str:
     return f"{size[0]:.1f} deg, {size[1]:.1f} mm"
 
 
-BOUNDS = (5.0, 10.0)  # [deg, mm] beyond a stop at the onset, that the safety layer is to keep in 95 % of the faults.
+HEADER = (
+    "fault", "tripped", "median, longest latency [ms]", "beyond a stop: 95 %", "worst", "with the layer", "stop at onset",
+    "without",
+)  # fmt: skip
+PAGE = """# Random faults
+
+{runs} faults, drawn by seed: kind, leg, size and onset (0.3 to 1.3 s), during `exact_breathing`, `exact_heart`,
+`exact_fig7` with encoders, or a sine of 4 mm; each for 2 s with an observer and the policy, or without both. Jumps are of
+5 to 200 mrad, drifts of 1 to 300 mrad/s, late readings by 2 to 20 ms.
+
+Travel: how far the true pose goes from the reference, or from where that stood when the safety layer took over, until
+all is at rest. Brakes close at the end of a safe hold; where the motors were switched off, 50 ms later. Each brake holds
+its crank with the motor's limit as dry friction. "Stop at onset" is the same stop in the tick of the fault, with sensors
+that work. The last three columns are the largest of their kind.
+
+{table}
+
+- {beyond} of {runs} faults ({share} %) go more than 5 deg or 10 mm beyond a stop at the onset; {drifts} of them are
+  drifts. Six readings for six degrees of freedom are consistent with a robot that moves so: no torque tells of it.
+- With the layer {farther} go farther than without by more than 0.1 mm, and {tilted} tilt more by more than 0.1 deg, at
+  most {most} deg: readings that are missing end a run without the layer after 10 ms, and it holds on for 20 ms.
+- {wrong} trips name a leg that is not at fault.
+
+Command: `python docs/random_faults.py`.
+"""
+
+if __name__ == "__main__":
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 500
+    write_atomically(TARGET, write([row(number) for number in range(count)]).encode())

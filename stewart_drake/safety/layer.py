@@ -235,7 +235,8 @@ def _stop(setup: Any, is_observed: bool, odd: bool, angles: Any, state: Any) -> 
     if state.fast * setup.period > limits.RUNAWAY_TIME + _ROUNDING:
         return RUNAWAY, fastest
     is_whole = not state.suspect.any()
-    if elapsed > setup.ramp_time + (setup.safe_hold_time if is_whole else setup.suspect_hold_time) + _ROUNDING:
+    hold = setup.ramp_time + setup.safe_hold_time if is_whole else setup.suspect_hold_time
+    if elapsed > hold + _ROUNDING:
         return HELD, 0.0
     # A command that came from a wrong reading is not led on. The inertia of the cranks makes a torque of a speed.
     share = min(1.0, elapsed / setup.ramp_time) if is_whole else 1.0
@@ -287,10 +288,11 @@ def safety_part(options: SafetyOptions, setup: Setup, innovation_scale: tuple[fl
 def _stopped(options: SafetyOptions, period: float, status: int, fastest: float, state: np.ndarray) -> SafetyStop:
     names, (_, monitor, leg) = options.monitor_names, state["safety"][0]
     name = names[int(monitor)]
+    hold = limits.SUSPECT_HOLD if state["suspect"].any() else options.safe_hold_time
     what = {
         BLIND: "stopped: no measurement to hold the robot by",
         RUNAWAY: f"stopping, but a crank turns at {fastest:.3g} rad/s",
-        HELD: f"stopped, and held for {options.safe_hold_time:g} s",
+        HELD: f"stopped, and held for {hold:g} s",
     }[status]
     text = "; ".join(filter(None, (MEANINGS.get(name), what)))
     if status != HELD:

@@ -31,7 +31,7 @@ MONITORS = (
 """Stable names of the monitors, by their number in the log: new ones come last."""
 MEANINGS = {
     "reading_stuck": "a sensor repeats itself",
-    "unexplained_torque": "a reading or a motor is wrong, or the load is more than safety.unexplained_torque allows",
+    "unexplained_torque": "a reading or a motor is wrong, or load and friction exceed safety.unexplained_torque",
 }
 """What a name leaves open, for the message of a run that the monitor ends."""
 
@@ -83,7 +83,7 @@ class SafetyOptions(Section, key="safety"):
     ramp_time: Positive = 0.02
     """[s] time from the last good command to the safe hold; short, for that command may have been wrong for a while."""
     safe_hold_time: Positive = 0.5
-    """[s] duration of a safe hold, after which the run ends."""
+    """[s] duration of a safe hold, after which the run ends; a stop with a suspect leg ends after 40 ms."""
     monitors: tuple[Annotated[Any, OWN_MONITORS], ...] = ()
     """Your own monitors, each a class by its import path, see `UserMonitor`."""
 
@@ -171,11 +171,11 @@ SETUP = fields(
 )  # fmt: skip
 """`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], what the innovation's
 noise is [rad] and what an acceleration leaves in it [s^2], torque_change: in a tick [N m]. Of the residual half: of its
-window [ticks], blow: ticks for which one shows, unexplained, also of a leg or two alone [N m], viscous: friction that is compensated [N m s/rad],
-inertia: of a crank [kg m^2], lasting: share of a tick. For `residual._follow` follow: bandwidth, most_correction and
-impossible: change of a crank's speed in a tick [rad/s], remembered: ticks for which that counts. budget: ticks that may
-be held, suspect_hold_time: with a suspect leg [s], stopping: time constant of a stop [s], most_torque of it [N m],
-most_speed: at which it is given up [rad/s]."""
+window [ticks], blow: ticks for which one shows, unexplained, also of a leg or two alone [N m], viscous: friction that
+is compensated [N m s/rad], lasting: share of a tick, inertia: of a crank [kg m^2]. For `residual._follow` follow:
+bandwidth, most_correction and impossible: change of a crank's speed in a tick [rad/s], remembered: ticks for which that
+counts. budget: ticks that may be held, suspect_hold_time: of a stop with a suspect leg [s], stopping: time constant of
+a stop [s], most_torque of it [N m], most_speed: at which it is given up [rad/s]."""
 AT_LIMIT_TIME, TOO_FAST_TIME, UNEXPLAINED_TIME = 0.1, 0.01, 0.01
 """[s] for which, in sum, commands may be at the torque limit or jump, and innovations be too large: a blow passes. Good
 ticks take away from the sum."""
@@ -239,7 +239,7 @@ def setup_of(
         most_correction=(math.inf, CORRECTION),
         impossible=FASTEST + 12.0 * noise / period,
         remembered=REMEMBERED / period,
-        suspect_hold_time=min(SUSPECT_HOLD, options.safe_hold_time),
+        suspect_hold_time=SUSPECT_HOLD,
         stopping=max(STOPPING, STOPPING_TICKS * period),
         budget=options.budget(period),
         most_torque=(1.0 if share is None else share) * robot.effort_limits,
