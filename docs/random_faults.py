@@ -108,18 +108,18 @@ def _words(size: np.ndarray) -> str:
 
 
 HEADER = (
-    "fault", "tripped", "median, longest latency [ms]", "beyond a stop: 95 %", "worst", "with the layer", "stop at onset",
+    "fault", "tripped", "median, longest latency [ms]", "beyond a stop: 95 %", "worst", "with the layer", "a stop",
     "without",
 )  # fmt: skip
 PAGE = """# Random faults
 
 {runs} faults, drawn by seed: kind, leg, size and onset (0.3 to 1.3 s), during `exact_breathing`, `exact_heart`,
-`exact_fig7` with encoders, or a sine of 4 mm; each for 2 s with an observer and the policy, or without both. Jumps are of
-5 to 200 mrad, drifts of 1 to 300 mrad/s, late readings by 2 to 20 ms.
+`exact_fig7` with encoders, or a sine of 4 mm; each for 2 s, with an observer and the policy, or without both. Jumps are
+of 5 to 200 mrad, drifts of 1 to 300 mrad/s; late readings are 2 to 20 ms old.
 
 Travel: how far the true pose goes from the reference, or from where that stood when the safety layer took over, until
-all is at rest. Brakes close at the end of a safe hold; where the motors were switched off, 50 ms later. Each brake holds
-its crank with the motor's limit as dry friction. "Stop at onset" is the same stop in the tick of the fault, with sensors
+all is at rest. Brakes close at the end of a safe hold; where the motors were switched off, 50 ms later. Each brake
+holds its crank with the motor's limit as dry friction. "A stop" is the same stop in the tick of the fault, with sensors
 that work. The last three columns are the largest of their kind.
 
 {table}

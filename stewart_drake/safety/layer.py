@@ -35,17 +35,17 @@ USABLE_TRANSMISSION, USABLE_CONDITIONING = 0.02, 0.01
 _ROUNDING = 1e-9
 
 _STATE = np.dtype([*fields(
-    torque=6, safety=3, good=6, weight=6, held=(), at_limit=(), too_fast=(), unexplained=(), since=(), side=(),
+    torque=6, safety=3, good=6, weight=6, held=(), at_limit=(), too_fast=(), since=(), side=(),
     ticks=(), first=5, worst=(), command=6, readings=6, stood=6, odd=(), fast=(),
 ).descr, *EXPLAINED.descr])  # fmt: skip
 """torque: for the motors [N m]. safety: numbers of level in `LEVELS` and monitor in `MONITORS`, leg or -1. good: last
 good command, one that no limit touched [N m]. weight: last torque that carried the robot's weight [N m]. held: ticks of
-holding, less what good ones gave back; while stopping, ticks without a measurement. at_limit, too_fast, unexplained,
-odd, fast: ticks at the torque limit, of commands that jumped, of innovations and of residuals that were too large, and
-of a stop that runs away, less good ones. since: ticks of ramp and safe hold. side: sign of the rods' determinant at the
-start, 0 before the first tick. ticks: done. first: monitor, level, leg, tick and cause in `FAILURES` of the first trip,
-zeros before. worst: highest level so far. command: that of the last tick, if it was finite [N m]. readings, stood: last
-pose read, and the reference when it came [rad, m]. The rest: see `EXPLAINED`."""
+holding, less what good ones gave back; while stopping, ticks without a measurement. at_limit, too_fast, odd, fast:
+ticks at the torque limit, of commands that jumped, of residuals that were too large, and of a stop that runs away, less
+good ones. since: ticks of ramp and safe hold. side: sign of the rods' determinant at the start, 0 before the first
+tick. ticks: done. first: monitor, level, leg, tick and cause in `FAILURES` of the first trip, zeros before. worst:
+highest level so far. command: that of the last tick, if it was finite [N m]. readings, stood: last pose read, and the
+reference when it came [rad, m]. The rest: see `EXPLAINED`."""
 
 GOES_ON, BLIND, RUNAWAY, HELD = range(4)  # How a tick ends: in the last three the run is over.
 
@@ -54,7 +54,6 @@ NOT_THERE = {
     "sensor_health": np.array(WELL),
     "controller_health": np.array(WELL),
     "angles": np.full(6, np.nan),
-    "innovation": np.full(6, np.nan),
     "pose_reading": np.full(12, np.nan),
 }
 """What stands at a port for which a loop has no signal."""
@@ -101,7 +100,7 @@ def _pose_stuck(setup: Any, pose: Any, reference: Any, state: Any) -> bool:
 @njit
 def _tick(
     robots: Any, setups: Any, command: Any, measurement: Any, reference: Any, age: Any, sensor: Any, controller: Any,
-    angles: Any, innovation: Any, pose_reading: Any, own: Any, leg_records: Any, observations: Any, states: Any,
+    angles: Any, pose_reading: Any, own: Any, leg_records: Any, observations: Any, states: Any,
 ) -> Any:  # fmt: skip
     """One tick; `own` (2,): a user's monitor that trips, its leg. GOES_ON, BLIND, RUNAWAY or HELD; fastest crank."""
     robot, setup, legs, observed, state = (
@@ -140,7 +139,7 @@ def _tick(
         if is_observed and own[0] > 0.0:
             monitor, leg = int(own[0]), int(own[1])
         else:
-            monitor, leg = _pass_on(setup, command, innovation, state)
+            monitor, leg = _pass_on(setup, command, state)
     if monitor == QUIET:
         return GOES_ON, 0.0
     # Holds where that may still be done, else begins to ramp.
@@ -167,26 +166,17 @@ def _counted(ticks: float, bad: bool) -> float:
 
 
 @njit
-def _pass_on(setup: Any, command: Any, innovation: Any, state: Any) -> tuple[int, int]:
+def _pass_on(setup: Any, command: Any, state: Any) -> tuple[int, int]:
     """Passes a command on within the limits; a monitor that finds this has gone on for too long, and its leg."""
-    size, change, limit, largest = np.abs(command), np.abs(command - state.command), setup.torque_limit, 0.0
+    size, change, limit = np.abs(command), np.abs(command - state.command), setup.torque_limit
     full = (size >= limit * (1.0 - _ROUNDING)).any()
     steep = (change > _largest_change(setup, state) * (1.0 + _ROUNDING)).any()
-    for i in range(6):
-        # NaN is never larger.
-        if abs(innovation[i]) > largest:
-            largest = abs(innovation[i])
-    # [rad/s^2] of a crank that the largest innovation speaks of, beyond noise.
-    acceleration = (largest - setup.innovation_noise) / setup.innovation_scale
     state.at_limit, state.too_fast = _counted(state.at_limit, full), _counted(state.too_fast, steep)
-    state.unexplained = _counted(state.unexplained, acceleration > setup.innovation)
     copy_to(state.command[:], command)
     if state.at_limit * setup.period > limits.AT_LIMIT_TIME + _ROUNDING:
         return limits.TORQUE_LIMIT, (size / limit).argmax()
     if state.too_fast * setup.period > limits.TOO_FAST_TIME + _ROUNDING:
         return limits.TORQUE_RATE, change.argmax()
-    if state.unexplained * setup.period > limits.UNEXPLAINED_TIME + _ROUNDING:
-        return limits.INNOVATION, -1
     # Led after it, a command that chatters would leave a mean torque that nobody asked for.
     torque = state.good.copy() if steep else np.minimum(np.maximum(command, -limit), limit)
     led = _led(setup, torque, state)
@@ -241,7 +231,7 @@ def _stop(setup: Any, is_observed: bool, odd: bool, angles: Any, state: Any) -> 
     # A command that came from a wrong reading is not led on. The inertia of the cranks makes a torque of a speed.
     share = min(1.0, elapsed / setup.ramp_time) if is_whole else 1.0
     wanted = (1.0 - share) * state.good + share * state.weight
-    if is_seen and solve(state.mobility.copy(), brake) != 0.0:
+    if is_seen and solve(state.mobility.copy(), brake) != 0.0 and all_finite(brake[:, 0]):
         # Of a crank that may have lost its rod nothing says how much it bears.
         wanted -= np.where(state.suspect == MOTOR_WEAK, 0.0, brake[:, 0]) / setup.stopping
     motor_torques(state, wanted)
@@ -252,15 +242,13 @@ def _stop(setup: Any, is_observed: bool, odd: bool, angles: Any, state: Any) -> 
     return GOES_ON, 0.0
 
 
-def safety_part(options: SafetyOptions, setup: Setup, innovation_scale: tuple[float, float] = (0.0, 1.0)) -> Part:
+def safety_part(options: SafetyOptions, setup: Setup) -> Part:
     """The safety layer; ports for which a loop may have no signal read `NOT_THERE`, unless `reads` is replaced.
 
-    Where the very first command is bad, `setup.still` is held; for `innovation_scale` see `EstimatorOptions`.
+    Where the very first command is bad, `setup.still` is held.
     """
     robot, period = setup.robot, setup.period
-    numbers = limits.setup_of(
-        robot, options, setup.gravity, period, setup.noise, setup.friction, setup.viscous, innovation_scale
-    )
+    numbers = limits.setup_of(robot, options, setup.gravity, period, setup.noise, setup.friction, setup.viscous)
     held = dict.fromkeys(("torque", "good", "weight", "command", "sent"), setup.still)
     unread = dict.fromkeys(("readings", "stood", "angles", "poses"), np.nan)
     first = new_record(_STATE, **held, **unread, safety=(NONE, QUIET, -1.0))

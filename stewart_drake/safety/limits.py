@@ -28,7 +28,7 @@ MONITORS = (
     "workspace", "serial_singularity", "parallel_singularity", "crank_speed", "following_error", "torque_limit",
     "torque_rate", "innovation", "reading_stuck", "unexplained_torque",
 )  # fmt: skip
-"""Stable names of the monitors, by their number in the log: new ones come last."""
+"""Stable names of the monitors, by their number in the log: new ones come last. `innovation` is in old logs alone."""
 MEANINGS = {
     "reading_stuck": "a sensor repeats itself",
     "unexplained_torque": "a reading or a motor is wrong, or load and friction exceed safety.unexplained_torque",
@@ -55,9 +55,6 @@ class SafetyOptions(Section, key="safety"):
     frozen_pose: Annotated[PositivePair | None, LENGTH] = (0.01, 0.001)
     """[rad, m] change of the reference on an axis after which a measured pose that repeats to the last bit is frozen;
     for sensors other than encoders."""
-    innovation: Positive | None = 100.0
-    """[rad/s^2] largest crank acceleration that the observer's model does not explain, from its innovations beyond
-    their noise, for more than 10 ms in sum. It detects a lost rod, a dead motor or a wrong encoder."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
     """[-] largest command as a fraction of the motors' limit; commands are cut there. They may be there or beyond for
     0.1 s in sum."""
@@ -145,7 +142,7 @@ class UserMonitor(UserMade, key="safety.monitors"):
 
 (
     QUIET, MEASUREMENT, SENSOR, CONTROLLER, COMMAND, DEADLINE, WORKSPACE, SERIAL, PARALLEL, CRANK_SPEED, FOLLOWING,
-    TORQUE_LIMIT, TORQUE_RATE, INNOVATION, READING, UNEXPLAINED,
+    TORQUE_LIMIT, TORQUE_RATE, _, READING, UNEXPLAINED,
 ) = range(len(MONITORS))  # fmt: skip
 """Places in `MONITORS`."""
 LIMITS = (
@@ -163,22 +160,20 @@ SMALLEST = 1e-9  # Transmission at a dead centre, for the speed of that crank.
 
 SETUP = fields(
     period=(), gravity=(), horizon=(), home=6,
-    deadline=(), frozen_pose=6, innovation=(), innovation_noise=(), innovation_scale=(),
+    deadline=(), frozen_pose=6,
     torque_limit=6, torque_change=(), workspace=2, transmission=(), conditioning=(), crank_speed=(),
     following_error=2, half=(), blow=(), unexplained=6, unexplained_alone=(), viscous=6, lasting=(), inertia=(),
     follow=2, most_correction=2, impossible=(), remembered=(), budget=(), ramp_time=(), safe_hold_time=(),
     suspect_hold_time=(), stopping=(), most_torque=6, most_speed=(),
 )  # fmt: skip
-"""`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], what the innovation's
-noise is [rad] and what an acceleration leaves in it [s^2], torque_change: in a tick [N m]. Of the residual half: of its
-window [ticks], blow: ticks for which one shows, unexplained, also of a leg or two alone [N m], viscous: friction that
-is compensated [N m s/rad], lasting: share of a tick, inertia: of a crank [kg m^2]. For `residual._follow` follow:
-bandwidth, most_correction and impossible: change of a crank's speed in a tick [rad/s], remembered: ticks for which that
-counts. budget: ticks that may be held, suspect_hold_time: of a stop with a suspect leg [s], stopping: time constant of
-a stop [s], most_torque of it [N m], most_speed: at which it is given up [rad/s]."""
-AT_LIMIT_TIME, TOO_FAST_TIME, UNEXPLAINED_TIME = 0.1, 0.01, 0.01
-"""[s] for which, in sum, commands may be at the torque limit or jump, and innovations be too large: a blow passes. Good
-ticks take away from the sum."""
+"""`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], torque_change: in a tick
+[N m]. Of the residual half: of its window [ticks], blow: ticks for which one shows, unexplained, also of a leg or two
+alone [N m], viscous: friction that is compensated [N m s/rad], lasting: share of a tick, inertia: of a crank [kg m^2].
+For `residual._follow` follow: bandwidth, most_correction and impossible: change of a crank's speed in a tick [rad/s],
+remembered: ticks for which that counts. budget: ticks that may be held, suspect_hold_time: of a stop with a suspect leg
+[s], stopping: time constant of a stop [s], most_torque of it [N m], most_speed: at which it is given up [rad/s]."""
+AT_LIMIT_TIME, TOO_FAST_TIME = 0.1, 0.01
+"""[s] for which, in sum, commands may be at the torque limit, or jump. Good ticks take away from the sum."""
 RUNAWAY_TIME = 0.005
 """[s] for which a crank of a robot that stops may turn too fast: a reading may jump."""
 BLOW = 0.005  # [s] that a blow lasts at most, as `disturbances` has it.
@@ -204,7 +199,6 @@ def setup_of(
     noise: float = 1e-5,
     friction: float = 0.0,
     viscous: Sequence[float] = (0.0,) * 6,
-    innovation_scale: tuple[float, float] = (0.0, 1.0),
 ) -> np.ndarray:
     """`SETUP` record, see `safety_part`."""
     bound = (math.inf if options.unexplained_torque is None else options.unexplained_torque) * robot.effort_limits
@@ -220,8 +214,6 @@ def setup_of(
         gravity=gravity,
         home=robot.home_pose,
         frozen_pose=math.inf if pose is None else np.repeat(pose, 3),
-        innovation_noise=innovation_scale[0],
-        innovation_scale=innovation_scale[1],
         torque_limit=(math.inf if share is None else share) * robot.effort_limits,
         torque_change=math.inf if rate is None else rate * period,
         transmission=-math.inf if options.transmission is None else options.transmission,

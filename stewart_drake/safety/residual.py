@@ -137,9 +137,11 @@ def _follow(setup: Any, speeds: Any, sound: bool, state: Any) -> None:
         for row in range(2):
             follow, most = setup.follow[row], setup.most_correction[row]
             off = 0.0 if row == 1 and state.suspect[i] == READING_WRONG else speeds[i] - state.speed[row, i]
-            off = min(max(off, -most), most) if off == off else 0.0
+            off = min(max(off, -most), most) if np.isfinite(off) else 0.0
             state.speed[row, i] += setup.period * (turning + state.bias[row, i] + 2.0 * follow * off)
             state.bias[row, i] += setup.period * follow**2 * off
+            if not np.isfinite(state.speed[row, i] + state.bias[row, i]):
+                state.speed[row, i], state.bias[row, i] = 0.0, 0.0
     solvable = solve(state.mobility.copy(), torque) != 0.0
     for i in range(6):
         state.missing[i] = torque[i, 0] if solvable else 0.0

@@ -35,9 +35,9 @@ OPTIONS = SafetyOptions()
 
 
 def inputs(command=WEIGHT, pose=HOME, rate=STILL, reference=None, **rest):
-    """A tick: `rest` are age, sensor, controller, innovation, angles and pose_reading."""
+    """A tick: `rest` are age, sensor, controller, angles and pose_reading."""
     reference = pose if reference is None else reference
-    more = {"age": 0.0, "sensor": WELL, "controller": WELL, "innovation": 0.0, "angles": None, "pose_reading": None}
+    more = {"age": 0.0, "sensor": WELL, "controller": WELL, "angles": None, "pose_reading": None}
     command = np.asarray(command, dtype=float)
     return SimpleNamespace(
         command=command, pose=np.asarray(pose), rate=np.asarray(rate), reference=reference, **(more | rest)
@@ -53,9 +53,8 @@ def run(sequence, options=OPTIONS, period=PERIOD):
         read = NOT_THERE["pose_reading"] if one.pose_reading is None else np.concatenate([one.pose_reading, STILL])
         health = (np.array(each, dtype=float) for each in (one.sensor, one.controller))
         measured, wanted = np.concatenate([one.pose, one.rate]), np.concatenate([one.reference, np.zeros(12)])
-        odd = np.eye(6)[3] * one.innovation
         try:
-            part.tick(one.command, measured, wanted, np.array([one.age]), *health, angles, odd, read, state)
+            part.tick(one.command, measured, wanted, np.array([one.age]), *health, angles, read, state)
         except SafetyStop as stop:
             return done, stop
         said = dict(zip(("level", "monitor", "leg"), state["safety"][0].copy(), strict=True))
@@ -105,18 +104,6 @@ def test_a_monitor_trips_by_name_and_level_and_not_where_it_is_off(monitor, bad,
     if switch is not None:
         without, _ = run([GOOD, bad], SafetyOptions(**{switch: None}))
         assert without[-1].monitor != MONITORS.index(monitor)
-
-
-def test_innovations_may_be_large_for_a_blow_and_no_longer():
-    odd = inputs(innovation=101.0)
-    done, stop = run([GOOD, *[odd] * 10, *[GOOD] * 20, *[odd] * 11])
-    assert stop is None
-    assert all(memory.level == 0.0 for memory in done[:-1])
-    trip = done[-1].trip
-    assert (trip["monitor"], trip["level"], trip["leg"], trip["time"]) == ("innovation", "ramp", None, 0.041)
-    for options in (SafetyOptions(innovation=None), SafetyOptions(innovation=102.0)):
-        done, _ = run([GOOD, *[odd] * 50], options)
-        assert done[-1].monitor == 0.0
 
 
 def test_a_good_tick_passes_the_command_on_to_the_last_bit():
