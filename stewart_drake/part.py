@@ -86,6 +86,7 @@ class Setup(NamedTuple):
     reading: int  # Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
     noise: float  # [rad] of a reading, as an observer believes it.
     friction: float  # [N m] largest break-away torque that the motors are believed to have.
+    viscous: tuple[float, ...]  # (6,) [N m s/rad] likewise, for each.
     tuner: Any  # Options of the tuner, with its file read.
     disturbance: float  # [rad/s^2 per sqrt(s)] that an observer expects; 0 without one.
     guarded: bool  # Whether a tick that fails does not end the run.

@@ -80,6 +80,7 @@ def setup_of(scenario: Scenario, split: bool = False) -> Setup:
         reading=scenario.sensors.reading_size,
         noise=max(scenario.sensors.reading_noise, SMALLEST_NOISE),
         friction=0.0 if friction is None else max(friction.levels[1]),
+        viscous=(0.0,) * 6 if friction is None else friction.levels[3],
         tuner=tuner,
         disturbance=scenario.estimator.expected,
         guarded=scenario.safety is not None,
@@ -207,14 +208,12 @@ class _Builder:
     def _safety(self, **reads: str) -> Part:
         scenario, setup = self.scenario, self.setup
         assert scenario.safety is not None
-        part = safety_part(scenario.safety, setup, scenario.estimator.innovation_scale(setup))
+        part = safety_part(scenario.safety, setup)
         reads["measurement"] = self.measurement
         if setup.reading == 6:
             reads["angles"] = self.reading
-        if self.observes:
-            reads["innovation"] = "innovation"
-            if setup.reading == 12:
-                reads["pose_reading"] = self.reading
+        if self.observes and setup.reading == 12:
+            reads["pose_reading"] = self.reading
         for health in {"sensor_health", "controller_health"} & {each.signal("health") for each in self.parts}:
             reads[health] = health
         return _reading(part, **reads)._replace(says={"torque": "guarded"})
