@@ -13,7 +13,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PINS)
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test test-all test-torch check newest golden results lint bench docs docs-quick picture gallery robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three format clean
+.PHONY: demo install test test-all test-torch check newest golden processors results lint bench docs docs-quick picture gallery robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three format clean
 
 demo: $(BASE)
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -64,6 +64,10 @@ results: install
 # The contract: whether everything computes what is recorded in tests/golden; some minutes. See tests/golden_set.py.
 golden: install
 	$(BIN)/python tests/golden_set.py check
+
+# The same with the arithmetic of other processors, and the tests that state numbers: half an hour for all settings.
+processors: install
+	$(BIN)/python tests/processors.py
 
 lint: install
 	$(BIN)/ruff check .

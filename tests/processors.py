@@ -1,7 +1,7 @@
 """The same on every processor: the contract, and tests that state numbers, with the arithmetic of other processors.
 
     python tests/processors.py             # all settings; status 1 if one of them differs
-    python tests/processors.py Haswell     # one
+    python tests/processors.py Haswell     # one, or several
 
 A setting is environment variables. They choose numba's machine code, OpenBLAS's kernels, numpy's loops and the C
 library's functions, whose results differ in the last digits. `make processors`; some minutes a setting.
@@ -29,9 +29,8 @@ SETTINGS = {
     "C library without FMA": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4"},
 }
 # All at once: the arithmetic of a processor of 2008.
-OLDEST = {}
-for name in ("generic", "Nehalem", "numpy without AVX2", "C library without FMA"):
-    OLDEST |= SETTINGS[name]
+OLDEST = ("generic", "Nehalem", "numpy without AVX2", "C library without FMA")
+SETTINGS["oldest"] = {key: value for name in OLDEST for key, value in SETTINGS[name].items()}
 if AVX512:
     SETTINGS |= {
         "SkylakeX": {"OPENBLAS_CORETYPE": "SkylakeX"},
