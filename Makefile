@@ -3,14 +3,17 @@
 # make check  the fast part of them, a quarter of the random examples, for daily work: less than a minute
 PYTHON ?= python3
 VENV := .venv
+# dev, or test: the same without torch, whose tests are then skipped.
+EXTRA := dev
+PINS := -c constraints.txt
 BIN := $(VENV)/bin
 BASE := $(VENV)/.base
-STAMP := $(VENV)/.installed
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+STAMP := $(VENV)/.installed-$(EXTRA)
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PINS)
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test test-all check golden results lint bench docs docs-quick picture gallery robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety format clean
+.PHONY: demo install test test-all test-torch check newest golden processors results lint bench docs docs-quick picture gallery robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three format clean
 
 demo: $(BASE)
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -25,7 +28,7 @@ $(BASE): pyproject.toml constraints.txt
 	touch $@
 
 $(STAMP): $(BASE)
-	$(PIP) -e '.[dev]'
+	$(PIP) -e '.[$(EXTRA)]'
 	touch $@
 
 PYTEST := $(ONE_THREAD) $(BIN)/pytest -n auto --dist loadgroup --ignore=tests/benchmarks
@@ -38,9 +41,21 @@ test: install
 test-all: install
 	$(PYTEST)
 
+# Those that need torch alone.
+test-torch: install
+	$(PYTEST) -m torch
+
 # All but those marked slow or long: no study, no long run, no other process.
 check: install
 	$(PYTEST) -q -m "not slow and not long" --hypothesis-profile=check --ignore=tests/paper
+
+# The fast tests with the newest release of each package, whatever constraints.txt says, in an environment of its own.
+NEWEST := VENV=.venv-newest EXTRA=test PINS=
+newest:
+	rm -rf .venv-newest
+	$(MAKE) install $(NEWEST)
+	.venv-newest/bin/stewart-drake doctor
+	$(MAKE) check $(NEWEST)
 
 # Some numbers of each page of docs/results, computed anew and compared with the page: a minute or two.
 results: install
@@ -50,11 +65,22 @@ results: install
 golden: install
 	$(BIN)/python tests/golden_set.py check
 
+# The same with the arithmetic of other processors, and the tests that state numbers: half an hour for all settings.
+processors: install
+	$(BIN)/python tests/processors.py
+
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# The part of three.js that the pages use, bundled anew; needs npm.
+three:
+	npm install --silent --no-save --prefix build/three three@0.187.0 esbuild@0.28.2
+	NODE_PATH=build/three/node_modules build/three/node_modules/.bin/esbuild stewart_drake/pages/three.entry.js --bundle --minify \
+		--format=iife --global-name=THREE --banner:js='/*! three.js 0.187.0, https://threejs.org, MIT */' --legal-comments=inline \
+		--outfile=stewart_drake/pages/three.min.js
 
 bench: install
 	$(BIN)/pytest tests/benchmarks -p no:xdist -s -q --benchmark-quiet
@@ -156,4 +182,4 @@ format: install
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) runs dist build docs/_build docs/notebooks docs/reference .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) .venv-newest .venv-ci runs dist build docs/_build docs/notebooks docs/reference .mypy_cache .ruff_cache .pytest_cache

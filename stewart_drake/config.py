@@ -10,6 +10,7 @@ import dataclasses
 import difflib
 import inspect
 import json
+import math
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -53,6 +54,8 @@ def words(text: str) -> WrapValidator:
 
 Real = Annotated[float, Strict()]
 """A finite number; an integer will do."""
+Phase = Annotated[float, Strict(), Field(ge=-math.tau, le=math.tau)]
+"""[rad] within a turn: more was meant in degrees."""
 Count = Annotated[int, Strict()]
 Positive = Annotated[float, Strict(), Field(ge=TINY)]
 NotNegative = Annotated[float, Strict(), Field(ge=0.0)]
@@ -75,16 +78,18 @@ Vector6 = tuple[Real, Real, Real, Real, Real, Real]
 PositivePair = tuple[Positive, Positive]
 
 
-def one_for_six(number: Any) -> BeforeValidator:
+def one_for_six(number: Any, unit: str = "") -> BeforeValidator:
     """In `Annotated` of six numbers of a type, which have one unit: a single number stands for all six."""
 
     def spread(given: Any) -> Any:
         if not isinstance(given, (int, float)):
             return given
         try:
-            check_value("", given, number)
+            check_value("", given, number, unit)
         except ConfigurationError as error:
-            raise as_problem(ConfigurationError("", given, f"{error.allowed}, or six of them")) from None
+            expected, semicolon, hint = error.allowed.partition("; ")
+            allowed = f"{expected}, or six of them{semicolon}{hint}"
+            raise as_problem(ConfigurationError("", given, allowed)) from None
         return (given,) * 6
 
     return BeforeValidator(spread, json_schema_input_type=number | tuple[(number,) * 6])  # type: ignore[misc]
@@ -141,8 +146,7 @@ class Section:
 
         @wraps(cls.__init__)
         def init(self: Section, /, **keys: Any) -> None:
-            given = {name: plain(value) for name, value in keys.items()}
-            type(self)._validated(given, type(self).section_key, self_instance=self)
+            type(self)._validated(keys, type(self).section_key, self_instance=self)
 
         cls.__init__ = init  # type: ignore[method-assign, assignment]
 
@@ -168,6 +172,8 @@ class Section:
                 return cls.__pydantic_validator__.validate_python(data, **details)
             except ValidationError as error:
                 raise _as_one(error, key) from None
+            except RecursionError:
+                raise ConfigurationError(key or "scenario", data, "values that do not hold themselves") from None
 
     @model_validator(mode="wrap")
     @classmethod
@@ -179,7 +185,7 @@ class Section:
         given = {name: value is None for name, value in data.items()} if isinstance(data, dict) else None
         try:
             if isinstance(data, dict):
-                data = {name: in_unit(value, name, cls.unit_of(name)) for name, value in data.items()}
+                data = {name: in_unit(plain(value), name, cls.unit_of(name)) for name, value in data.items()}
             result = handler(data if fill is None or given is None else fill(cls, data))
         except ConfigurationError as error:
             error.key = error.key.removeprefix(f"{cls.section_key}.")
@@ -266,12 +272,12 @@ def check_plain(key: str, value: Any) -> None:
         raise ConfigurationError(key, value, f"plain values, all numbers finite ({error})") from None
 
 
-def check_value(key: str, value: Any, kind: Any) -> None:
+def check_value(key: str, value: Any, kind: Any, unit: str = "") -> None:
     """Raises a `ConfigurationError` for a value that is not of a type, such as `LegNumber` or `Vector6`."""
     try:
         _adapter(kind).validate_python(plain(value))
     except ValidationError as error:
-        raise _as_one(_in_words(error, kind, kind), key) from None
+        raise _as_one(_in_words(error, kind, kind, unit), key) from None
 
 
 @lru_cache(maxsize=256)
@@ -334,25 +340,25 @@ def unknown(key: Any, keys: Sequence[str], kinds: Sequence[str] = ()) -> str:
 
 def as_problem(error: ConfigurationError) -> PydanticCustomError:
     """An error with a key of its own section as pydantic passes it on to the sections around it."""
-    context = {"key": error.key, "got": error.value, "allowed": error.allowed}
-    return PydanticCustomError("rule", "expected {allowed}", context)
+    # Pydantic writes out all of it, but not an integer of thousands of digits.
+    return PydanticCustomError("rule", "expected {allowed}", {"error": error, "allowed": error.allowed})
 
 
 def _as_one(error: ValidationError, section: str) -> ConfigurationError:
     """Problems that are in our words already as one error, unknown keys first."""
     problems: dict[str, ConfigurationError] = {}
     for report in error.errors(include_url=False):
-        context = report["ctx"]
-        keys = [section, *(shown(str(part)) for part in report["loc"] if part != "[key]"), context["key"]]
-        problem = ConfigurationError(".".join(filter(None, keys)) or "scenario", context["got"], context["allowed"])
+        own: ConfigurationError = report["ctx"]["error"]
+        keys = [section, *(shown(str(part)) for part in report["loc"] if part != "[key]"), own.key]
+        problem = ConfigurationError(".".join(filter(None, keys)) or "scenario", own.value, own.allowed)
         problems[str(problem)] = problem
     first, *others = sorted(problems.values(), key=lambda each: not each.allowed.startswith("no such"))
     first.others = tuple(others)
     return first
 
 
-def _in_words(error: ValidationError, section: Any, annotation: Any = None) -> ValidationError:
-    """Pydantic's report on a section, or on a value of a type, in our words."""
+def _in_words(error: ValidationError, section: Any, annotation: Any = None, unit: str = "") -> ValidationError:
+    """Pydantic's report on a section, or on a value of a type and unit, in our words."""
     fields: Mapping[str, Any] = getattr(section, "__pydantic_fields__", {})
     lines: list[InitErrorDetails] = []
     for report in error.errors(include_url=False):
@@ -364,7 +370,7 @@ def _in_words(error: ValidationError, section: Any, annotation: Any = None) -> V
             problem = PydanticCustomError("rule", "expected {allowed}", context)
         else:
             field, last = (fields.get(str(location[0])), location[-1]) if location else (None, "")
-            unit = section.unit_of(str(location[0])) if field is not None else ""
+            unit = section.unit_of(str(location[0])) if field is not None else unit
             kind = getattr(field, "annotation", annotation)
             if report["type"].startswith("missing") and isinstance(last, str):
                 value, allowed = None, f"a value{unit and f' [{unit}]'}; this key is required"

@@ -93,6 +93,12 @@ class MissingPackageError(ConfigurationError, ImportError):
         return f"{self.key} is not installed: {self.remedy}"
 
 
+class DiskError(StewartDrakeError):
+    """A disk that is full or broken, found while something is written."""
+
+    reason = "disk"
+
+
 class RunFailure(StewartDrakeError, RuntimeError):
     """Something that ends a run midway.
 

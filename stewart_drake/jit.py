@@ -10,15 +10,19 @@ to an inner one, which takes its record: never `record(np.empty(1, KIND))`.
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
 import numpy as np
+from numba.core import caching
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -26,6 +30,7 @@ _PREFIX = "compiled-"
 _PACKAGE = Path(__file__).parent
 _OWN = _PACKAGE / "__pycache__"
 _CONFIG: Any = numba.config
+_FunctionCache: Any = caching.FunctionCache
 
 
 def fields(**shapes: int | tuple[int, ...]) -> np.dtype:
@@ -71,15 +76,45 @@ def njit(function: _F) -> _F:
     options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
     if _FOLDER is None:
         return numba.njit(**options)(function)
+    compiled: Any = numba.njit(**options)(function)
     before = _CONFIG.CACHE_DIR
     try:
-        # Where files go is settled as the decorator runs; other people's functions keep their own place.
+        # Where files go is settled as a cache is made; other people's functions keep their own place.
         _CONFIG.CACHE_DIR = str(_FOLDER)
-        return numba.njit(cache=True, **options)(function)
+        compiled._cache = _Cache(function)
     except RuntimeError:  # the place is gone again
-        return numba.njit(**options)(function)
+        pass
     finally:
         _CONFIG.CACHE_DIR = before
+    return compiled
+
+
+class _Cache(_FunctionCache):
+    """numba's cache of a function, whose files may be damaged, and their disk full, at any time."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        with self._dropped_if_bad():
+            return super().load_overload(sig, target_context)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with self._dropped_if_bad():
+            super().save_overload(sig, data)
+
+    @contextmanager
+    def _dropped_if_bad(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:  # of pickle any, of the disk OSError
+            _tell_once(f"{self.cache_path}: {error or type(error).__name__}")
+            try:
+                self.flush()
+            except OSError:
+                self.disable()
+
+
+@cache
+def _tell_once(why: str) -> None:
+    logging.getLogger("stewart_drake").warning(f"stewart-drake: cache of compiled code dropped, compiling anew: {why}")
 
 
 def source_digest() -> str:

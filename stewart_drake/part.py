@@ -120,9 +120,8 @@ class Setup(NamedTuple):
     reading: int  # Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
     noise: float  # [rad] of a reading, as an observer believes it.
     friction: float  # [N m] largest break-away torque that the motors are believed to have.
-    weights: tuple[float, ...]  # Of the tuner at the start.
-    # What the tuner makes of the disturbance that an observer expects: shares at the start, and the least.
-    levels: tuple[float, float]
+    viscous: tuple[float, ...]  # (6,) [N m s/rad] likewise, for each.
+    tuner: Any  # Options of the tuner, with its file read.
     disturbance: float  # [rad/s^2 per sqrt(s)] that an observer expects; 0 without one.
     fault_tolerant: bool  # Whether a tick that fails does not end the run.
     split: bool  # Whether an LQI takes the compiled split solution whatever its options say.

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.errors import NotFiniteError
+from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.motors import delay_part, standing_torque
 from stewart_drake.hardware.observer import SMALLEST_NOISE
@@ -53,8 +53,11 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
 
     Raises:
         ConfigurationError: A weights file that is missing or corrupt; a user's code that cannot be used; an observer
-            that would have to look too far ahead.
+            that would have to look too far ahead; with `split`, the other solver.
     """
+    if split and getattr(scenario.controller, "solver", None) == "drake":
+        allowed = "split, or null for what runs without Drake: the reduced engine, and Controller"
+        raise ConfigurationError("controller.solver", "drake", allowed)
     return _Builder(scenario, split).loop()
 
 
@@ -65,7 +68,7 @@ def controllers_side(loop: Loop) -> list[Part]:
 
 def setup_of(scenario: Scenario, split: bool = False) -> Setup:
     """What the parts of a scenario are made for; `split` as in `loop_of`."""
-    robot, friction, tuner = scenario.believed_robot, scenario.friction_compensation, scenario.tuner
+    robot, friction, tuner = scenario.believed_robot, scenario.friction_compensation, scenario.tuner.opened()
     pose, rate = scenario.start()
     return Setup(
         robot=robot,
@@ -82,8 +85,8 @@ def setup_of(scenario: Scenario, split: bool = False) -> Setup:
         reading=scenario.sensors.reading_size,
         noise=max(scenario.sensors.reading_noise, SMALLEST_NOISE),
         friction=0.0 if friction is None else max(friction.levels[1]),
-        weights=tuner.weights,
-        levels=tuner.levels,
+        viscous=(0.0,) * 6 if friction is None else friction.levels[3],
+        tuner=tuner,
         disturbance=scenario.estimator.expected,
         fault_tolerant=scenario.safety is not None,
         split=split,
@@ -139,10 +142,11 @@ class _Builder:
     def add_controller(self) -> None:
         """From measurement and reference to a torque."""
         setup = self.setup
+        self.tuning = setup.tuner.parts(setup)
         self.sees: dict[str, str | np.ndarray] = {
             "measurement": "ahead" if self.observes else self.measurement,
             "reference": "reference_ahead" if setup.ahead > 0 else "reference",
-            "weights": "weights" if self.scenario.tuner.parts(setup) else np.array(setup.weights),
+            "weights": "weights" if self.tuning else np.array(setup.tuner.weights),
         }
         self.compensated = self.observes or self.scenario.friction_compensation is not None
         (part,) = self.scenario.controller.parts(setup)
@@ -171,12 +175,11 @@ class _Builder:
 
     def add_tuner(self) -> None:
         """Densities, and the weights that a controller takes; nothing for one that takes none."""
-        setup, tuner = self.setup, self.scenario.tuner
         if not self.weighted:
             return
-        self.parts.append(tuner.density_part())
+        self.parts.append(self.setup.tuner.density_part())
         self.logged |= {"density": "density", "weights": self.sees["weights"]}
-        for part in tuner.parts(setup):
+        for part in self.tuning:
             self.at_end.append(part.connected(reference=self.sees["reference"]))
             if "setting" in part.outputs:
                 self.logged["setting"] = "setting"
@@ -210,14 +213,12 @@ class _Builder:
     def _safety(self, **sources: str) -> Part:
         scenario, setup = self.scenario, self.setup
         assert scenario.safety is not None
-        part = safety_part(scenario.safety, setup, scenario.estimator.innovation_scale(setup))
+        part = safety_part(scenario.safety, setup)
         sources["measurement"] = self.measurement
         if setup.reading == 6:
             sources["angles"] = self.reading
-        if self.observes:
-            sources["innovation"] = "innovation"
-            if setup.reading == 12:
-                sources["pose_reading"] = self.reading
+        if self.observes and setup.reading == 12:
+            sources["pose_reading"] = self.reading
         for health in {"sensor_health", "controller_health"} & {each.signal("health") for each in self.parts}:
             sources[health] = health
         return part.connected(**sources).named(torque="safe_torque")

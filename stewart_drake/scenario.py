@@ -38,7 +38,7 @@ from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.planning.limits import Bounds, Limits
 from stewart_drake.plant.plant_options import PlantOptions
-from stewart_drake.references import AnyReference, SineReference
+from stewart_drake.references import AnyReference, RecordedReference, SineReference
 from stewart_drake.registry import CONTROLLERS, ESTIMATORS, OWN_METRICS, SENSORS, TUNERS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST
@@ -63,7 +63,8 @@ class Scenario(Section):
     name: Annotated[Text, Field(max_length=100, pattern=NAME), words(f"at most 100 {NAME_WORDS}")] = "scenario"
     """Name of the run, for the output folder and titles; letters, digits and, after the first, space and . + - too."""
     duration: Annotated[Positive, Field(le=1e6)] = 10.0
-    """[s] simulated time; the run ends with the last whole step of the plant, at most 1e9 of them."""
+    """[s] simulated time; that of a recorded motion where it is not given. The run ends with the last whole step of the
+    plant, at most 1e9 of them."""
     gravity: Annotated[NotNegative, Field(le=LARGEST)] = STANDARD_GRAVITY
     """[m/s^2] gravity, along -z of the base frame B; 0 for none."""
     robot: AnyRobot = Field(default_factory=lambda: PAPER)
@@ -114,7 +115,11 @@ class Scenario(Section):
             return super()._validated(data, key, **details)
         data, defaults = _with_robots(data)
         with defaults:
-            return super()._validated(data, key, **details)
+            scenario = super()._validated(data, key, **details)
+        if "duration" not in data and isinstance(scenario.reference, RecordedReference):
+            vars(scenario)["duration"] = scenario.reference.end
+            scenario.rules()
+        return scenario
 
     @classmethod
     def from_dict(cls, data: Any, key: str | None = None, trust_code: bool = False) -> Scenario:
@@ -143,12 +148,13 @@ class Scenario(Section):
         def kinds(parts: Iterable[Any]) -> str:
             return ", ".join(str(part.kind) for part in parts) or "none"
 
+        weighted = isinstance(self.controller, LqiOptions) or self.controller.code is not None
         safety = "none" if self.safety is None else f"{len(self.safety.monitor_names) - 1} monitors"
         return (
             f"Scenario {self.name}: {self.duration:g} s, gravity {self.gravity:g} m/s^2\n"
             f"  reference: {kinds([self.reference])}\n"
             f"  controller: {self.controller.kind}, a tick every {self.controller.period:g} s\n"
-            f"  tuner: {self.tuner.kind}\n"
+            f"  tuner: {self.tuner.kind if weighted else 'none'}\n"
             f"  sensors: {self.sensors.kind}; estimator: {self.estimator.kind}\n"
             f"  commands: {self.command_delay} ticks late\n"
             f"  disturbances: {kinds(self.disturbances)}\n"

@@ -1,3 +1,4 @@
+import importlib.util
 import json
 import os
 import re
@@ -45,6 +46,8 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.xdist_group(name))
         if "report" in item.fixturenames:
             item.add_marker(pytest.mark.slow)
+        if item.get_closest_marker("torch") and importlib.util.find_spec("torch") is None:
+            item.add_marker(pytest.mark.skip(reason="needs torch"))
 
 
 COMMAND = "from stewart_drake.cli.app import main; main()"

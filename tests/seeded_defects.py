@@ -135,7 +135,8 @@ def tested(checkout, options):
 
 def left_behind(folder, names):
     top = {"runs"} if Path(folder) == ROOT else set()
-    return {name for name in names if name in {".git", ".venv", "__pycache__", *top} or name.endswith("_cache")}
+    left = {".git", "__pycache__", *top}
+    return {name for name in names if name in left or name.startswith(".venv") or name.endswith("_cache")}
 
 
 def of_room(file):

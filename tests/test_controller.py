@@ -11,9 +11,12 @@ from hypothesis import strategies as st
 from strategies import vectors
 
 from stewart_drake import Controller, RobotParameters, Scenario, load_scenario, run
+from stewart_drake.control import network
+from stewart_drake.control.network import read_weights
 from stewart_drake.errors import ConfigurationError, RunFailure, SafetyStop
 from stewart_drake.hardware.motors import standing_torque
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
+from stewart_drake.parts import loop_of
 from stewart_drake.plant.closed_chain import ClosedChain
 
 ENCODERS = {"sensors": {"kind": "encoders", "rate_cutoff": 150.0}}
@@ -134,6 +137,27 @@ def test_it_runs_where_drake_is_not_installed():
     given = json.dumps(["exact_breathing", changes, readings_of(log).tolist()])
     torques = json.loads(python("-c", WITHOUT, given).splitlines()[-1])
     np.testing.assert_array_equal(torques, replayed(Controller(log.scenario), log)["out"])
+
+
+def test_a_solver_that_needs_drake_is_refused_where_it_would_be_ignored():
+    scenario = short("exact_fig7", {"controller.solver": "drake"})
+    fast = scenario.replace({"plant.engine": "reduced"})
+    for ignores in (lambda: Controller(scenario), lambda: run(fast)):
+        with pytest.raises(ConfigurationError, match=r"controller.solver: expected split, or null .*, got 'drake'"):
+            ignores()
+
+
+@pytest.mark.parametrize("name", ["exact_breathing", "paper_fig7"])
+def test_a_tuners_file_is_read_once_a_loop(name, monkeypatch):
+    paths = []
+
+    def counted(path):
+        paths.append(path)
+        return read_weights(path)
+
+    monkeypatch.setattr(network, "read_weights", counted)
+    loop_of(load_scenario(name))
+    assert len(paths) == 1
 
 
 def test_a_function_is_a_controller():

@@ -25,7 +25,7 @@ def ask_dask():
 
 NEEDS = {
     "gymnasium": ("stewart-drake[gym]", lambda: import_module("stewart_drake.environments")),
-    "torch": ("torch", lambda: import_module("stewart_drake.training.train")),
+    "torch": ("stewart-drake[train]", lambda: import_module("stewart_drake.training.train")),
     "control": ("stewart-drake[control]", lambda: StateSpace(*np.eye(4)[:, :, None], 0.1).to_control()),
     "distributed": ("stewart-drake[dask]", ask_dask),
     "xarray": ("xarray", lambda: SimulationLog.to_xarray(None)),
@@ -95,10 +95,11 @@ def test_without_torch_everything_works_but_training(shell):
 
 
 @pytest.mark.parametrize("command", ["train", "reproduce"])
-def test_training_without_torch_ends_in_one_line(command, call, monkeypatch):
+def test_training_without_torch_ends_in_one_line_and_writes_nothing(command, call, monkeypatch, tmp_path):
     monkeypatch.delitem(sys.modules, "stewart_drake.training.train", raising=False)
     monkeypatch.setitem(sys.modules, "torch", None)
-    status, out, err = call(command)
+    status, out, err = call(command, "--out", "folder/file")
     assert (status, out) == (2, "")
     (line,) = err.strip().splitlines()
-    assert line.startswith("stewart-drake: torch is not installed: pip install torch;")
+    assert line.startswith("stewart-drake: torch is not installed: pip install 'stewart-drake[train]';")
+    assert list(tmp_path.iterdir()) == []

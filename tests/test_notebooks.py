@@ -21,6 +21,7 @@ NAMES = (
     *("paper/1_plant_and_kinematics", "paper/2_force_map", "paper/3_state_space", "paper/4_nine_experiments"),
     *("paper/5_data_and_network", "paper/6_tuner_in_the_loop", "paper/7_sensitivity_and_workspace"),
 )
+TRAINING = "paper/5_data_and_network"  # all others run without torch
 EXACT_GAINS = {
     "study = Study(quick=True)": """study = Study(quick=True)
 study.base = study.base.replace({"controller.solver": "split"})"""
@@ -76,11 +77,18 @@ def test_a_claim_asserts_every_number_of_the_sentence_before_it(name):
         assert numbers(sentence.source) <= numbers(claim.source), sentence.source
 
 
+def test_the_one_that_trains_says_at_its_top_what_installs_torch():
+    assert [name for name in NAMES if "pip install 'stewart-drake[train]'" in read(name).cells[0].source] == [TRAINING]
+
+
 RUNS = [
     pytest.param(
         NAMES[0], marks=pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="its film needs libEGL")
     ),
-    *(pytest.param(name, marks=pytest.mark.long) for name in NAMES[1:]),
+    *(
+        pytest.param(name, marks=[pytest.mark.long, *([pytest.mark.torch] if name == TRAINING else [])])
+        for name in NAMES[1:]
+    ),
 ]
 
 

@@ -124,7 +124,7 @@ def test_faults(name, overrides):
     (row,) = study.tables([execute(study.task(index))])["faults"][1]
     assert_says(page.cell("dead_motor_3", column="paper"), row["latency_ms"])
     assert_says(page.cell("dead_motor_3", column="travel"), row["travel_deg"], row["travel_mm"], within=NOISY)
-    assert_says(page.cell("dead_motor_3", column="peak torque"), row["peak_torque"], within=NOISY)
+    assert_says(page.cell("dead_motor_3", column="stop at onset"), row["stop_deg"], row["stop_mm"], within=NOISY)
 
 
 def test_margins(page):

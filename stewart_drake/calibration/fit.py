@@ -48,6 +48,7 @@ _SEARCH = {"x_scale": 0.1, "xtol": 1e-12, "ftol": 1e-12, "gtol": None}
 _NEARBY, _EXACT = 10, 200
 """Calls of the errors at most: six find what fits, and what does not fit needs no minimum."""
 _LEAST = 4
+_SAME = 1e-9  # [rad, m] less than any tracker's last digit, more than a file's.
 _MISFIT = _BETTER = 5.0
 """[-] closures over their noise from which a reason is looked for, and how many times smaller one must make them."""
 _FAR = 0.3  # [-] change of a parameter, in `model.scales`, that nobody's guess is off by.
@@ -94,6 +95,10 @@ def calibrate(
             raise ConfigurationError(key, strange[0], f"some of {', '.join(allowed)}")
     measurements = poses if isinstance(poses, Measurements) else load_measurements(poses)
     noise = MeasurementNoise() if noise is None else noise
+    believed, good = Model(robot).assembled(measurements.angles)
+    if good.all() and np.abs(difference(believed, measurements.marker)).max() < _SAME:
+        got = "the poses that the guess has at these crank angles"
+        raise ConfigurationError(measurements.source, got, "measured poses; is this a plan, not measured yet?")
     start = _explained(partial(_nearby, robot, noise=noise, known=known_frames, held=hold), robot, measurements)
     return _fitted(start, noise, known_frames, hold)
 

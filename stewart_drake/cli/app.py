@@ -52,8 +52,11 @@ def _interrupt(*_: object) -> None:
 
 def _end(error: BaseException) -> int:
     """Says what went wrong, and gives the exit status."""
+    if isinstance(error, click.Abort):
+        # click makes one of Ctrl-C, and of the end of any file too.
+        error = error.__cause__ or error
     # Ctrl-C while a compiled module loads comes out as an ImportError.
-    if isinstance(error, (KeyboardInterrupt, click.Abort)) or isinstance(error.__cause__, KeyboardInterrupt):
+    if isinstance(error, KeyboardInterrupt) or isinstance(error.__cause__, KeyboardInterrupt):
         say("interrupted")
         return EXIT_INTERRUPTED
     if DEBUG in sys.argv:

@@ -14,14 +14,14 @@ import click
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling, tell, working
-from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.errors import ConfigurationError, DiskError, InfeasibleReferenceError
 from stewart_drake.families import user_parts
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metrics import metrics_of
+from stewart_drake.logs.metrics import metrics_of, run_metrics
 from stewart_drake.logs.outcomes import told
-from stewart_drake.runs.outputs import Results, prepare_folder, results_place, write_run
+from stewart_drake.runs.outputs import check_place, claimed_place, draw_run, prepare_file, prepare_folder, save_run
 from stewart_drake.scenario import load_scenario
 
 
@@ -38,7 +38,8 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     from stewart_drake.runs.simulation import run as simulate
 
     loaded = load_scenario(scenario, overrides)
-    place = results_place(loaded, out, force)
+    if out is not None:
+        check_place(loaded, out, force)
     if video is not None:
         from stewart_drake.runs.pictures import check_film
 
@@ -49,17 +50,32 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     engine = engine_of(loaded)
     graph = engine.graph()
     # Only now, with everything checked, does anything appear on the disk.
-    prepare_folder(place.parent, out)
-    with shown_compiling(), progress_bar(loaded.name, loaded.duration) as advance:
-        log = simulate(loaded, progress=advance, check=False, engine=engine)
-    results = write_run(log, out, graph, force=force)
+    if video is not None:
+        prepare_file(video)
+    with claimed_place(loaded, out, force) as place:
+        with shown_compiling(), progress_bar(loaded.name, loaded.duration) as advance:
+            log = simulate(loaded, progress=advance, check=False, engine=engine)
+        try:
+            results = save_run(log, place)
+        except DiskError:
+            _print_run(log, run_metrics(log), "nowhere")
+            raise
+        _print_run(log, results.metrics, str(results.folder))
+        try:
+            missing = results.note or draw_run(log, results.folder, graph)
+        except KeyboardInterrupt:
+            say("pictures: interrupted")
+            raise
+    if missing:
+        say(missing)
+    if (results.folder / "replay.html").exists():
+        other = "run exact_fig7" if loaded.name == "paper_fig7" else "live"
+        tell(f"open {results.folder / 'replay.html'}; try: stewart-drake {other}")
     if video is not None and len(log.time):
         from stewart_drake.runs.pictures import write_film
 
         with progress_bar("film", log.end_time) as advance:
             write_film(log, video, progress=advance)
-    _print_run(log, results)
-    if video is not None:
         tell(f"film in {video}")
     if log.status != "completed":
         why = (log.message or "").removeprefix(f"{log.reason}: ")
@@ -67,8 +83,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
         sys.exit(opt.EXIT_INTERRUPTED if log.status == "interrupted" else opt.EXIT_RUN_FAILED)
 
 
-def _print_run(log: SimulationLog, results: Results) -> None:
-    metrics = results.metrics
+def _print_run(log: SimulationLog, metrics: dict[str, Any], place: str) -> None:
     rows = [("status", told(log.status, log.reason)), ("simulated time", f"{log.end_time:.3f} s")]
     if log.scenario.plant.engine == "reduced":
         rows.append(("engine", "reduced, not Drake's plant"))
@@ -79,12 +94,8 @@ def _print_run(log: SimulationLog, results: Results) -> None:
             rows.append((metric.label, metric.shown(value)))
     rows += [(f"warning: {each['name']}", f"{each['text']}, t = {each['time']:.3f} s") for each in log.warnings]
     factor = metrics["real_time_factor"]
-    rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(results.folder))]
+    rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", place)]
     print_table(log.scenario.name, rows, data=metrics)
-    shown = results.folder / "replay.html"
-    if shown.exists():
-        other = "run exact_fig7" if log.scenario.name == "paper_fig7" else "live"
-        tell(f"open {shown}; try: stewart-drake {other}")
 
 
 @command("check")
@@ -96,9 +107,10 @@ def _print_run(log: SimulationLog, results: Results) -> None:
 def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None) -> None:
     """The check covers the whole run of SCENARIO. Your own code is named but not run.
 
-    Exit status 2: the motion is infeasible.
+    `plant_torque` is with payload, friction and disturbances, which the controller does not know. Exit status 2: the
+    motion is infeasible, or the plant needs more torque than the motors have.
     """
-    from stewart_drake.runs.checks import check_scenario, fit_amplitude, fit_speed, motion_report
+    from stewart_drake.runs import checks
 
     if out is not None and scale == retime:
         raise click.UsageError("--out needs either --scale or --retime")
@@ -114,8 +126,8 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
             raise ConfigurationError("SCENARIO", scenario, allowed)
         tell("the motion or a monitor is your own code, which check does not run; `run` checks the motion first")
         return
-    rows, numbers = [], {}
-    for name, worst in motion_report(loaded).smallest.items():
+    rows, numbers, plant = [], {}, checks.plant_report(loaded)
+    for name, worst in {**checks.motion_report(loaded).smallest, **plant.smallest}.items():
         allowed = f"{'>=' if '>=' in worst.allowed else '<='} {worst.bound:.4g} {worst.unit}"
         margin = f"{'broken ' if worst.margin < 0.0 else ''}{worst.margin:.4g}"
         rows.append((name, allowed, margin, f"{worst.time:.3f} s", worst.where))
@@ -128,14 +140,14 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     if scale:
         try:
             with working("looking for the largest size"):
-                changes["reference"], factor = fit_amplitude(*motion)
+                changes["reference"], factor = checks.fit_amplitude(*motion)
             tell(f"feasible at {factor:.4f} of its size")
         except InfeasibleReferenceError as error:
             tell(f"infeasible at every size; even at rest in its centre, {error}")
     if retime:
         try:
             with working("looking for the highest speed"):
-                changes["reference"], factor = fit_speed(*motion)
+                changes["reference"], factor = checks.fit_speed(*motion)
             changes["duration"] = factor * loaded.duration
             tell(
                 "feasible at its own speed"
@@ -147,7 +159,8 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     if out is not None and changes:
         write_atomically(out, to_yaml(loaded.replace(changes).to_dict()).encode())
         tell(f"scenario in {out}")
-    check_scenario(loaded)
+    checks.check_scenario(loaded)
+    plant.raise_if_infeasible()
 
 
 @command("margins")
@@ -245,8 +258,6 @@ def reproduce(quick: bool, out: Path | None) -> None:
     from stewart_drake.paper.reproduce import differences, rows
     from stewart_drake.paper.reproduce import reproduce as results_of
 
-    if out is not None:
-        prepare_folder(out)
     with progress_bar("reproduction", 100.0, unit="%") as advance:
         results = results_of(quick, out, lambda share, name: advance(100.0 * share, name.replace("_", " ")))
     claims = [claim for result in results.values() for claim in result.claims]

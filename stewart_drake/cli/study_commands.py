@@ -18,7 +18,7 @@ from stewart_drake.runs.outputs import prepare_file, prepare_folder
 from stewart_drake.studies.workers import Workers
 
 if TYPE_CHECKING:
-    from stewart_drake.studies.study import Sheet
+    from stewart_drake.studies.study import Sheet, StudyResult
 
 sized_option = click.option(
     "--robot", help="Name or YAML file; motions, loads and faults are scaled to it [default: the file's robot]."
@@ -64,6 +64,13 @@ def _print_sheets(sheets: Sequence[Sheet], *lines: str | None) -> None:
             tell(line)
 
 
+def _exit_if_refused(result: StudyResult) -> None:
+    rows = [row for table in result.rows.values() for row in table]
+    if all(row["status"] == "rejected" for row in rows):
+        say(f"every run was refused, the first: {rows[0]['message']}")
+        sys.exit(opt.EXIT_BAD_INPUT)
+
+
 @command("sweep")
 @click.argument("sweep", shell_complete=opt.names("sweeps"))
 @opt.out_folder()
@@ -83,6 +90,7 @@ def sweep(sweep: str, runs: int | None, **options: Any) -> None:
         result = run_study(loaded, *way)
     print_table(loaded.name, summary(result.rows["sweep"]))
     _print_sheets((), result.engine, f"table in {result.folder / 'sweep.parquet'}")
+    _exit_if_refused(result)
 
 
 @command("compare")
@@ -104,6 +112,7 @@ def compare(comparison: str, quick: bool, robot: str | None, **options: Any) -> 
         result = run_study(loaded, *way)
         write_pictures(loaded, result)
     _print_sheets(loaded.sheets(result.rows), result.engine, f"tables and pictures in {result.folder}")
+    _exit_if_refused(result)
 
 
 @command("tune")

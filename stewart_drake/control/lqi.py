@@ -60,9 +60,9 @@ class LqiOptions(ControllerOptions):
     `characteristic_length`."""
     discretization: Discretization = "exact"
     """Discretization of (25). exact: zero-order hold. euler: first order."""
-    solver: RiccatiSolver = "drake"
-    """Solver of the Riccati equation. drake: one equation of 18 states. split: six equations of 3 states, without
-    Drake."""
+    solver: RiccatiSolver | None = None
+    """Solver of the Riccati equation. drake: one equation of 18 states, on Drake's engine alone. split: six equations
+    of 3 states, without Drake. null: drake on Drake's engine, split elsewhere."""
     saturation: Saturation = "none"
     """Torque limit and anti-windup. none: commands may exceed the motors' limit. clamp: commands are limited and the
     integral z waits. back_calculation: commands are limited and z is corrected by the excess."""
@@ -92,7 +92,7 @@ class LqiOptions(ControllerOptions):
     def parts(self, setup: Any) -> tuple[Part, ...]:
         """The controller in a loop, see `part.Setup`."""
         solver: RiccatiSolver | None = "split" if setup.split else None
-        return (lqi_part(self, setup.robot, setup.gravity, len(setup.weights), solver),)
+        return (lqi_part(self, setup.robot, setup.gravity, len(setup.tuner.weights), solver),)
 
 
 LQI_STATE = fields(
@@ -364,7 +364,7 @@ def lqi_part(
     )
     part = controller_part(lqi_tick, robot, params, LQI_STATE, laws.LEGS, PROBLEM)
     part = part._replace(inputs={**part.inputs, "weights": weights}, error=_error)
-    if (solver or options.solver) == "drake":
+    if (solver or options.solver) != "split":
         part = part._replace(kernel=_tick_by_drake, constants={**part.constants, "options": options})
     return part
 

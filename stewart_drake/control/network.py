@@ -16,7 +16,7 @@ import numpy as np
 
 from stewart_drake.config import Real, Window, check_value
 from stewart_drake.errors import ConfigurationError, NotFiniteError
-from stewart_drake.files.whole import PACKAGE, plain_json, read_checked, seal, unseal, write_atomically
+from stewart_drake.files.whole import PACKAGE, plain_json, read_checked, seal, unseal_json, write_atomically
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
 from stewart_drake.part import Part
@@ -32,7 +32,8 @@ def density_of(samples: Any, signed: bool, out: Any) -> None:
     """Densities (k,) [-] of the last sample of a window (n, k), oldest first, n <= m + 1 (fewer while it fills).
 
     (35), (36), `signed`: x over the window's mean. Deviation: the print is singular where the signed sum crosses zero;
-    the result is held within +-n there. Else |x| over the window's mean |x|, which lies in [0, n] by itself.
+    the result is held within +-n there. Close to it the quotient is ill-conditioned: rounding errors of the samples
+    decide it. Else |x| over the window's mean |x|, which lies in [0, n] by itself and is well-conditioned.
     """
     count = samples.shape[0]
     for k in range(samples.shape[1]):
@@ -131,25 +132,19 @@ def weights_bytes(kind: str, version: int, content: dict[str, Any]) -> bytes:
 def load_weights(path: Path, kind: str, version: int, build: Callable[[dict[str, Any]], _Read]) -> _Read:
     """What `build` makes of the content of a weights file of a kind and version; errors name the path."""
     key = f"weights file {path}"
-    try:
-        document = json.loads(read_weights(path))
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(key, str(error), "a JSON document") from error
-    if not isinstance(document, dict) or document.get("format") != kind:
+    content = unseal_json(read_weights(path), key, "`stewart-drake train`")
+    if content.get("format") != kind:
         raise ConfigurationError(key, f"no {kind.partition(' ')[2]}", f'"format": "{kind}"')
-    if document.get("version") != version:
+    if content.get("version") != version:
         allowed = f"{version}; `stewart-drake train` makes a new one"
-        raise ConfigurationError(f"{key}: version", document.get("version"), allowed)
+        raise ConfigurationError(f"{key}: version", content.get("version"), allowed)
     try:
-        content = unseal(document)
         provenance = content.get("provenance", {})
         if not isinstance(provenance, dict):
             raise ConfigurationError("provenance", provenance, "a mapping")
         return build({"provenance": {}, **content})
     except ConfigurationError as error:
         raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(key, str(error), "an unchanged file from `stewart-drake train`") from None
 
 
 def read_weights(path: Path) -> str:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from copy import copy
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -70,6 +71,10 @@ class Tuner(Section, ABC, key="tuner"):
     def parts(self, setup: Any) -> tuple[Part, ...]:  # noqa: ARG002 - nothing depends on it here
         """What changes the weights in a loop, see `part.Setup`; nothing where they stay."""
         return ()
+
+    def opened(self) -> Self:
+        """The same, with what its file holds, which is then read no more."""
+        return self
 
     def network(self) -> TunerNetwork | None:
         """The network that it asks, or None where the weights stay."""
@@ -194,8 +199,13 @@ class PolicyTuner(SettingTuner):
     weights_file: Text | None = None
     """File of a trained policy, relative to the scenario file; null takes the package's."""
 
+    def opened(self) -> Self:
+        opened = copy(self)
+        vars(opened)["_policy"] = self.chooser()
+        return opened
+
     def chooser(self) -> Policy:
-        return load_policy(self.weights_file)
+        return vars(self).get("_policy") or load_policy(self.weights_file)
 
     def content(self) -> str:
         return read_weights(default_policy_path() if self.weights_file is None else Path(self.weights_file))

@@ -62,7 +62,7 @@ class PythonOptions(UserMade, ControllerOptions):
         if isinstance(controller, type):
             controller = self.construct({"robot": setup.robot, "period": self.period, "gravity": setup.gravity})
         if _is_system(controller):
-            return (self._system_part(controller, len(setup.weights)),)
+            return (self._system_part(controller, len(setup.tuner.weights)),)
         return (function_part(controller),)
 
     def _system_part(self, system: Any, weights: int) -> Part:

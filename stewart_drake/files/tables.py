@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import check_file
+from stewart_drake.files.whole import check_file, seal, unseal_json
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -45,6 +45,9 @@ POSE = (
 )
 CRANK_ANGLES = tuple((f"crank_angle_{leg}", "rad") for leg in range(6))
 """Quantities of poses and of cranks with their units."""
+MAX_COLUMNS = 5000
+_COLUMNS = "columns"
+_FACTORS = {f"_{ending}": factor for each in ENDINGS.values() for ending, factor in each.items() if ending}
 
 Chosen = Mapping[str, tuple[str, float]]
 """What a column holds -> its name in the file, and the factor to the unit that is kept."""
@@ -57,9 +60,8 @@ def column_name(quantity: str, unit: str) -> str:
 
 def quantity_of(column: str) -> tuple[str, float]:
     """The quantity of a column, its name without the unit, and what one of the unit is in SI."""
-    factors = {f"_{ending}": factor for each in ENDINGS.values() for ending, factor in each.items() if ending}
-    ending = max((each for each in factors if column.endswith(each)), key=len, default="")
-    return column.removesuffix(ending), factors.get(ending, 1.0)
+    ending = max((each for each in _FACTORS if column.endswith(each)), key=len, default="")
+    return column.removesuffix(ending), _FACTORS.get(ending, 1.0)
 
 
 def read_numbers(
@@ -72,7 +74,7 @@ def read_numbers(
     """
 
     def choose(names: list[str]) -> Chosen:
-        return {quantity: _column(names, quantity, unit, source) for quantity, unit in quantities}
+        return {quantity: column_of(names, quantity, unit, source) for quantity, unit in quantities}
 
     return np.stack(list(read_columns(path, source, choose, most_bytes, most_rows).values()), axis=-1)
 
@@ -87,6 +89,12 @@ def refuse_cells(
         raise ConfigurationError(place, float(values[row, column]), allowed)
 
 
+def refuse_back(source: str, time: np.ndarray) -> None:
+    """Raises a `ConfigurationError` where a time (n,) is not after that of the row before."""
+    back = ~(np.diff(time, prepend=-math.inf) > 0.0)
+    refuse_cells(source, (("time", "s"),), time[:, None], back[:, None], "a time after that of the row before")
+
+
 def read_columns(
     path: str | Path, source: str, choose: Callable[[list[str]], Chosen], most_bytes: int, most_rows: int
 ) -> dict[str, np.ndarray]:
@@ -99,13 +107,13 @@ def read_columns(
     try:
         if Path(path).suffix.lower() == ".parquet":
             with pq.ParquetFile(path, page_checksum_verification=True) as file:
-                rows, chosen = file.metadata.num_rows, choose(file.schema_arrow.names)
+                rows, chosen = file.metadata.num_rows, choose(_bounded(file.schema_arrow.names, source))
                 # Before they are unpacked: a small file may hold very many.
                 table = None if rows > most_rows else file.read(columns=[name for name, _ in chosen.values()])
         else:
             with Path(path).open(encoding="utf-8-sig", newline="") as stream:
                 names = [name.strip() for name in next(csv.reader(stream), [])]
-            chosen = choose(names)
+            chosen = choose(_bounded(names, source))
             wanted = dict.fromkeys((name for name, _ in chosen.values()), pa.float64())
             table = pc.read_csv(
                 path,
@@ -124,7 +132,13 @@ def read_columns(
     return {quantity: kept[name] * factor for quantity, (name, factor) in chosen.items()}
 
 
-def _column(names: list[str], quantity: str, unit: str, source: str) -> tuple[str, float]:
+def _bounded(names: list[str], source: str) -> list[str]:
+    if len(names) > MAX_COLUMNS:
+        raise ConfigurationError(source, f"{len(names)} columns", f"at most {MAX_COLUMNS} columns")
+    return names
+
+
+def column_of(names: Sequence[str], quantity: str, unit: str, source: str) -> tuple[str, float]:
     """The one column of a quantity, and what its unit is of the one that is kept."""
     ways = {f"{quantity}_{ending}".removesuffix("_"): factor for ending, factor in ENDINGS[unit].items()}
     ways[quantity] = 1.0
@@ -155,8 +169,9 @@ def numbers_to_csv(quantities: Sequence[tuple[str, str]], values: np.ndarray) ->
 
 
 def with_about(table: pa.Table, key: str, about: Mapping[str, Any]) -> pa.Table:
-    """A table with plain values about it, under `stewart_drake.KEY` of its metadata."""
-    return table.replace_schema_metadata({f"stewart_drake.{key}": json.dumps(about, allow_nan=False)})
+    """A table with plain values about it and the names of its columns, sealed, under `stewart_drake.KEY`."""
+    text = json.dumps(seal({**about, _COLUMNS: table.column_names}), allow_nan=False)
+    return table.replace_schema_metadata({f"stewart_drake.{key}": text})
 
 
 def to_parquet(table: pa.Table) -> bytes:
@@ -169,14 +184,18 @@ def to_parquet(table: pa.Table) -> bytes:
 
 
 def parquet_about(path: str | Path, source: str, key: str, most_bytes: int, made_by: str) -> dict[str, Any]:
-    """What `with_about` said of a table in a Parquet file."""
+    """What `with_about` said of a table in a Parquet file; ConfigurationError where that has changed since."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     check_file(path, source, most_bytes, f"a file from {made_by}")
     try:
-        about = json.loads((pq.read_metadata(path).metadata or {})[f"stewart_drake.{key}".encode()])
+        schema = pq.read_schema(path)
+        content = (schema.metadata or {})[f"stewart_drake.{key}".encode()]
     except (OSError, ValueError, KeyError, pa.ArrowException) as error:
         text = "another Parquet file" if isinstance(error, KeyError) else " ".join(str(error).split())[:200]
         raise ConfigurationError(source, text, f"a Parquet file from {made_by}") from None
-    return dict(about)
+    about = unseal_json(content, source, made_by)
+    if about.pop(_COLUMNS, None) != schema.names:
+        raise ConfigurationError(source, "other columns than were written", f"an unchanged file from {made_by}")
+    return about

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import math
 import os
+import signal
 import stat
-from collections.abc import Iterator, Mapping
+import threading
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, DiskError
 
 PACKAGE = Path(__file__).resolve().parents[1]
 """Folder of this package; in a checkout, beside `sdf` and `diagrams`."""
@@ -54,18 +57,59 @@ def digest(path: str | Path) -> str | None:
 
 def write_atomically(path: Path, content: bytes) -> None:
     """Writes a file beside its place and renames it: a reader sees the old content or the new one."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    write_together({path: content})
+
+
+def write_together(files: Mapping[Path, bytes], instead_of: Iterable[Path] = ()) -> None:
+    """Writes files beside their places; once all are on the disk, renames them and removes those of `instead_of`."""
+    # Of this thread alone: another may be writing to the same place.
+    parts = {path: path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part") for path in files}
     try:
-        try:
-            with part.open("wb") as stream:
+        for path, content in files.items():
+            with told_of_disk(str(path)), parts[path].open("wb") as stream:
                 stream.write(content)
                 stream.flush()
                 os.fsync(stream.fileno())
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
+        for path in instead_of:
+            path.unlink(missing_ok=True)
+        for path, part in parts.items():
+            with told_of_disk(str(path)):
+                part.replace(path)
+    finally:
+        for part in parts.values():
+            with suppress(OSError):
+                part.unlink()
+
+
+@contextmanager
+def told_of_disk(what: str) -> Iterator[None]:
+    """Turns an OSError while something is written into a `DiskError`, or a `ConfigurationError` about its place."""
+    try:
+        yield
     except OSError as error:
-        raise ConfigurationError(str(path), error.strerror or str(error), "a file in a writable folder") from error
+        why = error.strerror or str(error)
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
+            raise DiskError(f"{what}: {why}") from error
+        raise ConfigurationError(what, why, "a file in a writable folder") from error
+
+
+@contextmanager
+def signals_held() -> Iterator[list[int]]:
+    """Holds back what Ctrl-C, SIGTERM and SIGHUP would raise until the end; what has come, which may be cleared."""
+    held: list[int] = []
+    # Python's handlers run in the main thread alone.
+    mine = threading.current_thread() is threading.main_thread()
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if mine else ()
+    handlers = {each: handler for each in signals if callable(handler := signal.getsignal(each))}
+    try:
+        for each in handlers:
+            signal.signal(each, lambda number, _: held.append(number))
+        yield held
+    finally:
+        for each, handler in handlers.items():
+            signal.signal(each, handler)
+        for number in held:
+            signal.raise_signal(number)
 
 
 @contextmanager
@@ -121,9 +165,13 @@ def seal(document: Mapping[str, Any]) -> dict[str, Any]:
     return {**document, CHECKSUM: checksum(document)}
 
 
-def unseal(document: Any) -> dict[str, Any]:
-    """The inverse of `seal`; ValueError for no mapping, no checksum, or not that of the content."""
-    rest = {key: value for key, value in document.items() if key != CHECKSUM} if isinstance(document, dict) else {}
-    if not rest or document.get(CHECKSUM) != checksum(rest):
-        raise ValueError("its checksum is not that of its content")
-    return rest
+def unseal_json(content: str | bytes, what: str, made_by: str) -> dict[str, Any]:
+    """The inverse of `seal`, from JSON; ConfigurationError where that is not as `made_by` has written it."""
+    try:
+        document = json.loads(content)
+        rest = {key: value for key, value in document.items() if key != CHECKSUM} if isinstance(document, dict) else {}
+        if not rest or document.get(CHECKSUM) != checksum(rest):
+            raise ValueError("its checksum is not that of its content")
+        return rest
+    except (ValueError, RecursionError) as error:
+        raise ConfigurationError(what, str(error), f"an unchanged file from {made_by}") from None

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Protocol
 
 import numpy as np
 
-from stewart_drake.config import NotNegative, Positive, Real, Section, Seed, Vector6
+from stewart_drake.config import NotNegative, Phase, Positive, Section, Seed, Vector6
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import UserMade
 from stewart_drake.references.surgical import random_sines
@@ -75,7 +75,7 @@ class SineWrench(Section, key="disturbances"):
     """[N m, N] amplitude: moment about P and force, in the base frame B."""
     frequency: Positive
     """[Hz] frequency, above 0."""
-    phase: Real = 0.0
+    phase: Phase = 0.0
     """[rad] phase at time 0."""
     kind: Literal["sine"] = "sine"
 

@@ -42,10 +42,6 @@ class EstimatorOptions(Section, key="estimator"):
         """[ticks] from a command to its torque, as assumed."""
         return delay
 
-    def innovation_scale(self, setup: Setup) -> tuple[float, float]:  # noqa: ARG002 - there are none
-        """[rad] of an innovation that noise explains, and [rad per rad/s^2] what an unexplained acceleration leaves."""
-        return 0.0, 1.0
-
     def parts(self, setup: Setup) -> tuple[Part, ...]:  # noqa: ARG002
         """What makes of `reading` the signal `measurement`; none where that is the reading itself."""
         return ()

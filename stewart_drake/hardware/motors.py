@@ -22,6 +22,7 @@ from stewart_drake.robot.leg import SMALLEST, FrictionOptions
 from stewart_drake.sampling import steps_per
 
 _STREAM = 3  # Of random numbers, see `faults.tick_numbers`.
+SILENCE = 0.1  # [s] without a command after which nobody is in charge; the weight falls by 5 cm in that time.
 
 
 class LinkOptions(Section, key="link"):
@@ -55,6 +56,13 @@ class LinkOptions(Section, key="link"):
         if stopped or tick in self.dropped or drop < self.drop_probability:
             return "dropped"
         return "late" if late < self.late_probability else "arrives"
+
+    def silent_since(self, ticks: int, period: float) -> float | None:
+        """[s] since when no command has arrived, `ticks` of a period [s] after the start; None where one just has."""
+        last = ticks - 1
+        while last >= 0 and self.fate(last, last * period) == "dropped":
+            last -= 1
+        return (last + 1) * period if last < 0 or (ticks - 1 - last) * period > SILENCE else None
 
     def part(self, setup: Setup) -> Part:
         """What has arrived by each step of the plant; until the first command arrives, `setup.initial_torque`."""

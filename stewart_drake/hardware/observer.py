@@ -40,7 +40,6 @@ from stewart_drake.part import HEALTHY, Part, Setup
 SMALLEST_NOISE = 1e-5  # [rad] that readings have at least for the observer: finer than that no model is.
 ARRIVED = 6.0  # Standard deviations of a reading within which a crank stands where it is wanted, whatever its friction.
 SLIP = 4.0  # [-] the same in break_away / (inertia bandwidth^2): about half of what a crank that hunts jumps by.
-NOISE_AT_MOST = 8.0  # Standard deviations of a reading that an innovation of noise and counts alone has at most.
 # [-] white noise of an acceleration, in units of the disturbance over the bandwidth. It damps the filter's poles: the
 # disk margin of the loop with it is 0.49, without some 0.37.
 WHITE_SHARE = 1.5
@@ -71,10 +70,6 @@ class ObserverOptions(EstimatorOptions):
 
     def ahead(self, delay: int) -> int:
         return delay if self.delay is None else self.delay
-
-    def innovation_scale(self, setup: Setup) -> tuple[float, float]:
-        turn = bandwidth(setup.noise, self.disturbance * setup.levels[1], setup.period)
-        return NOISE_AT_MOST * setup.noise, 1.0 / turn**2 + setup.period**2
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         return (observer_part(self, setup),)

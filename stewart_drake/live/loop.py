@@ -65,7 +65,7 @@ class LiveLoop:
         try:
             for _ in range(steps if not self.ended else 0):
                 self._advance_one()
-        except RunFailure as failure:
+        except (RunFailure, np.linalg.LinAlgError) as failure:
             self.ended = " ".join(str(failure).split())
 
     def _advance_one(self) -> None:
@@ -92,9 +92,14 @@ class LiveLoop:
         return self._loop.state["pose"][0].copy()
 
     @property
+    def crank_angles(self) -> np.ndarray:
+        """(6,) [rad] theta."""
+        return self._loop.state["angles"][0].copy()
+
+    @property
     def wanted(self) -> np.ndarray:
-        """(6,) [rad, m] of the reference."""
-        return self._reference[:6].copy()
+        """(6,) [rad, m] of the reference, at the instant of `pose`."""
+        return self.reference.at(self.time)[:6]
 
     @property
     def torque(self) -> np.ndarray:

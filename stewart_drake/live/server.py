@@ -1,8 +1,10 @@
-"""The page of a live session: served to this machine alone."""
+"""The page of a live session: served to this machine alone, and to no page but its own."""
 
 from __future__ import annotations
 
 import json
+import queue
+import socket
 import sys
 import threading
 from collections.abc import Mapping
@@ -15,7 +17,12 @@ from stewart_drake.errors import StewartDrakeError
 from stewart_drake.live.session import LiveSession
 
 PORTS = range(8000, 8100)
-_TYPES = {"html": "text/html; charset=utf-8", "js": "text/javascript", "css": "text/css"}
+PATIENCE = 10.0
+"""[s] that another end may take to send or to read what is due."""
+MOST_PAGES, MOST_BYTES, MOST_UNREAD = 16, 10_000, 65_536
+"""Pages that listen at a time, bytes of a command, and bytes that the system keeps for a page which does not read."""
+_TYPES = {"html": "text/html; charset=utf-8", "js": "text/javascript; charset=utf-8", "css": "text/css"}
+_FILES = {page.name: page for page in (files("stewart_drake") / "pages").iterdir()}
 
 
 class LiveServer:
@@ -28,20 +35,25 @@ class LiveServer:
         handler = type("Handler", (_Handler,), {"session": session, "about": about})
         self._server = _first_free(handler)
         self.url = f"http://localhost:{self._server.server_port}/"
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+        threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
 
     def close(self) -> None:
         """Ends it."""
+        self._server.open = False
         self._server.shutdown()
         self._server.server_close()
 
 
 class _Server(ThreadingHTTPServer):
-    daemon_threads = True
+    daemon_threads, open, request_queue_size = True, True, 64
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.pages = threading.Semaphore(MOST_PAGES)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Nothing where the page was closed while it asked."""
-        if not isinstance(sys.exception(), ConnectionError):
+        """Nothing where the other end was closed while it asked, or did not read."""
+        if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
             super().handle_error(request, client_address)
 
 
@@ -57,15 +69,21 @@ def _first_free(handler: type[BaseHTTPRequestHandler]) -> _Server:
 class _Handler(BaseHTTPRequestHandler):
     session: LiveSession
     about: Mapping[str, Any]
+    server: _Server
+    timeout = PATIENCE
 
     def parse_request(self) -> bool:
-        """Refuses who came by another name than this machine's own, as a page of a foreign site would."""
+        """Refuses who comes by another name than this machine's own, or from a page of another origin."""
         if not super().parse_request():
             return False
-        if self.headers.get("Host", "").rpartition(":")[0] not in ("localhost", "127.0.0.1"):
+        host, site = self.headers.get("Host", ""), self.headers.get("Sec-Fetch-Site", "none")
+        ours = host.rpartition(":")[0] in ("localhost", "127.0.0.1")
+        ours &= self.headers.get("Origin", f"http://{host}") == f"http://{host}"
+        # A link may lead from anywhere to the page, and to nothing else.
+        ours &= site in ("none", "same-origin") or self.path == "/"
+        if not ours:
             self.send_error(HTTPStatus.FORBIDDEN)
-            return False
-        return True
+        return ours
 
     def do_GET(self) -> None:
         """The page and its files, what it shows, and the rows as server-sent events."""
@@ -74,29 +92,41 @@ class _Handler(BaseHTTPRequestHandler):
             self._stream()
         elif name == "about":
             self._answer(json.dumps(self.about).encode(), "application/json")
+        elif name in _FILES:
+            self._answer(_FILES[name].read_bytes(), _TYPES.get(name.rpartition(".")[2], "text/plain"))
         else:
-            page = files("stewart_drake") / "pages" / name
-            if "/" in name or not page.is_file():
-                self.send_error(HTTPStatus.NOT_FOUND)
-                return
-            self._answer(page.read_bytes(), _TYPES.get(name.rpartition(".")[2], "text/plain"))
+            self.send_error(HTTPStatus.NOT_FOUND)
 
     def do_POST(self) -> None:
-        """A command."""
+        """A command; its number is the answer."""
+        length = self.headers.get("Content-Length", "")
+        if self.path != "/do":
+            self.send_error(HTTPStatus.NOT_FOUND)
         # A page of another origin cannot send this type without asking first.
-        if self.headers.get("Content-Type") != "application/json":
+        elif self.headers.get("Content-Type") != "application/json":
             self.send_error(HTTPStatus.UNSUPPORTED_MEDIA_TYPE)
-            return
-        try:
-            command = json.loads(self.rfile.read(int(self.headers.get("Content-Length", 0))))
-        except ValueError:
-            self.send_error(HTTPStatus.BAD_REQUEST)
-            return
-        self.session.tell(command)
-        self._answer(b"{}", "application/json")
+        elif not length.isdecimal():
+            self.send_error(HTTPStatus.LENGTH_REQUIRED)
+        elif len(length) > len(str(MOST_BYTES)) or int(length) > MOST_BYTES:
+            self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+        else:
+            try:
+                number = self.session.tell(json.loads(self.rfile.read(int(length))))
+            except (ValueError, RecursionError):
+                self.send_error(HTTPStatus.BAD_REQUEST)
+            except queue.Full:
+                self.send_error(HTTPStatus.SERVICE_UNAVAILABLE)
+            else:
+                self._answer(json.dumps({"number": number}).encode(), "application/json")
 
     def log_message(self, *_: Any) -> None:
         """Nothing."""
+
+    def end_headers(self) -> None:
+        """With what keeps other pages from framing this one, and this one from loading anything from elsewhere."""
+        self.send_header("Content-Security-Policy", "default-src 'self'; img-src data:; frame-ancestors 'none'")
+        self.send_header("Cache-Control", "no-store")
+        super().end_headers()
 
     def _answer(self, content: bytes, kind: str) -> None:
         self.send_response(HTTPStatus.OK)
@@ -106,14 +136,18 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def _stream(self) -> None:
-        self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", "text/event-stream")
-        self.send_header("Cache-Control", "no-store")
-        self.end_headers()
-        rows = self.session.listen()
+        if not self.server.pages.acquire(blocking=False):
+            self.send_error(HTTPStatus.SERVICE_UNAVAILABLE)
+            return
         try:
-            while True:
-                self.wfile.write(f"data: {json.dumps(rows.get())}\n\n".encode())
-                self.wfile.flush()
+            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, MOST_UNREAD)
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", "text/event-stream")
+            self.end_headers()
+            count = 0
+            while self.server.open:
+                # While the loop is busy, a remark finds out whether the page is still there.
+                count, rows = self.session.rows_after(count, 1.0)
+                self.wfile.write("".join(f"data: {row}\n\n" for row in rows).encode() or b": busy\n\n")
         finally:
-            self.session.leave(rows)
+            self.server.pages.release()

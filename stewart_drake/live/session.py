@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import queue
+import secrets
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from stewart_drake.errors import StewartDrakeError
+from stewart_drake.files.whole import plain_json
 from stewart_drake.live.loop import LiveLoop
+from stewart_drake.runs.scene import link_poses
 from stewart_drake.scenario import Scenario
 
 SLICE = 0.02
@@ -27,42 +33,48 @@ CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
     "computed torque": {"controller": "computed_torque"},
 }
 """What can be chosen in the panel: name -> scenario key -> value."""
-PANEL = {"plant.payload_mass", "motors.dead", "sensors.faults", "tuner.kappa"}
-"""Keys of the scenario that the panel changes."""
+ROWS_KEPT, COMMANDS_KEPT = 50, 200
+"""Rows that a page may be late, one that reads more slowly misses some; commands that may wait for the loop."""
 
 
 class LiveSession:
-    """Paces a `LiveLoop` by the clock and answers commands; `show` draws the robot, some 50 times a second."""
+    """Paces a `LiveLoop` by the clock, answers commands, and tells in rows, some 50 a second, how things are."""
 
-    def __init__(self, scenario: Scenario, show: Callable[[LiveLoop], None]) -> None:
-        self.loop, self._show = LiveLoop(scenario), show
+    def __init__(self, scenario: Scenario) -> None:
+        self.loop, self.name = LiveLoop(scenario), secrets.token_hex(4)
         self._own = {key: value for key, value in scenario.to_dict().items() if key in ("controller", "tuner")}
-        self._commands: queue.SimpleQueue[Mapping[str, Any]] = queue.SimpleQueue()
-        self.paused, self.factor, self.message = False, 1.0, ""
-        self._listeners: list[queue.SimpleQueue[dict[str, Any]]] = []
+        self._commands: queue.Queue[tuple[int, Any]] = queue.Queue(COMMANDS_KEPT)
+        self._received = self._obeyed = 0
+        self.paused, self.factor, self.message, self._controller = False, 1.0, "", next(iter(CONTROLLERS))
+        self._rows: deque[str] = deque(maxlen=ROWS_KEPT)
+        self._published, self._news, self._receiving = 0, threading.Condition(), threading.Lock()
+        # What asks can name no key of the scenario, and so no code, file or other robot.
         self._do = {
             "aim": self._aim,
             "move": lambda told: self.loop.move(bool(told["on"])),
             "push": lambda told: self.loop.push(_six(told["wrench"]), float(told["duration"])),
-            "change": self._change,
+            "payload": lambda told: self.loop.change({"plant.payload_mass": float(told["mass"])}),
+            "dead": lambda told: self.loop.change({"motors.dead": _of_leg(told["leg"])}),
+            "freeze": self._freeze,
+            "kappa": lambda told: self.loop.change({"tuner.kappa": float(told["value"])}),
             "controller": self._choose,
             "pause": self._pause,
             "reset": self._reset,
         }
 
-    def tell(self, command: Mapping[str, Any]) -> None:
-        """Hands over a command of the browser; from any thread."""
-        self._commands.put(command)
+    def tell(self, command: Any) -> int:
+        """Hands over a command, from any thread; its number, which rows have once it is obeyed. Raises queue.Full."""
+        with self._receiving:
+            self._commands.put_nowait((self._received + 1, command))
+            self._received += 1
+            return self._received
 
-    def listen(self) -> queue.SimpleQueue[dict[str, Any]]:
-        """A queue that gets every row from now on; from any thread."""
-        listener: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-        self._listeners.append(listener)
-        return listener
-
-    def leave(self, listener: queue.SimpleQueue[dict[str, Any]]) -> None:
-        """Ends `listen`."""
-        self._listeners.remove(listener)
+    def rows_after(self, count: int, timeout: float) -> tuple[int, list[str]]:
+        """How many rows there were, and those kept after the first `count`, as JSON; waits for one up to a time [s]."""
+        with self._news:
+            self._news.wait_for(lambda: self._published > count, timeout)
+            late = min(self._published - count, len(self._rows))
+            return self._published, list(self._rows)[len(self._rows) - late :]
 
     def run(self, until: float = np.inf) -> None:
         """Runs for some seconds of the clock [s]; by default until KeyboardInterrupt."""
@@ -72,14 +84,13 @@ class LiveSession:
         window = (due, loop.time)
         while time.monotonic() - began < until:
             while not self._commands.empty():
-                self._obey(self._commands.get())
+                self._obey(*self._commands.get())
             if not self.paused:
                 loop.advance(steps)
             due += SLICE
             late = time.monotonic() - due
             if late > LATEST:
                 due = time.monotonic()
-            self._show(loop)
             now = time.monotonic()
             if now - window[0] >= 1.0:
                 self.factor = (loop.time - window[1]) / (now - window[0])
@@ -88,8 +99,8 @@ class LiveSession:
             if (rest := due - time.monotonic()) > 0.0:
                 time.sleep(rest)
 
-    def _obey(self, command: Mapping[str, Any]) -> None:
-        self.message = ""
+    def _obey(self, number: int, command: Any) -> None:
+        self.message, self._obeyed = "", number
         try:
             self._do[command["do"]](command)
         except StewartDrakeError as error:
@@ -102,46 +113,67 @@ class LiveSession:
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
-    def _change(self, told: Mapping[str, Any]) -> None:
-        # The page has these and no others: what asks must not name code, files or another robot.
-        if not set(told["keys"]) <= PANEL:
-            raise ValueError(f"keys {', '.join(told['keys'])}")
-        self.loop.change(told["keys"])
+    def _freeze(self, told: Mapping[str, Any]) -> None:
+        leg = _of_leg(told["leg"])
+        self.loop.change({"sensors.faults": [] if leg is None else [{"kind": "freeze", **leg}]})
 
     def _choose(self, told: Mapping[str, Any]) -> None:
         self.loop.change({**self._own, **CONTROLLERS[told["name"]]})
+        self._controller = told["name"]
 
     def _pause(self, told: Mapping[str, Any]) -> None:
         self.paused = bool(told["on"])
 
     def _reset(self, _: Mapping[str, Any]) -> None:
         self.loop.reset()
+        self._controller = next(iter(CONTROLLERS))
 
     def _publish(self) -> None:
-        row = self.row()
-        for listener in tuple(self._listeners):
-            listener.put(row)
+        # A number that is not finite is null: JSON has none, and a page that cannot read a row stands still.
+        row = json.dumps(plain_json(self.row()))
+        with self._news:
+            self._rows.append(row)
+            self._published += 1
+            self._news.notify_all()
 
     def row(self) -> dict[str, Any]:
-        """What the browser draws of this instant."""
-        loop = self.loop
-        error = loop.pose - loop.wanted
+        """What the browser shows of this instant: robot, loop, and everything that a panel can set."""
+        loop, scenario = self.loop, self.loop.scenario
+        pose, angles, wanted = loop.pose, loop.crank_angles, loop.wanted
+        error = pose - wanted
+        links = None
+        if np.isfinite(pose).all() and np.isfinite(angles).all():
+            links = link_poses(scenario.robot, pose, angles, wanted).round(6).ravel().tolist()
         setting, safety = loop.logged("setting"), loop.logged("safety")
+        frozen = [fault.leg for fault in scenario.sensors.faults if fault.kind == "freeze"]
         return {
+            "session": self.name,
+            "obeyed": self._obeyed,
             "time": loop.time,
             "factor": 0.0 if self.paused else self.factor,
             "rotation_deg": float(np.degrees(np.linalg.norm(error[:3]))),
-            "position_mm": float(1e3 * np.linalg.norm(error[3:])),
+            "position_m": float(np.linalg.norm(error[3:])),
             "torque": loop.torque.tolist(),
             "setting": None if setting is None else setting.tolist(),
             "safety": None if safety is None else int(safety[0]),
             "target": loop.reference.hand.target.tolist(),
-            "pose": loop.pose.tolist(),
+            "pose": pose.tolist(),
+            "links": links,
             "pushed": loop.pushed,
+            "motion": bool(loop.reference.share.target[0]),
+            "payload": scenario.plant.payload_mass,
+            "dead": None if scenario.motors.dead is None else scenario.motors.dead.leg,
+            "frozen": frozen[0] if frozen else None,
+            "controller": self._controller,
+            "kappa": getattr(scenario.tuner, "kappa", None),
             "paused": self.paused,
             "ended": loop.ended,
             "message": self.message,
         }
+
+
+def _of_leg(leg: Any) -> dict[str, int] | None:
+    return None if leg is None else {"leg": int(leg)}
 
 
 def _six(values: Any) -> np.ndarray:

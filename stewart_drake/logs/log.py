@@ -27,7 +27,7 @@ LEG_NAMES = tuple(str(i) for i in range(6))
 MAX_ROWS = 2_000_000
 """Of a run: all of them are in memory, 140 numbers each, 2.2 GB. At steps of 1 ms they are 33 minutes."""
 
-_VERSION = 3
+_VERSION = 4
 _LARGEST = 10**10  # [byte] of a file.
 
 
@@ -187,11 +187,13 @@ class SimulationLog(Mapping[str, np.ndarray]):
     def __repr__(self) -> str:
         tick, time = self.scenario.controller.period, self.signals.get("time", np.empty(0))
         row = f", every {np.median(np.diff(time)):.4g} s" if len(time) > 1 else ""
+        # Only a controller with weights has densities; others ignore the tuner.
+        tuner = f", tuner {self.scenario.tuner.kind}" if "density" in self.signals else ""
         when = self.end_time if self.outcome_time is None else self.outcome_time
         lines = [
             f"SimulationLog of {self.scenario.name}: {told(self.status, self.reason, when)}",
             *([] if self.message is None else [f"  {self.message.splitlines()[0]}"]),
-            f"  controller {self.scenario.controller.kind}, tuner {self.scenario.tuner.kind}, a tick every {tick:g} s",
+            f"  controller {self.scenario.controller.kind}{tuner}, a tick every {tick:g} s",
             *(f"  {note}" for note in [getattr(self.scenario.reference, "note", "")] if note),
             f"  {len(time)} rows{row}",
             f"  signals: {', '.join(self.signals)}",
@@ -310,7 +312,7 @@ def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLo
             message += ", nor which scenario it was: the default one is taken"
             scenario = Scenario(name=path.stem, duration=end or 1.0)
         return SimulationLog(scenario, signals, state_names, status="unknown", message=message, end_time=end)
-    about = tables.parquet_about(path, key, "run", _LARGEST, "this package")
+    about = tables.parquet_about(path, key, "run", _LARGEST, "this version of the package")
     if about.get("version") != _VERSION:
         raise ConfigurationError(key, f"version {about.get('version')}", f"version {_VERSION}")
     try:
@@ -329,7 +331,10 @@ def _read_signals(path: Path, key: str) -> tuple[dict[str, np.ndarray], tuple[st
     """Signals of a table by name, and the names of the plant's states."""
 
     def choose(names: list[str]) -> dict[str, tuple[str, float]]:
-        return {quantity: (name, factor) for name in names for quantity, factor in [tables.quantity_of(name)]}
+        there = dict.fromkeys(tables.quantity_of(name)[0] for name in names)
+        states = tuple(name.removeprefix("plant_state_") for name in there if name.startswith("plant_state_"))
+        known = [column for signal in SIGNALS for column in _columns(signal, states)]
+        return {name: tables.column_of(names, name, unit, key) for name, unit in known if name in there}
 
     columns = tables.read_columns(path, key, choose, _LARGEST, MAX_ROWS + 1)
     state_names = tuple(name.removeprefix("plant_state_") for name in columns if name.startswith("plant_state_"))
@@ -341,4 +346,5 @@ def _read_signals(path: Path, key: str) -> tuple[dict[str, np.ndarray], tuple[st
             signals[signal] = columns[signal] if wanted == [signal] else np.stack([columns[n] for n in wanted], axis=-1)
         elif signal == "time" or len(missing) < len(wanted):
             raise ConfigurationError(key, f"no column of {missing[0]}", "all columns of a signal, and time")
+    tables.refuse_back(key, signals["time"])
     return signals, state_names

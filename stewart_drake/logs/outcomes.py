@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 Status = Literal["completed", "stopped", "lost", "failed", "interrupted", "unknown"]
 """completed: the controller was in charge to the end, and the motion was followed. stopped: the safety layer held the
-robot at the end. lost: the controller was in charge, but the motion was not followed, see `Bounds`. failed: the run
-broke midway. interrupted: the user ended it. unknown: of a log from a file that does not say."""
+robot at the end. lost: the motion was not followed, see `Bounds`, or no command reached the motors any more. failed:
+the run broke midway. interrupted: the user ended it. unknown: of a log from a file that does not say."""
 
 SETTLING, SETTLING_SHARE = 3.0, 0.6  # [s], share of the run; the shorter is left out at the start.
 SHORTEST = 0.5  # [s] of a run whose errors are compared with its motion.
@@ -28,7 +28,11 @@ WINDOW = 2.0  # [s] over which an error is averaged, at least: half a slow breat
 LEAST_MOTION = 0.003  # Of the characteristic length, 0.33 mm for the paper's; a load moves a robot by that much.
 MUCH_SATURATION = 0.01  # Share of torques at the limit above which there is a warning.
 POORLY_FOLLOWED = 0.5  # Error over motion above which a run that was completed has a warning.
-LARGE_GAP = 0.1  # Share of the position's RMSE above which the loop gap is a warning: errors are known no better.
+LARGE_GAP = 0.1  # Share of the position's RMSE above which the loop gap is a warning: the time step may show.
+NOISES = 3.0  # Standard deviations of a reading that add to what a robot which holds its place may be off.
+AT_REST = 1e-6  # Of a motion's largest rate, below which it rests.
+EXCURSION = 10.0  # Times that by which it may be off for a moment.
+REST, CUT = 0.25, 2.0  # Share of a run that may follow on its motion, and motion over run, beyond which that is said.
 
 
 def pose_distance(pose: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -119,21 +123,55 @@ class RunRows:
         Each window after `SETTLING` is compared with the size of the motion; the whole run with its own RMS motion and
         the error at its start.
         """
-        size, counts, duration = self.motion_sizes[0], self.tick & self.in_charge, self.scenario.duration
-        settled = min(SETTLING, SETTLING_SHARE * duration)
-        late = counts & (self.time >= settled - 1e-9)
-        if not size or not late.any() or duration < SHORTEST:
+        size, counts = self.motion_sizes[0], self.tick & self.in_charge
+        if not size or self.worst_error is None:
             return None
-        errors = self._window_rms(late, settled, self._scale * self.error[late]) / size
-        worst, length = int(errors.argmax()), (duration - settled) / len(errors)
+        settled, begin, end = self.worst_error
         error, motion = (
             float(np.sqrt(np.mean(np.sum(each**2, axis=1))))
             for each in (self._scale * self.error[counts], self._about_mean("reference", counts))
         )
         whole = error / (motion + float(np.linalg.norm(self._scale * self.error[0])))
-        if whole > errors[worst]:
-            return whole, 0.0, duration
+        return (whole, 0.0, self.scenario.duration) if whole > settled / size else (settled / size, begin, end)
+
+    @cached_property
+    def worst_error(self) -> tuple[float, float, float] | None:
+        """[m] RMS error in the worst window after `SETTLING`, its begin and end [s]; None for a run too short."""
+        counts, duration = self.tick & self.in_charge, self.scenario.duration
+        settled = min(SETTLING, SETTLING_SHARE * duration)
+        late = counts & (self.time >= settled - 1e-9)
+        if not late.any() or duration < SHORTEST:
+            return None
+        errors = self._window_rms(late, settled, self._scale * self.error[late])
+        worst, length = int(errors.argmax()), (duration - settled) / len(errors)
         return float(errors[worst]), settled + worst * length, settled + (worst + 1) * length
+
+    def poorly_held(self) -> tuple[float, float, str] | None:
+        """When [s], by how much [m] and in words a robot that should hold its place does not; None where it does."""
+        worst, noise = self.worst_error, self.scenario.sensors.reading_noise
+        if worst is None or self.motion_sizes[0]:
+            return None
+        allowed = LEAST_MOTION * self._scale[0] + NOISES * noise * self.scenario.robot.crank_lengths.max()
+        if not worst[0] <= allowed:
+            return (
+                worst[1],
+                worst[0],
+                f"from {worst[1]:.4g} to {worst[2]:.4g} s the RMS error was {1e3 * worst[0]:.2g} mm",
+            )
+        off = np.linalg.norm(self._scale * self.error, axis=1) * self.in_charge
+        row, bound = int(off.argmax()), off[0] + EXCURSION * allowed
+        return (self.time[row], off[row], f"the error reached {1e3 * off[row]:.2g} mm") if off[row] > bound else None
+
+    def wrong_length(self) -> tuple[float, float, str] | None:
+        """End [s] of a motion that ends long before the run or after it, that over the run's, and words; else None."""
+        moving, duration = np.abs(self["reference_rate"]).max(axis=1), self.scenario.duration
+        end = getattr(self.scenario.reference, "end", 0.0)
+        if end > CUT * duration:
+            return end, end / duration, f"the recorded motion of {end:.4g} s is cut at {duration:.4g} s"
+        end = self.time[np.flatnonzero(moving > AT_REST * moving.max())].max(initial=0.0)
+        if 0.0 < end < min((1.0 - REST) * duration, self.time[-1]):
+            return end, end / duration, f"the motion ends at {end:.4g} s; figures of the second half are mostly of rest"
+        return None
 
     @property
     def error_ratio(self) -> float | None:
@@ -213,6 +251,9 @@ def assess(
     if trip is not None and by is not None:
         text = str(ended_by) if held else f"{by['monitor']}: {trip['last'].replace('_', ' ')} at the end of the run"
         return Outcome("stopped", by["monitor"], text, by["time"], by["leg"])
+    since = rows.scenario.link.silent_since(rows.ticks, rows.scenario.controller.period)
+    if since is not None and rows.ticks:
+        return Outcome("lost", "link_silent", f"no command reached the motors from t = {since:.3f} s on", since)
     bounds, left = rows.scenario.bounds, rows.left()
     if left:
         name = min(left, key=lambda name: left[name][0])
@@ -253,8 +294,13 @@ def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None)
         if gap > LARGE_GAP * rmse:
             ratio = float(gap / rmse) if rmse > 0.0 else math.inf
             when = rows.time[int(rows.sizes["loop_gap"].argmax())]
-            text = f"a gap of {gap:.2g} m is {ratio:.1%} of the RMSE of the position"
+            size = f"{gap:.2g} m, {ratio:.0%} of the RMSE of the position"
+            text = f"rods end off their joints by up to {size}: errors so small may depend on plant.time_step"
             found.append(("loop_gap", when, ratio, text))
+        if length := rows.wrong_length():
+            found.append(("motion_length", *length))
+        if status == "completed" and (held := rows.poorly_held()):
+            found.append(("poorly_held", *held))
         worst = rows.worst_window
         if status == "completed" and worst is not None and not worst[0] <= POORLY_FOLLOWED:
             found.append(("poorly_followed", worst[1], worst[0], _error_over_motion(rows)))

@@ -132,8 +132,9 @@ def rotation_matrix(rpy: ArrayLike) -> np.ndarray:
 
 def rotation_angle(rotation: np.ndarray) -> np.ndarray:
     """Angle (...) [rad] of rotations (..., 3, 3)."""
-    trace = np.trace(rotation, axis1=-2, axis2=-1)
-    return np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
+    # An arccos of the trace alone would lose half the digits of a small angle.
+    twice_sine = np.linalg.norm(rotation - np.swapaxes(rotation, -1, -2), axis=(-2, -1)) / np.sqrt(2.0)
+    return np.arctan2(twice_sine, np.trace(rotation, axis1=-2, axis2=-1) - 1.0)
 
 
 def roll_pitch_yaw(matrix: ArrayLike) -> np.ndarray:

@@ -4,14 +4,36 @@ const AXES = [
   ["roll", "deg", 180 / Math.PI], ["pitch", "deg", 180 / Math.PI], ["yaw", "deg", 180 / Math.PI],
   ["X", "mm", 1e3], ["Y", "mm", 1e3], ["Z", "mm", 1e3],
 ];
-const COLOURS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00"];
 const WINDOW = 12; // [s] that the traces show
 const at = (id) => document.getElementById(id);
-const tell = (command) => fetch("do", {
-  method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(command),
-});
+const SILENCE = 3; // [s] without a row after which the page says so
+const LOST = "No connection: the session has ended, or too many pages show it. Nothing below is live. This page goes on by itself where the session does; else start it again in the terminal.";
+const SILENT = "The simulation has not answered for some seconds: it is busy, or its process is stopped.";
 
-let about, home, last = null, held = false, traces = {};
+let about, home, last = null, held = null, traces = {}, view, heard = 0;
+let asking = 0, told = 0; // commands on their way, and the number of the latest that has arrived
+
+async function tell(command) {
+  asking += 1;
+  try {
+    const answer = await fetch("do", {
+      method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(command),
+    });
+    if (answer.ok) told = Math.max(told, (await answer.json()).number);
+    else at("message").textContent = `refused: ${answer.status} ${answer.statusText}`;
+  } catch {
+    gone(LOST);
+  } finally {
+    asking -= 1;
+  }
+}
+
+/** Says that nothing here is live, and why; an empty text says that it is again. */
+function gone(why) {
+  at("gone").textContent = why;
+  at("gone").hidden = !why;
+  document.body.classList.toggle("gone", why !== "");
+}
 
 function slider(parent, name, unit, low, high, value) {
   const label = document.createElement("label");
@@ -25,47 +47,55 @@ function slider(parent, name, unit, low, high, value) {
   return { input, write };
 }
 
+/** Calls `during` while a slider is dragged and `after` once it is let go; in between it is `held`. */
+function hold(input, during, after) {
+  input.addEventListener("input", (event) => { held = input; during(event); });
+  input.addEventListener("change", (event) => { held = null; after(event); });
+  // A slider that is back where it was has not changed.
+  for (const end of ["pointerup", "pointercancel"]) input.addEventListener(end, () => { held = null; });
+}
+
 function options(select, entries) {
   for (const [value, text] of entries) select.append(new Option(text, value));
 }
 
 function trace(title, unit, names) {
-  const box = document.createElement("div");
-  box.className = "trace";
-  at("traces").append(box);
   const data = [[], ...names.map(() => [])];
-  const plot = new uPlot({
-    title, width: box.clientWidth - 12, height: 190, legend: { show: names.length > 1 }, cursor: { drag: { x: false } },
-    scales: { x: { time: false } },
-    axes: [{ label: "time [s]", labelSize: 18, size: 34 }, { label: `[${unit}]`, labelSize: 18, size: 52 }],
-    series: [{ label: "t" }, ...names.map((label, k) => ({ label, stroke: COLOURS[k], width: 1.5, points: { show: false } }))],
-  }, data, box);
-  new ResizeObserver(() => plot.setSize({ width: box.clientWidth - 12, height: 190 })).observe(box);
+  const { box, plot } = tracePlot(at("traces"), title, unit, names, data,
+    { legend: { show: names.length > 1 }, cursor: { drag: { x: false } } });
+  const heading = box.querySelector(".u-title");
   return {
     box,
     data,
     add(time, values) {
       if (data[0].length && time < data[0].at(-1)) data.forEach((each) => { each.length = 0; });
+      if (time === data[0].at(-1)) return;
       data[0].push(time);
       values.forEach((value, k) => data[k + 1].push(value));
       while (data[0][0] < time - WINDOW) data.forEach((each) => each.shift());
     },
-    draw() { plot.setData(data); },
+    draw() {
+      plot.setData(data);
+      if (names.length === 1) heading.textContent = `${title}: ${measured(data[1].at(-1), unit)}`;
+    },
   };
 }
 
 async function begin() {
-  about = await (await fetch("about")).json();
+  try {
+    about = await (await fetch("about")).json();
+  } catch {
+    return gone(LOST);
+  }
   document.title = `${about.name} - stewart-drake live`;
   at("name").textContent = about.name;
-  at("robot").src = about.meshcat;
+  view = new RobotScene(at("robot"), about.scene);
   home = about.home;
   const sliders = AXES.map(([name, unit, scale], k) =>
     slider(at("pose"), name, unit, (home[k] - about.room[k]) * scale, (home[k] + about.room[k]) * scale, home[k] * scale));
   const asked = () => sliders.map(({ input }, k) => Number(input.value) / AXES[k][2]);
   for (const { input, write } of sliders) {
-    input.addEventListener("input", () => { held = true; write(); tell({ do: "aim", pose: asked() }); });
-    input.addEventListener("change", () => { held = false; });
+    hold(input, () => { write(); tell({ do: "aim", pose: asked() }); }, () => {});
   }
   at("home").addEventListener("click", () => tell({ do: "aim", pose: home }));
   at("move").addEventListener("change", (event) => tell({ do: "move", on: event.target.checked }));
@@ -82,60 +112,74 @@ async function begin() {
     });
     at("pushes").append(button);
   }
-  const change = (keys) => tell({ do: "change", keys });
   at("payload").max = about.payload_most;
   at("payload").step = about.payload_most / 20;
-  const writePayload = () => { at("payload-text").textContent = `${Number(at("payload").value).toPrecision(2)} kg`; };
-  at("payload").value = about.payload;
-  writePayload();
-  at("payload").addEventListener("input", writePayload);
-  at("payload").addEventListener("change", (event) => change({ "plant.payload_mass": Number(event.target.value) }));
   const legs = [["", "none"], ...[0, 1, 2, 3, 4, 5].map((leg) => [leg, `leg ${leg}`])];
+  const legOf = ({ target }) => (target.value === "" ? null : Number(target.value));
   options(at("dead"), legs);
   options(at("frozen"), legs);
-  at("dead").addEventListener("change", (event) =>
-    change({ "motors.dead": event.target.value === "" ? null : { leg: Number(event.target.value) } }));
-  at("frozen").addEventListener("change", (event) =>
-    change({ "sensors.faults": event.target.value === "" ? [] : [{ kind: "freeze", leg: Number(event.target.value) }] }));
-  at("frozen-label").hidden = !about.encoders;
   options(at("controller"), about.controllers.map((name) => [name, name]));
+  at("frozen-label").hidden = !about.encoders;
+  const writePayload = () => { at("payload-text").textContent = `${Number(at("payload").value).toPrecision(2)} kg`; };
   const writeKappa = () => { at("kappa-text").textContent = Number(at("kappa").value).toFixed(1); };
-  const ownKappa = () => { at("kappa").value = about.kappa; writeKappa(); };
-  ownKappa();
-  at("controller").addEventListener("change", (event) => {
-    tell({ do: "controller", name: event.target.value });
-    ownKappa();
-  });
-  at("kappa").addEventListener("input", writeKappa);
-  at("kappa").addEventListener("change", (event) => change({ "tuner.kappa": Number(event.target.value) }));
+  hold(at("payload"), writePayload, (event) => tell({ do: "payload", mass: Number(event.target.value) }));
+  hold(at("kappa"), writeKappa, (event) => tell({ do: "kappa", value: Number(event.target.value) }));
+  at("dead").addEventListener("change", (event) => tell({ do: "dead", leg: legOf(event) }));
+  at("frozen").addEventListener("change", (event) => tell({ do: "freeze", leg: legOf(event) }));
+  at("controller").addEventListener("change", (event) => tell({ do: "controller", name: event.target.value }));
   at("pause").addEventListener("click", () => tell({ do: "pause", on: !(last && last.paused) }));
-  at("reset").addEventListener("click", () => location.reload(tell({ do: "reset" })));
+  at("reset").addEventListener("click", () => tell({ do: "reset" }));
 
   traces = {
-    error: trace("position error", "mm", ["position"]),
+    error: trace("position error", "m", ["position"]),
     angle: trace("rotation error", "deg", ["rotation"]),
     torque: trace("torque", "N m", [0, 1, 2, 3, 4, 5].map((leg) => `leg ${leg}`)),
+    setting: trace("tuner's setting", "decades", ["speed", "damping", "integral", "disturbance"]),
   };
-  if (about.setting) traces.setting = trace("tuner's setting", "decades", ["speed", "damping", "integral", "disturbance"]);
+
+  /** Everything that can be set, as the session has it, whoever has set it. */
+  const write = (row) => {
+    const values = { payload: row.payload, kappa: row.kappa, dead: row.dead ?? "", frozen: row.frozen ?? "", controller: row.controller };
+    for (const [id, value] of Object.entries(values)) if (at(id) !== held) at(id).value = value;
+    at("move").checked = row.motion;
+    writePayload();
+    writeKappa();
+    sliders.forEach(({ input, write: text }, k) => {
+      if (sliders.some((each) => each.input === held)) return;
+      input.value = row.target[k] * AXES[k][2];
+      text();
+    });
+  };
 
   let stale = true;
-  new EventSource("events").onmessage = ({ data }) => {
+  const events = new EventSource("events");
+  events.onerror = () => gone(LOST);
+  events.onmessage = ({ data }) => {
     last = JSON.parse(data);
+    // Another session at this address has another robot.
+    if (last.session !== about.session) location.reload();
+    heard = performance.now();
+    gone("");
     at("clock").textContent = `${last.time.toFixed(1)} s`;
     at("factor").textContent = last.paused ? "paused" : `× ${last.factor.toFixed(2)}`;
     at("pause").textContent = last.paused ? "Go on" : "Pause";
     at("message").textContent = last.ended ? `ended: ${last.ended} (Reset begins anew)` : last.message;
     at("message").className = last.ended ? "ended" : "";
-    if (!held) sliders.forEach(({ input, write }, k) => { input.value = last.target[k] * AXES[k][2]; write(); });
-    traces.error.add(last.time, [last.position_mm]);
+    // Not before what was asked for here is done: the control would jump back for a moment.
+    if (!asking && last.obeyed >= told) write(last);
+    if (last.links) view.place(last.links);
+    traces.error.add(last.time, [last.position_m]);
     traces.angle.add(last.time, [last.rotation_deg]);
     traces.torque.add(last.time, last.torque);
     // Not every controller has a tuner.
-    at("kappa-label").hidden = about.kappa === null || !last.setting;
-    if (traces.setting) traces.setting.box.hidden = !last.setting;
-    if (traces.setting && last.setting) traces.setting.add(last.time, last.setting.slice(0, 4));
+    at("kappa-label").hidden = last.kappa === null || !last.setting;
+    traces.setting.box.hidden = !last.setting;
+    if (last.setting) traces.setting.add(last.time, last.setting.slice(0, 4));
     stale = true;
   };
+  setInterval(() => {
+    if (events.readyState === EventSource.OPEN && performance.now() - heard > 1000 * SILENCE) gone(SILENT);
+  }, 500);
   const draw = () => {
     if (stale) Object.values(traces).forEach((each) => each.draw());
     stale = false;

@@ -1,69 +1,61 @@
 "use strict";
 
-const COLOURS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00"];
 const runs = JSON.parse(document.getElementById("data").textContent);
 const at = (id) => document.getElementById(id);
 const end = Math.max(...runs.map((run) => run.time.at(-1)));
 let time = 0, playing = true, before = null;
 
-const frames = runs.map((run) => {
-  const box = document.createElement("article");
-  box.className = "run";
-  const [title, frame] = [document.createElement("h2"), document.createElement("iframe")];
+const scenes = runs.map((run) => {
+  const article = document.createElement("article");
+  article.className = "run";
+  const [title, box] = [document.createElement("h2"), document.createElement("div")];
   title.textContent = run.name;
-  box.append(title);
+  article.append(title);
   for (const [text, bad] of run.lines) {
     const line = document.createElement("p");
     line.textContent = text;
     if (bad) line.className = "bad";
-    box.append(line);
+    article.append(line);
   }
-  frame.title = `the robot of ${run.name}`;
-  frame.srcdoc = run.page;
-  frame.addEventListener("load", () => {
-    const { viewer } = frame.contentWindow;
-    viewer.gui.domElement.style.display = "none";
-    viewer.animator.pause();
-    viewer.animator.seek(time);
-  });
-  box.append(frame);
-  at("runs").append(box);
-  return frame;
+  box.className = "robot";
+  box.setAttribute("role", "img");
+  box.setAttribute("aria-label", `the robot of ${run.name}`);
+  article.append(box);
+  at("runs").append(article);
+  const bytes = Uint8Array.from(atob(run.links), (character) => character.charCodeAt(0));
+  return { view: new RobotScene(box, run.scene), frames: run.frames, poses: new Float32Array(bytes.buffer) };
 });
 
-function trace(title, names, tables) {
-  const box = document.createElement("div");
-  box.className = "trace";
-  at("traces").append(box);
-  const value = (_, number) => (number == null ? "--" : number.toPrecision(3));
-  const plot = new uPlot({
-    title, width: box.clientWidth - 12, height: 200, scales: { x: { time: false, range: [0, end] } },
-    cursor: { y: false, drag: { x: false, y: false } },
-    axes: [
-      { label: "time [s]", labelSize: 18, size: 34 },
-      { size: 62, values: (_, ticks) => ticks.map((tick) => String(Number(tick.toPrecision(6)))) },
-    ],
-    series: [{ label: "t [s]", value }, ...names.map((label, k) =>
-      ({ label, value, stroke: COLOURS[k % COLOURS.length], width: 1.5, spanGaps: true, points: { show: false } }))],
-  }, uPlot.join(tables), box);
+/** Shows a scene at a time between two of its frames. */
+function seek({ view, frames, poses }, when) {
+  const count = frames.length, size = poses.length / count;
+  let [low, high] = [0, count - 1];
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (frames[middle] <= when) low = middle; else high = middle;
+  }
+  const share = high > low ? Math.min(Math.max((when - frames[low]) / (frames[high] - frames[low]), 0), 1) : 0;
+  const frame = (k) => poses.subarray(k * size, (k + 1) * size);
+  view.place(frame(low), frame(high), share);
+}
+
+function trace(title, unit, names, tables) {
+  const { plot } = tracePlot(at("traces"), title, unit, names, uPlot.join(tables),
+    { scales: { x: { time: false, range: [0, end] } }, cursor: { y: false, drag: { x: false, y: false } } });
   plot.over.addEventListener("click", (event) => go(plot.posToVal(event.offsetX, "x")));
-  new ResizeObserver(() => plot.setSize({ width: box.clientWidth - 12, height: 200 })).observe(box);
   return plot;
 }
 
 const names = runs.map((run) => run.name);
 const plots = [
-  trace("position error [mm]", names, runs.map((run) => [run.time, run.position_mm])),
-  trace("rotation error [deg]", names, runs.map((run) => [run.time, run.rotation_deg])),
-  ...runs.filter((run) => run.torque.length).map((run) => trace(runs.length > 1 ? `torque of ${run.name} [N m]` : "torque [N m]",
+  trace("position error", "m", names, runs.map((run) => [run.time, run.position_m])),
+  trace("rotation error", "deg", names, runs.map((run) => [run.time, run.rotation_deg])),
+  ...runs.filter((run) => run.torque.length).map((run) => trace(runs.length > 1 ? `torque of ${run.name}` : "torque", "N m",
     run.torque.map((_, leg) => `leg ${leg}`), [[run.time, ...run.torque]])),
 ];
 
 function show() {
-  for (const frame of frames) {
-    const viewer = frame.contentWindow && frame.contentWindow.viewer;
-    if (viewer && viewer.animator) viewer.animator.seek(time);
-  }
+  for (const scene of scenes) seek(scene, time);
   for (const plot of plots) plot.setCursor({ left: plot.valToPos(time, "x"), top: 10 }, false);
   at("scrub").value = time;
   at("clock").textContent = `${time.toFixed(2)} of ${end.toFixed(2)} s`;

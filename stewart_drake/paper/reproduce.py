@@ -23,6 +23,7 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics, second_half, tracking_error
 from stewart_drake.planning.pose_box import Region
 from stewart_drake.plotting import save_figure
+from stewart_drake.runs.outputs import prepare_folder
 from stewart_drake.scenario import FixedTuner, PaperTuner, Scenario
 from stewart_drake.studies.runs import simulate
 from stewart_drake.studies.study import markdown
@@ -41,6 +42,9 @@ PAIRS = tuple(itertools.product(OMEGAS, OMEGAS))
 RATIOS = (0.01, 0.1, 1.0, 10.0, 100.0)
 ANNOUNCED = Region("announced", (math.pi / 6.0,) * 3 + (0.3,) * 3, "30 deg and 300 mm, as section III.D announces")
 WIDE = Region("wide", (*map(math.radians, (70.0, 70.0, 80.0)), 0.2, 0.2, 0.11), "as far as each coordinate goes alone")
+
+ROUNDING = 1e-10
+"""A number below this, unless it is a count, is rounding error. Processors differ in it, so its bound is shown."""
 
 
 class Claim(NamedTuple):
@@ -96,7 +100,7 @@ def reproduce(
     results: dict[str, Result] = {}
     import_module("stewart_drake.training.train")  # where torch is missing, not after minutes
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
+        prepare_folder(out)
     with TemporaryDirectory() as scratch:
         study = Study(quick, folder=out or Path(scratch))
         for name in MODULES:
@@ -119,8 +123,13 @@ def write(out: Path, results: dict[str, Result]) -> None:
 
 def rows(claims: Iterable[Claim]) -> list[tuple[str, str, str, str]]:
     verdicts = {True: "holds", False: "fails", None: "-"}
-    shown = ((claim, f"{claim.ours:.4g}" if claim.ours % 1 else f"{claim.ours:.0f}") for claim in claims)
-    return [(c.name, c.paper, f"{ours} {c.unit}".strip(), verdicts[c.holds]) for c, ours in shown]
+    return [(c.name, c.paper, f"{_shown(c.ours)} {c.unit}".strip(), verdicts[c.holds]) for c in claims]
+
+
+def _shown(value: float) -> str:
+    if isinstance(value, float) and abs(value) < ROUNDING:
+        return f"< {ROUNDING:g}"
+    return f"{value:.4g}" if value % 1 else f"{value:.0f}"
 
 
 def differences(claims: Iterable[Claim], size: str) -> list[str]:

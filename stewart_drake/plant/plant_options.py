@@ -14,7 +14,7 @@ from stewart_drake.plant.sdf_model import RodJoint
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST, FrictionOptions, Moderate
 
-MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.1  # [s] finer steps drown in rounding; coarser ones follow nothing.
+MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.01  # [s] finer steps drown in rounding; coarser ones follow nothing.
 
 Place = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
 

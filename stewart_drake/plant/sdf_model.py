@@ -58,18 +58,30 @@ def crank_lateral(robot: RobotParameters) -> np.ndarray:
     return cross(robot.crank_quarter_directions, robot.crank_zero_directions)
 
 
+def crank_rotations(robot: RobotParameters, angles: np.ndarray) -> np.ndarray:
+    """R_BC (..., 6, 3, 3) [-] of cranks at theta (..., 6) [rad]: x along the crank, z along which its tip moves."""
+    cosine, sine = np.cos(angles)[..., None], np.sin(angles)[..., None]
+    along, up = robot.crank_zero_directions, robot.crank_quarter_directions
+    axes = cosine * along + sine * up, crank_lateral(robot), cosine * up - sine * along
+    return np.stack(np.broadcast_arrays(*axes), axis=-1)
+
+
+def rod_rotations(robot: RobotParameters, e_l: np.ndarray) -> np.ndarray:
+    """R_BR (..., 6, 3, 3) [-] of rods along e_l (..., 6, 3): z along the rod, x nearest to the motor's axis."""
+    lateral = crank_lateral(robot)
+    along_motor = -lateral + np.sum(lateral * e_l, axis=-1, keepdims=True) * e_l
+    x = along_motor / np.linalg.norm(along_motor, axis=-1, keepdims=True)
+    return np.stack([x, cross(e_l, x), e_l], axis=-1)
+
+
 def home_frames(robot: RobotParameters) -> HomeFrames:
     legs = leg_geometry(robot, robot.home_pose)
-    lateral = crank_lateral(robot)
-    # The shortest rotation that a universal joint leaves to the rod: its first axis as near to the motor's as can be.
-    along_motor = -lateral + np.sum(lateral * legs.e_l, axis=-1, keepdims=True) * legs.e_l
-    x = along_motor / np.linalg.norm(along_motor, axis=-1, keepdims=True)
     turns = np.round((_middles(robot.crank_angle_ranges) - legs.crank_angles) / (2.0 * math.pi))
     return HomeFrames(
         crank_angles=legs.crank_angles,
-        crank_rotation=np.stack([legs.crank, lateral, legs.e_n], axis=-1),
+        crank_rotation=np.stack([legs.crank, crank_lateral(robot), legs.e_n], axis=-1),
         crank_tips=robot.shaft_positions + robot.crank_lengths[:, None] * legs.crank,
-        rod_rotation=np.stack([x, cross(legs.e_l, x), legs.e_l], axis=-1),
+        rod_rotation=rod_rotations(robot, legs.e_l),
         stops=robot.crank_angle_ranges - (legs.crank_angles + 2.0 * math.pi * turns)[:, None],
     )
 
@@ -274,13 +286,10 @@ class StateMap:
         """Angles theta (..., 6) [rad] of the cranks, not wrapped."""
         return np.asarray(state, dtype=float)[..., self.indices.crank] + self._home.crank_angles
 
-    def loop_gap(self, state: np.ndarray) -> np.ndarray:
-        """Distance (..., 6) [m] between each rod's end and its joint on the platform; constraints keep it near zero."""
+    def rod_directions(self, state: np.ndarray) -> np.ndarray:
+        """Unit vectors e_l (..., 6, 3) [-] along the rods, from the crank up, wherever their far ends are."""
         state = np.asarray(state, dtype=float)
-        theta = self.crank_angles(state)
-        cosine, sine = np.cos(theta)[..., None], np.sin(theta)[..., None]
-        along, up = self.robot.crank_zero_directions, self.robot.crank_quarter_directions
-        crank, e_n = cosine * along + sine * up, cosine * up - sine * along
+        crank, lateral, e_n = np.moveaxis(crank_rotations(self.robot, self.crank_angles(state)), -1, 0)
         angles = state[..., self.indices.rod]
         if self.rod_joint == "universal":
             (sa, sb), (ca, cb) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
@@ -288,9 +297,13 @@ class StateMap:
         else:
             direction = rotation_matrix(angles)[..., 2]
         x, y, z = np.moveaxis(_times(self._home.rod_in_crank, direction), -1, 0)
-        e_l = x[..., None] * crank + y[..., None] * self._lateral + z[..., None] * e_n
+        return np.asarray(x[..., None] * crank + y[..., None] * lateral + z[..., None] * e_n)
+
+    def loop_gap(self, state: np.ndarray) -> np.ndarray:
+        """Distance (..., 6) [m] between each rod's end and its joint on the platform; constraints keep it near zero."""
+        crank = crank_rotations(self.robot, self.crank_angles(state))[..., 0]
         lengths = self.robot.crank_lengths[:, None], self.robot.rod_lengths[:, None]
-        end = self.robot.shaft_positions + lengths[0] * crank + lengths[1] * e_l
+        end = self.robot.shaft_positions + lengths[0] * crank + lengths[1] * self.rod_directions(state)
         pose = self.pose_and_rate(state)[0]
         seat = self.robot.platform_joints @ np.swapaxes(rotation_matrix(pose[..., :3]), -1, -2) + pose[..., None, 3:]
         return np.linalg.norm(end - seat, axis=-1)

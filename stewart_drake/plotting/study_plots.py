@@ -26,7 +26,7 @@ _PHASE_SHOWN = 1e-3  # Ratio of amplitudes; below -60 dB there is no phase to sp
 
 @look.styled
 def plot_rmse(rows: Rows) -> Figure:
-    """RMSE of the pose by reference and controller, a panel a condition; failures at the right edge."""
+    """RMSE of the position by reference and controller, a panel a condition; failures at the right edge."""
     styles = _styles(rows)
     conditions: dict[str, list[str]] = {}
     for row in reversed(rows):
@@ -50,7 +50,7 @@ def plot_rmse(rows: Rows) -> Figure:
         panel.set(title=condition, xlim=(low, high * (high / low) ** 0.09), ylim=(-0.5, len(references) - 0.5))
         panel.set_yticks(range(len(references)), references, fontsize=10)
         panel.grid(axis="y", visible=False)
-    axes[-1, 0].set_xlabel("pose RMSE [mm]")
+    axes[-1, 0].set_xlabel("RMSE [mm]")
     _legend(figure, styles, [Line2D([], [], color=look.TEXT, label="failed", **_CROSS)])
     return figure
 
@@ -151,11 +151,11 @@ def plot_costs(kinds: Sequence[str], ratios: Mapping[str, Any], against: str) ->
 
 
 def _drawn(row: Mapping[str, Any]) -> float:
-    return min(max(row["pose_rmse_mm"], _SMALLEST), look.LARGEST)
+    return min(max(row["rmse_norm_mm"], _SMALLEST), look.LARGEST)
 
 
 def _done(row: Mapping[str, Any]) -> bool:
-    return row["status"] == "completed" and row.get("pose_rmse_mm") is not None
+    return row["status"] == "completed" and row.get("rmse_norm_mm") is not None
 
 
 def _styles(rows: Rows) -> Styles:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Protocol
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import NotNegative, Positive, Real, Section, SixNumbers, Vector6
+from stewart_drake.config import NotNegative, Phase, Positive, Real, Section, SixNumbers, Vector6, one_for_six
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.registry import REFERENCES
 from stewart_drake.robot.robot_scale import HOME_POSE, LENGTH
@@ -17,6 +17,7 @@ from stewart_drake.sampling import InBlocks
 
 HOME: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
 ZERO: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+SixPhases = Annotated[tuple[Phase, Phase, Phase, Phase, Phase, Phase], one_for_six(Phase, "rad")]
 
 
 class Reference(Protocol):
@@ -71,7 +72,7 @@ class SineReference(Section, key="reference"):
     """[rad, m] amplitude on each axis."""
     angular_frequency: SixNumbers = (2.0, 2.0, 2.0, 2.0, 2.0, 2.0)
     """[rad/s] angular frequency of each axis."""
-    phase: SixNumbers = ZERO
+    phase: SixPhases = ZERO
     """[rad] phase of each axis at time 0."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -98,7 +99,7 @@ class SineBurstsReference(Section, key="reference"):
     """[rad, m] amplitude on each axis, one vector per burst."""
     center: Annotated[Vector6, HOME_POSE] = HOME
     """[rad, m] centre of the motion; by default the robot's home."""
-    phase: SixNumbers = ZERO
+    phase: SixPhases = ZERO
     """[rad] phase of each axis, the same in every burst."""
     burst_duration: Positive = 1.6
     """[s] duration of each burst, its fades included."""

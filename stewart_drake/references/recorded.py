@@ -15,7 +15,7 @@ from pydantic import Field
 from stewart_drake.config import Positive, Real, Section, Text
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import UserMade
-from stewart_drake.files.tables import POSE, read_numbers, refuse_cells
+from stewart_drake.files.tables import POSE, read_numbers, refuse_back, refuse_cells
 from stewart_drake.sampling import unwrapped
 
 QUANTITIES = (("time", "s"), *POSE)
@@ -42,6 +42,11 @@ class RecordedReference(Section, key="reference"):
     """[s] duration of one unit of the file's time: 0.001 for a file in milliseconds, 2 for half the speed."""
     settle: Annotated[Real, Field(ge=1e-6, le=1e6)] = 0.25
     """[s] time from the last row to rest."""
+
+    @property
+    def end(self) -> float:
+        """[s] from when on it is at rest."""
+        return float(self._splines[0].x[-1])
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         time = np.asarray(time, dtype=float)
@@ -80,8 +85,7 @@ def load_recording(path: str | Path) -> np.ndarray:
     if len(data) < 4:
         raise ConfigurationError(key, f"{len(data)} rows", "at least 4 rows")
     refuse_cells(key, QUANTITIES, data, ~np.isfinite(data), "a finite number")
-    back = np.diff(data[:, :1], axis=0, prepend=-math.inf) <= 0.0
-    refuse_cells(key, QUANTITIES, data, back, "a time after that of the row before")
+    refuse_back(key, data[:, 0])
     turns = data[:, 1:4]
     wrapped = np.abs(turns).max(axis=0) <= 2.0 * math.pi * (1.0 + 1e-9)
     data[:, 1:4] = np.where(wrapped, unwrapped(turns), turns)

@@ -10,9 +10,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Count, NotNegative, Positive, Real, Section, Seed, Share, SixNumbers, Vector6
+from stewart_drake.config import Count, NotNegative, Phase, Positive, Real, Section, Seed, Share, Vector6
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.references.motions import HOME, bump
+from stewart_drake.references.motions import HOME, SixPhases, bump
 from stewart_drake.robot.robot_scale import HOME_POSE
 
 _SLOW_BAND = (0.04, 0.15)
@@ -39,7 +39,7 @@ class BreathingReference(Section, key="reference"):
     """[Hz] breathing rate, above 0."""
     order: Annotated[Count, Field(ge=1, le=3)] = 2
     """Exponent n of the waveform, 1 to 3; larger rests longer at end-exhale."""
-    phase: Real = math.pi / 2.0
+    phase: Phase = math.pi / 2.0
     """[rad] phase phi of the waveform; pi/2 starts at end-exhale, at rest."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -71,11 +71,11 @@ class HeartbeatReference(Section, key="reference"):
     """[rad, m] peak-to-peak size on each axis; its sign is the direction."""
     rate: Positive = 1.25
     """[Hz] mean heart rate, above 0; 1-2 Hz is usual."""
-    phase: SixNumbers = (0.0, 0.0, 0.0, 0.8, 0.4, 0.0)
+    phase: SixPhases = (0.0, 0.0, 0.0, 0.8, 0.4, 0.0)
     """[rad] lag of each axis, 2 pi for a beat; different lags turn the line into a loop."""
     harmonics: Annotated[tuple[Real, ...], Field(min_length=1, max_length=20)] = (1.0, 0.6, 0.35, 0.15, 0.05)
     """[-] relative amplitudes a_k of the harmonics 1, 2, ... of the rate; at most 20."""
-    harmonic_phase: tuple[Real, ...] = (0.0, 0.5, 1.0, 1.5, 2.0)
+    harmonic_phase: tuple[Phase, ...] = (0.0, 0.5, 1.0, 1.5, 2.0)
     """[rad] phases p_k of the harmonics, one each."""
     respiratory_variation: Share = 0.02
     """[-] amplitude of the rate's variation with breathing (respiratory sinus arrhythmia), relative to the rate."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,13 @@ from stewart_drake.control.user_controller import user_code
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, RunFailure, UnreachablePoseError
 from stewart_drake.families import user_parts
 from stewart_drake.files.code import ControllerError, file_digests
+from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.logs.log import AXIS_NAMES, MAX_ROWS
+from stewart_drake.mechanics.dynamics import inverse_dynamics
+from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian
 from stewart_drake.planning import feasibility
 from stewart_drake.planning.limits import Limits
+from stewart_drake.plant.closed_chain import loaded
 from stewart_drake.references import AdjustedReference, Reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
@@ -27,6 +32,7 @@ _LARGEST = {"rad": math.tau, "m": 2.0}
 _NUDGES = 100
 _SLOWEST = 1e-3  # [-] of its speed at which a motion is tried
 _FEW = 500  # Samples of a motion, beside its worst ones, that a hint looks at
+_FALL = 0.03  # Of the characteristic length, free fall before a command acts: a loop that is slow for its robot.
 _PASSED: set[Any] = set()  # Motions that have passed: a search runs the same one a thousand times.
 
 
@@ -140,6 +146,46 @@ def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:
         if error.key not in ("pose", "pose_rate", "pose_acceleration"):
             raise
         raise ConfigurationError("reference", scenario.reference, f"a motion whose {error.key} stays finite") from None
+
+
+def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
+    """The margin of torque with what the controller does not know: payload, motor friction, the package's disturbances.
+
+    Empty where there is nothing of it, or where the robot cannot do the motion at all.
+    """
+    pushes = [each for each in scenario.disturbances if not user_parts(each)]
+    robot, plant, time = scenario.robot, scenario.plant, feasibility.checked_times(scenario.duration)
+    friction, names = plant.friction_law(robot)[0], ["disturbances"] * bool(pushes)
+    if plant.payload_mass > 0.0:
+        names.append(f"payload {plant.payload_mass:g} kg")
+    if (friction["break_away"] + friction["viscous"]).any():
+        names.append("motor friction")
+    if not names:
+        return feasibility.FeasibilityReport({}, None)
+    with user_code(scenario), np.errstate(all="ignore"), suppress(RunFailure, np.linalg.LinAlgError):
+        pose, rate, acceleration = scenario.reference.evaluate(time)
+        torque = inverse_dynamics(loaded(robot, plant), pose, rate, acceleration, scenario.gravity)
+        to_cranks, wrench = twist_jacobian(robot, pose), total_wrench(pushes, time)
+        torque -= np.linalg.solve(np.swapaxes(to_cranks, -1, -2), wrench[..., None])[..., 0]
+        speed = (to_cranks @ pose_rate_to_twist(pose, rate)[..., None])[..., 0]
+        torque += friction["break_away"] * np.sign(speed) + friction["viscous"] * speed
+        margins = robot.effort_limits - np.abs(torque)
+        sample, leg = divmod(int(margins.argmin()), 6)
+        numbers = float(robot.effort_limits[leg]), float(margins[sample, leg]), float(time[sample])
+        worst = feasibility.LimitMargin("torque", *numbers, leg, f"leg {leg} with {', '.join(names)}")
+        return feasibility.FeasibilityReport({"plant_torque": worst}, worst if worst.margin < 0.0 else None)
+    return feasibility.FeasibilityReport({}, None)
+
+
+def likely_cause(scenario: Scenario) -> str:
+    """Why a run was perhaps not completed, which its motion does not show; empty where nothing speaks for anything."""
+    if worst := plant_report(scenario).first_violation:
+        return f"{worst.where} needs {worst.value:.4g} N m, its motor has {worst.bound:.4g} N m"
+    period, slow = scenario.controller.period, _FALL * scenario.robot.characteristic_length
+    fall = 0.5 * scenario.gravity * (period * (1 + scenario.command_delay)) ** 2
+    if fall < slow or scenario.sensors.faults or not (scenario.link.perfect and scenario.motors.perfect):
+        return ""
+    return f"a slow loop of {1.0 / period:.4g} Hz: the platform can fall {1e3 * fall:.2g} mm until it reacts"
 
 
 def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:

@@ -22,6 +22,8 @@ _PEERS = "_pydrake_internal_ref_cycle_peers"
 class DrakeRun:
     """The loop of a scenario as a Diagram; peaks and bounds need every step of the plant, whatever the log keeps."""
 
+    closed = False
+
     def __init__(self, scenario: Scenario) -> None:
         self.scenario, self._loop = scenario, ClosedLoop(scenario, log_period=scenario.plant.time_step)
         self._step, self._now = on_grid(scenario.plant.time_step), -1
@@ -90,6 +92,7 @@ class DrakeRun:
         pydrake ties systems, ports and diagrams together in cycles, which CPython takes for held from outside: it
         visits the attributes of a system that is written in Python twice, once for each base.
         """
+        self.closed = True
         waiting: list[Any] = [self._loop]
         while waiting:
             peers: set[Any] = getattr(waiting.pop(), _PEERS, set())

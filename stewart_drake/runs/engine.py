@@ -101,6 +101,7 @@ class FastRun:
     """A run on a `FastLoop`, with a row for each step of the plant."""
 
     state_names: tuple[str, ...] = ()
+    closed = False
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario, self._loop = scenario, FastLoop(scenario)
@@ -153,4 +154,5 @@ class FastRun:
         """There is no Diagram."""
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Its rows and states are those of one run."""
+        self.closed = True

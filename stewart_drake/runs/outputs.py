@@ -1,4 +1,4 @@
-"""The folder that a run leaves behind: written beside its place, and renamed once all is in it."""
+"""The folder that a run leaves behind: taken before the run, its log and metrics written first, then pictures."""
 
 from __future__ import annotations
 
@@ -8,39 +8,44 @@ import os
 import shutil
 import subprocess
 import tempfile
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from stewart_drake.errors import ConfigurationError
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError, DiskError, StewartDrakeError
 from stewart_drake.families import user_parts
 from stewart_drake.files.code import read_code, with_texts
-from stewart_drake.files.whole import write_atomically
+from stewart_drake.files.whole import locked_folder, signals_held, write_atomically, write_together
 from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.scenario import Scenario
 
 _AS_RUN = "# As run by stewart-drake: every key, defaults included.\n"
+_ROOM = 10_000  # [byte] that a disk has at least
 _CODE = "code"  # Folder with the files of the user's classes.
 _PICTURES = ("diagram.dot", "diagram.svg", "states.png", "torques.png", "replay.html")
 """What a run may leave or not; else what is in a results folder is the user's own, and stays."""
 
 
 class Results(NamedTuple):
-    """What a run has left: where, and its metrics."""
+    """What a run has left: where, its metrics, and what is to be said of the place."""
 
     folder: Path
     metrics: dict[str, Any]
+    note: str | None = None
 
 
 def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
-    """Makes a folder, and sure that it can be written to; `named` is what the user called it."""
+    """Makes a folder, and sure that something can be written to it; `named` is what the user called it."""
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
+        with tempfile.TemporaryFile(dir=folder) as stream:
+            stream.write(bytes(_ROOM))
     except OSError as error:
         # Unlike `Path.is_file` this never raises, whatever stands in the way.
         why = "this is a file" if os.path.isfile(folder) else error.strerror  # noqa: PTH113
@@ -61,14 +66,12 @@ def write_text(path: Path, text: str) -> None:
     write_atomically(path, text.encode())
 
 
-def results_place(scenario: Scenario, out: str | Path | None = None, force: bool = False) -> Path:
-    """`out`, or the first of runs/NAME, runs/NAME-2 and so on that is free; `force` replaces another scenario's."""
-    if out is None:
-        names = itertools.chain([scenario.name], (f"{scenario.name}-{number}" for number in itertools.count(2)))
-        return next(place for name in names if not os.path.lexists(place := Path("runs") / name))
+def check_place(scenario: Scenario, out: str | Path, force: bool = False) -> Path:
+    """The folder `out`, which has no content but results of the same scenario, or of any with `force`."""
     place = Path(os.path.realpath(out))
     try:
-        if not place.exists() or not any(place.iterdir()):
+        # A killed run leaves no more than these.
+        if not place.exists() or all(path.name.endswith((".lock", ".part")) for path in place.iterdir()):
             return place
         before = (place / "scenario.yaml").read_bytes() if (place / "scenario.yaml").is_file() else b""
     except OSError as error:
@@ -81,73 +84,103 @@ def results_place(scenario: Scenario, out: str | Path | None = None, force: bool
     return place
 
 
-def write_run(
-    log: SimulationLog,
-    out: str | Path | None = None,
-    graph: str | None = None,
-    pictures: bool = True,
-    force: bool = False,
-) -> Results:
-    """Writes everything about a run into a folder, which appears as a whole; an interrupt costs pictures alone.
+@contextmanager
+def claimed_place(scenario: Scenario, out: str | Path | None = None, force: bool = False) -> Iterator[Path]:
+    """A folder that is this process's alone within: `out`, or the first of runs/NAME, runs/NAME-2 and so on.
 
-    Files: metrics.json (strict JSON), log.parquet, scenario.yaml, states.png, torques.png, replay.html, diagram.dot and
-    .svg; with classes of the user's from files code/, so that scenario.yaml can be run again.
+    A folder that was made for it and is empty at the end is removed.
     """
-    place, metrics = results_place(log.scenario, out, force), run_metrics(log)
+    if out is None:
+        runs = prepare_folder("runs")
+        names = itertools.chain([scenario.name], (f"{scenario.name}-{number}" for number in itertools.count(2)))
+        place, made = next(place for name in names if _is_made(place := runs / name)), True
+    else:
+        place = Path(os.path.realpath(out))
+        made = not place.exists()
+        prepare_folder(place, out)
+    try:
+        with locked_folder(place):
+            if out is not None:
+                check_place(scenario, out, force)
+            yield place
+    finally:
+        if made:
+            with suppress(OSError):
+                place.rmdir()
+
+
+def _is_made(folder: Path) -> bool:
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        return False
+    return True
+
+
+def save_run(log: SimulationLog, place: Path) -> Results:
+    """Writes log.parquet, metrics.json and scenario.yaml, and in code/ the user's classes, in place of an earlier run.
+
+    No signal comes between. Where the disk is full they go to a new folder for temporary files.
+    """
+    metrics = run_metrics(log)
     files = {
         "log.parquet": log.to_parquet(),
         "metrics.json": (json.dumps(metrics, indent=2, allow_nan=False) + "\n").encode(),
         **_own_files(log.scenario),
     }
-    with tempfile.TemporaryDirectory(".part", f".{place.name}.", prepare_folder(place.parent, out)) as beside:
-        part = Path(beside, place.name)
-        for name, content in files.items():
-            (part / name).parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(part / name, content)
+    with signals_held():
         try:
-            if graph is not None:
-                _draw_graph(graph, part)
-            if pictures and len(log.time):
-                _draw(log, part)
-        finally:
-            place = _put(part, place, log.scenario, numbered=out is None)
+            _put(files, place)
+        except DiskError as error:
+            other = Path(tempfile.mkdtemp(prefix=f"{place.name}-"))
+            try:
+                _put(files, other)
+            except DiskError:
+                shutil.rmtree(other)
+                raise error from None
+            return Results(other, metrics, f"{error}; the results are in {other}")
     return Results(place, metrics)
 
 
-def _put(part: Path, place: Path, scenario: Scenario, numbered: bool) -> Path:
-    """Renames a folder to its place, or its files into the one that is there."""
-    while not place.exists() or numbered:
-        try:
-            return part.rename(place)
-        except OSError:
-            if not place.exists():
-                raise
-            # Another run has just taken that number.
-            place = results_place(scenario)
-    shutil.rmtree(place / _CODE, ignore_errors=True)
-    for name in _PICTURES:
-        (place / name).unlink(missing_ok=True)
-    for path in part.iterdir():
-        path.replace(place / path.name)
-    return place
+def _put(files: Mapping[str, bytes], place: Path) -> None:
+    paths = {place / name: content for name, content in files.items()}
+    for path in paths:
+        path.parent.mkdir(exist_ok=True)
+    before = {*(place / _CODE).glob("*.py"), *(place / name for name in _PICTURES)}
+    write_together(paths, before - set(paths))
+    with suppress(OSError):
+        (place / _CODE).rmdir()
+
+
+def draw_run(log: SimulationLog, place: Path, graph: str | None = None) -> str | None:
+    """Writes states.png, torques.png, replay.html, diagram.dot and diagram.svg; what is missing and why, or None."""
+    try:
+        if graph is not None:
+            _draw_graph(graph, place)
+        if len(log.time):
+            _draw(log, place)
+    except (StewartDrakeError, OSError, MemoryError) as error:
+        missing = ", ".join(name for name in _PICTURES[2:] if not (place / name).exists())
+        return f"pictures: {error or 'no memory is left'}; missing: {missing}"
+    return None
 
 
 def _draw_graph(graph: str, folder: Path) -> None:
-    (folder / "diagram.dot").write_text(graph)
-    with suppress(OSError, subprocess.SubprocessError):
-        command = ["dot", "-Tsvg", "-o", str(folder / "diagram.svg"), str(folder / "diagram.dot")]
-        subprocess.run(command, capture_output=True, timeout=60, check=True)
+    write_atomically(folder / "diagram.dot", graph.encode())
+    with suppress(FileNotFoundError, PermissionError, subprocess.SubprocessError):
+        done = subprocess.run(["dot", "-Tsvg"], input=graph.encode(), capture_output=True, timeout=60, check=True)
+        write_atomically(folder / "diagram.svg", done.stdout)
 
 
 def _draw(log: SimulationLog, folder: Path) -> None:
-    # matplotlib and Meshcat take a second to load; a sweep that wants numbers alone does without.
+    # matplotlib takes a second to load; a sweep that wants numbers alone does without.
     from stewart_drake.plotting import plot_states, plot_torques, save_figure
     from stewart_drake.runs.replay import write_replay
 
     save_figure(plot_states(log), folder / "states.png")
     save_figure(plot_torques(log), folder / "torques.png")
     # Of a run without a finite state there is nothing to replay.
-    with suppress(ConfigurationError):
+    if np.isfinite(log.signals.get("plant_state", log["pose"])).all(axis=1).any():
         write_replay(log, folder / "replay.html")
 
 

@@ -27,24 +27,13 @@ from stewart_drake.plant.multibody_plant import add_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.plant.sdf_model import RodJoint
 from stewart_drake.robot import RobotParameters
+from stewart_drake.runs.scene import REFERENCE_COLOUR, reference_disc, viewpoint
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 LENS = 32.0  # [deg] vertical field of view
 FRAMES_PER_SECOND, MAX_FRAMES = 20.0, 1200
-_GREEN = geometry.Rgba(0.0, 0.62, 0.45, 0.4)
-
-
-def viewpoint(robot: RobotParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Where a camera should stand and look, both (3,) [m] in B, for the whole robot to be seen."""
-    height = robot.home_height - robot.base_height
-    size = robot.base_radius + float(robot.crank_lengths.max()) + height
-    # A robot that is slender for its platform needs room for the tool.
-    size = max(size, 2.0 * (0.46 * height + 1.3 * robot.characteristic_length))
-    target = np.array([0.0, 0.0, robot.base_height + 0.54 * height])
-    direction = np.array([1.05, -0.80, 0.52])
-    return target + 1.9 * size * direction / np.linalg.norm(direction), target
 
 
 class Studio:
@@ -71,10 +60,9 @@ class Studio:
         self._disc: geometry.FrameId | None = None
         if film:
             self._disc = self._scene_graph.RegisterFrame(source, geometry.GeometryFrame("reference"))
-            # Wider than the platform and thinner: it shows as a ring around a platform that tracks well.
-            shape = geometry.Cylinder(1.15 * robot.platform_radius, 0.4 * robot.link_radius)
+            shape = geometry.Cylinder(*reference_disc(robot))
             disc = geometry.GeometryInstance(RigidTransform(), shape, "reference")
-            disc.set_perception_properties(_painted(_GREEN))
+            disc.set_perception_properties(_painted(geometry.Rgba(*REFERENCE_COLOUR)))
             self._scene_graph.RegisterGeometry(source, self._disc, disc)
         self._reference_port = self._scene_graph.get_source_pose_port(source)
         diagram = builder.Build()

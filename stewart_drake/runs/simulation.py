@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from stewart_drake.control.user_controller import user_code
-from stewart_drake.errors import RunFailure, SafetyStop, drake_guard, raised_at
+from stewart_drake.errors import ConfigurationError, RunFailure, SafetyStop, drake_guard, raised_at
 from stewart_drake.files.code import file_digests
-from stewart_drake.files.whole import plain_json
+from stewart_drake.files.whole import plain_json, signals_held
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import figures_of
 from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.runs.checks import check_scenario, refuse_unrunnable
+from stewart_drake.runs.checks import check_scenario, likely_cause, refuse_unrunnable
 from stewart_drake.runs.engine import FastRun
 from stewart_drake.safety import first_trip
 from stewart_drake.sampling import steps_per, times_of
@@ -58,10 +58,11 @@ def run(
         progress: Called with the simulated time [s] regularly; its exceptions pass through, but KeyboardInterrupt,
             which ends the run as Ctrl-C does.
         check: Check the reference against `scenario.limits` first.
-        engine: What `engine_of` has made of the scenario, closed afterwards; None makes one.
+        engine: What `engine_of` has made of this scenario, for one run, closed afterwards; None makes one.
 
     Raises:
-        ConfigurationError: Found before the run: an invalid scenario, or a motion that the robot cannot do.
+        ConfigurationError: Found before the run: an invalid scenario, a motion that the robot cannot do, or an engine
+            of another scenario or that has run.
         UnreachablePoseError: The start pose is out of reach, with `check` off.
     """
     if isinstance(scenario, (str, Path)):
@@ -70,6 +71,9 @@ def run(
     refuse_unrunnable(scenario)
     if check:
         check_scenario(scenario)
+    if engine is not None and (engine.closed or engine.scenario != scenario):
+        got = f"one of {engine.scenario.name}{' that has run' if engine.closed else ''}"
+        raise ConfigurationError("engine", got, "what engine_of has made of this scenario, for this run alone")
     engine = engine_of(scenario) if engine is None else engine
     # What lies on the disk now is what the run is made of.
     files = file_digests(scenario.to_dict())
@@ -113,11 +117,18 @@ def _run_engine(
         trip = first_trip(engine.safety_state(), scenario.controller.period, scenario.safety.monitor_names)
     when = ended_by.time if isinstance(ended_by, RunFailure) else None
     end_time = _nominal(engine.time if when is None else when, time_step)
-    with np.errstate(all="ignore"):
+    # A second Ctrl-C does not lose what the first has ended.
+    with signals_held() as held, np.errstate(all="ignore"):
         # Metrics and outcome are those of every step of the plant, whatever rows the log keeps.
         rows = RunRows(scenario, engine.signals())
-        outcome = assess(rows, trip, end_time, ended_by)
+        figures, outcome = figures_of(rows), assess(rows, trip, end_time, ended_by)
+        if held and ended_by is None:
+            outcome = assess(rows, trip, end_time, KeyboardInterrupt())
+        held.clear()
         warnings = tuple(plain_json(each) for each in find_warnings(outcome.status, rows, trip))
+    if outcome.status in ("failed", "lost", "stopped") and (cause := likely_cause(scenario)):
+        first, *trace = (outcome.message or "").split("\n")
+        outcome = outcome._replace(message="\n".join([f"{first}; likely cause: {cause}", *trace]))
     if outcome.outcome_time is not None:
         outcome = outcome._replace(outcome_time=_nominal(outcome.outcome_time, time_step))
     stride = steps_per("log_period", scenario.effective_log_period, time_step)
@@ -132,7 +143,7 @@ def _run_engine(
         wall_time=wall,
         versions=dict(_versions()),
         files=files,
-        figures=figures_of(rows),
+        figures=figures,
     )
 
 

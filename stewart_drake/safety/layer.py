@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -11,10 +12,19 @@ from stewart_drake.errors import FAILURES, SafetyStop, failure_code
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import static_torque
-from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 from stewart_drake.part import HEALTHY, Part, Setup
 from stewart_drake.safety import limits
 from stewart_drake.safety.limits import MEANINGS, MONITORS, OBSERVED, QUIET, SafetyInputs, SafetyOptions
+from stewart_drake.safety.residual import (
+    EXPLAINED,
+    MOTOR_WEAK,
+    explain,
+    is_odd,
+    mark_suspects,
+    motor_torques,
+    speeds_to_stop,
+)
 
 LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
@@ -25,17 +35,18 @@ REFILL = 0.05  # Ticks of the budget of holding that a good tick gives back: a f
 USABLE_TRANSMISSION, USABLE_CONDITIONING = 0.02, 0.01
 _ROUNDING = 1e-9
 
-_STATE = fields(
-    torque=6, safety=3, good=6, weight=6, held=(), at_limit=(), too_fast=(), unexplained=(), since=(), side=(),
-    ticks=(), first=5, worst=(), command=6, readings=6, anchors=(6, 6), encoders=(),
-)  # fmt: skip
+_STATE = np.dtype([*fields(
+    torque=6, safety=3, good=6, weight=6, held=(), at_limit=(), too_fast=(), since=(), side=(),
+    ticks=(), first=5, worst=(), command=6, readings=6, stood=6, odd=(), fast=(),
+).descr, *EXPLAINED.descr])  # fmt: skip
 """torque: for the motors [N m]. safety: numbers of level in `LEVELS` and monitor in `MONITORS`, leg or -1. good: last
 good command, one that no limit touched [N m]. weight: last torque that carried the robot's weight [N m]. held: ticks of
-holding, less what good ones gave back; while stopping, ticks without a measurement. at_limit, too_fast, unexplained:
-ticks at the torque limit, of commands that jumped and of innovations that were too large, less good ones. since: ticks
-of ramp and safe hold. side: sign of the rods' determinant at the start, 0 before the first tick. ticks: done. first:
-monitor, level, leg, tick and cause in `FAILURES` of the first trip, zeros before. worst: highest level so far. command:
-that of the last tick, if it was finite [N m]. readings, anchors, encoders: see `_frozen`."""
+holding, less what good ones gave back; while stopping, ticks without a measurement. at_limit, too_fast, odd, fast:
+ticks at the torque limit, of commands that jumped, of residuals that were too large, and of a stop that runs away, less
+good ones. since: ticks of ramp and safe hold. side: sign of the rods' determinant at the start, 0 before the first
+tick. ticks: done. first: monitor, level, leg, tick and cause in `FAILURES` of the first trip, zeros before. worst:
+highest level so far. command: that of the last tick, if it was finite [N m]. readings, stood: last pose read, and the
+reference when it came [rad, m]. The rest: see `EXPLAINED`."""
 
 GOES_ON, BLIND, RUNAWAY, HELD = range(4)  # How a tick ends: in the last three the run is over.
 
@@ -44,7 +55,6 @@ NOT_THERE = {
     "sensor_health": np.array(HEALTHY),
     "controller_health": np.array(HEALTHY),
     "angles": np.full(6, np.nan),
-    "innovation": np.full(6, np.nan),
     "pose_reading": np.full(12, np.nan),
 }
 """What stands at a port for which a loop has no signal."""
@@ -79,49 +89,19 @@ def _unusable(setup: Any, command: Any, is_measured: bool, age: float, sensor: A
     return (limits.READING, int(sensor[1]), 0) if stuck else (QUIET, -1, 0)
 
 
-_NOTHING_FROZEN = -2
-
-
 @njit
-def _frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, state: Any, legs: Any) -> int:
-    """Looks for a reading that stays the same while things move: its leg, -1 for a pose, or `_NOTHING_FROZEN`.
-
-    Its sensor is frozen, or friction holds what it reads: nobody can tell which, nor while the robot stands still. A
-    crank that friction holds where it turns back does not count: it stands about where it is wanted. The state has the
-    `readings` (6,) before; for each what it is compared with as it was when the reading changed, in `anchors` (6, 6).
-    """
-    if state.encoders == 0.0 and np.isfinite(angles).any():
-        state.encoders = 1.0
-    if state.encoders == 0.0:
-        if not (pose == state.readings).all():
-            copy_to(state.anchors[0], reference)
-        copy_to(state.readings[:], pose)
-        return -1 if (np.abs(reference - state.anchors[0]) > setup.frozen_pose).any() else _NOTHING_FROZEN
-    limit, leg, farthest = setup.frozen_encoder, _NOTHING_FROZEN, 0.0
-    for i in range(6):
-        # NaN never equals itself; the monitor `measurement_not_finite` looks for it.
-        if angles[i] != state.readings[i]:
-            copy_to(state.anchors[i], angles)
-        # How far the last but one has turned: one that jumps would make all that stand still look frozen.
-        most, travel = 0.0, 0.0
-        for k in range(6):
-            moved = abs(angles[k] - state.anchors[i, k])
-            moved = moved if moved < np.inf else np.inf
-            most, travel = max(most, moved), max(travel, min(most, moved))
-        if max(limit, farthest) < travel < np.inf:
-            # Within a quarter of the limit of where it is wanted a crank stands; out of reach nobody can say.
-            laws.legs_at(robot, reference, legs)
-            off = angles[i] - np.arctan2(legs.sine[i], legs.cosine[i])
-            if legs.reach[i] < 0.0 or abs((off + np.pi) % (2.0 * np.pi) - np.pi) > 0.25 * limit:
-                leg, farthest = i, travel
-    copy_to(state.readings[:], angles)
-    return leg
+def _pose_stuck(setup: Any, pose: Any, reference: Any, state: Any) -> bool:
+    """Whether a measured pose (6,) stays the same to the last bit while the reference moves on."""
+    if not (pose == state.readings).all():
+        copy_to(state.stood[:], reference)
+    copy_to(state.readings[:], pose)
+    return (np.abs(reference - state.stood) > setup.frozen_pose).any()
 
 
 @njit
 def _tick(
-    robots: Any, setups: Any, command: Any, measurement: Any, reference: Any, age: Any, sensor: Any, controller: Any,
-    angles: Any, innovation: Any, pose_reading: Any, own: Any, leg_records: Any, observations: Any, states: Any,
+    robots: Any, setups: Any, own: Any, command: Any, measurement: Any, reference: Any, age: Any, sensor: Any,
+    controller: Any, angles: Any, pose_reading: Any, leg_records: Any, observations: Any, states: Any,
 ) -> Any:  # fmt: skip
     """One tick; `own` (2,): a user's monitor that trips, its leg. GOES_ON, BLIND, RUNAWAY or HELD; fastest crank."""
     robot, setup, legs, observed, state = (
@@ -129,9 +109,11 @@ def _tick(
     )  # fmt: skip
     pose, rate, wanted, health = measurement[:6], measurement[6:], reference[:6], sensor.copy()
     read = pose_reading[:6] if pose_reading[0] == pose_reading[0] else pose
-    leg = _frozen(robot, setup, angles, read, wanted, state, legs)
-    if leg != _NOTHING_FROZEN:
-        health[0], health[1] = FROZEN, leg
+    explain(robot, setup, angles, read, state.torque, state.ticks == 0.0, state, legs)
+    odd = is_odd(setup, state)
+    state.odd = _counted(state.odd, odd)
+    if state.encoders == 0.0 and _pose_stuck(setup, read, wanted, state):
+        health[0], health[1] = FROZEN, -1.0
     state.ticks += 1.0
     is_measured = all_finite(rate) and all_finite(pose + setup.horizon * rate)
     is_observed = is_measured and health[0] == 0.0
@@ -144,10 +126,12 @@ def _tick(
         if observed.reached > 0.0 and far and static_torque(robot, legs, setup.gravity, torque):
             copy_to(state.weight[:], torque)
     if state.safety[0] >= RAMP:
-        return _stop(setup, is_observed, observed, state)
+        return _stop(setup, is_observed, odd, angles, state)
     monitor, level, leg, cause = QUIET, RAMP, -1, 0
     if is_observed:
         monitor, leg = limits.broken(observed)
+    if monitor == QUIET and state.odd > setup.blow:
+        monitor = limits.UNEXPLAINED
     if monitor == QUIET:
         level = HOLD
         monitor, leg, cause = _unusable(setup, command, is_measured, age[0], health, controller)
@@ -156,20 +140,23 @@ def _tick(
         if is_observed and own[0] > 0.0:
             monitor, leg = int(own[0]), int(own[1])
         else:
-            monitor, leg = _pass_on(setup, command, innovation, state)
+            monitor, leg = _pass_on(setup, command, state)
     if monitor == QUIET:
         return GOES_ON, 0.0
     # Holds where that may still be done, else begins to ramp.
     state.held += 1.0
     if level == HOLD and state.held > setup.budget:
         level = RAMP
+    if level == RAMP:
+        suspect = mark_suspects(state, leg if monitor == limits.SENSOR else -1, odd)
+        leg = suspect if suspect >= 0 else leg
     state.safety[0], state.safety[1], state.safety[2] = level, monitor, leg
     state.worst = max(state.worst, float(level))
     if state.first[0] == 0.0:
         first = state.first
         first[0], first[1], first[2], first[3], first[4] = monitor, level, leg, state.ticks - 1.0, cause
     if level == RAMP:
-        return _stop(setup, is_observed, observed, state)
+        return _stop(setup, is_observed, odd, angles, state)
     copy_to(state.torque[:], _led(setup, state.good[:], state))
     return GOES_ON, 0.0
 
@@ -180,26 +167,17 @@ def _counted(ticks: float, bad: bool) -> float:
 
 
 @njit
-def _pass_on(setup: Any, command: Any, innovation: Any, state: Any) -> tuple[int, int]:
+def _pass_on(setup: Any, command: Any, state: Any) -> tuple[int, int]:
     """Passes a command on within the limits; a monitor that finds this has gone on for too long, and its leg."""
-    size, change, limit, largest = np.abs(command), np.abs(command - state.command), setup.torque_limit, 0.0
+    size, change, limit = np.abs(command), np.abs(command - state.command), setup.torque_limit
     full = (size >= limit * (1.0 - _ROUNDING)).any()
     steep = (change > _largest_change(setup, state) * (1.0 + _ROUNDING)).any()
-    for i in range(6):
-        # NaN is never larger.
-        if abs(innovation[i]) > largest:
-            largest = abs(innovation[i])
-    # [rad/s^2] of a crank that the largest innovation speaks of, beyond noise.
-    acceleration = (largest - setup.innovation_noise) / setup.innovation_scale
     state.at_limit, state.too_fast = _counted(state.at_limit, full), _counted(state.too_fast, steep)
-    state.unexplained = _counted(state.unexplained, acceleration > setup.innovation)
     copy_to(state.command[:], command)
     if state.at_limit * setup.period > limits.AT_LIMIT_TIME + _ROUNDING:
         return limits.TORQUE_LIMIT, (size / limit).argmax()
     if state.too_fast * setup.period > limits.TOO_FAST_TIME + _ROUNDING:
         return limits.TORQUE_RATE, change.argmax()
-    if state.unexplained * setup.period > limits.UNEXPLAINED_TIME + _ROUNDING:
-        return limits.INNOVATION, -1
     # Led after it, a command that chatters would leave a mean torque that nobody asked for.
     torque = state.good.copy() if steep else np.minimum(np.maximum(command, -limit), limit)
     led = _led(setup, torque, state)
@@ -228,68 +206,85 @@ def _led(setup: Any, torque: Any, state: Any) -> Any:
 
 
 @njit
-def _stop(setup: Any, is_observed: bool, observed: Any, state: Any) -> Any:
-    """Ramp and safe hold: from the last good command to the weight's torque, damped from the first tick on."""
+def _stop(setup: Any, is_observed: bool, odd: bool, angles: Any, state: Any) -> Any:
+    """Ramp and safe hold: from the last good command to the weight's torque, damped from the first tick on.
+
+    All ways of moving die away alike, in `setup.stopping`. A leg whose reading is suspect is damped by the speed that
+    torques alone say it has. That is good for a short time, as is a robot with a motor that fails.
+    """
     state.since += 1.0
-    if not is_observed and state.held >= setup.budget:
+    if not state.suspect.any():
+        leg = mark_suspects(state, -1, odd)
+        state.safety[2] = leg if state.safety[2] < 0.0 else state.safety[2]
+    is_seen = is_observed or np.isfinite(angles).sum() >= 5
+    if not is_seen and state.held >= setup.budget:
         # Nobody can hold this robot without seeing it: an open loop falls over within half a second.
         return BLIND, 0.0
-    speed, elapsed, limit = np.zeros(6), state.since * setup.period, setup.most_torque
-    if is_observed and observed.reached > 0.0:
-        copy_to(speed, observed.speed[:])
-    fastest = 0.0
-    for i in range(6):
-        fastest = max(fastest, abs(speed[i]))
-    if fastest > setup.most_speed:
+    brake, elapsed, limit = np.zeros((6, 1)), state.since * setup.period, setup.most_torque
+    fastest = speeds_to_stop(state, brake[:, 0])
+    state.fast = _counted(state.fast, fastest > setup.most_speed)
+    if state.fast * setup.period > limits.RUNAWAY_TIME + _ROUNDING:
         return RUNAWAY, fastest
-    if elapsed > setup.ramp_time + setup.safe_hold_time + _ROUNDING:
+    is_whole = not state.suspect.any()
+    hold = setup.ramp_time + setup.safe_hold_time if is_whole else setup.suspect_hold_time
+    if elapsed > hold + _ROUNDING:
         return HELD, 0.0
-    share = min(1.0, elapsed / setup.ramp_time)
-    wanted = (1.0 - share) * state.good + share * state.weight - setup.damping * speed
+    # A command that came from a wrong reading is not led on. The inertia of the cranks makes a torque of a speed.
+    share = min(1.0, elapsed / setup.ramp_time) if is_whole else 1.0
+    wanted = (1.0 - share) * state.good + share * state.weight
+    if is_seen and solve(state.mobility.copy(), brake) != 0.0 and all_finite(brake[:, 0]):
+        # Of a crank that may have lost its rod nothing says how much it bears.
+        wanted -= np.where(state.suspect == MOTOR_WEAK, 0.0, brake[:, 0]) / setup.stopping
+    motor_torques(state, wanted)
     copy_to(state.torque[:], _led(setup, np.minimum(np.maximum(wanted, -limit), limit), state))
-    state.safety[0] = SAFE_HOLD if share >= 1.0 else RAMP
+    state.safety[0] = SAFE_HOLD if elapsed >= setup.ramp_time else RAMP
     state.worst = max(state.worst, state.safety[0])
-    state.held = 0.0 if is_observed else state.held + 1.0
+    state.held = 0.0 if is_seen else state.held + 1.0
     return GOES_ON, 0.0
 
 
-def safety_part(options: SafetyOptions, setup: Setup, innovation_scale: tuple[float, float] = (0.0, 1.0)) -> Part:
+def safety_part(options: SafetyOptions, setup: Setup) -> Part:
     """The safety layer; ports for which a loop may have no signal read `NOT_THERE`, unless `reads` is replaced.
 
-    Where the very first command is bad, `setup.initial_torque` is held; for `innovation_scale` see `EstimatorOptions`.
+    Where the very first command is bad, `setup.initial_torque` is held.
     """
     robot, period = setup.robot, setup.period
-    numbers = limits.setup_of(robot, options, setup.gravity, period, setup.sensors.quantum, innovation_scale)
-    held, none = dict.fromkeys(("torque", "good", "weight", "command"), setup.initial_torque), np.full((6, 6), np.nan)
-    first = new_record(_STATE, **held, safety=(NONE, QUIET, -1.0), readings=none[0], anchors=none)
-    own, nothing, law = laws.robot_record(robot), np.zeros(2), cast(Any, _tick)
-    legs, observed = np.empty(1, laws.LEGS), np.empty(1, OBSERVED)
-
-    def tick(*ports: np.ndarray) -> None:
-        *inputs, state = ports
-        trip = None
-        if options.monitors and np.isfinite(inputs[1]).all():
-            command, measured, wanted, age, sensor, controller, *_ = inputs
-            health = tuple(sensor), tuple(controller)
-            trip = options.first_own(
-                SafetyInputs(command, measured[:6], measured[6:], wanted[:6], float(age[0]), *health)
-            )
-        asked = nothing if trip is None else np.array(trip, dtype=float)
-        status, fastest = law(own, numbers, *inputs, asked, legs, observed, state)
-        if status != GOES_ON:
-            raise _stopped(options, period, status, fastest, state)
-
-    sizes = {"command": 6, "measurement": 12, "reference": 18} | {name: len(each) for name, each in NOT_THERE.items()}
-    return Part("safety", tick, {}, sizes, ("torque", "safety"), first, connections=NOT_THERE)
+    params = limits.setup_of(robot, options, setup.gravity, period, setup.noise, setup.friction, setup.viscous)
+    held = dict.fromkeys(("torque", "good", "weight", "command", "sent"), setup.initial_torque)
+    unread = dict.fromkeys(("readings", "stood", "angles", "poses"), np.nan)
+    first = new_record(_STATE, **held, **unread, safety=(NONE, QUIET, -1.0))
+    kernel: Any = _tick
+    constants: dict[str, Any] = {"robot": laws.robot_record(robot), "params": params, "own": np.zeros(2)}
+    if options.monitors:
+        kernel, constants = _tick_with_monitors, {**constants, "options": options}
+    inputs = {"command": 6, "measurement": 12, "reference": 18} | {name: len(each) for name, each in NOT_THERE.items()}
+    error = partial(_stopped, options, period)
+    part = Part("safety", kernel, constants, inputs, ("torque", "safety"), first, (laws.LEGS, OBSERVED), error)
+    return part._replace(connections=NOT_THERE)
 
 
-def _stopped(options: SafetyOptions, period: float, status: int, fastest: float, state: np.ndarray) -> SafetyStop:
+def _tick_with_monitors(
+    robots: np.ndarray, params: np.ndarray, own: np.ndarray, options: SafetyOptions, *arguments: np.ndarray
+) -> Any:
+    """`_tick` with what the first of a user's monitors that trips says, if any."""
+    command, measured, wanted, age, sensor, controller, *_ = arguments
+    own[:] = 0.0
+    if np.isfinite(measured).all():
+        health = tuple(sensor), tuple(controller)
+        trip = options.first_own(SafetyInputs(command, measured[:6], measured[6:], wanted[:6], float(age[0]), *health))
+        own[:] = own if trip is None else trip
+    return cast(Any, _tick)(robots, params, own, *arguments)
+
+
+def _stopped(options: SafetyOptions, period: float, result: Any, arguments: Mapping[str, Any]) -> SafetyStop:
+    (status, fastest), state = result, arguments["state"]
     names, (_, monitor, leg) = options.monitor_names, state["safety"][0]
     name = names[int(monitor)]
+    hold = limits.SUSPECT_HOLD if state["suspect"].any() else options.safe_hold_time
     what = {
         BLIND: "stopped: no measurement to hold the robot by",
         RUNAWAY: f"stopping, but a crank turns at {fastest:.3g} rad/s",
-        HELD: f"stopped, and held for {options.safe_hold_time:g} s",
+        HELD: f"stopped, and held for {hold:g} s",
     }[status]
     text = "; ".join(filter(None, (MEANINGS.get(name), what)))
     if status != HELD:

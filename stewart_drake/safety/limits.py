@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import reprlib
+from collections.abc import Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -14,20 +15,24 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import UserMade
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
-from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque
-from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.mechanics.dynamics import inverse_dynamics, pose_acceleration_map, static_torque
+from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.mechanics.linear_algebra import copy_to, solve
 from stewart_drake.registry import OWN_MONITORS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, TORQUE
+from stewart_drake.safety.residual import ALONE, LONGEST_HALF
 
 MONITORS = (
     "none", "measurement_not_finite", "sensor_failed", "controller_failed", "command_not_finite", "deadline",
     "workspace", "serial_singularity", "parallel_singularity", "crank_speed", "following_error", "torque_limit",
-    "torque_rate", "innovation", "reading_stuck",
+    "torque_rate", "innovation", "reading_stuck", "unexplained_torque",
 )  # fmt: skip
-"""Stable names of the monitors, by their number in the log: new ones come last."""
-MEANINGS = {"reading_stuck": "a sensor repeats itself, or friction holds what it reads"}
+"""Stable names of the monitors, by their number in the log: new ones come last. `innovation` is in old logs alone."""
+MEANINGS = {
+    "reading_stuck": "a sensor repeats itself",
+    "unexplained_torque": "a reading or a motor is wrong, or load and friction exceed safety.unexplained_torque",
+}
 """What a name leaves open, for the message of a run that the monitor ends."""
 
 HOLD_TIME = 0.03  # [s] for which the last good command is repeated at most.
@@ -43,15 +48,13 @@ class SafetyOptions(Section, key="safety"):
 
     deadline: Annotated[Natural, Field(le=1000)] | None = 2
     """[ticks] longest time without a new command; a constant `command_delay` does not count."""
-    frozen_encoder: Positive | None = 0.04
-    """[rad] turn of two other cranks (plus 50 counts) after which an encoder that repeats its reading to the last bit
-    is frozen. Its crank must also be a quarter of this from its reference; friction can hold one that is nearer."""
+    unexplained_torque: Fraction | None = 0.2
+    """[-] share of each motor's limit by which torques may differ from inverse dynamics of the readings: what payload,
+    pushes and friction that is not compensated take. A fifth of it counts where the difference is that of one or
+    two legs alone; a blow of 5 ms passes. It detects wrong readings and motors."""
     frozen_pose: Annotated[PositivePair | None, LENGTH] = (0.01, 0.001)
     """[rad, m] change of the reference on an axis after which a measured pose that repeats to the last bit is frozen;
     for sensors other than encoders."""
-    innovation: Positive | None = 100.0
-    """[rad/s^2] largest crank acceleration that the observer's model does not explain, from its innovations beyond
-    their noise, for more than 10 ms in sum. It detects a lost rod, a dead motor or a wrong encoder."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
     """[-] largest command as a fraction of the motors' limit; commands are cut there. They may be there or beyond for
     0.1 s in sum."""
@@ -77,7 +80,7 @@ class SafetyOptions(Section, key="safety"):
     ramp_time: Positive = 0.02
     """[s] time from the last good command to the safe hold; short, for that command may have been wrong for a while."""
     safe_hold_time: Positive = 0.5
-    """[s] duration of a safe hold, after which the run ends."""
+    """[s] duration of a safe hold, after which the run ends; a stop with a suspect leg ends after 40 ms."""
     monitors: tuple[Annotated[Any, OWN_MONITORS], ...] = ()
     """Your own monitors, each a class by its import path, see `UserMonitor`."""
 
@@ -139,7 +142,7 @@ class UserMonitor(UserMade, key="safety.monitors"):
 
 (
     QUIET, MEASUREMENT, SENSOR, CONTROLLER, COMMAND, DEADLINE, WORKSPACE, SERIAL, PARALLEL, CRANK_SPEED, FOLLOWING,
-    TORQUE_LIMIT, TORQUE_RATE, INNOVATION, READING,
+    TORQUE_LIMIT, TORQUE_RATE, _, READING, UNEXPLAINED,
 ) = range(len(MONITORS))  # fmt: skip
 """Places in `MONITORS`."""
 LIMITS = (
@@ -157,18 +160,29 @@ SMALLEST = 1e-9  # Transmission at a dead centre, for the speed of that crank.
 
 SETUP = fields(
     period=(), gravity=(), horizon=(), home=6,
-    deadline=(), frozen_encoder=(), frozen_pose=6, innovation=(), innovation_noise=(), innovation_scale=(),
+    deadline=(), frozen_pose=6,
     torque_limit=6, torque_change=(), workspace=2, transmission=(), conditioning=(), crank_speed=(),
-    following_error=2, budget=(), ramp_time=(), safe_hold_time=(), damping=(), most_torque=6, most_speed=(),
+    following_error=2, half=(), blow=(), unexplained=6, unexplained_alone=(), viscous=6, lasting=(), inertia=(),
+    follow=2, most_correction=2, impossible=(), remembered=(), budget=(), ramp_time=(), safe_hold_time=(),
+    suspect_hold_time=(), stopping=(), most_torque=6, most_speed=(),
 )  # fmt: skip
-"""`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], what the innovation's
-noise is [rad] and what an acceleration leaves in it [s^2], torque_change: in a tick [N m], budget: ticks that may be
-held, damping of each crank of a robot that stops [N m s/rad], most_torque of it [N m], most_speed: at which it is given
-up [rad/s]."""
-AT_LIMIT_TIME, TOO_FAST_TIME, UNEXPLAINED_TIME = 0.1, 0.01, 0.01
-"""[s] for which, in sum, commands may be at the torque limit or jump, and innovations be too large: a blow passes. Good
-ticks take away from the sum."""
-DAMPING = 0.7  # Of what a crank alone, its rod broken off, bears in torques held over a period.
+"""`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], torque_change: in a
+tick [N m]. Of the residual half: of its window [ticks], blow: ticks for which one shows, unexplained, also of a leg or
+two alone [N m], viscous: friction that is compensated [N m s/rad], lasting: share of a tick, inertia: of a crank [kg
+m^2]. For `residual._follow` follow: bandwidth, most_correction and impossible: change of a crank's speed in a tick
+[rad/s], remembered: ticks for which that counts. budget: ticks that may be held, suspect_hold_time: of a stop with a
+suspect leg [s], stopping: time constant of a stop [s], most_torque of it [N m], most_speed: at which it is given up
+[rad/s]."""
+AT_LIMIT_TIME, TOO_FAST_TIME = 0.1, 0.01
+"""[s] for which, in sum, commands may be at the torque limit, or jump. Good ticks take away from the sum."""
+RUNAWAY_TIME = 0.005
+"""[s] for which a crank of a robot that stops may turn too fast: a reading may jump."""
+BLOW = 0.005  # [s] that a blow lasts at most, as `disturbances` has it.
+SIGMAS = 8.0  # Of noise in a residual that its bound leaves room for: its window is so long.
+LASTING, REMEMBERED = 0.01, 0.05  # [s] of a change that lasts, and for which a jump of a reading counts; assumed.
+FOLLOW, CORRECTION = (150.0, 10.0), 0.3  # [rad/s] bandwidths; most that the slow one is corrected by; assumed.
+STOPPING, STOPPING_TICKS = 0.008, 4.0  # [s], [ticks] time constant of a stop: the loop has the delay of a tick.
+SUSPECT_HOLD = 0.04  # [s] for which torques alone tell a speed; five time constants of a stop.
 RUNAWAY, FASTEST = 2.0, 15.0  # [-] times the crank speed, or where that is off times this one [rad/s].
 
 OBSERVED = fields(reached=(), side=(), speed=6, least_transmission=(), conditioning=(), margin=(5, 6))
@@ -183,10 +197,16 @@ def setup_of(
     options: SafetyOptions,
     gravity: float,
     period: float,
-    quantum: float = 0.0,
-    innovation_scale: tuple[float, float] = (0.0, 1.0),
+    noise: float = 1e-5,
+    friction: float = 0.0,
+    viscous: Sequence[float] = (0.0,) * 6,
 ) -> np.ndarray:
     """`SETUP` record, see `safety_part`."""
+    bound = (math.inf if options.unexplained_torque is None else options.unexplained_torque) * robot.effort_limits
+    inertia = np.linalg.inv(pose_jacobian(robot, robot.home_pose) @ pose_acceleration_map(robot, robot.home_pose))
+    # A second difference of noise has sqrt(6) times its size, over the square of half the window.
+    largest = np.linalg.norm(inertia, axis=1).max() * math.sqrt(6.0) * noise
+    half = min(LONGEST_HALF, max(2, math.ceil(math.sqrt(SIGMAS * largest / bound.min()) / period)))
     pose, rate, share = options.frozen_pose, options.torque_rate, options.torque_limit
     return new_record(
         SETUP,
@@ -194,17 +214,27 @@ def setup_of(
         period=period,
         gravity=gravity,
         home=robot.home_pose,
-        # A reading in counts stays the same for longer.
-        frozen_encoder=math.inf if options.frozen_encoder is None else options.frozen_encoder + 50.0 * quantum,
         frozen_pose=math.inf if pose is None else np.repeat(pose, 3),
-        innovation_noise=innovation_scale[0],
-        innovation_scale=innovation_scale[1],
         torque_limit=(math.inf if share is None else share) * robot.effort_limits,
         torque_change=math.inf if rate is None else rate * period,
         transmission=-math.inf if options.transmission is None else options.transmission,
         conditioning=-math.inf if options.conditioning is None else options.conditioning,
+        half=half,
+        blow=BLOW / period + 2.0 * half + 1e-6,
+        unexplained=bound + friction,
+        # Of friction a single motor may have all.
+        unexplained_alone=ALONE * bound.min() + friction,
+        viscous=viscous,
+        inertia=inertia.diagonal().min(),
+        lasting=min(0.5, period / LASTING),
+        # Of a slow controller the bandwidths are those that its ticks bear.
+        follow=(min(FOLLOW[0], 0.3 / period), min(FOLLOW[1], 0.02 / period)),
+        most_correction=(math.inf, CORRECTION),
+        impossible=FASTEST + 12.0 * noise / period,
+        remembered=REMEMBERED / period,
+        suspect_hold_time=SUSPECT_HOLD,
+        stopping=max(STOPPING, STOPPING_TICKS * period),
         budget=options.budget(period),
-        damping=DAMPING * 2.0 * float(robot.crank_axis_inertias.min()) / period,
         most_torque=(1.0 if share is None else share) * robot.effort_limits,
         most_speed=RUNAWAY * (FASTEST if options.crank_speed is None else options.crank_speed),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations, product
@@ -13,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.config import Flag, NotNegative, Section, Text, Vector6
-from stewart_drake.errors import UnreachablePoseError
+from stewart_drake.errors import StewartDrakeError, UnreachablePoseError
 from stewart_drake.files.yaml_files import parse_yaml
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import Column
@@ -21,6 +22,7 @@ from stewart_drake.logs.metrics import columns as run_columns
 from stewart_drake.logs.outcomes import pose_distance
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import twist_jacobian
+from stewart_drake.plant.closed_chain import ClosedChain
 from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.safety import RAMP
 from stewart_drake.scenario import Scenario, load_scenario
@@ -103,10 +105,10 @@ COLUMNS = (
     Column("safety_cause", "", "cause of the trip, if an estimator or controller failed", "text"),
     Column("safety_leg", "", "leg 0..5 of the trip", "whole"),
     Column("latency_ms", "ms", "time from the fault to the trip"),
-    Column("peak_error_deg", "deg", "largest rotation error after the fault, while the controller is in charge"),
-    Column("peak_error_mm", "mm", "largest position error, likewise"),
-    Column("travel_deg", "deg", "largest rotation after the safety layer took over"),
-    Column("travel_mm", "mm", "largest distance moved, likewise"),
+    Column("travel_deg", "deg", "see `travel`, of the rotation"),
+    Column("travel_mm", "mm", "of the position likewise"),
+    Column("stop_deg", "deg", "the same of a plain stop at the onset, with sensors that work"),
+    Column("stop_mm", "mm", "likewise"),
     Column("peak_torque", "N m", "largest motor torque after the fault, within its limit"),
     *_HELD,
 )
@@ -161,11 +163,6 @@ def measure_fault(log: SimulationLog, fault: Fault) -> Row:
     trip = log.safety or dict.fromkeys(("cause", "leg", "time"))
     # Rows at which a log stands are those of the safety layer's ticks.
     after = log.time >= fault.since - 1e-9
-    taken = log["safety"][:, 0] >= RAMP if "safety" in log.signals else np.zeros(len(log.time), dtype=bool)
-    turned, moved = pose_distance(log["pose"], log["reference"])
-    charge = after & ~taken
-    left = log["pose"][int(taken.argmax()) if taken.any() else len(taken) :]
-    angle, way = pose_distance(left, left[:1])
     if log.safety is not None:
         # The layer gave up, or the plant broke under it: a crank that has lost its rod may spin up to that.
         reaction = "ended" if log.status == "failed" else _WORST[log.safety["worst"]]
@@ -173,7 +170,7 @@ def measure_fault(log: SimulationLog, fault: Fault) -> Row:
         reaction = "broke"
     else:
         allowed = log.scenario.safety and log.scenario.safety.following_error
-        far = allowed and (turned[charge].max() > allowed[0] or moved[charge].max() > allowed[1])
+        far = allowed and (np.array(travel(log, fault.since)) > allowed).any()
         reaction = "unnoticed" if far else "ridden through"
     return {
         **measure(log),
@@ -181,13 +178,61 @@ def measure_fault(log: SimulationLog, fault: Fault) -> Row:
         "safety_cause": trip["cause"],
         "safety_leg": trip["leg"],
         "latency_ms": None if trip["time"] is None else 1e3 * (trip["time"] - fault.since),
-        "peak_error_deg": _peak(np.degrees(turned[charge])),
-        "peak_error_mm": _peak(1e3 * moved[charge]),
-        "travel_deg": _peak(np.degrees(angle)),
-        "travel_mm": _peak(1e3 * way),
+        **_travels(log, fault.since),
         "peak_torque": _peak(np.abs(log["torque_applied"][after])),
         **_held(log),
     }
+
+
+BRAKES, AT_REST = 0.05, 1e-3
+"""[s] that brakes take to close, assumed; [rad/s] crank speed below which a robot is at rest."""
+
+
+def travel(log: SimulationLog, since: float) -> tuple[float, float]:
+    """How far the platform truly goes from where it should be [rad, m], from a time [s] until all is at rest.
+
+    Where it should be is the reference while the controller is in charge, and then where that was when the safety layer
+    took over. After the end of a run that the layer or the plant ended, brakes close: each holds its crank by dry
+    friction as large as the motor's limit. The motors hold until then, or are off where the layer gave up.
+    """
+    pose, wanted = log["pose"], log["reference"].copy()
+    if "safety" in log.signals and (taken := log["safety"][:, 0] >= RAMP).any():
+        wanted[taken] = wanted[int(taken.argmax())]
+    if log.status in ("stopped", "failed"):
+        braked = _braked(log)
+        pose, wanted = np.concatenate([pose, braked]), np.concatenate([wanted, np.tile(wanted[-1], (len(braked), 1))])
+    counted = np.append(log.time, np.full(len(pose) - len(log.time), np.inf)) >= since - 1e-9
+    turned, moved = pose_distance(pose[counted], wanted[counted])
+    return float(turned.max(initial=0.0)), float(moved.max(initial=0.0))
+
+
+def _braked(log: SimulationLog) -> np.ndarray:
+    """Poses (n, 6) after a run's end, without torque from the motors, until brakes have brought the robot to rest."""
+    scenario, step, robot, poses = log.scenario, log.scenario.plant.time_step, log.scenario.robot, []
+    open_for = 0 if log.status == "stopped" else round(BRAKES / step)
+    brakes = {"motor_friction": 0.0, "motor_damping": 0.0, "friction": {"coulomb": robot.effort_limits.tolist()}}
+    closed = scenario.replace({f"plant.{key}": value for key, value in brakes.items()}).plant
+    free, held = (ClosedChain(robot, each, scenario.gravity) for each in (scenario.plant, closed))
+    state, nothing = free.initial(log["pose"][-1], log["pose_rate"][-1]), np.zeros(6)
+    with suppress(StewartDrakeError):
+        for tick in range(open_for + round(0.5 / step)):
+            if tick >= open_for and (np.abs(state["crank_rate"]) < AT_REST).all():
+                break
+            (held if tick >= open_for else free).step(nothing, nothing, state)
+            poses.append(state["pose"][0].copy())
+    return np.array(poses).reshape(-1, 6)
+
+
+def stopped_at(scenario: Scenario, onset: float) -> Scenario:
+    """The same run with sensors that work and a plain stop at a time [s]: a command that is none is not held."""
+    changes: dict[str, Any] = {"link": {"faults": [{"kind": "nan", "time": onset}]}, "safety.hold_ticks": 0}
+    return scenario.replace({**changes, "sensors.faults": []})
+
+
+def _travels(log: SimulationLog, since: float) -> Row:
+    stop = simulate_unchecked(stopped_at(log.scenario, since))
+    ends = np.array([travel(log, since), travel(stop, since)]) * (np.degrees(1.0), 1e3)
+    return dict(zip(("travel_deg", "travel_mm", "stop_deg", "stop_mm"), ends.ravel().tolist(), strict=True))
 
 
 def _peak(values: np.ndarray) -> float | None:
@@ -250,8 +295,10 @@ PAGE = """# Fault table
 {runs} runs of {duration:g} s; faults begin at {onset:g} s, or from the start. The
 exact-model LQI at 1 kHz behind the safety layer with its defaults. In brackets: monitor, latency, leg;
 after the colon: the outcome of the run, and its warnings.
-Peak error: how far the true pose was from the reference while the controller was in charge. Travel: how far
-it moved after the safety layer took over. Both are the worst of the motions.
+Travel: how far the true pose went from the reference, or from where that stood when the safety layer took over, until
+all was at rest. A run that the layer ended is followed until brakes hold every crank: they close at the end of a safe
+hold, or, where the motors were switched off, 50 ms later, with the motors' limit as dry friction. Stop at onset: the
+travel of a plain stop in the tick of the fault, with sensors that work. Both are the worst of the motions.
 
 {table}
 With a dead motor, the wrench that the other five can hold at rest:
@@ -278,15 +325,14 @@ def sheet(rows: Sequence[Row]) -> Sheet:
 
 
 _FIGURES = {
-    "peak error": {"peak_error_deg": "deg", "peak_error_mm": "mm"},
     "travel": {"travel_deg": "deg", "travel_mm": "mm"},
-    "peak torque": {"peak_torque": "N m"},
+    "stop at onset": {"stop_deg": "deg", "stop_mm": "mm"},
 }
 
 
 def _largest(rows: Sequence[Row], units: Mapping[str, str]) -> str:
     values = {name: [row[name] for row in rows if row.get(name) is not None] for name in units}
-    return ", ".join(f"{max(each):.2f} {units[name]}" for name, each in values.items() if each) or "-"
+    return ", ".join(f"{max(each):.1f} {units[name]}" for name, each in values.items() if each) or "-"
 
 
 def _end(row: Row, fault: Fault) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
+import logging
 import os
 import socket
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,16 @@ import numpy as np
 from stewart_drake.control.features import CostScales
 from stewart_drake.errors import ConfigurationError, RunFailure, raised_at
 from stewart_drake.files.code import file_digests, trusting_code
-from stewart_drake.files.whole import NOT_FINITE, checksum, locked_folder, plain_json, write_atomically
+from stewart_drake.files.whole import (
+    NOT_FINITE,
+    checksum,
+    locked_folder,
+    plain_json,
+    seal,
+    told_of_disk,
+    unseal_json,
+    write_atomically,
+)
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import MetricError, columns, error_norms, flat, run_cost, run_metrics
 from stewart_drake.logs.versions import collect_versions
@@ -187,7 +196,10 @@ def sine_response(
 
 
 class KeptRuns:
-    """Rows of runs in a folder, which is this process's alone within the context: a line each, known by a digest."""
+    """Rows of runs in a folder, which is this process's alone within the context: a sealed line each.
+
+    A line begins with the digest of what is done. One that was damaged, or never finished, is run again.
+    """
 
     def __init__(
         self,
@@ -209,15 +221,17 @@ class KeptRuns:
             if self._restart:
                 for name in (ROWS, HEADER):
                     (self.folder / name).unlink(missing_ok=True)
-            self._refuse_another()
-            write_atomically(self.folder / HEADER, (json.dumps(self._identity, indent=1) + "\n").encode())
-            self._stream = opened.enter_context((self.folder / ROWS).open("a+b", buffering=0))
-            self._stream.seek(0)
-            content = self._stream.read()
-            # A last line that is not finished is that of a process which was killed.
-            end = content.rfind(b"\n") + 1
-            self._stream.truncate(end)
-            self._kept = {row.pop("key"): row for row in map(json.loads, content[:end].splitlines())}
+            path = self.folder / ROWS
+            lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
+            rows = list(_intact(lines))
+            self._kept = {key: row for key, row, _ in rows}
+            self._refuse_another(bool(lines))
+            write_atomically(self.folder / HEADER, (json.dumps(seal(self._identity), indent=1) + "\n").encode())
+            if len(rows) < len(lines):
+                bad = f"stewart-drake: {path}: {len(lines) - len(rows)} of {len(lines)} rows are damaged and run again"
+                logging.getLogger("stewart_drake").warning(bad)
+                write_atomically(path, b"".join(line for *_, line in rows))
+            self._stream = opened.enter_context(path.open("ab", buffering=0))
             self._open = opened.pop_all()
         return self
 
@@ -225,13 +239,16 @@ class KeptRuns:
         self._open.__exit__(*details)
 
     def rows(self, keys: Sequence[Key], task: Callable[[Key], Task]) -> list[Row]:
-        digests = {key: checksum([self._digest, key]) for key in keys}
+        digests = {key: f"{self._digest}/{key}" for key in keys}
         missing = [key for key in digests if digests[key] not in self._kept]
         self._done += len(keys) - len(missing)
         self._progress(float(self._done))
 
         def keep(key: Key, row: Row) -> None:
-            self._stream.write(json.dumps({"key": digests[key], **row}, allow_nan=False).encode() + b"\n")
+            line = json.dumps(seal({"key": digests[key], **row}), allow_nan=False).encode() + b"\n"
+            with told_of_disk(str(self.folder / ROWS)):
+                while line:
+                    line = line[self._stream.write(line) :]
             self._kept[digests[key]] = row
             self._done += 1
             self._progress(float(self._done))
@@ -242,16 +259,26 @@ class KeptRuns:
         run_jobs(missing, lambda key: (execute, (task(key),)), keep, self._workers, died)
         return [self._kept[digests[key]] for key in keys]
 
-    def _refuse_another(self) -> None:
+    def _refuse_another(self, begun: bool) -> None:
         header = self.folder / HEADER
         try:
-            there = header.exists() or (self.folder / ROWS).exists()
-            unlike = _unequal(json.loads(header.read_bytes()), self._identity) if there else []
-        except (OSError, ValueError):
-            unlike = [f"{HEADER}, which cannot be read"]
+            content = header.read_bytes() if begun or header.exists() else None
+            unlike = [] if content is None else _unequal(unseal_json(content, HEADER, "a study"), self._identity)
+        except (OSError, ConfigurationError):
+            # The rows know too what they are of.
+            own = any(key.startswith(self._digest) for key in self._kept)
+            unlike = [] if own else [f"{HEADER}, which cannot be read"]
         if unlike:
             allowed = "a new folder, or one with the same study by the same version; --restart replaces it"
             raise ConfigurationError("--out", str(self.folder), f"{allowed}; it differs in {', '.join(unlike[:5])}")
+
+
+def _intact(lines: Iterable[bytes]) -> Iterator[tuple[str, Row, bytes]]:
+    """Key and row of each line that is as it was written, and the line."""
+    for line in lines:
+        with suppress(ConfigurationError):
+            row = unseal_json(line if line.endswith(b"\n") else b"", ROWS, "a study")
+            yield row.pop("key"), row, line
 
 
 def _unequal(one: Any, other: Any, name: str = "") -> list[str]:
@@ -269,7 +296,7 @@ def identity(work: Mapping[str, Any], scenarios: Iterable[Scenario] = ()) -> dic
     return {
         **work,
         "files": file_digests(work),
-        "weights": sorted(hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts),
+        "weights": sorted(map(checksum, texts)),
         "columns": checksum([asdict(column) for column in columns(*scenarios)])[:8],
         "kinds": checksum([each.added_code() for each in REGISTERED])[:8],
         "versions": {name: versions[name] for name in CODE},

@@ -191,6 +191,7 @@ def _own_source() -> str:
 def start_worker(parent: int) -> None:
     """Keeps libraries quiet in this worker, and ends it once the process that started it is gone."""
     _QUIET.enter_context(quiet_libraries())
+    logging.getLogger("stewart_drake").setLevel(logging.ERROR)
 
     def watch() -> None:
         while os.getppid() == parent:

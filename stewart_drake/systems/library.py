@@ -258,8 +258,8 @@ class MotorDrive(ScenarioSystem, part="motors"):
 class SafetyLayer(ScenarioSystem, part="safety"):
     """`safety`, which passes on what may go to the motors.
 
-    command, measurement, reference, age, sensor_health, controller_health, angles, innovation, pose_reading -> torque,
-    safety; a port for which there is no signal may be left alone.
+    command, measurement, reference, age, sensor_health, controller_health, angles, pose_reading -> torque, safety; a
+    port for which there is no signal may be left alone.
     """
 
 

@@ -6,11 +6,10 @@ What is made small is the mean of log J over situations, each kind of them count
 from __future__ import annotations
 
 import dataclasses
-import io
+import json
 import math
 import os
 import time
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import date
@@ -24,7 +23,7 @@ from stewart_drake.control.features import FEATURES, CostScales, features
 from stewart_drake.control.policy import SIZE, Chooser, Layers, Policy, policy_tick
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import checksum, write_atomically
+from stewart_drake.files.whole import LARGEST, checksum, read_checked, seal, unseal_json, write_atomically
 from stewart_drake.jit import njit, record
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario import Scenario
@@ -170,25 +169,18 @@ class State:
     history: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def save(self, file: Path, identity: str) -> None:
-        content = io.BytesIO()
-        np.savez(content, identity=identity, **vars(self))
-        write_atomically(file, content.getvalue())
+        values = {name: np.asarray(value).tolist() for name, value in vars(self).items()}
+        write_atomically(file, json.dumps(seal({"identity": identity, **values})).encode())
 
     @classmethod
     def load(cls, file: Path, identity: str) -> State:
-        try:
-            with np.load(file, allow_pickle=False) as content:
-                values = {name: value if value.ndim else value.item() for name, value in content.items()}
-            own = values.pop("identity")
-            state = cls(**values)
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-            raise ConfigurationError(
-                f"state {file}", str(error), "an unchanged file from `stewart-drake train`"
-            ) from None
-        if own != identity:
+        content = read_checked(file, f"state {file}", LARGEST)
+        values: dict[str, Any] = unseal_json(content, f"state {file}", "`stewart-drake train`; remove it to start anew")
+        if values.pop("identity", None) != identity:
             allowed = "the state of a training with the same options; remove the file to start anew"
             raise ConfigurationError(f"state {file}", "of other options", allowed)
-        return state
+        values |= {name: np.array(value) for name, value in values.items() if isinstance(value, list)}
+        return cls(**values | {"history": values["history"].reshape(-1, 2)})
 
 
 class Training:

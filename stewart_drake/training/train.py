@@ -14,7 +14,7 @@ from stewart_drake.control.network import HIDDEN, INPUTS, OUTPUTS, TunerNetwork
 from stewart_drake.errors import ConfigurationError, installed_with
 from stewart_drake.training.collect import Dataset
 
-with installed_with("torch", "everything but the training of the paper's network does without it"):
+with installed_with("stewart-drake[train]", "everything but the training of the paper's network works without it"):
     import torch
 
 Split = Literal["samples", "runs"]

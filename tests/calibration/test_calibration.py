@@ -216,3 +216,12 @@ def test_another_branch_is_named_and_words_that_are_none(good):
         calibrate(guess, good)
     with pytest.raises(ConfigurationError, match=r"hold: expected .*got 'mass'"):
         calibrate(ROBOT, good, hold=("mass",))
+
+
+def test_a_plan_that_nobody_has_measured_is_no_measurement(tmp_path):
+    plan = tmp_path / "plan.csv"
+    plan.write_text(plan_poses(ROBOT, 20, candidates=100).targets.to_csv())
+    with pytest.raises(
+        ConfigurationError, match=r"plan.csv: expected measured poses, .*; is this a plan, not measured yet"
+    ):
+        calibrate(ROBOT, plan)

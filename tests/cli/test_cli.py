@@ -113,6 +113,10 @@ BAD = [
     ("rum", ["rum", "Did you mean 'run'?"]),
     ("run", ["SCENARIO"]),
     ("run paper_fig7 --ot x", ["--ot", "--out"]),
+    ("run paper_fig7 --set reference.phase=90", ["reference.phase", "6.28319", "did you mean 90 deg?"]),
+    ("run paper_fig7 --set plant.time_step=0.1", ["plant.time_step", "at most 0.01"]),
+    ("run hexadecimal.yaml", ["duration: expected a number [s]"]),
+    (f"run paper_fig7 --set duration=0x{5000 * 'f'}", ["duration: expected a number [s]"]),
     ("run paper_fig8", ["'paper_fig8'", "paper_fig7"]),
     ("run twice.yaml", ["twice.yaml", "line 2", 'duplicate key "duration"']),
     ("run paper_fig7 --set duration", ["--set", "'duration'", "key=value"]),
@@ -120,7 +124,7 @@ BAD = [
     ("run paper_fig7 --set tuner.weights_file=short.json", ["short.json", "hidden_weights", "(10, 12)"]),
     ("run paper_fig7 --out twice.yaml/x", ["--out", "'twice.yaml/x'", "this is a file"]),
     ("write-sdf x.sdf --set robot.rod_lenght=1", ["robot.rod_lenght", "did you mean rod_length?"]),
-    ("train none.parquet", ["none.parquet", "collect"]),
+    pytest.param("train none.parquet", ["none.parquet", "collect"], marks=pytest.mark.torch),
     ("margins --poses 0", ["--poses"]),
     ("check paper_fig7 --out fit.yaml", ["--out needs either --scale or --retime"]),
     ("compare compare.yaml", ["weak, hold, nominal: controller.kpp"]),
@@ -141,6 +145,7 @@ def bad_files(tmp_path, monkeypatch):
     weights = json.loads(default_network_path().read_text())
     files = {
         "twice.yaml": b"duration: 1\nduration: 2\n",
+        "hexadecimal.yaml": b"duration: 0x" + 5000 * b"f",
         "tiny.yaml": b"{scenario: paper_fig7, runs: 4, distributions: {gravity: {kind: uniform, low: 9, high: 10}}}",
         "compare.yaml": b"{scenario: paper_fig7, set: {controller: {kind: pid}}, "
         b"controllers: {weak: {controller.kpp: 20.0}}, references: {hold: {reference: {kind: hold}}}}",

@@ -70,3 +70,14 @@ def test_margins_are_printed_and_written(call, tmp_path):
     assert (folder / "margins.png").read_bytes().startswith(b"\x89PNG")
     least = f"{said['margins']['disk']['all_at_once'][0]:.3g}"
     assert least in next(line for line in out.splitlines() if "disk margin" in line)
+
+
+def test_a_load_that_the_controller_does_not_know_is_checked_too(call):
+    status, out, err = call("check", "exact_fig7", "--set", "plant.payload_mass=300")
+    assert (status, err.count("\n")) == (2, 1)
+    assert "plant_torque" in out
+    assert "breaks the limit torque with 82.37 N m at t = 7.068 s" in err
+    assert "(leg 0 with payload 300 kg)" in err
+    status, out, err = call("check", "exact_fig7", "--set", "plant.payload_mass=1")
+    assert (status, err) == (0, "")
+    assert "payload 1 kg" in " ".join(out.split())

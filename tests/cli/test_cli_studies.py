@@ -31,6 +31,16 @@ def test_a_file_is_run_and_its_tables_are_shown_and_kept(call, tmp_path):
     assert (tmp_path / "runs" / "mine-quick").is_dir()
 
 
+@pytest.mark.slow
+def test_a_study_of_which_every_run_is_refused_ends_with_the_reason_and_status_2(call, tmp_path):
+    far = '{scenario: paper_fig7, runs: 2, distributions: {"reference.amplitude[0]": {kind: grid, values: [2.0, 2.5]}}}'
+    (tmp_path / "far.yaml").write_text(far)
+    status, _, err = call("sweep", "far.yaml", "--workers", 1)
+    assert status == 2
+    assert "every run was refused, the first: reference: breaks the limit " in err
+    assert (tmp_path / "runs" / "far" / "sweep.parquet").exists()
+
+
 TUNE = """
 cost: {position: 0.1}
 tune: {controllers: {weak: {controller.kp: [1.0, 100.0]}}, population: 4, set: {plant.engine: reduced}}

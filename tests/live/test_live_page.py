@@ -3,11 +3,15 @@
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
+
+from stewart_drake.logs.log import load_log
 
 pytestmark = [pytest.mark.long, pytest.mark.xdist_group("browser")]
 CHROMIUM = shutil.which("chromium")
@@ -26,6 +30,9 @@ def browser():
         opened.close()
 
 
+HAS_ROWS = "typeof last !== 'undefined' && last !== null"
+
+
 class Live:
     """A live session started from the shell."""
 
@@ -34,8 +41,8 @@ class Live:
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self.url = re.search(r"http://localhost:\d+/", self.process.stdout.readline())[0]
 
-    def end(self):
-        self.process.send_signal(2)
+    def end(self, number=signal.SIGINT):
+        self.process.send_signal(number)
         status = self.process.wait(20)
         self.process.stdout.close()
         return status
@@ -48,13 +55,18 @@ def live():
     session.end()
 
 
+def opened(browser, url, width=1400):
+    """A tab on a live page that has its first row, and the errors in it; waiting for conditions needs `eval` there."""
+    page, errors = browser.new_page(viewport={"width": width, "height": 1000}, bypass_csp=True), []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(url)
+    wait(page, HAS_ROWS, 60_000)
+    return page, errors
+
+
 @pytest.fixture
 def page(browser, live):
-    page = browser.new_page(viewport={"width": 1400, "height": 1000})
-    errors = []
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    page.goto(live.url)
-    page.wait_for_function("typeof last !== 'undefined' && last !== null", timeout=60_000)
+    page, errors = opened(browser, live.url)
     yield page
     assert errors == []
     page.close()
@@ -80,21 +92,17 @@ def test_a_slider_moves_the_platform_and_stops_at_a_named_limit(page):
 
 def test_a_push_shows_in_the_trace_and_a_dead_motor_in_the_torque(page):
     page.click("#push-plus-X")
-    wait(page, "Math.max(...traces.error.data[1]) > 0.2")
+    wait(page, "Math.max(...traces.error.data[1]) > 0.2e-3")
     page.select_option("#dead", "2")
     wait(page, "last.torque[2] === 0 || last.ended")
     page.click("#reset")
-    page.wait_for_function(
-        "typeof last !== 'undefined' && last !== null && last.time < 20 && !last.ended && last.torque[2] !== 0",
-        timeout=60_000,
-    )
+    wait(page, "last.time < 20 && !last.ended && last.torque[2] !== 0 && document.getElementById('dead').value === ''")
 
 
 def test_smoothness_is_there_where_the_controller_has_a_tuner(browser):
     own = ["plant.engine=reduced", "plant.payload_mass=0.2", "tuner={kind: policy, kappa: 0.5}"]
     session = Live("exact_breathing", *(word for each in own for word in ("--set", each)))
-    page = browser.new_page()
-    page.goto(session.url)
+    page, _ = opened(browser, session.url)
     wait(page, "last && !document.getElementById('kappa-label').hidden", 60_000)
     assert [page.inner_text(f"#{name}-text") for name in ("payload", "kappa")] == ["0.20 kg", "0.5"]
     page.select_option("#controller", "PID of each motor")
@@ -119,20 +127,132 @@ def test_a_second_session_takes_another_port_and_ctrl_c_ends_it(live):
     assert second.end() == 0
 
 
-def test_the_replay_plays_seeks_and_shows_no_controls_of_meshcat(browser, tmp_path):
+def test_a_second_tab_shows_what_is_set_in_the_first(page, browser, live):
+    second, errors = opened(browser, live.url, width=390)
+    page.click("#move")
+    page.select_option("#controller", "computed torque")
+    page.evaluate("""() => { const slider = document.getElementById("payload");
+        slider.value = slider.max; slider.dispatchEvent(new Event("change")); }""")
+    wait(second, "document.getElementById('controller').value === 'computed torque'")
+    wait(second, "!document.getElementById('move').checked")
+    wait(second, "Number(document.getElementById('payload').value) === about.payload_most")
+    assert second.inner_text("#payload-text") == f"{second.evaluate('about.payload_most'):.2f} kg"
+    third, _ = opened(browser, live.url)
+    wait(third, "document.getElementById('controller').value === 'computed torque'")
+    third.click("#reset")
+    wait(page, "document.getElementById('controller').value === 'as in the scenario'")
+    assert second.evaluate("document.documentElement.scrollWidth") <= 390
+    assert errors == []
+    second.close()
+    third.close()
+
+
+def test_the_page_says_when_the_session_is_gone_or_silent_and_when_it_is_back(browser):
+    session = Live("exact_fig7", "--set", "plant.engine=reduced")
+    page, _ = opened(browser, session.url)
+    assert page.is_hidden("#gone")
+    session.process.send_signal(signal.SIGSTOP)
+    wait(page, "document.getElementById('gone').textContent.includes('not answered')")
+    session.process.send_signal(signal.SIGCONT)
+    wait(page, "document.getElementById('gone').hidden")
+    before = page.evaluate("about.session")
+    assert session.end() == 0
+    wait(page, "document.getElementById('gone').textContent.includes('the session has ended')")
+    assert page.is_visible("#gone")
+    # Whoever starts a session in its place sees that one, with its own robot.
+    again = Live("exact_heart", "--set", "plant.engine=reduced")
+    if again.url == session.url:
+        wait(page, f"{HAS_ROWS} && about.session !== '{before}' && document.title.startsWith('exact_heart')", 60_000)
+        wait(page, "document.getElementById('gone').hidden")
+    page.close()
+    assert again.end() == 0
+
+
+def test_small_errors_have_a_unit_that_shows_them(page):
+    texts = {
+        "0.4e-6": "400 nm",
+        "1.234e-6": "1.23 µm",
+        "0": "0 m",
+        "0.3": "300 mm",
+        "2": "2 m",
+        "-4e-5": "-40 µm",
+        "null": "--",
+    }
+    assert {value: page.evaluate(f"measured({value}, 'm')") for value in texts} == texts
+    # Ticks of an axis are all in one unit, and none says 0 for another number.
+    assert page.evaluate("[0, 5e-7, 1e-6].map((tick) => measured(tick, 'deg', 6, 1e-6))") == [
+        "0 µdeg",
+        "0.5 µdeg",
+        "1 µdeg",
+    ]
+
+
+def test_a_page_of_another_origin_neither_reads_nor_ends_the_session(page, browser, live):
+    """As with Meshcat's websocket, which one empty frame from any page ended."""
+    before = page.evaluate("last.time")
+    elsewhere = browser.new_page()
+    # A page of the web, as far as the browser is concerned: `route` answers in its place.
+    elsewhere.route("http://elsewhere.example/", lambda route: route.fulfill(body="<title>elsewhere</title>"))
+    elsewhere.goto("http://elsewhere.example/")
+    reached = elsewhere.evaluate(
+        """async (url) => {
+        const tried = {};
+        const text = async (answer) => (answer.type === "opaque" ? "opaque" : (await answer.text()).length);
+        for (const mode of ["cors", "no-cors"]) for (const path of ["about", "events", "do"]) {
+          const how = path === "do" ? { mode, method: "POST", body: '{"do":"reset"}' } : { mode };
+          tried[`${mode} ${path}`] = await fetch(url + path, how).then(text).catch(() => "refused");
+        }
+        const socket = new WebSocket(url.replace("http", "ws"));
+        tried.socket = await new Promise((done) => {
+          socket.onopen = () => done("open");
+          socket.onerror = () => done("refused");
+        });
+        return tried;
+    }""",
+        live.url,
+    )
+    elsewhere.close()
+    assert len(reached) == 7
+    assert set(reached.values()) <= {"refused", "opaque"}
+    wait(page, f"last.time > {before} + 0.2 && document.getElementById('gone').hidden")
+
+
+def test_the_page_draws_and_steers_under_its_own_policy_of_what_it_loads(browser, live):
+    page, errors = browser.new_page(), []
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(live.url)
+    deadline = time.monotonic() + 60.0
+    while not page.evaluate("last !== null && view.links.length === 14 && view.renderer.info.render.frame > 1"):
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+    page.close()
+    assert errors == []
+
+
+def test_the_replay_plays_and_seeks(browser, tmp_path):
     run = [sys.executable, "-m", "stewart_drake"]
     subprocess.run([*run, "run", "exact_fig7", "--set", "duration=1", "--out", tmp_path / "a", "--quiet"], check=True)
     page = browser.new_page(viewport={"width": 390, "height": 900})
     errors = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto((tmp_path / "a" / "replay.html").as_uri())
-    wait(page, "frames[0].contentWindow.viewer && frames[0].contentWindow.viewer.animator.duration > 0.9", 60_000)
     wait(page, "time > 0.1")
     page.click("#play")
     page.evaluate("go(0.5)")
     assert page.inner_text("#clock").startswith("0.50 of 1.00")
-    assert page.evaluate("frames[0].contentWindow.viewer.animator.actions[0].time") == pytest.approx(0.5)
-    assert page.evaluate("frames[0].contentWindow.viewer.gui.domElement.style.display") == "none"
+    # The platform stands where the log has it, and its label fits into the page.
+    log = load_log(tmp_path / "a")
+    row = np.abs(log.time - 0.5).argmin()
+    platform = page.evaluate("scenes[0].view.links[12].position.toArray()")
+    np.testing.assert_allclose(platform, log["pose"][row, 3:], atol=1e-6)
+    edges = page.evaluate("plots.map((plot) => plot.bbox.left / devicePixelRatio - plot.axes[1]._size)")
+    assert min(edges) >= -1.0
+    labels = page.evaluate("plots[0].axes[1]._values")
+    assert len(set(labels)) == len(labels)
+    assert labels[-1].endswith(("nm", "µm"))
+    page.evaluate("go(0.51)")
+    assert page.evaluate("scenes[0].view.links[12].position.toArray()") != platform
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     assert errors == []
     page.close()

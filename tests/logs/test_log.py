@@ -9,6 +9,8 @@ from made_logs import made_log
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import AXIS_NAMES, SIGNALS, load_log
+from stewart_drake.runs.simulation import run
+from stewart_drake.scenario import Scenario
 
 
 @pytest.fixture
@@ -118,3 +120,12 @@ def test_a_log_becomes_a_frame_a_dataset_with_named_axes_and_a_cell_of_a_noteboo
     np.testing.assert_array_equal(dataset["pose"].sel(axis="z"), log["pose"][:, 5])
     assert (dataset["time"].attrs["units"], dataset["pose"].attrs["units"][5]) == ("s", "m")
     assert log._repr_html_().count("<polyline") == 2
+
+
+def test_a_log_names_the_tuner_where_the_controller_listens_to_it():
+    fast = {"plant.engine": "reduced", "duration": 0.05}
+    logs = [run(Scenario().replace({**fast, "controller": kind})) for kind in ("lqi", "computed_torque")]
+    assert "controller lqi, tuner paper," in repr(logs[0])
+    assert "tuner: paper" in repr(logs[0].scenario)
+    assert "tuner paper" not in repr(logs[1])
+    assert "tuner: none" in repr(logs[1].scenario)

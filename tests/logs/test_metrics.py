@@ -65,20 +65,21 @@ def test_every_promised_key_is_there_however_short_the_run_and_json_can_hold_it(
 
 def test_torque_change_is_taken_from_tick_to_tick_of_the_second_half_within_the_limit():
     def change(torque, **scenario):
-        return run_metrics(made_log(torque=torque, scenario=scenario))["torque_change_rms"]
+        log = made_log(step=0.01, duration=1.0, torque=torque, scenario=scenario)
+        return run_metrics(log)["torque_change_rms"]
 
     torque = np.zeros((101, 6))
     torque[::2] = 0.5
     torque[:50] *= 7.0
-    every = {"controller": {"period": 0.1}, "plant": {"time_step": 0.1}}
+    every = {"controller": {"period": 0.01}, "plant": {"time_step": 0.01}}
     assert change(torque, **every) == pytest.approx(0.5)
     torque[::2] = 1e9
     assert change(torque, **every) == pytest.approx(5.0)
     # Two rows a tick: the torque stands still between them, and that is no tick.
     torque = np.repeat(np.arange(51.0) % 2.0, 2)[:101, None] * np.ones(6)
-    assert change(torque, controller={"period": 0.2}, plant={"time_step": 0.1}, log_period=0.1) == pytest.approx(1.0)
+    assert change(torque, controller={"period": 0.02}, plant={"time_step": 0.01}, log_period=0.01) == pytest.approx(1.0)
     # Every second tick is not every tick.
-    assert change(torque, controller={"period": 0.05}, plant={"time_step": 0.05}, log_period=0.1) is None
+    assert change(torque, controller={"period": 0.005}, plant={"time_step": 0.005}, log_period=0.01) is None
 
 
 SCALES = CostScales(rotation=0.5, position=0.02, torque_change=0.1)

@@ -1,4 +1,5 @@
 import math
+import re
 
 import numpy as np
 import pytest
@@ -170,7 +171,7 @@ def test_what_broke_failed_and_what_was_interrupted_is_that_whatever_else():
 
 def test_warnings_name_what_a_completed_run_hides():
     torque, gap, pose = np.zeros((101, 6)), np.zeros((101, 6)), np.zeros((101, 6))
-    torque[10:20, 0], gap[33, 2], pose[:, 3] = 5.5, 2e-4, 1e-3
+    torque[10:20, 0], gap[33, 2], pose[:, 3] = 5.5, 2e-5, 1e-4
     rows = level([0.0] * 40 + [1.0] * 5 + [0.0] * 10 + [1.0] + [0.0] * 45)
     made = rows_of(torque=torque, loop_gap=gap, pose=pose, safety=rows)
     seen = {**trip("none", "hold"), "time": 4.0}
@@ -182,6 +183,82 @@ def test_warnings_name_what_a_completed_run_hides():
     assert (found["saturation"]["time"], found["saturation"]["number"]) == pytest.approx((1.0, 10 / 606))
     assert (found["loop_gap"]["time"], found["loop_gap"]["number"]) == pytest.approx((3.3, 0.2))
     assert find_warnings("completed", rows_of(pose=pose), None) == ()
+
+
+def warned(**changes):
+    return {each["name"]: each for each in find_warnings("completed", rows_of(**changes), None)}
+
+
+@pytest.mark.parametrize(
+    ("robot", "sensors", "bound"),
+    [
+        ("paper", {"kind": "ideal"}, 0.33e-3),
+        ("paper", {"kind": "encoders", "resolution_bits": 0, "noise": 0.01}, 0.33e-3 + 3.0 * 0.01 * 0.11),
+        ("reachy_mini", {"kind": "ideal"}, None),
+    ],
+)
+def test_a_place_that_is_not_held_is_said_in_the_scale_of_robot_and_sensors(robot, sensors, bound):
+    scenario = {"robot": robot, "sensors": sensors, "bounds": {"position": None}}
+    length = rows_of(scenario=scenario).scenario.robot.characteristic_length
+    bound = 0.003 * length if bound is None else bound
+    off = np.zeros((101, 6))
+    off[35:, 4] = bound
+    assert "poorly_held" not in warned(scenario=scenario, pose=0.99 * off)
+    found = warned(scenario=scenario, pose=1.01 * off)["poorly_held"]
+    assert (found["time"], found["number"]) == (pytest.approx(5.333, abs=1e-3), pytest.approx(1.01 * bound))
+    # An excursion, after which it is back: not one that is the start's own offset.
+    away = np.zeros((101, 6))
+    away[20, 1] = 11.0 * bound / length
+    found = warned(scenario=scenario, pose=away)["poorly_held"]
+    assert (found["time"], found["number"]) == (pytest.approx(2.0), pytest.approx(11.0 * bound))
+    away[0] = away[20]
+    assert "poorly_held" not in warned(scenario=scenario, pose=away)
+
+
+def test_a_motion_that_is_over_long_before_the_run_is_said():
+    rate = np.zeros((101, 6))
+    rate[:31, 5] = 0.01
+    found = warned(reference_rate=rate)["motion_length"]
+    assert (found["time"], found["number"]) == (pytest.approx(3.0), pytest.approx(0.3))
+    rate[:80, 5] = 0.01
+    assert "motion_length" not in warned(reference_rate=rate)
+    assert "motion_length" not in warned()
+    # Of a run that broke earlier nobody knows.
+    assert "motion_length" not in warned(rows=20, reference_rate=rate[:20], step=0.1)
+
+
+@pytest.mark.parametrize(
+    ("link", "since"),
+    [
+        ({"stop_time": 0.0}, 0.0),
+        ({"drop_probability": 1.0}, 0.0),
+        ({"stop_time": 7.0}, 7.0),
+        ({"stop_time": 9.95}, None),
+        ({"drop_probability": 0.3}, None),
+    ],
+)
+def test_a_run_in_which_no_command_arrives_any_more_is_not_completed(link, since):
+    outcome = verdict(rows=10_001, step=0.001, scenario={"link": link})
+    assert (outcome.status, outcome.reason) == (("completed", None) if since is None else ("lost", "link_silent"))
+    assert outcome.outcome_time == (None if since is None else pytest.approx(since))
+
+
+@pytest.mark.parametrize(
+    ("scenario", "changes", "cause"),
+    [
+        ("exact_fig7", {"plant.payload_mass": 300.0, "duration": 0.5}, r"leg \d with payload 300 kg needs "),
+        ("hold", {"plant.payload_mass": 300.0, "duration": 0.5}, r"leg \d with payload 300 kg needs "),
+        (
+            "paper_fig7",
+            {"controller.period": 0.1, "duration": 0.6},
+            "a slow loop of 10 Hz: the platform can fall 49 mm",
+        ),
+    ],
+)
+def test_what_ends_a_run_names_the_likely_cause(scenario, changes, cause):
+    log = run(load_scenario(scenario).replace({"plant.engine": "reduced", **changes}))
+    assert log.status != "completed"
+    assert re.search(f"^[^\n]*; likely cause: {cause}[^\n]*$", log.message)
 
 
 def test_figures_and_outcome_do_not_depend_on_which_rows_the_log_keeps():

@@ -22,6 +22,7 @@ from stewart_drake.mechanics.kinematics import (
     pose_rate_to_twist,
     rod_lines,
     roll_pitch_yaw,
+    rotation_angle,
     rotation_matrix,
     twist_jacobian,
     twist_to_pose_rate,
@@ -38,6 +39,12 @@ def test_rotation_matrix_is_a_product_of_elementary_rotations_and_not_the_passiv
     x, y, z = (Rotation.from_euler(axis, angle).as_matrix() for axis, angle in zip("xyz", rpy, strict=True))
     np.testing.assert_allclose(rotation_matrix(rpy), z @ y @ x, atol=1e-15)
     np.testing.assert_allclose(roll_pitch_yaw(rotation_matrix(rpy)), rpy, atol=1e-13)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-8, 0.3, np.pi / 2.0, np.pi - 1e-8, np.pi])
+def test_angle_of_a_rotation_has_all_its_digits(angle):
+    turned = Rotation.from_rotvec(angle * np.array([1.0, 2.0, -2.0]) / 3.0).as_matrix()
+    assert rotation_angle(turned) == pytest.approx(angle, rel=1e-14, abs=1e-15)
 
 
 @given(rpy=angles, rate=vectors(3, 5.0))

@@ -8,6 +8,7 @@ from made_logs import made_log
 
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plotting import plot_states, plot_torques, save_figure
+from stewart_drake.plotting.study_plots import plot_rmse
 from stewart_drake.scenario import Scenario
 
 AXES = ("φ", "θ", "ψ", "X", "Y", "Z")
@@ -131,3 +132,11 @@ def test_a_picture_is_the_same_every_time_whatever_the_user_s_style_which_stays(
     with mpl.style.context(["dark_background", {"lines.linewidth": 9.0, "font.size": 20.0, "axes.grid": False}]):
         save_figure(plot(make_log()), tmp_path / "dark.png")
     assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "dark.png").read_bytes()
+
+
+def test_a_comparison_draws_the_error_that_its_table_has():
+    about = {"controller": "one", "condition": "calm", "reference": "hold", "status": "completed"}
+    figure = plot_rmse([{**about, "rmse_norm_mm": 0.25, "rmse_norm_deg": 9.0, "pose_rmse_mm": 18.0}])
+    drawn = [line.get_xdata()[0] for line in figure.axes[0].lines if line.get_marker() not in ("None", "", None)]
+    assert drawn == [0.25]
+    assert figure.axes[-1].get_xlabel() == "RMSE [mm]"

@@ -8,6 +8,8 @@ import pytest
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references import RecordedReference, SineReference, center_of
+from stewart_drake.runs.simulation import run
+from stewart_drake.scenario import Scenario
 
 COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")
 MOTION = SineReference()
@@ -53,6 +55,21 @@ def test_angles_that_wrap_are_followed_as_if_they_did_not(tmp_path, middle):
     turns = (pose - there)[:, 2] / math.tau
     np.testing.assert_allclose(turns, round(turns[0]), atol=1e-9)
     np.testing.assert_allclose(derivatives, those, atol=1e-8)
+
+
+def test_a_run_is_as_long_as_its_recording_unless_it_is_told(tmp_path):
+    motion = {"kind": "recorded", "motion_file": str(save(table(), tmp_path / "motion.csv")), "settle": 0.25}
+    scenario = Scenario(reference=motion)
+    assert scenario.duration == 3.25
+    assert scenario.replace({"reference.time_scale": 2.0}).duration == 6.25
+    assert scenario.replace({"reference": {"kind": "hold"}}).duration == 10.0
+    assert Scenario(reference=motion, duration=10.0).duration == 10.0
+    fast = {"plant.engine": "reduced", "tuner": {"kind": "fixed"}, "controller.feedforward": "platform"}
+    warnings = [run(scenario.replace({**fast, **more})).warnings for more in ({}, {"duration": 5.0}, {"duration": 1.5})]
+    said = ["".join(each["text"] for each in found if each["name"] == "motion_length") for found in warnings]
+    assert said[0] == ""
+    assert said[1].startswith("the motion ends at 3.2")
+    assert said[2] == "the recorded motion of 3.25 s is cut at 1.5 s"
 
 
 def test_it_starts_with_its_own_velocity_and_coasts_to_rest(tmp_path):

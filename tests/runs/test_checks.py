@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.planning.limits import Limits
 from stewart_drake.references import AdjustedReference, HeartbeatReference, MinimumJerkReference, SineReference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.runs.checks import adjusted, check_scenario, fit_amplitude, fit_speed
+from stewart_drake.runs.checks import adjusted, check_scenario, fit_amplitude, fit_speed, plant_report
 from stewart_drake.scenario import Scenario
 
 ROBOT, LIMITS, GRAVITY = RobotParameters(), Limits(), 9.81
@@ -82,3 +83,24 @@ class Slow:
 def test_a_motion_whose_rates_do_not_fit_its_poses_is_named():
     with pytest.raises(ConfigurationError, match=r"rate is the derivative of its pose, there .* got 'z 0.005 m/s"):
         check_scenario(Scenario(reference=Slow(), duration=1.0))
+
+
+def test_the_torque_of_the_plant_has_what_the_controller_does_not_know():
+    assert plant_report(Scenario()).smallest == {}
+    # At rest a payload in the middle is weight alone: of a heavier platform, or a force from outside.
+    heavier = static_torque(dataclasses.replace(ROBOT, platform_mass=ROBOT.platform_mass + 2.0), ROBOT.home_pose)
+    hold = Scenario(reference={"kind": "hold"}, duration=0.1)
+    push = [{"kind": "constant", "wrench": [0, 0, 0, 0, 0, -2.0 * GRAVITY]}]
+    for more in ({"plant.payload_mass": 2.0}, {"disturbances": push}):
+        worst = plant_report(hold.replace(more)).smallest["plant_torque"]
+        assert worst.value == pytest.approx(np.abs(heavier).max(), rel=1e-9)
+        assert worst.margin == pytest.approx(5.0 - worst.value)
+    # Friction holds a robot that stands, and is in the way of one that moves.
+    rubbing = {"plant.friction": {"coulomb": 0.2, "break_away": 0.3, "viscous": 0.1}}
+    assert plant_report(hold.replace(rubbing)).smallest["plant_torque"].value == pytest.approx(
+        np.abs(static_torque(ROBOT, ROBOT.home_pose)).max()
+    )
+    believed = check_reference(ROBOT, LIMITS, FAST, 1.0).smallest["torque"].value
+    worst = plant_report(Scenario(reference=FAST, duration=1.0).replace(rubbing)).smallest["plant_torque"]
+    assert believed + 0.1 < worst.value < believed + 0.3 + 0.1 * 10.0
+    assert worst.where == f"leg {worst.leg} with motor friction"

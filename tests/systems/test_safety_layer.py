@@ -41,10 +41,10 @@ def test_a_torque_that_is_no_number_never_ends_in_success(kind, safety, ends):
 
 
 @pytest.mark.slow
-def test_a_motor_that_sticks_is_no_sensor_that_failed():
-    log = run(load_scenario("sway", ["robot=servo_hexapod", "plant.motor_friction=0.5", "duration=0.5"]))
-    assert (log.status, log.reason, log.safety["monitor"]) == ("failed", "reading_stuck", "reading_stuck")
-    assert "friction holds what it reads" in log.message
+def test_a_motor_that_sticks_is_no_reading_that_is_wrong_for_sure():
+    log = run(load_scenario("sway", ["robot=servo_hexapod", "plant.motor_friction=0.5", "duration=1.0"]))
+    assert (log.reason, log.safety["monitor"]) == ("unexplained_torque", "unexplained_torque")
+    assert "friction exceed safety.unexplained_torque" in log.message
 
 
 # That one falls over on purpose.

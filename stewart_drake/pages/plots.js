@@ -1,0 +1,50 @@
+"use strict";
+
+const COLOURS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00"];
+const PREFIXES = [["", 1], ["m", 1e-3], ["µ", 1e-6], ["n", 1e-9], ["p", 1e-12]];
+const WITHOUT_PREFIX = new Set(["decades", "s"]);
+
+/** A prefix and its size in which a value of a unit has one to three digits before its point. */
+function prefixOf(value, unit) {
+  if (!value || WITHOUT_PREFIX.has(unit)) return PREFIXES[0];
+  return PREFIXES.find(([, size]) => Math.abs(value) >= size) ?? PREFIXES.at(-1);
+}
+
+/** `0.42 µm`: a value with the prefix that suits it, or that suits `largest`. */
+function measured(value, unit, digits = 3, largest = value) {
+  if (value == null) return "--";
+  const [prefix, size] = prefixOf(largest, unit);
+  return `${Number((value / size).toPrecision(digits))} ${prefix}${unit}`;
+}
+
+/** Room for the longest label of an axis; uPlot asks again until it stays. */
+function roomFor(plot, labels, axis, round) {
+  const { _size, ticks, gap, font } = plot.axes[axis];
+  if (round > 1) return _size;
+  plot.ctx.font = font[0];
+  const widths = (labels ?? []).map((label) => plot.ctx.measureText(label).width / devicePixelRatio);
+  return Math.ceil(Math.max(56, ticks.size + gap + Math.max(0, ...widths)));
+}
+
+/** A plot of values in base units over time, in a box of its own below `parent`. */
+function tracePlot(parent, title, unit, names, data, more = {}) {
+  const box = document.createElement("div");
+  box.className = "trace";
+  parent.append(box);
+  const size = () => ({ width: box.clientWidth - 12, height: 200 });
+  const value = (_, number) => measured(number, unit);
+  const plot = new uPlot({
+    title, ...size(), scales: { x: { time: false } }, ...more,
+    axes: [
+      { label: "time [s]", labelSize: 18, size: 34 },
+      {
+        size: roomFor,
+        values: (_, ticks) => ticks.map((tick) => measured(tick, unit, 6, Math.max(...ticks.map(Math.abs)))),
+      },
+    ],
+    series: [{ label: "t", value: (_, number) => measured(number, "s", 6) }, ...names.map((label, k) =>
+      ({ label, value, stroke: COLOURS[k % COLOURS.length], width: 1.5, spanGaps: true, points: { show: false } }))],
+  }, data, box);
+  new ResizeObserver(() => plot.setSize(size())).observe(box);
+  return { box, plot };
+}

@@ -1,0 +1,85 @@
+"use strict";
+
+/** A robot drawn from shapes that are told once, whose links then go where they are put; see `runs/scene.py`. */
+class RobotScene {
+  constructor(box, { camera, target, lens, fixed, links }) {
+    this.world = new THREE.Scene();
+    this.links = Object.entries(links).map(([name, shapes]) => this.link(name, shapes));
+    this.link("fixed", fixed);
+    this.world.add(new THREE.HemisphereLight(0xffffff, 0x8a93a0, 2.2));
+    const distance = new THREE.Vector3(...camera).distanceTo(new THREE.Vector3(...target));
+    this.camera = new THREE.PerspectiveCamera(lens, 1, 0.01 * distance, 100 * distance);
+    this.camera.up.set(0, 0, 1);
+    this.camera.position.set(...camera);
+    // The light stands beside the camera, so that no side of the robot is dark.
+    const lamp = new THREE.DirectionalLight(0xffffff, 1.8);
+    lamp.position.set(-0.6, 1, 1);
+    this.camera.add(lamp);
+    this.world.add(this.camera);
+    try {
+      this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
+    } catch {
+      box.textContent = "The picture of the robot needs WebGL, which this browser lacks or has switched off.";
+      return;
+    }
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    box.append(this.renderer.domElement);
+    this.controls = new THREE.OrbitControls(this.camera, this.renderer.domElement);
+    this.controls.target.set(...target);
+    this.controls.update();
+    this.controls.addEventListener("change", () => this.draw());
+    new ResizeObserver(() => this.fit(box.clientWidth, box.clientHeight)).observe(box);
+  }
+
+  /** A named group of shapes in the world. */
+  link(name, shapes) {
+    const group = new THREE.Group();
+    group.name = name;
+    for (const { kind, size, at, colour } of shapes) {
+      const [red, green, blue, opacity] = colour;
+      const material = new THREE.MeshStandardMaterial({ roughness: 0.55, opacity, transparent: opacity < 1, depthWrite: opacity === 1 });
+      material.color.setRGB(red, green, blue, THREE.SRGBColorSpace);
+      const mesh = new THREE.Mesh(RobotScene.SHAPES[kind](size), material);
+      mesh.position.set(...at.slice(0, 3));
+      mesh.rotation.set(...at.slice(3), "ZYX");
+      group.add(mesh);
+    }
+    this.world.add(group);
+    return group;
+  }
+
+  /** Puts the links where seven numbers each say, position [m] and quaternion x, y, z, w; or a share of the way on. */
+  place(now, next = now, share = 0) {
+    const [from, to] = [new THREE.Quaternion(), new THREE.Quaternion()];
+    this.links.forEach(({ position, quaternion }, k) => {
+      const [a, b] = [now, next].map((values) => values.slice(7 * k, 7 * k + 7));
+      position.set(...[0, 1, 2].map((axis) => a[axis] + share * (b[axis] - a[axis])));
+      quaternion.slerpQuaternions(from.fromArray(a, 3), to.fromArray(b, 3), share);
+    });
+    this.draw();
+  }
+
+  fit(width, height) {
+    if (!width || !height) return;
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.renderer.setSize(width, height);
+    this.draw();
+  }
+
+  /** Once before the browser's next picture, however often it is asked for. */
+  draw() {
+    if (this.asked || !this.renderer) return;
+    this.asked = requestAnimationFrame(() => {
+      this.asked = 0;
+      this.renderer.render(this.world, this.camera);
+    });
+  }
+}
+
+RobotScene.SHAPES = {
+  box: ([x, y, z]) => new THREE.BoxGeometry(x, y, z),
+  cylinder: ([radius, length]) => new THREE.CylinderGeometry(radius, radius, length, 64).rotateX(Math.PI / 2),
+  sphere: ([radius]) => new THREE.SphereGeometry(radius, 32, 16),
+  ellipsoid: ([x, y, z]) => new THREE.SphereGeometry(1, 32, 16).scale(x, y, z),
+};

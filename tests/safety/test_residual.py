@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+
+from stewart_drake.runs.simulation import run
+from stewart_drake.scenario import load_scenario
+from stewart_drake.studies.faults import FAULTS, base, stopped_at, travel
+
+ONSET = 0.4
+WITHOUT = {"estimator": {"kind": "difference"}, "tuner": {"kind": "block"}}
+
+
+def heart(**changes):
+    common = {"plant.engine": "reduced", "duration": 1.2, "safety": {}}
+    return load_scenario("exact_heart").replace({**common, **changes})
+
+
+def of_encoder(kind, **more):
+    return {"sensors.faults": [{"kind": kind, "leg": 3, "time": ONSET, **more}]}
+
+
+def of_motor(kind, **more):
+    return {"motors.faults": [{"kind": kind, "leg": 3, "time": ONSET, **more}]}
+
+
+WRONG = {
+    "freeze": of_encoder("freeze"),
+    "reversed": of_encoder("reversed"),
+    "swapped": of_encoder("swapped", other=1),
+    "inverted": of_encoder("inverted"),
+    "nan": of_encoder("nan"),
+    "dead": {"motors.dead": {"leg": 3, "time": ONSET}},
+    "motor reversed": of_motor("reversed"),
+    "motors swapped": of_motor("swapped", other=1),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loop", [{}, WITHOUT], ids=["observer", "no observer"])
+@pytest.mark.parametrize("kind", WRONG)
+def test_a_wrong_reading_or_motor_in_motion_costs_little_more_than_a_stop_at_its_onset(kind, loop):
+    scenario = heart(**loop, **WRONG[kind])
+    log, stop = run(scenario, check=False), run(stopped_at(scenario, ONSET), check=False)
+    assert log.status == "stopped"
+    assert log.safety["monitor"] in ("unexplained_torque", "sensor_failed")
+    assert log.safety["stopped"]["leg"] in (3, 1 if "swapped" in kind else 3)
+    beyond = np.array(travel(log, ONSET)) - travel(stop, ONSET)
+    assert (beyond < (np.radians(6.0), 0.01)).all()
+
+
+@pytest.mark.slow
+def test_a_jump_of_a_reading_at_rest_is_no_runaway():
+    # 50 rad/s in one difference: the motors stay on, and the robot is held where it is.
+    changes = of_encoder("jump", size=0.05) | {"reference": {"kind": "hold"}} | WITHOUT
+    log = run(heart(**changes), check=False)
+    assert (log.status, log.safety["last"]) == ("stopped", "safe_hold")
+    assert travel(log, ONSET)[1] < 0.0034
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["push_5N", "blow_0.5Ns", "noise_1N", "payload_1kg", "friction", "encoder_12bit"])
+def test_loads_and_pushes_that_the_controller_does_not_know_are_no_fault(name):
+    start = base().replace({"plant.engine": "reduced"})
+    log = run(start.replace(FAULTS[name].in_motion("paper", start)))
+    assert (log.status, log.safety) == ("completed", None)
+
+
+@pytest.mark.slow
+def test_more_than_is_allowed_is_told_and_null_allows_all():
+    heavy = {"plant.payload_mass": 0.5, "plant.payload_position": [0.05, 0.0, 0.0]}
+    log = run(heart(**heavy, **{"safety.unexplained_torque": 0.02}))
+    assert (log.status, log.reason) == ("stopped", "unexplained_torque")
+    assert run(heart(**heavy, **{"safety.unexplained_torque": None})).safety is None
