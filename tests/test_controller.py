@@ -91,7 +91,7 @@ def test_reset_gives_the_same_again():
 
 
 def test_behind_a_safety_layer_it_says_how_it_is_and_ends_by_name():
-    log = run(short("exact_breathing", {**ENCODERS, "plant.engine": "reduced", "safety": {"safe_hold_time": 0.01}}))
+    log = run(short("exact_breathing", {**ENCODERS, "plant.engine": "reduced", "safety.safe_hold_time": 0.01}, 0.15))
     controller, out = Controller(log.scenario), np.empty(6)
     readings, period = readings_of(log), controller.period
     for tick in range(50):
@@ -103,7 +103,7 @@ def test_behind_a_safety_layer_it_says_how_it_is_and_ends_by_name():
     readings[50:, 2] = np.nan
 
     def go_on():
-        for tick in range(50, 100):
+        for tick in range(50, len(readings)):
             controller.step(readings[tick], tick * period, out)
             levels.append(controller.status)
             assert np.isfinite(out).all()

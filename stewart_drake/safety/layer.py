@@ -280,11 +280,11 @@ def _stopped(options: SafetyOptions, period: float, result: Any, arguments: Mapp
     (status, fastest), state = result, arguments["state"]
     names, (_, monitor, leg) = options.monitor_names, state["safety"][0]
     name = names[int(monitor)]
-    hold = limits.SUSPECT_HOLD if state["suspect"].any() else options.safe_hold_time
+    longest = limits.SUSPECT_HOLD if state["suspect"].any() else np.inf
     what = {
         BLIND: "stopped: no measurement to hold the robot by",
         RUNAWAY: f"stopping, but a crank turns at {fastest:.3g} rad/s",
-        HELD: f"stopped, and held for {hold:g} s",
+        HELD: f"stopped, and held for {min(longest, options.safe_hold_time):g} s",
     }[status]
     text = "; ".join(filter(None, (MEANINGS.get(name), what)))
     if status != HELD:

@@ -232,7 +232,7 @@ def setup_of(
         most_correction=(math.inf, CORRECTION),
         impossible=FASTEST + 12.0 * noise / period,
         remembered=REMEMBERED / period,
-        suspect_hold_time=SUSPECT_HOLD,
+        suspect_hold_time=min(SUSPECT_HOLD, options.ramp_time + options.safe_hold_time),
         stopping=max(STOPPING, STOPPING_TICKS * period),
         budget=options.budget(period),
         most_torque=(1.0 if share is None else share) * robot.effort_limits,

@@ -213,8 +213,10 @@ def _braked(log: SimulationLog) -> np.ndarray:
     brakes = {"motor_friction": 0.0, "motor_damping": 0.0, "friction": {"coulomb": robot.effort_limits.tolist()}}
     closed = scenario.replace({f"plant.{key}": value for key, value in brakes.items()}).plant
     free, held = (ClosedChain(robot, each, scenario.gravity) for each in (scenario.plant, closed))
-    state, nothing = free.initial(log["pose"][-1], log["pose_rate"][-1]), np.zeros(6)
+    nothing = np.zeros(6)
+    # A robot that has gone through a singularity moves no farther here.
     with suppress(StewartDrakeError):
+        state = free.initial(log["pose"][-1], log["pose_rate"][-1])
         for tick in range(open_for + round(0.5 / step)):
             if tick >= open_for and (np.abs(state["crank_rate"]) < AT_REST).all():
                 break
