@@ -7,6 +7,7 @@ from stewart_drake import errors
 from stewart_drake.errors import (
     AssemblyModeError,
     ConfigurationError,
+    DiskError,
     DrakeCheckError,
     ForwardKinematicsError,
     InfeasibleReferenceError,
@@ -37,6 +38,7 @@ EXAMPLES = [
     RiccatiError("no solution"),
     NotFiniteError("torque", np.array([1.0, np.nan])),
     DrakeCheckError("Simulator: condition failed"),
+    DiskError("log.parquet: No space left on device"),
 ]
 
 

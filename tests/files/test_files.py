@@ -9,7 +9,7 @@ from conftest import make_network
 from made_logs import made_log
 
 from stewart_drake.control.network import load_network
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, DiskError
 from stewart_drake.files.code import anchored
 from stewart_drake.files.tables import ENDINGS, column_name, numbers_to_csv, quantity_of, read_numbers
 from stewart_drake.files.whole import digest, locked_folder, write_atomically
@@ -115,7 +115,7 @@ def test_whatever_stops_the_writing_the_old_file_stays_and_nothing_else(tmp_path
             write_atomically(bad, b"x")
         assert caught.value.key == str(bad)
     monkeypatch.setattr(Path, "replace", fail)
-    with pytest.raises((ConfigurationError, KeyboardInterrupt)) as caught:
+    with pytest.raises((DiskError, KeyboardInterrupt)) as caught:
         write_atomically(path, b"new")
     assert "No space left" in str(caught.value) or isinstance(failure, KeyboardInterrupt)
     assert (path.read_bytes(), list(tmp_path.iterdir())) == (b"old\r\n", [path])

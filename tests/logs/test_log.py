@@ -100,7 +100,7 @@ def test_what_is_no_log_is_named_in_one_line(log, tmp_path):
 
     refused("No such file")
     path.write_bytes(log.to_parquet()[:-1])
-    refused("a Parquet file from this package")
+    refused("a Parquet file from this version of the package")
     table = pq.read_table(pa.BufferReader(log.to_parquet()))
     run = json.loads(table.schema.metadata[b"stewart_drake.run"])
     for columns, about, words in (

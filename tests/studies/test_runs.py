@@ -209,8 +209,11 @@ def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(versions, "source_digest", lambda: "changed")
         refused("differs in versions")
+    # Rows know their study: where its file is gone they are still those of this one alone.
     (tmp_path / "study.json").unlink()
-    refused("study.json, which cannot be read")
+    run_study(sweep(runs=1), tmp_path, HERE)
+    assert (tmp_path / "rows.jsonl").read_bytes() == before
+    refused("seed", seed=6)
     (tmp_path / "own.csv").touch()
     result = run_study(sweep(runs=1, seed=6), tmp_path, HERE, restart=True)
     assert result.rows["sweep"][0]["seed"] == sweep(seed=6).run_seed(0)

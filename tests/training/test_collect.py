@@ -1,11 +1,9 @@
-import json
-
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from stewart_drake.errors import ConfigurationError, RunFailure
+from stewart_drake.files.tables import to_parquet, with_about
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.references import SineBurstsReference
 from stewart_drake.scenario import Scenario
@@ -84,7 +82,7 @@ def test_what_is_no_dataset_is_refused_by_its_name(tmp_path, about, changed, wor
     path = tmp_path / "data.parquet"
     columns = {name: np.linspace(0.1, 1.0, 12) for name in COLUMNS} | changed
     table = pa.table({name: values for name, values in columns.items() if values is not None})
-    pq.write_table(table.replace_schema_metadata({"stewart_drake.dataset": json.dumps(about)}), path)
+    path.write_bytes(to_parquet(with_about(table, "dataset", about)))
     with pytest.raises(ConfigurationError, match=words) as caught:
         load_dataset(path)
     assert str(path) in caught.value.key
