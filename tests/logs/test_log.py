@@ -8,6 +8,7 @@ import pytest
 from made_logs import made_log
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.tables import to_parquet, with_about
 from stewart_drake.logs.log import AXIS_NAMES, SIGNALS, load_log
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario
@@ -103,12 +104,13 @@ def test_what_is_no_log_is_named_in_one_line(log, tmp_path):
     refused("a Parquet file from this version of the package")
     table = pq.read_table(pa.BufferReader(log.to_parquet()))
     run = json.loads(table.schema.metadata[b"stewart_drake.run"])
+    del run["checksum"]
     for columns, about, words in (
         (table, {**run, "version": 2}, "version 2"),
         (table.drop_columns(["pose_x_m"]), run, "no column of pose_x"),
         (table, {**run, "scenario": {"durration": 1}}, "durration"),
     ):
-        pq.write_table(columns.replace_schema_metadata({"stewart_drake.run": json.dumps(about)}), path)
+        path.write_bytes(to_parquet(with_about(columns.replace_schema_metadata(), "run", about)))
         refused(words)
     with pytest.raises(ConfigurationError, match=r"a name that ends in \.parquet or \.csv"):
         log.save(tmp_path / "log.xlsx")
