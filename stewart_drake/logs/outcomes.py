@@ -126,13 +126,13 @@ class RunRows:
         size, counts = self.motion_sizes[0], self.tick & self.in_charge
         if not size or self.worst_error is None:
             return None
-        settled, begin, end = self.worst_error
+        rms, begin, end = self.worst_error
         error, motion = (
             float(np.sqrt(np.mean(np.sum(each**2, axis=1))))
             for each in (self._scale * self.error[counts], self._about_mean("reference", counts))
         )
         whole = error / (motion + float(np.linalg.norm(self._scale * self.error[0])))
-        return (whole, 0.0, self.scenario.duration) if whole > settled / size else (settled / size, begin, end)
+        return (whole, 0.0, self.scenario.duration) if whole > rms / size else (rms / size, begin, end)
 
     @cached_property
     def worst_error(self) -> tuple[float, float, float] | None:
@@ -148,28 +148,24 @@ class RunRows:
 
     def poorly_held(self) -> tuple[float, float, str] | None:
         """When [s], by how much [m] and in words a robot that should hold its place does not; None where it does."""
-        worst, noise = self.worst_error, self.scenario.sensors.reading_noise
-        if worst is None or self.motion_sizes[0]:
+        if self.worst_error is None or self.motion_sizes[0]:
             return None
+        (rms, begin, end), noise = self.worst_error, self.scenario.sensors.reading_noise
         allowed = LEAST_MOTION * self._scale[0] + NOISES * noise * self.scenario.robot.crank_lengths.max()
-        if not worst[0] <= allowed:
-            return (
-                worst[1],
-                worst[0],
-                f"from {worst[1]:.4g} to {worst[2]:.4g} s the RMS error was {1e3 * worst[0]:.2g} mm",
-            )
+        if not rms <= allowed:
+            return begin, rms, f"from {begin:.4g} to {end:.4g} s the RMS error was {1e3 * rms:.2g} mm"
         off = np.linalg.norm(self._scale * self.error, axis=1) * self.in_charge
         row, bound = int(off.argmax()), off[0] + EXCURSION * allowed
         return (self.time[row], off[row], f"the error reached {1e3 * off[row]:.2g} mm") if off[row] > bound else None
 
     def wrong_length(self) -> tuple[float, float, str] | None:
-        """End [s] of a motion that ends long before the run or after it, that over the run's, and words; else None."""
+        """Where [s] a motion ends long before the run or is cut, its length over the run's, and words; else None."""
         moving, duration = np.abs(self["reference_rate"]).max(axis=1), self.scenario.duration
         end = getattr(self.scenario.reference, "end", 0.0)
         if end > CUT * duration:
-            return end, end / duration, f"the recorded motion of {end:.4g} s is cut at {duration:.4g} s"
+            return duration, end / duration, f"the recorded motion of {end:.4g} s is cut at {duration:.4g} s"
         end = self.time[np.flatnonzero(moving > AT_REST * moving.max())].max(initial=0.0)
-        if 0.0 < end < min((1.0 - REST) * duration, self.time[-1]):
+        if 0.0 < end < (1.0 - REST) * duration:
             return end, end / duration, f"the motion ends at {end:.4g} s; figures of the second half are mostly of rest"
         return None
 
@@ -297,10 +293,9 @@ def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None)
             size = f"{gap:.2g} m, {ratio:.0%} of the RMSE of the position"
             text = f"rods end off their joints by up to {size}: errors so small may depend on plant.time_step"
             found.append(("loop_gap", when, ratio, text))
-        if length := rows.wrong_length():
-            found.append(("motion_length", *length))
-        if status == "completed" and (held := rows.poorly_held()):
-            found.append(("poorly_held", *held))
+        for name, said in (("motion_length", rows.wrong_length()), ("poorly_held", rows.poorly_held())):
+            if status == "completed" and said is not None:
+                found.append((name, *said))
         worst = rows.worst_window
         if status == "completed" and worst is not None and not worst[0] <= POORLY_FOLLOWED:
             found.append(("poorly_followed", worst[1], worst[0], _error_over_motion(rows)))
