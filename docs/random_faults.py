@@ -130,7 +130,7 @@ that work. The last three columns are the largest of their kind.
   most {most} deg: readings that are missing end a run without the layer after 10 ms, and it holds on for 20 ms.
 - {wrong} trips name a leg that is not at fault.
 
-Command: `python docs/random_faults.py`.
+Command: `python docs/random_faults.py`. `make results` recomputes some of these numbers.
 """
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import random_faults
 from calibration_study import NOISE
 from calibration_study import poses as poses_at_random
 from identification_study import ROBOT_OF, motions
@@ -126,6 +127,12 @@ def test_faults(name, overrides):
     for column, keys in (("travel", ("travel_deg", "travel_mm")), ("stop at onset", ("stop_deg", "stop_mm"))):
         worst = (max(row[key] for row in rows) for key in keys)
         assert_says(page.cell("dead_motor_3", column=column), *worst, within=NOISY)
+
+
+def test_random_faults(page):
+    one = random_faults.row(next(number for number in range(500) if random_faults.drawn(number)[0] == "nan"))
+    assert one["named"]
+    assert_says(page.cell("nan", column="median, longest latency [ms]"), one["latency"], one["latency"])
 
 
 def test_margins(page):
