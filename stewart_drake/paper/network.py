@@ -21,6 +21,7 @@ from stewart_drake.training.collect import (
     experiment_reference,
     experiment_scenarios,
     feasible_amplitudes,
+    r_squared,
 )
 
 PAPER_AMPLITUDE = (np.pi / 6.0,) * 3 + (0.3,) * 3
@@ -41,8 +42,6 @@ def run_distances(dataset: Dataset) -> np.ndarray:
 
 def best_possible_scores() -> Scores:
     """R^2 over the nine pairs of an estimator that knows the ratio alone: equal ratios give equal data."""
-    from stewart_drake.training.train import r_squared
-
     labels = np.log10(PAIRS)
     _, group = np.unique(np.round(labels[:, 0] - labels[:, 1], 9), return_inverse=True)
     targets = (*labels.T, labels[:, 0] - labels[:, 1])

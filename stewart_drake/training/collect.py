@@ -174,3 +174,9 @@ def collect_dataset(
 def six(values: Any) -> Vector6:
     a, b, c, d, e, f = (float(v) for v in values)
     return a, b, c, d, e, f
+
+
+def r_squared(target: np.ndarray, predicted: np.ndarray) -> float:
+    """1 - residual / total sum of squares; NaN where the target does not vary."""
+    total = float(np.sum((target - target.mean()) ** 2))
+    return 1.0 - float(np.sum((target - predicted) ** 2)) / total if total > 0.0 else float("nan")

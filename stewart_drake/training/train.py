@@ -12,7 +12,7 @@ from pydantic import Field
 from stewart_drake.config import Fraction, Positive, Section, Seed, Window
 from stewart_drake.control.network import HIDDEN, INPUTS, OUTPUTS, TunerNetwork
 from stewart_drake.errors import ConfigurationError, installed_with
-from stewart_drake.training.collect import Dataset
+from stewart_drake.training.collect import Dataset, r_squared
 
 with installed_with("stewart-drake[train]", "everything but the training of the paper's network works without it"):
     import torch
@@ -55,12 +55,6 @@ def split_samples(dataset: Dataset, options: TrainingOptions) -> np.ndarray:
             "a share that leaves samples for both training and validation",
         )
     return training
-
-
-def r_squared(target: np.ndarray, predicted: np.ndarray) -> float:
-    """1 - residual / total sum of squares; NaN where the target does not vary."""
-    total = float(np.sum((target - target.mean()) ** 2))
-    return 1.0 - float(np.sum((target - predicted) ** 2)) / total if total > 0.0 else float("nan")
 
 
 def train_network(

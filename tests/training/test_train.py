@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.training.collect import Dataset
+from stewart_drake.training.collect import Dataset, r_squared
 
 torch = pytest.importorskip("torch")
 
-from stewart_drake.training.train import TrainingOptions, r_squared, train_network  # noqa: E402
+from stewart_drake.training.train import TrainingOptions, train_network  # noqa: E402
 
 pytestmark = pytest.mark.torch
 METADATA = {"density": "signed", "window": 7, "sample_time": 0.005, "scenario": {"name": "left out"}}
