@@ -30,7 +30,7 @@ os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # sums in o
 
 import numpy as np
 import yaml
-from processors import OLDEST
+from processors import SETTINGS
 
 import stewart_drake as sd
 from stewart_drake.mechanics import dynamics, friction, kinematics
@@ -307,7 +307,7 @@ def compute(folder):
 def record(folder):
     with tempfile.TemporaryDirectory() as other:
         arguments = [sys.executable, __file__, "compute", other]
-        failed = compute(folder) or subprocess.run(arguments, env=os.environ | OLDEST, check=False).returncode
+        failed = compute(folder) or subprocess.run(arguments, env=os.environ | SETTINGS["oldest"], check=False).returncode
         if not failed:
             found = sensitive(recorded(folder), recorded(Path(other)))
             lines = [f"{json.dumps(key)}: {json.dumps(tolerance)}" for key, tolerance in found.items()]

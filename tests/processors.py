@@ -37,12 +37,14 @@ if AVX512:
         "numpy without AVX-512": {"NPY_DISABLE_CPU_FEATURES": " ".join(AVX512)},
     }
 
+# Fast tests of the rooms whose tests state numbers, and the page that tells of rounding errors.
+ROOMS = ["mechanics", "control", "hardware", "planning", "plant", "stability"]
+PYTEST = ["-m", "pytest", "-q", "-n", "2", "--hypothesis-profile=check"]
 CHECKS = {
     "golden": ["golden_set.py", "check"],
-    "tests": ["-m", "pytest", "-q", "-n", "2", "-m", "not slow and not long", "--hypothesis-profile=check"],
+    "tests": [*PYTEST, "-m", "not slow and not long", *ROOMS],
+    "page": [*PYTEST, "test_results_pages.py::test_reproduction"],
 }
-# Rooms whose tests state numbers, and the page that has rounding errors.
-CHECKS["tests"] += ["mechanics", "control", "hardware", "planning", "plant", "stability"]
 
 
 def main(*names):
