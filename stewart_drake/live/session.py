@@ -63,7 +63,7 @@ class LiveSession:
         }
 
     def tell(self, command: Any) -> int:
-        """Hands over a command, from any thread; its number, which rows have once it is obeyed. Raises queue.Full."""
+        """Hands over a command from any thread; its number, which rows have once obeyed; queue.Full if many wait."""
         with self._receiving:
             self._commands.put_nowait((self._received + 1, command))
             self._received += 1

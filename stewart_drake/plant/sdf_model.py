@@ -67,7 +67,7 @@ def crank_rotations(robot: RobotParameters, angles: np.ndarray) -> np.ndarray:
 
 
 def rod_rotations(robot: RobotParameters, e_l: np.ndarray) -> np.ndarray:
-    """R_BR (..., 6, 3, 3) [-] of rods along e_l (..., 6, 3): z along the rod, x nearest to the motor's axis."""
+    """R_BR (..., 6, 3, 3) [-] of rods along e_l (..., 6, 3): z along it, x as near to the motor's axis as can be."""
     lateral = crank_lateral(robot)
     along_motor = -lateral + np.sum(lateral * e_l, axis=-1, keepdims=True) * e_l
     x = along_motor / np.linalg.norm(along_motor, axis=-1, keepdims=True)
