@@ -92,8 +92,8 @@ def claimed_place(scenario: Scenario, out: str | Path | None = None, force: bool
     else:
         place = Path(os.path.realpath(out))
         made = not place.exists()
-        prepare_folder(place, out)
     try:
+        prepare_folder(place, out)
         with locked_folder(place):
             if out is not None:
                 check_place(scenario, out, force)
@@ -110,9 +110,9 @@ def save_run(log: SimulationLog, place: Path) -> tuple[Path, str | None]:
     No signal comes between. Where the disk is full they go to a new folder for temporary files. Where they are, and
     what is to be said of it.
     """
-    metrics = json.dumps(run_metrics(log), indent=2, allow_nan=False) + "\n"
-    files = {"log.parquet": log.to_parquet(), "metrics.json": metrics.encode(), **_own_files(log.scenario)}
     with signals_held():
+        metrics = json.dumps(run_metrics(log), indent=2, allow_nan=False) + "\n"
+        files = {"log.parquet": log.to_parquet(), "metrics.json": metrics.encode(), **_own_files(log.scenario)}
         try:
             _put(files, place)
         except DiskError as error:
