@@ -172,8 +172,6 @@ class Section:
                 return cls.__pydantic_validator__.validate_python(data, **details)
             except ValidationError as error:
                 raise _as_one(error, key) from None
-            except RecursionError:
-                raise ConfigurationError(key or "scenario", data, "values that do not hold themselves") from None
 
     @model_validator(mode="wrap")
     @classmethod
@@ -192,6 +190,8 @@ class Section:
             raise as_problem(error) from None
         except ValidationError as error:
             raise _in_words(error, cls) from None
+        except RecursionError:
+            raise as_problem(ConfigurationError("", data, "values that do not hold themselves")) from None
         if given is not None:
             vars(result)["_given"] = given
         return result

@@ -15,8 +15,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import cache
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -74,16 +73,15 @@ def njit(function: _F) -> _F:
     """
     # Nobody calls a law from C, so that entry is not compiled.
     options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
-    if _FOLDER is None:
-        return numba.njit(**options)(function)
     compiled: Any = numba.njit(**options)(function)
+    if _FOLDER is None:
+        return compiled
     before = _CONFIG.CACHE_DIR
     try:
         # Where files go is settled as a cache is made; other people's functions keep their own place.
         _CONFIG.CACHE_DIR = str(_FOLDER)
-        compiled._cache = _Cache(function)
-    except RuntimeError:  # the place is gone again
-        pass
+        with suppress(RuntimeError):  # the place is gone again
+            compiled._cache = _Cache(function)
     finally:
         _CONFIG.CACHE_DIR = before
     return compiled
@@ -92,29 +90,22 @@ def njit(function: _F) -> _F:
 class _Cache(_FunctionCache):
     """numba's cache of a function, whose files may be damaged, and their disk full, at any time."""
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        with self._dropped_if_bad():
-            return super().load_overload(sig, target_context)
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        with self._dropped_if_bad():
-            super().save_overload(sig, data)
+    told = False
 
     @contextmanager
-    def _dropped_if_bad(self) -> Iterator[None]:
+    def _guard_against_spurious_io_errors(self) -> Iterator[None]:
+        """Around all that loads and saves; numba's own, for Windows."""
         try:
             yield
         except Exception as error:  # of pickle any, of the disk OSError
-            _tell_once(f"{self.cache_path}: {error or type(error).__name__}")
+            if not _Cache.told:
+                _Cache.told = True
+                why = f"{_FOLDER}: {error or type(error).__name__}"
+                logging.getLogger("stewart_drake").warning(f"stewart-drake: cache of compiled code is bad, {why}")
             try:
                 self.flush()
             except OSError:
                 self.disable()
-
-
-@cache
-def _tell_once(why: str) -> None:
-    logging.getLogger("stewart_drake").warning(f"stewart-drake: cache of compiled code dropped, compiling anew: {why}")
 
 
 def source_digest() -> str:

@@ -222,3 +222,16 @@ def test_the_schema_takes_what_loads_and_nothing_else(section, monkeypatch):
             # A robot's name has to be one that is there, which changes with what is installed.
             if problem is None or "an existing file" not in problem.allowed:
                 assert schema.is_valid(document) == (problem is None), (name, junk, str(problem))
+
+
+@pytest.mark.parametrize("make", [Scenario.from_dict, lambda data: Scenario(**data)])
+@pytest.mark.parametrize("keys", [("initial_offset",), ("robot", "rod_length"), ("bounds", "rotation")])
+def test_a_list_that_holds_itself_is_refused_in_a_line(make, keys):
+    data = [0.0]
+    data.append(data)
+    for key in reversed(keys):
+        data = {key: data}
+    with pytest.raises(ConfigurationError) as caught:
+        make(data)
+    assert "[0.0, [...]]" in str(caught.value)
+    assert str(caught.value).isprintable()

@@ -1,5 +1,6 @@
 """One cache for all compiled laws, fresh with their sources, and records that are views."""
 
+import os
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,6 +23,8 @@ def test_nothing_is_compiled_outside_of_the_sources_that_the_digest_is_of():
 
 PROGRAM = """
 import sys
+sys.stderr = sys.stdout
+sys.dont_write_bytecode = True
 sys.path.insert(0, sys.argv[1])
 from stewart_drake.above import g
 print(g(1.0), sum(g.stats.cache_misses.values()), sum(g.stats.cache_hits.values()))
@@ -36,17 +39,39 @@ def answer(folder, factor):
     law = "from stewart_drake.jit import njit\n{}@njit\ndef {}(x):\n    return {} * x\n"
     (package / "below.py").write_text(law.format("", "f", factor))
     (package / "above.py").write_text(law.format("from stewart_drake.below import f\n", "g", "f(1.0)"))
-    value, misses, hits = python("-c", PROGRAM, folder).split()
-    return float(value), int(misses), int(hits)
+    *lines, last = python("-c", PROGRAM, folder).splitlines()
+    value, misses, hits = last.split()
+    return float(value), int(misses), int(hits), len(lines)
 
 
 @pytest.mark.slow
 def test_a_second_process_compiles_nothing_and_a_change_below_reaches_what_was_compiled_above(tmp_path, monkeypatch):
     # numba's own cache would answer as the first time.
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-    assert answer(tmp_path, 2.0) == (2.0, 1, 0)
-    assert answer(tmp_path, 2.0) == (2.0, 0, 1)
-    assert answer(tmp_path, 3.0) == (3.0, 1, 0)
+    assert answer(tmp_path, 2.0) == (2.0, 1, 0, 0)
+    assert answer(tmp_path, 2.0) == (2.0, 0, 1, 0)
+    assert answer(tmp_path, 3.0) == (3.0, 1, 0, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.parametrize("size", [0, 40])
+def test_a_damaged_cache_is_dropped_with_a_line_and_made_again(tmp_path, monkeypatch, ending, size):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    assert answer(tmp_path, 2.0) == (2.0, 1, 0, 0)
+    for file in (tmp_path / "cache").rglob(f"*.{ending}"):
+        os.truncate(file, size)
+    assert answer(tmp_path, 2.0) == (2.0, 1, 0, 1)
+    assert answer(tmp_path, 2.0) == (2.0, 0, 1, 0)
+
+
+@pytest.mark.slow
+def test_without_room_for_a_cache_there_is_none_and_a_line(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))"
+    monkeypatch.setitem(globals(), "PROGRAM", PROGRAM.replace("import sys", f"import sys; {limit}", 1))
+    for _ in range(2):
+        assert answer(tmp_path, 2.0) == (2.0, 1, 0, 1)
 
 
 def test_a_record_begins_with_zeros_and_takes_what_fits():

@@ -14,7 +14,7 @@ import click
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling, tell, working
-from stewart_drake.errors import ConfigurationError, DiskError, InfeasibleReferenceError
+from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.families import user_parts
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.files.yaml_files import to_yaml
@@ -55,22 +55,18 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     with claimed_place(loaded, out, force) as place:
         with shown_compiling(), progress_bar(loaded.name, loaded.duration) as advance:
             log = simulate(loaded, progress=advance, check=False, engine=engine)
+        place, problem = save_run(log, place)
+        _print_run(log, place)
         try:
-            results = save_run(log, place)
-        except DiskError:
-            _print_run(log, run_metrics(log), "nowhere")
-            raise
-        _print_run(log, results.metrics, str(results.folder))
-        try:
-            missing = results.note or draw_run(log, results.folder, graph)
+            problem = problem or draw_run(log, place, graph)
         except KeyboardInterrupt:
             say("pictures: interrupted")
             raise
-    if missing:
-        say(missing)
-    if (results.folder / "replay.html").exists():
+    if problem:
+        say(problem)
+    if (place / "replay.html").exists():
         other = "run exact_fig7" if loaded.name == "paper_fig7" else "live"
-        tell(f"open {results.folder / 'replay.html'}; try: stewart-drake {other}")
+        tell(f"open {place / 'replay.html'}; try: stewart-drake {other}")
     if video is not None and len(log.time):
         from stewart_drake.runs.pictures import write_film
 
@@ -83,7 +79,8 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
         sys.exit(opt.EXIT_INTERRUPTED if log.status == "interrupted" else opt.EXIT_RUN_FAILED)
 
 
-def _print_run(log: SimulationLog, metrics: dict[str, Any], place: str) -> None:
+def _print_run(log: SimulationLog, place: Path) -> None:
+    metrics = run_metrics(log)
     rows = [("status", told(log.status, log.reason)), ("simulated time", f"{log.end_time:.3f} s")]
     if log.scenario.plant.engine == "reduced":
         rows.append(("engine", "reduced, not Drake's plant"))
@@ -94,7 +91,7 @@ def _print_run(log: SimulationLog, metrics: dict[str, Any], place: str) -> None:
             rows.append((metric.label, metric.shown(value)))
     rows += [(f"warning: {each['name']}", f"{each['text']}, t = {each['time']:.3f} s") for each in log.warnings]
     factor = metrics["real_time_factor"]
-    rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", place)]
+    rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(place))]
     print_table(log.scenario.name, rows, data=metrics)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from stewart_drake.config import Real, Window, check_value
 from stewart_drake.errors import ConfigurationError, NotFiniteError
-from stewart_drake.files.whole import PACKAGE, plain_json, read_checked, seal, unseal_json, write_atomically
+from stewart_drake.files.whole import PACKAGE, plain_json, read_checked, seal, unseal, write_atomically
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
 from stewart_drake.part import Part
@@ -132,7 +132,7 @@ def weights_bytes(kind: str, version: int, content: dict[str, Any]) -> bytes:
 def load_weights(path: Path, kind: str, version: int, build: Callable[[dict[str, Any]], _Read]) -> _Read:
     """What `build` makes of the content of a weights file of a kind and version; errors name the path."""
     key = f"weights file {path}"
-    content = unseal_json(read_weights(path), key, "`stewart-drake train`")
+    content = unseal(read_weights(path), key, "`stewart-drake train`")
     if content.get("format") != kind:
         raise ConfigurationError(key, f"no {kind.partition(' ')[2]}", f'"format": "{kind}"')
     if content.get("version") != version:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import check_file, seal, unseal_json
+from stewart_drake.files.whole import check_file, seal, unseal
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -46,7 +46,6 @@ POSE = (
 CRANK_ANGLES = tuple((f"crank_angle_{leg}", "rad") for leg in range(6))
 """Quantities of poses and of cranks with their units."""
 MAX_COLUMNS = 5000
-_COLUMNS = "columns"
 _FACTORS = {f"_{ending}": factor for each in ENDINGS.values() for ending, factor in each.items() if ending}
 
 Chosen = Mapping[str, tuple[str, float]]
@@ -170,7 +169,7 @@ def numbers_to_csv(quantities: Sequence[tuple[str, str]], values: np.ndarray) ->
 
 def with_about(table: pa.Table, key: str, about: Mapping[str, Any]) -> pa.Table:
     """A table with plain values about it and the names of its columns, sealed, under `stewart_drake.KEY`."""
-    text = json.dumps(seal({**about, _COLUMNS: table.column_names}), allow_nan=False)
+    text = json.dumps(seal({**about, "columns": table.column_names}), allow_nan=False)
     return table.replace_schema_metadata({f"stewart_drake.{key}": text})
 
 
@@ -195,7 +194,7 @@ def parquet_about(path: str | Path, source: str, key: str, most_bytes: int, made
     except (OSError, ValueError, KeyError, pa.ArrowException) as error:
         text = "another Parquet file" if isinstance(error, KeyError) else " ".join(str(error).split())[:200]
         raise ConfigurationError(source, text, f"a Parquet file from {made_by}") from None
-    about = unseal_json(content, source, made_by)
-    if about.pop(_COLUMNS, None) != schema.names:
+    about = unseal(content, source, made_by)
+    if about.pop("columns", None) != schema.names:
         raise ConfigurationError(source, "other columns than were written", f"an unchanged file from {made_by}")
     return about

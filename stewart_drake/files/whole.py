@@ -13,7 +13,7 @@ import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from filelock import FileLock, Timeout
 
@@ -66,14 +66,14 @@ def write_together(files: Mapping[Path, bytes], instead_of: Iterable[Path] = ())
     parts = {path: path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part") for path in files}
     try:
         for path, content in files.items():
-            with told_of_disk(str(path)), parts[path].open("wb") as stream:
+            with _told_of_disk(str(path)), parts[path].open("wb") as stream:
                 stream.write(content)
                 stream.flush()
                 os.fsync(stream.fileno())
         for path in instead_of:
             path.unlink(missing_ok=True)
         for path, part in parts.items():
-            with told_of_disk(str(path)):
+            with _told_of_disk(str(path)):
                 part.replace(path)
     finally:
         for part in parts.values():
@@ -81,8 +81,16 @@ def write_together(files: Mapping[Path, bytes], instead_of: Iterable[Path] = ())
                 part.unlink()
 
 
+def append(stream: IO[bytes], document: Mapping[str, Any]) -> None:
+    """Adds a sealed document as a line to a file without a buffer."""
+    line = json.dumps(seal(document), allow_nan=False).encode() + b"\n"
+    with _told_of_disk(str(stream.name)):
+        while line:
+            line = line[stream.write(line) :]
+
+
 @contextmanager
-def told_of_disk(what: str) -> Iterator[None]:
+def _told_of_disk(what: str) -> Iterator[None]:
     """Turns an OSError while something is written into a `DiskError`, or a `ConfigurationError` about its place."""
     try:
         yield
@@ -165,7 +173,7 @@ def seal(document: Mapping[str, Any]) -> dict[str, Any]:
     return {**document, CHECKSUM: checksum(document)}
 
 
-def unseal_json(content: str | bytes, what: str, made_by: str) -> dict[str, Any]:
+def unseal(content: str | bytes, what: str, made_by: str) -> dict[str, Any]:
     """The inverse of `seal`, from JSON; ConfigurationError where that is not as `made_by` has written it."""
     try:
         document = json.loads(content)

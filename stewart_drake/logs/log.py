@@ -315,13 +315,9 @@ def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLo
     about = tables.parquet_about(path, key, "run", _LARGEST, "this version of the package")
     if about.get("version") != _VERSION:
         raise ConfigurationError(key, f"version {about.get('version')}", f"version {_VERSION}")
+    outcome = about["outcome"] | {"warnings": tuple(about["outcome"]["warnings"])}
     try:
-        outcome = {name: about["outcome"][name] for name in _OUTCOME}
-        outcome["warnings"] = tuple(outcome["warnings"])
         scenario = Scenario.from_dict(about["scenario"])
-    except (KeyError, TypeError) as error:
-        what = f"metadata that cannot be read ({type(error).__name__}: {error})"
-        raise ConfigurationError(key, what, "a log written by this package") from None
     except ConfigurationError as error:
         raise error.within(f"{key}: ") from None
     return SimulationLog(scenario, *_read_signals(path, key), **outcome)

@@ -11,7 +11,6 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,14 +28,6 @@ _ROOM = 10_000  # [byte] that a disk has at least
 _CODE = "code"  # Folder with the files of the user's classes.
 _PICTURES = ("diagram.dot", "diagram.svg", "states.png", "torques.png", "replay.html")
 """What a run may leave or not; else what is in a results folder is the user's own, and stays."""
-
-
-class Results(NamedTuple):
-    """What a run has left: where, its metrics, and what is to be said of the place."""
-
-    folder: Path
-    metrics: dict[str, Any]
-    note: str | None = None
 
 
 def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
@@ -92,14 +83,18 @@ def claimed_place(scenario: Scenario, out: str | Path | None = None, force: bool
     A folder that was made for it and is empty at the end is removed.
     """
     if out is None:
-        runs = prepare_folder("runs")
-        names = itertools.chain([scenario.name], (f"{scenario.name}-{number}" for number in itertools.count(2)))
-        place, made = next(place for name in names if _is_made(place := runs / name)), True
+        place, made = prepare_folder("runs") / scenario.name, True
+        for number in itertools.count(2):
+            try:
+                place.mkdir()
+                break
+            except FileExistsError:
+                place = place.with_name(f"{scenario.name}-{number}")
     else:
         place = Path(os.path.realpath(out))
         made = not place.exists()
-        prepare_folder(place, out)
     try:
+        prepare_folder(place, out)
         with locked_folder(place):
             if out is not None:
                 check_place(scenario, out, force)
@@ -110,26 +105,15 @@ def claimed_place(scenario: Scenario, out: str | Path | None = None, force: bool
                 place.rmdir()
 
 
-def _is_made(folder: Path) -> bool:
-    try:
-        folder.mkdir()
-    except FileExistsError:
-        return False
-    return True
-
-
-def save_run(log: SimulationLog, place: Path) -> Results:
+def save_run(log: SimulationLog, place: Path) -> tuple[Path, str | None]:
     """Writes log.parquet, metrics.json and scenario.yaml, and in code/ the user's classes, in place of an earlier run.
 
-    No signal comes between. Where the disk is full they go to a new folder for temporary files.
+    No signal comes between. Where the disk is full they go to a new folder for temporary files. Where they are, and
+    what is to be said of it.
     """
-    metrics = run_metrics(log)
-    files = {
-        "log.parquet": log.to_parquet(),
-        "metrics.json": (json.dumps(metrics, indent=2, allow_nan=False) + "\n").encode(),
-        **_own_files(log.scenario),
-    }
     with signals_held():
+        metrics = json.dumps(run_metrics(log), indent=2, allow_nan=False) + "\n"
+        files = {"log.parquet": log.to_parquet(), "metrics.json": metrics.encode(), **_own_files(log.scenario)}
         try:
             _put(files, place)
         except DiskError as error:
@@ -139,8 +123,8 @@ def save_run(log: SimulationLog, place: Path) -> Results:
             except DiskError:
                 shutil.rmtree(other)
                 raise error from None
-            return Results(other, metrics, f"{error}; the results are in {other}")
-    return Results(place, metrics)
+            return other, f"{error}; the results are in {other}"
+    return place, None
 
 
 def _put(files: Mapping[str, bytes], place: Path) -> None:

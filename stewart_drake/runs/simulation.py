@@ -124,27 +124,28 @@ def _run_engine(
         figures, outcome = figures_of(rows), assess(rows, trip, end_time, ended_by)
         if held and ended_by is None:
             outcome = assess(rows, trip, end_time, KeyboardInterrupt())
-        held.clear()
         warnings = tuple(plain_json(each) for each in find_warnings(outcome.status, rows, trip))
-    if outcome.status in ("failed", "lost", "stopped") and (cause := likely_cause(scenario)):
-        first, *trace = (outcome.message or "").split("\n")
-        outcome = outcome._replace(message="\n".join([f"{first}; likely cause: {cause}", *trace]))
-    if outcome.outcome_time is not None:
-        outcome = outcome._replace(outcome_time=_nominal(outcome.outcome_time, time_step))
-    stride = steps_per("log_period", scenario.effective_log_period, time_step)
-    return SimulationLog(
-        scenario=scenario,
-        signals={name: values[::stride].copy() for name, values in rows.signals.items()},
-        state_names=engine.state_names,
-        **outcome._asdict(),
-        end_time=end_time,
-        warnings=warnings,
-        safety=trip,
-        wall_time=wall,
-        versions=dict(_versions()),
-        files=files,
-        figures=figures,
-    )
+        if outcome.status in ("failed", "lost", "stopped") and (cause := likely_cause(scenario)):
+            first, *trace = (outcome.message or "").split("\n")
+            outcome = outcome._replace(message="\n".join([f"{first}; likely cause: {cause}", *trace]))
+        if outcome.outcome_time is not None:
+            outcome = outcome._replace(outcome_time=_nominal(outcome.outcome_time, time_step))
+        stride = steps_per("log_period", scenario.effective_log_period, time_step)
+        log = SimulationLog(
+            scenario=scenario,
+            signals={name: values[::stride].copy() for name, values in rows.signals.items()},
+            state_names=engine.state_names,
+            **outcome._asdict(),
+            end_time=end_time,
+            warnings=warnings,
+            safety=trip,
+            wall_time=wall,
+            versions=dict(_versions()),
+            files=files,
+            figures=figures,
+        )
+        held.clear()
+    return log
 
 
 @cache

@@ -7,7 +7,7 @@ import logging
 import os
 import socket
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -19,16 +19,7 @@ import numpy as np
 from stewart_drake.control.features import CostScales
 from stewart_drake.errors import ConfigurationError, RunFailure, raised_at
 from stewart_drake.files.code import file_digests, trusting_code
-from stewart_drake.files.whole import (
-    NOT_FINITE,
-    checksum,
-    locked_folder,
-    plain_json,
-    seal,
-    told_of_disk,
-    unseal_json,
-    write_atomically,
-)
+from stewart_drake.files.whole import NOT_FINITE, append, checksum, locked_folder, plain_json, unseal, write_atomically
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import MetricError, columns, error_norms, flat, run_cost, run_metrics
 from stewart_drake.logs.versions import collect_versions
@@ -211,7 +202,7 @@ class KeptRuns:
     ) -> None:
         self.folder, self._identity = folder, json.loads(json.dumps(identity))
         self._workers, self._progress, self._restart = workers or Workers(), progress or (lambda _: None), restart
-        self._digest, self._done = checksum(self._identity), 0
+        self._digest, self._done, self._kept = checksum(self._identity), 0, dict[str, Row]()
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
@@ -223,14 +214,13 @@ class KeptRuns:
                     (self.folder / name).unlink(missing_ok=True)
             path = self.folder / ROWS
             lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
-            rows = list(_intact(lines))
-            self._kept = {key: row for key, row, _ in rows}
-            self._refuse_another(bool(lines))
-            write_atomically(self.folder / HEADER, (json.dumps(seal(self._identity), indent=1) + "\n").encode())
-            if len(rows) < len(lines):
-                bad = f"stewart-drake: {path}: {len(lines) - len(rows)} of {len(lines)} rows are damaged and run again"
-                logging.getLogger("stewart_drake").warning(bad)
-                write_atomically(path, b"".join(line for *_, line in rows))
+            intact = [line for line in lines if self._keep(line)]
+            self._refuse_another()
+            write_atomically(self.folder / HEADER, (json.dumps(self._identity, indent=1) + "\n").encode())
+            if len(intact) < len(lines):
+                bad = f"{path}: {len(lines) - len(intact)} of {len(lines)} rows are damaged and run again"
+                logging.getLogger("stewart_drake").warning(f"stewart-drake: {bad}")
+                write_atomically(path, b"".join(intact))
             self._stream = opened.enter_context(path.open("ab", buffering=0))
             self._open = opened.pop_all()
         return self
@@ -245,10 +235,7 @@ class KeptRuns:
         self._progress(float(self._done))
 
         def keep(key: Key, row: Row) -> None:
-            line = json.dumps(seal({"key": digests[key], **row}), allow_nan=False).encode() + b"\n"
-            with told_of_disk(str(self.folder / ROWS)):
-                while line:
-                    line = line[self._stream.write(line) :]
+            append(self._stream, {"key": digests[key], **row})
             self._kept[digests[key]] = row
             self._done += 1
             self._progress(float(self._done))
@@ -259,26 +246,25 @@ class KeptRuns:
         run_jobs(missing, lambda key: (execute, (task(key),)), keep, self._workers, died)
         return [self._kept[digests[key]] for key in keys]
 
-    def _refuse_another(self, begun: bool) -> None:
+    def _keep(self, line: bytes) -> bool:
+        """Takes the row of a line that is whole and as it was written."""
+        with suppress(ConfigurationError):
+            row = unseal(line if line.endswith(b"\n") else b"", ROWS, "a study")
+            self._kept[row.pop("key")] = row
+            return True
+        return False
+
+    def _refuse_another(self) -> None:
         header = self.folder / HEADER
         try:
-            content = header.read_bytes() if begun or header.exists() else None
-            unlike = [] if content is None else _unequal(unseal_json(content, HEADER, "a study"), self._identity)
-        except (OSError, ConfigurationError):
-            # The rows know too what they are of.
-            own = any(key.startswith(self._digest) for key in self._kept)
-            unlike = [] if own else [f"{HEADER}, which cannot be read"]
-        if unlike:
+            there = header.exists() or (self.folder / ROWS).exists()
+            unlike = _unequal(json.loads(header.read_bytes()), self._identity) if there else []
+        except (OSError, ValueError, RecursionError):
+            unlike = [f"{HEADER}, which cannot be read"]
+        # Rows know too what they are of.
+        if unlike and not any(key.startswith(self._digest) for key in self._kept):
             allowed = "a new folder, or one with the same study by the same version; --restart replaces it"
             raise ConfigurationError("--out", str(self.folder), f"{allowed}; it differs in {', '.join(unlike[:5])}")
-
-
-def _intact(lines: Iterable[bytes]) -> Iterator[tuple[str, Row, bytes]]:
-    """Key and row of each line that is as it was written, and the line."""
-    for line in lines:
-        with suppress(ConfigurationError):
-            row = unseal_json(line if line.endswith(b"\n") else b"", ROWS, "a study")
-            yield row.pop("key"), row, line
 
 
 def _unequal(one: Any, other: Any, name: str = "") -> list[str]:

@@ -23,7 +23,7 @@ from stewart_drake.control.features import FEATURES, CostScales, features
 from stewart_drake.control.policy import SIZE, Chooser, Layers, Policy, policy_tick
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import LARGEST, checksum, read_checked, seal, unseal_json, write_atomically
+from stewart_drake.files.whole import LARGEST, checksum, read_checked, seal, unseal, write_atomically
 from stewart_drake.jit import njit, record
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario import Scenario
@@ -175,7 +175,7 @@ class State:
     @classmethod
     def load(cls, file: Path, identity: str) -> State:
         content = read_checked(file, f"state {file}", LARGEST)
-        values: dict[str, Any] = unseal_json(content, f"state {file}", "`stewart-drake train`; remove it to start anew")
+        values: dict[str, Any] = unseal(content, f"state {file}", "`stewart-drake train`; remove it to start anew")
         if values.pop("identity", None) != identity:
             allowed = "the state of a training with the same options; remove the file to start anew"
             raise ConfigurationError(f"state {file}", "of other options", allowed)

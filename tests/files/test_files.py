@@ -1,6 +1,7 @@
 """Files: what is read is regular, bounded and safe; what is written is there whole or not at all."""
 
 import os
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,34 @@ def test_whatever_stops_the_writing_the_old_file_stays_and_nothing_else(tmp_path
         write_atomically(path, b"new")
     assert "No space left" in str(caught.value) or isinstance(failure, KeyboardInterrupt)
     assert (path.read_bytes(), list(tmp_path.iterdir())) == (b"old\r\n", [path])
+
+
+def test_threads_that_write_to_one_place_leave_the_content_of_one(tmp_path):
+    path, problems = tmp_path / "kept", []
+
+    def write(content):
+        try:
+            for _ in range(50):
+                write_atomically(path, content)
+        except ConfigurationError as error:
+            problems.append(error)
+
+    threads = [threading.Thread(target=write, args=(bytes([number]) * 5000,)) for number in range(4)]
+    for each in threads:
+        each.start()
+    for each in threads:
+        each.join()
+    assert problems == []
+    assert path.read_bytes() in [bytes([number]) * 5000 for number in range(4)]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_table_of_a_million_columns_is_refused_by_its_header(tmp_path):
+    path = tmp_path / "wide.csv"
+    path.write_text(",".join(map(str, range(10**6))) + "\n")
+    for load in (load_log, lambda path: RecordedReference(motion_file=str(path)).evaluate(0.0)):
+        with pytest.raises(ConfigurationError, match="at most 5000 columns, got '1000000 columns'"):
+            load(path)
 
 
 def test_a_folder_is_one_process_s_at_a_time_and_cleared_of_what_a_killed_one_left(tmp_path):

@@ -1,5 +1,6 @@
 import dataclasses
 import json
+import random
 
 import numpy as np
 import pyarrow as pa
@@ -8,7 +9,7 @@ import pytest
 from made_logs import made_log
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.tables import to_parquet, with_about
+from stewart_drake.files.whole import seal
 from stewart_drake.logs.log import AXIS_NAMES, SIGNALS, load_log
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario
@@ -105,15 +106,54 @@ def test_what_is_no_log_is_named_in_one_line(log, tmp_path):
     table = pq.read_table(pa.BufferReader(log.to_parquet()))
     run = json.loads(table.schema.metadata[b"stewart_drake.run"])
     del run["checksum"]
+    short = table.drop_columns(["pose_x_m"])
     for columns, about, words in (
-        (table, {**run, "version": 2}, "version 2"),
-        (table.drop_columns(["pose_x_m"]), run, "no column of pose_x"),
-        (table, {**run, "scenario": {"durration": 1}}, "durration"),
+        (table, seal({**run, "version": 2}), "version 2"),
+        (short, seal({**run, "columns": short.column_names}), "no column of pose_x"),
+        (short, seal(run), "other columns than were written"),
+        (table, seal({**run, "scenario": {"durration": 1}}), "durration"),
+        (table, run, "its checksum is not that of its content"),
     ):
-        path.write_bytes(to_parquet(with_about(columns.replace_schema_metadata(), "run", about)))
+        pq.write_table(columns.replace_schema_metadata({"stewart_drake.run": json.dumps(about)}), path)
         refused(words)
     with pytest.raises(ConfigurationError, match=r"a name that ends in \.parquet or \.csv"):
         log.save(tmp_path / "log.xlsx")
+
+
+def test_a_flipped_bit_of_what_a_log_says_besides_its_columns_is_refused_or_changes_nothing(log, tmp_path):
+    path, content, chance, refused = tmp_path / "log.parquet", log.to_parquet(), random.Random(0), 0
+    begin = content.index(b'"version": 4')
+    for _ in range(100):
+        damaged = bytearray(content)
+        damaged[chance.randrange(begin, len(content))] ^= 1 << chance.randrange(8)
+        path.write_bytes(damaged)
+        try:
+            again = load_log(path)
+        except ConfigurationError:
+            refused += 1
+        else:
+            assert (again.scenario, again.outcome(), list(again)) == (log.scenario, log.outcome(), list(log))
+    assert refused > 50
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda rows: [f"{row},{'time_ms' if row[0] == 't' else 7}" for row in rows], "got 'time_s, time_ms'"),
+        (
+            lambda rows: [rows[0].replace("pose_roll_rad", "pose_roll_m"), *rows[1:]],
+            "one of pose_roll_rad, pose_roll_deg",
+        ),
+        (lambda rows: [rows[0], rows[2], rows[1]], "row 2, time: expected a time after that of the row before"),
+        (lambda rows: [rows[0], rows[1], rows[1]], "row 2, time: expected a time after that of the row before"),
+    ],
+    ids=["two times", "another unit", "back", "twice"],
+)
+def test_a_table_that_contradicts_itself_is_no_log(log, tmp_path, change, words):
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(change(log.to_csv().decode().splitlines()[:3])) + "\n")
+    with pytest.raises(ConfigurationError, match=words):
+        load_log(path)
 
 
 def test_a_log_becomes_a_frame_a_dataset_with_named_axes_and_a_cell_of_a_notebook(log):

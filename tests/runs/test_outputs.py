@@ -1,11 +1,17 @@
 import dataclasses
 import json
+import resource
+import signal
+import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from made_logs import made_log
 
 from stewart_drake.errors import ConfigurationError, DiskError
+from stewart_drake.files.whole import signals_held
 from stewart_drake.logs import versions
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
@@ -24,25 +30,36 @@ def names(folder):
     return {path.name for path in folder.iterdir()}
 
 
-def write(log, out=None, **options):
-    with claimed_place(log.scenario, out, **options) as place:
-        return save_run(log, place).folder
+def write(log, out=None, graph=None, force=False, draw=outputs._draw_graph):
+    with claimed_place(log.scenario, out, force) as place:
+        assert save_run(log, place) == (place, None)
+        if graph is not None:
+            draw(graph, place)
+    return place
+
+
+@contextmanager
+def room_for(size):
+    # A disk that takes no file of more bytes.
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.slow
 def test_a_run_leaves_all_its_files_and_one_without_rows_no_pictures(tmp_path):
     log, folder = run(Scenario.from_dict({"name": "short", "duration": 0.2})), tmp_path / "deep" / "down"
-    with claimed_place(log.scenario, folder) as place:
-        results = save_run(log, place)
-        assert names(folder) - {".lock"} >= ALWAYS
-        assert draw_run(log, place, build_diagram(log.scenario).GetGraphvizString()) is None
+    write(log, folder)
+    assert draw_run(log, folder, build_diagram(log.scenario).GetGraphvizString()) is None
     assert names(folder) - {"diagram.svg"} == ALWAYS | PICTURES | {"diagram.dot"}
-    assert results.metrics == json.loads((folder / "metrics.json").read_text()) == run_metrics(log)
+    assert json.loads((folder / "metrics.json").read_text()) == run_metrics(log)
     assert load_scenario(folder / "scenario.yaml") == log.scenario
     empty = dataclasses.replace(log, signals={name: values[:0] for name, values in log.items()}, figures=None)
-    with claimed_place(log.scenario, tmp_path / "empty") as place:
-        assert save_run(empty, place).metrics["rmse_deg"] is None
-        assert draw_run(empty, place) is None
+    assert draw_run(empty, write(empty, tmp_path / "empty")) is None
+    assert json.loads((tmp_path / "empty" / "metrics.json").read_text())["rmse_deg"] is None
     assert names(tmp_path / "empty") == ALWAYS
 
 
@@ -53,9 +70,30 @@ def test_without_a_place_each_run_gets_the_next_number(tmp_path, monkeypatch):
     assert names(tmp_path / "runs") == {"made", "made-2", "made-3"}
 
 
+def test_a_place_is_taken_before_the_run_and_left_as_it_was_where_nothing_comes_of_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    first, other = made_log().scenario, made_log(scenario={"gravity": 0.0}).scenario
+    with claimed_place(first, "out"), claimed_place(first) as one, claimed_place(first) as two:
+        assert (one, two) == (Path("runs/made"), Path("runs/made-2"))
+        for force in (False, True):
+            with (
+                pytest.raises(ConfigurationError, match="no other process is using"),
+                claimed_place(other, "out", force),
+            ):
+                pass
+    assert names(tmp_path) == {"runs"}
+    assert names(tmp_path / "runs") == set()
+    # What a killed run leaves is in nobody's way.
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / ".lock").touch()
+    (tmp_path / "out" / ".log.parquet.7.7.part").touch()
+    write(made_log(), "out")
+    assert names(tmp_path / "out") == ALWAYS
+
+
 def test_a_place_of_the_same_scenario_is_replaced_and_what_is_the_users_own_stays(tmp_path):
     folder = tmp_path / "out"
-    write(made_log(), folder)
+    write(made_log(), folder, graph="digraph {}")
     for name in (*PICTURES, "my notes.txt"):
         (folder / name).write_text("of the run before")
     write(made_log(wall_time=3.0), folder)
@@ -88,7 +126,7 @@ def test_a_place_that_cannot_be_is_refused_and_nothing_there_is_touched(tmp_path
     (below / "scenario.yaml").write_text("# mine\n")
     monkeypatch.chdir(below)
     mine = "or one with the results of a run"
-    for place, words in ((".", mine), ("..", mine), (file, "this is a file"), (file / "x", "this is a file")):
+    for place, words in ((".", mine), ("..", mine), (file, "this is a file"), (file / "x", "Not a directory")):
         with pytest.raises(ConfigurationError, match=f"--out: .*{words}"):
             write(made_log(), place, force=force)
     with pytest.raises(ConfigurationError, match="a file, not a folder"):
@@ -96,43 +134,57 @@ def test_a_place_that_cannot_be_is_refused_and_nothing_there_is_touched(tmp_path
     assert (names(tmp_path), names(below)) == ({"below", "file"}, {"scenario.yaml"})
 
 
-def test_a_full_disk_leaves_no_half_result(tmp_path, monkeypatch):
-    def full(*_):
-        raise DiskError("log.parquet: No space left on device")
+def test_on_a_full_disk_the_results_of_before_stay_and_the_new_ones_go_elsewhere_or_the_error_is_the_disks(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    write(made_log(), tmp_path / "out")
+    log, whole, full = made_log(wall_time=3.0), outputs._put, DiskError("log.parquet: No space left on device")
 
-    monkeypatch.setattr(outputs, "write_together", full)
-    with pytest.raises(DiskError, match="No space left"):
-        write(made_log(), tmp_path / "out")
-    assert names(tmp_path) == set()
+    def full_in_out(files, place):
+        if place.name == "out":
+            raise full
+        whole(files, place)
 
-
-def test_where_the_disk_of_a_place_is_full_the_results_go_elsewhere_and_this_is_said(tmp_path, monkeypatch):
-    together, log = outputs.write_together, made_log()
-
-    def full_there(files, *more):
-        if tmp_path / "out" in {path.parent for path in files}:
-            raise DiskError("log.parquet: No space left on device")
-        together(files, *more)
-
-    monkeypatch.setattr(outputs, "write_together", full_there)
+    monkeypatch.setattr(outputs, "_put", full_in_out)
     with claimed_place(log.scenario, tmp_path / "out") as place:
-        results = save_run(log, place)
-    assert load_log(results.folder).signals.keys() == log.signals.keys()
-    assert "No space left" in results.note
-    assert str(results.folder) in results.note
+        other, problem = save_run(log, place)
+    assert (load_log(tmp_path / "out").wall_time, load_log(other).wall_time) == (2.0, 3.0)
+    assert problem == f"{full}; the results are in {other}"
+    monkeypatch.undo()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with room_for(20_000), pytest.raises(DiskError, match=r"log\.parquet: File too large"):
+        write(log, tmp_path / "out")
+    assert load_log(tmp_path / "out").wall_time == 2.0
+    assert names(tmp_path / "out") == ALWAYS
+    assert names(tmp_path) == {"out", other.name}
+    with room_for(5_000), pytest.raises(ConfigurationError, match=r"--out: .*written to \(File too large\)"):
+        write(log, tmp_path / "new")
 
 
-def test_a_picture_that_cannot_be_written_is_named_and_the_log_stays(tmp_path, monkeypatch):
-    def full(*_, **__):
-        raise DiskError("disk full")
+def test_pictures_that_the_disk_has_no_room_for_are_named(tmp_path):
+    log = made_log(plant_state=np.full((101, 9), np.nan))
+    folder = write(log, tmp_path / "out")
+    with room_for(10_000):
+        problem = draw_run(log, folder, "digraph {}")
+    assert problem == f"pictures: {folder}/states.png: File too large; missing: states.png, torques.png, replay.html"
+    assert names(folder) - {"diagram.svg"} == ALWAYS | {"diagram.dot"}
 
-    log = made_log()
-    monkeypatch.setattr("stewart_drake.runs.replay.write_replay", full)
-    with claimed_place(log.scenario, tmp_path / "out") as place:
-        save_run(log, place)
-        said = draw_run(log, place)
-    assert said == "pictures: disk full; missing: replay.html"
-    assert names(tmp_path / "out") >= ALWAYS
+
+def test_signals_wait_until_what_is_written_is_there(tmp_path):
+    log, folder = made_log(), tmp_path / "out"
+    for number in (signal.SIGINT, signal.SIGTERM):
+        before = signal.signal(number, signal.default_int_handler)
+        try:
+            with pytest.raises(KeyboardInterrupt), signals_held():  # noqa: PT012 - what is held comes at its end
+                signal.raise_signal(number)
+                write(log, folder)
+            with signals_held() as held:
+                signal.raise_signal(number)
+                held.clear()
+        finally:
+            signal.signal(number, before)
+    assert load_log(folder).wall_time == log.wall_time
 
 
 def test_a_controller_of_the_users_is_kept_with_its_results_which_can_be_run_again(tmp_path):

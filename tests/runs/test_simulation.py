@@ -1,5 +1,6 @@
 import gc
 import itertools
+import signal
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.runs.simulation import run
+from stewart_drake.runs import simulation
+from stewart_drake.runs.simulation import engine_of, run
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.systems.diagram import ClosedLoop
 from stewart_drake.systems.library import PartSystem
@@ -83,6 +85,29 @@ def test_what_a_tick_raises_ends_the_run_with_its_time_and_whole_rows(monkeypatc
     assert (log.end_time, log.time[-1]) == (0.02, 0.015)
     assert {len(values) for values in log.values()} == {4}
     assert "\n" not in log.message
+
+
+@pytest.mark.parametrize("engine", ["drake", "reduced"])
+def test_an_engine_runs_once_and_the_scenario_that_it_was_made_of(engine):
+    own, allowed = scenario(plant={"engine": engine}), "what engine_of has made of this scenario"
+    made = engine_of(own)
+    with pytest.raises(ConfigurationError, match=f"engine: expected {allowed}"):
+        run(scenario(plant={"engine": engine}, gravity=0.0), engine=made)
+    assert run(scenario(plant={"engine": engine}), engine=made).status == "completed"
+    with pytest.raises(ConfigurationError, match=f"{allowed}.* that has run"):
+        run(own, engine=made)
+
+
+def test_ctrl_c_while_a_run_is_assessed_does_not_lose_it(monkeypatch):
+    real = simulation.figures_of
+
+    def interrupted(rows):
+        signal.raise_signal(signal.SIGINT)
+        return real(rows)
+
+    monkeypatch.setattr(simulation, "figures_of", interrupted)
+    log = run(scenario(plant={"engine": "reduced"}))
+    assert (log.status, log.end_time, len(log.time)) == ("interrupted", 0.05, 11)
 
 
 def test_a_run_that_does_not_fit_into_memory_is_refused_before_it():

@@ -194,6 +194,33 @@ def test_more_runs_go_on_where_fewer_ended_or_were_interrupted_and_an_unfinished
 
 
 @pytest.mark.usefixtures("code_as_it_is")
+@pytest.mark.parametrize("header", ["", "{", "[1]", '{"seed": 7}'])
+def test_a_damaged_row_is_run_again_and_no_more_whatever_became_of_the_header(tmp_path, header, caplog):
+    ran, rows = [], tmp_path / "rows.jsonl"
+
+    def spy(scenario):
+        ran.append(number(scenario))
+        return simulate(scenario)
+
+    whole = run_study(sweep(spy, runs=5), tmp_path, HERE).tables["sweep"]
+    good = rows.read_bytes()
+    lines = good.splitlines()
+    # A figure that is another, no row, no JSON, no text.
+    lines[0] = re.sub(rb'("rmse_norm_mm": )', rb"\g<1>9", lines[0])
+    lines[1], lines[2], lines[4] = b"5", lines[2][:-20], b"\xff\xfe"
+    rows.write_bytes(b"\n".join(lines) + b"\n")
+    (tmp_path / "study.json").write_text(header)
+    again = run_study(sweep(spy, runs=5), tmp_path, HERE).tables["sweep"]
+    assert ran == [0, 1, 2, 3, 4, 0, 1, 2, 4]
+    assert "4 of 5 rows are damaged and run again" in caplog.text
+    incidental = [column.name for column in INCIDENTAL]
+    assert again.drop(incidental).equals(whole.drop(incidental))
+    caplog.clear()
+    run_study(sweep(spy, runs=5), tmp_path, HERE)
+    assert (len(ran), caplog.text) == (9, "")
+
+
+@pytest.mark.usefixtures("code_as_it_is")
 def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
     run_study(sweep(runs=1), tmp_path, HERE)
     before = (tmp_path / "rows.jsonl").read_bytes()
@@ -209,11 +236,8 @@ def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(versions, "source_digest", lambda: "changed")
         refused("differs in versions")
-    # Rows know their study: where its file is gone they are still those of this one alone.
     (tmp_path / "study.json").unlink()
-    run_study(sweep(runs=1), tmp_path, HERE)
-    assert (tmp_path / "rows.jsonl").read_bytes() == before
-    refused("seed", seed=6)
+    refused("study.json, which cannot be read", seed=6)
     (tmp_path / "own.csv").touch()
     result = run_study(sweep(runs=1, seed=6), tmp_path, HERE, restart=True)
     assert result.rows["sweep"][0]["seed"] == sweep(seed=6).run_seed(0)

@@ -103,9 +103,23 @@ def test_interrupted_or_on_more_processes_it_comes_to_the_same_policy(tmp_path, 
 def test_the_state_of_another_training_is_refused(tmp_path):
     file = tmp_path / "policy.state"
     state_of(Training(SMALL, Workers(0))).save(file, "its own")
-    assert State.load(file, "its own").generation == 0
+    assert State.load(file, "its own").history.shape == (0, 2)
     with pytest.raises(ConfigurationError, match="of other options"):
         train_policy(SMALL, file, workers=Workers(0))
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda good: good.replace(b"0.0", b"0.1", 1), lambda good: good[:-9], lambda _: b""]
+)
+def test_a_damaged_state_is_refused_and_an_unchanged_one_is_the_same(tmp_path, damage):
+    file, state = tmp_path / "policy.state", state_of(Training(SMALL, Workers(0)))
+    state.weights[:3], state.history = [0.1, 1e-300, -np.pi], np.array([[5.0, -0.3]])
+    state.save(file, "its own")
+    for name, value in vars(State.load(file, "its own")).items():
+        np.testing.assert_array_equal(value, getattr(state, name))
+    file.write_bytes(damage(file.read_bytes()))
+    with pytest.raises(ConfigurationError, match=r"an unchanged file from `stewart-drake train`, .*; remove it"):
+        State.load(file, "its own")
 
 
 def test_the_shipped_policy_is_one_and_names_the_revision_that_trained_it():
