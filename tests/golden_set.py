@@ -306,8 +306,8 @@ def compute(folder):
 
 def record(folder):
     with tempfile.TemporaryDirectory() as other:
-        arguments = [sys.executable, __file__, "compute", other]
-        failed = compute(folder) or subprocess.run(arguments, env=os.environ | SETTINGS["oldest"], check=False).returncode
+        arguments, oldest = [sys.executable, __file__, "compute", other], os.environ | SETTINGS["oldest"]
+        failed = compute(folder) or subprocess.run(arguments, env=oldest, check=False).returncode
         if not failed:
             found = sensitive(recorded(folder), recorded(Path(other)))
             lines = [f"{json.dumps(key)}: {json.dumps(tolerance)}" for key, tolerance in found.items()]
