@@ -49,6 +49,8 @@ CHECKS = {
 
 def main(*names):
     failed = 0
+    if unknown := set(names) - SETTINGS.keys():
+        sys.exit(f"expected settings that this processor has, {', '.join(SETTINGS)}; got {', '.join(unknown)}")
     for name in names or SETTINGS:
         for check, arguments in CHECKS.items():
             start = time.monotonic()

@@ -4,6 +4,7 @@ import json
 
 import golden_set
 import numpy as np
+import processors
 import pytest
 
 SCHEMA = json.loads((golden_set.ROOT / "diagrams" / "scenarios" / "schema.json").read_text())
@@ -93,3 +94,14 @@ def test_a_number_is_compared_as_far_as_rounding_leaves_it():
     assert golden_set.differences(first, other, wider) == []
     for key, value in (("run/weights", with_row(first["run/weights"], 2, 4e-4)), ("run/x", [1.1, 2.0]), ("run/y", 3.1)):
         assert [each for _, each, _ in golden_set.differences(first, other | {key: value}, wider)] == [key]
+
+
+def test_a_setting_reaches_the_checks_and_one_that_differs_is_told(monkeypatch, capsys):
+    program = "import os; assert os.environ['OPENBLAS_CORETYPE'] == 'Haswell'"
+    monkeypatch.setattr(processors, "CHECKS", {"kernels": ["-c", program]})
+    assert processors.main("Haswell") == 0
+    assert processors.main("Nehalem", "Haswell", "oldest") == 1
+    told = [line.partition(",")[0] for line in capsys.readouterr().out.splitlines() if ", kernels: differs" in line]
+    assert told == ["Nehalem", "oldest"]
+    with pytest.raises(SystemExit, match="expected settings that this processor has, native"):
+        processors.main("Pentium")

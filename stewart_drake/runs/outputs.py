@@ -39,8 +39,7 @@ def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
             stream.write(bytes(_ROOM))
     except OSError as error:
         # Unlike `Path.is_file` this never raises, whatever stands in the way.
-        a_file = any(os.path.isfile(each) for each in (folder, *folder.parents))  # noqa: PTH113
-        why = "this is a file, or in one" if a_file else error.strerror
+        why = "this is a file" if os.path.isfile(folder) else error.strerror  # noqa: PTH113
         raise ConfigurationError("--out", str(named or path), f"a folder that can be written to ({why})") from None
     return folder
 
