@@ -18,7 +18,9 @@ from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 LONGEST_HALF = 10
 """Ticks of half a window at most; the state has place for so many."""
 ALONE = 0.2
-"""Share of the bound on a residual that is enough where it is that of one or two legs; assumed."""
+"""Share of the bound on a residual that is enough where it is that of one leg; assumed."""
+TWO = 0.5
+"""What the residual of two legs counts: a push along an axis of symmetry can look like a swap of opposite legs."""
 APART = 2.0  # [-] times all others, that one or two cranks have then.
 SWAPPED_WITHIN = 0.3  # Share of a residual to which two motors must give each other's torque.
 _TOLERANCE, _ITERATIONS = 1e-12, 12  # As an estimator of readings has it, see `estimator`.
@@ -172,7 +174,7 @@ def is_odd(setup: Any, state: Any) -> bool:
     """Whether the residual is more than load, push and friction may be, or a smaller one is that of a leg or two."""
     _, _, one, two = _alone(state.lasting)
     _, _, one_motor, two_motors = _alone(state.missing)
-    alone = max(setup.inertia * max(one, two), one_motor, two_motors)
+    alone = max(setup.inertia * max(one, TWO * two), one_motor, TWO * two_motors)
     return alone > setup.unexplained_alone or (np.abs(state.residual) > setup.unexplained).any()
 
 
