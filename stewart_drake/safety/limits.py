@@ -50,8 +50,8 @@ class SafetyOptions(Section, key="safety"):
     """[ticks] longest time without a new command; a constant `command_delay` does not count."""
     unexplained_torque: Fraction | None = 0.2
     """[-] share of each motor's limit by which torques may differ from inverse dynamics of the readings: what payload,
-    pushes and friction that is not compensated take. A fifth of it counts where the difference is that of one or
-    two legs alone; a blow of 5 ms passes. It detects wrong readings and motors."""
+    pushes and friction that is not compensated take. A fifth of it counts where the difference is that of one
+    leg alone, two fifths where it is that of two; a blow of 5 ms passes. It detects wrong readings and motors."""
     frozen_pose: Annotated[PositivePair | None, LENGTH] = (0.01, 0.001)
     """[rad, m] change of the reference on an axis after which a measured pose that repeats to the last bit is frozen;
     for sensors other than encoders."""
