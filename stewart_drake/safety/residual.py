@@ -20,7 +20,8 @@ LONGEST_HALF = 10
 ALONE = 0.2
 """Share of the bound on a residual that is enough where it is that of one leg; assumed."""
 TWO = 0.5
-"""What the residual of two legs counts: a push along an axis of symmetry can look like a swap of opposite legs."""
+"""What the residual of two legs counts, unless it fits motors that give each other's torque: a push along an axis of
+symmetry can look so."""
 APART = 2.0  # [-] times all others, that one or two cranks have then.
 SWAPPED_WITHIN = 0.3  # Share of a residual to which two motors must give each other's torque.
 _TOLERANCE, _ITERATIONS = 1e-12, 12  # As an estimator of readings has it, see `estimator`.
@@ -170,11 +171,19 @@ def _alone(values: Any) -> Any:
 
 
 @njit
+def _give_each_others(state: Any, motor: int, another: int) -> bool:
+    """Whether the residual of two motors is what it is where each gives the other's torque."""
+    apart, within = state.given[motor] - state.given[another], SWAPPED_WITHIN * abs(state.residual[motor])
+    return max(abs(state.residual[motor] - apart), abs(state.residual[another] + apart)) < within
+
+
+@njit
 def is_odd(setup: Any, state: Any) -> bool:
     """Whether the residual is more than load, push and friction may be, or a smaller one is that of a leg or two."""
     _, _, one, two = _alone(state.lasting)
-    _, _, one_motor, two_motors = _alone(state.missing)
-    alone = max(setup.inertia * max(one, TWO * two), one_motor, TWO * two_motors)
+    motor, another, one_motor, two_motors = _alone(state.missing)
+    alike = 1.0 if _give_each_others(state, motor, another) else TWO
+    alone = max(setup.inertia * max(one, TWO * two), one_motor, alike * two_motors)
     return alone > setup.unexplained_alone or (np.abs(state.residual) > setup.unexplained).any()
 
 
@@ -202,8 +211,7 @@ def mark_suspects(state: Any, failed: int, odd: bool) -> int:
         if one <= 0.0:
             state.suspect[other] = READING_WRONG
         return reading
-    apart, within = given[motor] - given[another], SWAPPED_WITHIN * abs(residual[motor])
-    if one_motor <= 0.0 and max(abs(residual[motor] - apart), abs(residual[another] + apart)) < within:
+    if one_motor <= 0.0 and _give_each_others(state, motor, another):
         state.suspect[motor], state.suspect[another] = MOTOR_SWAPPED, MOTOR_SWAPPED
     else:
         # Of a motor that gives the opposite twice its torque is missing, of a dead one its torque.
