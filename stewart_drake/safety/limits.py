@@ -156,6 +156,7 @@ LIMITS = (
 the order in which they are asked: what the first see explains the others."""
 _OF_ROW = np.array([(monitor, of_legs) for monitor, _, of_legs in LIMITS])
 
+TIE = 1e-6  # What margins of two legs may differ by, in any unit, where the first of them is named.
 SMALLEST = 1e-9  # Transmission at a dead centre, for the speed of that crank.
 
 SETUP = fields(
@@ -327,7 +328,7 @@ def broken(observed: Any) -> tuple[int, int]:
     for row in range(5):
         leg = 0
         for i in range(1, 6):
-            if not observed.margin[row, i] >= observed.margin[row, leg]:
+            if not observed.margin[row, i] >= observed.margin[row, leg] - TIE:
                 leg = i
         if not observed.margin[row, leg] >= 0.0:
             return _OF_ROW[row, 0], leg if _OF_ROW[row, 1] else -1
