@@ -13,7 +13,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PINS)
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test test-all test-torch check newest golden processors results lint bench docs docs-quick picture gallery robots calibration calibration-example identification margins plan reproduction montecarlo random_faults fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three format clean
+.PHONY: demo install test test-all test-torch check newest golden processors results lint bench docs docs-quick picture gallery robots calibration calibration-example identification integrators margins plan reproduction montecarlo random_faults fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three format clean
 
 demo: $(BASE)
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -27,8 +27,11 @@ $(BASE): pyproject.toml constraints.txt
 	$(PIP) -e .
 	touch $@
 
+# Reachy Mini's model for MuJoCo is in its maker's package, which would bring all that drives the real one.
+MODEL := $(shell sed -n 's|^mjcf: package:\([^/]*\)/.*|\1|p' stewart_drake/robots/reachy_mini.yaml)
 $(STAMP): $(BASE)
 	$(PIP) -e '.[$(EXTRA)]'
+	$(PIP) --no-deps '$(MODEL)'
 	touch $@
 
 PYTEST := $(ONE_THREAD) $(BIN)/pytest -n auto --dist loadgroup --ignore=tests/benchmarks
@@ -128,6 +131,10 @@ tuner_training: tuner_policy
 # docs/results/tuner_safety.md and its picture: the box of the shipped policy, half an hour on one core.
 tuner_safety: install
 	$(ONE_THREAD) $(BIN)/python docs/tuner_safety_study.py
+
+# docs/results/integrators.md and its picture: five minutes on one core.
+integrators: install
+	$(ONE_THREAD) $(BIN)/python docs/integrators.py
 
 # docs/results/identification.md: half an hour.
 identification: install

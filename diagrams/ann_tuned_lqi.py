@@ -6,7 +6,14 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
 from stewart_drake import LqiOptions, RobotParameters, add_plant, load_network, paper_reference
-from stewart_drake.systems import AnnTuner, DensityFeatures, LqiController, ReferenceSource, TaskSpaceSensor
+from stewart_drake.systems import (
+    AnnTuner,
+    DensityFeatures,
+    LqiController,
+    ReferenceSource,
+    TaskSpaceSensor,
+    TrackingError,
+)
 
 DURATION = 4.0  # [s]
 GRAVITY = 9.81  # [m/s^2]
@@ -22,18 +29,20 @@ def main() -> None:
     robot = add_plant(builder, parameters, gravity=GRAVITY)
     sensor = builder.AddNamedSystem("sensor", TaskSpaceSensor(robot))
     source = builder.AddNamedSystem("reference", ReferenceSource(reference))
+    error = builder.AddNamedSystem("tracking_error", TrackingError(options.period))
     controller = builder.AddNamedSystem("controller", LqiController(parameters, options, GRAVITY))
     density = builder.AddNamedSystem("density", DensityFeatures(network.window, options.period, network.density))
     tuner = builder.AddNamedSystem("tuner", AnnTuner(network, options.period))
     builder.Connect(robot.state_output_port, sensor.plant_state)
-    builder.Connect(sensor.measurement, controller.measurement)
-    builder.Connect(source.reference, controller.reference)
+    for system in (error, controller):
+        builder.Connect(sensor.measurement, system.measurement)
+        builder.Connect(source.reference, system.reference)
     builder.Connect(controller.torque, robot.torque_input_port)
-    builder.Connect(controller.error, density.error)
+    builder.Connect(error.error, density.error)
     builder.Connect(controller.torque, density.torque)
     builder.Connect(density.density, tuner.density)
     builder.Connect(tuner.weights, controller.weights)
-    errors = LogVectorOutput(controller.error, builder, publish_period=controller.period)
+    errors = LogVectorOutput(error.error, builder, publish_period=controller.period)
     weights = LogVectorOutput(tuner.weights, builder, publish_period=controller.period)
     diagram = builder.Build()
 

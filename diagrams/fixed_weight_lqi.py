@@ -6,7 +6,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
 
 from stewart_drake import LqiOptions, RobotParameters, add_plant, paper_reference
-from stewart_drake.systems import LqiController, ReferenceSource, TaskSpaceSensor
+from stewart_drake.systems import LqiController, ReferenceSource, TaskSpaceSensor, TrackingError
 
 DURATION = 10.0  # [s]
 GRAVITY = 9.81  # [m/s^2]
@@ -22,13 +22,15 @@ def main() -> None:
     sensor = builder.AddNamedSystem("sensor", TaskSpaceSensor(robot))
     source = builder.AddNamedSystem("reference", ReferenceSource(reference))
     weights = builder.AddNamedSystem("weights", ConstantVectorSource([10.0, 0.1]))  # omega_Q, omega_R
+    error = builder.AddNamedSystem("tracking_error", TrackingError(options.period))
     controller = builder.AddNamedSystem("controller", LqiController(parameters, options, GRAVITY))
     builder.Connect(robot.state_output_port, sensor.plant_state)
-    builder.Connect(sensor.measurement, controller.measurement)
-    builder.Connect(source.reference, controller.reference)
+    for system in (error, controller):
+        builder.Connect(sensor.measurement, system.measurement)
+        builder.Connect(source.reference, system.reference)
     builder.Connect(weights.get_output_port(), controller.weights)
     builder.Connect(controller.torque, robot.torque_input_port)
-    errors = LogVectorOutput(controller.error, builder, publish_period=controller.period)
+    errors = LogVectorOutput(error.error, builder, publish_period=controller.period)
     diagram = builder.Build()
 
     simulator = Simulator(diagram)

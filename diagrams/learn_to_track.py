@@ -11,7 +11,7 @@ import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 
-import stewart_drake.environments  # noqa: F401 - registers them
+import stewart_drake.training.environments  # noqa: F401 - registers them
 
 TASK, STEPS, EPISODES = "stewart_drake/Track-v0", 150_000, 20
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from simulated_calibration import aligned, deviating, measured
 
-from stewart_drake.calibration.model import exponential, transform
-from stewart_drake.calibration.poses import MeasurementNoise, plan_poses
-from stewart_drake.files.yaml_files import to_yaml
+from stewart_drake.base.yaml_files import to_yaml
+from stewart_drake.estimation.geometry import exponential, transform
+from stewart_drake.estimation.poses import MeasurementNoise, plan_poses
 from stewart_drake.robot.robot_files import load_robot
-from stewart_drake.scenario import load_scenario
+from stewart_drake.scenario.scenario import load_scenario
 
 FOLDER = Path(__file__).parents[1] / "diagrams" / "calibration"
 ROBOT, POSES, SEED = "servo_hexapod", 60, 11

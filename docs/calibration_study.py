@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from simulated_calibration import coverage, gains, run_trial
 
-from stewart_drake.calibration.model import FRAMES, IN_THOUSANDTHS, PER_LEG
-from stewart_drake.calibration.poses import MeasurementNoise, Measurements, candidate_poses, plan_poses
+from stewart_drake.estimation.geometry import FRAMES, PER_LEG, table_names
+from stewart_drake.estimation.poses import MeasurementNoise, Measurements, candidate_poses, plan_poses
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.robot.robot_files import load_robot
-from stewart_drake.scenario import load_scenario
+from stewart_drake.scenario.scenario import load_scenario
 
 OUT = Path(__file__).parent / "results" / "calibration.md"
 ROBOTS = 100
@@ -73,7 +73,7 @@ def rows():
 def main():
     """Runs the study."""
     table, widths = zip(*rows(), strict=True)
-    names = IN_THOUSANDTHS
+    names = table_names()
     columns = [f"`{name}`, {kind}, {'known' if known else 'estimated'}" for name, kind, known in SETTINGS]
     widths_table = [
         f"| {name} | {' | '.join(f'{1e3 * width[at]:.3f}' for width in widths)} |" for at, name in enumerate(names)

@@ -8,7 +8,7 @@ from pathlib import Path
 from docutils import nodes
 from latex2mathml.converter import convert
 
-from stewart_drake.config import Section
+from stewart_drake.base.config import Section
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))

@@ -5,7 +5,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from stewart_drake.control.network import density
+from stewart_drake.control.features import density
 
 PERIOD, WINDOW = 0.005, 50
 time = PERIOD * np.arange(300)

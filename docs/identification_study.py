@@ -12,18 +12,18 @@ from pathlib import Path
 import numpy as np
 from simulated_identification import Setting, coverage, deviating, run_trial
 
+from stewart_drake.estimation.excitation import excite
+from stewart_drake.estimation.identification import identify
+from stewart_drake.estimation.torques import COULOMB, GAIN, VISCOUS, as_robot, recording_of_log, values_of
 from stewart_drake.hardware.sensors import EncoderOptions
-from stewart_drake.identification.excitation import excite
-from stewart_drake.identification.identified import identify
-from stewart_drake.identification.parameters import COULOMB, GAIN, VISCOUS, as_robot, of_robot
-from stewart_drake.identification.samples import of_log
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.runs.simulation import run
-from stewart_drake.scenario import load_scenario
+from stewart_drake.scenario.scenario import load_scenario
 
 OUT = Path(__file__).parent / "results" / "identification.md"
 ROBOTS, ON_DRAKE = 200, 3
-TWELVE_BITS = ("controller.period=0.01", "sensors.resolution_bits=12", "sensors.rate_cutoff=20")
+DIFFERENCES = "estimator={kind: difference, rate_cutoff: 150}"
+TWELVE_BITS = ("controller.period=0.01", "sensors.resolution_bits=12", "estimator.rate_cutoff=20")
 SERVO = ("controller.kind=computed_torque", "controller.natural_frequency=25", "controller.integral_frequency=2")
 ROBOT_OF = {
     # encoders, rate of the logs, noise of torques, Coulomb, viscous; how it runs on Drake, and the motion tracked there
@@ -69,7 +69,7 @@ On Drake's plant (discrete, 1 ms steps, stiction) there are {robots} such robots
 for 60 s, under a controller with the guess as its model: `paper` with the LQI of `exact_breathing`, `reachy_mini` on a
 100 Hz bus with computed torque (natural frequency 25 rad/s, integral 2 rad/s), with a tick of delay. Torque constants
 and torque noise are applied to the log's torques. Then the same controller follows a motion ({motions})
-with the guess, and with the result as `model_robot` and as `friction_compensation`. Errors are the largest over the
+with the guess, and with the result as `model.robot` and as `model.friction`. Errors are the largest over the
 robots; the RMSE is the median, after the first second.
 """
 DRAKE_HEADER = (
@@ -130,30 +130,31 @@ def on_drake(name, found, other, seed):
     truth = deviating(guess, rng, coulomb, viscous)
     robot = as_robot(guess, truth)
     friction = {"coulomb": truth[COULOMB].tolist(), "viscous": truth[VISCOUS].tolist()}
-    real = {"robot": robot, "model_robot": guess, "plant.friction": friction}
+    real = {"robot": robot, "model.robot": guess, "plant.friction": friction}
     # The shipped motion has friction of its own, and an observer, whose pose is no reading; bounds are off, because the
     # guess may follow badly.
     off = (
         *("plant.motor_friction=0", "plant.motor_damping=0", "bounds.position=null", "bounds.rotation=null"),
-        *("estimator.kind=difference", "friction_compensation=null", "tuner={kind: block}"),
+        *("model.friction=null", "tuner={kind: block}"),
     )
 
     def log(reference, duration):
-        base = load_scenario("exact_breathing", [f"robot={name}", *settings, *off, f"duration={duration}"])
+        base = load_scenario("exact_breathing", [f"robot={name}", DIFFERENCES, *settings, *off, f"duration={duration}"])
         made = base.replace({**real, "reference": reference.to_dict()})
-        recording = of_log(run(made, check=False), guess, f"run {seed}")
+        recording = recording_of_log(run(made, check=False), guess, f"run {seed}")
         torque = recording.torque * np.exp(-truth[GAIN])
         return replace(recording, torque=torque + noise * rng.standard_normal(torque.shape))
 
-    told = identify(guess, [log(found.reference, 60.0)], validate=[log(other.reference, 20.0)])
-    errors = [np.abs(told.values[part] / truth[part] - 1.0).max() for part in (COULOMB, VISCOUS)]
-    load = truth - of_robot(guess)
-    base = load_scenario(motion, [f"robot={name}", *settings, *off, "safety=null"]).replace(real)
-    after = {"model_robot": told.robot, "friction_compensation": told.friction}
+    result = identify(guess, [log(found.reference, 60.0)], validate=[log(other.reference, 20.0)])
+    errors = [np.abs(result.values[part] / truth[part] - 1.0).max() for part in (COULOMB, VISCOUS)]
+    load = truth - values_of(guess)
+    base = load_scenario(motion, [f"robot={name}", DIFFERENCES, *settings, *off, "safety=null"]).replace(real)
+    identified = {"coulomb": result.coulomb.tolist(), "viscous": result.viscous.tolist()}
+    after = {"model.robot": result.robot, "model.friction": identified}
     rmse = [tracking(each) for each in (base, base.replace(after))]
-    payload = abs(told.payload[0] / load[0] - 1.0)
-    print(name, seed, payload, errors, told.predictions, rmse, flush=True)
-    return payload, *errors, told.predictions[-1].found, rmse
+    payload = abs(result.payload[0] / load[0] - 1.0)
+    print(name, seed, payload, errors, result.predictions, rmse, flush=True)
+    return payload, *errors, result.predictions[-1].identified, rmse
 
 
 def tracking(scenario):

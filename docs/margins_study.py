@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from stewart_drake.planning.pose_box import NEAR
+from stewart_drake.analysis.feasibility import NEAR
+from stewart_drake.analysis.linear_loop import linear_loops, poses_to_stand_at
+from stewart_drake.analysis.margins import HEADER, facts, loop_margins, quantities, spread, table
 from stewart_drake.plotting.model_plots import plot_margins
-from stewart_drake.scenario import load_scenario
-from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
-from stewart_drake.stability.margins import HEADER, facts, loop_margins, quantities, spread, table
+from stewart_drake.scenario.scenario import load_scenario
 
 OUT = Path(__file__).parent / "results"
 POSES = 1000
@@ -17,18 +17,25 @@ BLOCK = "tuner={kind: block}"
 OBSERVER = "estimator.kind=observer"
 WEIGHTS = "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
 MAIN = "observer"
+DIFFERENCES = "estimator={kind: difference, rate_cutoff: 150}"
 ROWS = {
-    "difference of readings, low pass of 150 Hz; default weights": ("estimator.kind=difference", BLOCK),
+    "difference of readings, low pass of 150 Hz; default weights": (
+        DIFFERENCES,
+        BLOCK,
+    ),
     MAIN: (OBSERVER, WEIGHTS),
     "observer, default weights": (OBSERVER, BLOCK),
     **{f"observer, disturbance {one}": (OBSERVER, WEIGHTS, f"estimator.disturbance={one}") for one in (5, 10, 40)},
     **{f"observer, {ticks} ticks of delay": (OBSERVER, WEIGHTS, f"command_delay={ticks}") for ticks in (0, 2, 4)},
     "observer, 10 ms, 1 tick of delay, default weights": (OBSERVER, "controller.period=0.01", BLOCK),
     "observer, ideal sensors": (OBSERVER, WEIGHTS, "sensors={kind: ideal}"),
-    "observer, platform believed 30 % too heavy": (OBSERVER, WEIGHTS, "model_robot={platform_mass: 1.3}"),
+    "observer, platform believed 30 % too heavy": (OBSERVER, WEIGHTS, "model.robot={platform_mass: 1.3}"),
     "computed torque, observer": (OBSERVER, WEIGHTS, "controller={kind: computed_torque}"),
     "joint-space PID, observer": (OBSERVER, WEIGHTS, "controller={kind: pid}"),
-    "joint-space PID, difference of readings": ("estimator.kind=difference", "controller={kind: pid}"),
+    "joint-space PID, difference of readings": (
+        DIFFERENCES,
+        "controller={kind: pid}",
+    ),
 }
 TEXT = """# How far the loop is from instability
 
@@ -41,7 +48,7 @@ resolution, the estimator with its filter, the controller and the delay. It leav
 network's changes of weights. `stewart-drake margins` does the same for any scenario.
 
 Drake's plant at its usual step of 1 ms responds about half a step sooner than this linear loop. At 0.1 ms the agreement
-is at least five times better (`tests/stability/test_linear_loop.py`). A fast loop that is unstable here, such as the
+is at least five times better (`tests/analysis/test_linear_loop.py`). A fast loop that is unstable here, such as the
 PID of the last row at some poses, may look stable at 1 ms.
 
 *Disk*: each motor gives (1 + d/2) / (1 - d/2) times its command, d complex; the loop is stable while every |d| is

@@ -8,29 +8,29 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stewart_drake.calibration.fit import calibrate, located
-from stewart_drake.calibration.model import (
+from stewart_drake.estimation.calibration import calibrate, located
+from stewart_drake.estimation.geometry import (
     CRANK,
     HOMING,
     JOINT,
-    OF_LEG,
+    LEG_PARAMETERS,
     OF_ROBOT,
     PER_LEG,
     ROD,
     SHAFT,
     SIZE,
-    STILL,
-    FrameName,
     as_robot,
     difference,
     exponential,
     transform,
     transform_of,
 )
-from stewart_drake.calibration.poses import MeasurementNoise, Measurements
+from stewart_drake.estimation.poses import MeasurementNoise, Measurements
 from stewart_drake.mechanics.kinematics import cross, forward_kinematics, roll_pitch_yaw
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
+
+STILL = np.eye(4)
 
 
 def deviating(
@@ -41,7 +41,7 @@ def deviating(
     Raises:
         ConfigurationError: It cannot be a robot.
     """
-    most = np.array([length if each.unit == "m" else angle for each in OF_LEG] * LEGS)
+    most = np.array([length if each.unit == "m" else angle for each in LEG_PARAMETERS] * LEGS)
     change = np.zeros(SIZE)
     change[:OF_ROBOT] = rng.uniform(-most, most)
     return as_robot(robot, change)
@@ -71,7 +71,7 @@ def measured(
     return Measurements(np.concatenate([roll_pitch_yaw(turn), place], axis=-1), angles, "simulated poses")
 
 
-def aligned(robot: RobotParameters, guess: RobotParameters, known: Collection[FrameName] = ()) -> RobotParameters:
+def aligned(robot: RobotParameters, guess: RobotParameters, known: Collection[str] = ()) -> RobotParameters:
     """The same robot with B and P where a calibration puts them: its shafts and joints nearest to a guess's.
 
     Args:
@@ -152,7 +152,7 @@ def run_trial(
     unseen: Measurements,
     noise: MeasurementNoise,
     seed: int,
-    known_frames: Collection[FrameName] = (),
+    known_frames: Collection[str] = (),
 ) -> Trial:
     """Calibrates a robot that is off in every parameter by up to 1 mm or 1 mrad either way.
 
@@ -191,7 +191,7 @@ def run_trial(
 def coverage(trials: Collection[Trial]) -> dict[str, float]:
     """Share [-] of the intervals that hold the truth: of each parameter, and under `all`."""
     inside = np.mean([trial.inside.mean(axis=0) for trial in trials], axis=0)
-    names = map(str, OF_LEG)
+    names = map(str, LEG_PARAMETERS)
     return {**dict(zip(names, inside.tolist(), strict=True)), "all": float(inside.mean())}
 
 

@@ -5,9 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stewart_drake.hardware.sensors import EncoderOptions
-from stewart_drake.identification.identified import identify
-from stewart_drake.identification.parameters import (
+from stewart_drake.estimation.identification import identify
+from stewart_drake.estimation.torques import (
     COULOMB,
     ENTRIES,
     GAIN,
@@ -18,10 +17,11 @@ from stewart_drake.identification.parameters import (
     PARAMETERS,
     SIZE,
     VISCOUS,
+    Recording,
     as_robot,
-    of_robot,
+    values_of,
 )
-from stewart_drake.identification.samples import Recording
+from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry
 from stewart_drake.references import Reference
@@ -47,8 +47,8 @@ def deviating(
         viscous: [N m s/rad] of a motor.
         share: [-] see above.
     """
-    values = of_robot(guess)
-    off = np.array([own.kind not in KNOWN for own in PARAMETERS])
+    values = values_of(guess)
+    off = np.array([parameter.kind not in KNOWN for parameter in PARAMETERS])
     values *= np.where(off, 1.0 + share * rng.uniform(-1.0, 1.0, SIZE), 1.0)
     values[COULOMB] = friction * rng.uniform(0.5, 1.5, LEGS)
     values[VISCOUS] = viscous * rng.uniform(0.5, 1.5, LEGS)
@@ -173,8 +173,8 @@ def run_trial(setting: Setting, seed: int) -> Trial:
     ]
     found = identify(guess, logs[:1], validate=logs[1:])
     values, width = found.estimate.values, found.half_width
-    off = np.abs(values - of_robot(guess) - found.estimate.identifiable_part(truth - of_robot(guess)))
-    load = truth - of_robot(guess)
+    off = np.abs(values - values_of(guess) - found.estimate.identifiable_part(truth - values_of(guess)))
+    load = truth - values_of(guess)
     mass, place = found.payload
 
     def worst(part: slice) -> float:
@@ -185,7 +185,7 @@ def run_trial(setting: Setting, seed: int) -> Trial:
         float(np.linalg.norm(place - load[1:4] / load[0])),
         worst(COULOMB),
         worst(VISCOUS),
-        found.predictions[-1].found,
+        found.predictions[-1].identified,
         found.predictions[-1].guess,
         np.where(width > 0.0, off <= width, np.nan),
     )
@@ -194,7 +194,7 @@ def run_trial(setting: Setting, seed: int) -> Trial:
 def coverage(trials: Sequence[Trial]) -> dict[str, float]:
     """Share [-] of the intervals that hold the truth: of each kind, and under `all`; NaN where none had one."""
     inside = np.array([trial.inside for trial in trials])
-    kinds = {kind: [at for at, own in enumerate(PARAMETERS) if own.kind == kind] for kind in KINDS}
+    kinds = {kind: [at for at, parameter in enumerate(PARAMETERS) if parameter.kind == kind] for kind in KINDS}
     kinds["all"] = list(range(len(PARAMETERS)))  # type: ignore[index]
     shares = {}
     for kind, columns in kinds.items():

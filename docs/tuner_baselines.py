@@ -2,7 +2,7 @@
 
 python docs/tuner_baselines.py runs/tuner-baselines
 
-CMA-ES on situations that are trained on, on the reduced engine; what has been run in the folder is not run again.
+CMA-ES on situations that are trained on, on the closed form; what has been run in the folder is not run again.
 """
 
 import sys
@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from stewart_drake.base.yaml_files import to_yaml
 from stewart_drake.cli.terminal import progress_bar
-from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.studies.tune import minimise
 from stewart_drake.training.benchmark import (
     DIGITS,
@@ -126,7 +126,7 @@ def main(folder: Path) -> None:
     """Writes the file."""
     with (
         progress_bar("baselines", 13_000.0, unit="runs") as advance,
-        Benchmark(folder, "reduced", progress=advance) as benchmark,
+        Benchmark(folder, "closed_form", progress=advance) as benchmark,
     ):
         found = find(benchmark)
     SHIPPED.write_text(to_yaml(found.to_dict()))

@@ -12,11 +12,11 @@ import numpy as np
 from matplotlib.ticker import LogLocator
 from scipy.stats import qmc
 
+from stewart_drake.base.markdown import markdown_table
 from stewart_drake.cli.terminal import progress_bar
 from stewart_drake.control.features import CostScales
 from stewart_drake.plotting import save_figure
 from stewart_drake.plotting import style as look
-from stewart_drake.studies.study import markdown
 from stewart_drake.training.benchmark import (
     Baselines,
     Benchmark,
@@ -41,7 +41,7 @@ LEAST = 1e-6
 TEXT = """# From stiff to quiet: one policy, one number
 
 `make tuner_front` runs the paper's robot in {kinds} kinds of situations, {seeds} of each, with new seeds, on the
-reduced engine. `tuner.kappa` weighs changes of torque against errors: in J the scale of torques is 0.03 N m times
+closed form. `tuner.kappa` weighs changes of torque against errors: in J the scale of torques is 0.03 N m times
 10^-kappa. It is an input of the policy, and one policy serves all values. It is compared with {settings} fixed
 settings: {drawn} drawn uniformly from the range of the searches, and the searches' results. All are geometric means
 over the kinds. *best fixed* is the fixed setting with the least cost at that kappa in these very runs, which favours
@@ -62,15 +62,15 @@ def front(folder, policy, settings):
     """
     # One robot: errors of several could not be told in millimetres together.
     cases = cases_of(cells_for("paper"), HELD_OUT[:SEEDS])
-    entered = [*map(with_setting, settings), *(always({"tuner": {**policy, "kappa": kappa}}) for kappa in KAPPAS)]
+    candidates = [*map(with_setting, settings), *(always({"tuner": {**policy, "kappa": kappa}}) for kappa in KAPPAS)]
     with (
-        progress_bar("front", float(len(entered) * len(cases)), unit="runs") as advance,
-        Benchmark(folder, "reduced", progress=advance) as benchmark,
+        progress_bar("front", float(len(candidates) * len(cases)), unit="runs") as advance,
+        Benchmark(folder, "closed_form", progress=advance) as benchmark,
     ):
-        rows = benchmark.run(entered, cases)
+        rows = benchmark.run(candidates, cases)
     scales = [CostScales().at(kappa) for kappa in KAPPAS]
     values = [[_log_error(row), _log_change(row), *(log_cost(row, each) for each in scales)] for row in rows]
-    means = mean_over_cells(np.moveaxis(np.reshape(values, (len(entered), len(cases), -1)), -1, 1), cases)
+    means = mean_over_cells(np.moveaxis(np.reshape(values, (len(candidates), len(cases), -1)), -1, 1), cases)
     return means[:, :2], means[:, 2:]
 
 
@@ -86,7 +86,7 @@ def _log_change(row):
 def picture(cloud, policy, fixed):
     """Error [mm] against change of torque [N m], (n, 2) each: settings that stay, the policy, the best of them."""
     figure, ((panel,),) = look.panels(1, 1, 5.0)
-    panel.plot(cloud[:, 1], cloud[:, 0], ".", color=look.QUIET, markersize=6.0, label="settings that stay")
+    panel.plot(cloud[:, 1], cloud[:, 0], ".", color=look.GREY, markersize=6.0, label="settings that stay")
     panel.plot(
         fixed[:, 1], fixed[:, 0], "D", color=look.ORANGE, markersize=6.0, label="the best of them at a smoothness"
     )
@@ -123,7 +123,7 @@ def main(folder: Path, weights: str | None = None) -> None:
         seeds=SEEDS,
         settings=count,
         drawn=SETTINGS,
-        table="\n".join(markdown(header, rows)),
+        table=markdown_table(header, rows),
     )
     (DOCS / "results" / "tuner_front.md").write_text(text)
     save_figure(picture(shown[:count], shown[count:], shown[best]), DOCS / "images/tuner_front.png")

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from stewart_drake.control.policy import NAMES, STEP, disturbance_of, load_policy, weights_of
+from stewart_drake.analysis.linear_loop import linear_loops, poses_to_stand_at
+from stewart_drake.analysis.margins import loop_margins
+from stewart_drake.control.policy import NAMES, STEP, Policy, disturbance_of, weights_of
 from stewart_drake.plotting import save_figure
 from stewart_drake.plotting import style as look
-from stewart_drake.scenario import load_scenario
-from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
-from stewart_drake.stability.margins import loop_margins
+from stewart_drake.scenario.scenario import load_scenario
 
 HERE = Path(__file__).parent
 POSES, FEW = 1000, 10
@@ -19,7 +19,7 @@ POSES, FEW = 1000, 10
 FREQUENCIES = 120
 
 
-POLICY = load_policy()
+POLICY = Policy.load()
 """Its box are the settings from `lowest` on for `width` (4,), around `centre`."""
 BASE = ["tuner=block", "estimator=observer"]
 LOOPS = {

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from stewart_drake.base.markdown import markdown_table
 from stewart_drake.cli.terminal import progress_bar
-from stewart_drake.studies.study import markdown
 from stewart_drake.training.benchmark import Baselines, Benchmark, always, cases_of, cells_for, cells_of, with_setting
 from stewart_drake.training.situations import ROBOTS, VALIDATION
 
@@ -24,12 +24,12 @@ def main(files: list[str], folder: Path = Path("runs/tuner-training")) -> None:
     cases = cases_of(cells_for(trained=True), SEEDS)
     policies = {name: {"kind": "policy", "weights_file": str(Path(name).resolve())} for name in files}
     policies = policies or {"shipped": {"kind": "policy"}}
-    entered = [with_setting(Baselines.load().best), *(always({"tuner": policy}) for policy in policies.values())]
+    candidates = [with_setting(Baselines.load().best), *(always({"tuner": policy}) for policy in policies.values())]
     with (
-        progress_bar("policies", float(len(entered) * len(cases)), unit="runs") as advance,
-        Benchmark(folder, "reduced", progress=advance) as benchmark,
+        progress_bar("policies", float(len(candidates) * len(cases)), unit="runs") as advance,
+        Benchmark(folder, "closed_form", progress=advance) as benchmark,
     ):
-        fixed, *others = benchmark.log_costs(entered, cases)
+        fixed, *others = benchmark.log_costs(candidates, cases)
     rows = []
     for name, costs in zip(policies, others, strict=True):
         means = {cell: (costs - fixed)[places].mean() for cell, places in cells_of(cases).items()}
@@ -37,7 +37,7 @@ def main(files: list[str], folder: Path = Path("runs/tuner-training")) -> None:
         worst = max(means, key=lambda cell: means[cell])
         values = (f"{np.exp(np.mean(each)):.3f}" for each in (list(means.values()), *of_robot))
         rows.append([name, *values, f"{' '.join(worst)} {np.exp(means[worst]):.2f}"])
-    print("\n".join(markdown(["policy", "all kinds", *(f"{each} alone" for each in ROBOTS), "worst kind"], rows)))
+    print(markdown_table(["policy", "all kinds", *(f"{each} alone" for each in ROBOTS), "worst kind"], rows))
 
 
 if __name__ == "__main__":

@@ -8,14 +8,15 @@ import shutil
 import sys
 from pathlib import Path
 
-from stewart_drake.files.whole import checksum
-from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping
+from stewart_drake.analysis.linear_loop import linear_loops, poses_to_stand_at
+from stewart_drake.analysis.margins import loop_margins
+from stewart_drake.base.atomic_files import checksum
+from stewart_drake.base.markdown import TextTable, number
+from stewart_drake.base.yaml_files import find_file, parse_yaml, read_mapping
 from stewart_drake.logs.metrics import mean_cost
-from stewart_drake.scenario import Scenario
-from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
-from stewart_drake.stability.margins import loop_margins
+from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.comparison import Comparison
-from stewart_drake.studies.study import Sheet, number, run_study
+from stewart_drake.studies.experiment import run_experiment
 from stewart_drake.studies.tune import SEARCHED, START, TUNED, load_tuning
 
 POSES = 100
@@ -26,7 +27,7 @@ Four controllers have the same observer and the same friction compensation. The 
 evaluations each, tunes their gains and the observer's disturbance for the same cost over the same {runs} runs:
 J = sqrt((RMSE / 0.03 deg)^2 + (RMSE / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2), averaged
 over the runs. Runs, bounds, start and scales are in [fair.yaml](../../diagrams/comparisons/fair.yaml). The search
-runs on the reduced engine; the verdict is on Drake's plant with other noise. {made}
+runs on the closed form; the verdict is on Drake's plant with other noise. {made}
 
 {answer}
 
@@ -38,7 +39,7 @@ margin, all six motors at once, least of {poses} random poses near home (`stewar
 available for a user's own controller) is: {margins}. So none of these settings is a default.
 
 {settings}
-"tuned, as searched" has the verdict's noise on the reduced engine: its difference from "tuned" is due to the engine.
+"tuned, as searched" has the verdict's noise on the closed form: its difference from "tuned" is due to the plant.
 
 ![Cost over evaluations](fair_search.png)
 
@@ -64,7 +65,7 @@ def main(searched: Path | None) -> None:
         sys.exit(f"{kept}: {', '.join(tuned)}; the whole search has {', '.join(tuning.start)}")
     # Where the search has its verdict too, so that nothing is run twice.
     folder = (searched or Path("runs/fair-tune")) / f"verdict-{checksum(tuned)[:8]}"
-    table = run_study(tuning.verdict(tuned), folder).rows["comparison"]
+    table = run_experiment(tuning.test(tuned), folder).rows["comparison"]
     page = TEXT.format(
         poses=POSES,
         margins=margins(),
@@ -86,7 +87,7 @@ def settings(table: list[dict], tuned: dict[str, dict[str, float]]) -> str:
         shown = ", ".join(f"{key.rpartition('.')[2]} {value:g}" for key, value in found.items())
         rows.append((name, *map(number, means), shown))
     title = "Cost of the verdict, mean of the runs, at the start of the search and tuned"
-    return Sheet(title, ("controller", START, TUNED, SEARCHED, "setting"), rows).markdown()
+    return TextTable(title, ("controller", START, TUNED, SEARCHED, "setting"), rows).markdown()
 
 
 def margins() -> str:
@@ -94,8 +95,9 @@ def margins() -> str:
     data = read_mapping("comparison", find_file("comparison", "fair"), 80)
     folder, said = find_file("comparison", "fair").parent, []
     before, after = (Comparison.from_dict({**data, **each}, folder) for each in ({"tuned": None}, {}))
-    for name in dict.fromkeys(cell.controller for cell in after.cells):
-        place = next(place for place, cell in enumerate(after.cells) if cell.controller == name)
+    names = [trial.labels["controller"] for trial in after.trials]
+    for name in dict.fromkeys(names):
+        place = names.index(name)
         if after.scenario(place).controller.code is None:
             least = [least_disk(each.scenario(place)) for each in (before, after)]
             said.append(f"{name} {least[0]:.2f} at the start of the search, {least[1]:.2f} tuned")

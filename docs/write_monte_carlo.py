@@ -16,8 +16,8 @@ TEXT = """# A thousand robots that differ from the controller's model
 [monte_carlo.yaml](../../diagrams/sweeps/monte_carlo.yaml): masses and inertias within 20 %, payload up to 0.3 kg off
 centre, 0 to 0.08 N m of friction, encoder noise up to a count, 1 to 3 ticks of delay, a push of up to 5 N, and a motion
 of six sines of 0.1 to 1.5 Hz each. The controller is the exact-model LQI of `exact_breathing` with its observer. Its
-model has the nominal robot, 2 ticks of delay and 0.04 N m of friction. The runs are on the reduced engine
-(`plant.engine`). {judged} One row per run:
+model has the nominal robot, 2 ticks of delay and 0.04 N m of friction. The runs are on the closed form
+(`plant.kind`). {judged} One row per run:
 [monte_carlo.parquet](monte_carlo.parquet). `make montecarlo` writes both.
 
 | of {runs} runs of 4 s | 50 % | 95 % | 99 % | largest |
@@ -66,7 +66,7 @@ def main(folder: Path) -> None:
         position=spread(rmse),
         rotation=spread(row["rmse_norm_deg"].astype(float)),
         saturated=100.0 * np.nanmax(row["saturated_fraction"].astype(float)),
-        judged=(kept.get("engine") or "").partition("plant. ")[2],
+        judged=(kept.get("compared") or "").partition(". ")[2],
         worst_mm=np.nanmax(row["error_max_mm"].astype(float)),
         worst_deg=np.nanmax(row["error_max_deg"].astype(float)),
         by_friction="\n".join(bands),

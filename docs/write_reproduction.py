@@ -7,8 +7,8 @@ import csv
 from importlib.resources import files
 from pathlib import Path
 
+from stewart_drake.base.markdown import markdown_table
 from stewart_drake.paper.reproduce import reproduce, rows
-from stewart_drake.studies.study import markdown
 
 TABLE = Path(str(files("stewart_drake.paper").joinpath("claims.csv")))
 SIZES = ("quick", "full")
@@ -38,8 +38,8 @@ def main() -> None:
         for quick, full in zip(found["quick"], found["full"], strict=True):
             default = f"{1e-3 * max(abs(quick.ours), abs(full.ours)):.1g}"
             table.writerow((full.name, f"{quick.ours:.6g}", f"{full.ours:.6g}", within.get(full.name, default)))
-    table = markdown(("claim", "paper", "ours", "verdict"), rows(found["full"]))
-    PAGE.write_text(HEAD + "\n".join(table) + TAIL)
+    table = markdown_table(("claim", "paper", "ours", "verdict"), rows(found["full"]))
+    PAGE.write_text(HEAD + table + TAIL)
 
 
 if __name__ == "__main__":

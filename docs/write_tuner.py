@@ -22,9 +22,9 @@ for a run that failed, that is, was not completed. An error larger than the moti
 (`bounds.error_ratio: null`); J includes it.
 
 - *best fixed*: the fixed setting with the least mean log J over all kinds used in training, by CMA-ES with
-  {evaluations} evaluations of {seeds} runs of each kind on the reduced engine (`make tuner_baselines`): {best}.
-- *policy*: the network of `tuner: policy`; `stewart-drake tuner show` describes it. The file before it, of another
-  training, had 0.61 (0.59 to 0.64) here: [how both were trained](tuner_training.md).
+  {evaluations} evaluations of {seeds} runs of each kind on the closed form (`make tuner_baselines`): {best}.
+- *policy*: the network of `tuner: policy`; `stewart-drake tuner show` describes it. Another
+  file, of a later training, had 0.63 (0.61 to 0.66) here: [how both were trained](tuner_training.md).
 - *schedule*: two settings, switched by the innovation; ten numbers found by the same search, {schedule} evaluations.
 - *best of the nine pairs*: the paper's omega_Q and omega_R, of 0.1, 1 and 10 each, the best for each robot ({pairs}),
   with the observer of the best fixed setting.

@@ -1,14 +1,13 @@
-"""The reference of every YAML key as Markdown, from the JSON schemas of the sections; `reference.py` writes it."""
+"""The reference of every YAML key as Markdown, from the keys of the sections; `reference.py` writes it."""
 
-import json
 import re
 from collections import defaultdict
 from collections.abc import Iterator
 
 from pydantic import TypeAdapter
 
-from stewart_drake.cli.lookup_commands import allowed, ways
-from stewart_drake.scenario import Scenario
+from stewart_drake.base.keys import Key, keys_of, sections_at
+from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.comparison_file import CompareFile
 from stewart_drake.studies.sweep import SweepFile
 
@@ -21,66 +20,42 @@ with which editors complete keys.
 """
 
 
-def items(schema: dict) -> list[dict]:
-    """What the values in a list or mapping may be."""
-    inner = [*schema.get("prefixItems", [])[:1], schema.get("items"), schema.get("additionalProperties")]
-    return [each for each in inner if isinstance(each, dict)]
-
-
-def sections(schema: dict, root: dict, path: str) -> list[tuple[str, dict]]:
-    """Path and schema of the sections under a key, in it or in a list or mapping of it."""
-    found = []
-    for option in ways(root, schema):
-        if "properties" in option:
-            found.append((path, option))
-        place = f"{path}[i]" if option.get("type") == "array" else f"{path}.NAME"
-        found += [each for inner in items(option) for each in sections(inner, root, place)]
-    return found
-
-
-def plain(value: object) -> str:
-    """A value as YAML has it."""
-    return value if isinstance(value, str) else json.dumps(value)
-
-
-def key(name: str, schema: dict, root: dict, required: bool, text: str = "") -> Iterator[str]:
+def key_lines(key: Key, root: dict, label: str) -> str:
     """One key: what is allowed, its unit and default, what it does."""
-    unit, text = re.fullmatch(r"(?:\[(.*?)\] ?)?(.*)", schema.get("description", text), re.DOTALL).groups()
-    kinds = {option.get("type"): option for option in ways(root, schema)}
-    if "default" in schema:
-        default = f"default `{plain(schema['default'])}`"
-    elif required or "object" not in kinds:
+    inside = list(sections_at(key.schema, root, ""))
+    if "default" in key.schema:
+        default = f"default `{key.default}`"
+    elif key.required or not (inside or key.allowed.startswith("names")):
         default = "required"
     else:
-        default = "default: its own keys have theirs" if "properties" in kinds["object"] else "default: none"
-    facts = filter(None, [allowed(root, schema), unit and f"unit {unit}".replace("unit -", "no unit"), default])
+        default = "default: its own keys have theirs" if inside and not inside[0][0] else "default: none"
+    facts = filter(None, [key.allowed, key.unit and f"unit {key.unit}".replace("unit -", "no unit"), default])
+    text = key.text
     if not re.match(r"\w+:", text):  # a value that is explained
         text = text[:1].upper() + text[1:]
-    yield f"````{{key}} {name}\n{' · '.join(facts)}\n\n{text}\n````\n"
+    return f"````{{key}} {label}\n{' · '.join(facts)}\n\n{text}\n````\n"
 
 
-def key_lines(path: str, section: dict, root: dict, seen: set[str], kind: str = "") -> Iterator[str]:
-    """The keys of a section, then of those sections in it that are not `seen` elsewhere on the page."""
-    properties, required = section["properties"], section.get("required", [])
-    family = properties.get("kind", {})
+def section_lines(path: str, section: dict, root: dict, described: set[str], kind: str = "") -> Iterator[str]:
+    """The keys of a section, then of those sections in it that are not `described` elsewhere on the page."""
+    keys = keys_of(section, root, path)
+    family = section["properties"].get("kind", {})
     kind = family.get("const", "a class of yours" if "pattern" in family else kind)
-    about, _, keys = section.get("description", "").partition("Keys:")
-    texts = dict(re.findall(r"^ +(\w+): (.*)$", keys, re.MULTILINE))  # of keys that the section has inherited
-    inside = {name: sections(each, root, f"{path}.{name}") for name, each in properties.items()}
     title = f"{path}{kind and f': {kind}'}"
-    yield f"## {'Keys' if title.isidentifier() else title}\n\n{about.strip()}\n"
-    values = {name: plain(each.get("const", each.get("default", "..."))) for name, each in properties.items()}
-    lines = [f"{name}: {value}" for name, value in values.items() if not inside[name] or value != "..."]
-    dash = "  - " if path.endswith("[i]") else "  "
-    lines = [f"{dash if line == lines[0] else ' ' * len(dash)}{line}" for line in lines]
+    yield f"## {'Keys' if title.isidentifier() else title}\n\n{section.get('description', '').strip()}\n"
+    inside = [each for key in keys for each in sections_at(key.schema, root, key.name)]
+    lines = []
+    for key in keys:
+        value = key.schema.get("const", key.default or "...")
+        if value != "..." or not list(sections_at(key.schema, root, "")):
+            lines.append(f"{'    ' if lines and path.endswith('[i]') else '  '}{key.name.rpartition('.')[2]}: {value}")
+    if path.endswith("[i]") and lines:
+        lines[0] = f"  - {lines[0].strip()}"
     yield "\n".join(["```yaml", f"{path.rpartition('.')[2].removesuffix('[i]')}:", *lines, "```\n"])
-    for name, each in properties.items():
-        if "const" not in each:
-            label = f"{path}.{name}{kind and f' ({kind})'}"
-            yield from key(label, each, root, name in required, texts.get(name, ""))
-    for place, each in (one for found in inside.values() for one in found):
-        if each["title"] not in seen:
-            yield from key_lines(place, each, root, seen | {each["title"]}, kind)
+    yield from (key_lines(key, root, f"{key.name}{kind and f' ({kind})'}") for key in keys if "const" not in key.schema)
+    for place, each in inside:
+        if each["title"] not in described:
+            yield from section_lines(place, each, root, described | {each["title"]}, kind)
 
 
 def pages() -> Iterator[tuple[str, str]]:
@@ -88,18 +63,17 @@ def pages() -> Iterator[tuple[str, str]]:
     texts = {}
     for file, section in {"scenario": Scenario, "sweep": SweepFile, "comparison": CompareFile}.items():
         root = TypeAdapter(section).json_schema()
-        texts[file] = [f"# {file}\n", f"{root['description'].partition('Keys:')[0].strip()}\n"]
+        texts[file] = [f"# {file}\n", f"{root['description'].strip()}\n"]
         below = []
-        for name, schema in root["properties"].items():
-            found = sections(schema, root, name)
-            label = name if file == "scenario" else f"{name} ({file})"
-            texts[file] += key(label, schema, root, name in root.get("required", []))
-            titles = {each["title"] for _, each in found}
-            lines = [line for place, each in found for line in key_lines(place, each, root, titles)]
+        for key in keys_of(root, root):
+            inside = list(sections_at(key.schema, root, key.name))
+            texts[file].append(key_lines(key, root, key.name if file == "scenario" else f"{key.name} ({file})"))
+            titles = {each["title"] for _, each in inside} | ({"RobotParameters"} if key.name != "robot" else set())
+            lines = [line for place, each in inside for line in section_lines(place, each, root, titles)]
             if file != "scenario":
                 below += lines
-            elif found and name != "model_robot":
-                texts[name] = [f"# {name}\n", f"{schema.get('description', '')}\n", *lines]
+            elif inside:
+                texts[key.name] = [f"# {key.name}\n", f"{key.text}\n", *lines]
         texts[file] += below
     by_name = defaultdict(list)
     for name in sorted(re.findall(r"````\{key\} (.*)", "\n".join(line for page in texts.values() for line in page))):

@@ -4,13 +4,14 @@ import sys
 
 
 def main() -> None:
-    """`app.main`; Ctrl-C while that loads ends in one line too."""
+    """`app.main`; Ctrl-C while that loads or ends, too, ends in a line."""
     try:
         from stewart_drake.cli.app import main as run
+
+        run()
     except KeyboardInterrupt:
         sys.stderr.write("stewart-drake: interrupted\n")
         sys.exit(130)
-    run()
 
 
 if __name__ == "__main__":

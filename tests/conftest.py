@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from stewart_drake.base.atomic_files import seal
 from stewart_drake.control.network import TunerNetwork
-from stewart_drake.files.whole import seal
 from stewart_drake.logs import versions
 from stewart_drake.studies import workers
 
@@ -152,6 +152,8 @@ def call(monkeypatch, capsys, tmp_path):
             main()
         except SystemExit as end:
             status = end.code
+        finally:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         return status, *capsys.readouterr()
 
     return call

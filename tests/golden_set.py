@@ -33,11 +33,11 @@ import yaml
 from processors import SETTINGS
 
 import stewart_drake as sd
+from stewart_drake.analysis.feasibility import amplitude_table, largest_scale
+from stewart_drake.analysis.workspace import measure_poses
 from stewart_drake.mechanics import dynamics, friction, kinematics
 from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque, task_inertia
 from stewart_drake.mechanics.kinematics import inverse_kinematics, leg_geometry, pose_rate_to_twist, rotation_matrix
-from stewart_drake.planning.feasibility import amplitude_table, largest_scale
-from stewart_drake.planning.workspace import measure_poses
 
 ROOT = Path(__file__).resolve().parents[1]
 GOLDEN = ROOT / "tests" / "golden"
@@ -77,13 +77,13 @@ def cases():
     return yaml.safe_load((GOLDEN / "cases.yaml").read_text())
 
 
-def run_case(group, name, engine=None):
+def run_case(group, name, kind=None):
     data = dict(cases()[group][name])
     if group == "shipped":
         shipped = data.pop("scenario")
         scenario = sd.load_scenario(shipped, [f"{key}={json.dumps(value)}" for key, value in data.items()])
     else:
-        scenario = sd.Scenario(**{**data, "plant": {**data.get("plant", {}), "engine": engine}})
+        scenario = sd.Scenario(**{**data, "plant": {**data.get("plant", {}), "kind": kind}})
     log = sd.run(scenario, check=False)
     found = {"metrics": sd.run_metrics(log)}
     for signal in filter(log.__contains__, SIGNALS):
@@ -175,7 +175,7 @@ def motor_friction(angles, rate, mobility):
     for row in np.ndindex(angles.shape[:-1]):
         bristles = np.zeros(1, [("anchor", float, 6), ("slip", float, 6)])
         bristles["anchor"] = angles[row]
-        friction.drag_anchors(law, angles[row] + 0.01 * rate[row], 1e-3, bristles["anchor"][0], bristles["slip"][0])
+        friction.update_bristles(law, angles[row] + 0.01 * rate[row], 1e-3, bristles["anchor"][0], bristles["slip"][0])
         torque = found["implicit_torque"][row]
         friction.implicit_torque(law, bristles[0], angles[row], rate[row], mobility[row], 1e-3, 30, torque)
         found["anchor"][row] = bristles["anchor"][0]
@@ -197,10 +197,11 @@ def planning():
         "amplitude_table": amplitude_table(*of_paper, [0.0, 1.0, 3.0], paper.gravity),
         "largest_scale": largest_scale(*of_paper, scaled, 4.0, paper.gravity),
     }
-    keys = ("reach", "transmission", "conditioning", "ball_swing", "universal_swing", "clearance", "holding_torque")
+    keys = ("transmission", "conditioning", "ball_swing", "universal_swing", "clearance", "holding_torque")
     for name, robot, pose, _, _ in robots():
         measured = measure_poses(robot, pose.reshape(-1, 6))
         found[name] = {key: getattr(measured, key) for key in (*keys, "force", "moment")}
+        found[name]["reach"] = measured.reach_margin
     return found
 
 
@@ -232,7 +233,7 @@ def identification():
     torque = inverse_dynamics(true, *motion) + friction + noise
     result = sd.identify(guess, [sd.Recording(time, angles, torque)])
     values = np.array([row[4:6] for row in result.rows()])
-    predictions = [[each.guess, each.found, each.everywhere] for each in result.predictions]
+    predictions = [[each.guess, each.identified, each.everywhere] for each in result.predictions]
     return {
         "excitation": {"condition": designed.condition, "random_condition": designed.random_condition},
         "motion": np.hstack(motion)[::100],
@@ -279,8 +280,9 @@ def jobs():
     found |= {name: (globals()[name],) for name in ("mechanics", "planning", "calibration", "identification")}
     found |= {name: (motions, name) for name in ("references", "disturbances")}
     found |= {f"shipped/{name}": (run_case, "shipped", name) for name in own["shipped"]}
-    for engine in ("drake", "reduced"):
-        found |= {f"runs/{name}/{engine}": (run_case, "runs", name, engine) for name in own["runs"]}
+    # Where the numbers of the closed form stand is older than its name.
+    for place, kind in (("drake", "drake"), ("reduced", "closed_form")):
+        found |= {f"runs/{name}/{place}": (run_case, "runs", name, kind) for name in own["runs"]}
     return found | {f"runs/{name}/drake": (run_case, "on_drake", name, "drake") for name in own["on_drake"]}
 
 

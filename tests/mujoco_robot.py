@@ -5,7 +5,7 @@ import numpy as np
 
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import rotation_matrix
-from stewart_drake.mujoco_model import mjcf_text
+from stewart_drake.plant.model_files import mjcf_text
 
 
 class MujocoRobot:

@@ -3,12 +3,12 @@
 import numpy as np
 from strategies import ROBOT
 
-from stewart_drake.part import Setup
-from stewart_drake.parts import setup_of
-from stewart_drake.scenario import Scenario
+from stewart_drake.loop.part import LoopContext
+from stewart_drake.scenario.assembly import context_of
+from stewart_drake.scenario.scenario import Scenario
 
 
-def setup_for(robot=ROBOT, **changes) -> Setup:
+def setup_for(robot=ROBOT, **changes) -> LoopContext:
     """Of a scenario of defaults, but at rest at home; fields by name."""
     at_home = {"gravity": 9.81, "period": 0.001, "pose": robot.home_pose, "pose_rate": np.zeros(6)}
-    return setup_of(Scenario(robot=robot))._replace(**(at_home | changes))
+    return context_of(Scenario(robot=robot))._replace(**(at_home | changes))

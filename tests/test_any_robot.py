@@ -9,10 +9,10 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from random_robots import random_robot
 
-from stewart_drake import PlantOptions, build_plant, load_robot, load_scenario, run, run_metrics
+from stewart_drake import DrakeOptions, build_plant, load_robot, load_scenario, run, run_metrics
 from stewart_drake.mechanics.dynamics import forward_dynamics
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, reach_margin
-from stewart_drake.plant.sdf_model import sdf_text
+from stewart_drake.plant.model_files import sdf_text
 from stewart_drake.studies.faults import FAULTS, fault_study
 from stewart_drake.studies.runs import execute
 
@@ -60,8 +60,8 @@ def test_mujoco_accelerates_it_as_drake_does(which):
     # Rotors behind gears would open the loops with accelerations of which MuJoCo leaves a ten-thousandth in the first
     # step; what they do is told from a motion, in plant/test_mujoco.py.
     robot = robot_of(which).replace(rotor_inertia=0.0)
-    _, stewart = build_plant(robot, PlantOptions(time_step=STEP))
-    engine = MujocoRobot(robot, options=PlantOptions(time_step=STEP))
+    _, stewart = build_plant(robot, DrakeOptions(time_step=STEP))
+    engine = MujocoRobot(robot, options=DrakeOptions(time_step=STEP))
     context = stewart.plant.CreateDefaultContext()
     rng = np.random.default_rng(3)
     for pose in near_home(robot, 5):
@@ -94,6 +94,6 @@ def test_a_robot_with_legs_of_any_kind_holds_and_sways(which):
 def test_faults_of_a_shipped_robot_do_what_they_do_to_the_papers(name):
     plan = fault_study(quick=True, robot=name)
     for wanted in ("push_5N", "motor_reversed", "encoder_nan", "command_nan", "reference_refused"):
-        index = next(i for i in plan.indices if plan.pairs[i][0].name == wanted)
-        (row,) = plan.tables([execute(plan.task(index))])["faults"][1]
+        trial = next(trial for trial in plan.trials if trial.labels["fault"] == wanted)
+        (row,) = plan.tables([execute(trial)])["faults"][1]
         assert row["reaction"] in FAULTS[wanted].expected, (wanted, row)

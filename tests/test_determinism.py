@@ -7,7 +7,7 @@ from conftest import ROOT, environment
 RUN = """
 import hashlib, json, sys
 from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.scenario import load_scenario
+from stewart_drake.scenario.scenario import load_scenario
 from stewart_drake.runs.simulation import run
 content = hashlib.sha256()
 for name in ("paper_fig7", "exact_heart"):

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from conftest import COMMAND, environment
 
-from stewart_drake.studies.study import INCIDENTAL
+from stewart_drake.studies.experiment import INCIDENTAL
 
 KILLS = int(os.environ.get("STEWART_DRAKE_KILLS", "1"))
 SWEEP = """

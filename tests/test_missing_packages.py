@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stewart_drake.calibration.result import Calibration
-from stewart_drake.errors import ConfigurationError, MissingPackageError, installed_with
+from stewart_drake.analysis.linear_loop import StateSpace
+from stewart_drake.base.errors import ConfigurationError, MissingPackageError, installed_with
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.stability.linear_loop import StateSpace
 from stewart_drake.studies.workers import Workers
+from stewart_drake.training.paper_network import import_torch
 
 ROOT = Path(__file__).parent.parent
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
@@ -24,20 +24,18 @@ def ask_dask():
 
 
 NEEDS = {
-    "gymnasium": ("stewart-drake[gym]", lambda: import_module("stewart_drake.environments")),
-    "torch": ("stewart-drake[train]", lambda: import_module("stewart_drake.training.train")),
+    "gymnasium": ("stewart-drake[gym]", lambda: import_module("stewart_drake.training.environments")),
+    "torch": ("stewart-drake[train]", import_torch),
     "control": ("stewart-drake[control]", lambda: StateSpace(*np.eye(4)[:, :, None], 0.1).to_control()),
     "distributed": ("stewart-drake[dask]", ask_dask),
-    "xarray": ("xarray", lambda: SimulationLog.to_xarray(None)),
-    "pandas": ("pandas", lambda: Calibration.to_pandas(None)),
+    "pandas": ("pandas", lambda: SimulationLog.to_pandas(None)),
 }
 
 
 @pytest.mark.parametrize("package", NEEDS)
 def test_a_missing_package_is_named_in_one_line_with_what_installs_it(package, monkeypatch):
     requirement, need = NEEDS[package]
-    for module in ("stewart_drake.environments", "stewart_drake.training.train"):
-        monkeypatch.delitem(sys.modules, module, raising=False)
+    monkeypatch.delitem(sys.modules, "stewart_drake.training.environments", raising=False)
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ConfigurationError) as caught:
         need()
@@ -76,8 +74,7 @@ import stewart_drake
 from stewart_drake.cli.app import main
 
 for module in walk_packages(stewart_drake.__path__, "stewart_drake."):
-    if module.name != "stewart_drake.training.train":
-        import_module(module.name)
+    import_module(module.name)
 for command in (["list"], ["tuner", "show"], ["run", "paper_fig7", "--set", "duration=0.05"]):
     sys.argv = ["stewart-drake", *command]
     try:
@@ -96,7 +93,6 @@ def test_without_torch_everything_works_but_training(shell):
 
 @pytest.mark.parametrize("command", ["train", "reproduce"])
 def test_training_without_torch_ends_in_one_line_and_writes_nothing(command, call, monkeypatch, tmp_path):
-    monkeypatch.delitem(sys.modules, "stewart_drake.training.train", raising=False)
     monkeypatch.setitem(sys.modules, "torch", None)
     status, out, err = call(command, "--out", "folder/file")
     assert (status, out) == (2, "")

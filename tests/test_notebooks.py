@@ -23,7 +23,7 @@ NAMES = (
 )
 TRAINING = "paper/5_data_and_network"  # all others run without torch
 EXACT_GAINS = {
-    "study = Study(quick=True)": """study = Study(quick=True)
+    "study = Reproduction(quick=True)": """study = Reproduction(quick=True)
 study.base = study.base.replace({"controller.solver": "split"})"""
 }
 SHORTER = dict.fromkeys((name for name in NAMES if name.startswith("paper/")), EXACT_GAINS)

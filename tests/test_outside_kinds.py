@@ -6,19 +6,19 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from stewart_drake.config import NotNegative, Positive
+from stewart_drake.base.config import NotNegative, Positive
+from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.base.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS
 from stewart_drake.control.base import ControllerOptions
 from stewart_drake.control.lqi import LqiOptions
-from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.hardware.faults import FaultKind
 from stewart_drake.hardware.sensors import SensorOptions
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import MetricError, run_metrics
 from stewart_drake.plotting.run_plots import plot_states, plot_torques
-from stewart_drake.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS
 from stewart_drake.runs.checks import check_scenario
 from stewart_drake.runs.simulation import run
-from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
+from stewart_drake.scenario.scenario import Scenario, load_scenario, scenario_schema
 from stewart_drake.studies.runs import identity
 
 SHORT = {"duration": 0.1, "tuner": {"kind": "fixed"}}
@@ -103,7 +103,7 @@ def added(monkeypatch):
 @pytest.mark.usefixtures("added")
 def test_a_kind_that_was_added_has_its_section_its_messages_and_its_place_in_the_schema():
     scenario = Scenario.from_dict({**SHORT, "sensors": {"kind": "toy", "off": 0.002}})
-    with pytest.raises(ConfigurationError, match=r"^sensors\.off: expected a number \[m\], at least 0"):
+    with pytest.raises(ConfigurationError, match=r"^sensors\.off: expected a number \[m\] at least 0"):
         scenario.replace({"sensors.off": -1})
     with pytest.raises(ConfigurationError, match=r"did you mean toy\?"):
         scenario.replace({"sensors": {"kind": "tooy"}})
@@ -111,7 +111,7 @@ def test_a_kind_that_was_added_has_its_section_its_messages_and_its_place_in_the
 
 
 def doubled(factor):
-    return FaultKind(lambda fault, now: np.multiply.at(now.says, fault.channels, factor))
+    return FaultKind(lambda fault, now: np.multiply.at(now.values, fault.channels, factor))
 
 
 @pytest.mark.usefixtures("added")
@@ -123,7 +123,7 @@ def test_results_are_kept_under_the_code_of_added_kinds():
     before = [kinds(), kinds()]
     SENSORS._lines["toy"] = type("Other", (ToySensorOptions,), {"__module__": __name__})
     other_sensor = kinds()
-    ENCODER_FAULTS._lines["doubled"] = FaultKind(lambda fault, now: np.add.at(now.says, fault.channels, 3.0))
+    ENCODER_FAULTS._lines["doubled"] = FaultKind(lambda fault, now: np.add.at(now.values, fault.channels, 3.0))
     assert len({*before, other_sensor, kinds()}) == 3
 
 

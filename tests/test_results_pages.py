@@ -8,6 +8,7 @@ import re
 from functools import lru_cache
 from pathlib import Path
 
+import integrators
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -21,15 +22,16 @@ from simulated_identification import run_trial as identified
 from tuner_safety_study import LOOPS, setting_loops
 
 from stewart_drake import load_robot, load_scenario, run, run_metrics
-from stewart_drake.calibration.poses import plan_poses
+from stewart_drake.analysis.linear_loop import linear_loops, poses_to_stand_at
+from stewart_drake.analysis.margins import loop_margins
+from stewart_drake.estimation.poses import plan_poses
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import conditioning
 from stewart_drake.paper import kinematics, state_space
-from stewart_drake.paper.reproduce import Study, rows
-from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
-from stewart_drake.stability.margins import loop_margins
+from stewart_drake.paper.reproduce import Reproduction, rows
+from stewart_drake.plant.closed_form import ClosedFormOptions
 from stewart_drake.studies.comparison import load_comparison
-from stewart_drake.studies.faults import FAULTS, MOTIONS, fault_study
+from stewart_drake.studies.faults import fault_study
 from stewart_drake.studies.runs import execute
 from stewart_drake.studies.sweep import load_sweep
 from stewart_drake.studies.workers import Workers
@@ -77,13 +79,14 @@ def assert_says(text, *values, within=0.0):
 
 @pytest.fixture
 def page(request):
-    return Page(request.node.name.removeprefix("test_"))
+    return Page(request.node.originalname.removeprefix("test_"))
 
 
 def compared(name, *labels):
     comparison = loaded(name)
-    named = [(cell.controller, cell.reference, cell.condition) for cell in comparison.cells]
-    return execute(comparison.task(named.index(labels)))
+    names = ("controller", "reference", "condition")
+    named = [tuple(trial.labels[name] for name in names) for trial in comparison.trials]
+    return execute(comparison.trials[named.index(labels)])
 
 
 def test_tracking(page):
@@ -121,8 +124,8 @@ def test_fair_comparison(page):
 @pytest.mark.parametrize(("name", "overrides"), [("faults", ()), ("faults_observer", ("estimator.kind=observer",))])
 def test_faults(name, overrides):
     page, study = Page(name), fault_study(overrides=overrides)
-    indices = [study.pairs.index((FAULTS["dead_motor_3"], motion)) for motion in MOTIONS]
-    rows = study.tables([execute(study.task(index)) for index in indices])["faults"][1]
+    trials = [trial for trial in study.trials if trial.labels["fault"] == "dead_motor_3"]
+    rows = study.tables([{**trial.labels, **execute(trial)} for trial in trials])["faults"][1]
     assert_says(page.cell("dead_motor_3", column="paper"), rows[-1]["latency_ms"], rows[-1]["safety_leg"])
     for column, keys in (("travel", ("travel_deg", "travel_mm")), ("stop at onset", ("stop_deg", "stop_mm"))):
         worst = (max(row[key] for row in rows) for key in keys)
@@ -153,8 +156,18 @@ def test_monte_carlo(page):
     assert_says(row, *np.quantile(rmse, [0.5, 0.95, 0.99]), rmse.max())
     sweep = load_sweep("monte_carlo")
     for index in (0, int(rmse.argmax())):
-        again = execute(sweep.task(index))
+        again = execute(sweep.trials[index])
         assert again["rmse_norm_mm"] == pytest.approx(kept["rmse_norm_mm"][index].as_py(), rel=NOISY)
+
+
+@pytest.mark.parametrize("friction", [False, True])
+def test_integrators(page, friction):
+    under = "## With friction" if friction else ""
+    keys = integrators.FRICTION if friction else {}
+    for integrator in ("semi_implicit", "rk4"):
+        plant = integrators.stepped(ClosedFormOptions(integrator=integrator, **keys))
+        error = integrators.measured("", 1e-3, friction, plant, integrators.truth(friction, 1e-5)).error
+        assert_says(page.cell(f"closed form, {integrator}", "1 ms", column="error", under=under), error, within=0.05)
 
 
 def test_robots(page):
@@ -168,8 +181,8 @@ def test_robots(page):
     assert_says(cell, figures["rmse_norm_mm"], figures["rmse_norm_deg"], within=NOISY)
 
 
-def log_costs(folder, engine, candidates, cases):
-    with Benchmark(folder, engine, Workers(0)) as benchmark:
+def log_costs(folder, plant, candidates, cases):
+    with Benchmark(folder, plant, Workers(0)) as benchmark:
         return benchmark.log_costs(candidates, cases)
 
 
@@ -185,17 +198,16 @@ def test_tuner(page, tmp_path):
 
 
 def test_tuner_training(page, tmp_path):
-    cases = cases_of([("heart", "paper")], VALIDATION[100:120])
-    fixed, policy = log_costs(tmp_path, "reduced", [with_setting(Baselines.load().best), POLICY], cases)
-    assert_says(
-        page.cell("seed 1, stewart_drake/weights/policy.json", column="worst kind"), np.exp((policy - fixed).mean())
-    )
+    cases = cases_of([("payload", "reachy_mini")], VALIDATION[100:120])
+    fixed, policy = log_costs(tmp_path, "closed_form", [with_setting(Baselines.load().best), POLICY], cases)
+    shipped = "the file of c4e693f, stewart_drake/weights/policy.json"
+    assert_says(page.cell(shipped, column="worst kind"), np.exp((policy - fixed).mean()))
 
 
 @pytest.mark.long
 def test_tuner_front(page, tmp_path):
     cases = cases_of(cells_for("paper"), HELD_OUT[:3])
-    with Benchmark(tmp_path, "reduced", Workers(0)) as benchmark:
+    with Benchmark(tmp_path, "closed_form", Workers(0)) as benchmark:
         found = benchmark.run([always({"tuner": {"kind": "policy", "kappa": 0.0}})], cases)
     for column, key in (("error [mm]", "rmse_norm_mm"), ("torque [N m]", "torque_change_rms")):
         logs = np.log([row[key] for row in found])
@@ -240,7 +252,9 @@ def test_identification(page):
 
 
 def test_reproduction(page, tmp_path):
-    claims = [c for module in (kinematics, state_space) for c in module.reproduce(Study(False, folder=tmp_path)).claims]
+    claims = [
+        c for module in (kinematics, state_space) for c in module.reproduce(Reproduction(False, folder=tmp_path)).claims
+    ]
     for name, _, ours, verdict in rows(claims):
         assert page.cell(name, column="verdict") == verdict
         assert_says(page.cell(name, column="ours"), *(number for number, _ in numbers(ours)))

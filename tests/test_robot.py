@@ -10,23 +10,22 @@ from conftest import field_of
 from setups import setup_for
 from strategies import ROBOTS
 
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.control.classical import PidOptions
 from stewart_drake.control.lqi import lqi_gain
 from stewart_drake.control.riccati import POSITION
 from stewart_drake.control.tuners import BlockTuner
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.mujoco_model import mjcf_text
-from stewart_drake.planning.limits import Bounds, Limits, limit_margins, measure_poses
-from stewart_drake.plant.sdf_model import sdf_text
+from stewart_drake.plant.model_files import mjcf_text, sdf_text
 from stewart_drake.references import HoldReference, SineReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LegParameters
 from stewart_drake.robot.robot_files import load_robot, save_robot
 from stewart_drake.safety import SafetyOptions, safety_part
-from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
+from stewart_drake.scenario.limits import Limits, SuccessCriteria, limit_margins, measure_poses
+from stewart_drake.scenario.scenario import Scenario, load_scenario, scenario_schema
 
 ROBOT = RobotParameters()
 
@@ -96,15 +95,15 @@ def test_the_shipped_robots_stand_at_home_as_their_makers_and_remarks_have_them(
 
 def test_a_scenario_takes_a_robot_by_name_by_file_and_as_a_section(tmp_path):
     (tmp_path / "mine.yaml").write_text("about: mine\nrod_length: 0.41\n")
-    (tmp_path / "run.yaml").write_text("robot: mine.yaml\nmodel_robot: reachy_mini\n")
+    (tmp_path / "run.yaml").write_text("robot: mine.yaml\nmodel: {robot: reachy_mini}\n")
     scenario = load_scenario(tmp_path / "run.yaml")
     assert scenario.robot == RobotParameters(rod_length=0.41)
-    assert scenario.model_robot == load_robot("reachy_mini") == Scenario(robot="reachy_mini").robot
-    changed = load_scenario(tmp_path / "run.yaml", ["robot.crank_length=0.1", "model_robot=servo_hexapod"])
+    assert scenario.model.robot == load_robot("reachy_mini") == Scenario(robot="reachy_mini").robot
+    changed = load_scenario(tmp_path / "run.yaml", ["robot.crank_length=0.1", "model.robot=servo_hexapod"])
     assert changed.robot == RobotParameters(rod_length=0.41, crank_length=0.1)
-    assert changed.model_robot == load_robot("servo_hexapod")
+    assert changed.model.robot == load_robot("servo_hexapod")
     check = jsonschema.Draft202012Validator(scenario_schema())
-    assert check.is_valid({"robot": "reachy_mini", "model_robot": {"rod_length": 0.41}})
+    assert check.is_valid({"robot": "reachy_mini", "model": {"robot": {"rod_length": 0.41}}})
     assert not check.is_valid({"robot": 3})
     for robot in ROBOTS.values():
         save_robot(robot, tmp_path / "robot.yaml", "one")
@@ -242,7 +241,7 @@ ALL = {"safety": {}, "tuner": {"kind": "block"}, "sensors": {"kind": "encoders"}
 def test_the_papers_robot_has_the_defaults_of_the_classes_to_the_last_bit():
     for scenario in (Scenario.from_dict(ALL), Scenario(robot="paper", **ALL), Scenario(robot=ROBOT, **ALL)):
         assert scenario.reference == SineReference()
-        assert (scenario.limits, scenario.bounds, scenario.safety) == (Limits(), Bounds(), SafetyOptions())
+        assert (scenario.limits, scenario.bounds, scenario.safety) == (Limits(), SuccessCriteria(), SafetyOptions())
         assert (scenario.tuner, scenario.sensors) == (BlockTuner(), EncoderOptions())
     assert Scenario(controller={"kind": "pid"}).controller == PidOptions()
 
@@ -254,7 +253,7 @@ def test_another_robot_has_lengths_torques_and_home_of_its_own():
     assert scenario.bounds.position == pytest.approx(0.03 * length)
     assert scenario.safety.workspace == pytest.approx((1.2, 0.12 * length))
     assert scenario.safety.torque_rate == pytest.approx(4000.0 * torque)
-    assert scenario.sensors.max_step == pytest.approx((0.2, 0.05 * length))
+    assert scenario.estimator.max_step == pytest.approx((0.2, 0.05 * length))
     assert scenario.reference.center == (0.0, 0.0, 0.0, 0.0, 0.0, 0.151)
     assert scenario.reference.amplitude[5] == pytest.approx(0.05 * length)
     assert scenario.limits.crank_speed == Limits().crank_speed
@@ -288,7 +287,7 @@ def test_another_robot_in_place_of_the_first_takes_its_own_defaults_along():
     assert changed.limits == Limits(clearance=0.005 * (0.065 / 0.11), crank_speed=3.0)
     assert changed.controller.weight_length == 0.065
     # What the controller believes in sizes the controller.
-    scenario = Scenario(robot=ROBOT, model_robot=ROBOT.replace(platform_mass=2.0), **ALL)
+    scenario = Scenario(robot=ROBOT, model={"robot": ROBOT.replace(platform_mass=2.0)}, **ALL)
     assert scenario.tuner.q_pose > 4.0e5
     assert scenario.limits == Limits()
 

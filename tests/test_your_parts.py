@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from stewart_drake.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS, TUNERS
+from stewart_drake.base.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS, TUNERS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "your_parts.md").read_text()
 PARTS, GIVEN, ADDED = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)

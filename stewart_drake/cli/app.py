@@ -8,9 +8,9 @@ import traceback
 
 import click
 
+from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, quiet_libraries, raised_at
 from stewart_drake.cli.options import EXIT_BAD_INPUT, EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_RUN_FAILED, cli
 from stewart_drake.cli.terminal import drop_output, say
-from stewart_drake.errors import ConfigurationError, StewartDrakeError, quiet_libraries, raised_at
 
 DEBUG = "--debug"
 """Anywhere among the arguments: the traceback of whatever goes wrong."""
@@ -57,6 +57,8 @@ def _end(error: BaseException) -> int:
         error = error.__cause__ or error
     # Ctrl-C while a compiled module loads comes out as an ImportError.
     if isinstance(error, KeyboardInterrupt) or isinstance(error.__cause__, KeyboardInterrupt):
+        # Nothing is left that a second one could end.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         say("interrupted")
         return EXIT_INTERRUPTED
     if DEBUG in sys.argv:

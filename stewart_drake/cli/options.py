@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from importlib import import_module
-from inspect import cleandoc
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -71,13 +71,13 @@ def _json(context: click.Context, _: click.Parameter, given: bool) -> None:
 
 
 def _trust(context: click.Context, _: click.Parameter, given: bool) -> None:
-    from stewart_drake.files.code import trusting_code
+    from stewart_drake.base.code import trusting_code
 
     context.with_resource(trusting_code(given))
 
 
-def _flag(name: str, callback: Callable[..., None], words: str) -> click.Option:
-    return click.Option([name], is_flag=True, expose_value=False, callback=callback, help=words)
+def _flag(name: str, callback: Callable[..., None], text: str) -> click.Option:
+    return click.Option([name], is_flag=True, expose_value=False, callback=callback, help=text)
 
 
 class Command(click.Command):
@@ -139,57 +139,116 @@ def cli() -> None:
     """
 
 
-def command(name: str, kind: type[click.Command] = Command, **options: Any) -> Callable[[Callable[..., None]], Any]:
-    """Makes a function the command of this name in `COMMANDS`; its docstring says what the summary there does not."""
-    *parent, own = name.split()
-    group: Any = cli.commands[parent[0]] if parent else cli
+PATH = click.Path(path_type=Path)
+OUT_FILE, OUT_FOLDER = click.Path(dir_okay=False, path_type=Path), click.Path(file_okay=False, path_type=Path)
+
+
+def option(text: str, kind: Any = None, flag: str | None = None, **more: Any) -> dict[str, Any]:
+    """An option: its help text, its type, and its flag where that is not its name."""
+    return {"help": text, "type": kind, "flag": flag, **more}
+
+
+def switch(text: str) -> dict[str, Any]:
+    """An option without a value."""
+    return option(text, is_flag=True)
+
+
+def _completed_from(kind: str) -> dict[str, Any]:
+    """For a shell to complete: files of a kind that the package has; the shell's own are paths."""
+
+    def complete(_: click.Context, __: click.Parameter, begun: str) -> list[str]:
+        from stewart_drake.base.yaml_files import shipped_folder
+
+        return [path.stem for path in shipped_folder(kind).glob("*.yaml") if path.stem.startswith(begun)]
+
+    return {"shell_complete": complete}
+
+
+OPTIONS: dict[str, dict[str, Any]] = {
+    "about": option("One line on the robot.", default=""),
+    "browser": option("Open the page in a browser.", flag="--browser/--no-browser", default=True),
+    "budget": option("Evaluations for each controller, in place of the file's.", click.IntRange(1)),
+    "controllers": option("Controller to tune [default: all].", flag="--controller", multiple=True, metavar="NAME"),
+    "cranks": option(
+        "Direction of level cranks, if the table has none: outwards, towards the partner, away from it.",
+        default="outwards",
+    ),
+    "duration": option("Duration of the run [s].", click.FloatRange(min=5.0), default=60.0),
+    "encoder_bits": option("Encoder resolution, bits per turn.", click.IntRange(4, 40), default=17),
+    "force": switch("Replace the results of another scenario in the folder."),
+    "hold": option("Do not estimate these parameters.", multiple=True),
+    "lag": option("Delay of the torques in a CSV file [s].", float, "--torque-lag", default=0.0),
+    "out": option("Folder for results [default: runs/NAME].", PATH),
+    "overrides": option("Change a key, e.g. --set {example}.", flag="--set", multiple=True, metavar="KEY=VALUE"),
+    "picture": option("Write a picture of it at home: FILE.png.", OUT_FILE),
+    "plan": option("Write the N most informative poses to measure; without POSES.", int, metavar="N"),
+    "poses": option("Number of random poses.", click.IntRange(1, 100_000), default=1000),
+    "position_noise": option("Standard deviation of the tracker [m].", float, default=2e-5),
+    "quick": switch("Few and short runs, for a first look."),
+    "report_folder": option("Folder for a report with tables and a plot.", OUT_FOLDER, "--report"),
+    "restart": switch("Start anew: ignore the finished runs of an earlier call."),
+    "retime": switch("If the motion is infeasible, find the highest feasible speed."),
+    "robot": option("Name or YAML file; motions, loads and faults are scaled to it [default: the file's robot]."),
+    "rotation_noise": option("Standard deviation of the tracker [rad].", float, default=1e-4),
+    "runs": option("Number of runs, in place of the file's.", click.IntRange(1)),
+    "samples": option("Poses in each of the two workspaces.", click.IntRange(1000, 10**7), default=10**6),
+    "scale": switch("If the motion is infeasible, find the largest feasible size."),
+    "scheduler": option("Run on a Dask cluster, e.g. tcp://host:8786.", metavar="ADDRESS"),
+    "seed": option("Seed of everything random.", click.IntRange(0), default=0),
+    "seeds": option("Situations of each kind and robot.", click.IntRange(2), default=14),
+    "unit": option("Unit of all lengths, in the table and after --set: m or mm.", default="m"),
+    "validate": option("A log that is predicted, but not fitted.", PATH, multiple=True),
+    "video": option("Also write a film of the run: FILE.gif, or FILE.mp4 (needs ffmpeg).", PATH),
+    "workers": option("Processes [default: one per core, at most 8].", click.IntRange(1, 1024)),
+}
+"""Parameter of a command's function -> the option that it is, where the command does not say something else."""
+ARGUMENTS = {name: _completed_from(f"{name}s") for name in ("scenario", "sweep", "comparison")}
+STUDY_OPTIONS = ("workers", "scheduler", "restart")
+"""What all commands of many runs take, which their functions have as `**options`."""
+GUESS = option("First guess of the robot: a YAML file or a name.", required=True, metavar="GUESS")
+
+
+def command(
+    path: str,
+    kind: type[click.Command] = Command,
+    *,
+    group: dict[str, Any] | None = None,
+    example: str = "duration=2",
+    **own: Any,
+) -> Callable[[Callable[..., None]], Any]:
+    """Makes a function a command of `COMMANDS`; its docstring says what the summary there does not.
+
+    Its parameters are the options of `OPTIONS`, or arguments. `own` has what is different for this command: an option,
+    an argument's keywords, or a default; that of `out` says by its ending whether it is a file. `example` is one of a
+    change by `--set`.
+    """
+    *parent, name = path.split()
+    parent_group: Any = cli.commands[parent[0]] if parent else cli
 
     def add(function: Callable[..., None]) -> Any:
-        text = f"{COMMANDS[name].summary}.\n\n{cleandoc(function.__doc__ or '')}"
-        return group.command(own, cls=kind, help=text, **options)(function)
+        params: list[click.Parameter] = []
+        for each in inspect.signature(function).parameters.values():
+            for part in STUDY_OPTIONS if each.kind is each.VAR_KEYWORD else (each.name,):
+                params.append(_parameter(part, str(each.annotation), own.get(part), example))
+        if {"overrides", "workers"} & {each.name for each in params}:
+            params.append(_flag("--trust-code", _trust, "Allow Python code named in files or by --set to run."))
+        text = f"{COMMANDS[path].summary}.\n\n{inspect.cleandoc(function.__doc__ or '')}"
+        return parent_group.command(name, cls=kind, help=text, params=params, **(group or {}))(function)
 
     return add
 
 
-PATH = click.Path(path_type=Path)
-OUT_FILE, OUT_FOLDER = click.Path(dir_okay=False, path_type=Path), click.Path(file_okay=False, path_type=Path)
-guess_option = click.option(
-    "--robot", required=True, metavar="GUESS", help="First guess of the robot: a YAML file or a name."
-)
-
-
-def out_folder(default: str | None = None) -> Callable[[Any], Any]:
-    words = "" if default else " [default: runs/NAME]"
-    return click.option("--out", type=PATH, default=default, help=f"Folder for results{words}.")
-
-
-def out_file(default: str) -> Callable[[Any], Any]:
-    return click.option("--out", type=OUT_FILE, default=default, help="File to write.")
-
-
-def trust_flag(function: Any) -> Any:
-    words = "Allow Python code named in files or by --set to run."
-    if any(each.name == "trust_code" for each in getattr(function, "__click_params__", ())):
-        return function
-    return click.option("--trust-code", is_flag=True, expose_value=False, callback=_trust, help=words)(function)
-
-
-def names(kind: str) -> Callable[[click.Context, click.Parameter, str], list[str]]:
-    """For a shell to complete: files of a kind that the package has; the shell's own are paths."""
-
-    def complete(_: click.Context, __: click.Parameter, begun: str) -> list[str]:
-        from stewart_drake.files.yaml_files import shipped_folder
-
-        return [path.stem for path in shipped_folder(kind).glob("*.yaml") if path.stem.startswith(begun)]
-
-    return complete
-
-
-SCENARIO: Any = {"shell_complete": names("scenarios")}
-
-
-def overrides(example: str = "duration=2") -> Callable[[Any], Any]:
-    changes = click.option(
-        "--set", "overrides", multiple=True, metavar="KEY=VALUE", help=f"Change a key, e.g. --set {example}."
-    )
-    return lambda function: changes(trust_flag(function))
+def _parameter(name: str, annotation: str, own: Any, example: str) -> click.Parameter:
+    """The argument or option that a parameter of a command's function stands for."""
+    changed = own if isinstance(own, dict) else {} if own is None else {"default": own}
+    if name == "out" and isinstance(own, str):
+        changed |= option("File to write.", OUT_FILE) if Path(own).suffix else option("Folder for results.", PATH)
+    if name not in OPTIONS and "help" not in changed:
+        several = annotation.startswith("tuple")
+        is_optional = several or "default" in changed or "None" in annotation
+        usual = {"type": PATH if "Path" in annotation else None, "required": not is_optional}
+        return click.Argument([name], nargs=-1 if several else 1, **usual | ARGUMENTS.get(name, {}) | changed)
+    settings = {**OPTIONS.get(name, {}), **changed}
+    flag = settings.pop("flag", None) or f"--{name.replace('_', '-')}"
+    settings["help"] = settings["help"].format(example=example)
+    return click.Option([flag, name], **settings)

@@ -11,31 +11,29 @@ from typing import Any
 
 import click
 
+from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.base.families import user_parts
+from stewart_drake.base.yaml_files import to_yaml
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling, tell, working
-from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
-from stewart_drake.families import user_parts
-from stewart_drake.files.whole import write_atomically
-from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import metrics_of, run_metrics
-from stewart_drake.logs.outcomes import told
+from stewart_drake.logs.outcomes import describe_outcome
 from stewart_drake.runs.outputs import check_place, claimed_place, draw_run, prepare_file, prepare_folder, save_run
-from stewart_drake.scenario import load_scenario
+from stewart_drake.scenario.scenario import load_scenario
 
 
-@command("run")
-@click.argument("scenario", **opt.SCENARIO)
-@click.option("--out", type=opt.PATH, help="Folder for the results [default: runs/NAME, or runs/NAME-2, ...].")
-@opt.overrides()
-@click.option("--force", is_flag=True, help="Replace the results of another scenario in the folder.")
-@click.option("--video", type=opt.PATH, help="Also write a film of the run: FILE.gif, or FILE.mp4 (needs ffmpeg).")
+@command(
+    "run",
+    out=opt.option("Folder for the results [default: runs/NAME, or runs/NAME-2, ...].", opt.PATH),
+)
 def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool, video: Path | None) -> None:
     """SCENARIO is a YAML file, or the name of a shipped one such as paper_fig7."""
     from stewart_drake.runs.checks import check_scenario, refuse_unrunnable
-    from stewart_drake.runs.simulation import engine_of
     from stewart_drake.runs.simulation import run as simulate
+    from stewart_drake.runs.simulation import run_of
 
     loaded = load_scenario(scenario, overrides)
     if out is not None:
@@ -47,15 +45,15 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     refuse_unrunnable(loaded)
     with shown_compiling():
         check_scenario(loaded)
-    engine = engine_of(loaded)
-    graph = engine.graph()
+    prepared = run_of(loaded)
+    graph = prepared.graph()
     # Only now, with everything checked, does anything appear on the disk.
     if video is not None:
         prepare_file(video)
-    with claimed_place(loaded, out, force) as place:
+    with claimed_place(loaded, out, force) as claimed:
         with shown_compiling(), progress_bar(loaded.name, loaded.duration) as advance:
-            log = simulate(loaded, progress=advance, check=False, engine=engine)
-        place, problem = save_run(log, place)
+            log = simulate(loaded, progress=advance, check=False, prepared=prepared)
+        place, problem = save_run(log, claimed)
         _print_run(log, place)
         try:
             problem = problem or draw_run(log, place, graph)
@@ -75,19 +73,22 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
         tell(f"film in {video}")
     if log.status != "completed":
         why = (log.message or "").removeprefix(f"{log.reason}: ")
-        say(f"{told(log.status, log.reason, log.outcome_time)}: {why}")
+        say(f"{describe_outcome(log.status, log.reason, log.outcome_time)}: {why}")
         sys.exit(opt.EXIT_INTERRUPTED if log.status == "interrupted" else opt.EXIT_RUN_FAILED)
+    if place != claimed:
+        # A disk was full: where the results were to be there are none.
+        sys.exit(opt.EXIT_RUN_FAILED)
 
 
 def _print_run(log: SimulationLog, place: Path) -> None:
     metrics = run_metrics(log)
-    rows = [("status", told(log.status, log.reason)), ("simulated time", f"{log.end_time:.3f} s")]
-    if log.scenario.plant.engine == "reduced":
-        rows.append(("engine", "reduced, not Drake's plant"))
+    rows = [("status", describe_outcome(log.status, log.reason)), ("simulated time", f"{log.end_time:.3f} s")]
+    if log.scenario.plant.kind != "drake":
+        rows.append(("plant", f"{log.scenario.plant.kind}, not Drake's"))
     for metric in metrics_of(log.scenario):
         value = metrics[metric.name]
         # A second half that was not reached is shown as a dash; weights that a run does not have are left out.
-        if metric.label and (value is not None or metric.over.startswith("late")):
+        if metric.label and (value is not None or metric.over.startswith("second_half")):
             rows.append((metric.label, metric.shown(value)))
     rows += [(f"warning: {each['name']}", f"{each['text']}, t = {each['time']:.3f} s") for each in log.warnings]
     factor = metrics["real_time_factor"]
@@ -95,12 +96,10 @@ def _print_run(log: SimulationLog, place: Path) -> None:
     print_table(log.scenario.name, rows, data=metrics)
 
 
-@command("check")
-@click.argument("scenario", **opt.SCENARIO)
-@opt.overrides()
-@click.option("--scale", is_flag=True, help="If the motion is infeasible, find the largest feasible size.")
-@click.option("--retime", is_flag=True, help="If the motion is infeasible, find the highest feasible speed.")
-@click.option("--out", type=opt.OUT_FILE, help="Write the feasible scenario; needs --scale or --retime.")
+@command(
+    "check",
+    out=opt.option("Write the feasible scenario; needs --scale or --retime.", opt.OUT_FILE),
+)
 def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None) -> None:
     """The check covers the whole run of SCENARIO. Your own code is named but not run.
 
@@ -132,6 +131,8 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     header = ("limit", "allowed", "smallest margin", "at", "where")
     print_table(f"{loaded.name}, {loaded.duration:g} s", rows, header, numbers=(1, 2, 3), data=numbers)
     tell("what each limit is: stewart-drake explain limits")
+    machine = ("", "simulated", "believed")
+    print_table("the machine, and what `model` believes of it", checks.beliefs(loaded), machine, numbers=())
     motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
     changes: dict[str, Any] = {}
     if scale:
@@ -160,11 +161,7 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     plant.raise_if_infeasible()
 
 
-@command("margins")
-@click.argument("scenario", default="exact_breathing", **opt.SCENARIO)
-@opt.out_folder("runs/margins")
-@click.option("--poses", type=click.IntRange(1, 100_000), default=1000, help="Number of random poses.")
-@opt.overrides("estimator.kind=observer")
+@command("margins", scenario="exact_breathing", out="runs/margins", example="estimator.kind=observer")
 def margins(scenario: str, out: Path, poses: int, overrides: tuple[str, ...]) -> None:
     """SCENARIO is a file or a shipped name [default: exact_breathing].
 
@@ -174,30 +171,31 @@ def margins(scenario: str, out: Path, poses: int, overrides: tuple[str, ...]) ->
     the robot. Friction, saturation and encoder resolution are left out; weights keep their start values. Writes
     margins.json and margins.png.
     """
-    from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
+    from stewart_drake.analysis.linear_loop import linear_loops, poses_to_stand_at
 
     loaded = load_scenario(scenario, overrides)
     with shown_compiling(), working(f"{poses} poses"):
         loops = linear_loops(loaded, poses_to_stand_at(loaded, poses, 0))
     folder = prepare_folder(out)
 
+    from stewart_drake.analysis import margins as report
     from stewart_drake.plotting.model_plots import plot_margins
-    from stewart_drake.stability import margins as report
 
-    found = report.loop_margins(loops)
-    numbers = report.document(loops, found)
+    margins = report.loop_margins(loops)
+    numbers = report.document(loops, margins)
     write_atomically(folder / "margins.json", (json.dumps(numbers, indent=1, allow_nan=False) + "\n").encode())
-    plot_margins(found, folder / "margins.png")
+    plot_margins(margins, folder / "margins.png")
     title = f"{loaded.name}: margins at {len(loops.poses)} poses, beside {loaded.command_delay} ticks of delay"
-    print_table(title, report.table(found, loops.period), report.HEADER, data=numbers)
-    print_table("poses", [*report.facts(loops, found), ("results in", str(folder))])
+    print_table(title, report.table(margins, loops.period), report.HEADER, data=numbers)
+    print_table("poses", [*report.facts(loops, margins), ("results in", str(folder))])
 
 
-@command("workspace")
-@opt.out_folder("runs/workspace")
-@click.option("--samples", type=click.IntRange(1000, 10**7), default=10**6, help="Poses in each of the two workspaces.")
-@click.option("--scenario", default="paper_fig7", help="Scenario with the robot, limits and controller.")
-@opt.overrides("limits.clearance=0.01")
+@command(
+    "workspace",
+    out="runs/workspace",
+    scenario=opt.option("Scenario with the robot, limits and controller.", default="paper_fig7"),
+    example="limits.clearance=0.01",
+)
 def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]) -> None:
     """Writes workspace.json and figures/.
 
@@ -205,9 +203,9 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
     reach, joint swing, clearance, conditioning and motor torque, and distinguish serial from parallel singularities.
     A third part shows which states and torques some motions visit.
     """
-    from stewart_drake.paper.reproduce import Study
+    from stewart_drake.analysis.workspace import KINDS, check_center, slices, study_poses
+    from stewart_drake.paper.reproduce import Reproduction
     from stewart_drake.paper.workspace import motion_numbers
-    from stewart_drake.planning.workspace import KINDS, check_center, slices, study_poses
     from stewart_drake.plotting import save_figure
     from stewart_drake.plotting.workspace_plots import plot_capability
     from stewart_drake.runs.checks import check_scenario
@@ -226,7 +224,7 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
         numbers, surveys = study_poses(
             *of_base, base.robot.home_pose, samples, 20_000, lambda share: advance(60.0 * share)
         )
-        motions, draw = motion_numbers(Study(base=base, progress=lambda share: advance(60.0 + 40.0 * share)))
+        motions, draw = motion_numbers(Reproduction(base=base, progress=lambda share: advance(60.0 + 40.0 * share)))
     numbers |= {"motions": motions}
     write_atomically(out / "workspace.json", (json.dumps(numbers, indent=1, allow_nan=False) + "\n").encode())
     save_figure(draw(), figures / "torques.png")
@@ -235,11 +233,11 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
         save_figure(plot_capability(cut), figures / f"{kind}-capability.png")
     rows = []
     for kind, scale, unit in (("position", 1e3, "L"), ("orientation", 100.0, "% of all")):
-        found = numbers["workspaces"][kind]
+        space = numbers["workspaces"][kind]
         rows += [
-            (f"{kind}s that the mechanism can reach", f"{scale * found['regular']:.3g} {unit}"),
-            (f"{kind}s within all limits", f"{scale * found['connected']:.3g} {unit}"),
-            (f"first limit on straight lines through {kind}s", next(iter(found["first"]), "none").replace("_", " ")),
+            (f"{kind}s that the mechanism can reach", f"{scale * space['regular']:.3g} {unit}"),
+            (f"{kind}s within all limits", f"{scale * space['connected']:.3g} {unit}"),
+            (f"first limit on straight lines through {kind}s", next(iter(space["first"]), "none").replace("_", " ")),
         ]
     way, turn = (numbers["workspaces"][kind]["inscribed_radius"] for kind in ("position", "orientation"))
     rows.append(("free distance in every direction", f"{1e3 * way:.0f} mm, {math.degrees(turn):.0f} deg"))
@@ -247,9 +245,11 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
     print_table(f"numbers and figures in {out}", rows, data=numbers)
 
 
-@command("reproduce")
-@click.option("--quick", is_flag=True, help="Smaller samples; takes a minute or two.")
-@click.option("--out", type=opt.PATH, help="Folder for numbers.json and figures/ [default: none is written].")
+@command(
+    "reproduce",
+    quick=opt.switch("Smaller samples; takes a minute or two."),
+    out=opt.option("Folder for numbers.json and figures/ [default: none is written].", opt.PATH),
+)
 def reproduce(quick: bool, out: Path | None) -> None:
     """Prints a table of claim, paper, ours, verdict, and each difference from the recorded table in this package."""
     from stewart_drake.paper.reproduce import differences, rows

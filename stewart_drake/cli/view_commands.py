@@ -7,18 +7,13 @@ from pathlib import Path
 
 import click
 
-from stewart_drake.cli.options import PATH, command, out_file, overrides
+from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import shown_compiling, tell
 from stewart_drake.logs.log import load_log
-from stewart_drake.scenario import load_scenario
-
-browser_flag = click.option("--browser/--no-browser", default=True, help="Open the page in a browser.")
+from stewart_drake.scenario.scenario import load_scenario
 
 
-@command("live")
-@click.argument("scenario", default="exact_fig7")
-@overrides("plant.payload_mass=0.2")
-@browser_flag
+@command("live", scenario="exact_fig7", example="plant.payload_mass=0.2")
 def live(scenario: str, overrides: tuple[str, ...], browser: bool) -> None:
     """SCENARIO is a file or a shipped name [default: exact_fig7].
 
@@ -41,10 +36,7 @@ def live(scenario: str, overrides: tuple[str, ...], browser: bool) -> None:
         server.close()
 
 
-@command("replay")
-@click.argument("logs", nargs=-1, required=True, type=PATH)
-@out_file("runs/replay.html")
-@browser_flag
+@command("replay", logs={"required": True}, out="runs/replay.html")
 def replay(logs: tuple[Path, ...], out: Path, browser: bool) -> None:
     """LOGS are results folders of `run`, or log files."""
     from stewart_drake.runs.outputs import prepare_file

@@ -1,1 +1,1 @@
-"""Controllers and tuners: options, law and part of each."""
+"""What runs on the computer beside the robot: estimators, controllers and tuners, each with options, law and part."""

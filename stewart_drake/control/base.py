@@ -1,21 +1,23 @@
-"""What all controllers share: options, what a tick sees, near which poses none acts, and why a tick fails."""
+"""What all controllers share: options, inputs, the torque limit with anti-windup, where none acts, why a tick fails."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from stewart_drake.config import Period, Section
-from stewart_drake.errors import NotFiniteError, RiccatiError, RunFailure, SingularPoseError, UnreachablePoseError
-from stewart_drake.jit import new_record, njit, record
+from stewart_drake.base.config import Period, Section
+from stewart_drake.base.errors import NotFiniteError, RiccatiError, RunFailure, SingularPoseError, UnreachablePoseError
+from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, task_inertia
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import (
     LEGS,
+    NO_GAIN,
     NOT_FINITE,
     OK,
     PARALLEL,
@@ -26,8 +28,8 @@ from stewart_drake.mechanics.kinematics_laws import (
     legs_at,
     robot_record,
 )
-from stewart_drake.mechanics.linear_algebra import all_finite
-from stewart_drake.part import Part, Setup
+from stewart_drake.mechanics.linear_algebra import all_finite, solve
+from stewart_drake.mechanics.singularities import CONTROLLED
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import times
 
@@ -38,6 +40,9 @@ class ControllerOptions(Section, ABC, key="controller"):
     """Base of the options of controllers; wiring, checks, logs and plots ask these, not which kind it is."""
 
     own_keys = frozenset({"feedforward", "saturation"})
+    feedback: ClassVar[bool] = True
+    """Whether it uses what is measured."""
+
     kind: str
     """Kind of controller."""
     period: Period
@@ -59,8 +64,24 @@ class ControllerOptions(Section, ABC, key="controller"):
         return None
 
     @abstractmethod
-    def parts(self, setup: Setup) -> tuple[Part, ...]:
-        """The controller in a loop, one part: from measurement and reference to torque, error and integral."""
+    def parts(self, context: LoopContext) -> tuple[Part, ...]:
+        """The controller in a loop, one part: measurement and reference to `torque`, and `integral` if it has one."""
+
+
+class AdaptationOptions(Section, ABC, key="adaptation"):
+    """Base of the options of laws that learn while the robot runs.
+
+    An output of such a law takes the place of the constants of other parts that have its name, from the next tick on:
+    `friction` that of the friction compensation, `robot` those of all that computes with the robot's model. The numbers
+    are those of the constant, in its order; the law's state begins with what is believed.
+    """
+
+    kind: str
+    """Kind of law."""
+
+    @abstractmethod
+    def parts(self, context: LoopContext) -> tuple[Part, ...]:
+        """The law in a loop; inputs may be `measurement` (12,), `reference` (18,) and all signals of the loop."""
 
 
 # --- gains in the size that a robot needs to answer as the paper's does -----------------------------------------------
@@ -90,14 +111,10 @@ FREQUENCY = times(lambda _: 1.0, slower=1.0)
 
 # --- a tick ----------------------------------------------------------------------------------------------------------
 
-LEAST_TRANSMISSION, LEAST_CONDITIONING = 0.02, 0.005
-"""[-] |e_l . e_N| below which a crank counts as at its dead centre, and sigma_min / sigma_max of the rods' lines below
-which a pose counts as a parallel singularity: there the force map loses its meaning, and no controller acts."""
 AT_REFERENCE = 16
 """Added to a status that concerns the reference's pose, not the measured one."""
 POSE, RATE, REFERENCE, TORQUE = range(4)
 """Which signal is NOT_FINITE, in the place of the leg."""
-OUTPUTS = ("torque", "error", "integral")
 _SIGNALS = ("measured pose", "measured pose rate", "reference", "torque")
 _DEAD_CENTRE_SLACK = 0.05
 """[-] reach margin down to which a measured pose counts as a crank at its dead centre: loop gap and sensor error."""
@@ -131,40 +148,39 @@ def measured_legs(robot: Any, measurement: Any, legs: Any) -> Any:
         return NOT_FINITE, POSE, 0.0
     bad = legs_at(robot, measurement[:6], legs)
     if bad >= 0:
-        return UNREACHABLE, bad, legs.reach[bad]
+        return UNREACHABLE, bad, legs.reach_margin[bad]
     worst, leg = np.inf, 0
     for i in range(6):
         if not abs(legs.transmission[i]) >= worst:
             worst, leg = abs(legs.transmission[i]), i
-    if worst < LEAST_TRANSMISSION:
+    if worst < CONTROLLED.transmission:
         return SERIAL, leg, worst
     ratio = conditioning(robot, legs, QUICK)
-    return OK if ratio >= LEAST_CONDITIONING else PARALLEL, -1, ratio
+    return OK if ratio >= CONTROLLED.conditioning else PARALLEL, -1, ratio
 
 
 @njit
-def _check(robots: Any, measurement: Any, leg_records: Any) -> Any:
-    return measured_legs(record(robots), measurement, record(leg_records))
+def _check(robot: Any, measurement: Any, legs: Any) -> Any:
+    return measured_legs(record(robot), measurement, record(legs))
 
 
 def check_start(robot: RobotParameters, pose: np.ndarray) -> None:
     """Raises the RunFailure with which a controller's tick at a pose (6,) [rad, m] would end, if any."""
     at_rest = np.concatenate([pose, np.zeros(6)])
-    ended = _check(robot_record(robot), at_rest, np.empty(1, LEGS))
-    if ended[0] != OK:
-        raise failure(ended, at_rest, at_rest)
+    result = _check(robot_record(robot), at_rest, np.empty(1, LEGS))
+    if result[0] != OK:
+        raise failure(result, {"measurement": at_rest, "reference": at_rest})
 
 
-def failure(ended: tuple[int, int, float], measurement: np.ndarray, reference: np.ndarray) -> RunFailure:
-    """The error that says why a controller's law ended with a status other than OK.
+def failure(result: Any, arguments: Mapping[str, Any]) -> RunFailure:
+    """The error that says why a controller's tick ended with a status other than OK.
 
     Args:
-        ended: Status of `kinematics_laws`, at the reference's pose `AT_REFERENCE` more; leg or -1, or which signal is
+        result: Status of `kinematics_laws`, at the reference's pose `AT_REFERENCE` more; leg or -1, or which signal is
             NOT_FINITE; margin of the pose, or a torque that is not finite.
-        measurement: (12,).
-        reference: (18,).
+        arguments: `measurement` (12,) and `reference` (18,).
     """
-    status, leg, margin = ended
+    (status, leg, margin), measurement, reference = result, arguments["measurement"], arguments["reference"]
     at_reference = status >= AT_REFERENCE
     status -= AT_REFERENCE * at_reference
     pose = np.array(reference[:6] if at_reference else measurement[:6])
@@ -174,24 +190,95 @@ def failure(ended: tuple[int, int, float], measurement: np.ndarray, reference: n
     if status == UNREACHABLE and (at_reference or not margin >= -_DEAD_CENTRE_SLACK):
         return UnreachablePoseError(pose, leg, margin)
     if status in (UNREACHABLE, SERIAL):
-        return SingularPoseError("serial", pose, max(margin, 0.0), LEAST_TRANSMISSION, leg)
+        return SingularPoseError("serial", pose, max(margin, 0.0), CONTROLLED.transmission, leg)
     if status == PARALLEL:
-        return SingularPoseError("parallel", pose, margin, LEAST_CONDITIONING)
+        return SingularPoseError("parallel", pose, margin, CONTROLLED.conditioning)
     return RiccatiError(f"no gain at pose {pose.tolist()}: M^-1 tau is singular, or its gain overflows")
 
 
 def controller_part(
     kernel: Callable[..., Any], robot: RobotParameters, params: np.ndarray, state: np.dtype, *scratch: np.dtype
 ) -> Part:
-    """A controller's part of a loop, with the outputs torque, error and integral.
+    """A controller's part of a loop, with the outputs torque and, where its state has one, integral.
 
     The kernel takes the `ROBOT` record, its parameters, measurement (12,), reference (18,), the scratch and the state;
     it returns status, leg and margin, see `failure`.
     """
+    outputs = tuple(name for name in ("torque", "integral") if name in (state.names or ()))
     constants, inputs = {"robot": robot_record(robot), "params": params}, {"measurement": 12, "reference": 18}
-    return Part("controller", kernel, constants, inputs, OUTPUTS, new_record(state), scratch, controller_error)
+    return Part("controller", kernel, constants, inputs, outputs, new_record(state), scratch, failure)
 
 
-def controller_error(result: Any, arguments: Mapping[str, Any]) -> RunFailure:
-    """`failure` of a controller's part."""
-    return failure(result, arguments["measurement"], arguments["reference"])
+# --- tracking error, torque limit and anti-windup ---------------------------------------------------------------------
+
+
+@njit
+def tracking_error_tick(measurement: Any, reference: Any, state: Any) -> None:
+    """Measured pose minus that of the reference, (6,) [rad, m]; the last one stays where one is not finite."""
+    state = record(state)
+    if all_finite(measurement[:6]) and all_finite(reference[:6]):
+        for k in range(6):
+            state.error[k] = measurement[k] - reference[k]
+
+
+TRACKING_ERROR = Part(
+    "tracking_error",
+    tracking_error_tick,
+    {},
+    {"measurement": 12, "reference": 18},
+    ("error",),
+    new_record(fields(error=6)),
+)
+"""The tracking error of a loop, for densities, tuners and the log."""
+
+
+def saturation_params(options: Any, robot: RobotParameters) -> dict[str, Any]:
+    """Fields `limit`, `clamp` and `back_share` of a controller's parameters, by its key `saturation`."""
+    gives_back = options.saturation == "back_calculation"
+    return {
+        "limit": np.inf if options.saturation == "none" else robot.effort_limits,
+        "clamp": options.saturation == "clamp",
+        "back_share": min(1.0, options.period / options.reset_time) if gives_back else 0.0,
+    }
+
+
+@njit
+def limit_and_integrate(
+    params: Any, wanted: Any, error: Any, gain: Any, by_motor: bool, torque: Any, integral: Any
+) -> Any:
+    """Cuts torques to the limits of the motors, and integrates the error with anti-windup.
+
+    The integral grows by period * error. With `clamp` it waits while a motor is at its limit. Back-calculation changes
+    it so that its torque falls by `back_share` of what was cut.
+
+    Args:
+        params: Record with `period` [s] and the fields of `saturation_params`.
+        wanted: (6,) [N m].
+        error: (6,) what is integrated.
+        gain: (6, 6) torque per integral, for back-calculation.
+        by_motor: Whether each element of the integral belongs to one motor, and waits for that one alone.
+        torque: (6,) [N m] out.
+        integral: (6,) changed in place.
+
+    Returns:
+        OK, NOT_FINITE or NO_GAIN; which signal is NOT_FINITE, or -1; the torque that is not finite.
+    """
+    cut, saturated = np.empty((6, 1)), False
+    for i in range(6):
+        if not np.isfinite(wanted[i]):
+            return NOT_FINITE, TORQUE, wanted[i]
+        torque[i] = min(max(wanted[i], -params.limit[i]), params.limit[i])
+        cut[i, 0] = wanted[i] - torque[i]
+        saturated = saturated or cut[i, 0] != 0.0
+    waits = np.empty(6, np.bool_)
+    for k in range(6):
+        waits[k] = params.clamp == 1.0 and (cut[k, 0] != 0.0 if by_motor else saturated)
+    if saturated and params.back_share > 0.0:
+        if solve(gain.copy(), cut) == 0.0:
+            return NO_GAIN, -1, 0.0
+        for k in range(6):
+            integral[k] += params.back_share * cut[k, 0]
+    for k in range(6):
+        if not waits[k]:
+            integral[k] += params.period * error[k]
+    return OK, -1, 0.0

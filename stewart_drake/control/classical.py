@@ -6,23 +6,24 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from stewart_drake.config import NotNegative, Period, Positive
+from stewart_drake.base.config import NotNegative, Period, Positive
+from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.control.base import (
     AT_REFERENCE,
     DERIVATIVE,
     FREQUENCY,
     INTEGRAL,
     PROPORTIONAL,
-    TORQUE,
     ControllerOptions,
     controller_part,
+    limit_and_integrate,
     measured_legs,
+    saturation_params,
 )
-from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics_laws import motion_torque, static_torque
 from stewart_drake.mechanics.kinematics_laws import (
     LEGS,
-    NOT_FINITE,
     OK,
     PARALLEL,
     UNREACHABLE,
@@ -30,7 +31,6 @@ from stewart_drake.mechanics.kinematics_laws import (
     legs_at,
     twist_of,
 )
-from stewart_drake.part import Part, Setup
 
 # --- PID of the cranks -----------------------------------------------------------------------------------------------
 
@@ -60,75 +60,65 @@ class PidOptions(ControllerOptions):
     reset_time: Positive = 0.05
     """[s] time constant of back-calculation."""
 
-    def parts(self, setup: Setup) -> tuple[Part, ...]:
-        gives_back = self.saturation == "back_calculation" and self.ki > 0.0
-        numbers = new_record(
+    def parts(self, context: LoopContext) -> tuple[Part, ...]:
+        params = new_record(
             _PID,
             self,
-            gravity=setup.gravity if self.feedforward == "gravity" else 0.0,
-            limit=np.inf if self.saturation == "none" else setup.robot.effort_limits,
-            clamp=self.saturation == "clamp",
-            given_back=min(1.0, self.period / self.reset_time) / self.ki if gives_back else 0.0,
+            gravity=context.gravity if self.feedforward == "gravity" else 0.0,
+            gain=self.ki * np.eye(6),
+            **saturation_params(self, context.robot),
         )
-        return (controller_part(pid_tick, setup.robot, numbers, PID_STATE, LEGS, LEGS),)
+        if self.ki == 0.0:
+            params["back_share"] = 0.0  # There is no integral torque to reduce.
+        return (controller_part(pid_tick, context.robot, params, PID_STATE, LEGS, LEGS),)
 
 
-PID_STATE = fields(torque=6, error=6, integral=6, health=2, crank_integral=6)
-"""torque [N m]. error: measured pose minus setpoint [rad, m]. integral: zeros; the PID has its own, of the errors of
-the crank angles [rad s], for the next tick."""
-_PID = fields(period=(), gravity=(), kp=(), ki=(), kd=(), limit=6, clamp=(), given_back=())
+PID_STATE = fields(torque=6, health=2, crank_integral=6)
+"""torque [N m]. crank_integral: of the errors of the crank angles, for the next tick [rad s]."""
+_PID = fields(period=(), gravity=(), kp=(), kd=(), gain=(6, 6), limit=6, clamp=(), back_share=())
 
 
 @njit
-def pid_tick(
-    robots: Any, setups: Any, measurement: Any, reference: Any, leg_records: Any, target_records: Any, states: Any
-) -> Any:
+def pid_tick(robot: Any, params: Any, measurement: Any, reference: Any, legs: Any, target_legs: Any, state: Any) -> Any:
     """T = T_gravity - kp e - kd e' - ki z with e = theta(pose) - theta(reference), wrapped to half a turn.
 
     Crank angles by inverse kinematics, their rates by the Jacobian, of the measurement and of the reference alike. The
-    integral grows by period * e after it has been used.
+    integral changes after it has been used, see `limit_and_integrate`.
 
     Args:
-        robots: `ROBOT` as the controller believes it to be.
-        setups: Numbers of `PidOptions`. gravity: 0 for no feedforward. limit: infinite for none. clamp: whether the
-            integral of a motor at its limit stands still. given_back: by what it is led back for a torque that was cut.
+        robot: `ROBOT` as the controller believes it to be.
+        params: Numbers of `PidOptions`. gravity: 0 for no feedforward. gain: ki on the diagonal.
         measurement: (12,) pose and rate now.
         reference: (18,) now.
-        leg_records: `LEGS` of the measurement, overwritten.
-        target_records: `LEGS` of the reference, overwritten.
-        states: `PID_STATE` of the tick before; that of this one where the status is OK.
+        legs: `LEGS` of the measurement, overwritten.
+        target_legs: `LEGS` of the reference, overwritten.
+        state: `PID_STATE` of the tick before; that of this one where the status is OK.
 
     Returns:
         Status; leg or -1, or which signal is NOT_FINITE; margin.
     """
-    robot, setup, state = record(robots), record(setups), record(states)
-    legs, target = record(leg_records), record(target_records)
+    robot, params, state = record(robot), record(params), record(state)
+    legs, target = record(legs), record(target_legs)
     status, leg, margin = measured_legs(robot, measurement, legs)
     if status != OK:
         return status, leg, margin
     bad = legs_at(robot, reference[:6], target)
     if bad >= 0:
-        return AT_REFERENCE + UNREACHABLE, bad, target.reach[bad]
+        return AT_REFERENCE + UNREACHABLE, bad, target.reach_margin[bad]
     weight, twist, rates, target_rates = np.zeros(6), np.empty(6), np.empty(6), np.empty(6)
-    if setup.gravity != 0.0 and not static_torque(robot, legs, setup.gravity, weight):
+    if params.gravity != 0.0 and not static_torque(robot, legs, params.gravity, weight):
         return PARALLEL, -1, margin
     twist_of(measurement[:6], measurement[6:], twist)
     crank_rates(legs, twist, rates)
     twist_of(reference[:6], reference[6:12], twist)
     crank_rates(target, twist, target_rates)
+    wanted, error, integral = np.empty(6), np.empty(6), state.crank_integral[:]
     for i in range(6):
         sine = legs.sine[i] * target.cosine[i] - legs.cosine[i] * target.sine[i]
-        error = np.arctan2(sine, legs.cosine[i] * target.cosine[i] + legs.sine[i] * target.sine[i])
-        feedback = setup.kp * error + setup.kd * (rates[i] - target_rates[i]) + setup.ki * state.crank_integral[i]
-        wanted, limit = weight[i] - feedback, setup.limit[i]
-        if not np.isfinite(wanted):
-            return NOT_FINITE, TORQUE, wanted
-        state.torque[i] = min(max(wanted, -limit), limit)
-        cut = wanted - state.torque[i]
-        if setup.clamp == 0.0 or cut == 0.0:
-            state.crank_integral[i] += setup.period * error + setup.given_back * cut
-        state.error[i] = measurement[i] - reference[i]
-    return OK, -1, 0.0
+        error[i] = np.arctan2(sine, legs.cosine[i] * target.cosine[i] + legs.sine[i] * target.sine[i])
+        integral_torque = params.gain[i, i] * integral[i]
+        wanted[i] = weight[i] - (params.kp * error[i] + params.kd * (rates[i] - target_rates[i]) + integral_torque)
+    return limit_and_integrate(params, wanted, error, params.gain[:], True, state.torque[:], integral)
 
 
 # --- computed torque -------------------------------------------------------------------------------------------------
@@ -154,48 +144,37 @@ class ComputedTorqueOptions(ControllerOptions):
     """Torque limit and anti-windup. none: commands may exceed the motors' limit. clamp: commands are limited and the
     integral z waits."""
 
-    def parts(self, setup: Setup) -> tuple[Part, ...]:
-        limit = setup.robot.effort_limits if self.saturation == "clamp" else np.inf
-        numbers = new_record(_COMPUTED_TORQUE, self, gravity=setup.gravity, limit=limit)
-        return (controller_part(computed_torque_tick, setup.robot, numbers, COMPUTED_TORQUE_STATE, LEGS),)
+    def parts(self, context: LoopContext) -> tuple[Part, ...]:
+        params = new_record(_COMPUTED_TORQUE, self, gravity=context.gravity, **saturation_params(self, context.robot))
+        return (controller_part(computed_torque_tick, context.robot, params, COMPUTED_TORQUE_STATE, LEGS),)
 
 
-COMPUTED_TORQUE_STATE = fields(torque=6, error=6, integral=6, health=2)
-"""torque [N m]. error: measured pose minus setpoint [rad, m]. integral: z for the next tick [rad s, m s]."""
-_COMPUTED_TORQUE = fields(period=(), gravity=(), natural_frequency=(), damping=(), integral_frequency=(), limit=6)
+COMPUTED_TORQUE_STATE = fields(torque=6, integral=6, health=2)
+"""torque [N m]. integral: z for the next tick [rad s, m s]."""
+_COMPUTED_TORQUE = fields(
+    period=(), gravity=(), natural_frequency=(), damping=(), integral_frequency=(), limit=6, clamp=(), back_share=()
+)
 
 
 @njit
-def computed_torque_tick(
-    robots: Any, setups: Any, measurement: Any, reference: Any, leg_records: Any, states: Any
-) -> Any:
+def computed_torque_tick(robot: Any, params: Any, measurement: Any, reference: Any, legs: Any, state: Any) -> Any:
     """Inverse dynamics at the measured pose and rate for q''_d - 2 damping omega e' - omega^2 (e + omega_i z).
 
-    The integral grows by period * e after it has been used.
+    The integral changes after it has been used, see `limit_and_integrate`.
 
     Arguments and result are as of `pid_tick`, of the numbers of `ComputedTorqueOptions`.
     """
-    robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
+    robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     status, leg, margin = measured_legs(robot, measurement, legs)
     if status != OK:
         return status, leg, margin
-    omega, acceleration = setup.natural_frequency, np.empty(6)
+    omega, acceleration, error, wanted = params.natural_frequency, np.empty(6), np.empty(6), np.empty(6)
     for k in range(6):
-        state.error[k] = measurement[k] - reference[k]
-        stiff = omega * omega * (state.error[k] + setup.integral_frequency * state.integral[k])
-        damped = 2.0 * setup.damping * omega * (measurement[6 + k] - reference[6 + k])
+        error[k] = measurement[k] - reference[k]
+        stiff = omega * omega * (error[k] + params.integral_frequency * state.integral[k])
+        damped = 2.0 * params.damping * omega * (measurement[6 + k] - reference[6 + k])
         acceleration[k] = reference[12 + k] - damped - stiff
-    if not motion_torque(robot, legs, measurement, acceleration, setup.gravity, state.torque):
+    if not motion_torque(robot, legs, measurement, acceleration, params.gravity, wanted):
         return PARALLEL, -1, 0.0
-    cut = False
-    for i in range(6):
-        wanted, limit = state.torque[i], setup.limit[i]
-        if not np.isfinite(wanted):
-            return NOT_FINITE, TORQUE, wanted
-        if abs(wanted) > limit:
-            cut = True
-            state.torque[i] = limit if wanted > 0.0 else -limit
-    if not cut:
-        for k in range(6):
-            state.integral[k] += setup.period * state.error[k]
-    return OK, -1, 0.0
+    # Without back-calculation no gain is asked for.
+    return limit_and_integrate(params, wanted, error, np.empty((6, 6)), False, state.torque[:], state.integral[:])

@@ -8,32 +8,31 @@ from typing import Annotated, Any, Literal, cast, get_args
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Flag, Natural, Period, Positive, PositivePair
+from stewart_drake.base.config import Flag, Natural, Period, Positive, PositivePair
+from stewart_drake.base.errors import ConfigurationError, RiccatiError, RunFailure
+from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.control.base import (
     AT_REFERENCE,
     REFERENCE,
-    TORQUE,
     ControllerOptions,
-    controller_error,
     controller_part,
+    failure,
+    limit_and_integrate,
     measured_legs,
+    saturation_params,
 )
 from stewart_drake.control.riccati import Discretization, RiccatiSolver, drake_gain, split_gain, split_solution
-from stewart_drake.errors import ConfigurationError, RiccatiError, RunFailure
-from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import ForceMapKind
 from stewart_drake.mechanics.dynamics_laws import motion_torque, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
-from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LARGEST
+from stewart_drake.robot.leg import LARGEST_SIZE
 from stewart_drake.robot.robot_scale import CHARACTERISTIC_LENGTH
 
 Feedforward = Literal["none", "gravity", "platform", "full"]
 NONE, GRAVITY, PLATFORM, FULL = range(4)
-Saturation = Literal["none", "clamp", "back_calculation"]
-CLAMP, BACK_CALCULATION = 1, 2
 
 
 class LqiOptions(ControllerOptions):
@@ -54,16 +53,16 @@ class LqiOptions(ControllerOptions):
     of the exact model for the reference's acceleration."""
     feedforward_at: Literal["measured", "reference"] = "measured"
     """Pose and rate at which feedforward `full` is evaluated: the measured ones or the reference's."""
-    weight_length: Annotated[Positive | None, Field(le=LARGEST), CHARACTERISTIC_LENGTH] = 1.0
+    weight_length: Annotated[Positive | None, Field(le=LARGEST_SIZE), CHARACTERISTIC_LENGTH] = 1.0
     """[m] length that makes rotations comparable with translations in the weight Q; 1 is the paper's. 0.11, the radius
     of the platform's joints, weighs both alike at the joints. In a scenario null takes the robot's
     `characteristic_length`."""
     discretization: Discretization = "exact"
     """Discretization of (25). exact: zero-order hold. euler: first order."""
     solver: RiccatiSolver | None = None
-    """Solver of the Riccati equation. drake: one equation of 18 states, on Drake's engine alone. split: six equations
-    of 3 states, without Drake. null: drake on Drake's engine, split elsewhere."""
-    saturation: Saturation = "none"
+    """Solver of the Riccati equation. drake: one equation of 18 states, with `plant.kind: drake` alone. split: six
+    equations of 3 states, without Drake. null: drake with `plant.kind: drake`, split elsewhere."""
+    saturation: Literal["none", "clamp", "back_calculation"] = "none"
     """Torque limit and anti-windup. none: commands may exceed the motors' limit. clamp: commands are limited and the
     integral z waits. back_calculation: commands are limited and z is corrected by the excess."""
     reset_time: Positive = 0.05
@@ -89,24 +88,21 @@ class LqiOptions(ControllerOptions):
         model = "exact model" if self.model == "exact" else f"force map {self.force_map}"
         return f"{model}, feedforward {self.feedforward}"
 
-    def parts(self, setup: Any) -> tuple[Part, ...]:
-        """The controller in a loop, see `part.Setup`."""
-        solver: RiccatiSolver | None = "split" if setup.split else None
-        return (lqi_part(self, setup.robot, setup.gravity, len(setup.tuner.weights), solver),)
+    def parts(self, context: LoopContext) -> tuple[Part, ...]:
+        solver: RiccatiSolver | None = "split" if context.split else None
+        return (lqi_part(self, context.robot, context.gravity, len(context.tuner.weights), solver),)
 
 
-LQI_STATE = fields(
-    torque=6, error=6, integral=6, health=2, gain=(6, 18), feedforward=6, weights=4, held=()
+LQI_STATE = fields(torque=6, integral=6, health=2, gain=(6, 18), feedforward=6, weights=4, bridged=())
+"""torque [N m]. integral: z for the next tick [rad s, m s]. gain: K. feedforward: part of the torque [N m]. weights:
+q_e, q_v, q_z, r of this tick, zeros before the first. bridged: ticks in a
+row that were."""
+LQI_PARAMS = fields(
+    period=(), gravity=(), length=(), integral_limit=6, exact_model=(), printed_map=(), feedforward=(),
+    at_reference=(), exact_hold=(), limit=6, clamp=(), back_share=(), bumpless=(), hold_ticks=(),
 )  # fmt: skip
-"""torque [N m]. error: measured pose minus setpoint [rad, m]. integral: z for the next tick [rad s, m s]. gain: K.
-feedforward: part of the torque [N m]. weights: q_e, q_v, q_z, r of this tick, zeros before the first. held: ticks in a
-row that were bridged."""
-LQI_SETUP = fields(
-    period=(), gravity=(), length=(), integral_limit=6, back_share=(), exact_model=(), printed_map=(), feedforward=(),
-    at_reference=(), exact_hold=(), saturation=(), bumpless=(), hold_ticks=(),
-)  # fmt: skip
-"""Numbers of `LqiOptions`; choices are 0 or 1, or count as above. integral_limit: infinite for none. back_share: of
-what was cut off that z gives back in a tick."""
+"""Numbers of `LqiOptions`; choices are 0 or 1, or count as above. integral_limit: infinite for none. limit, clamp,
+back_share: see `saturation_params`."""
 PROBLEM = fields(weights=4, map=(6, 6), changed=(), gain=(6, 18), before=(6, 18))
 """What a gain is for: q_e, q_v, q_z, r, and M^-1 tau; changed: whether z has to follow other weights than those of the
 tick before. gain: its solution; before: that for the weights of the tick before, where they have changed."""
@@ -139,45 +135,51 @@ def lqi_gain(
 
 @njit
 def lqi_tick(
-    robots: Any, setups: Any, measurement: Any, reference: Any, weights: Any, leg_records: Any, problems: Any,
-    states: Any,
+    robot: Any, params: Any, measurement: Any, reference: Any, weights: Any, legs: Any, problem: Any,
+    state: Any,
 ) -> Any:  # fmt: skip
     """The LQI of one tick: B(t) from the present pose, discretisation, Riccati, (34), feedforward, limits, (23).
 
-    Deviation: u = -K e as in (34), not (30). The integral grows by period * e after it has been used.
+    Deviation: u = -K e as in (34), not (30). The integral changes after it has been used, see `limit_and_integrate`.
 
     Args:
-        robots: `ROBOT` as the controller believes it to be.
-        setups: `LQI_SETUP`.
+        robot: `ROBOT` as the controller believes it to be.
+        params: `LQI_PARAMS`.
         measurement: (12,) pose and rate now.
         reference: (18,) now.
         weights: (2,) omega_Q, omega_R, or (4,) q_e, q_v, q_z, r.
-        leg_records: `LEGS`, overwritten.
-        problems: `PROBLEM`, overwritten.
-        states: `LQI_STATE` of the tick before; that of this one where the status is OK.
+        legs: `LEGS`, overwritten.
+        problem: `PROBLEM`, overwritten.
+        state: `LQI_STATE` of the tick before; that of this one where the status is OK.
 
     Returns:
         Status; leg or -1, or which signal is NOT_FINITE; margin.
     """
-    setup, problem, state = record(setups), record(problems), record(states)
-    status, leg, margin = pose_problem(robots, setups, measurement, reference, weights, leg_records, problems, states)
-    if status == laws.OK:
-        hold = setup.exact_hold == 1.0
-        done = split_solution(problem.map[:], setup.length, setup.period, problem.weights[:], hold, problem.gain[:])
-        if done and problem.changed == 1.0:
-            done = split_solution(problem.map[:], setup.length, setup.period, state.weights[:], hold, problem.before[:])
-        status = laws.OK if done else laws.NO_GAIN
-    return command(robots, setups, measurement, reference, leg_records, problems, status, leg, margin, states)
+    status, leg, margin = pose_problem(robot, params, measurement, reference, weights, legs, problem, state)
+    if status == laws.OK and not _solve_split(record(params), record(problem), record(state)):
+        status = laws.NO_GAIN
+    return command(robot, params, measurement, reference, legs, problem, status, leg, margin, state)
+
+
+@njit
+def _solve_split(params: Any, problem: Any, state: Any) -> bool:
+    """Gains of a problem by `split_solution`; False where there is none."""
+    length, period, hold = params.length, params.period, params.exact_hold == 1.0
+    if not split_solution(problem.map[:], length, period, problem.weights[:], hold, problem.gain[:]):
+        return False
+    if problem.changed == 0.0:
+        return True
+    return split_solution(problem.map[:], length, period, state.weights[:], hold, problem.before[:])
 
 
 @njit
 def pose_problem(
-    robots: Any, setups: Any, measurement: Any, reference: Any, weights: Any, leg_records: Any, problems: Any,
-    states: Any,
+    robot: Any, params: Any, measurement: Any, reference: Any, weights: Any, legs: Any, problem: Any,
+    state: Any,
 ) -> Any:  # fmt: skip
     """The first half of a tick: legs, and what a gain is for; arguments and result as of `lqi_tick`."""
-    robot, setup, legs, problem, state = (
-        record(robots), record(setups), record(leg_records), record(problems), record(states),
+    robot, params, legs, problem, state = (
+        record(robot), record(params), record(legs), record(problem), record(state),
     )  # fmt: skip
     if all_finite(measurement[6:]) and not all_finite(reference):
         return laws.NOT_FINITE, REFERENCE, 0.0
@@ -189,12 +191,12 @@ def pose_problem(
         if not 0.0 < problem.weights[k] < np.inf:
             return laws.NO_GAIN, -1, 0.0
     problem.changed = 0.0
-    if setup.bumpless == 1.0 and state.weights[0] != 0.0:
+    if params.bumpless == 1.0 and state.weights[0] != 0.0:
         for k in range(4):
             if state.weights[k] != problem.weights[k]:
                 problem.changed = 1.0
-    if setup.exact_model == 0.0:
-        paper_acceleration_map(robot, legs, setup.printed_map == 1.0, problem.map[:])
+    if params.exact_model == 0.0:
+        paper_acceleration_map(robot, legs, params.printed_map == 1.0, problem.map[:])
     elif not pose_acceleration_map(robot, legs, measurement[:6], problem.map[:]):
         return laws.PARALLEL, -1, margin
     return laws.OK, -1, margin
@@ -202,14 +204,14 @@ def pose_problem(
 
 @njit
 def command(
-    robots: Any, setups: Any, measurement: Any, reference: Any, leg_records: Any, problems: Any, status: int, leg: int,
-    margin: float, states: Any,
+    robot: Any, params: Any, measurement: Any, reference: Any, legs: Any, problem: Any, status: int, leg: int,
+    margin: float, state: Any,
 ) -> Any:  # fmt: skip
     """The second half of a tick, once the problem is solved: torque and state, or a bridge where that failed."""
-    robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
+    robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     if status == laws.OK:
-        status, leg, margin = _command(robot, setup, measurement, reference, legs, record(problems), state)
-    if status != laws.OK and _bridged(robot, setup, measurement, reference, state):
+        status, leg, margin = _command(robot, params, measurement, reference, legs, record(problem), state)
+    if status != laws.OK and _bridged(params, measurement, reference, state):
         return laws.OK, -1, 0.0
     return status, leg, margin
 
@@ -225,12 +227,6 @@ def paper_acceleration_map(robot: Any, legs: Any, printed: bool, out: Any) -> No
 
 
 @njit
-def _integral_for(gain: Any, torque: Any) -> bool:
-    """Turns a torque (6, 1) into the z for which K_z z is that torque, in place; False where K_z is singular."""
-    return solve(gain[:, 12:].copy(), torque) != 0.0
-
-
-@njit
 def _feedback(gain: Any, measurement: Any, reference: Any, integral: Any, motor: int) -> float:
     """A row of K [e; e'; z]."""
     value = 0.0
@@ -242,25 +238,25 @@ def _feedback(gain: Any, measurement: Any, reference: Any, integral: Any, motor:
 
 
 @njit
-def _feedforward(robot: Any, setup: Any, measurement: Any, reference: Any, legs: Any, force: Any) -> Any:
+def _feedforward(robot: Any, params: Any, measurement: Any, reference: Any, legs: Any, force: Any) -> Any:
     """Torque (6,) beside the feedback; destroys `legs` where it is taken at the reference. Status, leg, margin."""
     force[:] = 0.0
-    if setup.feedforward == FULL and setup.at_reference == 1.0:
+    if params.feedforward == FULL and params.at_reference == 1.0:
         bad = laws.legs_at(robot, reference[:6], legs)
         if bad >= 0:
-            return AT_REFERENCE + laws.UNREACHABLE, bad, legs.reach[bad]
-        if not motion_torque(robot, legs, reference[:12], reference[12:], setup.gravity, force):
+            return AT_REFERENCE + laws.UNREACHABLE, bad, legs.reach_margin[bad]
+        if not motion_torque(robot, legs, reference[:12], reference[12:], params.gravity, force):
             return AT_REFERENCE + laws.PARALLEL, -1, 0.0
         return laws.OK, -1, 0.0
     done = True
-    if setup.feedforward == FULL:
-        done = motion_torque(robot, legs, measurement, reference[12:], setup.gravity, force)
-    elif setup.feedforward != NONE and setup.gravity != 0.0:
-        done = static_torque(robot, legs, setup.gravity, force)
-    if done and setup.feedforward == PLATFORM:
+    if params.feedforward == FULL:
+        done = motion_torque(robot, legs, measurement, reference[12:], params.gravity, force)
+    elif params.feedforward != NONE and params.gravity != 0.0:
+        done = static_torque(robot, legs, params.gravity, force)
+    if done and params.feedforward == PLATFORM:
         # M q''_d of (9) through the force map.
         paper_map, torque = np.empty((6, 6)), np.empty((6, 1))
-        paper_acceleration_map(robot, legs, setup.printed_map == 1.0, paper_map)
+        paper_acceleration_map(robot, legs, params.printed_map == 1.0, paper_map)
         for k in range(6):
             torque[k, 0] = reference[12 + k]
         done = solve(paper_map, torque) != 0.0
@@ -271,7 +267,7 @@ def _feedforward(robot: Any, setup: Any, measurement: Any, reference: Any, legs:
 
 @njit
 def _command(
-    robot: Any, setup: Any, measurement: Any, reference: Any, legs: Any, problem: Any, state: Any
+    robot: Any, params: Any, measurement: Any, reference: Any, legs: Any, problem: Any, state: Any
 ) -> Any:  # fmt: skip
     """(34), feedforward, limits, (23) with the gain of a solved problem; changes the state where all is well."""
     integral, column = state.integral.copy(), np.zeros((6, 1))
@@ -279,62 +275,47 @@ def _command(
         for i in range(6):
             for k in range(6):
                 column[i, 0] += problem.before[i, 12 + k] * integral[k]
-        if not _integral_for(problem.gain, column):
+        if solve(problem.gain[:, 12:].copy(), column) == 0.0:
             return laws.NO_GAIN, -1, 0.0
         copy_to(integral, column[:, 0])
-    force, torque, cut = np.empty(6), np.empty(6), np.zeros((6, 1))
-    status, leg, margin = _feedforward(robot, setup, measurement, reference, legs, force)
+    force, wanted, error, torque = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+    status, leg, margin = _feedforward(robot, params, measurement, reference, legs, force)
     if status != laws.OK:
         return status, leg, margin
-    saturated = False
     for i in range(6):
-        wanted = force[i] - _feedback(problem.gain, measurement, reference, integral, i)
-        limit = robot.effort_limit[i]
-        if not np.isfinite(wanted):
-            return laws.NOT_FINITE, TORQUE, wanted
-        torque[i] = wanted
-        if setup.saturation != NONE and abs(wanted) > limit:
-            saturated = True
-            torque[i] = limit if wanted > 0.0 else -limit
-            cut[i, 0] = wanted - torque[i]
-    if saturated and setup.saturation == BACK_CALCULATION:
-        if not _integral_for(problem.gain, cut):
-            return laws.NO_GAIN, -1, 0.0
-        for k in range(6):
-            integral[k] += setup.back_share * cut[k, 0]
+        wanted[i] = force[i] - _feedback(problem.gain, measurement, reference, integral, i)
+        error[i] = measurement[i] - reference[i]
+    status, leg, margin = limit_and_integrate(params, wanted, error, problem.gain[:, 12:], False, torque, integral)
+    if status != laws.OK:
+        return status, leg, margin
     for k in range(6):
-        state.error[k] = measurement[k] - reference[k]
-        if not (saturated and setup.saturation == CLAMP):
-            integral[k] += setup.period * state.error[k]
-        bound = setup.integral_limit[k]
+        bound = params.integral_limit[k]
         state.integral[k] = min(max(integral[k], -bound), bound)
     copy_to(state.torque[:], torque)
     copy_to(state.feedforward[:], force)
     copy_to(state.weights[:], problem.weights[:])
     for i in range(6):
         copy_to(state.gain[i], problem.gain[i])
-    state.held = 0.0
+    state.bridged = 0.0
     return laws.OK, -1, 0.0
 
 
 @njit
-def _bridged(robot: Any, setup: Any, measurement: Any, reference: Any, state: Any) -> bool:
+def _bridged(params: Any, measurement: Any, reference: Any, state: Any) -> bool:
     """Whether a tick that failed goes on with the last good gain and feedforward, z standing still.
 
     A measurement or reference that is not finite is bridged by the last torque. Not before a good tick, and not where
     more than `hold_ticks` failed in a row.
     """
-    if state.weights[0] == 0.0 or state.held >= setup.hold_ticks:
+    if state.weights[0] == 0.0 or state.bridged >= params.hold_ticks:
         return False
-    state.held += 1.0
+    state.bridged += 1.0
     torque = np.empty(6)
     for i in range(6):
         torque[i] = state.feedforward[i] - _feedback(state.gain, measurement, reference, state.integral[:], i)
     if all_finite(measurement) and all_finite(torque):
         for k in range(6):
-            limit = np.inf if setup.saturation == NONE else robot.effort_limit[k]
-            state.torque[k] = min(max(torque[k], -limit), limit)
-            state.error[k] = measurement[k] - reference[k]
+            state.torque[k] = min(max(torque[k], -params.limit[k]), params.limit[k])
     return True
 
 
@@ -350,17 +331,16 @@ def lqi_part(
     raises as `failure` where no good tick came before or more than `hold_ticks` failed in a row.
     """
     params = new_record(
-        LQI_SETUP,
+        LQI_PARAMS,
         options,
         gravity=gravity,
         integral_limit=np.inf if options.integral_limit is None else np.repeat(options.integral_limit, 3),
-        back_share=min(1.0, options.period / options.reset_time),
         exact_model=options.model == "exact",
         printed_map=options.force_map == "printed",
         feedforward=get_args(Feedforward).index(options.feedforward),
         at_reference=options.feedforward_at == "reference",
         exact_hold=options.discretization == "exact",
-        saturation=get_args(Saturation).index(options.saturation),
+        **saturation_params(options, robot),
     )
     part = controller_part(lqi_tick, robot, params, LQI_STATE, laws.LEGS, PROBLEM)
     part = part._replace(inputs={**part.inputs, "weights": weights}, error=_error)
@@ -370,20 +350,20 @@ def lqi_part(
 
 
 def _tick_by_drake(
-    robots: Any, setups: Any, options: LqiOptions, measurement: Any, reference: Any, weights: Any, legs: Any,
-    problems: np.ndarray, states: np.ndarray,
+    robot: Any, params: Any, options: LqiOptions, measurement: Any, reference: Any, weights: Any, legs: Any,
+    problem: np.ndarray, state: np.ndarray,
 ) -> Any:  # fmt: skip
     """`lqi_tick` with the gains of Drake's solver."""
-    result: Any = pose_problem(robots, setups, measurement, reference, weights, legs, problems, states)
+    result: Any = pose_problem(robot, params, measurement, reference, weights, legs, problem, state)
     if result[0] == laws.OK:
-        problem = problems[0]
+        entry = problem[0]
         try:
-            problem["gain"] = lqi_gain(problem["map"], options, problem["weights"], "drake")
-            if problem["changed"]:
-                problem["before"] = lqi_gain(problem["map"], options, states["weights"][0], "drake")
+            entry["gain"] = lqi_gain(entry["map"], options, entry["weights"], "drake")
+            if entry["changed"]:
+                entry["before"] = lqi_gain(entry["map"], options, state["weights"][0], "drake")
         except RiccatiError:
             result = (laws.NO_GAIN, -1, 0.0)
-    return cast(Any, command)(robots, setups, measurement, reference, legs, problems, *result, states)
+    return cast(Any, command)(robot, params, measurement, reference, legs, problem, *result, state)
 
 
 def _error(result: Any, arguments: Mapping[str, Any]) -> RunFailure:
@@ -392,4 +372,4 @@ def _error(result: Any, arguments: Mapping[str, Any]) -> RunFailure:
             block_weights(arguments["weights"])
         except RiccatiError as error:
             return error
-    return controller_error(result, arguments)
+    return failure(result, arguments)

@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError, RiccatiError, drake_guard
-from stewart_drake.jit import njit
+from stewart_drake.base.errors import ConfigurationError, RiccatiError, drake_guard
+from stewart_drake.base.jit import njit
 from stewart_drake.mechanics.dynamics import ForceMapKind, force_map
 from stewart_drake.mechanics.linear_algebra import singular_vectors, spectral_factor
 from stewart_drake.robot import RobotParameters
@@ -234,15 +234,19 @@ def split_gain(
         RiccatiError: A map that is singular or not (6, 6), a number that is not finite, or not positive where it must
             be, or gains that leave floating point.
     """
-    own, blocks, gain = np.ascontiguousarray(acceleration_map, dtype=float), np.array(weights, float), np.empty((6, 18))
+    matrix, blocks, gain = (
+        np.ascontiguousarray(acceleration_map, dtype=float),
+        np.array(weights, float),
+        np.empty((6, 18)),
+    )
     positive = np.array([*blocks, period, length])
-    if own.shape != (6, 6) or not np.isfinite(own).all() or not (np.isfinite(positive) & (positive > 0.0)).all():
+    if matrix.shape != (6, 6) or not np.isfinite(matrix).all() or not (np.isfinite(positive) & (positive > 0.0)).all():
         numbers = f"weights {weights}, a period of {period} s and a length of {length} m"
         raise RiccatiError(f"no gain for {numbers}: they must be positive and finite, M^-1 tau finite and (6, 6)")
     with np.errstate(all="ignore"):
-        done = split_solution(own, length, period, blocks, method == "exact", gain)
+        done = split_solution(matrix, length, period, blocks, method == "exact", gain)
     if not done:
-        s = np.linalg.svd(np.array([length] * 3 + [1.0] * 3)[:, None] * own, compute_uv=False)
+        s = np.linalg.svd(np.array([length] * 3 + [1.0] * 3)[:, None] * matrix, compute_uv=False)
         what = "M^-1 tau is singular" if s[-1] <= SMALLEST_SINGULAR_VALUE * s[0] else f"no finite gain for {weights}"
         raise RiccatiError(f"{what}: singular values from {s[0]:.3g} down to {s[-1]:.3g}")
     return gain

@@ -5,37 +5,26 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from copy import copy
-from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import NotNegative, Positive, Real, Section, Text, Window
+from stewart_drake.base.config import NotNegative, Period, Positive, Real, Section, Text, Window
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.jit import new_record
 from stewart_drake.control.base import INTEGRAL_WEIGHT, POSE_WEIGHT, RATE_WEIGHT
-from stewart_drake.control.network import (
-    DensityKind,
-    TunerNetwork,
-    default_network_path,
-    density_part,
-    load_network,
-    network_part,
-    read_weights,
-)
+from stewart_drake.control.features import DensityKind, density_part
+from stewart_drake.control.network import TunerNetwork, network_part
 from stewart_drake.control.policy import (
     SCHEDULE,
-    Chooser,
     Policy,
-    default_policy_path,
-    disturbance_of,
-    load_policy,
+    SettingSource,
     schedule_tick,
     setting_part,
     weights_of,
 )
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.jit import new_record
-from stewart_drake.part import Part
+from stewart_drake.loop.part import LoopContext, Part
 
 Decades = Annotated[Real, Field(ge=-3.0, le=3.0)]
 
@@ -45,9 +34,11 @@ class Tuner(Section, ABC, key="tuner"):
 
     label: ClassVar[str] = "Weights, held fixed"
     """What its weights are, for titles."""
-    listens: ClassVar[bool] = False
+    needs_observer: ClassVar[bool] = False
     """Whether it needs the innovations of an observer."""
     kind: str
+    period: Period | None = None
+    """[s] between two decisions, a whole multiple of controller.period; null for the same."""
     density: DensityKind = "magnitude"
     """Kind of density (35), (36) that is computed and logged; for a network, the one that it was trained on."""
     window: Annotated[Window, Field(le=100_000)] = 49
@@ -59,17 +50,12 @@ class Tuner(Section, ABC, key="tuner"):
     def weights(self) -> tuple[float, ...]:
         """Weights at the start, as the controller takes them."""
 
-    @property
-    def levels(self) -> tuple[float, float]:
-        """Shares of the observer's disturbance that it asks for: at the start, and the least ever."""
-        return 1.0, 1.0
-
     def density_part(self) -> Part:
-        """The densities in a loop; they are logged whether a network hears them or not."""
+        """The densities in a loop; they are logged whether a network uses them or not."""
         return density_part(self.window, self.density)
 
-    def parts(self, setup: Any) -> tuple[Part, ...]:  # noqa: ARG002 - nothing depends on it here
-        """What changes the weights in a loop, see `part.Setup`; nothing where they stay."""
+    def parts(self, context: LoopContext) -> tuple[Part, ...]:  # noqa: ARG002 - nothing depends on it here
+        """What changes the weights in a loop; nothing where they stay."""
         return ()
 
     def opened(self) -> Self:
@@ -143,8 +129,8 @@ class PaperTuner(PairTuner):
 
     def network(self) -> TunerNetwork:
         """The network that it asks; refused where this kind of density, or the first weights, are new to it."""
-        path = self.weights_file or default_network_path()
-        network = load_network(path)
+        path = self.weights_file or TunerNetwork.shipped
+        network = TunerNetwork.load(path)
         if network.density != self.density:
             raise ConfigurationError("tuner.density", self.density, f"{network.density}, as {path} was trained on")
         for key, value, low, high in zip(
@@ -154,11 +140,11 @@ class PaperTuner(PairTuner):
                 raise ConfigurationError(f"tuner.{key}", value, f"{low:g} to {high:g}, as {path} was trained on")
         return network
 
-    def parts(self, setup: Any) -> tuple[Part, ...]:  # noqa: ARG002 - a density has no unit
+    def parts(self, context: LoopContext) -> tuple[Part, ...]:  # noqa: ARG002 - a density has no unit
         return (network_part(self.network(), self.weights),)
 
     def content(self) -> str:
-        return read_weights(default_network_path() if self.weights_file is None else Path(self.weights_file))
+        return TunerNetwork.content(self.weights_file)
 
 
 class SettingTuner(BlockWeights):
@@ -167,25 +153,20 @@ class SettingTuner(BlockWeights):
     They use the innovations of an observer, see `features`, and change its bandwidth too.
     """
 
-    listens: ClassVar[bool] = True
+    needs_observer: ClassVar[bool] = True
     kind: str
 
     @abstractmethod
-    def chooser(self) -> Chooser:
-        """What wants a setting."""
+    def source(self) -> SettingSource:
+        """What chooses a setting."""
 
     @property
     def weights(self) -> tuple[float, ...]:
-        return tuple(weights_of(np.array(super().weights), self.chooser().centre).tolist())
+        return tuple(weights_of(np.array(super().weights), self.source().centre).tolist())
 
-    @property
-    def levels(self) -> tuple[float, float]:
-        chooser = self.chooser()
-        return float(disturbance_of(1.0, chooser.centre)), float(disturbance_of(1.0, chooser.lowest))
-
-    def parts(self, setup: Any) -> tuple[Part, ...]:
+    def parts(self, context: LoopContext) -> tuple[Part, ...]:
         base = np.array([self.q_pose, self.q_rate, self.q_integral, self.r])
-        part = setting_part(self.chooser(), setup, base, getattr(self, "kappa", 0.0))
+        part = setting_part(self.source(), context, base, getattr(self, "kappa", 0.0))
         return (part.named(disturbance="expected_disturbance"),)
 
 
@@ -201,14 +182,14 @@ class PolicyTuner(SettingTuner):
 
     def opened(self) -> Self:
         opened = copy(self)
-        vars(opened)["_policy"] = self.chooser()
+        vars(opened)["_source"] = self.source()
         return opened
 
-    def chooser(self) -> Policy:
-        return vars(self).get("_policy") or load_policy(self.weights_file)
+    def source(self) -> SettingSource:
+        return vars(self).get("_source") or Policy.load(self.weights_file)
 
     def content(self) -> str:
-        return read_weights(default_policy_path() if self.weights_file is None else Path(self.weights_file))
+        return Policy.content(self.weights_file)
 
 
 FourNumbers = tuple[Decades, Decades, Decades, Decades]
@@ -229,21 +210,17 @@ class ScheduleTuner(SettingTuner):
     hold: NotNegative = 0.1
     """[s] how long `alert` is still used afterwards."""
 
-    law: ClassVar[Callable[..., None]] = staticmethod(schedule_tick)
+    kernel: ClassVar[Callable[..., None]] = staticmethod(schedule_tick)
 
-    def chooser(self) -> ScheduleTuner:
+    def source(self) -> ScheduleTuner:
         return self
 
-    def numbers(self) -> np.ndarray:
+    def params(self) -> np.ndarray:
         return new_record(SCHEDULE, self)
 
     @property
     def centre(self) -> np.ndarray:
         return np.array(self.calm)
-
-    @property
-    def lowest(self) -> np.ndarray:
-        return np.minimum(self.calm, self.alert)
 
     @property
     def width(self) -> np.ndarray:

@@ -9,27 +9,26 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Period
-from stewart_drake.control.base import OUTPUTS, ControllerOptions, Measurement, Setpoint
-from stewart_drake.errors import ConfigurationError, NotFiniteError
-from stewart_drake.families import UserMade, user_parts
-from stewart_drake.files.code import CodePath, ControllerError, UserCode
-from stewart_drake.jit import fields, new_record
-from stewart_drake.part import Part, Setup
+from stewart_drake.base.code import CodePath, ControllerError, UserCode
+from stewart_drake.base.config import Period
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError
+from stewart_drake.base.families import UserMade, user_parts
+from stewart_drake.base.jit import fields, new_record
+from stewart_drake.control.base import ControllerOptions, Measurement, Setpoint
+from stewart_drake.loop.part import LoopContext, Part
 
 _EXPECTED = "a LeafSystem of pydrake, or what is called as torque = f(measurement, setpoint, time)"
-FUNCTION_STATE = fields(torque=6, error=6, integral=6, health=2)
 
 
 class PythonOptions(UserMade, ControllerOptions):
     """Your own controller, by its import path.
 
-    A function `torque = f(measurement, setpoint, time)`, or a class of objects that are called so, runs on both
-    engines: measurement has pose [rad, m] and pose_rate, setpoint pose, pose_rate and pose_acceleration, all (6,); time
-    is in seconds, torque (6,) [N m]. A System of pydrake runs on Drake.
+    A function `torque = f(measurement, setpoint, time)`, or a class of objects that are called so, runs with every
+    plant: measurement has pose [rad, m] and pose_rate, setpoint pose, pose_rate and pose_acceleration, all (6,); time
+    is in seconds, torque (6,) [N m]. A System of pydrake runs with `plant.kind: drake`.
 
     It must have the ports of `LqiController`: inputs measurement (12,) and reference (18,), output torque (6,). It may
-    have the input weights, (2,) or (4,) as the tuner gives, and both outputs error (6,) and integral (6,).
+    have the input weights, (2,) or (4,) as the tuner gives, and the output integral (6,), which is logged.
 
     A continuous state is integrated by a third-order Runge-Kutta method in tenths of the plant's time step; time
     constants below a 25th of that step diverge.
@@ -56,22 +55,21 @@ class PythonOptions(UserMade, ControllerOptions):
             raise ConfigurationError(self.code_key, self.code, _EXPECTED)
         return loaded
 
-    def parts(self, setup: Setup) -> tuple[Part, ...]:
+    def parts(self, context: LoopContext) -> tuple[Part, ...]:
         """The user's LeafSystem, or a function that is called at every tick."""
         controller = self.load()
         if isinstance(controller, type):
-            controller = self.construct({"robot": setup.robot, "period": self.period, "gravity": setup.gravity})
+            controller = self.construct({"robot": context.robot, "period": self.period, "gravity": context.gravity})
         if _is_system(controller):
-            return (self._system_part(controller, len(setup.tuner.weights)),)
+            return (self._system_part(controller, len(context.tuner.weights)),)
         return (function_part(controller),)
 
     def _system_part(self, system: Any, weights: int) -> Part:
         """A System of pydrake as a part of a loop, its ports checked."""
         from pydrake.systems.framework import PortDataType
 
-        answers = {"error": 6, "integral": 6}
         inputs = {"measurement": 12, "reference": 18} | ({"weights": weights} if system.HasInputPort("weights") else {})
-        outputs = {"torque": 6, **(answers if any(map(system.HasOutputPort, answers)) else {})}
+        outputs = {"torque": 6} | ({"integral": 6} if system.HasOutputPort("integral") else {})
         for side, ports in (("Input", inputs), ("Output", outputs)):
             for name, size in ports.items():
                 port = getattr(system, f"Get{side}Port")(name) if getattr(system, f"Has{side}Port")(name) else None
@@ -103,13 +101,11 @@ def function_part(function: Callable[[Measurement, Setpoint, float], Any]) -> Pa
 
     An object that is called likewise may remember what it likes: then each run needs one of its own. The part's tick
     raises ControllerError where the function raises or returns something else, NotFiniteError where a torque is not
-    finite. Its outputs `error` and `integral` are pose minus setpoint and zeros.
+    finite.
     """
     guard = UserCode(getattr(function, "__module__", None) or type(function).__module__)
-    inputs = {"measurement": 12, "reference": 18, "time": 1}
-    return Part(
-        "controller", _call, {"function": function, "guard": guard}, inputs, OUTPUTS, new_record(FUNCTION_STATE)
-    )
+    constants, inputs = {"function": function, "guard": guard}, {"measurement": 12, "reference": 18, "time": 1}
+    return Part("controller", _call, constants, inputs, ("torque",), new_record(fields(torque=6, health=2)))
 
 
 def _call(
@@ -119,18 +115,17 @@ def _call(
     # Copies: what it keeps or changes is its own.
     pose, wanted = measurement.copy(), reference.copy()
     with guard:
-        answer = function(
+        result = function(
             Measurement(pose[:6], pose[6:]), Setpoint(wanted[:6], wanted[6:12], wanted[12:]), float(time[0])
         )
     name = getattr(function, "__qualname__", type(function).__qualname__)
     try:
-        torque = np.asarray(answer, dtype=float)
+        torque = np.asarray(result, dtype=float)
     except (TypeError, ValueError):
         torque = np.empty(())
     if torque.shape != (6,):
-        what = f"an array of shape {torque.shape}" if torque.ndim else repr(answer)
+        what = f"an array of shape {torque.shape}" if torque.ndim else repr(result)
         raise ControllerError(f"{name} returned {what}; expected six torques [N m]")
     if not np.isfinite(torque).all():
         raise NotFiniteError(f"torque of {name}", torque)
     state["torque"][0] = torque
-    state["error"][0] = measurement[:6] - reference[:6]

@@ -1,1 +1,1 @@
-"""What stands between controller and robot, and how it fails."""
+"""The simulated machine around the mechanism: sensors, bus, motors, pushes, and how they fail."""

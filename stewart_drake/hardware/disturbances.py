@@ -9,11 +9,11 @@ from typing import Annotated, Literal, Protocol
 
 import numpy as np
 
-from stewart_drake.config import NotNegative, Phase, Positive, Section, Seed, Vector6
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.families import UserMade
+from stewart_drake.base.config import NotNegative, Phase, Positive, Section, Seed, Vector6
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.families import UserMade
+from stewart_drake.base.registry import DISTURBANCES
 from stewart_drake.references.surgical import random_sines
-from stewart_drake.registry import DISTURBANCES
 
 _SINES = 64  # Enough that the sum passes for noise: near-normal, and it repeats after hours. Assumed.
 
@@ -126,11 +126,11 @@ class UserDisturbance(UserMade, key="disturbances"):
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
         times = np.asarray(time, dtype=float)
-        answers = [self.numbers(self.made.evaluate(float(each))) for each in times.ravel()]
-        wrong = [each.shape for each in answers if each.shape != (6,)]
+        wrenches = [self.numbers(self.made.evaluate(float(instant))) for instant in times.ravel()]
+        wrong = [wrench.shape for wrench in wrenches if wrench.shape != (6,)]
         if wrong:
             raise self.refusal(str(wrong[0]))
-        return np.reshape(answers, (*times.shape, 6))
+        return np.reshape(wrenches, (*times.shape, 6))
 
 
 class Disturbance(Protocol):

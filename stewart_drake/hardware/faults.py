@@ -11,10 +11,11 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import LegNumber, NotNegative, Positive, Real, Section, Text, either
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.families import Table
-from stewart_drake.registry import COMMAND_FAULTS, ENCODER_FAULTS, MOTOR_FAULTS, POSE_FAULTS
+from stewart_drake.base.config import LegNumber, NotNegative, Positive, Real, Section, Text
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.families import Table
+from stewart_drake.base.keys import join_or
+from stewart_drake.base.registry import COMMAND_FAULTS, ENCODER_FAULTS, MOTOR_FAULTS, POSE_FAULTS
 
 _BLOCK = 1024
 
@@ -37,145 +38,130 @@ def _block(seed: int, stream: int, block: int, size: int, normal: bool) -> np.nd
 class Signal:
     """What a fault finds, and spoils in place."""
 
-    says: np.ndarray  # (n,) readings or torques, as the faults before have left them.
+    values: np.ndarray  # (n,) readings or torques, as the faults before have left them.
     time: float = 0.0  # [s].
     tick: int = 0  # Of the controller.
     good: Any = None  # (n,) the last readings before one of the faults that keep them; of sensors.
-    late: Any = None  # (n,) true readings of as many ticks ago as the fault says; of sensors.
+    stale: Any = None  # (n,) true readings of as many ticks ago as the fault says; of sensors.
 
 
 class FaultKind(NamedTuple):
     """What a kind of fault does."""
 
-    # Called with the section of the fault and with a `Signal`, whose `says` it changes in place.
+    # Called with the section of the fault and with a `Signal`, whose `values` it changes in place.
     spoil: Callable[[Any, Any], None]
     needs: str = ""  # Key that this kind must have, and that is null for kinds that do not need it; empty for none.
     keeps: bool = False  # Whether it goes on from the last good reading, which is then kept; of sensors.
 
 
 def _kind(value: Callable[[Any, Signal, Any], Any], needs: str = "", keeps: bool = False) -> FaultKind:
-    """A kind by what its channels say instead, of fault, signal and what they say now."""
+    """A kind by the values of its channels, from fault, signal and what they would be."""
 
     def spoil(fault: Any, signal: Signal) -> None:
-        signal.says[fault.channels] = value(fault, signal, signal.says[fault.channels])
+        signal.values[fault.channels] = value(fault, signal, signal.values[fault.channels])
 
     return FaultKind(spoil, needs, keeps)
 
 
 def _swapped(fault: Any, signal: Signal) -> None:
     pair = [fault.leg, fault.other]
-    signal.says[pair] = signal.says[pair[::-1]]
+    signal.values[pair] = signal.values[pair[::-1]]
 
 
 NAN, INF = _kind(lambda *_: math.nan), _kind(lambda *_: math.inf)
 FREEZE = _kind(lambda f, s, now: s.good[f.channels], keeps=True)  # noqa: ARG005
 REVERSED = _kind(lambda f, s, now: 2.0 * s.good[f.channels] - now, keeps=True)
-LATE = _kind(lambda f, s, now: s.late[f.channels], needs="delay")  # noqa: ARG005
-JUMP = _kind(lambda f, s, now: now + f.size)  # noqa: ARG005
-DRIFT = _kind(lambda f, s, now: now + f.size * (s.time - f.time))
-CHATTER = _kind(lambda f, s, now: now + f.size * (-1.0) ** s.tick)
+LATE = _kind(lambda f, s, now: s.stale[f.channels], needs="delay")  # noqa: ARG005
+JUMP = _kind(lambda f, s, now: now + f.size, needs="size")  # noqa: ARG005
+DRIFT = _kind(lambda f, s, now: now + f.size * (s.time - f.time), needs="size")
+CHATTER = _kind(lambda f, s, now: now + f.size * (-1.0) ** s.tick, needs="size")
 INVERTED = _kind(lambda f, s, now: -now)  # noqa: ARG005
 SWAPPED = FaultKind(_swapped, needs="other")
 
 
 class Fault(Section):
-    """Base of the faults; one that has no key `leg`, `duration`, `delay` or `other` acts as where that is null."""
+    """Base of the faults of one place, a signal: the kinds that are allowed there, and the keys that all have."""
 
     kinds: ClassVar[Table]
     kind: str
     time: NotNegative = 0.0
     """[s] when the fault begins."""
-
-    def _key(self, name: str) -> Any:
-        return getattr(self, name, None)
+    leg: LegNumber | None = None
+    """Number of the leg, 0 to 5; null for all."""
+    duration: Positive | None = None
+    """[s] how long the fault lasts; null for the rest of the run."""
+    size: Real | None = None
+    """[rad] size of a jump, or [rad/s] of a drift."""
+    delay: Annotated[Positive, Field(le=1.0)] | None = None
+    """[s] delay of a late reading, up to 1; rounded up to whole ticks."""
+    other: LegNumber | None = None
+    """The second leg of swapped ones, 0 to 5."""
 
     def spoil(self, signal: Signal) -> bool:
         """Does what its kind does, if it is there at the signal's time; whether it is."""
-        duration = self._key("duration")
-        acts = self.time <= signal.time < self.time + (math.inf if duration is None else duration)
+        acts = self.time <= signal.time < self.time + (math.inf if self.duration is None else self.duration)
         if acts:
             self.kinds[self.kind].spoil(self, signal)
         return acts
 
     @property
     def channels(self) -> slice:
-        leg = self._key("leg")
-        return slice(None) if leg is None else slice(leg, leg + 1)
+        return slice(None) if self.leg is None else slice(self.leg, self.leg + 1)
 
     def ticks_late(self, period: float) -> int:
         """Whole ticks of a period [s] by which it delays a reading."""
-        return math.ceil((self._key("delay") or 0.0) / period - 1e-6)
+        return math.ceil((self.delay or 0.0) / period - 1e-6)
 
     def rules(self) -> None:
-        leg, other = self._key("leg"), self._key("other")
-        for key, words in (("delay", "a positive number"), ("other", "a leg from 0 to 5")):
-            kinds, value = [name for name in self.kinds.names if self.kinds[name].needs == key], self._key(key)
+        needed = (("size", "a number"), ("delay", "a positive number"), ("other", "a leg from 0 to 5"))
+        for key, words in needed:
+            kinds, value = [name for name in self.kinds.names if self.kinds[name].needs == key], getattr(self, key)
             if (value is None) == (self.kind in kinds):
-                raise ConfigurationError(key, value, f"{words} for kind {either(kinds)}" if kinds else "null")
-        if other is not None and leg in (None, other):
-            key, given, apart = ("leg", leg, other) if leg is None else ("other", other, leg)
+                raise ConfigurationError(key, value, f"{words} for kind {join_or(kinds)}" if kinds else "null")
+        if self.other is not None and self.leg in (None, self.other):
+            key, given, apart = ("leg", None, self.other) if self.leg is None else ("other", self.other, self.leg)
             raise ConfigurationError(key, given, f"a leg from 0 to 5, other than {apart}")
-
-
-Delay = Annotated[Positive, Field(le=1.0)]  # [s] by which a reading may be late; so many readings are kept.
 
 
 class EncoderFault(Fault, key="sensors.faults"):
     """One encoder that fails, or all six at once."""
 
-    kinds: ClassVar[Table] = ENCODER_FAULTS
+    kinds = ENCODER_FAULTS
     kind: Annotated[Text, ENCODER_FAULTS]
     """Kind of fault. freeze: repeats its last good reading. nan: reads not a number. jump: is off by `size`, as after
     slipped counts. late: gives its reading of `delay` ago. drift: is off by `size` more each second. reversed: counts
     backwards from its last good reading. inverted: gives the negative angle. swapped: `leg` and `other` give each
     other's angle."""
-    leg: LegNumber | None
-    """Number of the leg, 0 to 5; null for all."""
-    duration: Positive | None = None
-    """[s] how long the fault lasts; null for the rest of the run."""
-    size: Real = 0.0
-    """[rad] size of a jump, or [rad/s] of a drift."""
-    delay: Delay | None = None
-    """[s] delay of a late reading, up to 1; rounded up to whole ticks."""
-    other: LegNumber | None = None
-    """The second leg of swapped encoders, 0 to 5."""
 
 
 class PoseFault(Fault, key="sensors.faults"):
     """A fault of a sensor of pose and rate, in all its readings."""
 
-    kinds: ClassVar[Table] = POSE_FAULTS
+    kinds = POSE_FAULTS
     kind: Annotated[Text, POSE_FAULTS]
     """Kind of fault. freeze: repeats its last good reading. nan: reads not a number. late: gives its reading of `delay`
     ago."""
-    duration: Positive | None = None
-    """[s] how long the fault lasts; null for the rest of the run."""
-    delay: Delay | None = None
-    """[s] delay of a late reading, up to 1; rounded up to whole ticks."""
+
+    def rules(self) -> None:
+        super().rules()
+        if self.leg is not None:
+            raise ConfigurationError("leg", self.leg, "null; a pose has no legs")
 
 
 class CommandFault(Fault, key="link.faults"):
     """Corrupted commands, as from a broken controller."""
 
-    kinds: ClassVar[Table] = COMMAND_FAULTS
+    kinds = COMMAND_FAULTS
     kind: Annotated[Text, COMMAND_FAULTS]
     """Kind of fault. nan: sends not a number. inf: sends infinity. offset: adds `size`. chatter: adds `size` in one
     tick and subtracts it in the next."""
-    leg: LegNumber | None = None
-    """Number of the leg, 0 to 5; null for all."""
-    duration: Positive | None = None
-    """[s] how long the fault lasts; null for the rest of the run."""
-    size: Real = 0.0
-    """[N m] size of an offset or chatter."""
+    size: Real | None = None
+    """[N m] size of an offset or chatter; [rad] for motors that take angles."""
 
 
 class MotorFault(Fault, key="motors.faults"):
-    """Motors that are wired wrongly, for the whole run."""
+    """Motors that are wired wrongly."""
 
-    kinds: ClassVar[Table] = MOTOR_FAULTS
+    kinds = MOTOR_FAULTS
     kind: Annotated[Text, MOTOR_FAULTS]
     """Kind of fault. reversed: the torque has the opposite sign. swapped: two motors get each other's torque."""
-    leg: LegNumber
-    """Number of the leg, 0 to 5."""
-    other: LegNumber | None = None
-    """The second leg of swapped motors, 0 to 5."""

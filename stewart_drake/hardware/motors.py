@@ -1,25 +1,25 @@
-"""From a command to the cranks: delay, link, motors, and what is added against friction."""
+"""From a command to the cranks: delay, link and motors."""
 
 from __future__ import annotations
 
-import contextlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import LegNumber, Natural, NotNegative, Positive, Section, Seed, Share
-from stewart_drake.errors import ConfigurationError, UnreachablePoseError
+from stewart_drake.base.code import CodePath, UserCode
+from stewart_drake.base.config import LegNumber, Natural, NotNegative, Section, Seed, Share
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError
+from stewart_drake.base.families import UserMade
+from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.sampling import steps_per
 from stewart_drake.hardware.faults import CommandFault, MotorFault, Signal, tick_numbers
-from stewart_drake.jit import fields, new_record, njit, record
-from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.friction import dry_level
-from stewart_drake.mechanics.kinematics_laws import LEGS, crank_rates, legs_at, robot_record, twist_of
-from stewart_drake.part import Part, Setup
+from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import SMALLEST, FrictionOptions
-from stewart_drake.sampling import steps_per
+from stewart_drake.robot.leg import SMALLEST_SIZE
 
 _STREAM = 3  # Of random numbers, see `faults.tick_numbers`.
 SILENCE = 0.1  # [s] without a command after which nobody is in charge; the weight falls by 5 cm in that time.
@@ -64,12 +64,12 @@ class LinkOptions(Section, key="link"):
             last -= 1
         return (last + 1) * period if last < 0 or (ticks - 1 - last) * period > SILENCE else None
 
-    def part(self, setup: Setup) -> Part:
-        """What has arrived by each step of the plant; until the first command arrives, `setup.initial_torque`."""
-        per_tick = steps_per("controller.period", setup.period, setup.time_step)
+    def part(self, period: float, time_step: float, initial: np.ndarray) -> Part:
+        """What has arrived by each step [s] of the plant of the commands of each period [s]; first `initial` (6,)."""
+        per_tick = steps_per("controller.period", period, time_step)
         constants, inputs = {"options": self, "steps_per_tick": per_tick}, {"torque": 6, "time": 1}
-        first = new_record(_LINK_STATE, torque=setup.initial_torque)
-        return Part("link", _carry, constants, inputs, ("torque", "age"), first, period=setup.time_step)
+        first = new_record(_LINK_STATE, torque=initial)
+        return Part("link", _carry, constants, inputs, ("torque", "age"), first, period=time_step)
 
 
 _LINK_STATE = fields(torque=6, age=(1,), steps=(), arriving=6, due=(), sent=(), arrived=())
@@ -89,30 +89,23 @@ def _carry(options: LinkOptions, steps_per_tick: int, torque: np.ndarray, time: 
             fault.spoil(signal)
         fate = options.fate(number, signal.time)
         if fate == "arrives":
-            now["torque"], now["arrived"], now["due"] = signal.says, number, 0.0
+            now["torque"], now["arrived"], now["due"] = signal.values, number, 0.0
         elif fate == "late":
-            now["arriving"], now["sent"], now["due"] = signal.says, number, step + 1
+            now["arriving"], now["sent"], now["due"] = signal.values, number, step + 1
     now["age"], now["steps"] = number - now["arrived"], step + 1
 
 
-def delay_part(ticks: int, initial: np.ndarray) -> Part:
-    """A constant delay of commands: `torque` (6,) [N m] -> that of so many ticks ago, and `initial` (6,) until then."""
-    first = new_record(fields(torque=6, under_way=(ticks, 6)), torque=initial, under_way=initial)
-    return Part("command_delay", _delay, {}, {"torque": 6}, ("torque",), first)
+def delay_part(ticks: int, initial: np.ndarray, name: str = "command_delay") -> Part:
+    """A constant delay: `value` (n,) -> that of so many ticks ago, and `initial` (n,) until then."""
+    size = len(initial)
+    first = new_record(fields(value=size, under_way=(ticks, size)), value=initial, under_way=initial)
+    return Part(name, _delay, {}, {"value": size}, ("value",), first)
 
 
-def _delay(torque: np.ndarray, state: np.ndarray) -> None:
-    state["torque"][0], under_way = state["under_way"][0, 0], state["under_way"][0]
+def _delay(value: np.ndarray, state: np.ndarray) -> None:
+    state["value"][0], under_way = state["under_way"][0, 0], state["under_way"][0]
     under_way[:-1] = under_way[1:]
-    under_way[-1] = torque
-
-
-def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: float) -> np.ndarray:
-    """Torques (6,) [N m] that hold the controller's model at a pose; zeros where it cannot be held."""
-    # In that case the first tick says so, with a log.
-    with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
-        return static_torque(robot, pose, gravity)
-    return np.zeros(6)
+    under_way[-1] = value
 
 
 class DeadMotor(Section, key="motors.dead"):
@@ -124,9 +117,69 @@ class DeadMotor(Section, key="motors.dead"):
     """[s] when it loses its torque."""
 
 
-class MotorOptions(Section, key="motors"):
-    """Imperfections of the motors; by default there are none."""
+@njit
+def within_limit(torque: Any, limit: Any) -> Any:
+    """Torques (..., 6) [N m] cut to the effort limits (6,) of the motors; what is not a number stays so."""
+    return np.minimum(np.maximum(torque, -limit), limit)
 
+
+class MotorOptions(Section, ABC, key="motors"):
+    """Base of the options of motors; the loop asks these, not which kind it is."""
+
+    takes: ClassVar[str] = "torque"
+    """What its command is."""
+    unit: ClassVar[str] = "N m"
+    """Of its command."""
+    drops_keys: ClassVar[bool] = False
+
+    kind: str
+    """Kind of motor."""
+
+    @abstractmethod
+    def part(self, robot: RobotParameters, time_step: float) -> Part:
+        """The motors: from `command` (6,) to `torque` (6,) [N m], within their limit; `time_step` is the plant's [s].
+
+        It may read `crank_state` (12,), angles [rad] and rates [rad/s], and `time` (1,) [s].
+        """
+
+    def inverse_parts(self, context: LoopContext) -> tuple[Part, ...]:  # noqa: ARG002 - the identity needs nothing
+        """Which `command` (6,) gives a `torque` (6,) [N m], as is believed; none where it is the torque itself."""
+        return ()
+
+    def initial_command(self, context: LoopContext) -> np.ndarray:
+        """Command (6,) in force until the first one arrives."""
+        return context.initial_torque
+
+    @property
+    def dead_time(self) -> float:
+        """[s] from a command's arrival to its effect."""
+        return 0.0
+
+    @property
+    def nominal(self) -> MotorOptions:
+        """The same motors without what nobody intends, as a controller believes them to be."""
+        return self
+
+    @property
+    def code(self) -> Any:
+        """What of a user's code it runs, a `CodePath`; None for what comes with the package."""
+        return None
+
+    @property
+    def perfect(self) -> bool:
+        """Whether they give what is asked for, within their limit."""
+        return False
+
+    @property
+    def dead(self) -> DeadMotor | None:
+        """A motor that loses its torque."""
+        return None
+
+
+class TorqueMotors(MotorOptions):
+    """Motors that take torques, with imperfections; by default there are none."""
+
+    kind: Literal["torque"] = "torque"
     ripple: NotNegative = 0.0
     """[N m] amplitude of the torque ripple (cogging), a sine of the crank's angle."""
     ripple_periods: Annotated[Natural, Field(ge=1, le=10_000)] = 12
@@ -139,77 +192,85 @@ class MotorOptions(Section, key="motors"):
     """Motors that are wired wrongly, in order, between amplifier and motor."""
 
     def rules(self) -> None:
-        if 0.0 < self.resolution < SMALLEST:
-            raise ConfigurationError("resolution", self.resolution, f"0, or at least {SMALLEST:g} N m")
+        if 0.0 < self.resolution < SMALLEST_SIZE:
+            raise ConfigurationError("resolution", self.resolution, f"0, or at least {SMALLEST_SIZE:g} N m")
+
+    @property
+    def nominal(self) -> MotorOptions:
+        return TorqueMotors()
 
     @cached_property
     def perfect(self) -> bool:
         return self.ripple == 0.0 and self.resolution == 0.0 and self.dead is None and not self.faults
 
-    def torque(self, wanted: np.ndarray, crank_angles: np.ndarray, time: float) -> np.ndarray:
-        """What the motors give (6,) [N m] for torques (6,) that are wanted, before the plant's effort limit."""
-        torque = np.array(wanted, dtype=float)
+    def torque(self, command: np.ndarray, angles: np.ndarray, _: np.ndarray, time: float) -> np.ndarray:
+        """Torques (6,) of commands (6,) [N m] at angles (6,) [rad] of the cranks and a time [s], before the limit."""
+        torque = np.array(command, dtype=float)
         if self.resolution > 0.0:
             torque = np.rint(torque / self.resolution) * self.resolution
         for fault in self.faults:
             fault.spoil(Signal(torque, time))
         if self.ripple > 0.0:
-            torque += self.ripple * np.sin(self.ripple_periods * crank_angles)
+            torque += self.ripple * np.sin(self.ripple_periods * angles)
         if self.dead is not None and time >= self.dead.time:
             torque[self.dead.leg] = 0.0
         return torque
 
-    def part(self, setup: Setup) -> Part:
-        """`torque` (6,) [N m], `crank_state` (12,), angles [rad] and rates -> `torque` that the motors give."""
-        inputs, first = {"torque": 6, "time": 1, "crank_state": 12}, new_record(fields(torque=6))
-        return Part("motors", _drive, {"options": self}, inputs, ("torque",), first, period=setup.time_step)
+    def part(self, robot: RobotParameters, time_step: float) -> Part:
+        if not self.perfect:
+            return _motor_part(self.torque, robot, time_step)
+        constants, first = {"limit": robot.effort_limits}, new_record(fields(torque=6))
+        return Part("motors", limit_torque, constants, {"command": 6}, ("torque",), first, period=time_step)
+
+
+class UserMotors(UserMade, MotorOptions, key="motors"):
+    """Your own motors: `torque(command, angles, rates, time)` returns the six torques [N m] that they give.
+
+    It is called at every step of the plant: command (6,) [N m], or [rad] where `model.motors` are believed to take
+    angles; angles (6,) [rad] and rates (6,) [rad/s] of the cranks; time [s]. What exceeds the effort limit is cut
+    afterwards. A constructor that names `robot` or `time_step` gets them.
+    """
+
+    asked = "torque(command, angles, rates, time) returns six torques [N m]"
+
+    kind: CodePath  # type: ignore[assignment]
+    """Import path of your class, from the folder of the file that names it: path/to/file.py:Class, or module:Class. Its
+    code is run."""
+
+    def part(self, robot: RobotParameters, time_step: float) -> Part:
+        motors = self.construct({"robot": robot, "time_step": time_step})
+        if not callable(getattr(motors, "torque", None)):
+            raise self.refusal("one without torque")
+        guard = UserCode(type(motors).__module__)
+
+        def torque(command: np.ndarray, angles: np.ndarray, rates: np.ndarray, time: float) -> np.ndarray:
+            with guard:
+                # Copies: what it keeps or changes is its own.
+                result = motors.torque(command.copy(), angles.copy(), rates.copy(), time)
+            torque = self.numbers(result)
+            if torque.shape != (6,):
+                raise self.refusal(f"an array of shape {torque.shape}")
+            if not np.isfinite(torque).all():
+                raise NotFiniteError(f"torque of {self.code.name}", torque)
+            return torque
+
+        return _motor_part(torque, robot, time_step)
+
+
+def _motor_part(torque: Callable[..., np.ndarray], robot: RobotParameters, time_step: float) -> Part:
+    """Motors of which a function of command, angles, rates and time says what they give before their limit."""
+    constants, inputs = {"torque": torque, "limit": robot.effort_limits}, {"command": 6, "time": 1, "crank_state": 12}
+    return Part("motors", _drive, constants, inputs, ("torque",), new_record(fields(torque=6)), period=time_step)
 
 
 def _drive(
-    options: MotorOptions, torque: np.ndarray, time: np.ndarray, crank_state: np.ndarray, state: np.ndarray
-) -> None:
-    state["torque"][0] = options.torque(torque, crank_state[:6], float(time[0]))
-
-
-class FrictionCompensation(FrictionOptions, key="friction_compensation"):
-    """The controller's model of motor friction; its torque for the reference's velocity is added to the command.
-
-    It uses the reference and not the measurement: noise cannot make it chatter, and it does not push a robot that
-    should rest.
-    """
-
-    width: Positive = 0.002
-    """[rad/s] crank speed at which 76 % of the dry friction is compensated; larger smooths reversals more."""
-
-    def part(self, setup: Setup) -> Part:
-        """`reference` (18,) -> `friction_torque` (6,) [N m]."""
-        levels = dict(zip(("coulomb", "break_away", "stribeck_rate", "viscous"), self.levels, strict=True))
-        believed = new_record(_BELIEVED, **levels, width=self.width)
-        constants, first = (
-            {"robot": robot_record(setup.robot), "friction": believed},
-            new_record(fields(friction_torque=6)),
-        )
-        outputs = ("friction_torque",)
-        return Part("friction_compensation", friction_tick, constants, {"reference": 18}, outputs, first, (LEGS,))
-
-
-_BELIEVED = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, width=())
-"""[N m], [N m], [rad/s], [N m s/rad], [rad/s]."""
+    torque: Callable[..., np.ndarray], limit: np.ndarray, command: np.ndarray, time: np.ndarray,
+    crank_state: np.ndarray, state: np.ndarray,
+) -> None:  # fmt: skip
+    state["torque"][0] = within_limit(torque(command, crank_state[:6], crank_state[6:], float(time[0])), limit)
 
 
 @njit
-def friction_tick(robots: Any, frictions: Any, reference: Any, leg_records: Any, states: Any) -> None:
-    """Torques (6,) g(rate) tanh(rate / width) + viscous rate along a reference (18,); zeros out of reach."""
-    robot, friction, legs = record(robots), record(frictions), record(leg_records)
-    out = record(states).friction_torque
-    twist, rates = np.empty(6), np.empty(6)
-    out[:] = 0.0
-    if legs_at(robot, reference[:6], legs) >= 0:
-        return
-    twist_of(reference[:6], reference[6:12], twist)
-    crank_rates(legs, twist, rates)
-    if not np.isfinite(rates).all():
-        return
-    for i in range(6):
-        dry = dry_level(friction.coulomb[i], friction.break_away[i], friction.stribeck_rate[i], rates[i])
-        out[i] = dry * np.tanh(rates[i] / friction.width) + friction.viscous[i] * rates[i]
+def limit_torque(limit: Any, command: Any, state: Any) -> None:
+    """Kernel of motors that give what is asked for, within their limit."""
+    record(state).torque[:] = within_limit(command, limit)

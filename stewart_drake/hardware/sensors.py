@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Natural, NotNegative, Positive, PositivePair, Section, Seed, Vector6
+from stewart_drake.base.config import Natural, NotNegative, Section, Seed, Vector6
+from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.hardware.faults import EncoderFault, Fault, PoseFault, Signal, tick_numbers
-from stewart_drake.jit import fields, new_record, njit, record
-from stewart_drake.part import Part, Setup
-from stewart_drake.robot.leg import LARGEST
-from stewart_drake.robot.robot_scale import LENGTH
+from stewart_drake.loop.part import Part
+from stewart_drake.robot.leg import LARGEST_SIZE
 
 _STREAM = 1  # Of random numbers, see `faults.tick_numbers`.
 
@@ -23,10 +22,12 @@ _STREAM = 1  # Of random numbers, see `faults.tick_numbers`.
 class SensorOptions(Section, key="sensors"):
     """Base of the options of sensors; wiring, safety and logs ask these, not which kind it is."""
 
-    reading_size: ClassVar[int] = 12
-    """Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate."""
+    reading: ClassVar[Literal["angles", "pose"]] = "pose"
+    """What a reading is: the six angles of the cranks [rad], or pose [rad, m] and its rate."""
     kind: str
     """Kind of sensor."""
+    delay: Annotated[NotNegative, Field(le=1.0)] = 0.0
+    """[s] age of a reading when the controller gets it, rounded to steps of the plant."""
     faults: tuple[Any, ...] = ()
     """Faults of the sensor."""
 
@@ -45,8 +46,8 @@ class SensorOptions(Section, key="sensors"):
         """[rad] standard deviation of a crank's angle as it is read."""
         return 0.0
 
-    def parts(self, setup: Setup) -> tuple[Part, ...]:  # noqa: ARG002 - exact readings need none
-        """What makes of `plant_pose` or `crank_state` the signal `reading`; none where it is `plant_pose`."""
+    def parts(self, period: float) -> tuple[Part, ...]:  # noqa: ARG002 - exact readings need none
+        """What makes of `plant_pose` or `crank_state` the signal `reading` in a period [s]; none for `plant_pose`."""
         return ()
 
 
@@ -59,39 +60,32 @@ class IdealSensors(SensorOptions):
 
     @property
     def exact(self) -> bool:
-        return not self.faults
+        return not self.faults and self.delay == 0.0
 
-    def parts(self, setup: Setup) -> tuple[Part, ...]:
+    def parts(self, period: float) -> tuple[Part, ...]:
         if not self.faults:
             return ()
-        return (faulty_sensor_part(self.faults, 12, setup.period).connected(reading="plant_pose"),)
+        return (faulty_sensor_part(self.faults, 12, period).connected(reading="plant_pose"),)
 
 
 class EncoderOptions(SensorOptions):
-    """Motor encoders, and how the pose is computed from their readings."""
+    """Motor encoders."""
 
-    reading_size: ClassVar[int] = 6
+    moved_keys: ClassVar[Mapping[str, str]] = {
+        name: f"estimator.{name}" for name in ("rate_cutoff", "max_speed", "max_step", "hold_ticks")
+    }
+    reading = "angles"
     kind: Literal["encoders"] = "encoders"
     resolution_bits: Annotated[Natural, Field(le=40)] = 17
     """Encoder resolution: 2 to the power of this, in counts per turn; 0 for encoders without steps."""
     offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """[rad] homing error of each encoder: reading minus true angle."""
-    noise: Annotated[NotNegative, Field(le=LARGEST)] = 0.0
+    noise: Annotated[NotNegative, Field(le=LARGEST_SIZE)] = 0.0
     """[rad] standard deviation of each reading before it is rounded to counts; independent from tick to tick."""
     noise_seed: Seed = 0
     """Seed of the noise."""
     faults: tuple[EncoderFault, ...] = ()
     """Faults of the encoders, applied in order."""
-    rate_cutoff: Positive | None = None
-    """[Hz] corner frequency of the first-order low pass on crank rates, which are differences over one tick; null for
-    none."""
-    max_speed: Positive = 60.0
-    """[rad/s] largest plausible crank speed; a reading that has moved faster is rejected."""
-    max_step: Annotated[PositivePair, LENGTH] = (0.2, 0.05)
-    """[rad, m] largest plausible step from the last pose, at first from the start; a pose beyond it is rejected, for
-    Newton's method has found another assembly mode."""
-    hold_ticks: Annotated[Natural, Field(le=1000)] = 10
-    """Rejected readings in a row that the last good pose may replace before the run ends."""
 
     @cached_property
     def quantum(self) -> float:
@@ -102,11 +96,11 @@ class EncoderOptions(SensorOptions):
         """Noise, and rounding to counts as noise."""
         return math.hypot(self.noise, self.quantum / math.sqrt(12.0))
 
-    def parts(self, setup: Setup) -> tuple[Part, ...]:
+    def parts(self, period: float) -> tuple[Part, ...]:
         if not self.faults:
             return (encoder_part(self),)
         true = encoder_part(self).named(reading="true_reading")
-        return true, faulty_sensor_part(self.faults, 6, setup.period).connected(reading="true_reading")
+        return true, faulty_sensor_part(self.faults, 6, period).connected(reading="true_reading")
 
     def read(self, crank_angles: np.ndarray) -> np.ndarray:
         """Readings (..., 6) [rad] of angles: with the offset, rounded to whole counts; without noise and faults."""
@@ -119,12 +113,12 @@ _ENCODER_STATE = fields(reading=6, ticks=())  # [rad], and ticks done, of which 
 
 
 @njit
-def _read(params: Any, drawn: Any, crank_state: Any, states: Any) -> None:
+def _read(params: Any, drawn: Any, crank_state: Any, state: Any) -> None:
     """`EncoderOptions.read` for a tick of a loop, of true angles with noise for standard normal numbers (6,)."""
-    setup, state = record(params), record(states)
+    params, state = record(params), record(state)
     for k in range(6):
-        angle = crank_state[k] + setup.offset[k] + setup.noise * drawn[k]
-        state.reading[k] = np.rint(angle / setup.quantum) * setup.quantum if setup.quantum > 0.0 else angle
+        angle = crank_state[k] + params.offset[k] + params.noise * drawn[k]
+        state.reading[k] = np.rint(angle / params.quantum) * params.quantum if params.quantum > 0.0 else angle
     state.ticks += 1.0
 
 

@@ -7,41 +7,41 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.errors import RunFailure
+from stewart_drake.base.errors import RunFailure
+from stewart_drake.base.sampling import on_grid
+from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.live.steering import HandReference, Reached, nearest_allowed
-from stewart_drake.plant.closed_chain import ClosedChain
-from stewart_drake.runs.engine import FastLoop, Plant
-from stewart_drake.sampling import on_grid
-from stewart_drake.scenario import Scenario
+from stewart_drake.plant.plant_options import ANGLES
+from stewart_drake.runs.stepped_loop import SteppedLoop
+from stewart_drake.scenario.scenario import Scenario
 
 
 class LiveLoop:
-    """The loop of a scenario on the plant that `plant.engine` names, changed while it runs.
+    """The loop of a scenario on its plant, changed while it runs.
 
     Every change but a new target and a push is a change of the scenario: its loop is built again, and each part that
-    is still there keeps its state, as the robot does. `scenario` is as changed until now, `steps` of the plant are done
-    since the beginning, `reference` is the pose set by hand with the motion about it, and `ended` says why the loop
-    cannot go on; it is empty while it can.
+    is still there keeps its state, as the robot does. `reference` is the pose set by hand with the motion about it, and
+    `ended` says why the loop cannot go on; it is empty while it can.
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self._begun, self._plant, self._plant_keys = scenario, _plant_of(scenario), _plant_keys(scenario)
+        self._begun, self._loop = scenario, SteppedLoop(scenario)
         self.reset()
 
     def reset(self) -> None:
         """As at first."""
         scenario = self._begun
-        self.steps, self.ended, self._push, self._push_ends = 0, "", np.zeros(6), -1
+        self.ended, self._push, self._push_ends = "", np.zeros(6), -1
         self._step = on_grid(scenario.plant.time_step)
         self.reference = HandReference(scenario.reference, self._step)
-        self._build(scenario)
+        self._loop = self._loop_of(scenario)
         self._loop.begin()
 
     def change(self, changes: Mapping[str, Any]) -> None:
         """Changes keys of the scenario, see `Scenario.replace`; a ConfigurationError leaves all as it was."""
-        before = self._loop.running
-        self._build(self.scenario.replace(changes))
-        self._loop.running.take_over(before)
+        loop = self._loop_of(self.scenario.replace(changes))
+        loop.take_over(self._loop)
+        self._loop = loop
 
     def aim(self, pose: np.ndarray) -> Reached:
         """Sends the hand to a pose (6,) [rad, m], or as far towards it as the robot can go."""
@@ -69,32 +69,34 @@ class LiveLoop:
             self.ended = " ".join(str(failure).split())
 
     def _advance_one(self) -> None:
-        time = self.time
-        self._reference[:] = self.reference.at(time)
-        if self._reference_ahead is not None:
-            self._reference_ahead[:] = self.reference.at(time, self._ahead)
-        self._wrench[:] = self._push if self.pushed else 0.0
-        if self._wrench_source is not None:
-            self._wrench += self._wrench_source(np.array([time]))[0]
-        self._loop.answer(self.steps)
-        self._loop.move(self.steps)
-        self.steps += 1
+        self._loop.run_parts()
+        self._loop.move()
         self.reference.advance()
+
+    @property
+    def scenario(self) -> Scenario:
+        """As changed until now."""
+        return self._loop.scenario
+
+    @property
+    def steps(self) -> int:
+        """Of the plant, done since the beginning."""
+        return self._loop.now
 
     @property
     def time(self) -> float:
         """[s] since the beginning."""
-        return self.steps * self._step
+        return self._loop.time
 
     @property
     def pose(self) -> np.ndarray:
         """(6,) [rad, m] of the platform."""
-        return self._loop.state["pose"][0].copy()
+        return self._loop.pose.copy()
 
     @property
     def crank_angles(self) -> np.ndarray:
         """(6,) [rad] theta."""
-        return self._loop.state["angles"][0].copy()
+        return self._loop.measured[ANGLES].copy()
 
     @property
     def wanted(self) -> np.ndarray:
@@ -104,8 +106,7 @@ class LiveLoop:
     @property
     def torque(self) -> np.ndarray:
         """(6,) [N m] as the motors give it."""
-        limit = self.scenario.robot.effort_limits
-        return np.clip(self._loop.torque, -limit, limit)
+        return self._loop.torque.copy()
 
     @property
     def pushed(self) -> bool:
@@ -115,29 +116,24 @@ class LiveLoop:
     def logged(self, name: str) -> np.ndarray | None:
         """A signal by its name in a log, such as `setting`; None where the loop has none."""
         signal = self._loop.parts.logged.get(name)
-        return self._loop.running.signal(signal).copy() if isinstance(signal, str) else signal
+        return self._loop.runner.signal(signal).copy() if isinstance(signal, str) else signal
 
-    def _build(self, scenario: Scenario) -> None:
-        plant = self._plant if self._plant_keys == _plant_keys(scenario) else _plant_of(scenario)
-        loop = FastLoop(scenario, plant)
-        self._plant, self._plant_keys = plant, _plant_keys(scenario)
-        self.scenario, self._loop = scenario, loop
-        self._ahead = round(scenario.ahead * scenario.controller.period / scenario.plant.time_step)
-        sources = {source.signal: source.evaluate for source in loop.parts.sources}
-        self._wrench_source = sources.get("wrench")
-        self._reference, self._wrench = loop.running.signal("reference"), loop.running.signal("wrench")
-        self._reference_ahead = loop.running.signal("reference_ahead") if "reference_ahead" in sources else None
+    def _loop_of(self, scenario: Scenario) -> SteppedLoop:
+        """The loop of a scenario, on the plant that there is where it would be the same."""
+        plant = self._loop.plant if _plant_keys(scenario) == _plant_keys(self.scenario) else None
+        ahead = scenario.preview / self._step
+        pushes = scenario.disturbances
+
+        def wrench(step: int) -> np.ndarray:
+            push = self._push if self.pushed else np.zeros(6)
+            return push + total_wrench(pushes, step * self._step) if pushes else push
+
+        sources = {"reference": lambda step: self.reference.at(step * self._step), "wrench": wrench}
+        if ahead > 0.0:
+            sources["reference_ahead"] = lambda step: self.reference.at(step * self._step, ahead)
+        return SteppedLoop(scenario, plant, sources)
 
 
 def _plant_keys(scenario: Scenario) -> tuple[Any, ...]:
     """What a plant is made of."""
     return scenario.robot, scenario.plant, scenario.gravity
-
-
-def _plant_of(scenario: Scenario) -> Plant:
-    if scenario.plant.engine == "reduced":
-        return ClosedChain(*_plant_keys(scenario))
-    # Drake takes seconds to import.
-    from stewart_drake.plant.stepped_plant import SteppedPlant
-
-    return SteppedPlant(*_plant_keys(scenario))

@@ -13,14 +13,15 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any
 
-from stewart_drake.errors import StewartDrakeError
+from stewart_drake.base.errors import StewartDrakeError
 from stewart_drake.live.session import LiveSession
 
 PORTS = range(8000, 8100)
 PATIENCE = 10.0
 """[s] that another end may take to send or to read what is due."""
-MOST_PAGES, MOST_BYTES, MOST_UNREAD = 16, 10_000, 65_536
-"""Pages that listen at a time, bytes of a command, and bytes that the system keeps for a page which does not read."""
+MOST_PAGES, MOST_BYTES, MOST_UNREAD = 4, 10_000, 65_536
+"""Pages that listen at a time, of the six connections that a browser opens to a server: commands need some. Bytes of
+a command, and bytes that the system keeps for a page which does not read."""
 _TYPES = {"html": "text/html; charset=utf-8", "js": "text/javascript; charset=utf-8", "css": "text/css"}
 _FILES = {page.name: page for page in (files("stewart_drake") / "pages").iterdir()}
 

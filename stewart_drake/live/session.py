@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.errors import StewartDrakeError
-from stewart_drake.files.whole import plain_json
+from stewart_drake.base.atomic_files import plain_json
+from stewart_drake.base.errors import StewartDrakeError
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.runs.scene import link_poses
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.scenario import Scenario
 
 SLICE = 0.02
 """[s] of simulated time between two looks at the clock and at what the browser asks for."""
@@ -51,12 +51,12 @@ class LiveSession:
         # What asks can name no key of the scenario, and so no code, file or other robot.
         self._do = {
             "aim": self._aim,
-            "move": lambda told: self.loop.move(bool(told["on"])),
-            "push": lambda told: self.loop.push(_six(told["wrench"]), float(told["duration"])),
-            "payload": lambda told: self.loop.change({"plant.payload_mass": float(told["mass"])}),
-            "dead": lambda told: self.loop.change({"motors.dead": _of_leg(told["leg"])}),
+            "move": lambda command: self.loop.move(bool(command["on"])),
+            "push": lambda command: self.loop.push(_six(command["wrench"]), float(command["duration"])),
+            "payload": lambda command: self.loop.change({"plant.payload_mass": float(command["mass"])}),
+            "dead": lambda command: self.loop.change({"motors.dead": _of_leg(command["leg"])}),
             "freeze": self._freeze,
-            "kappa": lambda told: self.loop.change({"tuner.kappa": float(told["value"])}),
+            "kappa": lambda command: self.loop.change({"tuner.kappa": float(command["value"])}),
             "controller": self._choose,
             "pause": self._pause,
             "reset": self._reset,
@@ -108,21 +108,21 @@ class LiveSession:
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             self.message = f"not understood: {error}"
 
-    def _aim(self, told: Mapping[str, Any]) -> None:
-        reached = self.loop.aim(_six(told["pose"]))
+    def _aim(self, command: Mapping[str, Any]) -> None:
+        reached = self.loop.aim(_six(command["pose"]))
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
-    def _freeze(self, told: Mapping[str, Any]) -> None:
-        leg = _of_leg(told["leg"])
+    def _freeze(self, command: Mapping[str, Any]) -> None:
+        leg = _of_leg(command["leg"])
         self.loop.change({"sensors.faults": [] if leg is None else [{"kind": "freeze", **leg}]})
 
-    def _choose(self, told: Mapping[str, Any]) -> None:
-        self.loop.change({**self._own, **CONTROLLERS[told["name"]]})
-        self._controller = told["name"]
+    def _choose(self, command: Mapping[str, Any]) -> None:
+        self.loop.change({**self._own, **CONTROLLERS[command["name"]]})
+        self._controller = command["name"]
 
-    def _pause(self, told: Mapping[str, Any]) -> None:
-        self.paused = bool(told["on"])
+    def _pause(self, command: Mapping[str, Any]) -> None:
+        self.paused = bool(command["on"])
 
     def _reset(self, _: Mapping[str, Any]) -> None:
         self.loop.reset()

@@ -9,7 +9,7 @@ from stewart_drake.live.server import LiveServer
 from stewart_drake.live.session import CONTROLLERS, LiveSession
 from stewart_drake.live.steering import nearest_allowed
 from stewart_drake.runs.scene import robot_scene
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.scenario import Scenario
 
 _FARTHEST = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
 
@@ -31,7 +31,7 @@ def start_live(scenario: Scenario) -> tuple[LiveSession, LiveServer]:
         "home": session.loop.reference.home.tolist(),
         "room": _room(scenario, session.loop.reference.home).tolist(),
         "payload_most": max(float(f"{0.5 * robot.platform_mass:.1g}"), scenario.plant.payload_mass),
-        "encoders": scenario.sensors.reading_size == 6,
+        "encoders": scenario.sensors.reading == "angles",
         "controllers": list(CONTROLLERS),
     }
     return session, LiveServer(session, about)

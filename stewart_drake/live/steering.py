@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm
 
-from stewart_drake.planning.limits import PLACES, Limits, limit_margins
 from stewart_drake.references.motions import Reference
 from stewart_drake.robot import RobotParameters
+from stewart_drake.scenario.limits import PLACES, Limits, limit_margins
 
 BANDWIDTH = 8.0
 """[rad/s] of the filter behind the sliders: a move is over after about a second."""
@@ -27,7 +27,7 @@ class SmoothValue:
     def __init__(self, value: np.ndarray, step: float) -> None:
         w = BANDWIDTH
         chain = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-(w**3), -3.0 * w**2, -3.0 * w]])
-        self._transition = expm(chain * step)
+        self._chain, self._transitions = chain * step, {1.0: expm(chain * step)}
         self.target = np.array(value, dtype=float)
         self.state = np.zeros((3, len(self.target)))
         self.state[0] = self.target
@@ -36,9 +36,11 @@ class SmoothValue:
         """One step."""
         self.state = self.after(1)
 
-    def after(self, steps: int) -> np.ndarray:
-        """Value, rate and acceleration (3, n) after some steps, if the target stays."""
-        ahead = self._transition if steps == 1 else np.linalg.matrix_power(self._transition, steps)
+    def after(self, steps: float) -> np.ndarray:
+        """Value, rate and acceleration (3, n) after some steps, whole or not, if the target stays."""
+        ahead = self._transitions.get(steps)
+        if ahead is None:
+            ahead = self._transitions[steps] = expm(self._chain * steps)
         rest = np.zeros_like(self.state)
         rest[0] = self.target
         return rest + ahead @ (self.state - rest)
@@ -60,7 +62,7 @@ class HandReference:
         self.hand.advance()
         self.share.advance()
 
-    def at(self, time: float, ahead: int = 0) -> np.ndarray:
+    def at(self, time: float, ahead: float = 0.0) -> np.ndarray:
         """Pose, rate and acceleration (18,) at a time [s], `ahead` steps from now."""
         hand, share = (each.after(ahead) if ahead else each.state for each in (self.hand, self.share))
         s, rate, acceleration = share[:, 0]

@@ -7,87 +7,26 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stewart_drake.config import meant
-from stewart_drake.control.policy import NAMES
-from stewart_drake.errors import ConfigurationError, installed_with
-from stewart_drake.files import tables
-from stewart_drake.files.whole import write_atomically
-from stewart_drake.logs.outcomes import Status, told
-from stewart_drake.scenario import Scenario
+from stewart_drake.base import tables
+from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.config import did_you_mean
+from stewart_drake.base.errors import ConfigurationError, installed_with
+from stewart_drake.logs.outcomes import Status, describe_outcome, second_half
+from stewart_drake.logs.signals import SCALES, SIGNALS
+from stewart_drake.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-AXIS_NAMES = ("roll", "pitch", "yaw", "x", "y", "z")
-LEG_NAMES = tuple(str(i) for i in range(6))
 MAX_ROWS = 2_000_000
 """Of a run: all of them are in memory, 140 numbers each, 2.2 GB. At steps of 1 ms they are 33 minutes."""
 
 _VERSION = 4
-_LARGEST = 10**10  # [byte] of a file.
-
-
-class SignalSpec(NamedTuple):
-    """What a signal is: components (none for a scalar), the unit of each, and a text."""
-
-    components: tuple[str, ...]
-    units: tuple[str, ...]
-    text: str
-
-
-def _axes(angle: str, length: str, text: str) -> SignalSpec:
-    return SignalSpec(AXIS_NAMES, (angle,) * 3 + (length,) * 3, text)
-
-
-def _legs(unit: str, text: str) -> SignalSpec:
-    return SignalSpec(LEG_NAMES, (unit,) * 6, f"{text}, by leg 0..5")
-
-
-def _plain(components: tuple[str, ...], text: str) -> SignalSpec:
-    return SignalSpec(components, ("1",) * len(components), text)
-
-
-SIGNALS: Mapping[str, SignalSpec] = {
-    "time": SignalSpec((), ("s",), "simulated time"),
-    "pose": _axes("rad", "m", "pose of the platform, P in B"),
-    "pose_rate": _axes("rad/s", "m/s", "Euler rates and velocity of the platform"),
-    "reference": _axes("rad", "m", "reference pose"),
-    "reference_rate": _axes("rad/s", "m/s", "rate of the reference"),
-    "reference_acceleration": _axes("rad/s^2", "m/s^2", "acceleration of the reference"),
-    "error": _axes("rad", "m", "pose minus reference at the latest tick; with an observer, when its command acts"),
-    "integral": _axes("rad s", "m s", "integral state z after the latest tick"),
-    "torque": _legs("N m", "torque commanded by the controller, about the motor axis"),
-    "torque_applied": _legs("N m", "torque at the motors, delayed and within their limit"),
-    "crank_angle": _legs("rad", "theta, from the horizontal"),
-    "weights": _plain(("omega_q", "omega_r"), "weights in use"),
-    "block_weights": _plain(("q_pose", "q_rate", "q_integral", "r"), "block weights in use, in place of `weights`"),
-    "setting": _plain(
-        (*NAMES, "outside"),
-        "decades of a tuner's setting above the base, and how far what it hears lies outside of its training",
-    ),
-    "density": _plain(
-        (*(f"error_{axis}" for axis in AXIS_NAMES), *(f"torque_{leg}" for leg in LEG_NAMES)), "density features"
-    ),
-    "loop_gap": _legs("m", "distance from rod end to platform joint"),
-    "measured_pose": _axes("rad", "m", "pose that is measured or estimated; the true one without this signal"),
-    "measured_pose_rate": _axes("rad/s", "m/s", "its rate"),
-    "innovation": _legs("rad", "readings less what the observer expected"),
-    "disturbance": SignalSpec(
-        ("mx", "my", "mz", "fx", "fy", "fz"), ("N m",) * 3 + ("N",) * 3, "wrench from outside on the platform"
-    ),
-    "safety": _plain(
-        ("level", "monitor", "leg"),
-        "state of the safety layer: numbers in safety.LEVELS and safety.MONITORS, leg or -1",
-    ),
-    "plant_state": SignalSpec((), (), "positions and velocities of the MultibodyPlant"),
-}
-"""Every signal of a log, where the scenario has it: block_weights stand in place of `weights`, setting where a tuner of
-settings is, the measured pose beside the true one where there are encoders, an observer or a sensor that fails,
-innovation with an observer. `plant_state` has one column per entry of the plant's state, named by Drake."""
+_MAX_BYTES = 10**10  # Of a file.
 
 
 def _columns(name: str, state_names: tuple[str, ...]) -> list[tuple[str, str]]:
@@ -155,7 +94,9 @@ class SimulationLog(Mapping[str, np.ndarray]):
         try:
             return self.signals[name]
         except KeyError:
-            raise KeyError(f"{name}{meant(name, self.signals)}; this log has {', '.join(self.signals)}") from None
+            raise KeyError(
+                f"{name}{did_you_mean(name, self.signals)}; this log has {', '.join(self.signals)}"
+            ) from None
 
     @property
     def reached_end(self) -> bool:
@@ -166,6 +107,22 @@ class SimulationLog(Mapping[str, np.ndarray]):
     def time(self) -> np.ndarray:
         """(n,) [s] of each row."""
         return self.signals["time"]
+
+    @property
+    def error(self) -> np.ndarray:
+        """(n, 6) [rad, m] true pose minus reference at every row."""
+        return self["pose"] - self["reference"]
+
+    @property
+    def error_norms(self) -> tuple[np.ndarray, np.ndarray]:
+        """Length of the (roll, pitch, yaw) error (n,) [deg] and of the position error (n,) [mm] at every row."""
+        rotation, position = np.linalg.norm((SCALES * self.error).reshape(-1, 2, 3), axis=2).T
+        return rotation, position
+
+    @property
+    def second_half(self) -> np.ndarray:
+        """(n,) whether a row is in the second half of the planned duration."""
+        return second_half(self.time, self.scenario.duration)
 
     def outcome(self) -> dict[str, Any]:
         """What the log says besides its signals, in values that JSON has."""
@@ -191,7 +148,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
         tuner = f", tuner {self.scenario.tuner.kind}" if "density" in self.signals else ""
         when = self.end_time if self.outcome_time is None else self.outcome_time
         lines = [
-            f"SimulationLog of {self.scenario.name}: {told(self.status, self.reason, when)}",
+            f"SimulationLog of {self.scenario.name}: {describe_outcome(self.status, self.reason, when)}",
             *([] if self.message is None else [f"  {self.message.splitlines()[0]}"]),
             f"  controller {self.scenario.controller.kind}{tuner}, a tick every {tick:g} s",
             *(f"  {note}" for note in [getattr(self.scenario.reference, "note", "")] if note),
@@ -206,9 +163,8 @@ class SimulationLog(Mapping[str, np.ndarray]):
         lines = [html.escape(line.strip()) for line in repr(self).splitlines()]
         plots = ""
         if len(self.time) > 1 and "reference" in self:
-            error = self["pose"] - self["reference"]
-            for part, factor, label in ((error[:, :3], np.degrees(1.0), "deg"), (error[:, 3:], 1e3, "mm")):
-                plots += _sparkline(self.time, factor * np.linalg.norm(part, axis=1), label)
+            for size, unit in zip(self.error_norms, ("deg", "mm"), strict=True):
+                plots += _sparkline(self.time, size, unit)
         return f"<div><b>{lines[0]}</b><br>{plots}<br>{'<br>'.join(lines[1:])}</div>"
 
     def to_pandas(self) -> Any:
@@ -216,27 +172,6 @@ class SimulationLog(Mapping[str, np.ndarray]):
         with installed_with("pandas", "table() gives the same as an Arrow table"):
             import pandas  # noqa: F401 - pyarrow loads it
         return self.table().to_pandas()
-
-    def to_xarray(self) -> Any:
-        """The signals as an xarray.Dataset over time [s], each with its units and what it is.
-
-        Raises:
-            MissingPackageError: xarray is not installed.
-        """
-        with installed_with("xarray"):
-            import xarray
-
-        variables, dimensions = {}, {AXIS_NAMES: "axis", LEG_NAMES: "leg"}
-        for name, values in self.signals.items():
-            spec = SIGNALS[name]
-            components = self.state_names if name == "plant_state" else spec.components
-            if name != "time":
-                dimension = dimensions.get(components, f"{name}_component")
-                about = {"text": spec.text, "units": list(spec.units)}
-                signal = xarray.DataArray(values, dims=("time", dimension), attrs=about)
-                variables[name] = signal.assign_coords({dimension: list(components)})
-        made = xarray.Dataset(variables, coords={"time": ("time", self.time, {"units": "s"})})
-        return made.assign_attrs(scenario=self.scenario.name, status=self.status)
 
     def to_gif(self, path: str | Path) -> None:
         """Writes the motion as an animated picture; see `stewart_drake.write_film` for its size and for MP4."""
@@ -312,7 +247,7 @@ def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLo
             message += ", nor which scenario it was: the default one is taken"
             scenario = Scenario(name=path.stem, duration=end or 1.0)
         return SimulationLog(scenario, signals, state_names, status="unknown", message=message, end_time=end)
-    about = tables.parquet_about(path, key, "run", _LARGEST, "this version of the package")
+    about = tables.parquet_about(path, key, "run", _MAX_BYTES, "this version of the package")
     if about.get("version") != _VERSION:
         raise ConfigurationError(key, f"version {about.get('version')}", f"version {_VERSION}")
     outcome = about["outcome"] | {"warnings": tuple(about["outcome"]["warnings"])}
@@ -332,7 +267,7 @@ def _read_signals(path: Path, key: str) -> tuple[dict[str, np.ndarray], tuple[st
         known = [column for signal in SIGNALS for column in _columns(signal, states)]
         return {name: tables.column_of(names, name, unit, key) for name, unit in known if name in there}
 
-    columns = tables.read_columns(path, key, choose, _LARGEST, MAX_ROWS + 1)
+    columns = tables.read_columns(path, key, choose, _MAX_BYTES, MAX_ROWS + 1)
     state_names = tuple(name.removeprefix("plant_state_") for name in columns if name.startswith("plant_state_"))
     signals: dict[str, np.ndarray] = {}
     for signal in SIGNALS:

@@ -10,22 +10,25 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from stewart_drake.base.atomic_files import NOT_FINITE, plain_json
+from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, raised_at
+from stewart_drake.base.families import UserMade
+from stewart_drake.base.tables import AXES
 from stewart_drake.control.features import CostScales, cost
-from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
-from stewart_drake.families import UserMade
-from stewart_drake.files.whole import NOT_FINITE, plain_json
+from stewart_drake.hardware.motors import within_limit
 from stewart_drake.logs.outcomes import RunRows
+from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 
 if TYPE_CHECKING:
     from stewart_drake.logs.log import SimulationLog
-    from stewart_drake.scenario import Scenario
+    from stewart_drake.scenario.scenario import Scenario
 
-ValueKind = Literal["number", "whole", "flag", "text", "json"]
-Over = Literal["steps", "ticks", "late_steps", "late_ticks"]
+ValueKind = Literal["number", "integer", "flag", "text", "json"]
+Over = Literal["steps", "ticks", "second_half_steps", "second_half_ticks"]
 INTEGRAL_TIME = 5.0  # [s] when the paper looks at the integral states.
 FAILED = 1000.0  # Cost of a run that was not completed; no other costs more.
 _TYPES: dict[ValueKind, tuple[type, ...]] = {
-    "number": (float, int), "whole": (int,), "flag": (bool,), "text": (str,), "json": (dict, list)
+    "number": (float, int), "integer": (int,), "flag": (bool,), "text": (str,), "json": (dict, list)
 }  # fmt: skip
 
 
@@ -65,7 +68,7 @@ class Metric:
     unit: str
     text: str
     of: Callable[[RunRows], Any]
-    over: Over = "late_ticks"
+    over: Over = "second_half_ticks"
     parts: tuple[str, ...] = ()
     label: str = ""
     form: str = ".4g"
@@ -91,7 +94,7 @@ class Metric:
         return value
 
     def columns(self) -> list[Column]:
-        half = ", second half of the planned duration" if self.over.startswith("late") else ""
+        half = ", second half of the planned duration" if self.over.startswith("second_half") else ""
         if not self.parts:
             return [Column(self.name, self.unit, self.text + half, self.kind)]
         units = self.unit.split(", ")
@@ -107,21 +110,18 @@ class Metric:
         return "  ".join("-" if each is None else format(each, self.form) for each in values) + unit
 
 
-_ANGLES, _LENGTHS = ("roll", "pitch", "yaw"), ("x", "y", "z")
-
-
 def _both(
     name: str, text: str, of: Callable[[RunRows], np.ndarray], over: Over, label: str = "", by_axis: bool = False
 ) -> list[Metric]:
     """A metric of angles [deg] and one of lengths [mm]; `of` has both, (2,) or (6,) [rad, m]."""
     metrics = []
-    for index, (unit, what, size) in enumerate((("deg", "roll, pitch, yaw", "angle"), ("mm", "position", "distance"))):
+    for index, (what, size) in enumerate((("roll, pitch, yaw", "angle"), ("position", "distance"))):
+        unit, scale = DISPLAY_UNITS[3 * index], SCALES[3 * index]
 
-        def value(rows: RunRows, index: int = index) -> Any:
-            found = of(rows).reshape(2, -1)[index] if by_axis else of(rows)[index]
-            return 1e3 * found if index else np.degrees(found)
+        def value(rows: RunRows, index: int = index, scale: float = scale) -> Any:
+            return scale * (of(rows).reshape(2, -1)[index] if by_axis else of(rows)[index])
 
-        axes = (_ANGLES, _LENGTHS)[index] if by_axis else ()
+        axes = AXES[3 * index : 3 * index + 3] if by_axis else ()
         parts = tuple(f"{name}_{axis}_{unit}" for axis in axes)
         shown = text.format(what=what, size=size), label.format(" ".join(axes) or size)
         metrics.append(Metric(f"{name}_{unit}", unit, shown[0], value, over, parts, shown[1]))
@@ -130,17 +130,25 @@ def _both(
 
 def _worst_half_rms(rows: RunRows) -> np.ndarray:
     """(2,) [rad, m] the larger of both halves' root mean square length."""
-    lengths = [np.sum(rows.error[half] ** 2, axis=0) for half in (rows.tick & ~rows.late, rows.late_tick)]
-    counts = np.array([max(1, rows.ticks - rows.late_ticks), rows.late_ticks])
+    lengths = [np.sum(rows.error[half] ** 2, axis=0) for half in (rows.tick & ~rows.second_half, rows.second_half_tick)]
+    counts = np.array([max(1, rows.ticks - rows.second_half_ticks), rows.second_half_ticks])
     means: np.ndarray = np.reshape(lengths, (2, 2, 3)).sum(axis=2) / counts[:, None]
     return np.sqrt(means).max(axis=0)
 
 
+def _ripple(index: int) -> Callable[[RunRows], float | None]:
+    def ripple(rows: RunRows) -> float | None:
+        both = rows.ripple
+        return None if both is None else float(SCALES[3 * index] * both[index])
+
+    return ripple
+
+
 def _torque_change(rows: RunRows) -> float | None:
-    """[N m] RMS of the torque asked for, within the limits, from a late tick to the next; None without such."""
-    limit = rows.scenario.robot.effort_limits
-    torque = np.clip(rows["torque"][rows.late_tick], -limit, limit)
-    change = np.diff(torque, axis=0)[np.diff(rows.tick_number[rows.late_tick]) == 1]
+    """[N m] RMS of the torque asked for, or that servos give, tick to tick of the second half; None without such."""
+    asked = "torque" if rows.scenario.motors.takes == "torque" else "torque_applied"
+    torque = within_limit(rows[asked][rows.second_half_tick], rows.scenario.robot.effort_limits)
+    change = np.diff(torque, axis=0)[np.diff(rows.tick_number[rows.second_half_tick]) == 1]
     return _rms(change) if change.size else None
 
 
@@ -162,24 +170,25 @@ def _rms(values: np.ndarray) -> float:
 
 METRICS: tuple[Metric, ...] = (
     *_both(
-        "rmse", "root mean square error", lambda t: t.late_rms, "late_ticks", "RMSE {}, second half", by_axis=True
+        "rmse", "root mean square error", lambda t: t.second_half_rms, "second_half_ticks", "RMSE {}, second half",
+        by_axis=True,
     ),
     *_both(
-        "peak", "largest error", lambda t: np.abs(t.error[t.late]).max(axis=0), "late_steps",
+        "peak", "largest error", lambda t: np.abs(t.error[t.second_half]).max(axis=0), "second_half_steps",
         "peak {}, second half", by_axis=True,
     ),
-    *_both("rmse_norm", "RMS length of the {what} error", lambda t: t.late_rms_norms, "late_ticks"),
+    *_both("rmse_norm", "RMS length of the {what} error", lambda t: t.second_half_rms_norms, "second_half_ticks"),
     *_both(
         "worst_half_rmse_norm", "RMS length of the {what} error, the larger of both halves", _worst_half_rms,
-        "late_ticks",
+        "second_half_ticks",
     ),
     Metric(
         "pose_rmse_mm", "mm", "RMS of both errors together, rotations times the characteristic length",
-        lambda t: 1e3 * np.hypot(*t.late_rms_norms * [t.scenario.robot.characteristic_length, 1.0]),
+        lambda t: 1e3 * np.hypot(*t.second_half_rms_norms * [t.scenario.robot.characteristic_length, 1.0]),
     ),
     *_both(
         "peak_norm", "largest length of the {what} error",
-        lambda t: np.linalg.norm(t.error[t.late].reshape(-1, 2, 3), axis=2).max(axis=0), "late_steps",
+        lambda t: np.linalg.norm(t.error[t.second_half].reshape(-1, 2, 3), axis=2).max(axis=0), "second_half_steps",
     ),
     *_both(
         "error_max", "largest {size} from the reference while the controller was in charge, whole run",
@@ -199,9 +208,19 @@ METRICS: tuple[Metric, ...] = (
     ),
     Metric(
         "torque_rms_second_half", "N m", "RMS torque of all motors, within their limits",
-        lambda t: _rms(t["torque_applied"][t.late_tick]),
+        lambda t: _rms(t["torque_applied"][t.second_half_tick]),
     ),
-    Metric("torque_change_rms", "N m", "RMS change of the commanded torque from tick to tick", _torque_change),
+    Metric(
+        "torque_change_rms", "N m", "RMS change of the commanded torque, or of what servos give, from tick to tick",
+        _torque_change,
+    ),
+    *(
+        Metric(
+            f"ripple_{unit}_s", f"{unit}/s", f"RMS length of the error of {what} above 2 Hz (null for less than 2 s)",
+            of, "second_half_steps",
+        )
+        for what, unit, of in (("the Euler rates", "deg", _ripple(0)), ("the velocity", "mm", _ripple(1)))
+    ),
     Metric(
         "torque_peak", "N m", "largest torque of any motor, within their limits, whole run",
         lambda t: float(np.abs(t["torque_applied"]).max()), "steps", label="torque peak", form=".3f",
@@ -228,7 +247,7 @@ METRICS: tuple[Metric, ...] = (
     ),
     Metric(
         "integral_at_5s", "rad s, m s", "integral state at 5 s", _integral, "ticks",
-        tuple(f"integral_{axis}_at_5s" for axis in (*_ANGLES, *_LENGTHS)), "integral states at 5 s", ".2g",
+        tuple(f"integral_{axis}_at_5s" for axis in AXES), "integral states at 5 s", ".2g",
     ),
     Metric(
         "finite", "", "every number of the log is finite",
@@ -250,7 +269,7 @@ OUTCOME: tuple[Column, ...] = (
     Column("safety_level", "", "last reaction of the safety layer: hold, ramp, safe_hold or end", "text"),
     Column("warnings", "", "names of the warnings, null for none", "text"),
     Column("end_time", "s", "simulated time reached"),
-    Column("leg", "", "leg 0..5 of the outcome", "whole"),
+    Column("leg", "", "leg 0..5 of the outcome", "integer"),
     Column(NOT_FINITE, "", "metrics that are null because they are not finite, with their values", "text"),
 )  # fmt: skip
 """How a run ended, before the metrics."""
@@ -266,28 +285,28 @@ class UserMetric(UserMade, key="metrics"):
             raise ConfigurationError("arguments", self.arguments, "nothing, for a metric")
 
     def load(self) -> Metric:
-        found = self.code.load(self.code_key)
-        if not isinstance(found, Metric):
-            allowed = f"the path of a Metric(name, unit, text, function), not of a {type(found).__name__}"
+        metric = self.code.load(self.code_key)
+        if not isinstance(metric, Metric):
+            allowed = f"the path of a Metric(name, unit, text, function), not of a {type(metric).__name__}"
             raise ConfigurationError(self.code_key, self.code, allowed)
-        return found
+        return metric
 
     made = property(load)
 
 
 def metrics_of(*scenarios: Scenario) -> list[Metric]:
     """The metrics of every run, and the scenarios' own; a ConfigurationError for a name with a meaning."""
-    found = list(METRICS)
+    metrics = list(METRICS)
     for metric in (own.made for scenario in scenarios for own in scenario.metrics):
-        if metric not in found:
+        if metric not in metrics:
             # A sweep has a column for each key of the scenario that it varies.
-            taken = {each.name for each in found} | {column.name for column in _columns(found)}
+            taken = {each.name for each in metrics} | {column.name for column in _columns(metrics)}
             taken |= set(type(scenarios[0]).__pydantic_fields__)
             for name in (metric.name, *metric.parts):
                 if name in taken:
                     raise ConfigurationError("metric", name, "a new name; a metric or column already has this one")
-            found.append(metric)
-    return found
+            metrics.append(metric)
+    return metrics
 
 
 def _columns(metrics: Iterable[Metric]) -> tuple[Column, ...]:
@@ -340,22 +359,6 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
         "versions": {name: version for name, version in versions.items() if name != "git_revision"},
         "files": files,
     }
-
-
-def tracking_error(log: SimulationLog) -> np.ndarray:
-    """Pose minus reference at every row, true pose; (n, 6) [rad, m]."""
-    return log["pose"] - log["reference"]
-
-
-def error_norms(log: SimulationLog) -> tuple[np.ndarray, np.ndarray]:
-    """Length of the (roll, pitch, yaw) error (n,) [deg] and of the position error (n,) [mm] at every row, true pose."""
-    error = tracking_error(log)
-    return np.degrees(np.linalg.norm(error[:, :3], axis=1)), 1e3 * np.linalg.norm(error[:, 3:], axis=1)
-
-
-def second_half(log: SimulationLog) -> np.ndarray:
-    """(n,) mask of the rows in the second half of the planned duration."""
-    return log.time >= 0.5 * log.scenario.duration - 1e-9
 
 
 def run_cost(figures: Mapping[str, Any], status: str, period: float, scales: CostScales) -> float:

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.errors import RunFailure, SafetyStop
+from stewart_drake.base.errors import RunFailure, SafetyStop
+from stewart_drake.base.sampling import steps_per
 from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix
 from stewart_drake.safety import MONITORS, RAMP
-from stewart_drake.sampling import steps_per
 
 if TYPE_CHECKING:
-    from stewart_drake.scenario import Scenario
+    from stewart_drake.scenario.scenario import Scenario
 
 Status = Literal["completed", "stopped", "lost", "failed", "interrupted", "unknown"]
 """completed: the controller was in charge to the end, and the motion was followed. stopped: the safety layer held the
-robot at the end. lost: the motion was not followed, see `Bounds`, or no command reached the motors any more. failed:
-the run broke midway. interrupted: the user ended it. unknown: of a log from a file that does not say."""
+robot at the end. lost: the motion was not followed, see `SuccessCriteria`, or no command reached the motors any more.
+failed: the run broke midway. interrupted: the user ended it. unknown: of a log from a file that does not say."""
 
 SETTLING, SETTLING_SHARE = 3.0, 0.6  # [s], share of the run; the shorter is left out at the start.
 SHORTEST = 0.5  # [s] of a run whose errors are compared with its motion.
@@ -29,6 +29,8 @@ LEAST_MOTION = 0.003  # Of the characteristic length, 0.33 mm for the paper's; a
 MUCH_SATURATION = 0.01  # Share of torques at the limit above which there is a warning.
 POORLY_FOLLOWED = 0.5  # Error over motion above which a run that was completed has a warning.
 LARGE_GAP = 0.1  # Share of the position's RMSE above which the loop gap is a warning: the time step may show.
+RIPPLE = 2.0  # [Hz] from which on an error of velocity counts as ripple: what trembles, rather than lags.
+RIPPLE_PERIODS = 4.0  # Of that frequency, which a second half must have.
 NOISES = 3.0  # Standard deviations of a reading that add to what a robot which holds its place may be off.
 AT_REST = 1e-6  # Of a motion's largest rate, below which it rests.
 EXCURSION = 10.0  # Times that by which it may be off for a moment.
@@ -41,11 +43,17 @@ def pose_distance(pose: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.n
     return rotation_angle(relative), np.linalg.norm(pose[:, 3:] - other[:, 3:], axis=1)
 
 
+def second_half(time: np.ndarray, duration: float) -> np.ndarray:
+    """(n,) whether times (n,) [s] are in the second half of a planned duration [s]."""
+    return time >= 0.5 * duration - 1e-9
+
+
 class RunRows:
     """Signals of a run, `rows["pose"]` and so on, with masks over them; errors are true pose minus reference.
 
-    time (n,) [s]; masks (n,) tick, late (second half of the planned duration), late_tick, in_charge (the controller);
-    counts steps, ticks, late_steps, late_ticks; tick_number (n,) of the latest tick; error (n, 6) [rad, m].
+    time (n,) [s]; masks (n,) tick, second_half (of the planned duration), second_half_tick, in_charge (the controller);
+    counts steps, ticks, second_half_steps, second_half_ticks; tick_number (n,) of the latest tick; error (n, 6)
+    [rad, m].
     """
 
     def __init__(self, scenario: Scenario, signals: Mapping[str, np.ndarray]) -> None:
@@ -53,10 +61,10 @@ class RunRows:
         step = np.rint(self.time / scenario.plant.time_step).astype(np.int64)
         stride = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
         self.tick, self.tick_number = step % stride == 0, step // stride
-        self.late = self.time >= 0.5 * scenario.duration - 1e-9
-        self.late_tick = self.late & self.tick
+        self.second_half = second_half(self.time, scenario.duration)
+        self.second_half_tick = self.second_half & self.tick
         self.steps, self.ticks = len(self.time), int(self.tick.sum())
-        self.late_steps, self.late_ticks = int(self.late.sum()), int(self.late_tick.sum())
+        self.second_half_steps, self.second_half_ticks = int(self.second_half.sum()), int(self.second_half_tick.sum())
         self._level = signals["safety"][:, 0] if "safety" in signals else np.zeros(len(self.time))
         self.in_charge = self._level < RAMP
         self.error = signals["pose"] - signals["reference"] if len(self.time) else np.empty((0, 6))
@@ -66,14 +74,33 @@ class RunRows:
         return self.signals[name]
 
     @property
-    def late_rms(self) -> np.ndarray:
+    def second_half_rms(self) -> np.ndarray:
         """(6,) [rad, m] RMS error of the second half."""
-        return np.sqrt(np.mean(self.error[self.late_tick] ** 2, axis=0))
+        return np.sqrt(np.mean(self.error[self.second_half_tick] ** 2, axis=0))
 
     @property
-    def late_rms_norms(self) -> np.ndarray:
+    def second_half_rms_norms(self) -> np.ndarray:
         """(2,) [rad, m] RMS length of the rotational and of the translational error likewise."""
-        return np.linalg.norm(self.late_rms.reshape(2, 3), axis=1)
+        return np.linalg.norm(self.second_half_rms.reshape(2, 3), axis=1)
+
+    @property
+    def ripple(self) -> np.ndarray | None:
+        """(2,) [rad/s, m/s] RMS length of the second half's rotational and translational velocity error above `RIPPLE`.
+
+        By its spectrum, without its linear trend, in a Hann window, from every row: between two ticks a robot trembles
+        too. None for a half that is too short, or for rows too far apart to show it.
+        """
+        count, time = self.second_half_steps, self.time[self.second_half]
+        period = float(time[-1] - time[0]) / (count - 1) if count > 1 else 0.0
+        if count * period < (1.0 - 1e-9) * RIPPLE_PERIODS / RIPPLE or period > 0.25 / RIPPLE:
+            return None
+        error = (self["pose_rate"] - self["reference_rate"])[self.second_half]
+        line = np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)], axis=1)
+        error = error - line @ np.linalg.lstsq(line, error, rcond=None)[0]
+        window = np.hanning(count)[:, None]
+        power = 2.0 * np.abs(np.fft.rfft(window * error, axis=0)) ** 2 / (count * np.sum(window**2))
+        fast = power[np.fft.rfftfreq(count, period) >= RIPPLE].sum(axis=0)
+        return np.sqrt(fast.reshape(2, 3).sum(axis=1))
 
     @cached_property
     def sizes(self) -> dict[str, np.ndarray]:
@@ -90,7 +117,11 @@ class RunRows:
     @cached_property
     def at_limit(self) -> np.ndarray:
         """(n, 6) whether a torque is at its limit, at ticks."""
-        size, limit = np.abs(self["torque"]), self.scenario.robot.effort_limits
+        limit = self.scenario.robot.effort_limits
+        if self.scenario.motors.takes != "torque":
+            # Their own loop asks for it.
+            return (np.abs(self["torque_applied"]) >= limit) & self.tick[:, None]
+        size = np.abs(self["torque"])
         # A controller that limits the torque itself asks for the limit and no more.
         full = size > limit if self.scenario.controller.asks_for_more else size >= limit
         return full & self.tick[:, None]
@@ -188,7 +219,7 @@ class RunRows:
 
     def left(self) -> dict[str, tuple[float, int | None]]:
         """Bounds left, once inside, by the controller in charge -> when [s] and leg or None; 0 s for never inside."""
-        found: dict[str, tuple[float, int | None]] = {}
+        worst_of: dict[str, tuple[float, int | None]] = {}
         for name, size in self.sizes.items() if self.steps else ():
             bound = getattr(self.scenario.bounds, name)
             if bound is None:
@@ -197,10 +228,10 @@ class RunRows:
             outside = entered & ~(size <= bound) & self.in_charge
             if outside.any():
                 row = int(outside.argmax())
-                found[name] = float(self.time[row]), int(self[name][row].argmax()) if name == "loop_gap" else None
+                worst_of[name] = float(self.time[row]), int(self[name][row].argmax()) if name == "loop_gap" else None
             elif not entered[-1]:
-                found[name] = 0.0, None
-        return found
+                worst_of[name] = 0.0, None
+        return worst_of
 
     def interventions(self) -> tuple[int, dict[str, Any] | None]:
         """How often the safety layer took over; and since when, by whom and where it has now, or None."""
@@ -226,7 +257,7 @@ class Outcome(NamedTuple):
     leg: int | None = None
 
 
-def told(status: str, reason: str | None, time: float | None = None) -> str:
+def describe_outcome(status: str, reason: str | None, time: float | None = None) -> str:
     """How a run ended in a few words, such as `failed, crank_dead_centre at t = 0.650 s`."""
     words = status if reason in (None, status) else f"{status}, {reason}"
     return words if time is None else f"{words} at t = {time:.3f} s"
@@ -277,28 +308,28 @@ def _error_over_motion(rows: RunRows) -> str:
 
 def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None) -> tuple[dict[str, Any], ...]:
     """What a reader should know beside the outcome: name, time [s], number and text of each."""
-    found: list[tuple[str, float, float, str]] = []
+    events: list[tuple[str, float, float, str]] = []
     if trip is not None and trip["last"] == "none":
         text = f"{trip['monitor']}, {trip['worst']}"
-        found.append(("safety_intervention", trip["time"], rows.interventions()[0], text))
+        events.append(("safety_intervention", trip["time"], rows.interventions()[0], text))
     if rows.steps:
         share = int(rows.at_limit.sum()) / (6 * rows.ticks)
         if share > MUCH_SATURATION:
             when = rows.time[int(rows.at_limit.any(axis=1).argmax())]
-            found.append(("saturation", when, share, f"{share:.1%} of the torques are at their limit"))
-        gap, rmse = rows.largest["loop_gap"], rows.late_rms_norms[1] if rows.late_ticks else math.nan
+            events.append(("saturation", when, share, f"{share:.1%} of the torques are at their limit"))
+        gap, rmse = rows.largest["loop_gap"], rows.second_half_rms_norms[1] if rows.second_half_ticks else math.nan
         if gap > LARGE_GAP * rmse:
             ratio = float(gap / rmse) if rmse > 0.0 else math.inf
             when = rows.time[int(rows.sizes["loop_gap"].argmax())]
             size = f"{gap:.2g} m, {ratio:.0%} of the RMSE of the position"
             text = f"rods end off their joints by up to {size}: errors so small may depend on plant.time_step"
-            found.append(("loop_gap", when, ratio, text))
+            events.append(("loop_gap", when, ratio, text))
         for name, said in (("motion_length", rows.wrong_length()), ("poorly_held", rows.poorly_held())):
             if status == "completed" and said is not None:
-                found.append((name, *said))
+                events.append((name, *said))
         worst = rows.worst_window
         if status == "completed" and worst is not None and not worst[0] <= POORLY_FOLLOWED:
-            found.append(("poorly_followed", worst[1], worst[0], _error_over_motion(rows)))
+            events.append(("poorly_followed", worst[1], worst[0], _error_over_motion(rows)))
     return tuple(
-        {"name": name, "time": float(time), "number": number, "text": text} for name, time, number, text in found
+        {"name": name, "time": float(time), "number": number, "text": text} for name, time, number, text in events
     )

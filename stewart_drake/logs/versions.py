@@ -7,7 +7,7 @@ import importlib.metadata
 import platform
 import subprocess
 
-from stewart_drake.files.whole import PACKAGE
+from stewart_drake.base.atomic_files import PACKAGE
 
 
 def collect_versions() -> dict[str, str | None]:

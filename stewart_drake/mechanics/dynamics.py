@@ -11,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.jit import njit, record
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.jit import njit, record
 from stewart_drake.mechanics import dynamics_laws as laws
 from stewart_drake.mechanics.kinematics import LegGeometry, Robot, at_poses, leg_geometry, rod_lines
 from stewart_drake.mechanics.kinematics_laws import LEGS, OK, PARALLEL, UNREACHABLE, legs_at
@@ -82,6 +82,14 @@ def task_inertia(robot: Robot, pose: ArrayLike) -> np.ndarray:
     return _at_poses(_INERTIA, robot, {"pose": pose})
 
 
+def crank_inertia(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
+    """(6, 6) [kg m^2] inertia that the cranks feel at a pose (6,): of the whole robot, in their angles."""
+    legs = leg_geometry(robot, pose)
+    to_twist = np.linalg.inv(rod_lines(legs) / (robot.crank_lengths * legs.transmission)[:, None])
+    result: np.ndarray = to_twist.T @ task_inertia(robot, pose) @ to_twist
+    return result
+
+
 def pose_acceleration_map(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """E^-1 M^-1 J' (..., 6, 6): second derivative of the pose per unit of motor torque; M^-1 tau of (10), exact."""
     return _at_poses(_ACCELERATION_MAP, robot, {"pose": pose})
@@ -95,8 +103,8 @@ def _at_poses(law: int, robot: Robot, inputs: Mapping[str, ArrayLike], gravity: 
 
 
 @njit
-def _loop(robots: Any, law: float, gravity: float, poses: Any, vectors: Any, others: Any, out: Any) -> int:
-    robot, store, motion, nothing = record(robots), np.empty(1, LEGS), np.empty(12), np.zeros(6)
+def _loop(robot: Any, law: float, gravity: float, poses: Any, vectors: Any, others: Any, out: Any) -> int:
+    robot, store, motion, nothing = record(robot), np.empty(1, LEGS), np.empty(12), np.zeros(6)
     for n in range(len(poses)):
         legs, pose, vector, done = record(store), poses[n], vectors[n], True
         if legs_at(robot, pose, legs) >= 0:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.jit import njit
+from stewart_drake.base.jit import njit
 from stewart_drake.mechanics.kinematics_laws import (
     angular_velocity,
     cross,
@@ -98,19 +98,19 @@ def loads(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, wr
         for k in range(3):
             tip[k] = a * legs.e_n[i, k] * acceleration - centripetal * legs.crank[i, k]
             along += legs.e_l[i, k] * (joint[k] - tip[k])
-        own = robot.crank_inertia[i] * acceleration + 0.5 * a * robot.crank_mass * gravity * legs.e_n[i, 2]
+        crank_torque = robot.crank_inertia[i] * acceleration + 0.5 * a * robot.crank_mass * gravity * legs.e_n[i, 2]
         for k in range(3):
             half = 0.25 * robot.rod_mass * (joint[k] + tip[k])
             if k == 2:
                 half += 0.5 * robot.rod_mass * gravity
             couple = across * (joint[k] - tip[k] - along * legs.e_l[i, k])
             load[k], other[k] = half + couple, half - couple
-            own += a * legs.e_n[i, k] * other[k]
+            crank_torque += a * legs.e_n[i, k] * other[k]
             wrench[3 + k] += load[k]
         cross(legs.arm[i], load, moment)
         for k in range(3):
             wrench[k] += moment[k]
-        torque[i] = own
+        torque[i] = crank_torque
 
 
 @njit
@@ -186,11 +186,11 @@ def static_torque(robot: Any, legs: Any, gravity: float, torque: Any) -> bool:
 @njit
 def task_bias(robot: Any, legs: Any, twist: Any, gravity: float, out: Any) -> None:
     """H (6,) [N m, N]: Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates, of a twist (6,)."""
-    own = np.empty(6)
-    loads(robot, legs, twist, np.zeros(6), gravity, out, own)
+    of_cranks = np.empty(6)
+    loads(robot, legs, twist, np.zeros(6), gravity, out, of_cranks)
     for i in range(6):
         for k in range(6):
-            out[k] += legs.line[i, k] / legs.lever[i] * own[i]
+            out[k] += legs.line[i, k] / legs.lever[i] * of_cranks[i]
 
 
 @njit
@@ -219,7 +219,7 @@ def forward_dynamics(
     euler_drift(pose[:3], rate[:3], drift)
     for k in range(6):
         out[k] = solution[k, 0] + more[k, 0] - (drift[k] if k < 3 else 0.0)
-    euler_rates(pose[:3], out[:3])
+    euler_rates(pose[:3], out[:3], out[:3])
     return True
 
 
@@ -239,7 +239,7 @@ def pose_acceleration_map(robot: Any, legs: Any, pose: Any, out: Any) -> bool:
     for i in range(6):
         for k in range(3):
             column[k] = out[k, i]
-        euler_rates(pose[:3], column)
+        euler_rates(pose[:3], column, column)
         for k in range(3):
             out[k, i] = column[k]
     return True

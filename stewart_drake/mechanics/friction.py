@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.jit import fields, new_record, njit
+from stewart_drake.base.jit import fields, new_record, njit
 
 FRICTION = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, stiffness=6, damping=6)
 """Numbers of six motors, made by `friction_law`. coulomb: level in sliding [N m]. break_away: level at rest [N m], at
@@ -70,7 +70,7 @@ def level(friction: Any, leg: int, slip: float) -> float:
 
 
 @njit
-def drag_anchors(friction: Any, angles: Any, step: float, anchor: Any, slip: Any) -> None:
+def update_bristles(friction: Any, angles: Any, step: float, anchor: Any, slip: Any) -> None:
     """Brings anchors and slips (6,) to where they are once the cranks have come to their angles within a step."""
     for i in range(6):
         stretch = anchor[i] - angles[i]
@@ -105,13 +105,13 @@ def implicit_torque(
     for _ in range(sweeps):
         shift, largest = 0.0, 0.0
         for i in range(6):
-            own = step * mobility[i, i]
-            slowed = 1.0 + own * friction.viscous[i]
-            without = rates[i] - own * out[i]
+            yielding = step * mobility[i, i]
+            slowed = 1.0 + yielding * friction.viscous[i]
+            without = rates[i] - yielding * out[i]
             rigidity = friction.damping[i] + step * friction.stiffness[i]
-            dry = (slowed * wanted[i] - without) / (slowed / rigidity + own)
+            dry = (slowed * wanted[i] - without) / (slowed / rigidity + yielding)
             dry = min(max(dry, -bound[i]), bound[i])
-            whole = dry - friction.viscous[i] * (without + own * dry) / slowed
+            whole = dry - friction.viscous[i] * (without + yielding * dry) / slowed
             change = step * (whole - out[i])
             for k in range(6):
                 rates[k] += mobility[k, i] * change

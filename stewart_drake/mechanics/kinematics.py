@@ -15,14 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stewart_drake.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
-from stewart_drake.jit import njit, record
+from stewart_drake.base.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
+from stewart_drake.base.jit import njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.kinematics_laws import LEGS, OK, UNREACHABLE
 from stewart_drake.robot import RobotParameters
 
 CHUNK = 512
 """Poses that are worth a thread: starting one takes as long as some fifty."""
+CLOSED, NEWTON_STEPS = 1e-13, 30
+"""[m] error of a rod's length at which `forward_kinematics` ends, and after how many steps of Newton's method at most.
+"""
 
 Loop = Callable[..., Any]
 """Takes shared arguments, then rows, one for each pose, those that it fills last; returns `OK` or another status."""
@@ -38,7 +41,7 @@ def over_rows(loop: Loop, shared: tuple[Any, ...], rows: tuple[np.ndarray, ...])
 
     def run(start: int, stop: int) -> int:
         with np.errstate(all="ignore"):  # of the same source uncompiled
-            return loop(*shared, *(each[start:stop] for each in rows)) or OK
+            return loop(*shared, *(array[start:stop] for array in rows)) or OK
 
     count = len(rows[0])
     chunks = min(os.cpu_count() or 1, count // CHUNK)
@@ -64,21 +67,20 @@ def at_poses(
         if array.shape[-1:] != (6,) or not finite:
             wanted = "finite numbers" if name == "pose" else "numbers"
             raise ConfigurationError(name, inputs[name], f"{wanted} of shape (..., 6)")
-    leading = np.broadcast_shapes(*(array.shape[:-1] for array in arrays.values()))
-    rows = [np.array(np.broadcast_to(each, (*leading, 6)), order="C").reshape(-1, 6) for each in arrays.values()]
-    values = np.empty((len(rows[0]), *tail), dtype=kind)
-    robots = robot_records(robot)
-    if over_rows(loop, (robots, *map(float, numbers)), (*rows, values)) != OK:
-        poses = rows[list(arrays).index("pose")]
-        reach = reach_margin(robots, poses)
-        row, leg = np.unravel_index(int(reach.argmin()), reach.shape)
-        if reach[row, leg] < 0.0:
-            raise UnreachablePoseError(poses[row].copy(), int(leg), float(reach[row, leg]))
+    names, leading = list(arrays), np.broadcast_shapes(*(array.shape[:-1] for array in arrays.values()))
+    rows = [np.array(array, order="C").reshape(-1, 6) for array in np.broadcast_arrays(*arrays.values())]
+    values, shared = np.empty((len(rows[0]), *tail), dtype=kind), (as_record(robot), *map(float, numbers))
+    if over_rows(loop, shared, (*rows, values)) != OK:
+        poses = rows[names.index("pose")]
+        margins = reach_margin(robot, poses)
+        row, leg = np.unravel_index(int(margins.argmin()), margins.shape)
+        if margins[row, leg] < 0.0:
+            raise UnreachablePoseError(poses[row].copy(), int(leg), float(margins[row, leg]))
         raise np.linalg.LinAlgError("Singular matrix: the pose is singular")
     return values.reshape((*leading, *tail))[()]
 
 
-def robot_records(robot: Robot) -> np.ndarray:
+def as_record(robot: Robot) -> np.ndarray:
     """The numbers of a robot, a `ROBOT` record that is not to be written to."""
     if isinstance(robot, RobotParameters):
         return laws.robot_record(robot)
@@ -88,8 +90,8 @@ def robot_records(robot: Robot) -> np.ndarray:
 
 
 @njit
-def _legs(robots: Any, poses: Any, legs: Any) -> int:
-    robot, status = record(robots), OK
+def _legs(robot: Any, poses: Any, legs: Any) -> int:
+    robot, status = record(robot), OK
     for n in range(len(poses)):
         if laws.legs_at(robot, poses[n], record(legs[n : n + 1])) >= 0:
             status = UNREACHABLE
@@ -101,12 +103,12 @@ def _of_legs(
 ) -> np.ndarray:
     """Values (..., *tail) of the `LEGS` (n,) and poses (n, 6); `anywhere`: they mean something out of reach too."""
 
-    def loop(robots: np.ndarray, poses: np.ndarray, out: np.ndarray) -> int:
+    def loop(robot: np.ndarray, poses: np.ndarray, out: np.ndarray) -> int:
         status = OK
         for start in range(0, len(poses), CHUNK):
             rows = slice(start, start + CHUNK)
             legs = np.empty(len(poses[rows]), LEGS)
-            status = max(status, _legs(robots, poses[rows], legs))
+            status = max(status, _legs(robot, poses[rows], legs))
             out[rows] = values(legs, poses[rows])
         return OK if anywhere else status
 
@@ -118,8 +120,8 @@ def _of_legs(
 
 def _on_arrays(law: Any, shape: tuple[int, ...], *given: ArrayLike, axes: int = 1) -> np.ndarray:
     """A law of vectors (`axes` 1) or matrices (2) for any leading axes: its own source, run by numpy on components."""
-    arrays = np.broadcast_arrays(*(np.asarray(each, dtype=float) for each in given))
-    components = [np.moveaxis(each, range(-axes, 0), range(axes)) for each in arrays]
+    arrays = np.broadcast_arrays(*(np.asarray(vector, dtype=float) for vector in given))
+    components = [np.moveaxis(array, range(-axes, 0), range(axes)) for array in arrays]
     out = np.empty((*shape, *arrays[0].shape[:-axes]))
     getattr(law, "py_func", law)(*components, out)
     return np.ascontiguousarray(np.moveaxis(out, range(len(shape)), range(-len(shape), 0)))
@@ -157,8 +159,7 @@ def pose_rate_to_twist(pose: ArrayLike, pose_rate: ArrayLike) -> np.ndarray:
 def twist_to_pose_rate(pose: ArrayLike, twist: ArrayLike) -> np.ndarray:
     """Inverse of `pose_rate_to_twist`; pitch away from +-pi/2."""
     pose, twist = np.broadcast_arrays(np.asarray(pose, dtype=float), np.asarray(twist, dtype=float))
-    rate = np.linalg.solve(euler_rate_matrix(pose[..., :3]), twist[..., :3, None])
-    return np.concatenate([rate[..., 0], twist[..., 3:]], axis=-1)
+    return np.concatenate([_on_arrays(laws.euler_rates, (3,), pose[..., :3], twist[..., :3]), twist[..., 3:]], axis=-1)
 
 
 def cross(a: ArrayLike, b: ArrayLike) -> np.ndarray:
@@ -195,8 +196,8 @@ class LegGeometry:
 def reach_margin(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """1 - |C| / sqrt(A^2 + B^2) (..., 6) of each leg; negative where a rod cannot span, zero at a dead centre."""
     # So far off that squares leave floating point: beyond any reach.
-    reach = _of_legs(lambda legs, _: legs["reach"], robot, pose, (6,), anywhere=True)
-    return np.where(np.isnan(reach), -np.inf, reach)
+    margins = _of_legs(lambda legs, _: legs["reach_margin"], robot, pose, (6,), anywhere=True)
+    return np.where(np.isnan(margins), -np.inf, margins)
 
 
 def inverse_kinematics(robot: Robot, pose: ArrayLike, branch: int | None = None) -> np.ndarray:
@@ -252,13 +253,7 @@ def crank_rates(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray, pos
     return np.einsum("...ij,...j->...i", rod_lines(legs), twist) / (robot.crank_lengths * legs.transmission)
 
 
-def forward_kinematics(
-    robot: Robot,
-    crank_angles: ArrayLike,
-    guess: ArrayLike | None = None,
-    tolerance: float = 1e-13,
-    max_iterations: int = 30,
-) -> np.ndarray:
+def forward_kinematics(robot: Robot, crank_angles: ArrayLike, guess: ArrayLike | None = None) -> np.ndarray:
     """Pose of the platform from the crank angles, by Newton's method on the six rod lengths.
 
     The assembly mode is the one nearest to the guess in Newton's sense.
@@ -267,8 +262,6 @@ def forward_kinematics(
         robot: Geometry.
         crank_angles: (..., 6) [rad].
         guess: (..., 6) [rad, m] where to start; None starts at the home pose of a `RobotParameters`.
-        tolerance: [m] largest rod-length error accepted.
-        max_iterations: Newton steps at most.
 
     Returns:
         (..., 6) [rad, m].
@@ -289,8 +282,8 @@ def forward_kinematics(
     except ValueError:
         allowed = f"finite numbers whose shape fits that of crank_angles, {theta.shape}"
         raise ConfigurationError("guess", start, allowed) from None
-    poses, error, steps = newton(robot, theta.reshape(-1, 6), poses, tolerance, max_iterations)
-    if not (error <= tolerance).all():
+    poses, error, steps = newton(robot, theta.reshape(-1, 6), poses, CLOSED, NEWTON_STEPS)
+    if not (error <= CLOSED).all():
         worst = np.nan_to_num(error, nan=np.inf).argmax()
         raise ForwardKinematicsError(float(error[worst]), int(steps[worst]))
     return poses.reshape(theta.shape)
@@ -302,8 +295,13 @@ def newton(
     """`forward_kinematics` of angles and starts (n, 6), without raising: poses (n, 6), errors (n,) [m], steps (n,)."""
     poses, ends = np.array(start, order="C"), np.zeros((len(theta), 2))
     angles = np.array(theta, order="C")
-    over_rows(_forward_kinematics, (robot_records(robot), float(tolerance), int(iterations)), (angles, poses, ends))
+    over_rows(_forward_kinematics, (as_record(robot), float(tolerance), int(iterations)), (angles, poses, ends))
     return poses, ends[:, 0], ends[:, 1]
+
+
+def rod_length_errors(robot: Robot, crank_angles: ArrayLike, pose: ArrayLike) -> np.ndarray:
+    """How much longer than its rod each leg is (..., 6) [m], from the crank's tip to the platform's joint."""
+    return np.asarray(at_poses(_closures, robot, {"pose": pose, "crank_angles": crank_angles}, (6,)))
 
 
 def conditioning(robot: Robot, pose: ArrayLike) -> np.ndarray:
@@ -311,7 +309,7 @@ def conditioning(robot: Robot, pose: ArrayLike) -> np.ndarray:
 
     Zero at a parallel singularity; it says nothing about dead centres (see `LegGeometry.transmission`).
     """
-    length = robot_records(robot)["length"][0]
+    length = as_record(robot)["length"][0]
 
     def ratio(legs: np.ndarray, _: np.ndarray) -> np.ndarray:
         # At a pose out of reach, which is refused, lines may not be finite.
@@ -327,13 +325,23 @@ def _with_branch(robot: Robot, branch: int | None) -> Robot:
         return robot
     if branch not in (-1, 1):
         raise ConfigurationError("branch", branch, "-1 or 1, or None")
-    changed = robot_records(robot).copy()
+    changed = as_record(robot).copy()
     changed["branch"] = branch
     return changed
 
 
 @njit
-def _forward_kinematics(robots: Any, tolerance: float, iterations: int, angles: Any, poses: Any, ends: Any) -> None:
-    robot = record(robots)
+def _forward_kinematics(robot: Any, tolerance: float, iterations: int, angles: Any, poses: Any, ends: Any) -> None:
+    robot = record(robot)
     for n in range(len(angles)):
         ends[n, 0], ends[n, 1] = laws.forward_kinematics(robot, angles[n], poses[n], tolerance, iterations)
+
+
+@njit
+def _closures(robot: Any, poses: Any, angles: Any, out: Any) -> int:
+    robot, tips, errors, slope = record(robot), np.empty((6, 3)), np.empty((6, 1)), np.empty((6, 6))
+    for n in range(len(poses)):
+        laws.crank_tips(robot, angles[n], tips)
+        laws.closures(robot, tips, poses[n], errors, slope)
+        out[n] = errors[:, 0]
+    return OK

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.jit import fields, new_record, njit
+from stewart_drake.base.jit import fields, new_record, njit
 from stewart_drake.mechanics.linear_algebra import singular_vectors, solve
 from stewart_drake.robot import RobotParameters
 
@@ -32,12 +32,12 @@ about the origin of P [kg m^2]; platform_inertia: the three moments about the ce
 
 LEGS = fields(
     rotation=(3, 3), arm=(6, 3), crank=(6, 3), e_n=(6, 3), e_l=(6, 3), line=(6, 6), lever=6, transmission=6,
-    cosine=6, sine=6, reach=6,
+    cosine=6, sine=6, reach_margin=6,
 )  # fmt: skip
 """What `legs_at` tells of a pose, vectors in B. rotation: R_BP. arm: R p_i [m]. crank: along the cranks. e_n: where
 crank tips move for growing theta. e_l: along the rods, from crank to platform. line: [(R p_i) x e_l, e_l], rows of
 (14) transposed. lever: torque of a motor over force in its rod [m]. transmission: e_l . e_N. cosine, sine: of theta.
-reach: 1 - |C| / sqrt(A^2 + B^2), negative where a rod cannot span."""
+reach_margin: 1 - |C| / sqrt(A^2 + B^2), negative where a rod cannot span."""
 
 
 @lru_cache(maxsize=1024)
@@ -98,6 +98,16 @@ def roll_pitch_yaw(matrix: Any, out: Any) -> None:
 
 
 @njit
+def quaternion_angles(quaternion: Any, out: Any) -> None:
+    """Roll, pitch, yaw (3,) [rad] of a quaternion (4,) w, x, y, z of any length; pitch in [-pi/2, pi/2]."""
+    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    size = w * w + x * x + y * y + z * z
+    out[0] = np.arctan2(2.0 * (w * x + y * z), size - 2.0 * (x * x + y * y))
+    out[1] = np.arcsin(np.minimum(1.0, np.maximum(-1.0, 2.0 * (w * y - x * z) / size)))
+    out[2] = np.arctan2(2.0 * (w * z + x * y), size - 2.0 * (y * y + z * z))
+
+
+@njit
 def angular_velocity(rpy: Any, rate: Any, out: Any) -> None:
     """W (3,) = E(rpy) rate [rad/s] in B, of Euler rates (3,)."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
@@ -105,12 +115,11 @@ def angular_velocity(rpy: Any, rate: Any, out: Any) -> None:
 
 
 @njit
-def euler_rates(rpy: Any, omega: Any) -> None:
-    """Turns an angular velocity in B (3,) into Euler rates, in place; pitch off +-pi/2."""
+def euler_rates(rpy: Any, omega: Any, out: Any) -> None:
+    """Euler rates (3,) of an angular velocity in B (3,), which may be the same array; pitch off +-pi/2."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
     roll = (cy * omega[0] + sy * omega[1]) / cp
-    pitch = cy * omega[1] - sy * omega[0]
-    omega[0], omega[1], omega[2] = roll, pitch, omega[2] + sp * roll
+    out[0], out[1], out[2] = roll, cy * omega[1] - sy * omega[0], omega[2] + sp * roll
 
 
 @njit
@@ -142,9 +151,9 @@ def twist_of(pose: Any, rate: Any, out: Any) -> None:
 @njit
 def rate_of(pose: Any, twist: Any, out: Any) -> None:
     """Rate of a pose (6,) from the twist; the inverse of `twist_of`."""
-    for k in range(6):
+    euler_rates(pose[:3], twist[:3], out[:3])
+    for k in range(3, 6):
         out[k] = twist[k]
-    euler_rates(pose[:3], out[:3])
 
 
 @njit
@@ -176,10 +185,10 @@ def legs_at(robot: Any, pose: Any, legs: Any) -> int:
     Args:
         robot: `ROBOT` record.
         pose: (6,) [rad, m].
-        legs: `LEGS` record, out; where the result is not -1 only `rotation`, `arm` and `reach` mean something.
+        legs: `LEGS` record, out; where the result is not -1 only `rotation`, `arm` and `reach_margin` mean something.
 
     Returns:
-        -1, or the leg whose reach is the least where it is negative or not a number.
+        -1, or the leg whose margin is the least where it is negative or not a number.
     """
     # A slice of a record's field is of the type that other arrays have: laws are compiled for that one alone.
     turn, span = legs.rotation[:], np.empty(3)
@@ -193,9 +202,9 @@ def legs_at(robot: Any, pose: Any, legs: Any) -> int:
         along, up, constant = 2.0 * a * dot(span, x), 2.0 * a * dot(span, y), dot(span, span) + a * a - rod * rod
         size = np.sqrt(along * along + up * up)
         ratio = constant / size if size > 0.0 else np.inf
-        legs.reach[i] = 1.0 - abs(ratio)
-        if not legs.reach[i] >= worst:
-            worst, leg = legs.reach[i], i
+        legs.reach_margin[i] = 1.0 - abs(ratio)
+        if not legs.reach_margin[i] >= worst:
+            worst, leg = legs.reach_margin[i], i
         height = robot.branch[i] * np.sqrt(max(0.0, (1.0 - ratio) * (1.0 + ratio)))
         c, s = (along * ratio - up * height) / size, (up * ratio + along * height) / size
         legs.cosine[i], legs.sine[i] = c, s
@@ -246,39 +255,52 @@ def conditioning(robot: Any, legs: Any, tolerance: float) -> float:
 
 
 @njit
+def crank_tips(robot: Any, theta: Any, out: Any) -> None:
+    """Ends of the cranks (6, 3) [m] in B at crank angles (6,)."""
+    for i in range(6):
+        c, s = robot.crank_length[i] * np.cos(theta[i]), robot.crank_length[i] * np.sin(theta[i])
+        for k in range(3):
+            out[i, k] = robot.shaft[i, k] + c * robot.crank_x[i, k] + s * robot.crank_y[i, k]
+
+
+@njit
+def closures(robot: Any, tips: Any, pose: Any, errors: Any, slope: Any) -> None:
+    """Errors (6, 1) [m] of the rods' lengths from crank tips (6, 3) at a pose, and their derivatives by it (6, 6)."""
+    turn, arm, rod, moment = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    rotation(pose[:3], turn)
+    for i in range(6):
+        turned(turn, robot.joint[i], arm)
+        for k in range(3):
+            rod[k] = arm[k] + pose[3 + k] - tips[i, k]
+        size = np.sqrt(dot(rod, rod))
+        errors[i, 0] = size - robot.rod_length[i]
+        for k in range(3):
+            rod[k] /= size
+        cross(arm, rod, moment)
+        euler_moment(pose[:3], moment)
+        for k in range(3):
+            slope[i, k], slope[i, 3 + k] = moment[k], rod[k]
+
+
+@njit
 def forward_kinematics(robot: Any, theta: Any, pose: Any, tolerance: float, iterations: int) -> Any:
     """Pose (6,) from crank angles (6,), in the place of a guess, by Newton's method on the six rod lengths.
 
     Returns the largest error of a rod's length that is left [m], NaN or not below the tolerance [m] without
     convergence; the steps.
     """
-    turn, tips, arm, rod = np.empty((3, 3)), np.empty((6, 3)), np.empty(3), np.empty(3)
-    for i in range(6):
-        c, s = robot.crank_length[i] * np.cos(theta[i]), robot.crank_length[i] * np.sin(theta[i])
-        for k in range(3):
-            tips[i, k] = robot.shaft[i, k] + c * robot.crank_x[i, k] + s * robot.crank_y[i, k]
-    rows, residual, moment = np.empty((6, 6)), np.empty((6, 1)), np.empty(3)
+    tips, slope, residual = np.empty((6, 3)), np.empty((6, 6)), np.empty((6, 1))
+    crank_tips(robot, theta, tips)
     error, iteration = np.inf, 0
     while True:
-        rotation(pose[:3], turn)
+        closures(robot, tips, pose, residual, slope)
         error = 0.0
         for i in range(6):
-            turned(turn, robot.joint[i], arm)
-            for k in range(3):
-                rod[k] = arm[k] + pose[3 + k] - tips[i, k]
-            size = np.sqrt(dot(rod, rod))
-            residual[i, 0] = size - robot.rod_length[i]
             if not abs(residual[i, 0]) <= error:
                 error = abs(residual[i, 0])
-            for k in range(3):
-                rod[k] /= size
-            cross(arm, rod, moment)
-            euler_moment(pose[:3], moment)
-            for k in range(3):
-                rows[i, k], rows[i, 3 + k] = moment[k], rod[k]
         if error <= tolerance or iteration == iterations or not error < np.inf:
             return error, iteration
-        if solve(rows, residual) == 0.0:
+        if solve(slope, residual) == 0.0:
             return np.inf, iteration
         # A full step from a poor guess can tumble the platform; half a radian and 0.2 m keep it in one piece.
         scale = 1.0

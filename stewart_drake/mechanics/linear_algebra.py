@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.jit import njit
+from stewart_drake.base.jit import njit
 
 SWEEPS = 30
 """Jacobi sweeps at most; six do."""

@@ -151,10 +151,17 @@ async function begin() {
     });
   };
 
-  let stale = true;
-  const events = new EventSource("events");
-  events.onerror = () => gone(LOST);
-  events.onmessage = ({ data }) => {
+  let stale = true, events;
+  const listen = () => {
+    events = new EventSource("events");
+    events.onmessage = show;
+    events.onerror = () => {
+      gone(LOST);
+      // A browser does not come back by itself to a session with too many pages.
+      if (events.readyState === EventSource.CLOSED) setTimeout(listen, 1000 * SILENCE);
+    };
+  };
+  const show = ({ data }) => {
     last = JSON.parse(data);
     // Another session at this address has another robot.
     if (last.session !== about.session) location.reload();
@@ -177,6 +184,7 @@ async function begin() {
     if (last.setting) traces.setting.add(last.time, last.setting.slice(0, 4));
     stale = true;
   };
+  listen();
   setInterval(() => {
     if (events.readyState === EventSource.OPEN && performance.now() - heard > 1000 * SILENCE) gone(SILENT);
   }, 500);

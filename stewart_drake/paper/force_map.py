@@ -7,18 +7,18 @@ from functools import partial
 import numpy as np
 from pydrake.systems.analysis import Simulator
 
+from stewart_drake.analysis.feasibility import NEAR, sample_poses
+from stewart_drake.base.errors import drake_guard
 from stewart_drake.control.riccati import mass_diagonal
-from stewart_drake.errors import drake_guard
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, crank_map, force_map_of_legs
 from stewart_drake.mechanics.kinematics import LegGeometry, cross, euler_rate_matrix, leg_geometry, rotation_matrix
-from stewart_drake.paper.reproduce import ANNOUNCED, SEED, Claim, Result, Study, quantiles
-from stewart_drake.planning.pose_box import NEAR, sample_poses
+from stewart_drake.paper.reproduce import ANNOUNCED, SEED, Claim, Reproduction, Result, quantiles
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.plotting.style import chart
 from stewart_drake.references import paper_reference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS, SMALLEST
+from stewart_drake.robot.leg import LEGS, SMALLEST_SIZE
 
 SETTLING_STEPS = 14
 """Plant steps before the acceleration is read. SAP's near-rigid loop closures give way by half a thousandth in the
@@ -39,12 +39,13 @@ MODELS = {
 
 def light_legs(robot: RobotParameters, scale: float) -> RobotParameters:
     of_legs = ("rod_mass", "crank_mass", "rod_inertia", "crank_inertia")
-    return robot.replace(**{k: np.maximum(SMALLEST, scale * np.array(getattr(robot, k))).tolist() for k in of_legs})
+    scaled = {name: scale * np.array(getattr(robot, name)) for name in of_legs}
+    return robot.replace(**{name: np.maximum(SMALLEST_SIZE, values).tolist() for name, values in scaled.items()})
 
 
 def measured(robot: RobotParameters, poses: np.ndarray, gravity: float, steps: int = SETTLING_STEPS) -> np.ndarray:
     """d(twist)/dt (n, 6, 6) per N m of each motor at rest, gained by Drake's plant in its last microsecond."""
-    diagram, stewart = build_plant(robot, PlantOptions(time_step=1e-6), gravity)
+    diagram, stewart = build_plant(robot, DrakeOptions(time_step=1e-6), gravity)
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
     plant, output = stewart.plant, diagram.GetOutputPort("state")
@@ -107,7 +108,7 @@ def to_euler(poses: np.ndarray, twist_rate: np.ndarray) -> np.ndarray:
     return euler
 
 
-def reproduce(study: Study) -> Result:
+def reproduce(study: Reproduction) -> Result:
     robot, rng = study.base.robot, np.random.default_rng(SEED)
     poses = sample_poses(robot, NEAR, study.pick(120, 15), rng, LEAST_MARGIN)
     light = light_legs(robot, MASSLESS)

@@ -15,15 +15,16 @@ from typing import Any
 import numpy as np
 from ruamel.yaml import YAML
 
+from stewart_drake.base.tables import AXES
 from stewart_drake.control.network import load_network
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metrics import run_metrics, second_half
+from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.paper.reproduce import (
     PAIRS,
     RATIOS,
     Claim,
+    Reproduction,
     Result,
-    Study,
     growth,
     largest_integral,
     pair_of,
@@ -33,15 +34,14 @@ from stewart_drake.paper.reproduce import (
 from stewart_drake.plotting.run_plots import plot_states, plot_torques
 from stewart_drake.plotting.style import chart
 from stewart_drake.references import SineReference, paper_reference
-from stewart_drake.scenario import Scenario
-from stewart_drake.training.collect import six
+from stewart_drake.scenario.scenario import Scenario
+from stewart_drake.training.paper_network import six
 
 CLAIMED = 45.0  # [%] improvement on average, of the later paper (doi 10.1177/10775463211019177).
 BEST_FIXED, MEAN_OF_NINE, ORACLE = "best fixed pair", "mean of the nine", "oracle"
 APART = 1e-10
 """[rad, m] between starts that nobody could tell apart: where the loop is chaotic, one run is one sample."""
 MAIN, TUNER = "(37), (38)", "tuner"
-AXES = ("roll", "pitch", "yaw", "x", "y", "z")
 FIXED = {f"ratio {ratio:g}": ratio for ratio in RATIOS}
 Errors = Mapping[str, Mapping[str, float]]
 
@@ -49,13 +49,13 @@ Errors = Mapping[str, Mapping[str, float]]
 def unseen_trajectories() -> dict[str, tuple[SineReference, float]]:
     """The eleven motions of trajectories.yaml and how long [s] to follow them; the second half counts."""
     table = YAML(typ="safe", pure=True).load(files(__package__).joinpath("trajectories.yaml").read_text("utf-8"))
-    unit, found = np.repeat([math.radians(1.0), 1e-3], 3), {}
+    unit, motions = np.repeat([math.radians(1.0), 1e-3], 3), {}
     for name, (duration, axes) in table.items():
         size, frequency, phase = (np.array([axes.get(axis, (0.0, 1.0, 0.0))[i] for axis in AXES]) for i in range(3))
         omega = six(2.0 * np.pi * frequency)
         motion = SineReference(amplitude=six(size * unit), angular_frequency=omega, phase=six(np.radians(phase)))
-        found[name] = motion, float(duration)
-    return found
+        motions[name] = motion, float(duration)
+    return motions
 
 
 def baselines(errors: Errors) -> dict[str, list[float]]:
@@ -76,7 +76,7 @@ def improvement(errors: Errors, baseline: Sequence[float]) -> dict[str, Any]:
     return {"each": each.tolist(), "mean": float(each.mean()), "typical": typical}
 
 
-def reproduce(study: Study) -> Result:
+def reproduce(study: Reproduction) -> Result:
     base, network = study.base, load_network(study.tuner_file)
     unseen = unseen_trajectories()
     if study.quick:
@@ -105,7 +105,7 @@ def reproduce(study: Study) -> Result:
         scenarios |= {(name, i): fig7[name].replace({"initial_offset": offset}) for name in nearby}
     logs = study.run(scenarios, check=False)
     scores = {name: {who: score(logs[name, who]) for who in controllers} for name in trajectories}
-    errors = {name: {who: found["pose_mm"] for who, found in row.items() if found} for name, row in scores.items()}
+    errors = {name: {who: score["pose_mm"] for who, score in row.items() if score} for name, row in scores.items()}
     against = baselines(errors)
     gains = {name: improvement(errors, values) for name, values in against.items()}
     fixed_logs = {key: log for key, log in logs.items() if key[1] in FIXED}
@@ -152,4 +152,4 @@ def reproduce(study: Study) -> Result:
 
 
 def _mean_ratio(log: SimulationLog, weights: np.ndarray) -> float:
-    return float((np.log10(weights[second_half(log)]) @ (1.0, -1.0)).mean())
+    return float((np.log10(weights[log.second_half]) @ (1.0, -1.0)).mean())

@@ -13,7 +13,8 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from scipy.integrate import solve_ivp
 
-from stewart_drake.errors import ForwardKinematicsError, drake_guard
+from stewart_drake.analysis.feasibility import NEAR, sample_poses
+from stewart_drake.base.errors import ForwardKinematicsError, drake_guard
 from stewart_drake.mechanics.dynamics import task_bias, task_inertia
 from stewart_drake.mechanics.kinematics import (
     forward_kinematics,
@@ -23,12 +24,12 @@ from stewart_drake.mechanics.kinematics import (
     twist_jacobian,
     twist_to_pose_rate,
 )
-from stewart_drake.paper.reproduce import ANNOUNCED, SEED, WIDE, Claim, Result, Study, quantiles
-from stewart_drake.planning.pose_box import NEAR, sample_poses
+from stewart_drake.paper.reproduce import ANNOUNCED, SEED, WIDE, Claim, Reproduction, Result, quantiles
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.plotting.style import chart
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import crank_angles, crank_equation
 
 START = np.array([0.1, -0.05, 0.1, 0.01, -0.02, 0.01])
 """[rad, m] from home: where a free motion starts, at rest."""
@@ -52,7 +53,7 @@ def exact_motion(robot: RobotParameters, gravity: float) -> np.ndarray:
 
 
 def plant_motion(robot: RobotParameters, gravity: float, time_step: float) -> tuple[np.ndarray, float]:
-    diagram, plant = build_plant(robot, PlantOptions(time_step=time_step), gravity)
+    diagram, plant = build_plant(robot, DrakeOptions(time_step=time_step), gravity)
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
     diagram.GetInputPort("torque").FixValue(context, TORQUE)
@@ -83,19 +84,10 @@ def platform_joints(robot: RobotParameters, pose: np.ndarray, misprint: str = ""
 MISPRINTS = ("(3)", "(5)")
 
 
-def crank_equation(robot: RobotParameters, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, C, each (..., 6) [m^2], that (6) does not give: A cos(theta) + B sin(theta) = C for joints [m] anywhere."""
-    span = joints - robot.shaft_positions
-    twice = 2.0 * robot.crank_lengths
-    a = twice * np.sum(span * robot.crank_zero_directions, axis=-1)
-    b = twice * np.sum(span * robot.crank_quarter_directions, axis=-1)
-    return a, b, np.sum(span * span, axis=-1) + robot.crank_lengths**2 - robot.rod_lengths**2
-
-
-def crank_angles(a: np.ndarray, b: np.ndarray, c: np.ndarray, branch: int | np.ndarray) -> np.ndarray:
-    """Closed form theta = atan2(B, A) + branch * acos(C / sqrt(A^2 + B^2)); (..., 6) [rad], NaN out of reach."""
-    with np.errstate(invalid="ignore"):
-        return np.arctan2(b, a) + branch * np.arccos(c / np.hypot(a, b))
+def equation_at(robot: RobotParameters, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A, B, C, each (..., 6) [m^2], that (6) does not give, for platform joints (..., 6, 3) [m] anywhere."""
+    directions = robot.crank_zero_directions, robot.crank_quarter_directions
+    return crank_equation(joints - robot.shaft_positions, *directions, robot.crank_lengths, robot.rod_lengths)
 
 
 def crank_angles_6(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
@@ -125,13 +117,13 @@ def newton_outcome(robot: RobotParameters, poses: np.ndarray, guess: np.ndarray)
     `other_across` are those of `other` beyond a parallel singularity; `error` [m] is shift plus turn times 1 m.
     """
     legs = leg_geometry(robot, poses)
-    found = np.full(poses.shape, np.nan)
+    solved = np.full(poses.shape, np.nan)
     for row, (angles, start) in enumerate(zip(legs.crank_angles, np.broadcast_to(guess, poses.shape), strict=True)):
         with suppress(ForwardKinematicsError):
-            found[row] = forward_kinematics(robot, angles, start)
+            solved[row] = forward_kinematics(robot, angles, start)
     # Frobenius' norm of the difference is sqrt 2 times a small turn.
-    turn = np.linalg.norm(rotation_matrix(found[:, :3]) - rotation_matrix(poses[:, :3]), axis=(-2, -1)) / np.sqrt(2.0)
-    error = turn + np.linalg.norm(found[:, 3:] - poses[:, 3:], axis=-1)
+    turn = np.linalg.norm(rotation_matrix(solved[:, :3]) - rotation_matrix(poses[:, :3]), axis=(-2, -1)) / np.sqrt(2.0)
+    error = turn + np.linalg.norm(solved[:, 3:] - poses[:, 3:], axis=-1)
     across = np.linalg.det(rod_lines(legs)) * np.linalg.det(rod_lines(leg_geometry(robot, robot.home_pose))) < 0.0
     same, other = error < SAME_POSE, error >= SAME_POSE
     counts = {"same": same, "other": other, "other_across": other & across, "failed": np.isnan(error)}
@@ -142,7 +134,7 @@ def newton_outcome(robot: RobotParameters, poses: np.ndarray, guess: np.ndarray)
 def misprint_effect(robot: RobotParameters, poses: np.ndarray, misprint: str) -> tuple[np.ndarray, np.ndarray]:
     """How far (...) [m] one of `MISPRINTS` misplaces a joint of the platform, and whether the rods could follow."""
     joints = platform_joints(robot, poses, misprint)
-    a, b, c = crank_equation(robot, joints)
+    a, b, c = equation_at(robot, joints)
     shift = np.linalg.norm(joints - platform_joints(robot, poses), axis=-1).max(axis=-1)
     return shift, (np.abs(c) <= np.hypot(a, b)).all(axis=-1)
 
@@ -152,14 +144,14 @@ def branch_of_6(robot: RobotParameters, poses: np.ndarray, sense: int = 1) -> di
 
     A `sense` of -1 counts crank angles the other way round.
     """
-    a, b, c = crank_equation(robot, platform_joints(robot, poses))
+    a, b, c = equation_at(robot, platform_joints(robot, poses))
     off = sense * crank_angles_6(a, sense * b, c) - np.array([crank_angles(a, b, c, branch) for branch in BRANCHES])
     hit = np.abs(np.angle(np.exp(1j * off))) < SAME_ANGLE
     shares = {str(branch): float(each.mean()) for branch, each in zip(BRANCHES, hit, strict=True)}
     return {**shares, "neither": float((~hit.any(axis=0)).mean()), "a_positive": float((a > 0.0).mean())}
 
 
-def reproduce(study: Study) -> Result:
+def reproduce(study: Reproduction) -> Result:
     robot, gravity, rng = study.base.robot, study.base.gravity, np.random.default_rng(SEED)
     steps = np.array(study.pick((2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5), (2e-3, 1e-3, 5e-4)))
     motions = [plant_motion(robot, gravity, float(step)) for step in steps]

@@ -9,19 +9,22 @@ from typing import Any, get_args
 
 import numpy as np
 
-from stewart_drake.control.network import DensityKind
+from stewart_drake.control.features import DensityKind
 from stewart_drake.paper.nine_experiments import distinct
-from stewart_drake.paper.reproduce import PAIRS, Claim, Result, Study
+from stewart_drake.paper.reproduce import PAIRS, Claim, Reproduction, Result
 from stewart_drake.plotting.style import chart
-from stewart_drake.training.collect import (
+from stewart_drake.training.paper_network import (
     SAMPLES_PER_RUN,
     Dataset,
+    Split,
+    TrainingOptions,
     dataset_from_logs,
     dataset_metadata,
     experiment_reference,
     experiment_scenarios,
     feasible_amplitudes,
     r_squared,
+    train_network,
 )
 
 PAPER_AMPLITUDE = (np.pi / 6.0,) * 3 + (0.3,) * 3
@@ -49,9 +52,7 @@ def best_possible_scores() -> Scores:
     return {name: r_squared(target, mean) for name, target, mean in zip(TARGETS, targets, means, strict=True)}
 
 
-def reproduce(study: Study) -> Result:
-    from stewart_drake.training.train import Split, TrainingOptions, train_network  # loads torch
-
+def reproduce(study: Reproduction) -> Result:
     base, own, window = study.base, study.base.tuner.density, study.base.tuner.window
     scenarios = experiment_scenarios(base, study.pick(SAMPLES_PER_RUN, 640))
     logs = list(study.run(dict(enumerate(scenarios))).values())

@@ -11,14 +11,14 @@ import numpy as np
 from stewart_drake.control.lqi import lqi_gain
 from stewart_drake.control.riccati import acceleration_map
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metrics import run_metrics, tracking_error
+from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.paper.reproduce import (
     PAIRS,
     RATIOS,
     Claim,
+    Reproduction,
     Result,
-    Study,
     growth,
     largest_integral,
     outcome,
@@ -27,7 +27,7 @@ from stewart_drake.paper.reproduce import (
 )
 from stewart_drake.plotting.style import chart
 from stewart_drake.references import paper_reference
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.scenario import Scenario
 
 EQUAL_GAINS = 1e-10
 NEAR_ZERO = 0.01  # [rad s, m s] what counts as "near zero" of the integral states at 5 s
@@ -38,7 +38,7 @@ FREE, BARE = (0.0, "none"), (STANDARD_GRAVITY, "none")  # No gravity; gravity, a
 def gains_along_reference(base: Scenario) -> np.ndarray:
     """K of (31) of each of the nine pairs along (37), (38), for the controller of `base`; (9 poses, 9 pairs, 6, 18)."""
     poses = paper_reference().evaluate(np.linspace(0.0, np.pi, 9))[0]
-    maps = acceleration_map(base.believed_robot, poses, base.lqi.force_map)
+    maps = acceleration_map(base.belief.robot, poses, base.lqi.force_map)
     return np.array([[lqi_gain(b, base.lqi, np.array(pair)) for pair in PAIRS] for b in maps])
 
 
@@ -59,7 +59,7 @@ def distinct(distances: np.ndarray, tolerance: float) -> int:
     return len(firsts)
 
 
-def reproduce(study: Study) -> Result:
+def reproduce(study: Reproduction) -> Result:
     # Quick: all nine pairs to 5 s where the paper stands, without gravity and feedforward; elsewhere fewer and shorter.
     pairs = dict.fromkeys(CONDITIONS, study.pick(PAIRS, [pair_of(ratio) for ratio in RATIOS[::2]]))
     pairs |= {FREE: PAIRS, BARE: study.pick(PAIRS, [pair_of(ratio) for ratio in RATIOS])}
@@ -98,7 +98,7 @@ def reproduce(study: Study) -> Result:
         Claim("IV: with gravity compensated, runs completed", "-", kept, f"of {len(helped)}", None),
     ]
     falls = {ratio: runs[BARE][pair_of(ratio)] for ratio in RATIOS}
-    curves = {f"ratio {ratio:g}": (log.time, 1e3 * tracking_error(log)[:, 5]) for ratio, log in falls.items()}
+    curves = {f"ratio {ratio:g}": (log.time, 1e3 * log.error[:, 5]) for ratio, log in falls.items()}
     draw = partial(chart, "Gravity, and (34) alone against it", "time [s]", "error of Z [mm]", curves)
     return Result(numbers, claims, {"nine_experiments": draw})
 

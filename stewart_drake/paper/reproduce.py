@@ -18,17 +18,17 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from matplotlib.figure import Figure
 
+from stewart_drake.analysis.feasibility import Region
 from stewart_drake.control.network import load_network
+from stewart_drake.control.tuners import FixedTuner, PaperTuner
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metrics import run_metrics, second_half, tracking_error
-from stewart_drake.planning.pose_box import Region
+from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plotting import save_figure
 from stewart_drake.runs.outputs import prepare_folder
-from stewart_drake.scenario import FixedTuner, PaperTuner, Scenario
+from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.runs import simulate
-from stewart_drake.studies.study import markdown
 from stewart_drake.studies.workers import Workers, run_all
-from stewart_drake.training.collect import OMEGAS
+from stewart_drake.training.paper_network import OMEGAS, import_torch
 
 K = TypeVar("K")
 
@@ -64,8 +64,8 @@ class Result(NamedTuple):
 
 
 @dataclass(eq=False)
-class Study:
-    """One reproduction under way; `tuner_file` are the weights that it has trained, `workers` 0 for none."""
+class Reproduction:
+    """A reproduction under way; `tuner_file` are the weights that it has trained, `workers` 0 for none."""
 
     quick: bool = False
     base: Scenario = field(default_factory=Scenario)
@@ -98,11 +98,11 @@ def reproduce(
 ) -> dict[str, Result]:
     """All claims by module; with `out` numbers.json, the network and the figures go there."""
     results: dict[str, Result] = {}
-    import_module("stewart_drake.training.train")  # where torch is missing, not after minutes
+    import_torch()  # Where it is missing, this ends now, and not after minutes.
     if out is not None:
         prepare_folder(out)
     with TemporaryDirectory() as scratch:
-        study = Study(quick, folder=out or Path(scratch))
+        study = Reproduction(quick, folder=out or Path(scratch))
         for name in MODULES:
             study.progress = lambda share: progress((len(results) + share) / len(MODULES), name)  # noqa: B023
             study.progress(0.0)
@@ -136,23 +136,13 @@ def differences(claims: Iterable[Claim], size: str) -> list[str]:
     """Where claims differ from the committed claims.csv, column `size` (quick or full), by more than its `within`."""
     with files(__package__).joinpath("claims.csv").open(encoding="utf-8") as stream:
         table = {row["claim"]: (float(row[size]), float(row["within"])) for row in csv.DictReader(stream)}
-    found = {claim.name: claim.ours for claim in claims}
-    lines = [f"{name}: only in the committed table" for name in table if name not in found]
-    for name, ours in found.items():
+    values = {claim.name: claim.ours for claim in claims}
+    lines = [f"{name}: only in the committed table" for name in table if name not in values]
+    for name, ours in values.items():
         expected, within = table.get(name, (math.nan, 0.0))
         if not abs(ours - expected) <= within:
             lines.append(f"{name}: expected {expected:g} within {within:g}, got {ours:g}")
     return lines
-
-
-def markdown_table(header: Iterable[object], lines: Iterable[Iterable[object]]) -> str:
-    """A table in Markdown of any values: numbers with four digits, a dash for nothing."""
-
-    def cell(value: object) -> str:
-        text = "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
-        return text.replace("|", "\\|")
-
-    return "\n".join(markdown([cell(each) for each in header], ([cell(each) for each in line] for line in lines)))
 
 
 def pair_of(ratio: float) -> tuple[float, float]:
@@ -184,7 +174,7 @@ def growth(log: SimulationLog) -> float | None:
     """RMS error of the second half over that of the first, the larger of roll and Z; None if the run ended early."""
     if not log.reached_end:
         return None
-    error, late = tracking_error(log)[:, (0, 5)], second_half(log)
+    error, late = log.error[:, (0, 5)], log.second_half
     return float(np.sqrt(np.mean(error[late] ** 2, axis=0) / np.mean(error[~late] ** 2, axis=0)).max())
 
 

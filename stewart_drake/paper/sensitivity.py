@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.control.network import TunerNetwork
-from stewart_drake.paper.reproduce import Claim, Result, Study, outcome, pair_of, paper_scenario, score
+from stewart_drake.control.tuners import PaperTuner
+from stewart_drake.paper.reproduce import Claim, Reproduction, Result, outcome, pair_of, paper_scenario, score
 from stewart_drake.plotting.style import chart
-from stewart_drake.scenario import PaperTuner, Scenario
+from stewart_drake.scenario.scenario import Scenario
 
 DURATION = 6.28  # [s] two periods of (37), (38): errors count over the second
 BLOWN_UP = 2.0  # Times the unchanged pose RMSE beyond which a run that completes counts as blown up
@@ -39,7 +40,7 @@ def scaled_network(network: TunerNetwork, omega_q: float = 1.0, omega_r: float =
 
 def changes(base: Scenario, folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
     """Factor and its new value -> keys of the scenario; bodies are those of the robot, not of the model."""
-    robot, believed = base.robot, {"model_robot": asdict(base.believed_robot)}
+    robot, believed = base.robot, {"model.robot": asdict(base.belief.robot)}
     network, window = base.tuner.network(), isinstance(base.tuner, PaperTuner)
 
     def bodies(name: str, factor: float) -> dict[str, Any]:
@@ -72,7 +73,7 @@ def changes(base: Scenario, folder: Path) -> dict[tuple[str, str], dict[str, Any
     }
 
 
-def reproduce(study: Study) -> Result:
+def reproduce(study: Reproduction) -> Result:
     base, duration = study.base, study.pick(DURATION, 0.5 * DURATION)
     ratios = study.pick((1.0, 100.0), (1.0,))
     fixed = {
@@ -88,7 +89,7 @@ def reproduce(study: Study) -> Result:
                 if changed != scenario and (change in QUICK or not study.quick):
                     scenarios[name, change] = changed
         logs = study.run(scenarios, check=False)
-    found: dict[str, Any] = {
+    effects_of: dict[str, Any] = {
         name: {
             "unchanged": {"score": score(logs[name, None])},
             "effects": [
@@ -99,7 +100,7 @@ def reproduce(study: Study) -> Result:
         }
         for name in controllers
     }
-    effects = [(of["unchanged"]["score"]["pose_mm"], effect) for of in found.values() for effect in of["effects"]]
+    effects = [(of["unchanged"]["score"]["pose_mm"], effect) for of in effects_of.values() for effect in of["effects"]]
     early = sum(effect["score"] is None for _, effect in effects)
     blown = sum(effect["score"]["pose_mm"] > BLOWN_UP * size for size, effect in effects if effect["score"])
     claims = [
@@ -107,10 +108,10 @@ def reproduce(study: Study) -> Result:
         Claim("V: changed runs with twice the error", "0", blown, f"of {len(effects)}", blown == 0),
     ]
     curves = {}
-    for name, of in found.items():
+    for name, of in effects_of.items():
         done = [effect for effect in of["effects"] if effect["score"]]
         rows = [f"{effect['factor']}, {effect['to']}" for effect in done]
         curves[name] = [effect["score"]["pose_mm"] for effect in done], rows
     title = "After each change; no mark where the run ends early"
     draw = partial(chart, title, "pose RMSE [mm]", "", curves, "o", "x", 7.0)
-    return Result({"controllers": found}, claims, {"sensitivity": draw})
+    return Result({"controllers": effects_of}, claims, {"sensitivity": draw})

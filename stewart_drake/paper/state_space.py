@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
+from stewart_drake.analysis.feasibility import NEAR, sample_poses
 from stewart_drake.control.riccati import (
     AXES,
     STATES,
@@ -23,11 +24,11 @@ from stewart_drake.control.riccati import (
     split_gain,
     state_matrix,
 )
+from stewart_drake.logs.signals import SCALES
 from stewart_drake.mechanics.dynamics import ForceMapKind, force_map, force_map_of_legs
 from stewart_drake.mechanics.kinematics import leg_geometry, reach_margin, rod_lines
-from stewart_drake.paper.reproduce import ANNOUNCED, RATIOS, SEED, WIDE, Claim, Result, Study
-from stewart_drake.planning.pose_box import NEAR, sample_poses
-from stewart_drake.plotting.style import COORDINATES, SCALES
+from stewart_drake.paper.reproduce import ANNOUNCED, RATIOS, SEED, WIDE, Claim, Reproduction, Result
+from stewart_drake.plotting.style import COORDINATES
 from stewart_drake.robot import RobotParameters
 
 KINDS: tuple[ForceMapKind, ...] = ("printed", "statics")
@@ -150,7 +151,7 @@ def compare_discretisations(at_pose: np.ndarray, period: float, ratio: float) ->
     }
 
 
-def reproduce(study: Study) -> Result:
+def reproduce(study: Reproduction) -> Result:
     robot, period = study.base.robot, study.base.lqi.period
     at_home, tau = acceleration_map(robot, robot.home_pose), force_map(robot, robot.home_pose)
     a, b, c = matrices_21_22_24(at_home)
@@ -165,7 +166,7 @@ def reproduce(study: Study) -> Result:
     ]
     unstable = sum(row["radius"] > 1.0 for row in rows)
     ways = ((sign * np.eye(6)[axis], np.pi if axis < 3 else 0.6) for axis in range(6) for sign in (1.0, -1.0))
-    singular = [_singular(robot, found) for way in ways if (found := first_singularity(robot, *way))]
+    singular = [_singular(robot, singularity) for way in ways if (singularity := first_singularity(robot, *way))]
     lowest = min(rank for row in singular for rank in row["rank"].values() if rank is not None)
     rng = np.random.default_rng(SEED)
     ranks = {
@@ -202,19 +203,19 @@ def reproduce(study: Study) -> Result:
     return Result(numbers, claims)
 
 
-def _singular(robot: RobotParameters, found: Singularity) -> dict[str, Any]:
-    axis, pose = int(np.abs(found.direction).argmax()), found.pose(robot)
+def _singular(robot: RobotParameters, singularity: Singularity) -> dict[str, Any]:
+    axis, pose = int(np.abs(singularity.direction).argmax()), singularity.pose(robot)
     name, unit = COORDINATES[axis]
     return {
-        "axis": ("+" if found.direction[axis] > 0.0 else "-") + name,
+        "axis": ("+" if singularity.direction[axis] > 0.0 else "-") + name,
         "at": f"{SCALES[axis] * (pose - robot.home_pose)[axis]:.1f}\u00a0{unit}",
-        "kind": found.kind,
+        "kind": singularity.kind,
         "rank": {kind: stabilisability_rank(robot, pose, kind) for kind in KINDS},
         "columns": nonzero_columns(robot, pose),
     }
 
 
-def _decay(study: Study, at_home: np.ndarray) -> list[dict[str, float]]:
+def _decay(study: Reproduction, at_home: np.ndarray) -> list[dict[str, float]]:
     """Slowest decay of the error [rad/s] by ratio: at home, and the least and most of it in the near box."""
     poses = sample_poses(study.base.robot, NEAR, study.pick(100, 15), np.random.default_rng(SEED), 1e-2)
     maps, period, rows = acceleration_map(study.base.robot, poses), study.base.lqi.period, []

@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.analysis.feasibility import largest_amplitude, largest_scale
+from stewart_drake.analysis.workspace import LIMIT_NAMES, governing_limit, utilisation
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.mechanics.kinematics import pose_jacobian, reach_margin
-from stewart_drake.paper.reproduce import Claim, Result, Study
-from stewart_drake.planning.feasibility import largest_amplitude, largest_scale
-from stewart_drake.planning.limits import measure_poses
-from stewart_drake.planning.workspace import LIMIT_NAMES, governing_limit, utilisation
+from stewart_drake.paper.reproduce import Claim, Reproduction, Result
 from stewart_drake.plotting.style import COORDINATES, chart
 from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.runs.checks import check_scenario
-from stewart_drake.scenario import Scenario
-from stewart_drake.training.collect import six
+from stewart_drake.scenario.limits import measure_poses
+from stewart_drake.scenario.scenario import Scenario
+from stewart_drake.training.paper_network import six
 
 AMPLITUDE_SHARE = 0.5
 """Of the largest feasible amplitude, for motions of our own: the controller's lag must have room."""
@@ -34,7 +34,7 @@ LARGE_SPREAD = 1.5
 """[-] factor between the largest torques of runs, beyond which the region is the motion's own."""
 
 
-def controlled_motions(study: Study) -> dict[str, Scenario]:
+def controlled_motions(study: Reproduction) -> dict[str, Scenario]:
     """The runs to look at by name, the base scenario's own motion first; what the robot cannot do is left out."""
     base = study.base
     of_robot = base.robot, base.limits
@@ -97,7 +97,7 @@ def visited(log: SimulationLog) -> dict[str, Any]:
     }
 
 
-def motion_numbers(study: Study) -> tuple[dict[str, Any], Callable[[], Figure]]:
+def motion_numbers(study: Reproduction) -> tuple[dict[str, Any], Callable[[], Figure]]:
     """What each controlled motion visits, and a figure of the torques."""
     logs = {name: log for name, log in study.run(controlled_motions(study)).items() if len(log.time)}
     curves = {name: (log.time, np.abs(log["torque_applied"]).max(axis=1)) for name, log in logs.items()}
@@ -105,7 +105,7 @@ def motion_numbers(study: Study) -> tuple[dict[str, Any], Callable[[], Figure]]:
     return {name: visited(log) for name, log in logs.items()}, draw
 
 
-def reproduce(study: Study) -> Result:
+def reproduce(study: Reproduction) -> Result:
     motions, draw = motion_numbers(study)
     done = [motion for motion in motions.values() if motion["status"] in ("completed", "lost")]
     torques = [motion["peak_torque"] for motion in done]

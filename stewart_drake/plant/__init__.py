@@ -1,1 +1,1 @@
-"""The robot as Drake's MultibodyPlant, from a generated SDF."""
+"""The simulated mechanism: Drake's MultibodyPlant from a generated SDF, closed form, MuJoCo on MJCF, or your own."""

@@ -4,8 +4,9 @@ Drake holds the loops closed by six ball constraints. Their gap grows with the s
 the motion itself is first order in the step. Report `StewartPlant.loop_gap` with every run.
 
 Friction that sticks is servos on the anchors of bristles: a second actuator on each motor pulls its crank towards the
-anchor, implicitly, cut at its effort limit, break-away. The level in sliding lies below that: the rest, `relief`, is
-added as a plain force and taken off the servo before the cut, so that the two together pull as the bristle does.
+anchor, implicitly, cut at its effort limit, break-away. The level in sliding lies below that: the rest, the Stribeck
+torque, is added as a plain force and taken off the servo before the cut, so that the two together pull as the bristle
+does.
 """
 
 from __future__ import annotations
@@ -17,11 +18,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import (
     AddMultibodyPlantSceneGraph,
     ContactModel,
     DiscreteContactApproximation,
+    ExternallyAppliedSpatialForce,
     MultibodyPlant,
 )
 from pydrake.multibody.tree import (
@@ -31,22 +34,32 @@ from pydrake.multibody.tree import (
     SpatialInertia,
     UnitInertia,
 )
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, LeafSystem, OutputPort
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import (
+    Context,
+    Diagram,
+    DiagramBuilder,
+    FixedInputPortValue,
+    InputPort,
+    LeafSystem,
+    OutputPort,
+)
 from pydrake.systems.primitives import LinearSystem, MatrixGain, Multiplexer
 
-from stewart_drake.config import LegNumber, NotNegative, check_value
-from stewart_drake.errors import ConfigurationError, drake_guard
-from stewart_drake.jit import njit, record
+from stewart_drake.base.config import NotNegative, check_value
+from stewart_drake.base.errors import ConfigurationError, drake_guard
+from stewart_drake.base.jit import njit, record
+from stewart_drake.base.sampling import on_grid
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.mechanics.friction import drag_anchors, level
+from stewart_drake.mechanics.friction import level, update_bristles
 from stewart_drake.mechanics.linear_algebra import copy_to
-from stewart_drake.plant.plant_options import PlantOptions, platform_damping_limit
-from stewart_drake.plant.sdf_model import RodJoint, StateIndices, StateMap, home_frames, sdf_text
+from stewart_drake.plant.model_files import home_frames, sdf_text
+from stewart_drake.plant.plant_options import DrakeOptions, RodJoint, platform_damping_limit
+from stewart_drake.plant.state_map import StateIndices, StateMap
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
-from stewart_drake.sampling import on_grid
 
-Relax = Callable[[Context, np.ndarray], None]
+ResetFriction = Callable[[Context, np.ndarray], None]
 """Takes the tension off in a Context of the whole Diagram, at a state (nq + nv,) of the plant."""
 
 
@@ -62,42 +75,49 @@ class StewartPlant(StateMap):
     def __init__(
         self,
         robot: RobotParameters,
-        options: PlantOptions,
+        options: DrakeOptions,
         gravity: float,
         plant: MultibodyPlant,
         scene_graph: SceneGraph | None,
         torque_input_port: InputPort,
-        relax: Relax | None = None,
+        reset_friction: ResetFriction | None = None,
     ) -> None:
         super().__init__(robot, options.rod_joint, _state_indices(plant, options.rod_joint))
         self.options, self.gravity = options, gravity
         self.plant, self.scene_graph = plant, scene_graph
-        self.torque_input_port, self._relax = torque_input_port, relax
+        self.torque_input_port, self._reset_friction = torque_input_port, reset_friction
         # The SDF has them leg by leg, and no other constraints.
         self._closures = tuple(plant.GetConstraintIds())
         self.state_output_port: OutputPort = plant.get_state_output_port()
         self.state_names: tuple[str, ...] = tuple(plant.GetStateNames(add_model_instance_prefix=False))
 
-    def break_rod(self, context: Context, leg: int) -> None:
-        """Takes a rod off the platform, from the next step on, between two advances; `context` of the Diagram."""
-        check_value("leg", leg, LegNumber)
-        with drake_guard("breaking a rod"):
-            mine = self.plant.GetMyMutableContextFromRoot(context)
-            self.plant.SetConstraintActiveStatus(mine, self._closures[leg], False)
+    def break_rod(self, context: Context) -> None:
+        """Takes `options.broken_rod` off the platform, from the next step on; `context` of the Diagram."""
+        if self.options.broken_rod is not None:
+            with drake_guard("breaking a rod"):
+                mine = self.plant.GetMyMutableContextFromRoot(context)
+                self.plant.SetConstraintActiveStatus(mine, self._closures[self.options.broken_rod.leg], False)
+
+    def push(self, wrench: np.ndarray) -> ExternallyAppliedSpatialForce:
+        """A wrench (6,) [N m, N] in B about P, the origin of the link `platform`, for `applied_spatial_force`."""
+        force = ExternallyAppliedSpatialForce()
+        force.body_index, force.p_BoBq_B = self.plant.GetBodyByName("platform").index(), np.zeros(3)
+        force.F_Bq_W = SpatialForce(tau=wrench[:3], f=wrench[3:])
+        return force
 
     def set_state(self, context: Context, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
         """Puts the plant into `assemble(pose, pose_rate)`, friction without tension; `context` as in `break_rod`."""
         state = self.assemble(pose, pose_rate)
         with drake_guard("setting the plant's state"):
             self.plant.SetPositionsAndVelocities(self.plant.GetMyMutableContextFromRoot(context), state)
-            if self._relax is not None:
-                self._relax(context, state)
+            if self._reset_friction is not None:
+                self._reset_friction(context, state)
 
 
 def add_plant(
     builder: DiagramBuilder,
     robot: RobotParameters,
-    options: PlantOptions | None = None,
+    options: DrakeOptions | None = None,
     gravity: float = STANDARD_GRAVITY,
     *,
     visuals: bool = False,
@@ -117,7 +137,7 @@ def add_plant(
         ConfigurationError: Gravity, or damping of the platform's joints, that the plant cannot have.
         DrakeCheckError: Drake refuses the model.
     """
-    options = PlantOptions() if options is None else options
+    options = DrakeOptions() if options is None else options
     check_value("gravity", gravity, NotNegative)
     limit = platform_damping_limit(robot, options)
     if options.platform_joint_damping > limit:
@@ -152,15 +172,15 @@ def add_plant(
             at = RigidTransform(np.array(options.payload_position))
             plant.WeldFrames(plant.GetFrameByName("platform"), payload.body_frame(), at)
         plant.Finalize()
-        torque_input_port, relax = plant.get_actuation_input_port(), None
+        torque_input_port, reset_friction = plant.get_actuation_input_port(), None
         if law["break_away"].any():
-            torque_input_port, relax = _wire_friction(builder, plant, law)
-    return StewartPlant(robot, options, float(gravity), plant, scene_graph, torque_input_port, relax)
+            torque_input_port, reset_friction = _wire_friction(builder, plant, law)
+    return StewartPlant(robot, options, float(gravity), plant, scene_graph, torque_input_port, reset_friction)
 
 
 def build_plant(
     robot: RobotParameters,
-    options: PlantOptions | None = None,
+    options: DrakeOptions | None = None,
     gravity: float = STANDARD_GRAVITY,
     *,
     visuals: bool = False,
@@ -174,7 +194,7 @@ def build_plant(
         return builder.Build(), stewart
 
 
-def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: PlantOptions, viscous: np.ndarray) -> None:
+def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: DrakeOptions, viscous: np.ndarray) -> None:
     """Damping in the tree's joints, which SAP takes implicitly, and in the loop closures, which are no joints.
 
     There a bushing without stiffness resists the rates of the platform's roll, pitch, yaw in the rod, zero at home.
@@ -216,7 +236,7 @@ def _state_indices(plant: MultibodyPlant, rod_joint: RodJoint) -> StateIndices:
 class MotorFriction(LeafSystem):
     """What friction asks of the servos, from `plant_state` and `bristles` (12,): anchors [rad], slips [rad/s] before.
 
-    The output `pull` (18,) has anchors, slips and relief [N m] until the next step.
+    The output `pull` (18,) has anchors, slips and stribeck_torque [N m] until the next step.
     """
 
     def __init__(self, plant: MultibodyPlant, friction: np.ndarray) -> None:
@@ -231,15 +251,15 @@ class MotorFriction(LeafSystem):
 
     def _calc(self, context: Context, output: Any) -> None:
         state, before = self.plant_state.Eval(context), self.bristles.Eval(context)
-        _pull(self._friction, before, state, self.cranks, self._step, output.get_mutable_value())
+        _servo_inputs(self._friction, before, state, self.cranks, self._step, output.get_mutable_value())
 
 
 @njit
-def _pull(frictions: Any, before: Any, state: Any, cranks: Any, step: float, out: Any) -> None:
-    """Anchors, slips and relief (18,), from break-away to the level, of those before (12,) and the state now."""
-    friction = record(frictions)
+def _servo_inputs(friction: Any, before: Any, state: Any, cranks: Any, step: float, out: Any) -> None:
+    """Anchors, slips and Stribeck torques (18,), break-away to level, of those before (12,) and the state now."""
+    friction = record(friction)
     copy_to(out[:12], before)
-    drag_anchors(friction, state[cranks], step, out[:6], out[6:12])
+    update_bristles(friction, state[cranks], step, out[:6], out[6:12])
     for i in range(6):
         slip = out[6 + i]
         out[12 + i] = np.sign(slip) * (friction.break_away[i] - level(friction, i, slip))
@@ -255,12 +275,12 @@ def _add_servos(plant: MultibodyPlant, law: np.ndarray) -> None:
         actuator.set_controller_gains(PdControllerGains(p=law["stiffness"][0, leg], d=law["damping"][0, leg]))
 
 
-def _wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: np.ndarray) -> tuple[InputPort, Relax]:
+def _wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: np.ndarray) -> tuple[InputPort, ResetFriction]:
     """Feeds motors and servos of a finalised plant; gives the port of torques (6,), and what takes the tension off."""
     # What is remembered is stored by a system of Drake's: an update in Python right after the plant's step is slow.
-    held, pulled = 2 * LEGS, 3 * LEGS
+    stored, sent = 2 * LEGS, 3 * LEGS
     store = LinearSystem(
-        A=np.zeros((held, held)), B=np.eye(held, pulled), C=np.eye(held), D=[], time_period=plant.time_step()
+        A=np.zeros((stored, stored)), B=np.eye(stored, sent), C=np.eye(stored), D=[], time_period=plant.time_step()
     )
     memory = builder.AddNamedSystem("friction_memory", store)
     friction = builder.AddNamedSystem("friction", MotorFriction(plant, law))
@@ -291,9 +311,72 @@ def _wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: np.ndarr
         builder.Connect(source, gain.get_input_port())
         builder.Connect(gain.get_output_port(), target)
 
-    def relax(context: Context, state: np.ndarray) -> None:
+    def reset_friction(context: Context, state: np.ndarray) -> None:
         # Anchors and slips without tension.
         memory.GetMyMutableContextFromRoot(context).SetDiscreteState(np.append(state[friction.cranks], np.zeros(LEGS)))
 
     port: InputPort = both.get_input_port(0)
-    return port, relax
+    return port, reset_friction
+
+
+class SteppedPlant:
+    """The `MultibodyPlant` as a `Plant`, for a loop that is not a Diagram: a step at a call."""
+
+    _break_step: int | None
+
+    def __init__(self, robot: RobotParameters, options: DrakeOptions, gravity: float) -> None:
+        builder = DiagramBuilder()
+        self._options, self._stewart = options, add_plant(builder, robot, options, gravity)
+        plant = self._stewart.plant
+        with drake_guard("building the plant"):
+            builder.ExportInput(self._stewart.torque_input_port, "torque")
+            self._diagram = builder.Build()
+        self._force_port, self._period = plant.get_applied_spatial_force_input_port(), plant.time_step()
+        self._begin()
+
+    def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
+        """Begins at a pose (6,) and its rate (6,), friction without tension, all rods whole."""
+        self._begin()
+        self._stewart.set_state(self._context, pose, pose_rate)
+        return self._measure()
+
+    def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
+        with drake_guard("a step of the plant"):
+            if self._break_step is not None and self._steps >= self._break_step:
+                self._stewart.break_rod(self._context)
+                self._break_step = None
+            self._torque.GetMutableData().get_mutable_value().SetFromVector(torque)
+            if (wrench != self._wrench).any():
+                self._push(wrench)
+            self._steps += 1
+            self._simulator.AdvanceTo(self._steps * self._period)
+        return self._measure()
+
+    def save(self) -> tuple[int, list[np.ndarray]]:
+        """Steps done, and the discrete state of the Diagram."""
+        state = self._context.get_discrete_state()
+        return self._steps, [np.array(state.get_vector(k).value()) for k in range(state.num_groups())]
+
+    def restore(self, state: tuple[int, list[np.ndarray]]) -> np.ndarray:
+        self._begin()
+        self._steps, groups = state
+        self._context.SetTime(self._steps * self._period)
+        self._simulator.Initialize()
+        for k, values in enumerate(groups):
+            self._context.SetDiscreteState(k, values)
+        return self._measure()
+
+    def _begin(self) -> None:
+        self._simulator, self._steps = Simulator(self._diagram), 0
+        self._break_step = self._options.break_step
+        self._context: Context = self._simulator.get_mutable_context()
+        self._plant_context = self._stewart.plant.GetMyMutableContextFromRoot(self._context)
+        self._torque: FixedInputPortValue = self._diagram.GetInputPort("torque").FixValue(self._context, np.zeros(6))
+        self._push(np.zeros(6))
+
+    def _push(self, wrench: np.ndarray) -> None:
+        self._wrench = wrench.copy()
+        self._force_port.FixValue(self._plant_context, [self._stewart.push(wrench)])
+
+    def _measure(self) -> np.ndarray:
+        return self._stewart.measure(self._stewart.plant.GetPositionsAndVelocities(self._plant_context))

@@ -1,22 +1,142 @@
-"""What the simulated robot has beyond rigid bodies and ideal joints; pure, so that a scenario needs no Drake."""
+"""What a simulated robot is to a loop, the options of Drake's, and plants of the user's own; a scenario needs no Drake.
+
+The closed form has its options beside it.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import copy
+import math
+from abc import ABC, abstractmethod
+from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Flag, LegNumber, NotNegative, Real, Section
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.base.code import CodePath, UserCode
+from stewart_drake.base.config import Flag, LegNumber, NotNegative, Real, Section
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError
+from stewart_drake.base.families import UserMade, imported
+from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.friction import friction_law
-from stewart_drake.plant.sdf_model import RodJoint
+from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LARGEST, FrictionOptions, Moderate
+from stewart_drake.robot.leg import LARGEST_SIZE, FrictionOptions, Moderate
 
 MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.01  # [s] finer steps drown in rounding; coarser ones follow nothing.
+POSE, RATE, ANGLES, CRANK_RATES = (slice(start, start + 6) for start in range(0, 24, 6))
+"""Where things are in what a plant measures (24,): pose [rad, m], its rate, angles of the cranks [rad], their rates."""
 
-Place = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
+RodJoint = Literal["universal", "ball"]
+"""Joint between crank and rod. `ball` is the paper's topology; each rod then spins freely about its own axis."""
+Place = Annotated[Real, Field(ge=-LARGEST_SIZE, le=LARGEST_SIZE)]
+
+
+class Plant(Protocol):
+    """A robot that is moved step by step. Each method but `save` returns what is measured (24,) then, see `POSE`.
+
+    The array may be the plant's own: it is good until the next call.
+    """
+
+    def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
+        """Begins at a pose (6,) [rad, m] with a rate (6,) [rad/s, m/s]."""
+
+    def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
+        """Moves by one step under torques (6,) [N m] of the motors and a wrench (6,) [N m, N] about P."""
+
+    def save(self) -> Any:
+        """A copy of its whole state, which means something to plants of its kind alone."""
+
+    def restore(self, state: Any) -> np.ndarray:
+        """Goes on from a state that was saved, by this plant or by another one of its kind."""
+
+
+class PlantOptions(Section, ABC, key="plant"):
+    """Base of the options of plants; who runs a plant asks these, not which kind it is."""
+
+    in_diagram: ClassVar[bool] = False
+    """How it runs: in a Diagram by Drake's Simulator, or stepped by the loop as a `Plant`."""
+    compared_with: ClassVar[str | None] = None
+    """The kind that it is a fast replacement of; studies run one of their scenarios on that too."""
+    moved_keys: ClassVar[dict[str, str]] = {"engine": "plant.kind: drake, closed_form or module:Class"}
+    drops_keys: ClassVar[bool] = False
+
+    kind: str
+    """Kind of plant."""
+    time_step: Annotated[Real, Field(ge=MIN_TIME_STEP, le=MAX_TIME_STEP)] = 0.001
+    """[s] time step of the plant."""
+
+    @abstractmethod
+    def make(self, robot: RobotParameters, gravity: float) -> Plant:
+        """The plant, to be stepped; gravity in [m/s^2]."""
+
+    @property
+    def code(self) -> Any:
+        """What of a user's code it runs, a `CodePath`; None for what comes with the package."""
+        return None
+
+    @property
+    def payload_mass(self) -> float:
+        """[kg] on the platform that neither `robot` nor the controller knows."""
+        return 0.0
+
+    @property
+    def rod_joint(self) -> Any:
+        """Joint between crank and rod, of pictures and files."""
+        return "universal"
+
+    @property
+    def universal_damping(self) -> float:
+        """[N m s/rad] of that joint."""
+        return 0.0
+
+    def loaded(self, robot: RobotParameters) -> np.ndarray:
+        """The robot with its payload as a part of the platform, a `ROBOT` record."""
+        return laws.robot_record(robot)
+
+    def simulated(self, robot: RobotParameters) -> tuple[dict[str, Any], list[tuple[str, Any, str]]]:  # noqa: ARG002
+        """For people: keys of the robot with its own values, if it has some; what else it has, its value and unit."""
+        return {}, []
+
+    @property
+    def friction_options(self) -> FrictionOptions:
+        """Friction of the motors, whichever keys it was given by."""
+        return FrictionOptions()
+
+    def friction_law(self, robot: RobotParameters) -> np.ndarray:
+        """`FRICTION` record of a robot's motors."""
+        return friction_law(*self.friction_options.levels, robot.crank_axis_inertias, self.time_step)
+
+
+class MechanismOptions(PlantOptions):
+    """Options of plants that simulate the robot's mechanism: friction of its motors, and a payload."""
+
+    motor_damping: Moderate = 0.0
+    """[N m s/rad] viscous friction of each motor; implicit, stable at any step. Short for `friction.viscous`."""
+    motor_friction: Moderate = 0.0
+    """[N m] dry (Coulomb) friction of each motor, the same at rest and in motion. Short for `friction.coulomb`."""
+    friction: FrictionOptions | None = None
+    """Friction of the motors with stiction, for each motor; null takes `motor_damping` and `motor_friction`."""
+    payload_mass: Moderate = 0.0
+    """[kg] point mass on the platform that only the plant has; neither `robot` nor the controller knows it."""
+    payload_position: tuple[Place, Place, Place] = (0.0, 0.0, 0.0)
+    """[m] position of the payload in the platform's frame P."""
+
+    def rules(self) -> None:
+        for name in ("motor_friction", "motor_damping"):
+            if self.friction is not None and getattr(self, name) > 0.0:
+                raise ConfigurationError(name, getattr(self, name), "0, because `friction` is given and has this value")
+
+    @property
+    def friction_options(self) -> FrictionOptions:
+        short = {"coulomb": self.motor_friction, "viscous": self.motor_damping}
+        return FrictionOptions.from_dict(short) if self.friction is None else self.friction
+
+    def loaded(self, robot: RobotParameters) -> np.ndarray:
+        return laws.with_payload(laws.robot_record(robot), self.payload_mass, np.array(self.payload_position))
+
+
+# --- Drake's ---
 
 
 class BrokenRod(Section, key="plant.broken_rod"):
@@ -28,57 +148,38 @@ class BrokenRod(Section, key="plant.broken_rod"):
     """[s] when the rod breaks."""
 
 
-# What only the plant of Drake can have.
-_OF_DRAKE = ("rod_joint", "collision", "universal_damping", "platform_joint_damping", "broken_rod")
+class DrakeOptions(MechanismOptions):
+    """Drake's MultibodyPlant: 14 bodies, loops closed by constraints; it runs in a Diagram."""
 
+    in_diagram: ClassVar[bool] = True
 
-class PlantOptions(Section, key="plant"):
-    """Options of the simulated robot."""
-
-    time_step: Annotated[Real, Field(ge=MIN_TIME_STEP, le=MAX_TIME_STEP)] = 0.001
-    """[s] time step of the discrete plant."""
-    engine: Literal["drake", "reduced"] = "drake"
-    """Simulation engine. drake: MultibodyPlant in a Diagram. reduced: exact closed-form dynamics, compiled, without a
-    Diagram; several times faster, for searches, sweeps and comparisons. It rejects options that it does not support."""
+    kind: Literal["drake"] = "drake"
     rod_joint: RodJoint = "universal"
     """Joint between crank and rod; `ball` is the paper's and leaves the rods' six spins uncontrolled."""
     collision: Flag = False
     """Whether cranks, rods, platform and base collide; bodies that a joint connects never do."""
-    motor_damping: Moderate = 0.0
-    """[N m s/rad] viscous friction of each motor; implicit, stable at any step. Short for `friction.viscous`."""
     universal_damping: Moderate = 0.0
     """[N m s/rad] viscous friction about each axis of the joints between crank and rod; implicit."""
     platform_joint_damping: Moderate = 0.0
     """[N m s/rad] viscous friction of each ball joint between rod and platform; explicit, see `platform_damping_limit`.
     It is isotropic near home only: at 45 deg of swing it is 0.6 to 3.4 times as large, by direction."""
-    motor_friction: Moderate = 0.0
-    """[N m] dry (Coulomb) friction of each motor, the same at rest and in motion. Short for `friction.coulomb`."""
-    friction: FrictionOptions | None = None
-    """Friction of the motors with stiction, for each motor; null takes `motor_damping` and `motor_friction`."""
-    payload_mass: Moderate = 0.0
-    """[kg] point mass on the platform that only the plant has; neither `robot` nor the controller knows it."""
-    payload_position: tuple[Place, Place, Place] = (0.0, 0.0, 0.0)
-    """[m] position of the payload in the platform's frame P."""
     broken_rod: BrokenRod | None = None
     """A rod that breaks during the run; null for none."""
 
-    def rules(self) -> None:
-        for name in _OF_DRAKE if self.engine == "reduced" else ():
-            if getattr(self, name) != self.__pydantic_fields__[name].default:
-                raise ConfigurationError("engine", "reduced", f"drake, because {name} is given")
-        for name in ("motor_friction", "motor_damping"):
-            if self.friction is not None and getattr(self, name) > 0.0:
-                raise ConfigurationError(name, getattr(self, name), "0, because `friction` is given and has this value")
+    @property
+    def break_step(self) -> int | None:
+        """The first step that begins when the rod breaks, or later; None where none breaks."""
+        # A time without end is never reached.
+        steps = math.inf if self.broken_rod is None else self.broken_rod.time / self.time_step
+        return math.ceil(steps - 1e-6) if math.isfinite(steps) else None
 
-    def friction_law(self, robot: RobotParameters) -> np.ndarray:
-        """`FRICTION` record of a robot's motors."""
-        said = self.friction
-        if said is None:
-            said = FrictionOptions.from_dict({"coulomb": self.motor_friction, "viscous": self.motor_damping})
-        return friction_law(*said.levels, robot.crank_axis_inertias, self.time_step)
+    def make(self, robot: RobotParameters, gravity: float) -> Plant:
+        # By its name: it needs these options, and Drake, which takes seconds to import.
+        plant: Plant = imported("plant.multibody_plant:SteppedPlant")(robot, self, gravity)
+        return plant
 
 
-def platform_damping_limit(robot: RobotParameters, options: PlantOptions) -> float:
+def platform_damping_limit(robot: RobotParameters, options: DrakeOptions) -> float:
     """Largest `platform_joint_damping` d [N m s/rad] that its explicit integration bears.
 
     A ball that turns at w takes the power d w^2, and w^2 <= 2 (w_rod^2 + w_platform^2): no motion decays faster than d
@@ -88,3 +189,68 @@ def platform_damping_limit(robot: RobotParameters, options: PlantOptions) -> flo
     rod_inertia = min(robot.rod_inertia) if options.rod_joint == "ball" else robot.rod_inertia[0]
     fastest = max(2.0 / rod_inertia, 12.0 / robot.smallest_platform_inertia)
     return 1.0 / (options.time_step * fastest)
+
+
+# --- the user's own ---
+
+
+class UserPlantOptions(UserMade, PlantOptions, key="plant"):
+    """Your own plant: `initial(pose, pose_rate)` begins, `step(torque, wrench)` moves it by one time step.
+
+    Both return pose [rad, m] and pose rate [rad/s, m/s] of the platform, (6,) each; where the cranks are then follows
+    from the robot's geometry. They may return the cranks' angles [rad] and rates [rad/s] too. torque (6,) is that of
+    the motors [N m], wrench (6,) the push from outside about P [N m, N]. A constructor that names `robot`, `gravity` or
+    `time_step` gets them.
+    """
+
+    asked = "step(torque, wrench) returns pose and pose rate, or these, crank angles and crank rates, (6,) each"
+
+    kind: CodePath  # type: ignore[assignment]
+    """Import path of your class, from the folder of the file that names it: path/to/file.py:Class, or module:Class. Its
+    code is run."""
+
+    def make(self, robot: RobotParameters, gravity: float) -> Plant:
+        plant = self.construct({"robot": robot, "gravity": gravity, "time_step": self.time_step})
+        for method in ("initial", "step"):
+            if not callable(getattr(plant, method, None)):
+                raise self.refusal(f"one without {method}")
+        return _UserPlant(self, robot, plant)
+
+
+class _UserPlant:
+    """The object of the user's as a `Plant`; what is saved of it is its attributes."""
+
+    def __init__(self, options: UserPlantOptions, robot: RobotParameters, plant: Any) -> None:
+        self._options, self._robot, self._plant = options, robot, plant
+        self._guard, self._measured = UserCode(type(plant).__module__), np.empty(24)
+
+    def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
+        return self._ask(self._plant.initial, pose, pose_rate)
+
+    def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
+        return self._ask(self._plant.step, torque, wrench)
+
+    def save(self) -> Any:
+        return copy.deepcopy(vars(self._plant)), self._measured.copy()
+
+    def restore(self, state: Any) -> np.ndarray:
+        attributes, measured = copy.deepcopy(state)
+        vars(self._plant).update(attributes)
+        self._measured[:] = measured
+        return self._measured
+
+    def _ask(self, method: Any, *given: np.ndarray) -> np.ndarray:
+        with self._guard:
+            # Copies: what it keeps or changes is its own.
+            result = method(*(vector.copy() for vector in given))
+        parts = [self._options.numbers(part) for part in result] if np.iterable(result) else []
+        if [part.shape for part in parts] not in ([(6,)] * 2, [(6,)] * 4):
+            raise self._options.refusal(", ".join(str(part.shape) for part in parts) or f"a {type(result).__name__}")
+        if not all(np.isfinite(part).all() for part in parts):
+            raise NotFiniteError(f"what {self._options.code.name} returned", np.concatenate(parts))
+        if len(parts) == 2:
+            pose, rate = parts
+            geometry = leg_geometry(self._robot, pose)
+            parts += [inverse_kinematics(self._robot, pose), crank_rates(self._robot, geometry, pose, rate)]
+        np.concatenate(parts, out=self._measured)
+        return self._measured

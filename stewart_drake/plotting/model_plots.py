@@ -6,39 +6,42 @@ from pathlib import Path
 
 import numpy as np
 
-from stewart_drake.calibration.model import OF_LEG, OF_ROBOT, PER_LEG
-from stewart_drake.calibration.result import Calibration
-from stewart_drake.identification.identified import Identification
+from stewart_drake.analysis.margins import LoopMargins
+from stewart_drake.estimation.calibration import Calibration
+from stewart_drake.estimation.geometry import LEG_PARAMETERS, OF_ROBOT, PER_LEG
+from stewart_drake.estimation.identification import Identification
 from stewart_drake.plotting import style as look
 from stewart_drake.robot.leg import LEGS
-from stewart_drake.stability.margins import LoopMargins
 
 _SHOWN = 20.0  # [s] of a recording
 _LARGEST = 2.0  # [-] disk margin from which on it bounds no gain; drawn no further
 
 
 @look.styled
-def plot_calibration(found: Calibration, path: str | Path) -> None:
+def plot_calibration(calibration: Calibration, path: str | Path) -> None:
     """Errors of each pose before and after, and the parameters' changes with their 95 % intervals."""
     figure, axes = look.panels(2, 2, 7.0)
-    rows = np.arange(len(found.measurements)) + 1
+    rows = np.arange(len(calibration.measurements)) + 1
     kinds = ((slice(3, 6), "Error of the position", "mm"), (slice(0, 3), "Error of the rotation", "mrad"))
     for panel, (part, title, unit) in zip(axes[:, 0], kinds, strict=True):
-        for error, label, color in ((found.before, "before", look.ORANGE), (found.after, "after", look.BLUE)):
+        for error, label, color in (
+            (calibration.before, "before", look.ORANGE),
+            (calibration.after, "after", look.BLUE),
+        ):
             panel.plot(rows, 1e3 * np.linalg.norm(error[:, part], axis=-1), ".", color=color, label=label)
         look.logarithmic(panel, "y")
         panel.set(title=title, xlabel="row", ylabel=unit)
         panel.legend()
-    change, width = 1e3 * np.stack([found.change, found.half_width])[:, :OF_ROBOT].reshape(2, LEGS, PER_LEG)
+    change, width = 1e3 * np.stack([calibration.change, calibration.half_width])[:, :OF_ROBOT].reshape(2, LEGS, PER_LEG)
     # What is unidentifiable, or was held, has no change and no interval.
     width = np.where(np.isfinite(width), width, np.nan)
     for panel, unit, kind in ((axes[0, 1], "m", "lengths"), (axes[1, 1], "rad", "angles")):
-        columns = [at for at, own in enumerate(OF_LEG) if own.unit == unit]
+        columns = [at for at, parameter in enumerate(LEG_PARAMETERS) if parameter.unit == unit]
         for leg, color in enumerate(look.COLORS):
             at = np.arange(len(columns)) + 0.12 * (leg - 2.5)
             values = change[leg, columns], width[leg, columns]
             panel.errorbar(at, *values, fmt=".", color=color, label=f"leg {leg}", elinewidth=1.0)
-        names = [f"{OF_LEG[at].name} {OF_LEG[at].axis}".strip().replace("_", " ") for at in columns]
+        names = [str(LEG_PARAMETERS[at]).replace("_", " ") for at in columns]
         panel.set_xticks(range(len(columns)), names, rotation=30, ha="right")
         panel.set(title=f"Change of {kind}, with 95 % intervals", ylabel=f"m{unit}")
     look.legend_below(figure, axes[0, 1].get_legend_handles_labels()[0], columns=6)
@@ -46,11 +49,11 @@ def plot_calibration(found: Calibration, path: str | Path) -> None:
 
 
 @look.styled
-def plot_identification(found: Identification, path: str | Path) -> None:
+def plot_identification(identification: Identification, path: str | Path) -> None:
     """Each motor's torque and what is left of it, over the first seconds and over the crank's rate."""
     figure, axes = look.panels(6, 2, 12.0, sharex="col", width_ratios=[2, 1])
-    samples = found.samples
-    left = samples.torque - samples.predicted(found.values)
+    samples = identification.samples
+    left = samples.torque - samples.predicted(identification.values)
     first = samples.pieces[0].start
     some = slice(first, first + int(_SHOWN / samples.step))
     time = samples.time[some]
@@ -58,7 +61,7 @@ def plot_identification(found: Identification, path: str | Path) -> None:
         used, rest, moving = samples.used[some, leg], left[some, leg], samples.used[:, leg]
         over_time.plot(time, samples.torque[some, leg], color=look.BLUE, label="torque", linewidth=1.0)
         over_time.plot(time, np.where(used, rest, np.nan), color=look.ORANGE, label="residual", linewidth=1.0)
-        over_time.plot(time, np.where(used, np.nan, rest), color=look.QUIET, label="residual, not used", linewidth=1.0)
+        over_time.plot(time, np.where(used, np.nan, rest), color=look.GREY, label="residual, not used", linewidth=1.0)
         over_rate.plot(samples.rates[moving, leg], 1e3 * left[moving, leg], ".", color=look.ORANGE, markersize=2)
         over_time.set(title=f"Motor {leg}", ylabel="N m")
         over_rate.set(ylabel="residual [mN m]")
@@ -69,19 +72,19 @@ def plot_identification(found: Identification, path: str | Path) -> None:
 
 
 @look.styled
-def plot_margins(found: LoopMargins, path: str | Path) -> None:
+def plot_margins(margins: LoopMargins, path: str | Path) -> None:
     """Disk margin all at once at each frequency, and which share of the poses has less than a margin."""
     figure, ((curves, shares),) = look.panels(1, 2, 4.0)
-    drawn = np.minimum(found.curves, _LARGEST)
-    curves.fill_between(found.frequencies, drawn.min(axis=0), drawn.max(axis=0), color=look.SKY, alpha=0.5, lw=0)
-    curves.plot(found.frequencies, np.median(drawn, axis=0), color=look.BLUE, label="median, and all poses")
+    drawn = np.minimum(margins.curves, _LARGEST)
+    curves.fill_between(margins.frequencies, drawn.min(axis=0), drawn.max(axis=0), color=look.SKY, alpha=0.5, lw=0)
+    curves.plot(margins.frequencies, np.median(drawn, axis=0), color=look.BLUE, label="median, and all poses")
     look.logarithmic(curves, "x")
     curves.set(title="All motors at once, by frequency", xlabel="frequency [rad/s]", ylabel="disk margin [-]")
-    percent = 100.0 * (np.arange(len(found.radius)) + 1) / len(found.radius)
-    for motor, color in enumerate((look.SKY, *look.COLORS[1:4], *look.COLORS[5:], look.QUIET)):
-        own = np.sort(np.minimum(found.single.disk[:, motor], _LARGEST))
+    percent = 100.0 * (np.arange(len(margins.radius)) + 1) / len(margins.radius)
+    for motor, color in enumerate((look.SKY, *look.COLORS[1:4], *look.COLORS[5:], look.GREY)):
+        own = np.sort(np.minimum(margins.single.disk[:, motor], _LARGEST))
         shares.plot(own, percent, color=color, lw=1.0, label=f"motor {motor} alone")
-    every = np.sort(np.minimum(found.all_at_once.disk, _LARGEST))
+    every = np.sort(np.minimum(margins.all_at_once.disk, _LARGEST))
     shares.plot(every, percent, color=look.BLUE, lw=2.0, label="all at once")
     shares.set(title="Share of poses with a smaller margin", xlabel="disk margin [-]", ylabel="%")
     curves.set_ylim(0.0)

@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.logs.log import SIGNALS, SimulationLog, distinct_names
-from stewart_drake.logs.metrics import INTEGRAL_TIME, run_metrics, tracking_error
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.logs.log import SimulationLog, distinct_names
+from stewart_drake.logs.metrics import INTEGRAL_TIME, run_metrics
+from stewart_drake.logs.signals import SCALES, SIGNALS
 from stewart_drake.plotting import style as look
 
 _AXIS_COLORS = (look.ORANGE, look.GREEN, look.BLUE)  # Axis 1, 2, 3 as in RGB triads
@@ -56,7 +57,7 @@ def plot_states(logs: SimulationLog | Sequence[SimulationLog]) -> Figure:
     if not drawn:
         raise ConfigurationError("logs", [], "one log or more")
     moving = _largest(drawn, [log["reference"] - log["reference"][0] for log in drawn])
-    erring = _largest(drawn, [tracking_error(log) for log in drawn])
+    erring = _largest(drawn, [log.error for log in drawn])
     panels = [list(_state_panels(log, moving, erring if len(erring) else range(6), len(drawn) == 1)) for log in drawn]
     kinds = list(dict.fromkeys(panel.kind for own in panels for panel in own))
     figure, axes = _figure(drawn, "states, RMS over the second half", len(kinds), 2.3)
@@ -85,7 +86,7 @@ def _state_panels(
     with np.errstate(all="ignore"):
         metrics = run_metrics(log)
     pose, reference, error, integral = (
-        look.SCALES * values for values in (log["pose"], log["reference"], tracking_error(log), log["integral"])
+        SCALES * values for values in (log["pose"], log["reference"], log.error, log["integral"])
     )
     for unit, group in _GROUPS:
         axes = [axis for axis in group if axis in moving]
@@ -93,16 +94,16 @@ def _state_panels(
             title = _capital(" and ".join(look.COORDINATES[axis][0] for axis in axes))
             dashed = tuple(reference[:, axis] for axis in axes)
             yield _Panel(title, f"pose [{unit}]", *_curves(pose, axes), least=1.0, dashed=dashed)
-    for name, values, quantity in (("Error", error, "error [{}]"), ("Integral state", integral, "z [{} s]")):
+    for name, values, quantity in (("error", error, "error [{}]"), ("integral", integral, "z [{} s]")):
         for unit, group in _GROUPS:
             axes = [axis for axis in group if axis in erring]
-            if not axes or (name != "Error" and not values[:, axes].any()):
+            if not axes or (name != "error" and not values[:, axes].any()):
                 continue
-            rmse = metrics[f"rmse_{unit}"] if alone and name == "Error" else None
+            rmse = metrics[f"rmse_{unit}"] if alone and name == "error" else None
             # Noise far below what matters must not fill a panel, nor a small error vanish in it.
             least = float(np.clip(3.0 * np.nanmax(np.abs(values[:, axes])), 1e-4, 0.02))
             curves, colors = _curves(values, axes, rmse or [None] * 3)
-            yield _Panel(name, quantity.format(unit), curves, colors, least, name != "Error")
+            yield _Panel(SIGNALS[name].title, quantity.format(unit), curves, colors, least, name != "error")
     yield from _tuner_panels(log)
 
 
@@ -123,7 +124,10 @@ def _tuner_panels(log: SimulationLog) -> Iterator[_Panel]:
     if "setting" in log.signals:
         *names, outside = SIGNALS["setting"].components
         curves = dict(zip([*names, outside], log["setting"].T, strict=True))
-        for title, shown in (("Tuner", names), ("Tuner inputs outside their training range", [outside])):
+        for title, shown in (
+            (SIGNALS["setting"].title, names),
+            ("Tuner inputs outside their training range", [outside]),
+        ):
             decades = {name: curves[name] for name in shown}
             if any(np.ptp(each) > 0.0 for each in decades.values()):
                 yield _Panel(title, "[decades]", decades, look.COLORS, 0.1, True)
@@ -144,13 +148,16 @@ def plot_torques(log: SimulationLog) -> Figure:
     near = bool((peak >= _NEAR_LIMIT * limits).any())
     figure, axes = _figure([log], "motor torques", 6, 2.6, sharey=True)
     for leg, (axis, limit) in enumerate(zip(axes, limits.tolist(), strict=True)):
-        curves, colors = {"applied": applied[:, leg]}, [look.BLUE]
+        curves, colors = {SIGNALS["torque_applied"].title: applied[:, leg]}, [look.BLUE]
         if np.any(commanded[:, leg] != applied[:, leg]):
-            curves, colors = {"commanded": commanded[:, leg], **curves}, [look.ORANGE, *colors]
+            # Servos are told an angle, of which this torque is a part.
+            commands = log.scenario.motors.takes == "torque"
+            label = SIGNALS["torque"].title if commands else "torque that the model asks for"
+            curves, colors = {label: commanded[:, leg], **curves}, [look.ORANGE, *colors]
         _draw(axis, log, _Panel(f"Motor {leg}", "" if leg % 2 else "torque [N m]", curves, colors, 0.02, held=True))
-        axis.axhline(0.0, color=look.QUIET, linewidth=0.8, zorder=1.0)
+        axis.axhline(0.0, color=look.GREY, linewidth=0.8, zorder=1.0)
         for level in (-limit, limit) if near else ():
-            axis.axhline(level, color=look.QUIET, linewidth=0.8, linestyle=":", label=f"limit ±{limit:g} N m")
+            axis.axhline(level, color=look.GREY, linewidth=0.8, linestyle=":", label=f"limit ±{limit:g} N m")
         note = f"RMS {rms[leg]:#.3g} N m, peak {peak[leg]:#.3g} N m"
         axis.set_title(note, loc="right", fontsize=9, fontweight="normal")
     if near:
@@ -167,7 +174,7 @@ def plot_torques(log: SimulationLog) -> Figure:
 def _drawable(log: SimulationLog) -> SimulationLog:
     if len(log.time) == 0:
         raise ConfigurationError("log", "no rows", "a log with at least one row to plot")
-    signals = {name: values.clip(-look.LARGEST, look.LARGEST) for name, values in log.items()}
+    signals = {name: values.clip(-look.LARGEST_DRAWN, look.LARGEST_DRAWN) for name, values in log.items()}
     return replace(log, signals=signals)
 
 
@@ -220,8 +227,8 @@ def _draw(axis: Axes, log: SimulationLog, panel: _Panel, line: str = "-") -> Non
         axis.plot(log.time, values, color=color, label=label, linewidth=1.6, **style)
     for values in panel.dashed:
         axis.plot(log.time, values, color=look.TEXT, linewidth=1.0, linestyle="--", label="reference")
-    if panel.title.startswith("Integral") and log.time[0] < INTEGRAL_TIME < log.time[-1]:
-        axis.axvline(INTEGRAL_TIME, color=look.QUIET, linestyle=":", linewidth=1.2, zorder=1.0)
+    if panel.title == SIGNALS["integral"].title and log.time[0] < INTEGRAL_TIME < log.time[-1]:
+        axis.axvline(INTEGRAL_TIME, color=look.GREY, linestyle=":", linewidth=1.2, zorder=1.0)
     axis.set(title=panel.title, ylabel=panel.quantity)
     if panel.decades:
         look.logarithmic(axis, "y")

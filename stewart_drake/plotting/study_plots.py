@@ -16,7 +16,7 @@ from stewart_drake.plotting import style as look
 Rows = Sequence[Mapping[str, Any]]
 Styles = Mapping[str, Mapping[str, Any]]
 
-_COLORS = (look.QUIET, look.YELLOW, look.ORANGE, look.BLUE, look.PURPLE, look.GREEN, look.TEXT, look.SKY)
+_COLORS = (look.GREY, look.YELLOW, look.ORANGE, look.BLUE, look.PURPLE, look.GREEN, look.TEXT, look.SKY)
 _LOOKS = tuple(zip(_COLORS, "v^Dos>h*", strict=True))
 _CROSS: dict[str, Any] = {"marker": "x", "markersize": 6.5, "markeredgewidth": 2.0, "linestyle": "none"}
 _DASHED: dict[str, Any] = {"color": look.TEXT, "linestyle": (0, (4, 3)), "linewidth": 0.9}
@@ -65,7 +65,7 @@ def plot_error(rows: Rows, band: float) -> Figure:
     for row in rows:
         panel, color = axes[conditions.index(row["condition"]), 0], styles[row["controller"]]["color"]
         # What is exactly zero, such as the start, has no place on this axis; null was no number.
-        size = np.clip(np.array(row["trace"]["pose_mm"], dtype=float), 0.1 * _SMALLEST, look.LARGEST)
+        size = np.clip(np.array(row["trace"]["pose_mm"], dtype=float), 0.1 * _SMALLEST, look.LARGEST_DRAWN)
         panel.plot(row["trace"]["time"], size, color=color, linewidth=1.5)
         if row["status"] != "completed":
             panel.plot(row["trace"]["time"][-1], size[-1], color=color, **_CROSS)
@@ -73,7 +73,7 @@ def plot_error(rows: Rows, band: float) -> Figure:
         panel.axhline(band, **_DASHED)
         look.logarithmic(panel, "y")
         panel.set(title=condition, ylabel="pose error [mm]")
-    sizes = [min(value, look.LARGEST) for row in rows for value in row["trace"]["pose_mm"] if value]
+    sizes = [min(value, look.LARGEST_DRAWN) for row in rows for value in row["trace"]["pose_mm"] if value]
     if sizes:
         axes[0, 0].set_ylim(max(_SMALLEST, 0.3 * float(np.percentile(sizes, 2.0))), 2.0 * max(sizes))
     axes[-1, 0].set_xlabel("time [s]")
@@ -89,15 +89,15 @@ def plot_bands(rows: Rows) -> Figure:
     figure, grid = look.panels(2, len(names), 6.2, sharex=True, sharey="row")
     for (magnitude, phase), name in zip(grid.T, names, strict=True):
         for controller, style in styles.items():
-            found = sorted(
+            points = sorted(
                 (row["frequency_hz"], row["ratio"], row["phase_deg"])
                 for row in rows
                 if (row["controller"], row["reference"]) == (controller, name) and row.get("ratio")
             )
-            if found:
-                frequency, ratio, angle = np.array(found, dtype=float).T
+            if points:
+                frequency, ratio, angle = np.array(points, dtype=float).T
                 line = {**style, "linestyle": "-", "linewidth": 1.5, "markersize": 5.6}
-                magnitude.plot(frequency, 20.0 * np.log10(ratio.clip(_PHASE_SHOWN, look.LARGEST)), **line)
+                magnitude.plot(frequency, 20.0 * np.log10(ratio.clip(_PHASE_SHOWN, look.LARGEST_DRAWN)), **line)
                 angle = np.where(ratio > _PHASE_SHOWN, np.degrees(np.unwrap(np.radians(angle))), np.nan)
                 phase.plot(frequency, angle, **line)
         for panel in (magnitude, phase):
@@ -122,7 +122,7 @@ def plot_search(rows: Rows) -> Figure:
     for panel, name in zip(axes.flat, names, strict=False):
         own = [row for row in rows if row["controller"] == name]
         number, costs, best = ([row[key] for row in own] for key in ("evaluation", "cost", "best"))
-        panel.plot(number, costs, ".", color=look.QUIET, markersize=4.0)
+        panel.plot(number, costs, ".", color=look.GREY, markersize=4.0)
         panel.step(number, best, where="post", color=look.BLUE, linewidth=1.8)
         look.logarithmic(panel, "y")
         panel.set(title=f"{name}: {best[0]:.3g} to {best[-1]:.3g}", xlabel="evaluation", ylabel="cost [-]")
@@ -151,7 +151,7 @@ def plot_costs(kinds: Sequence[str], ratios: Mapping[str, Any], against: str) ->
 
 
 def _drawn(row: Mapping[str, Any]) -> float:
-    return min(max(row["rmse_norm_mm"], _SMALLEST), look.LARGEST)
+    return min(max(row["rmse_norm_mm"], _SMALLEST), look.LARGEST_DRAWN)
 
 
 def _done(row: Mapping[str, Any]) -> bool:

@@ -14,22 +14,22 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from stewart_drake.files.whole import write_atomically
+from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.logs.signals import DISPLAY_UNITS
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 DPI = 150
-LARGEST = 1e9
+LARGEST_DRAWN = 1e9
 """What is larger, after a blow-up, is drawn here: matplotlib's arithmetic ends long before that of numbers."""
 BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"
 """Okabe and Ito's palette, which people with any colour vision can tell apart."""
 COLORS = (BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW)
-QUIET, TEXT = "#8C8C8C", "#222222"
+GREY, TEXT = "#8C8C8C", "#222222"
 
-COORDINATES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("X", "mm"), ("Y", "mm"), ("Z", "mm"))
+COORDINATES = tuple((name, DISPLAY_UNITS[axis]) for axis, name in enumerate(("roll", "pitch", "yaw", "X", "Y", "Z")))
 """Names and units in figures; `SCALES` brings a pose to them."""
-SCALES = np.array([180.0 / np.pi] * 3 + [1e3] * 3)
 
 _STYLE: Any = ["default", Path(__file__).with_name("figure.mplstyle")]
 
@@ -55,7 +55,7 @@ def panels(rows: int, columns: int, height: float, width: float = 9.0, **subplot
 def quiet(axes: Any) -> None:
     """Ticks and grids in quiet colours; they are made when a figure is shown, out of `styled`."""
     for panel in axes:
-        panel.tick_params(which="both", color=QUIET, labelcolor=TEXT, labelsize=9)
+        panel.tick_params(which="both", color=GREY, labelcolor=TEXT, labelsize=9)
         panel.grid(color="#E6E6E6", linewidth=0.8)
         panel.set_axisbelow(True)
 

@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from stewart_drake.planning.workspace import Survey, governing_limit
+from stewart_drake.analysis.workspace import Survey, governing_limit
+from stewart_drake.logs.signals import SCALES
 from stewart_drake.plotting import style as look
 
 CAPABILITIES = {
@@ -29,7 +30,7 @@ def plot_capability(survey: Survey) -> Figure:
     # In mm and degrees, the longer side along x; on equal lengths the first.
     x, y = sorted((i for i in range(3) if grid.counts[i] > 1), key=lambda i: -(grid.high - grid.low)[i])
     (fixed,) = {0, 1, 2} - {x, y}
-    of, scales = list(grid.coordinates), look.SCALES[list(grid.coordinates)]
+    of, scales = list(grid.coordinates), SCALES[list(grid.coordinates)]
     names, units = zip(*(look.COORDINATES[axis] for axis in of), strict=True)
     ends = scales * np.stack([grid.low, grid.high])
     extent: Any = (*ends[:, x], *ends[:, y])
@@ -41,7 +42,7 @@ def plot_capability(survey: Survey) -> Figure:
 
     lines = (
         ("boundary of the limits", np.minimum(governing_limit(survey.use)[0], 1.5), 1.0, look.TEXT, 1.3),
-        ("serial singularity", measures.reach, 0.0, "#C2270A", 2.2),
+        ("serial singularity", measures.reach_margin, 0.0, "#C2270A", 2.2),
         ("parallel singularity", measures.conditioning, 0.0, "#0B4FB3", 2.2),
     )
     equal = units[x] == units[y]
@@ -60,7 +61,7 @@ def plot_capability(survey: Survey) -> Figure:
         labels = {"xlabel": f"{names[x]} [{units[x]}]", "ylabel": f"{names[y]} [{units[y]}]", "title": title}
         panel.set(aspect="equal" if equal else "auto", facecolor="#E9E9E6", **labels)
         panel.grid(visible=False)
-        panel.spines[:].set(visible=True, color=look.QUIET)
+        panel.spines[:].set(visible=True, color=look.GREY)
         for _, each, level, color, width in lines:
             drawn = field(each)
             if drawn.count() and drawn.min() < level < drawn.max():

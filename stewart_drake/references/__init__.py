@@ -11,7 +11,6 @@ from stewart_drake.references.motions import (
     SplineReference,
     SumReference,
     center_of,
-    in_blocks,
     paper_reference,
 )  # fmt: skip
 from stewart_drake.references.recorded import RecordedReference
@@ -20,5 +19,5 @@ from stewart_drake.references.surgical import BreathingReference, HeartbeatRefer
 __all__ = [
     "AdjustedReference", "AnyReference", "BreathingReference", "HeartbeatReference", "HoldReference",
     "MinimumJerkReference", "RecordedReference", "Reference", "SineBurstsReference", "SineReference", "SplineReference",
-    "SumReference", "TremorReference", "center_of", "in_blocks", "paper_reference",
+    "SumReference", "TremorReference", "center_of", "paper_reference",
 ]  # fmt: skip

@@ -9,11 +9,10 @@ from typing import Annotated, Any, Literal, Protocol
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import NotNegative, Phase, Positive, Real, Section, SixNumbers, Vector6, one_for_six
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.registry import REFERENCES
+from stewart_drake.base.config import NotNegative, Phase, Positive, Real, Section, SixNumbers, Vector6, one_for_six
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.registry import REFERENCES
 from stewart_drake.robot.robot_scale import HOME_POSE, LENGTH
-from stewart_drake.sampling import InBlocks
 
 HOME: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
 ZERO: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -40,11 +39,6 @@ def bump(x: np.ndarray, begin: Any, top: Any, fall: Any, end: Any) -> tuple[np.n
     width = np.where(rising, top - begin, end - fall)
     value, slope, curvature = smoothstep(np.where(rising, x - begin, end - x) / width)
     return value, np.where(rising, slope, -slope) / width, curvature / width**2
-
-
-def in_blocks(reference: Reference, period: float) -> InBlocks:
-    """Pose, rate and acceleration (18,) of a motion at multiples of a period [s]."""
-    return InBlocks(lambda times: np.concatenate(reference.evaluate(times), axis=-1), period)
 
 
 class HoldReference(Section, key="reference"):
@@ -191,7 +185,7 @@ class SplineReference(Section, key="reference"):
         return spline, spline.derivative(1), spline.derivative(2)
 
 
-Motion = Annotated[Reference, REFERENCES.but("sum", "adjusted")]
+Motion = Annotated[Reference, REFERENCES.excluding("sum", "adjusted")]
 Scale = Annotated[Real, Field(ge=0.0, le=1e6)]
 
 
@@ -221,7 +215,7 @@ class AdjustedReference(Section, key="reference"):
     """
 
     kind: Literal["adjusted"] = "adjusted"
-    motion: Annotated[Reference, REFERENCES.but("adjusted")]
+    motion: Annotated[Reference, REFERENCES.excluding("adjusted")]
     """The motion to adjust."""
     scale: Scale = 1.0
     """[-] size of the motion about the centre, at least 0."""

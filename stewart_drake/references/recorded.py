@@ -12,11 +12,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Positive, Real, Section, Text
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.families import UserMade
-from stewart_drake.files.tables import POSE, read_numbers, refuse_back, refuse_cells
-from stewart_drake.sampling import unwrapped
+from stewart_drake.base.config import Positive, Real, Section, Text
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.families import UserMade
+from stewart_drake.base.sampling import unwrapped
+from stewart_drake.base.tables import POSE, read_numbers, refuse_back, refuse_cells
 
 QUANTITIES = (("time", "s"), *POSE)
 MAX_RECORDING_BYTES = 100_000_000

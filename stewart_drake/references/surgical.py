@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Count, NotNegative, Phase, Positive, Real, Section, Seed, Share, Vector6
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.base.config import Count, NotNegative, Phase, Positive, Real, Section, Seed, Share, Vector6
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.references.motions import HOME, SixPhases, bump
 from stewart_drake.robot.robot_scale import HOME_POSE
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from stewart_drake.config import check_value
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import read_checked
-from stewart_drake.robot.leg import LARGEST, LEGS, PARALLEL, Signed3, Size, crank_equation
+from stewart_drake.base.atomic_files import read_checked
+from stewart_drake.base.config import check_value
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.robot.leg import DIRECTION_TOLERANCE, LARGEST_SIZE, LEGS, Signed3, Size, crank_angles, crank_equation
 
 if TYPE_CHECKING:
     from stewart_drake.robot.robot_parameters import RobotParameters
@@ -29,7 +29,7 @@ def check_geometry(robot: RobotParameters) -> None:
     """Refuses directions that are not perpendicular unit vectors, joints out of order, and a home that is none."""
     for leg, own in enumerate(robot.legs or ()):
         quarter = own.crank_quarter_direction or (0.0, 0.0, 1.0)
-        if abs(np.dot(robot.crank_zero_directions[leg], quarter)) > PARALLEL:
+        if abs(np.dot(robot.crank_zero_directions[leg], quarter)) > DIRECTION_TOLERANCE:
             allowed = "a direction perpendicular to crank_zero_direction"
             raise ConfigurationError(f"robot.legs.{leg}.crank_quarter_direction", quarter, allowed)
     check_order(robot.shaft_positions, robot.platform_joints)
@@ -56,8 +56,8 @@ def check_order(shafts: np.ndarray, joints: np.ndarray) -> None:
 def _check_home(robot: RobotParameters) -> None:
     """Refuses a robot whose legs do not close at home, or only beyond their stops: it has no SDF."""
     span = robot.platform_joints + robot.home_pose[3:] - robot.shaft_positions
-    directions = robot.crank_zero_directions.T, robot.crank_quarter_directions.T
-    along, up, constant = crank_equation(span.T, *directions, robot.crank_lengths, robot.rod_lengths)
+    directions = robot.crank_zero_directions, robot.crank_quarter_directions
+    along, up, constant = crank_equation(span, *directions, robot.crank_lengths, robot.rod_lengths)
     size = np.hypot(along, up)
     margin = 1.0 - np.divide(np.abs(constant), size, out=np.full(LEGS, np.inf), where=size > 0.0)
     if not margin.min() > 0.0:
@@ -68,8 +68,8 @@ def _check_home(robot: RobotParameters) -> None:
             f"(margin {margin[leg]:.3g}); are all lengths in metres?"
         )
         raise ConfigurationError("robot.home_height", robot.home_height, allowed)
-    theta = np.arctan2(up, along) + robot.branches * np.arccos(constant / size)
-    low, high = np.clip(robot.crank_angle_ranges, -LARGEST, LARGEST).T
+    theta = crank_angles(along, up, constant, robot.branches)
+    low, high = np.clip(robot.crank_angle_ranges, -LARGEST_SIZE, LARGEST_SIZE).T
     beyond = np.abs(wrapped(theta - 0.5 * (low + high))) > 0.5 * (high - low)
     if beyond.any():
         leg = int(beyond.argmax())
@@ -234,7 +234,7 @@ def _level(tips: np.ndarray, joints: np.ndarray, rods: np.ndarray) -> float:
 
 def _branches(span: np.ndarray, zero: np.ndarray, up: np.ndarray, lengths: Mapping[str, np.ndarray]) -> np.ndarray:
     """(6,) -1 or 1: which brings each crank nearer to theta = 0 at home."""
-    along, across, constant = crank_equation(span.T, zero.T, up.T, lengths["crank_length"], lengths["rod_length"])
+    along, across, constant = crank_equation(span, zero, up, lengths["crank_length"], lengths["rod_length"])
     size = np.maximum(np.hypot(along, across), np.finfo(float).tiny)
     middle, spread = np.arctan2(across, along), np.arccos(np.clip(constant / size, -1.0, 1.0))
     return np.where(np.abs(wrapped(middle - spread)) <= np.abs(wrapped(middle + spread)), -1, 1)
@@ -242,15 +242,15 @@ def _branches(span: np.ndarray, zero: np.ndarray, up: np.ndarray, lengths: Mappi
 
 def _inertias(known: Mapping[str, Any]) -> dict[str, Any]:
     """Inertias [kg m^2] of uniform bars and of a disc, for the masses that are given."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     radius, size = known["link_radius"], known["characteristic_length"]
     for name, along in (("rod", 2), ("crank", 0)):
         if f"{name}_mass" in known:
             mass, length = known[f"{name}_mass"], known[f"{name}_length"]
             moments = [mass * (length**2 / 12.0 + radius**2 / 4.0)] * 3
             moments[along] = mass * radius**2 / 2.0
-            found[f"{name}_inertia"] = tuple(moments)
+            values[f"{name}_inertia"] = tuple(moments)
     if "platform_mass" in known:
         moment = known["platform_mass"] * size**2 / 4.0
-        found["platform_inertia"] = (moment, moment, 2.0 * moment)
-    return found
+        values["platform_inertia"] = (moment, moment, 2.0 * moment)
+    return values

@@ -9,24 +9,26 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from stewart_drake.config import NotNegative, Real, Section, one_for_six, plain, words
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.base.config import NotNegative, Real, Section, one_for_six, plain, with_message
+from stewart_drake.base.errors import ConfigurationError
 
 LEGS = 6
-SMALLEST, LARGEST = 1e-12, 1e6
+SMALLEST_SIZE, LARGEST_SIZE = 1e-12, 1e6
 """Sizes, masses and inertias beyond these, in SI units, are slips of the pen; squares of them leave floating point."""
-PARALLEL = 1e-6
+DIRECTION_TOLERANCE = 1e-6
 """How far directions may be from unit length and from perpendicular to each other; what is left is taken away."""
-Size = Annotated[Real, Field(ge=SMALLEST, le=LARGEST)]
-Length = Annotated[Real, Field(ge=SMALLEST, le=30.0), words("a length above 0 and at most 30 m; in millimetres?")]
+Size = Annotated[Real, Field(ge=SMALLEST_SIZE, le=LARGEST_SIZE)]
+Length = Annotated[
+    Real, Field(ge=SMALLEST_SIZE, le=30.0), with_message("a length above 0 and at most 30 m; in millimetres?")
+]
 """[m]"""
 Coordinate = Annotated[Real, Field(ge=-30.0, le=30.0)]
 """[m]"""
 Position = tuple[Coordinate, Coordinate, Coordinate]
-Signed = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
-HalfAngle = Annotated[Real, Field(ge=SMALLEST, lt=math.pi / 3.0)]
+Signed = Annotated[Real, Field(ge=-LARGEST_SIZE, le=LARGEST_SIZE)]
+HalfAngle = Annotated[Real, Field(ge=SMALLEST_SIZE, lt=math.pi / 3.0)]
 """[rad] of a pair of shafts or joints; pairs must not cross."""
-Moderate = Annotated[NotNegative, Field(le=LARGEST)]
+Moderate = Annotated[NotNegative, Field(le=LARGEST_SIZE)]
 Size3 = tuple[Size, Size, Size]
 Signed3 = tuple[Signed, Signed, Signed]
 
@@ -67,7 +69,7 @@ class LegParameters(Section, key="robot.legs"):
             raise ConfigurationError("crank_angle_range", self.crank_angle_range, allowed)
         for name in ("crank_zero_direction", "crank_quarter_direction"):
             length = math.hypot(*(getattr(self, name) or (1.0,)))
-            if abs(length - 1.0) > PARALLEL:
+            if abs(length - 1.0) > DIRECTION_TOLERANCE:
                 raise ConfigurationError(name, getattr(self, name), f"a vector of length 1, not {length:.4g}")
 
 
@@ -81,13 +83,19 @@ SixLegs = tuple[_Leg, _Leg, _Leg, _Leg, _Leg, _Leg]
 
 
 def crank_equation(span: Any, zero: Any, quarter: Any, crank: Any, rod: Any) -> tuple[Any, Any, Any]:
-    """A, B, C (6, ...) [m^2] of A cos(theta) + B sin(theta) = C; what (6) leaves unsaid.
+    """A, B, C (..., 6) [m^2] of A cos(theta) + B sin(theta) = C; what (6) leaves unsaid.
 
-    Of spans (3, 6, ...) [m] from motor shaft to platform joint, the L_i of (2), directions (3, 6, ...) of the cranks at
-    theta = 0 and pi/2, and lengths (6, ...) [m] of cranks and rods; components first.
+    Of spans (..., 6, 3) [m] from motor shaft to platform joint, the L_i of (2), directions (6, 3) of the cranks at
+    theta = 0 and pi/2, and lengths (6,) [m] of cranks and rods. `mechanics.kinematics_laws.legs_at` has it compiled.
     """
-    along, up = (2.0 * crank * np.sum(span * each, axis=0) for each in (zero, quarter))
-    return along, up, np.sum(span * span, axis=0) + (crank * crank - rod * rod)
+    along, up = (2.0 * crank * np.sum(span * direction, axis=-1) for direction in (zero, quarter))
+    return along, up, np.sum(span * span, axis=-1) + crank * crank - rod * rod
+
+
+def crank_angles(along: Any, up: Any, constant: Any, branch: Any) -> Any:
+    """Solution theta (..., 6) [rad] of `crank_equation` in closed form; NaN where a rod cannot span."""
+    with np.errstate(invalid="ignore"):
+        return np.arctan2(up, along) + branch * np.arccos(constant / np.hypot(along, up))
 
 
 _NONE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -7,14 +7,14 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
-from stewart_drake.config import as_problem
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import write_atomically
-from stewart_drake.files.yaml_files import find_file, read_mapping, shipped_folder, to_yaml
+from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.config import as_problem
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.yaml_files import find_file, read_mapping, shipped_folder, to_yaml
 from stewart_drake.robot.robot_parameters import RobotParameters
 
-_ABOUT = ("name", "about")
-"""Keys that a file has beside those of the robot: texts for people."""
+_ABOUT = ("name", "about", "mjcf")
+"""Keys that a file has beside those of the robot: texts for people, and a model of it for MuJoCo."""
 
 
 def robot_names() -> list[str]:
@@ -60,6 +60,19 @@ def robot_section(name: str | Path) -> dict[str, Any]:
 def robot_about(name: str | Path) -> str:
     """What a robot's file says of it in a line; empty if nothing."""
     return str(_read(name).get("about", ""))
+
+
+def robot_model(name: str | Path) -> str:
+    """The MJCF that a robot's file names, see `plant.model_file`: a path, or a file in a Python package.
+
+    Raises:
+        ConfigurationError: No such robot, or its file names none.
+    """
+    model = _read(name).get("mjcf")
+    if not isinstance(model, str):
+        allowed = "a robot whose file names a model with the key `mjcf`, or an MJCF file"
+        raise ConfigurationError("plant.model_file", str(name), allowed)
+    return model if model.startswith("package:") else str(find_file("robot", name).parent / model)
 
 
 def _read(name: str | Path) -> dict[str, Any]:

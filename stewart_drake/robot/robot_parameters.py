@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.config import Section
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.base.config import Section
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.robot.geometry import Cranks, Unit, check_geometry, from_table
 from stewart_drake.robot.leg import LEGS, Branch, HalfAngle, Length, Moderate, Signed, Signed3, SixLegs, Size, Size3
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from stewart_drake.config import FILL, Section
+from stewart_drake.base.config import FILL, Section
 from stewart_drake.robot.robot_parameters import RobotParameters
 
 PAPER = RobotParameters()
 LATENCY = 0.005
 """[s] of a control period and the delay of a command, up to which the defaults of gains hold; their natural frequency
 of some 66 rad/s is then a third of a radian of phase. For a longer one they are as much slower."""
-_BELIEVED = ("controller", "tuner", "sensors", "safety")
+_BELIEVED = ("controller", "tuner", "estimator", "safety")
 """Sections scaled by the controller's model of the robot."""
 
 
@@ -33,11 +33,22 @@ class OfRobot(NamedTuple):
 
 
 @contextmanager
-def defaults_of(robot: RobotParameters, believed: RobotParameters, latency: float) -> Iterator[None]:
-    """Within it sections are made with the defaults of a robot whose commands act within a latency [s]."""
+def defaults_of(
+    robot: RobotParameters,
+    believed: RobotParameters,
+    latency: float,
+    others: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Iterator[None]:
+    """Within it sections are made with the defaults of a robot whose commands act within a latency [s].
+
+    `others`: name of a section -> what it has unless one of these keys is given.
+    """
 
     def fill(section: type[Section], given: dict[str, Any]) -> dict[str, Any]:
         own = believed if section.section_key in _BELIEVED else robot
+        more = (others or {}).get(section.section_key, {})
+        if not given.keys() & more.keys() and more.keys() <= section.__pydantic_fields__.keys():
+            given = {**given, **more}
         return given | {
             name: marker.at(field.default, own, latency)
             for name, field in section.__pydantic_fields__.items()

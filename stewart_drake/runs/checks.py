@@ -9,23 +9,25 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.config import to_plain, unit_hints
+from stewart_drake.analysis import feasibility
+from stewart_drake.base.code import ControllerError, file_digests
+from stewart_drake.base.config import to_plain, unit_hints
+from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError, RunFailure, UnreachablePoseError
+from stewart_drake.base.families import user_parts
+from stewart_drake.base.tables import AXES
 from stewart_drake.control.base import check_start
 from stewart_drake.control.user_controller import user_code
-from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, RunFailure, UnreachablePoseError
-from stewart_drake.families import user_parts
-from stewart_drake.files.code import ControllerError, file_digests
 from stewart_drake.hardware.disturbances import total_wrench
-from stewart_drake.logs.log import AXIS_NAMES, MAX_ROWS
+from stewart_drake.hardware.motors import MotorOptions
+from stewart_drake.logs.log import MAX_ROWS
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian
-from stewart_drake.planning import feasibility
-from stewart_drake.planning.limits import Limits
-from stewart_drake.plant.closed_chain import loaded
 from stewart_drake.references import AdjustedReference, Reference
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import FrictionOptions
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.limits import Limits
+from stewart_drake.scenario.scenario import Scenario
 
 _LARGEST = {"rad": math.tau, "m": 2.0}
 """Of what a motion is made; more was perhaps meant in degrees or millimetres."""
@@ -48,9 +50,9 @@ def refuse_unrunnable(scenario: Scenario) -> None:
 
 def check_scenario(scenario: Scenario) -> None:
     """Refuses a run whose reference leaves the limits, or at whose start the robot cannot stand."""
-    told = (scenario.robot, scenario.model_robot, scenario.limits, scenario.safety, scenario.gravity)
+    compared = (scenario.robot, scenario.belief, scenario.limits, scenario.safety, scenario.gravity)
     moves = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
-    subject = (*told, *moves, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
+    subject = (*compared, *moves, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
     # A user's code is asked again.
     known = not user_parts(scenario)
     if not (known and subject in _PASSED):
@@ -129,7 +131,7 @@ def _check_rates(scenario: Scenario) -> None:
         if wrong.any(axis=1).mean() > 0.2:
             row, axis = np.unravel_index(np.argmax(np.where(wrong, apart, 0.0)), apart.shape)
             unit = ("rad" if axis < 3 else "m") + ("/s" if order == 1 else "/s^2")
-            got = f"{AXIS_NAMES[axis]} {says[row, axis]:.4g} {unit} at t = {times[row]:.3f} s"
+            got = f"{AXES[axis]} {says[row, axis]:.4g} {unit} at t = {times[row]:.3f} s"
             allowed = f"a motion whose {name} is the derivative of its {'pose' if order == 1 else 'rate'}"
             raise ConfigurationError("reference", got, f"{allowed}, there {moves[row, axis]:.4g} {unit}")
 
@@ -164,7 +166,7 @@ def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
         return feasibility.FeasibilityReport({}, None)
     with user_code(scenario), np.errstate(all="ignore"), suppress(RunFailure, np.linalg.LinAlgError):
         pose, rate, acceleration = scenario.reference.evaluate(time)
-        torque = inverse_dynamics(loaded(robot, plant), pose, rate, acceleration, scenario.gravity)
+        torque = inverse_dynamics(plant.loaded(robot), pose, rate, acceleration, scenario.gravity)
         to_cranks, wrench = twist_jacobian(robot, pose), total_wrench(pushes, time)
         torque -= np.linalg.solve(np.swapaxes(to_cranks, -1, -2), wrench[..., None])[..., 0]
         speed = (to_cranks @ pose_rate_to_twist(pose, rate)[..., None])[..., 0]
@@ -175,6 +177,52 @@ def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
         worst = feasibility.LimitMargin("torque", *numbers, leg, f"leg {leg} with {', '.join(names)}")
         return feasibility.FeasibilityReport({"plant_torque": worst}, worst if worst.margin < 0.0 else None)
     return feasibility.FeasibilityReport({}, None)
+
+
+def beliefs(scenario: Scenario) -> list[tuple[str, str, str]]:
+    """What is simulated of the machine, and what the controller's side believes of it, a row each."""
+
+    def text(value: Any, unit: str) -> str:
+        with suppress(TypeError, ValueError):
+            low, high = np.min(np.array(value, dtype=float)), np.max(np.array(value, dtype=float))
+            return f"{low:.4g} {unit}" if low == high else f"{low:.4g} to {high:.4g} {unit}"
+        return "its own"
+
+    belief, nominal, plant = scenario.belief, scenario.nominal, scenario.plant
+    own, facts = plant.simulated(scenario.robot)
+    true, model = scenario.robot.to_dict() | own, belief.robot.to_dict()
+    rows = [
+        (f"robot.{key}", text(true[key], unit), text(model[key], unit))
+        for key, unit in ((key, RobotParameters.unit_of(key)) for key in true)
+        if true[key] != model[key] or key in own
+    ]
+    coulomb, break_away, _, viscous = plant.friction_options.levels
+    model_coulomb, model_break_away, _, model_viscous = (belief.friction or FrictionOptions()).levels
+
+    def of_motors(motors: MotorOptions, key: str) -> str:
+        value = motors.to_dict().get(key)
+        return "none" if value is None or value == [] else text(value, type(motors).unit_of(key))
+
+    kinds = str(scenario.motors.kind), str(belief.motors.kind)
+    keys = scenario.motors.to_dict() | belief.motors.to_dict()
+    apart = [key for key in keys if scenario.motors.to_dict().get(key) != belief.motors.to_dict().get(key)]
+    return [
+        *(rows or [("robot", "", "the simulated one")]),
+        *((name, text(value, unit), "") for name, value, unit in facts),
+        ("dry friction", text(coulomb, "N m"), text(model_coulomb, "N m")),
+        ("break-away friction", text(break_away, "N m"), text(model_break_away, "N m")),
+        ("viscous friction", text(viscous, "N m s/rad"), text(model_viscous, "N m s/rad")),
+        ("payload", text(plant.payload_mass, "kg"), text(0.0, "kg")),
+        ("gravity", text(scenario.gravity, "m/s^2"), text(belief.gravity, "m/s^2")),
+        ("noise of a crank's angle", text(nominal.noise, "rad"), text(belief.noise, "rad")),
+        ("delay of a command [ticks]", str(nominal.delay), str(belief.delay)),
+        *([] if kinds == ("torque", "torque") else [("motors", *kinds)]),
+        *(
+            (f"motors.{key}", of_motors(scenario.motors, key), of_motors(belief.motors, key))
+            for key in apart
+            if key != "kind"
+        ),
+    ]
 
 
 def likely_cause(scenario: Scenario) -> str:
@@ -190,7 +238,7 @@ def likely_cause(scenario: Scenario) -> str:
 
 def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
     """Refuses what the safety layer would stop, if everything goes well."""
-    robot, gravity = scenario.believed_robot, scenario.gravity
+    robot, gravity, *_ = scenario.belief
     try:
         with user_code(scenario), np.errstate(all="ignore"):
             time = sample_times(scenario.duration, scenario.controller.period)
@@ -201,7 +249,7 @@ def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
         names = ", ".join(safety.monitor_names)
         raise ConfigurationError("safety.monitors", names, f"monitors that do not raise ({error})") from None
     except (UnreachablePoseError, np.linalg.LinAlgError) as failure:
-        key = "reference" if scenario.model_robot is None else "model_robot"
+        key = "reference" if scenario.model.robot is None else "model.robot"
         raise ConfigurationError(key, "this motion", f"one that the robot can do ({failure})") from None
 
 

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError, DiskError, StewartDrakeError
-from stewart_drake.families import user_parts
-from stewart_drake.files.code import read_code, with_texts
-from stewart_drake.files.whole import locked_folder, signals_held, write_atomically, write_together
-from stewart_drake.files.yaml_files import to_yaml
+from stewart_drake.base.atomic_files import locked_folder, signals_held, write_atomically, write_together
+from stewart_drake.base.code import read_code, with_texts
+from stewart_drake.base.errors import ConfigurationError, DiskError, StewartDrakeError
+from stewart_drake.base.families import user_parts
+from stewart_drake.base.yaml_files import to_yaml
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.scenario import Scenario
 
 _AS_RUN = "# As run by stewart-drake: every key, defaults included.\n"
 _ROOM = 10_000  # [byte] that a disk has at least

@@ -18,14 +18,12 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
-from stewart_drake.errors import ConfigurationError, drake_guard
-from stewart_drake.files.whole import write_atomically
+from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.errors import ConfigurationError, drake_guard
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metrics import error_norms
 from stewart_drake.mechanics.kinematics import leg_geometry
 from stewart_drake.plant.multibody_plant import add_plant
-from stewart_drake.plant.plant_options import PlantOptions
-from stewart_drake.plant.sdf_model import RodJoint
+from stewart_drake.plant.plant_options import DrakeOptions, RodJoint
 from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.scene import REFERENCE_COLOUR, reference_disc, viewpoint
 
@@ -52,7 +50,7 @@ class Studio:
     ) -> None:
         self.width, self.height, self._film = width, height, film
         builder = DiagramBuilder()
-        self.stewart = add_plant(builder, robot, PlantOptions(rod_joint=rod_joint), visuals=True)
+        self.stewart = add_plant(builder, robot, DrakeOptions(rod_joint=rod_joint), visuals=True)
         assert self.stewart.scene_graph is not None
         self._scene_graph = self.stewart.scene_graph
         source = self._scene_graph.RegisterSource("studio")
@@ -175,7 +173,7 @@ def film_frames(
     rows = usable[
         np.searchsorted(log.time[usable], np.arange(0.0, end + 0.5 / rate, 1.0 / rate)).clip(max=len(usable) - 1)
     ]
-    rotation, position = error_norms(log)
+    rotation, position = log.error_norms
     frames: list[Image] = []
     with drake_guard("rendering the film"):
         # Drawn twice as large: its edges become smooth.

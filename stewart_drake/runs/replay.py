@@ -13,12 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import write_atomically
+from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog, distinct_names
-from stewart_drake.logs.metrics import error_norms
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.runs.scene import link_poses, robot_scene
 
 FRAMES_PER_SECOND, MAX_FRAMES = 30.0, 9000
@@ -65,7 +64,7 @@ def _shown(log: SimulationLog) -> dict[str, Any]:
     frames, rows = nearest_rows(time, rate)
     links = _links(log, usable[rows])
     traced = usable[:: max(1, len(usable) // MAX_POINTS)]
-    rotation, position = error_norms(log)
+    rotation, position = log.error_norms
     torque = log.signals.get("torque_applied", np.zeros((len(log.time), 0)))
     lines = [(f"{log.status} at {log.end_time:g} s", log.status != "completed")]
     lines += [(line, True) for line in ([] if log.message is None else log.message.splitlines())]
@@ -106,6 +105,6 @@ def _links(log: SimulationLog, rows: np.ndarray) -> np.ndarray:
     # What is not closed as it should be is drawn as it is, such as a rod that has broken.
     from stewart_drake.plant.multibody_plant import build_plant
 
-    _, stewart = build_plant(robot, PlantOptions(rod_joint=log.scenario.plant.rod_joint))
+    _, stewart = build_plant(robot, DrakeOptions(rod_joint=log.scenario.plant.rod_joint))
     state = log["plant_state"][rows]
     return link_poses(robot, pose, stewart.crank_angles(state), reference, stewart.rod_directions(state))

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stewart_drake.mechanics.kinematics import rotation_matrix
-from stewart_drake.plant.sdf_model import crank_rotations, rod_rotations, sdf_text
+from stewart_drake.plant.model_files import crank_rotations, rod_rotations, sdf_text
 from stewart_drake.robot import RobotParameters
 
 LENS = 36.0

@@ -10,18 +10,19 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Fraction, Natural, NotNegative, Positive, PositivePair, Section
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.families import UserMade
-from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.base.config import Fraction, Natural, NotNegative, Positive, PositivePair, Section
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.families import UserMade
+from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.registry import OWN_MONITORS
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import inverse_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
-from stewart_drake.mechanics.linear_algebra import copy_to, solve
-from stewart_drake.registry import OWN_MONITORS
+from stewart_drake.mechanics.linear_algebra import copy_to
+from stewart_drake.mechanics.singularities import MONITORED, crank_speeds, measure_pose
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, TORQUE
-from stewart_drake.safety.residual import ALONE, LONGEST_HALF
+from stewart_drake.safety.residual import LONGEST_HALF, ONE_LEG_SHARE
 
 MONITORS = (
     "none", "measurement_not_finite", "sensor_failed", "controller_failed", "command_not_finite", "deadline",
@@ -63,9 +64,9 @@ class SafetyOptions(Section, key="safety"):
     to 10 ms in sum; the next good command is approached at this rate."""
     workspace: Annotated[PositivePair | None, LENGTH] = (1.2, 0.12)
     """[rad, m] largest distance from the home pose: angle of the rotation, and distance of P."""
-    transmission: Fraction | None = 0.1
+    transmission: Fraction | None = MONITORED.transmission
     """[-] smallest distance |e_l . e_N| of a crank from its dead centre (serial singularity), where it is 0."""
-    conditioning: Fraction | None = 0.04
+    conditioning: Fraction | None = MONITORED.conditioning
     """[-] smallest distance from a parallel singularity: sigma_min / sigma_max of the rods' lines, without crossing
     zero."""
     horizon: NotNegative = 0.01
@@ -87,13 +88,13 @@ class SafetyOptions(Section, key="safety"):
     @property
     def monitor_names(self) -> tuple[str, ...]:
         """By the number in the log, those of `monitors` last."""
-        return (*MONITORS, *(getattr(each, "name", each.kind) for each in self.monitors))
+        return (*MONITORS, *(getattr(monitor, "name", monitor.kind) for monitor in self.monitors))
 
     def budget(self, period: float) -> int:
         """Ticks of a period [s] that may be held."""
         return min(self.hold_ticks, math.floor(HOLD_TIME / period + 1e-6))
 
-    def first_own(self, inputs: SafetyInputs) -> tuple[int, int] | None:
+    def first_user_trip(self, inputs: SafetyInputs) -> tuple[int, int] | None:
         """Number and leg of the first of `monitors` that trips; None for none."""
         for index, monitor in enumerate(self.monitors):
             leg = monitor.look(inputs)
@@ -103,7 +104,7 @@ class SafetyOptions(Section, key="safety"):
 
 
 class SafetyInputs(NamedTuple):
-    """What a monitor of the user's own gets."""
+    """What a monitor of the user gets."""
 
     command: np.ndarray  # (6,) [N m].
     pose: np.ndarray  # (6,) [rad, m] measured.
@@ -141,7 +142,7 @@ class UserMonitor(UserMade, key="safety.monitors"):
 # --- limits of what is measured --------------------------------------------------------------------------------------
 
 (
-    QUIET, MEASUREMENT, SENSOR, CONTROLLER, COMMAND, DEADLINE, WORKSPACE, SERIAL, PARALLEL, CRANK_SPEED, FOLLOWING,
+    NO_TRIP, MEASUREMENT, SENSOR, CONTROLLER, COMMAND, DEADLINE, WORKSPACE, SERIAL, PARALLEL, CRANK_SPEED, FOLLOWING,
     TORQUE_LIMIT, TORQUE_RATE, _, READING, UNEXPLAINED,
 ) = range(len(MONITORS))  # fmt: skip
 """Places in `MONITORS`."""
@@ -157,23 +158,22 @@ the order in which they are asked: what the first see explains the others."""
 _OF_ROW = np.array([(monitor, of_legs) for monitor, _, of_legs in LIMITS])
 
 TIE = 1e-6  # What margins of two legs may differ by, in any unit, where the first of them is named.
-SMALLEST = 1e-9  # Transmission at a dead centre, for the speed of that crank.
 
-SETUP = fields(
+PARAMS = fields(
     period=(), gravity=(), horizon=(), home=6,
     deadline=(), frozen_pose=6,
     torque_limit=6, torque_change=(), workspace=2, transmission=(), conditioning=(), crank_speed=(),
     following_error=2, half=(), blow=(), unexplained=6, unexplained_alone=(), viscous=6, lasting=(), inertia=(),
     follow=2, most_correction=2, impossible=(), remembered=(), budget=(), ramp_time=(), safe_hold_time=(),
-    suspect_hold_time=(), stopping=(), most_torque=6, most_speed=(),
+    suspect_hold_time=(), slow_error=(), stopping=(), most_torque=6, most_speed=(),
 )  # fmt: skip
 """`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], torque_change: in a
 tick [N m]. Of the residual half: of its window [ticks], blow: ticks for which one shows, unexplained, also of a leg or
 two alone [N m], viscous: friction that is compensated [N m s/rad], lasting: share of a tick, inertia: of a crank [kg
 m^2]. For `residual._follow` follow: bandwidth, most_correction and impossible: change of a crank's speed in a tick
 [rad/s], remembered: ticks for which that counts. budget: ticks that may be held, suspect_hold_time: of a stop with a
-suspect leg [s], stopping: time constant of a stop [s], most_torque of it [N m], most_speed: at which it is given up
-[rad/s]."""
+suspect leg [s], slow_error: of its speed, by dry friction [rad/s], stopping: time constant of a stop [s], most_torque
+of it [N m], most_speed: at which it is given up [rad/s]."""
 AT_LIMIT_TIME, TOO_FAST_TIME = 0.1, 0.01
 """[s] for which, in sum, commands may be at the torque limit, or jump. Good ticks take away from the sum."""
 RUNAWAY_TIME = 0.005
@@ -186,14 +186,13 @@ STOPPING, STOPPING_TICKS = 0.008, 4.0  # [s], [ticks] time constant of a stop: t
 SUSPECT_HOLD = 0.04  # [s] for which torques alone tell a speed; five time constants of a stop.
 RUNAWAY, FASTEST = 2.0, 15.0  # [-] times the crank speed, or where that is off times this one [rad/s].
 
-OBSERVED = fields(reached=(), side=(), speed=6, least_transmission=(), conditioning=(), margin=(5, 6))
-"""What a measurement means, led ahead. reached: whether that pose is within reach. side: sign of the rods' determinant.
-speed: of the cranks [rad/s]; where the pose led ahead is out of reach those of the pose itself, and 0 where that is.
-conditioning: negative where the determinant has changed its sign. margin: by which each of `LIMITS` is kept, for each
-leg: negative where it is broken, infinite where it is off."""
+OBSERVED = fields(reach_margin=6, transmission=6, conditioning=(), assembly_sign=(), speed=6, margin=(5, 6))
+"""What a measurement means, extrapolated: that of `measure_pose`, and margin: by which each of `LIMITS` is kept, for
+each leg, negative where it is broken, infinite where it is off. conditioning: negative where the lines' determinant has
+changed its sign, infinite out of reach. speed: out of reach those of the pose that is not extrapolated, or 0."""
 
 
-def setup_of(
+def params_of(
     robot: RobotParameters,
     options: SafetyOptions,
     gravity: float,
@@ -202,15 +201,17 @@ def setup_of(
     friction: float = 0.0,
     viscous: Sequence[float] = (0.0,) * 6,
 ) -> np.ndarray:
-    """`SETUP` record, see `safety_part`."""
+    """`PARAMS` record, see `safety_part`."""
     bound = (math.inf if options.unexplained_torque is None else options.unexplained_torque) * robot.effort_limits
     inertia = np.linalg.inv(pose_jacobian(robot, robot.home_pose) @ pose_acceleration_map(robot, robot.home_pose))
     # A second difference of noise has sqrt(6) times its size, over the square of half the window.
     largest = np.linalg.norm(inertia, axis=1).max() * math.sqrt(6.0) * noise
     half = min(LONGEST_HALF, max(2, math.ceil(math.sqrt(SIGMAS * largest / bound.min()) / period)))
+    # Of a slow controller the bandwidths are those that its ticks bear.
+    follow = min(FOLLOW[0], 0.3 / period), min(FOLLOW[1], 0.02 / period)
     pose, rate, share = options.frozen_pose, options.torque_rate, options.torque_limit
     return new_record(
-        SETUP,
+        PARAMS,
         options,
         period=period,
         gravity=gravity,
@@ -224,12 +225,13 @@ def setup_of(
         blow=BLOW / period + 2.0 * half + 1e-6,
         unexplained=bound + friction,
         # Of friction a single motor may have all.
-        unexplained_alone=ALONE * bound.min() + friction,
+        unexplained_alone=ONE_LEG_SHARE * bound.min() + friction,
         viscous=viscous,
         inertia=inertia.diagonal().min(),
         lasting=min(0.5, period / LASTING),
-        # Of a slow controller the bandwidths are those that its ticks bear.
-        follow=(min(FOLLOW[0], 0.3 / period), min(FOLLOW[1], 0.02 / period)),
+        follow=follow,
+        # Where a crank turns back its friction changes by twice its size.
+        slow_error=friction / (inertia.diagonal().min() * follow[1]),
         most_correction=(math.inf, CORRECTION),
         impossible=FASTEST + 12.0 * noise / period,
         remembered=REMEMBERED / period,
@@ -254,77 +256,60 @@ def _distance(pose: Any, other: Any) -> float:
 
 
 @njit
-def _left(limit: float, value: float) -> float:
+def _margin(limit: float, value: float) -> float:
     """What is left up to a limit; of one that is off infinity, whatever the value is."""
     return np.inf if limit == np.inf else limit - value
 
 
 @njit
 def observe(
-    robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: float, legs: Any, observed: Any
+    robot: Any, params: Any, pose: Any, rate: Any, reference: Any, assembly_sign: float, legs: Any, observed: Any
 ) -> None:
     """What a finite measurement of pose and rate (6,) means, beside the pose (6,) that is wanted.
 
-    `side` is the sign of the rods' determinant at the start, 0 if that is now. The `LEGS` become those of the pose led
-    ahead; where that is out of reach those of the pose, or else of home.
+    `assembly_sign` is the sign of the rods' determinant at the start, 0 if that is now.
     """
-    home, wanted, margin, twist = setup.home[:], np.empty((3, 3)), observed.margin, np.empty(6)
-    ahead, turn = pose + setup.horizon * rate, np.empty((3, 3))
-    reached = laws.legs_at(robot, ahead, legs) < 0
-    within, reach = reached, legs.reach.copy()
-    angle = _angle(legs.rotation[0, 0] + legs.rotation[1, 1] + legs.rotation[2, 2])
-    distance = _distance(ahead, home)
-    margin[0] = min(_left(setup.workspace[0], angle), _left(setup.workspace[1], distance))
-    if not reached:
-        # Of a pose that is itself out of reach there is nothing to say; any that is within will do.
-        within = laws.legs_at(robot, pose, legs) < 0
-        if not within:
-            laws.legs_at(robot, home, legs)
-    observed.reached = 1.0 if reached else 0.0
-    observed.conditioning, observed.side = np.inf, side
-    if reached:
-        observed.side = solve(legs.line.copy(), np.empty((6, 1)))
-        crossed = side != 0.0 and observed.side != side
-        observed.conditioning = laws.conditioning(robot, legs, laws.QUICK) * (-1.0 if crossed else 1.0)
-    margin[3] = np.inf if setup.conditioning == -np.inf else observed.conditioning - setup.conditioning
+    wanted, margin, twist = np.empty((3, 3)), observed.margin, np.empty(6)
+    ahead, turn = pose + params.horizon * rate, np.empty((3, 3))
     laws.twist_of(pose, rate, twist)
-    observed.least_transmission = np.inf
-    for i in range(6):
-        size = abs(legs.transmission[i])
-        if size < SMALLEST:
-            legs.lever[i] = SMALLEST * robot.crank_length[i] * (-1.0 if legs.transmission[i] < 0.0 else 1.0)
-        # 0 where a rod does not span.
-        size = size if reach[i] >= 0.0 else 0.0
-        observed.least_transmission = min(observed.least_transmission, size)
-        margin[2, i] = size - setup.transmission
-    laws.crank_rates(legs, twist, observed.speed[:])
-    if not within:
+    reached = measure_pose(robot, ahead, twist, laws.QUICK, legs, np.empty((6, 1)), observed)
+    angle = _angle(legs.rotation[0, 0] + legs.rotation[1, 1] + legs.rotation[2, 2])
+    margin[0] = min(_margin(params.workspace[0], angle), _margin(params.workspace[1], _distance(ahead, params.home)))
+    if reached:
+        if assembly_sign != 0.0 and observed.assembly_sign != assembly_sign:
+            observed.conditioning = -observed.conditioning
+    else:
+        observed.conditioning, observed.assembly_sign = np.inf, assembly_sign
         observed.speed[:] = 0.0
+        if laws.legs_at(robot, pose, legs) < 0:
+            crank_speeds(robot, legs, twist, observed.speed[:])
+    margin[3] = np.inf if params.conditioning == -np.inf else observed.conditioning - params.conditioning
     for i in range(6):
-        margin[1, i] = _left(setup.crank_speed, abs(observed.speed[i]))
+        margin[1, i] = _margin(params.crank_speed, abs(observed.speed[i]))
+        margin[2, i] = observed.transmission[i] - params.transmission
     laws.rotation(pose[:3], turn)
     laws.rotation(reference[:3], wanted)
     angle, distance = _angle((turn * wanted).sum()), _distance(pose, reference)
-    margin[4] = np.minimum(_left(setup.following_error[0], angle), _left(setup.following_error[1], distance))
+    margin[4] = np.minimum(_margin(params.following_error[0], angle), _margin(params.following_error[1], distance))
 
 
 @njit
 def margins_along(
-    robots: Any, setups: Any, poses: Any, rates: Any, references: Any, side: float, leg_records: Any, observations: Any,
+    robot: Any, params: Any, poses: Any, rates: Any, references: Any, assembly_sign: float, legs: Any, observed: Any,
     out: Any,
 ) -> float:  # fmt: skip
-    """Margins (n, 5, 6) of `LIMITS` for poses (n, 6) [rad, m], rates and poses wanted; the side at the last."""
-    robot, setup, legs, observed = record(robots), record(setups), record(leg_records), record(observations)
+    """Margins (n, 5, 6) of `LIMITS` for poses (n, 6) [rad, m], rates and poses wanted; assembly sign at the end."""
+    robot, params, legs, observed = record(robot), record(params), record(legs), record(observed)
     for row in range(len(poses)):
-        observe(robot, setup, poses[row], rates[row], references[row], side, legs, observed)
+        observe(robot, params, poses[row], rates[row], references[row], assembly_sign, legs, observed)
         for k in range(len(LIMITS)):
             copy_to(out[row, k], observed.margin[k])
-    return observed.side
+    return observed.assembly_sign
 
 
 @njit
 def broken(observed: Any) -> tuple[int, int]:
-    """Monitor of the first limit that a measurement breaks, or `QUIET`; its leg or -1."""
+    """Monitor of the first limit that a measurement breaks, or `NO_TRIP`; its leg or -1."""
     for row in range(5):
         leg = 0
         for i in range(1, 6):
@@ -332,7 +317,7 @@ def broken(observed: Any) -> tuple[int, int]:
                 leg = i
         if not observed.margin[row, leg] >= 0.0:
             return _OF_ROW[row, 0], leg if _OF_ROW[row, 1] else -1
-    return QUIET, -1
+    return NO_TRIP, -1
 
 
 def sample_times(duration: float, period: float) -> np.ndarray:
@@ -386,7 +371,7 @@ def refuse_start(
         away = (pose - reference).tolist()
         raise ConfigurationError("initial_offset", away, f"a start that does not trip {trips[0]}")
     torque = static_torque(robot, pose, gravity)
-    trip = options.first_own(SafetyInputs(torque, pose, pose_rate, reference))
+    trip = options.first_user_trip(SafetyInputs(torque, pose, pose_rate, reference))
     if trip is not None:
         name, place = options.monitor_names[trip[0]], trip[0] - len(MONITORS)
         raise ConfigurationError(f"safety.monitors.{place}", name, "a monitor that does not trip at the start")
@@ -403,14 +388,14 @@ def _margins(
     pose: np.ndarray,
     rate: np.ndarray,
     wanted: np.ndarray,
-    side: float = 0.0,
+    assembly_sign: float = 0.0,
 ) -> tuple[np.ndarray, float]:
-    """Margins (n, 5, 6) of poses, rates and poses wanted (n, 6), and the side at their end."""
+    """Margins (n, 5, 6) of poses, rates and poses wanted (n, 6), and the assembly sign at their end."""
     # Of these limits none asks for gravity or period.
-    out, setup = np.empty((len(pose), len(LIMITS), 6)), setup_of(robot, options, 0.0, 1.0)
-    pose, rate, wanted = (np.ascontiguousarray(each, dtype=float) for each in (pose, rate, wanted))
-    own, legs, observed = laws.robot_record(robot), np.empty(1, laws.LEGS), np.empty(1, OBSERVED)
-    return out, margins_along(own, setup, pose, rate, wanted, side, legs, observed, out)
+    out, params = np.empty((len(pose), len(LIMITS), 6)), params_of(robot, options, 0.0, 1.0)
+    pose, rate, wanted = (np.ascontiguousarray(rows, dtype=float) for rows in (pose, rate, wanted))
+    legs, observed = np.empty(1, laws.LEGS), np.empty(1, OBSERVED)
+    return out, margins_along(laws.robot_record(robot), params, pose, rate, wanted, assembly_sign, legs, observed, out)
 
 
 def _refuse(

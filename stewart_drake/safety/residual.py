@@ -10,25 +10,25 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.jit import fields, njit
+from stewart_drake.base.jit import fields, njit
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import motion_torque, task_inertia
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 
 LONGEST_HALF = 10
 """Ticks of half a window at most; the state has place for so many."""
-ALONE = 0.2
+ONE_LEG_SHARE = 0.2
 """Share of the bound on a residual that is enough where it is that of one leg; assumed."""
-TWO = 0.5
+TWO_LEGS_SHARE = 0.5
 """What the residual of two legs counts, unless it fits motors that give each other's torque: a push along an axis of
 symmetry can look so."""
-APART = 2.0  # [-] times all others, that one or two cranks have then.
+DOMINANCE = 2.0  # [-] times all others, that one or two cranks have then.
 SWAPPED_WITHIN = 0.3  # Share of a residual to which two motors must give each other's torque.
 _TOLERANCE, _ITERATIONS = 1e-12, 12  # As an estimator of readings has it, see `estimator`.
 READING_WRONG, MOTOR_WEAK, MOTOR_REVERSED, MOTOR_SWAPPED = range(1, 5)
 
 _ROWS = 2 * LONGEST_HALF + 1
-EXPLAINED = fields(
+RESIDUAL = fields(
     encoders=(), angles=6, poses=(_ROWS, 6), sent=(_ROWS, 6), given=6, residual=6, push=6, lasting=6, missing=6, lost=6,
     still=6, mobility=(6, 6), speed=(2, 6), bias=(2, 6), suspect=6,
 )  # fmt: skip
@@ -41,13 +41,15 @@ fast and a slow estimate. suspect: 0, or what is wrong with a leg."""
 
 
 @njit
-def explain(robot: Any, setup: Any, angles: Any, pose: Any, torque: Any, is_first: bool, state: Any, legs: Any) -> None:
+def update_residual(
+    robot: Any, params: Any, angles: Any, pose: Any, torque: Any, is_first: bool, state: Any, legs: Any
+) -> None:
     """One tick: readings, angles (6,) [rad] or else a pose (6,), beside the torques (6,) [N m] sent in the one before.
 
     Both count in the middle of a window: rates and accelerations are differences of poses, and torques have the weights
     that accelerations have in a second difference. The residual is zero while readings are missing.
     """
-    half, h = int(setup.half), setup.period
+    half, h = int(params.half), params.period
     for row in range(2 * half, 0, -1):
         copy_to(state.poses[row], state.poses[row - 1])
         copy_to(state.sent[row], state.sent[row - 1])
@@ -69,7 +71,7 @@ def explain(robot: Any, setup: Any, angles: Any, pose: Any, torque: Any, is_firs
     still, need, mobility = np.empty(6), np.empty(6), np.zeros((6, 6))
     copy_to(motion[:6], centre if whole else pose)
     known = all_finite(motion) and laws.legs_at(robot, motion[:6], legs) < 0
-    known = known and motion_torque(robot, legs, motion, acceleration, setup.gravity, still)
+    known = known and motion_torque(robot, legs, motion, acceleration, params.gravity, still)
     if not (known and _mobility(robot, legs, mobility)):
         copy_to(state.angles[:], angles)
         return
@@ -77,14 +79,14 @@ def explain(robot: Any, setup: Any, angles: Any, pose: Any, torque: Any, is_firs
         for k in range(6):
             motion[6 + k] = (now[k] - old[k]) / (2.0 * half * h)
             acceleration[k] = (now[k] - 2.0 * centre[k] + old[k]) / (half * h) ** 2
-        motion_torque(robot, legs, motion, acceleration, setup.gravity, need)
+        motion_torque(robot, legs, motion, acceleration, params.gravity, need)
         laws.twist_of(motion[:6], motion[6:], twist)
         laws.crank_rates(legs, twist, speeds)
         for i in range(6):
             for row in range(2 * half):
                 share = (min(row, 2 * half - 1 - row) + 0.5) / (half * half)
                 state.given[i] += share * state.sent[row + 1, i]
-            state.residual[i] = state.given[i] - need[i] - setup.viscous[i] * speeds[i]
+            state.residual[i] = state.given[i] - need[i] - params.viscous[i] * speeds[i]
     if state.encoders == 0.0:
         laws.twist_of(now, (now - state.poses[1]) / h, twist)
         laws.crank_rates(legs, twist, speeds)
@@ -92,8 +94,8 @@ def explain(robot: Any, setup: Any, angles: Any, pose: Any, torque: Any, is_firs
         for i in range(6):
             speeds[i] = (angles[i] - state.angles[i]) / h
             # No crank can change so: it is not read at all, or its reading jumps.
-            lost = not abs(speeds[i] - state.speed[0, i]) < setup.impossible and not is_first
-            state.lost[i] = setup.remembered if lost else max(0.0, state.lost[i] - 1.0)
+            lost = not abs(speeds[i] - state.speed[0, i]) < params.impossible and not is_first
+            state.lost[i] = params.remembered if lost else max(0.0, state.lost[i] - 1.0)
             speeds[i] = np.nan if lost else speeds[i]
     copy_to(state.angles[:], angles)
     sound = not state.lost.any()
@@ -101,7 +103,7 @@ def explain(robot: Any, setup: Any, angles: Any, pose: Any, torque: Any, is_firs
         copy_to(state.still[:], still)
         for i in range(6):
             copy_to(state.mobility[i], mobility[i])
-    _follow(setup, speeds, whole and sound, state)
+    _follow(params, speeds, whole and sound, state)
 
 
 @njit
@@ -123,7 +125,7 @@ def _mobility(robot: Any, legs: Any, out: Any) -> bool:
 
 
 @njit
-def _follow(setup: Any, speeds: Any, sound: bool, state: Any) -> None:
+def _follow(params: Any, speeds: Any, sound: bool, state: Any) -> None:
     """Leads estimates of the cranks' speeds on by the torques, the fast and the slow one, and corrects by `speeds`.
 
     NaN is no reading. The slow one hardly sees a reading fail that has begun to; it follows none that is suspect.
@@ -135,14 +137,14 @@ def _follow(setup: Any, speeds: Any, sound: bool, state: Any) -> None:
             state.push[i] += state.mobility[i, k] * state.residual[k]
             turning += state.mobility[i, k] * (state.sent[0, k] - state.still[k])
         change = state.push[i] + state.bias[1, i] if sound else 0.0
-        state.lasting[i] += setup.lasting * (change - state.lasting[i])
+        state.lasting[i] += params.lasting * (change - state.lasting[i])
         torque[i, 0] = state.lasting[i]
         for row in range(2):
-            follow, most = setup.follow[row], setup.most_correction[row]
+            follow, most = params.follow[row], params.most_correction[row]
             off = 0.0 if row == 1 and state.suspect[i] == READING_WRONG else speeds[i] - state.speed[row, i]
             off = min(max(off, -most), most) if np.isfinite(off) else 0.0
-            state.speed[row, i] += setup.period * (turning + state.bias[row, i] + 2.0 * follow * off)
-            state.bias[row, i] += setup.period * follow**2 * off
+            state.speed[row, i] += params.period * (turning + state.bias[row, i] + 2.0 * follow * off)
+            state.bias[row, i] += params.period * follow**2 * off
             if not np.isfinite(state.speed[row, i] + state.bias[row, i]):
                 state.speed[row, i], state.bias[row, i] = 0.0, 0.0
     solvable = solve(state.mobility.copy(), torque) != 0.0
@@ -151,10 +153,10 @@ def _follow(setup: Any, speeds: Any, sound: bool, state: Any) -> None:
 
 
 @njit
-def _alone(values: Any) -> Any:
+def _dominant(values: Any) -> Any:
     """Places of the two largest of six values; by how much the first, and their difference, exceed the rest.
 
-    The rest counts `APART` times. What swaps two legs shows with opposite signs at both.
+    The rest counts `DOMINANCE` times. What swaps two legs shows with opposite signs at both.
     """
     squares, first, second = values * values, 0, -1
     for i in range(6):
@@ -167,28 +169,28 @@ def _alone(values: Any) -> Any:
     alike = (values[first] + values[second]) ** 2 / 2.0
     but_swap = max(0.0, but_one - squares[second]) + alike
     swap = abs(values[first] - values[second]) / np.sqrt(2.0)
-    return first, second, abs(values[first]) - APART * np.sqrt(but_one), swap - APART * np.sqrt(but_swap)
+    return first, second, abs(values[first]) - DOMINANCE * np.sqrt(but_one), swap - DOMINANCE * np.sqrt(but_swap)
 
 
 @njit
-def _give_each_others(state: Any, motor: int, another: int) -> bool:
+def _are_swapped(state: Any, motor: int, another: int) -> bool:
     """Whether the residual of two motors is what it is where each gives the other's torque."""
     apart, within = state.given[motor] - state.given[another], SWAPPED_WITHIN * abs(state.residual[motor])
     return max(abs(state.residual[motor] - apart), abs(state.residual[another] + apart)) < within
 
 
 @njit
-def is_odd(setup: Any, state: Any) -> bool:
+def is_unexplained(params: Any, state: Any) -> bool:
     """Whether the residual is more than load, push and friction may be, or a smaller one is that of a leg or two."""
-    _, _, one, two = _alone(state.lasting)
-    motor, another, one_motor, two_motors = _alone(state.missing)
-    alike = 1.0 if _give_each_others(state, motor, another) else TWO
-    alone = max(setup.inertia * max(one, TWO * two), one_motor, alike * two_motors)
-    return alone > setup.unexplained_alone or (np.abs(state.residual) > setup.unexplained).any()
+    _, _, one, two = _dominant(state.lasting)
+    motor, another, one_motor, two_motors = _dominant(state.missing)
+    alike = 1.0 if _are_swapped(state, motor, another) else TWO_LEGS_SHARE
+    alone = max(params.inertia * max(one, TWO_LEGS_SHARE * two), one_motor, alike * two_motors)
+    return alone > params.unexplained_alone or (np.abs(state.residual) > params.unexplained).any()
 
 
 @njit
-def mark_suspects(state: Any, failed: int, odd: bool) -> int:
+def mark_suspects(state: Any, failed: int, unexplained: bool) -> int:
     """Marks the one or two legs that are suspect: one whose sensor failed, or is lost, or of whom a residual speaks.
 
     Returns the first, or -1 for none: such as where a push moves all cranks.
@@ -197,11 +199,11 @@ def mark_suspects(state: Any, failed: int, odd: bool) -> int:
     for i in range(5, -1, -1):
         if i == failed or state.lost[i] > 0.0:
             state.suspect[i], first = READING_WRONG, i
-    if first >= 0 or not odd:
+    if first >= 0 or not unexplained:
         return first
     given, residual = state.given, state.residual
-    reading, other, one, two = _alone(state.lasting)
-    motor, another, one_motor, two_motors = _alone(state.missing)
+    reading, other, one, two = _dominant(state.lasting)
+    motor, another, one_motor, two_motors = _dominant(state.missing)
     by_reading = max(one, two) / np.abs(state.lasting).max() if state.encoders > 0.0 else 0.0
     by_motor = max(one_motor, two_motors) / np.abs(state.missing).max()
     if not max(by_reading, by_motor) > 0.0:
@@ -211,7 +213,7 @@ def mark_suspects(state: Any, failed: int, odd: bool) -> int:
         if one <= 0.0:
             state.suspect[other] = READING_WRONG
         return reading
-    if one_motor <= 0.0 and _give_each_others(state, motor, another):
+    if one_motor <= 0.0 and _are_swapped(state, motor, another):
         state.suspect[motor], state.suspect[another] = MOTOR_SWAPPED, MOTOR_SWAPPED
     else:
         # Of a motor that gives the opposite twice its torque is missing, of a dead one its torque.
@@ -221,11 +223,17 @@ def mark_suspects(state: Any, failed: int, odd: bool) -> int:
 
 
 @njit
-def speeds_to_stop(state: Any, out: Any) -> float:
-    """Speeds (6,) [rad/s] of the cranks for a stop, and the fastest of those that can be trusted."""
+def speeds_to_stop(params: Any, state: Any, out: Any) -> float:
+    """Speeds (6,) [rad/s] of the cranks for a stop, and the fastest of those that can be trusted.
+
+    Of one whose reading is wrong only what is beyond the slow estimate's error by dry friction counts.
+    """
     fastest = 0.0
     for i in range(6):
-        out[i] = state.speed[1 if state.suspect[i] == READING_WRONG else 0, i]
+        out[i] = state.speed[0, i]
+        if state.suspect[i] == READING_WRONG:
+            slow = state.speed[1, i]
+            out[i] = np.sign(slow) * max(0.0, abs(slow) - params.slow_error)
         if state.suspect[i] == 0.0:
             fastest = max(fastest, abs(out[i]))
     return fastest

@@ -4,47 +4,52 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from stewart_drake.config import to_plain
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import locked_folder
-from stewart_drake.files.yaml_files import read_mapping
+from stewart_drake.analysis.feasibility import largest_amplitude
+from stewart_drake.base.atomic_files import locked_folder
+from stewart_drake.base.config import to_plain
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.families import given_keys
+from stewart_drake.base.markdown import TextTable, number
+from stewart_drake.base.yaml_files import read_mapping
 from stewart_drake.logs.metrics import FAILED, OUTCOME, Column, mean_cost
 from stewart_drake.logs.metrics import columns as run_columns
-from stewart_drake.logs.outcomes import told
-from stewart_drake.planning.feasibility import largest_amplitude
-from stewart_drake.scenario import Scenario
+from stewart_drake.logs.outcomes import describe_outcome
+from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.comparison_file import KINDS, Bands, CompareFile, TunedFile, check_names
-from stewart_drake.studies.robots import sized
-from stewart_drake.studies.runs import Measure, Row, Task, measure_band, measure_run
-from stewart_drake.studies.study import Sheet, Study, StudyResult, Tables, load_study, number, vary, within
+from stewart_drake.studies.experiment import (
+    Experiment,
+    Result,
+    Show,
+    Tables,
+    error_prefix,
+    grouped,
+    load_experiment,
+    not_completed,
+    pivot,
+    trial_of,
+    with_changes,
+    worst,
+)
+from stewart_drake.studies.robots import scale_to_robot
+from stewart_drake.studies.runs import Measure, Row, measure_response, measure_tracking
 
 SEED = "{seed}"
+NAMES = ("controller", "reference", "condition", "seed")
 AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
-LARGEST = (0.05,) * 3 + (0.005,) * 3
+MAX_AMPLITUDE = (0.05,) * 3 + (0.005,) * 3
 """[rad, m] amplitude of a band, where half of the largest feasible one is not less."""
 _QUICK_FREQUENCIES, _WINDOW = 2, 1.0
 _Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]
-
-
-class Cell(NamedTuple):
-    """One run; of a band, with frequency [Hz], amplitude [rad or m] and window [s], the reference is the axis."""
-
-    controller: str
-    reference: str
-    condition: str
-    seed: int
-    changes: Mapping[str, Any]
-    frequency: float | None = None
-    amplitude: float | None = None
-    window: float = 0.0
+_Run = tuple[dict[str, Any], dict[str, Any], Measure]
+"""Changes, labels, and what is measured."""
 
 
 _NAMES = (
@@ -52,7 +57,7 @@ _NAMES = (
     Column("chosen", "", "in a best-of row: the controller that is best here", "text"),
     Column("reference", "", "name of the reference; for a frequency response, the axis", "text"),
     Column("condition", "", "name of the condition", "text"),
-    Column("seed", "", "value of {seed}", "whole"),
+    Column("seed", "", "value of {seed}", "integer"),
 )
 _SETTLING = Column("settling_s", "s", "time after which the pose error is within the comparison's band; null for never")
 _COST = Column("cost", "1", f"J, see `cost` in the comparison; {FAILED:g} for a run that was not completed")
@@ -67,11 +72,9 @@ BANDS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison(Study):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Comparison(Experiment):
     file: CompareFile
-    cells: tuple[Cell, ...]
-    kind = "comparison"
 
     @classmethod
     def from_dict(
@@ -90,54 +93,40 @@ class Comparison(Study):
             parts["controllers"] = {name: {**keys, **tuned.get(name, {})} for name, keys in file.controllers.items()}
         if robot is not None:
             base = base.replace({"robot": robot})
-            base = base.replace(sized({"reference": to_plain(base.reference)}, base))
+            base = base.replace(scale_to_robot({"reference": to_plain(base.reference)}, base))
             # One at a time: a motion is fitted for its own duration.
-            parts = {kind: {name: sized(keys, base) for name, keys in each.items()} for kind, each in parts.items()}
-        cells = _table_cells(file, base, parts, quick)
+            parts = {
+                kind: {name: scale_to_robot(keys, base) for name, keys in each.items()} for kind, each in parts.items()
+            }
+        runs = _tracking_runs(file, base, parts, quick)
         if file.bands is not None:
-            cells += _band_cells(file.bands, file.seeds[0], base, parts, quick)
-        return cls(base, file, tuple(cells), name=file.name, indices=range(len(cells)))
+            runs += _response_runs(file.bands, file.seeds[0], base, parts, quick)
+        given = given_keys(base)
+        trials = [trial_of(given, index, f"{file.name} {index}", *run) for index, run in enumerate(runs)]
+        different = {tuple(trial.labels[name] for name in NAMES[:3]): trial for trial in trials}
+        variants = [trial.scenario() for trial in different.values()]
+        columns = (*_NAMES, *run_columns(*variants), _SETTLING, *(() if file.cost is None else (_COST,)))
+        cost = None if file.cost is None else file.cost.to_dict()
+        cells = [{**trial.labels, "changes": trial.changes} for trial in trials]
+        return cls(
+            kind="comparison",
+            name=file.name,
+            base=base,
+            trials=trials,
+            columns=columns,
+            work={"scenario": base.to_dict(), "band": file.band, "cost": cost, "cells": cells},
+            variants=variants,
+            file=file,
+        )
 
-    def task(self, index: int) -> Task:
-        cell = self.cells[index]
-        how: Measure = partial(measure_run, band=self.file.band, scales=self.file.cost)
-        if cell.frequency is not None:
-            axis = AXES.index(cell.reference)
-            how = partial(measure_band, frequency=cell.frequency, axis=axis, window=cell.window)
-        return self._task(index, cell.changes, cell.seed, measure=how)
-
-    @cached_property
-    def variants(self) -> list[Scenario]:
-        different = {cell[:3]: index for index, cell in enumerate(self.cells)}
-        return [self.scenario(index) for index in different.values()]
-
-    @property
-    def work(self) -> dict[str, Any]:
-        return {
-            "scenario": self.base.to_dict(),
-            "band": self.file.band,
-            "cost": None if self.file.cost is None else self.file.cost.to_dict(),
-            "cells": [cell._asdict() for cell in self.cells],
-        }
-
-    @property
-    def columns(self) -> tuple[Column, ...]:
-        return (*_NAMES, *run_columns(*self.variants), _SETTLING, *(() if self.file.cost is None else (_COST,)))
-
-    def tables(self, rows: Sequence[Row]) -> Tables:
+    def tables(self, rows: list[Row]) -> Tables:
         """Of the runs, with a best of several before those that it is chosen from; and of the bands."""
-        runs: list[Row] = []
-        bands: list[Row] = []
-        for row in rows:
-            cell = self.cells[row["index"]]
-            named = {**row, **cell._asdict(), "chosen": None, "frequency_hz": cell.frequency}
-            if self.file.cost is not None:
-                named.setdefault("cost", FAILED)  # a run that was refused or broke has no figures at all
-            (runs if cell.frequency is None else bands).append(named)
+        runs = [{**row, "chosen": None} for row in rows if "frequency_hz" not in row]
+        bands = [row for row in rows if "frequency_hz" in row]
         best_rows: list[Row] = []
         for name, best in self.file.best_of.items():
-            own = [row for row in runs if row["controller"] in best.of]
-            for group in _groups(own, "reference", "condition", "seed").values():
+            candidates = [row for row in runs if row["controller"] in best.of]
+            for group in grouped(candidates, "reference", "condition", "seed").values():
                 if {row["controller"] for row in group} == set(best.of):
                     chosen = min(group, key=_rank)
                     best_rows.append({**chosen, "controller": name, "chosen": chosen["controller"]})
@@ -149,34 +138,40 @@ class Comparison(Study):
             key for each in products for key in itertools.product(each.controllers, each.references, each.conditions)
         }
         names = dict.fromkeys(name for each in products for name in each.controllers)
-        own = [row for row in rows if (row["controller"], row["reference"], row["condition"]) in asked]
-        return [row for name in names for row in own if row["controller"] == name]
+        by_run = grouped((row for row in rows if tuple(row[name] for name in NAMES[:3]) in asked), "controller")
+        return [row for name in names for row in by_run.get((name,), ())]
 
-    def sheets(self, rows: Mapping[str, list[Row]]) -> list[Sheet]:
+    def sheets(self, rows: Mapping[str, list[Row]]) -> list[TextTable]:
         """The tables that are read: of several seeds the worst number."""
         runs, sheets = self.shown(rows["comparison"]), []
         figures = dict(_FIGURES)
         if self.file.cost is not None:
             figures["cost"] = "cost"
             title = f"cost: mean of the runs; {FAILED:g} for one that was not completed"
-            sheets.append(_pivot(title, runs, "condition", _mean_cost, [("all", _mean_cost)]))
+            sheets.append(pivot(title, runs, "controller", "condition", _mean_cost, {"all": _mean_cost}))
         if self.file.layout == "rows":
             lines = []
-            for key, group in _groups(runs, "controller", "reference", "condition").items():
-                shown, failure = [_worst(group, column) for column in figures.values()], _failure(group)
+            for key, group in grouped(runs, "controller", "reference", "condition").items():
+                shown, failure = [worst(group, column) for column in figures.values()], _failure(group)
                 if failure is not None:
                     shown = [failure, *(shown[1:] if _only_lost(group) else ["-"] * (len(shown) - 1))]
                 lines.append((key[0] + _chosen(group), *key[1:], *shown))
             header = ("controller", "motion", "condition", *figures)
-            sheets.append(Sheet(f"{self.name}: RMSE and peak of the length of the error, {_LATE}", header, lines))
+            sheets.append(TextTable(f"{self.name}: RMSE and peak of the length of the error, {_LATE}", header, lines))
         else:
-            over_all = [(heading, partial(_worst_done, column)) for heading, column in list(_FIGURES.items())[4:]]
-            for condition, group in _groups(runs, "condition").items():
+            over_all: dict[str, Show] = {
+                heading: lambda group, column=column: worst(  # type: ignore[misc]
+                    (row for row in group if row["status"] == "completed"), column
+                )
+                for heading, column in list(_FIGURES.items())[4:]
+            }
+            over_all["not completed"] = _missed
+            for condition, group in grouped(runs, "condition").items():
                 title = f"{condition[0]}: RMSE {_LATE}, rotation and position; then the worst of all motions"
-                sheets.append(_pivot(title, group, "reference", _errors, [*over_all, ("not completed", _missed)]))
-        for axis, group in _groups(rows["bands"], "reference").items():
+                sheets.append(pivot(title, group, "controller", "reference", _errors, over_all))
+        for axis, group in grouped(rows["bands"], "reference").items():
             title = f"{axis[0]}: amplitude ratio and phase, pose to reference"
-            sheets.append(_pivot(title, group, "frequency_hz", _band))
+            sheets.append(pivot(title, group, "controller", "frequency_hz", _band))
         return sheets
 
     def page(self, rows: Mapping[str, list[Row]]) -> str:
@@ -184,17 +179,19 @@ class Comparison(Study):
 
 
 def load_comparison(path: str | Path, quick: bool = False, robot: str | None = None) -> Comparison:
-    return load_study("comparison", path, partial(Comparison.from_dict, quick=quick, robot=robot))
+    return load_experiment("comparison", path, partial(Comparison.from_dict, quick=quick, robot=robot))
 
 
-def write_pictures(comparison: Comparison, result: StudyResult) -> None:
+def write_pictures(comparison: Comparison, result: Result) -> None:
     # matplotlib takes a second to load.
     from stewart_drake.plotting import save_figure
     from stewart_drake.plotting.study_plots import plot_bands, plot_error, plot_rmse
 
     rows, bands = comparison.shown(result.rows["comparison"]), result.rows["bands"]
     figures = {"rmse": partial(plot_rmse, rows)}
-    traced = [row for row in rows if row["reference"] == (comparison.file.traced or comparison.cells[0].reference)]
+    traced = [
+        row for row in rows if row["reference"] == (comparison.file.traced or comparison.trials[0].labels["reference"])
+    ]
     if any("trace" in row for row in traced):
         figures["error"] = partial(plot_error, traced, comparison.file.band)
     if any(row.get("ratio") is not None for row in bands):
@@ -207,13 +204,16 @@ def write_pictures(comparison: Comparison, result: StudyResult) -> None:
 # --- runs ---
 
 
-def _table_cells(file: CompareFile, base: Scenario, parts: _Parts, quick: bool) -> list[Cell]:
+def _tracking_runs(file: CompareFile, base: Scenario, parts: _Parts, quick: bool) -> list[_Run]:
     names: dict[tuple[str, ...], None] = {}
     for product in file.products:
         members = (file.best_of[name].of if name in file.best_of else (name,) for name in product.controllers)
         controllers = itertools.chain(*members)
         names |= dict.fromkeys(itertools.product(controllers, product.references, product.conditions))
-    cells = []
+    measure = partial(measure_tracking, band=file.band, scales=file.cost)
+    # A run that was refused or broke has no figures at all.
+    cost = {} if file.cost is None else {"cost": FAILED}
+    runs: list[_Run] = []
     for controller, reference, condition in names:
         changes = {
             **parts["references"][reference],
@@ -222,31 +222,31 @@ def _table_cells(file: CompareFile, base: Scenario, parts: _Parts, quick: bool) 
         }
         for seed in file.seeds if _with_seed(changes, 0) != changes else file.seeds[:1]:
             seeded = _with_seed(changes, seed)
-            with within(f"{controller}, {reference}, {condition}: "):
-                duration = vary(base, seeded).duration
+            with error_prefix(f"{controller}, {reference}, {condition}: "):
+                duration = with_changes(base, seeded).duration
             if quick:
                 seeded["duration"] = min(duration, file.quick)
-            cells.append(Cell(controller, reference, condition, seed, seeded))
-    return cells
+            labels = dict(zip(NAMES, (controller, reference, condition, seed), strict=True))
+            runs.append((seeded, {**labels, **cost}, measure))
+    return runs
 
 
-def _band_cells(bands: Bands, seed: int, base: Scenario, parts: _Parts, quick: bool) -> list[Cell]:
+def _response_runs(bands: Bands, seed: int, base: Scenario, parts: _Parts, quick: bool) -> list[_Run]:
     frequencies, transient = sorted(set(bands.frequencies)), bands.transient
     if quick:
         frequencies = [f for f in frequencies if f >= 1.0][-_QUICK_FREQUENCIES:] or frequencies[-1:]
         transient = min(transient, 0.5)
     condition = parts["conditions"][bands.condition]
-    with within(f"bands, {bands.condition}: "):
-        plain = vary(base, condition)
-    cells = []
+    with error_prefix(f"bands, {bands.condition}: "):
+        plain = with_changes(base, condition)
+    runs: list[_Run] = []
     for axis, frequency in itertools.product(bands.axes, frequencies):
         place = AXES.index(axis)
         most = largest_amplitude(plain.robot, plain.limits, place, frequency, plain.gravity)
-        amplitude = min(LARGEST[place], 0.5 * most)
+        amplitude = min(MAX_AMPLITUDE[place], 0.5 * most)
         if amplitude <= 0.0:
-            raise ConfigurationError(
-                "bands.frequencies", frequency, f"frequencies at which {axis} can move within the limits"
-            )
+            allowed = f"frequencies at which {axis} can move within the limits"
+            raise ConfigurationError("bands.frequencies", frequency, allowed)
         reference = {
             "kind": "sine",
             "center": plain.robot.home_pose.tolist(),
@@ -254,13 +254,15 @@ def _band_cells(bands: Bands, seed: int, base: Scenario, parts: _Parts, quick: b
             "angular_frequency": [2.0 * math.pi * frequency] * 6,
         }
         window = math.ceil(_WINDOW * frequency - 1e-9) / frequency
+        measure = partial(measure_response, frequency=frequency, axis=place, window=window)
         for name in bands.controllers:
             changes = {**parts["controllers"][name], **condition, "reference": reference}
             changes = _with_seed({**changes, "duration": transient + window}, seed)
-            with within(f"bands, {name}, {axis}, {frequency:g} Hz: "):
-                vary(base, changes)
-            cells.append(Cell(name, axis, bands.condition, seed, changes, frequency, amplitude, window))
-    return cells
+            with error_prefix(f"bands, {name}, {axis}, {frequency:g} Hz: "):
+                with_changes(base, changes)
+            labels = dict(zip(NAMES, (name, axis, bands.condition, seed), strict=True))
+            runs.append((changes, {**labels, "frequency_hz": frequency, "amplitude": amplitude}, measure))
+    return runs
 
 
 def _with_seed(value: Any, seed: int) -> Any:
@@ -288,29 +290,6 @@ _FIGURES = {
 """Heading -> column of what is shown of a run; a grid has the last four over all motions."""
 
 
-def _groups(rows: Sequence[Row], *columns: str) -> dict[tuple[Any, ...], list[Row]]:
-    groups: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row[column] for column in columns), []).append(row)
-    return groups
-
-
-def _pivot(
-    title: str,
-    rows: Sequence[Row],
-    column: str,
-    show: Callable[[Sequence[Row]], str],
-    more: Sequence[tuple[str, Callable[[Sequence[Row]], str]]] = (),
-) -> Sheet:
-    cells, lines = _groups(rows, "controller", column), []
-    values = [key[0] for key in _groups(rows, column)]
-    for (name,), own in _groups(rows, "controller").items():
-        texts = [show(cells[name, value]) if (name, value) in cells else "-" for value in values]
-        lines.append((name, *texts, *(figure(own) for _, figure in more)))
-    headings = [f"{value:g} Hz" if isinstance(value, float) else value for value in values]
-    return Sheet(title, ("controller", *headings, *(heading for heading, _ in more)), lines)
-
-
 def _rank(row: Row) -> tuple[bool, float]:
     """Smallest for the best: the smallest error, and where all have failed the one that got furthest."""
     if row["status"] == "completed" and row.get("pose_rmse_mm") is not None:
@@ -322,24 +301,15 @@ def _mean_cost(group: Sequence[Row]) -> str:
     return number(mean_cost(row["cost"] for row in group))
 
 
-def _worst(group: Sequence[Row], column: str) -> str:
-    values: list[Any] = [row.get(column) for row in group]
-    return number(max(values, default=None) if None not in values else None)
-
-
-def _worst_done(column: str, group: Sequence[Row]) -> str:
-    return _worst([row for row in group if row["status"] == "completed"], column)
-
-
 def _missed(group: Sequence[Row]) -> str:
-    return f"{sum(row['status'] != 'completed' for row in group)} of {len(group)}"
+    return f"{not_completed(group)} of {len(group)}"
 
 
 def _failure(group: Sequence[Row]) -> str | None:
     failed = [row for row in group if row["status"] != "completed"]
     if not failed:
         return None
-    words = told(failed[0]["status"], failed[0]["reason"], failed[0].get("outcome_time"))
+    words = describe_outcome(failed[0]["status"], failed[0]["reason"], failed[0].get("outcome_time"))
     return f"{words}, {_missed(group)} runs" if len(group) > 1 else words
 
 
@@ -353,7 +323,7 @@ def _chosen(group: Sequence[Row]) -> str:
 
 
 def _errors(group: Sequence[Row]) -> str:
-    figures = f"{_worst(group, 'rmse_norm_deg')}° {_worst(group, 'rmse_norm_mm')} mm{_chosen(group)}"
+    figures = f"{worst(group, 'rmse_norm_deg')}° {worst(group, 'rmse_norm_mm')} mm{_chosen(group)}"
     failure = _failure(group)
     return failure if failure and not _only_lost(group) else "; ".join(filter(None, (failure, figures)))
 

@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from stewart_drake.config import Count, NotNegative, Positive, PositivePair, Section, Seed, Text
+from stewart_drake.base.config import Count, NotNegative, Positive, PositivePair, Section, Seed, Text
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.control.features import CostScales
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.studies.study import StudyFile, StudyName
+from stewart_drake.studies.experiment import StudyFile, StudyName
 
 KINDS = ("controllers", "references", "conditions")
 

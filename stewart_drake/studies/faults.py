@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
 from itertools import combinations, product
 from pathlib import Path
@@ -13,22 +13,25 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Flag, NotNegative, Section, Text, Vector6
-from stewart_drake.errors import StewartDrakeError, UnreachablePoseError
-from stewart_drake.files.yaml_files import parse_yaml
+from stewart_drake.base.config import Flag, NotNegative, Section, Text, Vector6
+from stewart_drake.base.errors import StewartDrakeError, UnreachablePoseError
+from stewart_drake.base.families import given_keys
+from stewart_drake.base.markdown import TextTable
+from stewart_drake.base.yaml_files import parse_yaml
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import Column
 from stewart_drake.logs.metrics import columns as run_columns
 from stewart_drake.logs.outcomes import pose_distance
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import twist_jacobian
-from stewart_drake.plant.closed_chain import ClosedChain
+from stewart_drake.plant.closed_form import ClosedForm
+from stewart_drake.plant.plant_options import CRANK_RATES, POSE, MechanismOptions
 from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.safety import RAMP
-from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.studies.robots import sized
-from stewart_drake.studies.runs import Row, Task, measure, simulate, simulate_unchecked
-from stewart_drake.studies.study import Sheet, Study, Tables
+from stewart_drake.scenario.scenario import Scenario, load_scenario
+from stewart_drake.studies.experiment import Experiment, Tables, pivot, trial_of
+from stewart_drake.studies.robots import scale_to_robot
+from stewart_drake.studies.runs import Row, measure_all, simulate, simulate_unchecked
 
 Reaction = Literal["refused", "ridden through", "held", "ramped", "ended", "unnoticed"]
 """refused: before the start. ridden through: no monitor tripped, and none had to. unnoticed: none tripped, but the true
@@ -42,7 +45,7 @@ DURATION: float = _FILE["duration"]
 MOTIONS: Mapping[str, Mapping[str, Any]] = _FILE["motions"]
 
 
-class Fault(Section):
+class FaultCase(Section):
     name: Text
     text: Text
     changes: dict[str, Any] = Field(default_factory=dict)
@@ -65,13 +68,13 @@ class Fault(Section):
 
     def in_motion(self, motion: str, base: Scenario) -> dict[str, Any]:
         """Scenario key -> value for this fault during a motion of `MOTIONS`, in the size of the robot of `base`."""
-        reference: Mapping[str, Any] = sized({"reference": MOTIONS[motion]}, base)["reference"]
+        reference: Mapping[str, Any] = scale_to_robot({"reference": MOTIONS[motion]}, base)["reference"]
         if self.drift is not None:
             home = base.robot.home_pose.tolist()
             away = [a + b for a, b in zip(home, LENGTH.value(self.drift, base.robot), strict=True)]
             path = {"kind": "minimum_jerk", "poses": [home, away], "durations": [self.drift_time], "dwell": [ONSET]}
             reference = {"kind": "sum", "parts": [reference, path]}
-        changes: dict[str, Any] = {"reference": dict(reference), **sized(self.changes, base)}
+        changes: dict[str, Any] = {"reference": dict(reference), **scale_to_robot(self.changes, base)}
         if self.encoders is not None:
             # Commands of a real drive are a tick old; with encoders it has to be shown that the loop bears both.
             changes |= {"sensors": {"kind": "encoders", **self.encoders}, "command_delay": 1}
@@ -84,7 +87,7 @@ def base(robot: str | None = None, overrides: Sequence[str] = ()) -> Scenario:
     return load_scenario("exact_fig7", (*named, *overrides)).replace({"duration": DURATION, "safety": {}})
 
 
-FAULTS = {name: Fault.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items()}
+FAULTS = {name: FaultCase.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items()}
 _WORST = {"hold": "held", "ramp": "ramped", "safe_hold": "ramped", "end": "ended"}
 _HELD = (
     Column("holds_weight", "", "whether the other motors carry the robot at rest; null without a dead motor", "flag"),
@@ -103,7 +106,7 @@ COLUMNS = (
     ),
     *run_columns(),
     Column("safety_cause", "", "cause of the trip, if an estimator or controller failed", "text"),
-    Column("safety_leg", "", "leg 0..5 of the trip", "whole"),
+    Column("safety_leg", "", "leg 0..5 of the trip", "integer"),
     Column("latency_ms", "ms", "time from the fault to the trip"),
     Column("travel_deg", "deg", "see `travel`, of the rotation"),
     Column("travel_mm", "mm", "of the position likewise"),
@@ -114,55 +117,56 @@ COLUMNS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class FaultStudy(Study):
-    pairs: Sequence[tuple[Fault, str]]
-    kind = "faults"
-
-    def task(self, index: int) -> Task:
-        fault, motion = self.pairs[index]
-        changes = {"name": f"{fault.name} {motion}", **fault.in_motion(motion, self.base)}
-        function = simulate if fault.checked else simulate_unchecked
-        return self._task(index, changes, measure=partial(measure_fault, fault=fault), function=function)
-
-    @property
-    def work(self) -> dict[str, Any]:
-        faults = [{**fault.to_dict(), **fault.in_motion(motion, self.base)} for fault, motion in self.pairs]
-        return {"scenario": self.base.to_dict(), "faults": faults}
-
-    def tables(self, rows: Sequence[Row]) -> Tables:
-        wide = []
-        for row in rows:
-            fault, motion = self.pairs[row["index"]]
-            reaction = {"rejected": "refused"}.get(row["status"], row["status"])
-            wide.append({"reaction": reaction, **row, "fault": fault.name, "motion": motion})
-        return {"faults": (COLUMNS, wide)}
+class FaultStudy(Experiment):
+    def tables(self, rows: list[Row]) -> Tables:
+        reactions = ("refused" if row["status"] == "rejected" else row["status"] for row in rows)
+        return super().tables([{"reaction": each, **row} for each, row in zip(reactions, rows, strict=True)])
 
     def page(self, rows: Mapping[str, list[Row]]) -> str:
-        texts = {}
-        for fault, _ in (self.pairs[index] for index in self.indices):
+        table, lines = rows["faults"], []
+        for fault in (FAULTS[name] for name in dict.fromkeys(row["fault"] for row in table)):
             bound = "" if fault.within is None else f" (a monitor trips within {1e3 * fault.within:.0f} ms)"
-            texts[fault.name] = f"- `{fault.name}`: {fault.text}{bound}"
+            lines.append(f"- `{fault.name}`: {fault.text}{bound}")
         return PAGE.format(
-            runs=len(rows["faults"]),
+            runs=len(table),
             duration=DURATION,
             onset=ONSET,
-            table=sheet(rows["faults"]).markdown(),
-            held="\n".join(f"- {line}" for line in holdable_lines(rows["faults"])),
-            faults="\n".join(texts.values()),
+            table=sheet(table).markdown(),
+            held="\n".join(f"- {line}" for line in holdable_lines(table)),
+            faults="\n".join(lines),
         )
 
 
-def fault_study(quick: bool = False, robot: str | None = None, overrides: Sequence[str] = ()) -> FaultStudy:
-    pairs = list(product(FAULTS.values(), MOTIONS))
-    indices = [index for index, (_, motion) in enumerate(pairs) if motion == "hold" or not quick]
-    return FaultStudy(base(robot, overrides), pairs, name="faults", indices=indices)
+def fault_study(
+    quick: bool = False,
+    robot: str | None = None,
+    overrides: Sequence[str] = (),
+    pairs: Sequence[tuple[FaultCase, str]] = tuple(product(FAULTS.values(), MOTIONS)),
+) -> FaultStudy:
+    start = base(robot, overrides)
+    given, trials, cases = given_keys(start), [], []
+    for index, (fault, motion) in enumerate(pairs):
+        changes, labels = fault.in_motion(motion, start), {"fault": fault.name, "motion": motion}
+        cases.append({**fault.to_dict(), **changes})
+        function, measure = simulate if fault.checked else simulate_unchecked, partial(measure_fault, fault=fault)
+        if motion == "hold" or not quick:
+            name = f"{fault.name} {motion}"
+            trials.append(trial_of(given, index, name, changes, labels, measure=measure, function=function))
+    return FaultStudy(
+        kind="faults",
+        name="faults",
+        base=start,
+        trials=trials,
+        columns=COLUMNS,
+        work={"scenario": start.to_dict(), "faults": cases},
+        variants=(start,),
+    )
 
 
-def measure_fault(log: SimulationLog, fault: Fault) -> Row:
+def measure_fault(log: SimulationLog, fault: FaultCase) -> Row:
     trip = log.safety or dict.fromkeys(("cause", "leg", "time"))
     # Rows at which a log stands are those of the safety layer's ticks.
-    after = log.time >= fault.since - 1e-9
+    torque = np.abs(log["torque_applied"][log.time >= fault.since - 1e-9])
     if log.safety is not None:
         # The layer gave up, or the plant broke under it: a crank that has lost its rod may spin up to that.
         reaction = "ended" if log.status == "failed" else _WORST[log.safety["worst"]]
@@ -173,13 +177,13 @@ def measure_fault(log: SimulationLog, fault: Fault) -> Row:
         far = allowed and (np.array(travel(log, fault.since)) > allowed).any()
         reaction = "unnoticed" if far else "ridden through"
     return {
-        **measure(log),
+        **measure_all(log),
         "reaction": reaction,
         "safety_cause": trip["cause"],
         "safety_leg": trip["leg"],
         "latency_ms": None if trip["time"] is None else 1e3 * (trip["time"] - fault.since),
         **_travels(log, fault.since),
-        "peak_torque": _peak(np.abs(log["torque_applied"][after])),
+        "peak_torque": float(torque.max()) if torque.size else None,
         **_held(log),
     }
 
@@ -209,19 +213,28 @@ def travel(log: SimulationLog, since: float) -> tuple[float, float]:
 def _braked(log: SimulationLog) -> np.ndarray:
     """Poses (n, 6) after a run's end, without torque from the motors, until brakes have brought the robot to rest."""
     scenario, step, robot, poses = log.scenario, log.scenario.plant.time_step, log.scenario.robot, []
+    if not isinstance(scenario.plant, MechanismOptions):
+        # Nobody knows how brakes act on a plant of the user's own.
+        return np.empty((0, 6))
     open_for = 0 if log.status == "stopped" else round(BRAKES / step)
-    brakes = {"motor_friction": 0.0, "motor_damping": 0.0, "friction": {"coulomb": robot.effort_limits.tolist()}}
-    closed = scenario.replace({f"plant.{key}": value for key, value in brakes.items()}).plant
-    free, held = (ClosedChain(robot, each, scenario.gravity) for each in (scenario.plant, closed))
+    brakes: dict[str, Any] = {
+        "motor_friction": 0.0,
+        "motor_damping": 0.0,
+        "friction": {"coulomb": robot.effort_limits.tolist()},
+    }
+    closed = replace(scenario.plant, **brakes)
+    plant, held = (ClosedForm(robot, each, scenario.gravity) for each in (scenario.plant, closed))
     nothing = np.zeros(6)
     # A robot that has gone through a singularity moves no farther here.
     with suppress(StewartDrakeError):
-        state = free.initial(log["pose"][-1], log["pose_rate"][-1])
+        measured = plant.initial(log["pose"][-1], log["pose_rate"][-1])
         for tick in range(open_for + round(0.5 / step)):
-            if tick >= open_for and (np.abs(state["crank_rate"]) < AT_REST).all():
+            if tick == open_for:
+                measured, plant = held.restore(plant.save()), held
+            if tick >= open_for and (np.abs(measured[CRANK_RATES]) < AT_REST).all():
                 break
-            (held if tick >= open_for else free).step(nothing, nothing, state)
-            poses.append(state["pose"][0].copy())
+            measured = plant.step(nothing, nothing)
+            poses.append(measured[POSE].copy())
     return np.array(poses).reshape(-1, 6)
 
 
@@ -235,10 +248,6 @@ def _travels(log: SimulationLog, since: float) -> Row:
     stop = simulate_unchecked(stopped_at(log.scenario, since))
     ends = np.array([travel(log, since), travel(stop, since)]) * (np.degrees(1.0), 1e3)
     return dict(zip(("travel_deg", "travel_mm", "stop_deg", "stop_mm"), ends.ravel().tolist(), strict=True))
-
-
-def _peak(values: np.ndarray) -> float | None:
-    return float(values.max()) if values.size else None
 
 
 def _held(log: SimulationLog) -> Row:
@@ -315,35 +324,27 @@ Command: `stewart-drake faults`. All figures: `faults.parquet`.
 """
 
 
-def sheet(rows: Sequence[Row]) -> Sheet:
-    motions = list(dict.fromkeys(row["motion"] for row in rows))
-    lines = []
-    for name in dict.fromkeys(row["fault"] for row in rows):
-        own = [row for row in rows if row["fault"] == name]
-        ends = {row["motion"]: _end(row, FAULTS[name]) for row in own}
-        worst = (_largest(own, units) for units in _FIGURES.values())
-        lines.append((name, *(ends.get(motion, "-") for motion in motions), *worst))
-    return Sheet("Reactions and outcomes", ("fault", *motions, *_FIGURES), lines)
+def sheet(rows: Sequence[Row]) -> TextTable:
+    more = {
+        "travel": partial(_largest, deg="travel_deg", mm="travel_mm"),
+        "stop at onset": partial(_largest, deg="stop_deg", mm="stop_mm"),
+    }
+    return pivot("Reactions and outcomes", rows, "fault", "motion", _end, more)
 
 
-_FIGURES = {
-    "travel": {"travel_deg": "deg", "travel_mm": "mm"},
-    "stop at onset": {"stop_deg": "deg", "stop_mm": "mm"},
-}
+def _largest(rows: Sequence[Row], **columns: str) -> str:
+    values = {unit: [row[name] for row in rows if row.get(name) is not None] for unit, name in columns.items()}
+    return ", ".join(f"{max(each):.1f} {unit}" for unit, each in values.items() if each) or "-"
 
 
-def _largest(rows: Sequence[Row], units: Mapping[str, str]) -> str:
-    values = {name: [row[name] for row in rows if row.get(name) is not None] for name in units}
-    return ", ".join(f"{max(each):.1f} {units[name]}" for name, each in values.items() if each) or "-"
-
-
-def _end(row: Row, fault: Fault) -> str:
+def _end(rows: Sequence[Row]) -> str:
+    (row,) = rows
     if row["reaction"] == "refused":
         return "refused"
     trip = ""
     if row.get("safety_monitor") is not None:
         # What chance brings, such as ticks lost in a row, has a time but no latency.
-        when = f", {row['latency_ms']:.0f} ms" if fault.since > 0.0 else ""
+        when = f", {row['latency_ms']:.0f} ms" if FAULTS[row["fault"]].since > 0.0 else ""
         leg = "" if row["safety_leg"] is None else f", leg {row['safety_leg']}"
         trip = f" ({row['safety_monitor']}{when}{leg})"
     warnings = (row.get("warnings") or "").replace("_", " ")

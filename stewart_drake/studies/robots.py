@@ -10,21 +10,21 @@ from typing import Any, get_args
 
 import numpy as np
 
-from stewart_drake.config import to_plain
+from stewart_drake.analysis.workspace import Kind, boundary, spanning_grid, spread_directions, survey
+from stewart_drake.base.config import to_plain
+from stewart_drake.base.markdown import markdown_table
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import conditioning
-from stewart_drake.planning.limits import Limits
-from stewart_drake.planning.workspace import Kind, boundary, spanning_grid, spread_directions, survey
 from stewart_drake.references import AdjustedReference, HoldReference, Reference, SumReference, center_of
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, PAPER
 from stewart_drake.runs.checks import adjusted, fit_amplitude
 from stewart_drake.runs.simulation import run
-from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.studies.study import markdown
+from stewart_drake.scenario.limits import Limits
+from stewart_drake.scenario.scenario import Scenario, load_scenario
 
-ROOM = 0.7
+MARGIN = 0.7
 """Of the largest feasible size of a motion, where it is not feasible as it stands: the controller's lag needs room."""
 SCENARIO = "sway"
 SAMPLES = 40_000
@@ -48,34 +48,34 @@ _TORQUES = {
 _WRENCHES = {("disturbances", key) for key in ("wrench", "impulse", "rms")}
 
 
-def sized(changes: Mapping[str, Any], base: Scenario) -> dict[str, Any]:
+def scale_to_robot(changes: Mapping[str, Any], base: Scenario) -> dict[str, Any]:
     """Scenario key -> value as it is for the robot of `base`; the same for the paper's.
 
     Torques go with the effort limit, lengths with the characteristic length, payloads with the platform's mass.
     """
     if base.robot == PAPER:
         return dict(changes)
-    made = {key: _sized(key.split("."), value, base.robot) for key, value in changes.items()}
+    made = {key: _scaled(key.split("."), value, base.robot) for key, value in changes.items()}
     if "reference" in made:
         duration = float(made.get("duration", base.duration))
         reference: Any = base.replace({"reference": made["reference"]}).reference
-        made["reference"] = to_plain(_placed(base.robot, base.limits, reference, duration, base.gravity))
+        made["reference"] = to_plain(_fit_reference(base.robot, base.limits, reference, duration, base.gravity))
     return made
 
 
-def _sized(path: list[str], value: Any, robot: RobotParameters) -> Any:
+def _scaled(path: list[str], value: Any, robot: RobotParameters) -> Any:
     """A value at a key, or a section whose values are sized one by one."""
     if path == ["initial_offset"]:
         return list(LENGTH.value(tuple(value), robot))
-    if len(path) > 1 and value is not None and not isinstance(value, str):
-        factor = _factor(path[0], path[-1], robot)
+    section = "model.robot" if path[:2] == ["model", "robot"] else path[0]
+    if ".".join(path) != section and value is not None and not isinstance(value, str):
+        factor = _factor(section, path[-1], robot)
         if factor is not None:
             return (np.array(value) * factor).tolist()
     if isinstance(value, Mapping):
-        sizes = {key: _sized([*path, key], each, robot) for key, each in value.items()}
-        return {**robot.to_dict(), **sizes} if path == ["model_robot"] else sizes
+        return {key: _scaled([*path, key], each, robot) for key, each in value.items()}
     if isinstance(value, list):
-        return [_sized(path, each, robot) if isinstance(each, Mapping) else each for each in value]
+        return [_scaled(path, each, robot) if isinstance(each, Mapping) else each for each in value]
     return value
 
 
@@ -83,7 +83,7 @@ def _factor(section: str, key: str, robot: RobotParameters) -> Any:
     """By what a value grows from the paper's robot to another; None for not at all."""
     torque = robot.effort_limit / PAPER.effort_limit
     length = robot.characteristic_length / PAPER.characteristic_length
-    if section == "model_robot":
+    if section == "model.robot":
         return np.array(getattr(robot, key)) / np.array(getattr(PAPER, key))
     if (section, key) in _TORQUES:
         return torque
@@ -94,7 +94,9 @@ def _factor(section: str, key: str, robot: RobotParameters) -> Any:
 
 
 @lru_cache(maxsize=64)
-def _placed(robot: RobotParameters, limits: Limits, reference: Any, duration: float, gravity: float) -> Reference:
+def _fit_reference(
+    robot: RobotParameters, limits: Limits, reference: Any, duration: float, gravity: float
+) -> Reference:
     """A motion about the robot's home, made smaller where it is not feasible."""
     home = tuple(robot.home_pose.tolist())
     if not np.allclose(center_of(reference), home, rtol=0.0, atol=1e-9):
@@ -108,8 +110,8 @@ def _placed(robot: RobotParameters, limits: Limits, reference: Any, duration: fl
     for name in ("amplitude", "excursion"):
         size = getattr(reference, name, ())
         if np.shape(size) == (6,):
-            return dataclasses.replace(reference, **{name: tuple((ROOM * share * np.array(size)).tolist())})
-    return adjusted(reference, scale=ROOM * share)
+            return dataclasses.replace(reference, **{name: tuple((MARGIN * share * np.array(size)).tolist())})
+    return adjusted(reference, scale=MARGIN * share)
 
 
 def robot_rows(robots: Mapping[str, RobotParameters], progress: Callable[[float], None]) -> list[tuple[str, ...]]:
@@ -129,7 +131,7 @@ def robots_page(rows: list[tuple[str, ...]]) -> str:
         "pitch 3 deg and heave 4 mm at 3 rad/s by the exact-model LQI at 1 kHz, encoders of 17 bits, all weights sized "
         "by the robot; RMSE of the second half."
     )
-    table = "\n".join(markdown(HEADER, rows))
+    table = markdown_table(HEADER, rows)
     return (
         f"# Robots side by side\n\n{textwrap.fill(about, 120)}\n\n{table}\n\nCommand: `stewart-drake robots table`.\n"
     )
@@ -137,12 +139,12 @@ def robots_page(rows: list[tuple[str, ...]]) -> str:
 
 def _poses(robot: RobotParameters) -> tuple[str, ...]:
     limits, home, directions = Scenario(robot=robot).limits, robot.home_pose, spread_directions(DIRECTIONS)
-    found, free = {}, {}
+    spaces, free = {}, {}
     for kind in get_args(Kind):
-        found[kind] = survey(robot, limits, spanning_grid(robot, kind, home, SAMPLES))
+        spaces[kind] = survey(robot, limits, spanning_grid(robot, kind, home, SAMPLES))
         free[kind] = float(boundary(robot, limits, kind, home, directions).radius.min())
-    sizes = {kind: each.size(each.connected) for kind, each in found.items()}
-    places = found["position"]
+    sizes = {kind: each.size(each.connected) for kind, each in spaces.items()}
+    places = spaces["position"]
     worst = float(places.measures.conditioning[places.connected].min(initial=1.0)) if places.connected.any() else 0.0
     return (
         f"{1e3 * robot.characteristic_length:.0f}",

@@ -12,29 +12,34 @@ from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import Any, Self
 
 import numpy as np
 
+from stewart_drake.base.atomic_files import (
+    NOT_FINITE,
+    append,
+    checksum,
+    locked_folder,
+    plain_json,
+    unseal,
+    write_atomically,
+)
+from stewart_drake.base.code import file_digests, trusting_code
+from stewart_drake.base.errors import ConfigurationError, RunFailure, raised_at
+from stewart_drake.base.registry import REGISTERED
 from stewart_drake.control.features import CostScales
-from stewart_drake.errors import ConfigurationError, RunFailure, raised_at
-from stewart_drake.files.code import file_digests, trusting_code
-from stewart_drake.files.whole import NOT_FINITE, append, checksum, locked_folder, plain_json, unseal, write_atomically
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metrics import MetricError, columns, error_norms, flat, run_cost, run_metrics
+from stewart_drake.logs.metrics import MetricError, columns, flat, run_cost, run_metrics
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.registry import REGISTERED
 from stewart_drake.runs.outputs import prepare_folder
+from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.workers import DEAD, Workers, run_jobs
 
-if TYPE_CHECKING:
-    from stewart_drake.scenario import Scenario
-
-Key = TypeVar("Key", int, str)
 Row = dict[str, Any]
 Measure = Callable[[SimulationLog], Row]
 """Figures of a log, in values that JSON has; a function that the workers can import."""
-RunFunction = Callable[["Scenario"], SimulationLog]
+RunFunction = Callable[[Scenario], SimulationLog]
 
 ROWS, HEADER = "rows.jsonl", "study.json"
 CODE = ("stewart-drake", "drake", "numpy", "scipy", "source")  # Versions on which every number depends
@@ -54,60 +59,6 @@ def simulate(scenario: Scenario, **options: Any) -> SimulationLog:
 
 simulate_unchecked = partial(simulate, check=False)
 
-
-@dataclass(frozen=True)
-class Task:
-    index: int
-    seed: int
-    base: Mapping[str, Any]
-    changes: Mapping[str, Any]
-    drawn: Mapping[str, Any] = field(default_factory=dict)
-    """What tells the run from others; `values` of its row."""
-    measure: Measure | None = None
-    function: RunFunction = simulate
-    trust_code: bool = False
-    """Whether code that the changes name may run."""
-
-    def row(self, status: str, reason: str | None, message: str | None) -> Row:
-        # Below the first line is the traceback of a user's code, which a log keeps.
-        text = None if not message else " ".join(message.splitlines()[0].split())[:MAX_MESSAGE]
-        named = {"index": self.index, "seed": self.seed, "values": dict(self.drawn)}
-        return {**named, "status": status, "reason": reason, "message": text}
-
-
-def execute(task: Task) -> Row:
-    """Runs a task and turns whatever comes of it into a row, in values that strict JSON has."""
-    start = time.perf_counter()
-    result = _result(task)
-    named = result.pop(NOT_FINITE, {})
-    row = plain_json(result)
-    named |= row.get(NOT_FINITE, {})
-    row[NOT_FINITE] = ", ".join(f"{name} {value}" for name, value in named.items() if "." not in name) or None
-    return {**row, "wall_s": time.perf_counter() - start, "host": socket.gethostname(), "worker": os.getpid()}
-
-
-def _result(task: Task) -> Row:
-    from stewart_drake.scenario import Scenario
-
-    try:
-        with trusting_code(task.trust_code):
-            log = task.function(Scenario.from_dict(task.base).replace(task.changes))
-        # A finite blow-up overflows in the squares; its row says so.
-        with np.errstate(all="ignore"):
-            return {**task.row(log.status, log.reason, log.message), **(task.measure or measure)(log)}
-    except KeyboardInterrupt:
-        raise
-    except ConfigurationError as error:
-        return task.row("rejected", error.reason, str(error))
-    except RunFailure as error:
-        return {**task.row("failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}
-    except MetricError as error:
-        return task.row("raised", error.reason, str(error))
-    except BaseException as error:  # SystemExit, MemoryError and the like: a row each
-        name = type(error).__name__
-        return task.row("raised", name, f"{str(error) or name}{raised_at(error)}")
-
-
 # --- figures of a run ---
 
 
@@ -124,7 +75,7 @@ def outcome(log: SimulationLog) -> Row:
     }
 
 
-def measure(log: SimulationLog) -> Row:
+def measure_all(log: SimulationLog) -> Row:
     return {**outcome(log), **flat(run_metrics(log), log.scenario), "simulation_s": log.wall_time}
 
 
@@ -132,11 +83,11 @@ def measure_cost(log: SimulationLog, scales: CostScales) -> Row:
     return {**outcome(log), "cost": run_cost(run_metrics(log), log.status, log.scenario.controller.period, scales)}
 
 
-def measure_run(log: SimulationLog, band: float, scales: CostScales | None = None) -> Row:
-    """Figures of a run: those of every sweep, settling into `band` [mm], its cost and the trace of its error."""
-    rotation, position = error_norms(log)
+def measure_tracking(log: SimulationLog, band: float, scales: CostScales | None = None) -> Row:
+    """All figures of a run, settling into `band` [mm], its cost and the trace of its error."""
+    rotation, position = log.error_norms
     pose = np.hypot(1e3 * log.scenario.robot.characteristic_length * np.radians(rotation), position)
-    figures = measure(log)
+    figures = measure_all(log)
     if scales is not None:
         figures["cost"] = run_cost(figures, log.status, log.scenario.controller.period, scales)
     settled = settling_time(log.time, pose, band) if log.reached_end else None
@@ -148,7 +99,7 @@ def measure_run(log: SimulationLog, band: float, scales: CostScales | None = Non
     return {**figures, "settling_s": settled, "trace": {"time": thinned(log.time), "pose_mm": thinned(pose)}}
 
 
-def measure_band(log: SimulationLog, frequency: float, axis: int, window: float) -> Row:
+def measure_response(log: SimulationLog, frequency: float, axis: int, window: float) -> Row:
     """Amplitude ratio and phase over the last `window` [s] of a run along a sine of `frequency` [Hz] on `axis`."""
     row = outcome(log) | dict.fromkeys(("ratio", "phase_deg", "rest"))
     if not log.reached_end:
@@ -183,11 +134,67 @@ def sine_response(
     return complex(actual / wanted), float(np.sqrt(2.0 * np.mean(rest**2)) / abs(actual))
 
 
+# --- a run ---
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A run of a scenario in plain values with some keys changed, and what is measured of it.
+
+    `key` tells it from the others of an experiment, `labels` are columns of its row.
+    """
+
+    key: str
+    base: Mapping[str, Any]
+    changes: Mapping[str, Any]
+    labels: Mapping[str, Any] = field(default_factory=dict)
+    measure: Measure = measure_all
+    function: RunFunction = simulate
+    trust_code: bool = False
+    """Whether code that the changes name may run."""
+
+    def scenario(self) -> Scenario:
+        with trusting_code(self.trust_code):
+            return Scenario.from_dict(self.base).replace(self.changes)
+
+
+def execute(trial: Trial) -> Row:
+    """Runs a trial and turns whatever comes of it into a row, in values that strict JSON has."""
+    start, figures = time.perf_counter(), Row()
+    try:
+        log = trial.function(trial.scenario())
+        # A finite blow-up overflows in the squares; its row says so.
+        with np.errstate(all="ignore"):
+            figures = {**ending(log.status, log.reason, log.message), **trial.measure(log)}
+    except KeyboardInterrupt:
+        raise
+    except ConfigurationError as error:
+        figures = ending("rejected", error.reason, str(error))
+    except RunFailure as error:
+        figures = {**ending("failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}
+    except MetricError as error:
+        figures = ending("raised", error.reason, str(error))
+    except BaseException as error:  # SystemExit, MemoryError and the like: a row each
+        name = type(error).__name__
+        figures = ending("raised", name, f"{str(error) or name}{raised_at(error)}")
+    named = figures.pop(NOT_FINITE, {})
+    row = plain_json(figures)
+    named |= row.get(NOT_FINITE, {})
+    row[NOT_FINITE] = ", ".join(f"{name} {value}" for name, value in named.items() if "." not in name) or None
+    return {**row, "wall_s": time.perf_counter() - start, "host": socket.gethostname(), "worker": os.getpid()}
+
+
+def ending(status: str, reason: str | None, message: str | None) -> Row:
+    # Below the first line is the traceback of a user's code, which a log keeps.
+    text = None if not message else " ".join(message.splitlines()[0].split())[:MAX_MESSAGE]
+    return {"status": status, "reason": reason, "message": text}
+
+
 # --- rows in a folder ---
 
 
-class KeptRuns:
-    """Rows of runs in a folder, which is this process's alone within the context: a sealed line each.
+class RowStore:
+    """Rows of trials in a folder, which is this process's alone within the context: a sealed line each.
 
     A line begins with the digest of what is done. One that was damaged, or never finished, is run again.
     """
@@ -228,23 +235,27 @@ class KeptRuns:
     def __exit__(self, *details: Any) -> None:
         self._open.__exit__(*details)
 
-    def rows(self, keys: Sequence[Key], task: Callable[[Key], Task]) -> list[Row]:
-        digests = {key: f"{self._digest}/{key}" for key in keys}
-        missing = [key for key in digests if digests[key] not in self._kept]
-        self._done += len(keys) - len(missing)
-        self._progress(float(self._done))
+    def rows(self, trials: Sequence[Trial]) -> list[Row]:
+        """Rows of some trials with their labels; only those that are missing are run, and each of a key once."""
+        trials = list(trials)  # Those of a sweep are drawn as they are asked for.
+        keys = [f"{self._digest}/{trial.key}" for trial in trials]
+        missing = {key: trial for key, trial in zip(keys, trials, strict=True) if key not in self._kept}
 
-        def keep(key: Key, row: Row) -> None:
-            append(self._stream, {"key": digests[key], **row})
-            self._kept[digests[key]] = row
-            self._done += 1
+        def keep(key: str, row: Row) -> None:
+            append(self._stream, {"key": key, **row})
+            self._kept[key] = row
+            advance(1)
+
+        def advance(count: int) -> None:
+            self._done += count
             self._progress(float(self._done))
 
-        def died(key: Key) -> Row:
-            return task(key).row("failed", "worker_died", DEAD)
+        def died(_: str) -> Row:
+            return ending("failed", "worker_died", DEAD)
 
-        run_jobs(missing, lambda key: (execute, (task(key),)), keep, self._workers, died)
-        return [self._kept[digests[key]] for key in keys]
+        advance(len(keys) - len(missing))
+        run_jobs(missing, lambda key: (execute, (missing[key],)), keep, self._workers, died)
+        return [{**plain_json(trial.labels), **self._kept[key]} for key, trial in zip(keys, trials, strict=True)]
 
     def _keep(self, line: bytes) -> bool:
         """Takes the row of a line that is whole and as it was written."""
@@ -258,8 +269,9 @@ class KeptRuns:
         header = self.folder / HEADER
         try:
             there = header.exists() or (self.folder / ROWS).exists()
-            unlike = _unequal(json.loads(header.read_bytes()), self._identity) if there else []
-        except (OSError, ValueError, RecursionError):
+            before = json.loads(header.read_bytes()) if there else self._identity
+            unlike = _unlike(before, self._identity)
+        except (OSError, ValueError, RecursionError, AttributeError):
             unlike = [f"{HEADER}, which cannot be read"]
         # Rows know too what they are of.
         if unlike and not any(key.startswith(self._digest) for key in self._kept):
@@ -267,12 +279,11 @@ class KeptRuns:
             raise ConfigurationError("--out", str(self.folder), f"{allowed}; it differs in {', '.join(unlike[:5])}")
 
 
-def _unequal(one: Any, other: Any, name: str = "") -> list[str]:
-    """Dotted keys at which two documents differ."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        keys = dict.fromkeys([*one, *other])
-        return [n for k in keys for n in _unequal(one.get(k), other.get(k), f"{name}.{k}" if name else k)]
-    return [] if one == other else [name]
+def _unlike(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Keys of what is not the same now; the names of files that are not."""
+    keys = [key for key, value in now.items() if before.get(key) != value]
+    files = [name for name, digest in now["files"].items() if before.get("files", {}).get(name) != digest]
+    return [*(key for key in keys if key != "files"), *(files or ["files"] * ("files" in keys))]
 
 
 def identity(work: Mapping[str, Any], scenarios: Iterable[Scenario] = ()) -> dict[str, Any]:

@@ -7,28 +7,36 @@ import math
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Count, Flag, Positive, Real, Section, Seed, Text, check_plain, shown
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.families import Family, refuse_given
-from stewart_drake.files.whole import plain_json
+from stewart_drake.base.code import TRUST
+from stewart_drake.base.config import Count, Flag, Positive, Real, Section, Seed, Text, check_plain, shorten
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.families import Family, given_keys
 from stewart_drake.logs.metrics import Column, ValueKind
 from stewart_drake.logs.metrics import columns as run_columns
-from stewart_drake.logs.outcomes import told
-from stewart_drake.scenario import split_key, value_at
-from stewart_drake.studies.runs import Row, Task
-from stewart_drake.studies.study import INCIDENTAL, Study, StudyFile, StudyName, Tables, load_study, vary, within
+from stewart_drake.logs.outcomes import describe_outcome
+from stewart_drake.scenario.keys import split_key, value_at
+from stewart_drake.scenario.scenario import Scenario
+from stewart_drake.studies.experiment import (
+    INCIDENTAL,
+    Experiment,
+    StudyFile,
+    StudyName,
+    error_prefix,
+    load_experiment,
+    trial_of,
+    with_changes,
+)
+from stewart_drake.studies.runs import Row, Trial
 
 BEFORE = (
-    Column("index", "", "number of the run, from 0", "whole"),
-    Column("seed", "", "seed of the run's random values", "whole"),
+    Column("index", "", "number of the run, from 0", "integer"),
+    Column("seed", "", "seed of the run's random values", "integer"),
 )
 
 
@@ -81,20 +89,16 @@ class Normal(_Distribution):
     high: Real | None = None
 
     def rules(self) -> None:
-        low, high = self._scores
-        if not low < high:
+        if self.low is not None and self.high is not None and not self.low < self.high:
             raise ConfigurationError("high", self.high, f"more than low, {self.low:g}")
 
     def at(self, quantile: float) -> float:
         from scipy.stats import truncnorm
 
-        # Below 2^-53 there are no quantiles but 0, which is infinitely far.
-        return self.mean + self.std * float(truncnorm.ppf(max(quantile, 2.0**-54), *self._scores))
-
-    @property
-    def _scores(self) -> tuple[float, float]:
         low = -math.inf if self.low is None else (self.low - self.mean) / self.std
-        return low, math.inf if self.high is None else (self.high - self.mean) / self.std
+        high = math.inf if self.high is None else (self.high - self.mean) / self.std
+        # Below 2^-53 there are no quantiles but 0, which is infinitely far.
+        return self.mean + self.std * float(truncnorm.ppf(max(quantile, 2.0**-54), low, high))
 
 
 class Integers(_Between):
@@ -144,8 +148,8 @@ class SweepFile(StudyFile):
     seed: Seed = 0
     """Seed of everything random."""
     mismatch: Flag = False
-    """Whether the controller keeps the scenario's robot as its model while `robot.*` varies: `model_robot` becomes that
-    robot, where the scenario has none of its own."""
+    """Whether the controller goes on believing in the scenario's robot, and in its servos, while `robot.*` or
+    `motors.*` vary: they become `model.robot` and `model.motors`, where the scenario has none of its own."""
     distributions: dict[Text, Annotated[Distribution, DISTRIBUTIONS]]
     """Scenario key -> distribution. A component of a list is `initial_offset[0]`, or `disturbances[0].wrench[3]`."""
 
@@ -154,30 +158,29 @@ class SweepFile(StudyFile):
             raise ConfigurationError("distributions", {}, "at least one scenario key with its distribution")
 
 
-@dataclass(frozen=True, eq=False)
-class Sweep(Study):
-    """A scenario and its distributions; the draws for run i follow from `seed`, i and the key alone."""
+class Draws(Sequence[Trial]):
+    """Trials of a sweep; the draws for run i follow from the file's `seed`, i and the key alone."""
 
-    file: SweepFile
-    kind = "sweep"
-
-    def __post_init__(self) -> None:
-        refuse_given(self.base)
-        for key, distribution in self.file.distributions.items():
+    def __init__(self, base: Scenario, file: SweepFile, count: int) -> None:
+        self.base, self.file, self._count, self._given = base, file, count, given_keys(base)
+        self._trust_code = TRUST.get()
+        data = base.in_full()
+        with error_prefix("distributions."):
+            self._values = {key: value_at(data, key) for key in file.distributions}
+        for key, distribution in file.distributions.items():
             self._check(key, distribution)
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> Sweep:
-        file, base = SweepFile.read("sweep", data, folder)
-        if file.mismatch and base.model_robot is None:
-            base = base.replace({"model_robot": base.to_dict()["robot"]})
-        runs = file.runs
-        if runs is None:
-            grids = [len(each.values) for each in file.distributions.values() if isinstance(each, Grid)]
-            if not grids:
-                raise ConfigurationError("runs", None, "a number of runs; optional only where a key has a grid")
-            runs = math.prod(grids)
-        return cls(base, file, name=file.name, indices=range(runs))
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> Any:
+        number = range(self._count)[index]
+        drawn = self.draw(number)
+        changes = self._changes(drawn)
+        factors = {f"{key}.factor": value for key, value in drawn.items() if self.file.distributions[key].factor}
+        labels = {"seed": self.run_seed(number), **changes, **factors}
+        name = f"{self.file.name} {number}"
+        return trial_of(self._given, number, name, changes, labels, trust_code=self._trust_code)
 
     def run_seed(self, index: int) -> int:
         state = np.random.SeedSequence(self.file.seed, spawn_key=(index,)).generate_state(1, np.uint64)
@@ -197,10 +200,6 @@ class Sweep(Study):
                 values[key] = distribution.at(rng.random())
         return values
 
-    def task(self, index: int) -> Task:
-        drawn = self.draw(index)
-        return self._task(index, self._changes(drawn), self.run_seed(index), drawn=drawn)
-
     def _changes(self, drawn: Mapping[str, Any]) -> dict[str, Any]:
         factors = self.file.distributions
         return {
@@ -208,43 +207,25 @@ class Sweep(Study):
             for key, value in drawn.items()
         }
 
-    def tables(self, rows: Sequence[Row]) -> Tables:
-        factors = [key for key, distribution in self.file.distributions.items() if distribution.factor]
+    @property
+    def columns(self) -> list[Column]:
         varied: list[Column] = []
         for key, distribution in self.file.distributions.items():
             kind = column_of(distribution)
-            if key in factors:
+            if distribution.factor:
                 varied.append(Column(f"{key}.factor", "1", f"factor on the scenario's {key}", kind))
                 kind = "json" if isinstance(self._values[key], list) else "number"
             text = f"scenario key {key} as run{', as JSON' if kind == 'json' else ''}"
             varied.append(Column(key, "", text, kind))
-        wide = []
-        for row in rows:
-            drawn = {f"{key}.factor": row["values"][key] for key in factors}
-            # A factor can take a number out of floating point; its row is one of a run that was rejected.
-            wide.append({**plain_json({**self._changes(row["values"]), **drawn}), **row})
-        return {"sweep": ((*BEFORE, *varied, *run_columns(self.base), *INCIDENTAL), wide)}
-
-    @property
-    def work(self) -> dict[str, Any]:
-        """Not how many runs there are, nor a name."""
-        scenario = {key: value for key, value in self.base.to_dict().items() if key != "name"}
-        distributions = {key: each.to_dict() for key, each in self.file.distributions.items()}
-        return {"scenario": scenario, "seed": self.file.seed, "distributions": distributions}
-
-    @cached_property
-    def _values(self) -> dict[str, Any]:
-        data = self.base.in_full()
-        with within("distributions."):
-            return {key: value_at(data, key) for key in self.file.distributions}
+        return varied
 
     def _check(self, key: str, distribution: Distribution) -> None:
         """Refuses a distribution whose middle does not suit the key; other values that do not are rows of the table."""
-        current, where = self._values[key], f"distributions.{shown(key)}"
+        current, where = self._values[key], f"distributions.{shorten(key)}"
         if isinstance(current, list) and not distribution.factor and not isinstance(distribution, Choice):
             raise ConfigurationError(where, key, f"a component such as {key}[0], or factor: true, or the kind choice")
         try:
-            vary(self.base, self._changes({key: distribution.at(0.5)}))
+            with_changes(self.base, self._changes({key: distribution.at(0.5)}))
         except TypeError:
             raise ConfigurationError(where, current, "a key with a number or numbers, to multiply") from None
         except ConfigurationError as error:
@@ -253,16 +234,45 @@ class Sweep(Study):
                 raise ConfigurationError(where, error.value, error.allowed) from None
 
 
-def load_sweep(path: str | Path, runs: int | None = None) -> Sweep:
+def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Experiment:
+    """From plain values of a `SweepFile`; paths relative to `folder`."""
+    file, base = SweepFile.read("sweep", data, folder)
+    if file.mismatch and base.model.robot is None:
+        base = base.replace({"model.robot": base.to_dict()["robot"]})
+    # Of motors that take torque nothing is believed.
+    if file.mismatch and base.model.motors is None and base.motors.takes != "torque":
+        base = base.replace({"model.motors": base.belief.motors.to_dict()})
+    runs = file.runs
+    if runs is None:
+        grids = [len(each.values) for each in file.distributions.values() if isinstance(each, Grid)]
+        if not grids:
+            raise ConfigurationError("runs", None, "a number of runs; optional only where a key has a grid")
+        runs = math.prod(grids)
+    draws = Draws(base, file, runs)
+    scenario = {key: value for key, value in base.to_dict().items() if key != "name"}
+    distributions = {key: each.to_dict() for key, each in file.distributions.items()}
+    return Experiment(
+        kind="sweep",
+        name=file.name,
+        base=base,
+        trials=draws,
+        columns=(*BEFORE, *draws.columns, *run_columns(base), *INCIDENTAL),
+        # Not how many runs there are, nor a name.
+        work={"scenario": scenario, "seed": file.seed, "distributions": distributions},
+        variants=(base,),
+    )
+
+
+def load_sweep(path: str | Path, runs: int | None = None) -> Experiment:
     more = {} if runs is None else {"runs": runs}
-    return load_study("sweep", path, lambda data, folder: Sweep.from_dict({**data, **more}, folder))
+    return load_experiment("sweep", path, lambda data, folder: make_sweep({**data, **more}, folder))
 
 
 def summary(rows: Sequence[Row]) -> list[tuple[str, str]]:
     counts = Counter((row["status"], row["reason"]) for row in rows)
     lines = [("runs", str(len(rows)))]
     for (status, reason), count in sorted(counts.items(), key=lambda item: (item[0][0] != "completed", -item[1])):
-        lines.append((told(status, reason), str(count)))
+        lines.append((describe_outcome(status, reason), str(count)))
     for unit, of in (("deg", "rotation"), ("mm", "position")):
         values = [value for row in rows if (value := row.get(f"rmse_norm_{unit}")) is not None]
         if values:
@@ -275,5 +285,5 @@ def column_of(distribution: Distribution) -> ValueKind:
     """What a column must be to hold the values of a distribution as they are."""
     values = distribution.values if isinstance(distribution, Choice) else [distribution.at(0.5)]
     types = {type(value) for value in values}
-    kinds: dict[ValueKind, set[type]] = {"flag": {bool}, "whole": {int}, "number": {int, float}, "text": {str}}
+    kinds: dict[ValueKind, set[type]] = {"flag": {bool}, "integer": {int}, "number": {int, float}, "text": {str}}
     return next((kind for kind, fitting in kinds.items() if types <= fitting), "json")

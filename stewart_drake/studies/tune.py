@@ -1,4 +1,4 @@
-"""The search for gains: CMA-ES over keys of each controller, every run kept as it comes; and the verdict."""
+"""The search for gains: CMA-ES over keys of each controller, every run kept as it comes; and its test afterwards."""
 
 from __future__ import annotations
 
@@ -12,55 +12,58 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stewart_drake.base.atomic_files import checksum, locked_folder, write_atomically
+from stewart_drake.base.code import TRUST, trusting_code
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.markdown import TextTable, number
+from stewart_drake.base.yaml_files import to_yaml
 from stewart_drake.control.features import CostScales
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.code import trusting_code
-from stewart_drake.files.whole import checksum, locked_folder, write_atomically
-from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.logs.metrics import FAILED, Column, mean_cost
-from stewart_drake.logs.versions import collect_versions
-from stewart_drake.scenario import value_at
+from stewart_drake.scenario.keys import value_at
 from stewart_drake.studies.comparison import Comparison
-from stewart_drake.studies.comparison_file import TuneOptions
-from stewart_drake.studies.runs import KeptRuns, Row, Task, measure_cost, simulate_unchecked
-from stewart_drake.studies.study import (
-    Sheet,
-    StudyResult,
-    load_study,
-    number,
-    run_study,
-    to_arrow,
-    vary,
-    within,
-    write_table,
+from stewart_drake.studies.comparison_file import TuneOptions, check_names
+from stewart_drake.studies.experiment import (
+    Experiment,
+    Result,
+    RunTrials,
+    error_prefix,
+    grouped,
+    load_experiment,
+    not_completed,
+    run_experiment,
+    with_changes,
 )
+from stewart_drake.studies.runs import Row, Trial, measure_cost, simulate_unchecked
 from stewart_drake.studies.workers import Workers
 
-COLUMNS = (
-    Column("controller", "", "name of the controller", "text"),
-    Column("evaluation", "", "number of the evaluation of this controller; 0 is the start", "whole"),
-    Column("cost", "1", "mean cost of its runs"),
-    Column("best", "1", "least cost so far"),
-    Column("not_completed", "", "number of its runs that were not completed", "whole"),
-    Column("setting", "", "scenario key -> value, as JSON", "json"),
-)
 DIGITS = 4
 START, TUNED, SEARCHED = "start", "tuned", "tuned, as searched"
-"""What the verdict compares: before, after, and the latter as the search sees it."""
+"""What is tested: before, after, and the latter as the search has it."""
 _QUICK_GENERATIONS = 2
 
 Setting = dict[str, float]
 
 
-@dataclass(frozen=True, eq=False)
-class Tuning:
-    comparison: Comparison
+COLUMNS = (
+    Column("controller", "", "name of the controller", "text"),
+    Column("evaluation", "", "number of the evaluation of this controller; 0 is the start", "integer"),
+    Column("cost", "1", "mean cost of its runs"),
+    Column("best", "1", "least cost so far"),
+    Column("not_completed", "", "number of its runs that were not completed", "integer"),
+    Column("setting", "", "scenario key -> value, as JSON", "json"),
+)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Tuning(Experiment):
+    """The search: its trials are those of one evaluation, its rows one for each evaluation."""
+
+    data: Mapping[str, Any]
     options: TuneOptions
     start: Mapping[str, Setting]
     generations: int
-    data: Mapping[str, Any]
-    folder: Path
-    quick: bool
+    compare: Callable[[Mapping[str, Any]], Comparison]
+    """Of changes of `data`."""
 
     @classmethod
     def from_dict(
@@ -72,31 +75,41 @@ class Tuning:
         quick: bool = False,
     ) -> Tuning:
         """From plain values, see `CompareFile`; `budget` evaluations of each stand in place of `generations`."""
-        plain = {**data, "tuned": None, "bands": None}
-        options = Comparison.from_dict(plain, folder, quick).file.tune
+        trust = TRUST.get()
+
+        def compare(changed: Mapping[str, Any]) -> Comparison:
+            with trusting_code(trust):
+                return Comparison.from_dict({**data, "tuned": None, "bands": None, **changed}, folder, quick)
+
+        options = compare({}).file.tune
         if options is None:
             raise ConfigurationError("tune", None, "a section with the keys to search, as in the comparison `fair`")
         if data.get("cost") is None:
             raise ConfigurationError("cost", None, "scales of the cost, such as {position: 0.03}")
-        changed = {"seeds": list(options.seeds), "set": {**(data.get("set") or {}), **options.set}}
-        with within("tune: "):
-            comparison = Comparison.from_dict({**plain, **changed}, folder, quick)
-        for name in controllers:
-            if name not in options.controllers:
-                raise ConfigurationError("--controller", name, f"one of {', '.join(options.controllers)}")
-        searched = controllers or options.controllers
-        start = {name: _start(comparison, name, options.controllers[name]) for name in searched}
+        check_names("--controller", controllers, options.controllers)
         generations = _QUICK_GENERATIONS if quick else options.generations
         if budget is not None:
             generations = (budget - 1) // options.population
             if generations < 1:
                 allowed = f"at least {options.population + 1}: the start and a generation"
                 raise ConfigurationError("--budget", budget, allowed)
-        return cls(comparison, options, start, generations, data, folder or Path(), quick)
-
-    @property
-    def name(self) -> str:
-        return self.comparison.name
+        with error_prefix("tune: "):
+            made = compare({"seeds": list(options.seeds), "set": {**(data.get("set") or {}), **options.set}})
+        trials = {name: of(made.trials, name) for name in controllers or options.controllers}
+        return cls(
+            kind="tune",
+            name=made.name,
+            base=made.base,
+            trials=[trial for group in trials.values() for trial in group],
+            columns=COLUMNS,
+            work=made.work,
+            variants=made.variants,
+            data=data,
+            options=options,
+            start={name: _start(name, group, options.controllers[name]) for name, group in trials.items()},
+            generations=generations,
+            compare=compare,
+        )
 
     @property
     def evaluations(self) -> int:
@@ -104,12 +117,46 @@ class Tuning:
 
     @property
     def runs(self) -> int:
-        return sum(len(self.cells(name)) for name in self.start) * self.evaluations + self.verdict({}).runs
+        return len(self.trials) * self.evaluations + self.test({}).runs
 
-    def cells(self, controller: str) -> list[int]:
-        return [place for place, cell in enumerate(self.comparison.cells) if cell.controller == controller]
+    def compared(self, rows: Sequence[Row]) -> None:
+        """The runs before and after are compared with other plants, not those of the search."""
 
-    def verdict(self, tuned: Mapping[str, Setting]) -> Comparison:
+    def rows(self, run: RunTrials) -> list[Row]:
+        return [row for name in self.start for row in self._search(name, run)]
+
+    def _search(self, name: str, run: RunTrials) -> list[Row]:
+        start, trials, rows = self.start[name], of(self.trials, name), list[Row]()
+        low, high = np.log(list(self.options.controllers[name].values())).T
+
+        def evaluate(points: Sequence[np.ndarray]) -> list[float]:
+            # What is run first is the start as it stands in the file, whatever its digits.
+            settings = [setting_at(start, point) for point in points] if rows else [start]
+            numbered = list(enumerate(settings, len(rows)))
+            done = iter(run([self._evaluated(trial, *each) for each in numbered for trial in trials]))
+            for evaluation, setting in numbered:
+                group = list(itertools.islice(done, len(trials)))
+                cost = mean_cost(row.get("cost", FAILED) for row in group)
+                best, missed = min([cost, *(row["best"] for row in rows[-1:])]), not_completed(group)
+                row = {"controller": name, "evaluation": evaluation, "cost": cost, "best": best}
+                rows.append({**row, "not_completed": missed, "setting": setting})
+            return [row["cost"] for row in rows[-len(settings) :]]
+
+        size = {"generations": self.generations, "population": self.options.population}
+        minimise(evaluate, np.log(list(start.values())), low, high, **size, seed=1)
+        return rows
+
+    def _evaluated(self, trial: Trial, evaluation: int, setting: Setting) -> Trial:
+        return replace(
+            trial,
+            key=json.dumps([evaluation, trial.key, setting]),
+            changes={**trial.changes, **setting},
+            measure=partial(measure_cost, scales=CostScales.from_dict(self.data["cost"])),
+            # The motions are the same in all evaluations: the first checks them.
+            function=simulate_unchecked if evaluation else trial.function,
+        )
+
+    def test(self, tuned: Mapping[str, Setting]) -> Comparison:
         """The comparison's own runs of each controller before and after the search; the start where it found none."""
         controllers: dict[str, Any] = {}
         runs = []
@@ -121,32 +168,32 @@ class Tuning:
                 ways[SEARCHED] = {**after, **self.options.set}
             named = {f"{name}, {way}": keys for way, keys in ways.items()}
             controllers |= named
-            cells = [self.comparison.cells[place] for place in self.cells(name)]
-            for reference, condition in dict.fromkeys((cell.reference, cell.condition) for cell in cells):
+            labels = [trial.labels for trial in of(self.trials, name)]
+            for reference, condition in grouped(labels, "reference", "condition"):
                 runs.append({"controllers": list(named), "references": [reference], "conditions": [condition]})
-        changed = {"controllers": controllers, "runs": runs, "best_of": {}, "tune": None, "tuned": None, "bands": None}
-        with trusting_code(self.comparison.trust_code):
-            return Comparison.from_dict({**self.data, **changed}, self.folder, self.quick)
+        return self.compare({"controllers": controllers, "runs": runs, "best_of": {}, "tune": None})
 
 
 def load_tuning(
     path: str | Path, controllers: Sequence[str] = (), budget: int | None = None, quick: bool = False
 ) -> Tuning:
     make = partial(Tuning.from_dict, controllers=controllers, budget=budget, quick=quick)
-    return load_study("comparison", path, make)
+    return load_experiment("comparison", path, make)
 
 
-def _start(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, float]]) -> Setting:
-    cell = next((cell for cell in comparison.cells if cell.controller == name), None)
-    if cell is None:
-        names = ", ".join(dict.fromkeys(cell.controller for cell in comparison.cells))
-        raise ConfigurationError("tune.controllers", name, f"controllers that are run: {names}")
-    scenario = vary(comparison.base, cell.changes)
+def of(trials: Sequence[Trial], controller: str) -> list[Trial]:
+    return [trial for trial in trials if trial.labels["controller"] == controller]
+
+
+def _start(name: str, trials: Sequence[Trial], ranges: Mapping[str, tuple[float, float]]) -> Setting:
+    if not trials:
+        raise ConfigurationError("tune.controllers", name, "controllers that are run")
+    scenario = trials[0].scenario()
     data, start = scenario.in_full(), {}
-    with within(f"tune.controllers.{name}: "):
-        for key, (low, high) in keys.items():
+    with error_prefix(f"tune.controllers.{name}: "):
+        for key, (low, high) in ranges.items():
             start[key] = value_at(data, key)
-            vary(scenario, {key: high})
+            with_changes(scenario, {key: high})
             if not isinstance(start[key], (int, float)) or not low <= start[key] <= high:
                 allowed = f"a number from {low:g} to {high:g} in the controller's own keys, to start from"
                 raise ConfigurationError(key, start[key], allowed)
@@ -156,8 +203,8 @@ def _start(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, fl
 class TuneResult(NamedTuple):
     rows: list[Row]
     tuned: dict[str, Setting]
-    verdict: StudyResult
-    sheets: list[Sheet]
+    test: Result
+    sheets: list[TextTable]
 
 
 def run_tuning(
@@ -168,31 +215,26 @@ def run_tuning(
     restart: bool = False,
 ) -> TuneResult:
     report = progress or (lambda _: None)
-    with KeptRuns(folder, tuning.comparison.identity(), workers, report, restart) as kept:
-        rows = [row for name in tuning.start for row in _search(tuning, name, kept)]
-    searches = {name: [row for row in rows if row["controller"] == name] for name in tuning.start}
-    tuned = {name: min(own, key=lambda row: row["cost"])["setting"] for name, own in searches.items()}
-    verdict = tuning.verdict(tuned)
-    searched = tuning.runs - verdict.runs
+    rows = run_experiment(tuning, folder, workers, report, restart).rows["tune"]
+    searches = {name: group for (name,), group in grouped(rows, "controller").items()}
+    tuned = {name: min(group, key=lambda row: row["cost"])["setting"] for name, group in searches.items()}
+    comparison = tuning.test(tuned)
+    before = tuning.runs - comparison.runs
     # Another search, longer or of other controllers, has another.
-    verdict_folder = folder / f"verdict-{checksum(tuned)[:8]}"
-    assessed = run_study(verdict, verdict_folder, workers, lambda done: report(searched + done), restart)
+    test_folder = folder / f"verdict-{checksum(tuned)[:8]}"
+    test = run_experiment(comparison, test_folder, workers, lambda done: report(before + done), restart)
     lines = []
-    for name, own in searches.items():
+    for name, group in searches.items():
         setting = ", ".join(f"{key.rpartition('.')[2]} {value:g}" for key, value in tuned[name].items())
-        lines.append((name, str(len(own)), number(own[0]["cost"]), number(own[-1]["best"]), setting))
+        lines.append((name, str(len(group)), number(group[0]["cost"]), number(group[-1]["best"]), setting))
     changed = "".join(f", {key} {value}" for key, value in tuning.options.set.items())
     title = f"{tuning.name}: cost in the search{changed}; mean of the runs; below by the verdict, before and after"
-    sheets = [
-        Sheet(title, ("controller", "evaluations", "start", "best", "setting"), lines),
-        *verdict.sheets(assessed.rows)[:1],
-    ]
-    about = {"tune": tuning.options.to_dict(), **tuning.comparison.work, "versions": collect_versions()}
+    sheet = TextTable(title, ("controller", "evaluations", "start", "best", "setting"), lines)
+    sheets = [sheet, *comparison.sheets(test.rows)[:1]]
     with locked_folder(folder):
-        write_table(to_arrow(COLUMNS, rows, "tuning", about), folder, "tune")
         write_atomically(folder / "tune.md", "\n".join(sheet.markdown() for sheet in sheets).encode())
         write_atomically(folder / "tuned.yaml", to_yaml({"name": tuning.name, "controllers": tuned}).encode())
-    return TuneResult(rows, tuned, assessed, sheets)
+    return TuneResult(rows, tuned, test, sheets)
 
 
 def write_picture(result: TuneResult, folder: Path) -> None:
@@ -207,45 +249,6 @@ def write_picture(result: TuneResult, folder: Path) -> None:
 def setting_at(keys: Iterable[str], point: np.ndarray) -> Setting:
     """The setting at a point in logarithms, to `DIGITS` digits."""
     return {key: float(f"{value:.{DIGITS}g}") for key, value in zip(keys, np.exp(point), strict=True)}
-
-
-def _search(tuning: Tuning, name: str, kept: KeptRuns) -> list[Row]:
-    comparison, start, options = tuning.comparison, tuning.start[name], tuning.options
-    low, high = (np.log([ends[place] for ends in options.controllers[name].values()]) for place in (0, 1))
-    cells, rows = tuning.cells(name), list[Row]()
-    measure = partial(measure_cost, scales=comparison.file.cost or CostScales())
-
-    def task(evaluation: int, cell: int, setting: Setting) -> Task:
-        made = comparison.task(cell)
-        # The motions are the same in all evaluations: the first checks them.
-        function = simulate_unchecked if evaluation else made.function
-        return replace(made, changes={**made.changes, **setting}, measure=measure, function=function)
-
-    def evaluate(points: Sequence[np.ndarray]) -> list[float]:
-        # What is run first is the start as it stands in the file, whatever its digits.
-        settings = [setting_at(start, point) for point in points] if rows else [start]
-        numbered = list(enumerate(settings, len(rows)))
-        keys = [json.dumps([evaluation, cell, setting]) for evaluation, setting in numbered for cell in cells]
-        runs = iter(kept.rows(keys, lambda key: task(*json.loads(key))))
-        for evaluation, setting in numbered:
-            own = list(itertools.islice(runs, len(cells)))
-            cost = mean_cost(run.get("cost", FAILED) for run in own)
-            missed = sum(run["status"] != "completed" for run in own)
-            found = {"controller": name, "evaluation": evaluation, "cost": cost, "not_completed": missed}
-            best = min([cost, *(row["best"] for row in rows[-1:])])
-            rows.append({**found, "best": best, "setting": setting})
-        return [row["cost"] for row in rows[-len(settings) :]]
-
-    minimise(
-        evaluate,
-        np.log(list(start.values())),
-        low,
-        high,
-        generations=tuning.generations,
-        population=options.population,
-        seed=1,
-    )
-    return rows
 
 
 def minimise(

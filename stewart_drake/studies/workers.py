@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from joblib.externals.loky import get_reusable_executor
 from joblib.externals.loky.backend import resource_tracker as loky_tracker
 
-from stewart_drake.errors import ConfigurationError, StewartDrakeError, installed_with, quiet_libraries
+from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, installed_with, quiet_libraries
 from stewart_drake.logs import versions
 
 K = TypeVar("K", bound=Hashable)
@@ -34,7 +34,7 @@ WORKER_GONE = (
     ' which must be a file with the call under `if __name__ == "__main__":`'
 )
 DEAD = "its worker process died twice, the second time with this run alone in it: killed, out of memory, or a crash"
-_QUIET = ExitStack()
+_WITHOUT_STDERR = ExitStack()
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 """Of a worker: with more, those of several workers would be in each other's way."""
 
@@ -190,7 +190,7 @@ def _own_source() -> str:
 
 def start_worker(parent: int) -> None:
     """Keeps libraries quiet in this worker, and ends it once the process that started it is gone."""
-    _QUIET.enter_context(quiet_libraries())
+    _WITHOUT_STDERR.enter_context(quiet_libraries())
     logging.getLogger("stewart_drake").setLevel(logging.ERROR)
 
     def watch() -> None:

@@ -11,10 +11,11 @@ from stewart_drake.systems.library import JointPid as JointPid
 from stewart_drake.systems.library import LqiController as LqiController
 from stewart_drake.systems.library import MotorDrive as MotorDrive
 from stewart_drake.systems.library import MotorEncoders as MotorEncoders
+from stewart_drake.systems.library import NetTorque as NetTorque
 from stewart_drake.systems.library import PartSystem as PartSystem
 from stewart_drake.systems.library import PlatformObserver as PlatformObserver
 from stewart_drake.systems.library import PoseEstimator as PoseEstimator
 from stewart_drake.systems.library import ReferenceSource as ReferenceSource
 from stewart_drake.systems.library import SafetyLayer as SafetyLayer
-from stewart_drake.systems.library import SentCommand as SentCommand
 from stewart_drake.systems.library import TaskSpaceSensor as TaskSpaceSensor
+from stewart_drake.systems.library import TrackingError as TrackingError

@@ -7,15 +7,23 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
-from pydrake.systems.primitives import ConstantVectorSource, Demultiplexer, LogVectorOutput, VectorLogSink
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    Demultiplexer,
+    LogVectorOutput,
+    Saturation,
+    VectorLogSink,
+)
 
-from stewart_drake.errors import drake_guard
-from stewart_drake.part import Part
-from stewart_drake.parts import loop_of
+from stewart_drake.base.errors import ConfigurationError, drake_guard
+from stewart_drake.base.sampling import InBlocks, on_grid
+from stewart_drake.hardware.motors import limit_torque
+from stewart_drake.loop.part import Part
 from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
-from stewart_drake.sampling import on_grid
-from stewart_drake.scenario import Scenario, require_scenario
-from stewart_drake.systems.library import PartSystem, PlatformWrench, ReferenceSource, TaskSpaceSensor
+from stewart_drake.plant.plant_options import DrakeOptions
+from stewart_drake.scenario.assembly import Source, loop_of
+from stewart_drake.scenario.scenario import Scenario, require_scenario
+from stewart_drake.systems.library import PartSystem, PlatformWrench, TaskSpaceSensor, TimeSource
 
 _System = TypeVar("_System")
 
@@ -24,10 +32,10 @@ class ClosedLoop(Diagram):
     """Plant, sensors, reference, controller and what else a scenario has; wired and logged.
 
     Output ports: plant_state (nq + nv,) [rad, rad/s], measurement (12,) pose [rad, m] and pose rate [rad/s, m/s],
-    reference (18,) pose, pose rate and pose acceleration [rad/s^2, m/s^2], torque (6,) [N m], error (6,) [rad, m],
-    integral (6,) [rad s, m s]; for controllers that take weights weights (2,) or (4,) [-], density (12,) [-]; with an
-    observer innovation (6,) [rad]; where something stands between controller and motors torque_applied (6,) [N m];
-    with disturbances disturbance (6,) [N m, N] about P; with a safety layer safety (3,): level, monitor, leg or -1.
+    reference (18,) pose, pose rate and pose acceleration [rad/s^2, m/s^2], torque (6,) [N m] asked for, torque_applied
+    (6,) [N m] of the motors, error (6,) [rad, m], integral (6,) [rad s, m s]; for controllers that take weights weights
+    (2,) or (4,) [-], density (12,) [-]; with an observer innovation (6,) [rad]; with disturbances disturbance (6,)
+    [N m, N] about P; with a safety layer safety (3,): level, monitor, leg or -1.
 
     Args:
         scenario: The run to build.
@@ -45,7 +53,7 @@ class ClosedLoop(Diagram):
         self.scenario, self.loop = scenario, loop_of(scenario)
         wiring = _Wiring(scenario)
         for source in self.loop.sources:
-            wiring.add_source(source.signal)
+            wiring.add_source(source)
         for part in self.loop.parts:
             wiring.add_part(part)
         for part in self.loop.parts:
@@ -81,6 +89,8 @@ class _Wiring:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario, self.period = scenario, scenario.controller.period
         self.builder = DiagramBuilder()
+        if not isinstance(scenario.plant, DrakeOptions):
+            raise ConfigurationError("plant.kind", scenario.plant.kind, "drake, for a Diagram")
         self.plant: StewartPlant = add_plant(self.builder, scenario.robot, scenario.plant, scenario.gravity)
         sensor = self.add("sensor", TaskSpaceSensor(self.plant))
         self.builder.Connect(self.plant.state_output_port, sensor.plant_state)
@@ -90,18 +100,23 @@ class _Wiring:
     def add(self, name: str, system: _System) -> _System:
         return cast(_System, self.builder.AddNamedSystem(name, system))
 
-    def add_source(self, signal: str) -> None:
-        scenario, step = self.scenario, self.scenario.plant.time_step
-        if signal == "wrench":
-            push = self.add("push", PlatformWrench(self.plant, scenario.disturbances))
+    def add_source(self, source: Source) -> None:
+        table = InBlocks(source.evaluate, self.scenario.plant.time_step)
+        signal = self.add(source.signal, TimeSource(source.signal, source.size, table.at_time)).get_output_port()
+        self.signals[source.signal] = signal
+        if source.signal == "wrench":
+            push = self.add("push", PlatformWrench(self.plant))
+            self.builder.Connect(signal, push.wrench)
             self.builder.Connect(push.spatial_force, self.plant.plant.get_applied_spatial_force_input_port())
-            self.signals[signal] = push.wrench
-        else:
-            ahead = scenario.ahead * on_grid(self.period) if signal == "reference_ahead" else 0.0
-            self.signals[signal] = self.add(signal, ReferenceSource(scenario.reference, step, ahead)).reference
 
     def add_part(self, part: Part) -> None:
         """Adds the system of a part; its signals are split in C++, a port of its own would be a call of Python."""
+        if part.kernel is limit_torque:
+            # Drake has it in C++: at every step of the plant a call of Python costs a tenth of the step.
+            limit = part.constants["limit"]
+            saturation = self.systems[part.name] = self.add(part.name, Saturation(-limit, limit))
+            self.signals[part.signal("torque")] = saturation.get_output_port()
+            return
         if part.system is not None:
             self.systems[part.name] = self.add(part.name, part.system)
             self.signals |= {part.signal(name): part.system.GetOutputPort(name) for name in part.outputs}
@@ -120,8 +135,9 @@ class _Wiring:
             source = part.source(port)
             # A `PartSystem` has the time and its arrays without a port.
             if part.system is not None or (port != "time" and isinstance(source, str)):
-                signal = self.port(f"{part.name}_{port}", source)
-                self.builder.Connect(signal, self.systems[part.name].GetInputPort(port))
+                signal, system = self.port(f"{part.name}_{port}", source), self.systems[part.name]
+                only = isinstance(system, Saturation)
+                self.builder.Connect(signal, system.get_input_port() if only else system.GetInputPort(port))
 
     def port(self, name: str, source: str | np.ndarray) -> OutputPort:
         if isinstance(source, str):

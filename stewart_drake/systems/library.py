@@ -7,26 +7,26 @@ period)`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort
 
+from stewart_drake.base.errors import ConfigurationError, RunFailure
+from stewart_drake.base.sampling import on_grid
+from stewart_drake.control.base import TRACKING_ERROR
+from stewart_drake.control.features import DensityKind, density_part
 from stewart_drake.control.lqi import LqiOptions, lqi_part
-from stewart_drake.control.network import DensityKind, TunerNetwork, density_part, network_part
-from stewart_drake.errors import ConfigurationError, RunFailure
-from stewart_drake.hardware.disturbances import Disturbance, total_wrench
-from stewart_drake.part import BoundPart, Part
-from stewart_drake.parts import loop_of
+from stewart_drake.control.network import TunerNetwork, network_part
+from stewart_drake.loop.part import BoundPart, Part
 from stewart_drake.plant.multibody_plant import StewartPlant
-from stewart_drake.references import Reference, in_blocks
+from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.sampling import on_grid
-from stewart_drake.scenario import Scenario, require_scenario
+from stewart_drake.scenario.assembly import loop_of
+from stewart_drake.scenario.scenario import Scenario, require_scenario
 
 _AHEAD = 1.0 + 4e-10
 """A tick's instant begins a little early: decimal times, at which others may ask, come before the stretched ones."""
@@ -143,7 +143,6 @@ class LqiController(PartSystem):
         reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
         weights: in (2,), omega_Q, omega_R; or, for block weights, (4,), q_e, q_v, q_z, r; all > 0.
         torque: out (6,) [N m].
-        error: out (6,) [rad, m], pose minus reference at the tick.
         integral: out (6,) [rad s, m s], z after the tick.
         result: out, the part's whole state and the number of ticks done.
     """
@@ -152,6 +151,20 @@ class LqiController(PartSystem):
         if weights not in (2, 4):
             raise ConfigurationError("weights", weights, "2 or 4")
         super().__init__(lqi_part(options, robot, gravity, weights), options.period)
+
+
+class TrackingError(PartSystem):
+    """Measured pose minus that of the reference; answers within the tick. The period is in [s].
+
+    Ports:
+        measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s] (Euler rates).
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
+        error: out (6,) [rad, m].
+        result: out, the part's whole state and the number of ticks done.
+    """
+
+    def __init__(self, period: float) -> None:
+        super().__init__(TRACKING_ERROR, period)
 
 
 class DensityFeatures(PartSystem):
@@ -212,11 +225,11 @@ class ScenarioSystem(PartSystem):
 
 
 class JointPid(ScenarioSystem, part="controller", controller="pid"):
-    """`controller: pid`; measurement, reference -> torque, error, integral."""
+    """`controller: pid`; measurement, reference -> torque."""
 
 
 class ComputedTorque(ScenarioSystem, part="controller", controller="computed_torque"):
-    """`controller: computed_torque`; measurement, reference -> torque, error, integral."""
+    """`controller: computed_torque`; measurement, reference -> torque, integral."""
 
 
 class MotorEncoders(ScenarioSystem, part="encoders"):
@@ -228,23 +241,26 @@ class PoseEstimator(ScenarioSystem, part="estimator"):
 
 
 class PlatformObserver(ScenarioSystem, part="observer"):
-    """`estimator: observer`; reading, sent, reference, disturbance -> measurement, ahead, compensation, innovation."""
+    """`estimator: observer`.
+
+    reading, net_torque, reference, disturbance -> measurement, predicted, disturbance_torque, innovation.
+    """
 
 
 class FrictionFeedforward(ScenarioSystem, part="friction_compensation"):
-    """`friction_compensation`, torque against the motors' friction; reference -> friction_torque."""
+    """`model.friction`, torque against the motors' friction; reference -> friction_torque."""
 
 
 class CommandSum(ScenarioSystem, part="command"):
-    """The torque asked for; control_torque, compensation, friction_torque -> torque."""
+    """The torque asked for; control_torque, disturbance_torque, friction_torque -> torque."""
 
 
-class SentCommand(ScenarioSystem, part="sent"):
-    """What an observer takes for the last command; torque, friction_torque -> sent."""
+class NetTorque(ScenarioSystem, part="net_torque"):
+    """What an observer takes for the last command; torque, friction_torque -> net_torque."""
 
 
 class CommandDelay(ScenarioSystem, part="command_delay"):
-    """`command_delay`, whole ticks; torque -> torque."""
+    """`command_delay`, whole ticks; value -> value: a command, and that of so many ticks ago."""
 
 
 class CommandLink(ScenarioSystem, part="link"):
@@ -252,7 +268,7 @@ class CommandLink(ScenarioSystem, part="link"):
 
 
 class MotorDrive(ScenarioSystem, part="motors"):
-    """`motors`, the torque of imperfect motors at every step of the plant; torque, crank_state -> torque."""
+    """`motors`, the torque of imperfect motors at every step of the plant; command, crank_state -> torque."""
 
 
 class SafetyLayer(ScenarioSystem, part="safety"):
@@ -263,28 +279,33 @@ class SafetyLayer(ScenarioSystem, part="safety"):
     """
 
 
-class ReferenceSource(LeafSystem):
-    """A reference motion as a signal, `ahead` [s] of its time; many multiples of `period` [s] are evaluated at once.
+class TimeSource(LeafSystem):
+    """A signal that is a function of time alone, of its name and size.
+
+    Ports:
+        NAME: out (size,), `evaluate(time)` at a time [s].
+    """
+
+    def __init__(self, name: str, size: int, evaluate: Callable[[float], np.ndarray]) -> None:
+        super().__init__()
+
+        def calc(context: Context, output: Any) -> None:
+            output.SetFromVector(evaluate(context.get_time()))
+
+        setattr(self, name, self.DeclareVectorOutputPort(name, size, calc, prerequisites_of_calc={self.time_ticket()}))
+
+
+class ReferenceSource(TimeSource):
+    """A reference motion as a signal.
 
     Ports:
         reference: out (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
     """
 
-    def __init__(self, reference: Reference, period: float | None = None, ahead: float = 0.0) -> None:
-        super().__init__()
-        self._reference, self._ahead = reference, ahead
-        self._blocks = None if period is None else in_blocks(reference, period)
-        needs = {self.time_ticket()}
-        self.reference = self.DeclareVectorOutputPort("reference", 18, self._calc, prerequisites_of_calc=needs)
+    reference: OutputPort
 
-    def _calc(self, context: Context, output: Any) -> None:
-        time = context.get_time() + self._ahead
-        if self._blocks is not None:
-            at, value = self._blocks.at(round(time / self._blocks.period))
-            if at == time:
-                output.SetFromVector(value)
-                return
-        output.SetFromVector(np.concatenate(self._reference.evaluate(time)))
+    def __init__(self, reference: Reference) -> None:
+        super().__init__("reference", 18, lambda time: np.concatenate(reference.evaluate(time)))
 
 
 class TaskSpaceSensor(LeafSystem):
@@ -299,11 +320,7 @@ class TaskSpaceSensor(LeafSystem):
     def __init__(self, plant: StewartPlant) -> None:
         super().__init__()
         self._plant = plant
-        size = plant.plant.num_multibody_states()
-        # A sensor asks at every tick: what `StateMap.crank_angles` does, without its generality.
-        self._index = np.concatenate([plant.indices.crank, plant.indices.crank_rate])
-        self._zero = np.concatenate([plant.crank_angles(np.zeros(size)), np.zeros(6)])
-        self.plant_state = self.DeclareVectorInputPort("plant_state", size)
+        self.plant_state = self.DeclareVectorInputPort("plant_state", plant.plant.num_multibody_states())
         needs = {self.input_port_ticket(self.plant_state.get_index())}
         self.measurement = self.DeclareVectorOutputPort("measurement", 12, self._pose, prerequisites_of_calc=needs)
         self.crank_state = self.DeclareVectorOutputPort("crank_state", 12, self._cranks, prerequisites_of_calc=needs)
@@ -312,35 +329,25 @@ class TaskSpaceSensor(LeafSystem):
         output.SetFromVector(np.concatenate(self._plant.pose_and_rate(self.plant_state.Eval(context))))
 
     def _cranks(self, context: Context, output: Any) -> None:
-        output.SetFromVector(self.plant_state.Eval(context)[self._index] + self._zero)
+        output.SetFromVector(self._plant.crank_state(self.plant_state.Eval(context)))
 
 
 class PlatformWrench(LeafSystem):
-    """The disturbances of a scenario, at the centre of the platform.
+    """A push from outside, at the centre of the platform.
 
     Ports:
-        wrench: out (6,) [N m, N], moment about P and force, in B.
+        wrench: in (6,) [N m, N], moment about P and force, in B.
         spatial_force: out, for the plant's port `applied_spatial_force`.
     """
 
-    def __init__(self, plant: StewartPlant, disturbances: Sequence[Disturbance]) -> None:
+    def __init__(self, plant: StewartPlant) -> None:
         super().__init__()
-        self._disturbances = tuple(disturbances)
-        self._body = plant.plant.GetBodyByName("platform").index()
-        needs, forces = {self.time_ticket()}, Value[list[ExternallyAppliedSpatialForce]]
-        self.wrench = self.DeclareVectorOutputPort("wrench", 6, self._calc, prerequisites_of_calc=needs)
+        self._plant = plant
+        self.wrench = self.DeclareVectorInputPort("wrench", 6)
+        needs, forces = {self.input_port_ticket(self.wrench.get_index())}, Value[list[ExternallyAppliedSpatialForce]]
         self.spatial_force = self.DeclareAbstractOutputPort(
-            "spatial_force", lambda: forces(), self._calc_force, prerequisites_of_calc=needs
+            "spatial_force", lambda: forces(), self._calc, prerequisites_of_calc=needs
         )
 
     def _calc(self, context: Context, output: Any) -> None:
-        output.SetFromVector(total_wrench(self._disturbances, context.get_time()))
-
-    def _calc_force(self, context: Context, output: Any) -> None:
-        wrench = self.wrench.Eval(context)
-        force = ExternallyAppliedSpatialForce()
-        force.body_index = self._body
-        # The origin of the link `platform` is P.
-        force.p_BoBq_B = np.zeros(3)
-        force.F_Bq_W = SpatialForce(tau=wrench[:3], f=wrench[3:])
-        output.set_value([force])
+        output.set_value([self._plant.push(self.wrench.Eval(context))])

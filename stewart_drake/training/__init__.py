@@ -1,1 +1,1 @@
-"""Training of the paper's network (`train`, the only place that imports torch) and of the policy, and the verdict."""
+"""Training of the paper's network, the only place that imports torch, and of the policy, and the verdict."""

@@ -5,36 +5,38 @@ A candidate changes the scenario of a case; a cell is a kind of situations with 
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.config import Real, Section, Text
+from stewart_drake.base.atomic_files import PACKAGE, checksum, locked_folder
+from stewart_drake.base.config import Real, Section, Text
+from stewart_drake.base.markdown import markdown_table
+from stewart_drake.base.registry import TUNERS
+from stewart_drake.base.yaml_files import read_mapping
 from stewart_drake.control.features import CostScales
+from stewart_drake.control.observer import ObserverOptions
 from stewart_drake.control.policy import disturbance_of, weights_of
-from stewart_drake.files.whole import PACKAGE, checksum, locked_folder, write_atomically
-from stewart_drake.files.yaml_files import read_mapping
-from stewart_drake.hardware.observer import ObserverOptions
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metrics import run_cost, run_metrics
-from stewart_drake.registry import TUNERS
-from stewart_drake.scenario import Scenario
-from stewart_drake.studies.runs import KeptRuns, Row, Task, identity, simulate_unchecked
-from stewart_drake.studies.study import markdown, write_table
-from stewart_drake.studies.workers import Workers
+from stewart_drake.logs.metrics import METRICS, OUTCOME, Column, run_cost, run_metrics
+from stewart_drake.scenario.scenario import Scenario
+from stewart_drake.studies.experiment import Experiment, RunTrials, grouped, not_completed
+from stewart_drake.studies.runs import Row, RowStore, Trial, identity, simulate_unchecked
 from stewart_drake.training.situations import HELD_OUT, KINDS, ROBOTS, Case, Changes, kinds_of, situation
 
 SHIPPED = PACKAGE / "weights" / "baselines.yaml"
 MEASURED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
 """Figures of a run that its cost is made of, whatever the scales."""
-LEAST_COST = 1e-3
+MIN_COST = 1e-3
 """A smaller cost counts as this: encoders that never change make a cost of nothing, and a ratio to it means nothing."""
 DIGITS = 3  # Of a setting: what is run is what is written down
 BEST_FIXED = "best fixed"
 
-Engine = Literal["drake", "reduced"]
+PlantKind = Literal["drake", "closed_form"]
 Numbers = tuple[Real, Real, Real, Real]
 Cell = tuple[str, str]
 Candidate = Callable[[Case, Scenario], Changes]
@@ -44,8 +46,6 @@ GROUPS: Mapping[str, Callable[[Cell], bool]] = {
     "kinds never trained on": lambda cell: not KINDS[cell[0]].trained,
     **{f"{robot} alone": lambda cell, robot=robot: cell[1] == robot for robot in ROBOTS},  # type: ignore[misc]
 }
-COLUMNS = ("candidate", "kind", "robot", "seed", "status", "reason", "cost", "ratio", *MEASURED)
-"""Of verdict.csv: cost J and its ratio to that of `BEST_FIXED` in the same situation; figures of the second half."""
 
 
 class Baselines(Section, key=""):
@@ -106,7 +106,7 @@ def candidates(baselines: Baselines, more: Mapping[str, Changes]) -> dict[str, C
 
 
 def cells_for(robot: str | None = None, trained: bool | None = None) -> list[Cell]:
-    return [(kind, each) for each in ROBOTS if robot in (None, each) for kind in kinds_of(each, trained)]
+    return [(kind, name) for name in ROBOTS if robot in (None, name) for kind in kinds_of(name, trained)]
 
 
 def cases_of(cells: Sequence[Cell], seeds: Sequence[int]) -> list[Case]:
@@ -129,33 +129,37 @@ def measure_parts(log: SimulationLog) -> Row:
 
 def log_cost(row: Row, scales: CostScales) -> float:
     cost = run_cost(row, row["status"], row.get("period", 1.0), scales)
-    return float(np.log(max(cost, LEAST_COST)))
+    return float(np.log(max(cost, MIN_COST)))
 
 
-class Benchmark(KeptRuns):
-    """Runs of candidates, known by what is run; a context manager with the further arguments of `KeptRuns`."""
+def candidate_trial(plant: PlantKind, candidate: Candidate, case: Case, name: str = "") -> Trial:
+    """Known by what is run; of a network its weights count, whatever its file is called."""
+    scenario = situation(*case[:3])
+    changes = {**candidate(case, scenario), "plant.kind": plant, "log_period": None}
+    section = TUNERS.resolve(tuner) if (tuner := changes.get("tuner")) else None
+    network = section and section.from_dict(tuner).content()
+    key = checksum({"case": list(case), "changes": changes, "network": network and checksum(network)})
+    labels = {"candidate": name, **case._asdict()}
+    return Trial(key, scenario.to_dict(), changes, labels, measure_parts, simulate_unchecked)
 
-    def __init__(self, folder: Path, engine: Engine, *more: Any, **options: Any) -> None:
-        super().__init__(folder, identity({"benchmark": engine, "measured": MEASURED}), *more, **options)
-        self._engine = engine
+
+def _work(plant: PlantKind) -> dict[str, Any]:
+    return {"benchmark": plant, "measured": MEASURED}
+
+
+class Benchmark(RowStore):
+    """Runs of candidates, as a search asks for them; with the further arguments of `RowStore`."""
+
+    def __init__(self, folder: Path, plant: PlantKind, *more: Any, **options: Any) -> None:
+        super().__init__(folder, identity(_work(plant)), *more, **options)
+        self._plant = plant
 
     def run(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> list[Row]:
-        tasks = [self._task(candidate, case) for candidate in candidates for case in cases]
-        keys = [checksum(task.drawn) for task in tasks]
-        return self.rows(keys, dict(zip(keys, tasks, strict=True)).__getitem__)
+        return self.rows([candidate_trial(self._plant, candidate, case) for candidate in candidates for case in cases])
 
     def log_costs(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> np.ndarray:
         costs = [log_cost(row, CostScales()) for row in self.run(candidates, cases)]
         return np.reshape(costs, (len(candidates), len(cases)))
-
-    def _task(self, candidate: Candidate, case: Case) -> Task:
-        scenario = situation(*case[:3])
-        changes = {**candidate(case, scenario), "plant.engine": self._engine, "log_period": None}
-        section = TUNERS.section_of(tuner) if (tuner := changes.get("tuner")) else None
-        # Of a network the weights count, whatever its file is called.
-        network = section and section.from_dict(tuner).content()
-        drawn = {"case": list(case), "changes": changes, "network": network and checksum(network)}
-        return Task(0, case.seed, scenario.to_dict(), changes, drawn, measure_parts, simulate_unchecked)
 
 
 class Estimate(NamedTuple):
@@ -178,104 +182,103 @@ def estimate(logs: Sequence[np.ndarray], kind: Literal["mean", "median"] = "mean
     def statistic(*runs: np.ndarray, axis: int = -1) -> Any:
         if kind == "median":
             return np.median(np.concatenate(runs, axis=axis), axis=axis)
-        return np.mean([each.mean(axis=axis) for each in runs], axis=0)
+        return np.mean([cell.mean(axis=axis) for cell in runs], axis=0)
 
     value = float(statistic(*logs))
-    if all(np.ptp(each) == 0.0 for each in logs):
+    if all(np.ptp(cell) == 0.0 for cell in logs):
         return Estimate(*np.exp([value] * 3).tolist())
     options: dict[str, Any] = {"n_resamples": 4999, "batch": 500, "method": "percentile", "vectorized": True}
     interval = bootstrap(list(logs), statistic, rng=np.random.default_rng(0), **options).confidence_interval
     return Estimate(*np.exp([value, interval.low, interval.high]).tolist())
 
 
-class Verdict(NamedTuple):
-    """Logarithms of J (candidates, cases), and runs that failed; `BEST_FIXED` is among the names."""
-
-    names: tuple[str, ...]
-    cases: tuple[Case, ...]
-    logs: np.ndarray
-    failed: np.ndarray
-
-    def of(
-        self, name: str, within: Callable[[Cell], bool] = GROUPS["all kinds"], over: str = BEST_FIXED
-    ) -> list[np.ndarray]:
-        """Logarithms of J of a candidate over that of another, an array for each cell that counts."""
-        row = self.logs[self.names.index(name)] - self.logs[self.names.index(over)]
-        return [row[places] for cell, places in cells_of(self.cases).items() if within(cell)]
+COLUMNS = (
+    *(Column(name, "", f"{name} of the run", "text") for name in ("candidate", "kind", "robot")),
+    Column("seed", "", "seed of the situation", "integer"),
+    *OUTCOME[:2],
+    Column("cost", "1", "J of the run's second half"),
+    Column("ratio", "1", f"J over that of `{BEST_FIXED}` in the same situation"),
+    *(column for metric in METRICS if metric.name in MEASURED for column in metric.columns()),
+)
 
 
-def assess(
-    entered: Mapping[str, Candidate],
-    folder: Path,
-    seeds: int,
-    engine: Engine = "drake",
-    workers: Workers | None = None,
-    progress: Callable[[float], None] | None = None,
-    restart: bool = False,
-) -> Verdict:
-    import pyarrow as pa
+class Evaluation(Experiment):
+    """Candidates in cases; `BEST_FIXED` is among them, and the one after it is set against all others."""
 
-    cases = cases_of(cells_for(), HELD_OUT[:seeds])
-    with Benchmark(folder, engine, workers, progress, restart) as benchmark:
-        rows = benchmark.run(list(entered.values()), cases)
-    shape = (len(entered), len(cases))
-    logs = np.reshape([log_cost(row, CostScales()) for row in rows], shape)
-    failed = np.reshape([row["status"] != "completed" for row in rows], shape)
-    verdict = Verdict(tuple(entered), tuple(cases), logs, failed)
-    ratios = logs - logs[verdict.names.index(BEST_FIXED)]
-    costs = [{"cost": np.exp(log), "ratio": np.exp(ratio)} for log, ratio in zip(logs.flat, ratios.flat, strict=True)]
-    names = [{"candidate": name, **case._asdict()} for name in entered for case in cases]
-    table = [{**name, **row, **cost} for name, row, cost in zip(names, rows, costs, strict=True)]
-    write_table(pa.table({name: [row.get(name) for row in table] for name in COLUMNS}), folder, "verdict")
-    write_atomically(folder / "verdict.md", page(verdict).encode())
-    return verdict
+    def rows(self, run: RunTrials) -> list[Row]:
+        rows = [{**row, "cost": math.exp(log_cost(row, CostScales()))} for row in run(self.trials)]
+        fixed = [row["cost"] for row in rows if row["candidate"] == BEST_FIXED]
+        return [{**row, "ratio": row["cost"] / base} for row, base in zip(rows, itertools.cycle(fixed), strict=False)]
 
-
-def page(verdict: Verdict) -> str:
-    """The tables as Markdown; the candidate after `BEST_FIXED` is set against all others."""
-    first, *rivals = others = [name for name in verdict.names if name != BEST_FIXED]
-    cells = cells_of(verdict.cases)
-    groups = {name: within for name, within in GROUPS.items() if any(map(within, cells))}
-    whole, by_kind = [], []
-    for name, failed in zip(verdict.names, verdict.failed, strict=True):
-        means = [float(np.exp(each.mean())) for each in verdict.of(name)]
-        worst, (kind, robot) = max(zip(means, cells, strict=True))
-        shares = [str(estimate(verdict.of(name, within))) for within in groups.values()]
-        median = str(estimate(verdict.of(name), "median"))
-        whole.append([name, *shares, median, f"{worst:.2f}, {kind}, {robot}", str(int(failed.sum()))])
-    of_others = [verdict.of(name) for name in others]
-    for at, ((kind, robot), places) in enumerate(cells.items()):
-        base = np.exp(verdict.logs[verdict.names.index(BEST_FIXED), places].mean())
-        own = [each[at : at + 1] for each in of_others]
-        ratios = [f"{estimate(each)}; {estimate(each, 'median').value:.2f}" for each in own]
-        shown = kind if KINDS[kind].trained else f"{kind} (never trained on)"
-        by_kind.append([shown, robot, f"{base:.3g}", *ratios])
-    duels = [
-        [name, *(str(estimate(verdict.of(first, within, over=rival))) for rival in rivals)]
-        for name, within in groups.items()
-    ]
-    lines = [
-        f"Ratios of J to that of `{BEST_FIXED}` in the same situation: geometric means over the "
-        f"{len(verdict.cases)} runs of each candidate, each kind of each robot counting alike, with intervals of "
-        "95 % (bootstrap).",
-        "",
-        *markdown(["candidate", *groups, "median of runs", "worst kind", "failed"], whole),
-        "",
-        *([f"J of `{first}` over that of", "", *markdown(["", *rivals], duels), ""] if rivals else []),
-        "By kind: J of the best fixed setting (geometric mean), then ratios (geometric mean with interval; median).",
-        "",
-        *markdown(["kind", "robot", BEST_FIXED, *others], by_kind),
-    ]
-    return "\n".join(lines) + "\n"
+    def page(self, rows: Mapping[str, list[Row]]) -> str:
+        table = rows[self.kind]
+        first, *rest = others = [name for (name,) in grouped(table, "candidate") if name != BEST_FIXED]
+        fixed = [row for row in table if row["candidate"] == BEST_FIXED]
+        cells = grouped(fixed, "kind", "robot")
+        groups = {name: within for name, within in GROUPS.items() if any(map(within, cells))}
+        whole, by_kind = [], []
+        for (name,), group in grouped(table, "candidate").items():
+            means = [float(np.exp(cell.mean())) for cell in ratios(table, name)]
+            largest, (kind, robot) = max(zip(means, cells, strict=True))
+            shares = [estimate(ratios(table, name, within)) for within in groups.values()]
+            median = estimate(ratios(table, name), "median")
+            whole.append([name, *shares, median, f"{largest:.2f}, {kind}, {robot}", not_completed(group)])
+        of_others = [ratios(table, name) for name in others]
+        for at, ((kind, robot), group) in enumerate(cells.items()):
+            of_cell = [cells_of_other[at : at + 1] for cells_of_other in of_others]
+            shown = [f"{estimate(cell)}; {estimate(cell, 'median').value:.2f}" for cell in of_cell]
+            title = kind if KINDS[kind].trained else f"{kind} (never trained on)"
+            by_kind.append([title, robot, f"{np.exp(np.log([row['cost'] for row in group]).mean()):.3g}", *shown])
+        pairwise = [
+            [name, *(estimate(ratios(table, first, within, over=other)) for other in rest)]
+            for name, within in groups.items()
+        ]
+        lines = [
+            f"Ratios of J to that of `{BEST_FIXED}` in the same situation: geometric means over the "
+            f"{len(fixed)} runs of each candidate, each kind of each robot counting alike, with intervals of "
+            "95 % (bootstrap).",
+            markdown_table(["candidate", *groups, "median of runs", "worst kind", "failed"], whole),
+            *([f"J of `{first}` over that of", markdown_table(["", *rest], pairwise)] if rest else []),
+            "By kind: J of the best fixed setting (geometric mean), then ratios (geometric mean with interval; "
+            "median).",
+            markdown_table(["kind", "robot", BEST_FIXED, *others], by_kind),
+        ]
+        return "\n\n".join(lines) + "\n"
 
 
-def write_picture(verdict: Verdict, folder: Path) -> None:
+def ratios(
+    rows: Sequence[Row],
+    name: str,
+    within: Callable[[Cell], bool] = GROUPS["all kinds"],
+    over: str = BEST_FIXED,
+) -> list[np.ndarray]:
+    """Logarithms of J of a candidate over that of another, an array for each cell that counts."""
+    costs = grouped(rows, "candidate", "kind", "robot")
+    logs = {key: np.log([row["cost"] for row in group]) for key, group in costs.items()}
+    cells = [cell for candidate, *cell in costs if candidate == name]
+    return [logs[name, *cell] - logs[over, *cell] for cell in cells if within((cell[0], cell[1]))]
+
+
+def evaluation(candidates: Mapping[str, Candidate], seeds: int, plant: PlantKind = "drake") -> Evaluation:
+    pairs = itertools.product(candidates.items(), cases_of(cells_for(), HELD_OUT[:seeds]))
+    return Evaluation(
+        kind="verdict",
+        name="tuner verdict",
+        base=Scenario(),
+        trials=[candidate_trial(plant, candidate, case, name) for (name, candidate), case in pairs],
+        columns=COLUMNS,
+        work=_work(plant),
+    )
+
+
+def write_picture(rows: Sequence[Row], folder: Path) -> None:
     # matplotlib takes a second to load.
     from stewart_drake.plotting import save_figure
     from stewart_drake.plotting.study_plots import plot_costs
 
-    names = [name for name in verdict.names if name != BEST_FIXED]
-    ratios = {name: [estimate([each]) for each in verdict.of(name)] for name in names}
-    labels = [kind if robot == "paper" else f"{kind}, {robot}" for kind, robot in cells_of(verdict.cases)]
+    names = dict.fromkeys(row["candidate"] for row in rows if row["candidate"] != BEST_FIXED)
+    shown = {name: [estimate([cell]) for cell in ratios(rows, name)] for name in names}
+    cells = dict.fromkeys((row["kind"], row["robot"]) for row in rows)
+    labels = [kind if robot == "paper" else f"{kind}, {robot}" for kind, robot in cells]
     with locked_folder(folder):
-        save_figure(plot_costs(labels, ratios, BEST_FIXED), folder / "verdict.png")
+        save_figure(plot_costs(labels, shown, BEST_FIXED), folder / "verdict.png")

@@ -1,6 +1,6 @@
 """Training of the policy by an evolution strategy: whole runs on the fast engine, on all cores.
 
-What is made small is the mean of log J over situations, each kind of them counting alike.
+It minimises the mean of log J over situations; all kinds of situations count alike.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from stewart_drake.control.features import FEATURES, CostScales, features
-from stewart_drake.control.policy import SIZE, Chooser, Layers, Policy, policy_tick
+from stewart_drake.base.atomic_files import MAX_FILE_BYTES, checksum, read_checked, seal, unseal, write_atomically
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.jit import record
+from stewart_drake.control.features import FEATURES, CostScales, compute_features
+from stewart_drake.control.policy import SIZE, Policy, SettingSource, policy_setting, slew
 from stewart_drake.control.tuners import PolicyTuner
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import LARGEST, checksum, read_checked, seal, unseal, write_atomically
-from stewart_drake.jit import njit, record
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.runs import simulate_unchecked
 from stewart_drake.studies.workers import Workers, run_all
 from stewart_drake.training.benchmark import (
@@ -60,13 +60,13 @@ def policy_of(
 ) -> Policy:
     """A policy of flat weights (`WEIGHTS`,); zeros stay at the centre (4,); mean, scale (13,), ends (2, 13)."""
     parts = np.split(weights, np.cumsum([HIDDEN * len(FEATURES), HIDDEN, SIZE * HIDDEN]))
-    mean, scale, low, high = (np.broadcast_to(each, len(FEATURES)) for each in (mean, scale, *ends))
-    layers = Layers(
-        mean=mean,
-        scale=scale,
-        hidden=parts[0].reshape(HIDDEN, -1),
+    mean, scale, low, high = (np.broadcast_to(values, len(FEATURES)) for values in (mean, scale, *ends))
+    return Policy(
+        input_mean=mean,
+        input_scale=scale,
+        hidden_weights=parts[0].reshape(HIDDEN, -1),
         hidden_bias=parts[1],
-        output=parts[2].reshape(SIZE, -1),
+        output_weights=parts[2].reshape(SIZE, -1),
         output_bias=parts[3],
         centre=centre,
         below=centre - LOWEST,
@@ -74,19 +74,23 @@ def policy_of(
         low=low,
         high=high,
     )
-    return Policy(layers)
 
 
-def episode_cost(chooser: Chooser, case: Case) -> float:
+def episode_cost(source: SettingSource, case: Case) -> float:
     """Logarithm of what a run of a policy on the fast engine costs, at the kappa of the case."""
-    log = simulate_unchecked(tuned_by(chooser, _fast(case), case.kappa))
+    log = simulate_unchecked(tuned_by(source, _fast(case), case.kappa))
     return log_cost({"status": log.status, **measure_parts(log)}, CostScales().at(case.kappa))
 
 
 def episode_features(policy: Policy, case: Case) -> np.ndarray:
-    recorder = _Recorder(policy)
-    episode_cost(recorder, case)
-    return np.array(recorder.rows[_SKIPPED::_SAMPLED]).reshape(-1, len(FEATURES))
+    rows, params = [], record(policy.params())
+
+    def choose(features: np.ndarray, setting: np.ndarray) -> float:
+        rows.append(features)
+        return policy_setting(params, features, setting)
+
+    episode_cost(FunctionSource(policy, choose), case)
+    return np.array(rows[_SKIPPED::_SAMPLED]).reshape(-1, len(FEATURES))
 
 
 @lru_cache(maxsize=4096)
@@ -94,47 +98,35 @@ def _fast(case: Case) -> Scenario:
     """The situation on the fast engine, with at most two steps of the plant in a tick."""
     scenario = situation(*case[:3])
     step = max(scenario.plant.time_step, scenario.controller.period / 2)
-    return scenario.replace({"plant.engine": "reduced", "plant.time_step": step, "log_period": None})
+    return scenario.replace({"plant.kind": "closed_form", "plant.time_step": step, "log_period": None})
 
 
 class GivenTuner(PolicyTuner):
-    """A tuner whose settings come from an object, `vars(tuner)["chosen_by"]`, in place of a policy file."""
+    """A tuner that has its source of settings already, in the place of a policy file."""
 
     adapts: ClassVar[bool] = False
 
-    def chooser(self) -> Chooser:  # type: ignore[override]
-        given: Chooser = vars(self)["chosen_by"]
-        return given
 
-
-def tuned_by(chooser: Chooser, scenario: Scenario, kappa: float = 0.0) -> Scenario:
-    """A scenario with block weights, its settings chosen by an object."""
+def tuned_by(source: SettingSource, scenario: Scenario, kappa: float = 0.0) -> Scenario:
+    """A scenario with block weights and a source of settings."""
     q_pose, q_rate, q_integral, r = scenario.tuner.weights
     tuner = GivenTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=kappa)
-    vars(tuner)["chosen_by"] = chooser
+    vars(tuner)["_source"] = source
     return scenario.replace({"tuner": tuner})
 
 
-class _Recorder:
-    def __init__(self, policy: Policy) -> None:
-        self.centre, self.lowest, self.width = policy.centre, policy.lowest, policy.width
-        self.numbers, self.law = policy.numbers, self._tick
-        self.rows: list[np.ndarray] = []
+class FunctionSource:
+    """Settings in the box of a policy by `choose(features, setting)`, which fills (4,) and returns its confidence."""
 
-    def _tick(self, setups: np.ndarray, own: np.ndarray, *inputs: np.ndarray) -> None:
-        density, error, torque, innovation, reference, state = inputs
-        found = np.empty(len(FEATURES))
-        hear(setups, density, error, torque, innovation, reference, state.copy(), found)
-        self.rows.append(found)
-        policy_tick(setups, own, *inputs)
+    def __init__(self, policy: Policy, choose: Callable[[np.ndarray, np.ndarray], float]) -> None:
+        self.centre, self.width, self.params, self._choose = policy.centre, policy.width, policy.params, choose
 
-
-@njit
-def hear(
-    setups: Any, density: Any, error: Any, torque: Any, innovation: Any, reference: Any, states: Any, out: Any
-) -> None:
-    """`features` of records that are arrays (1,)."""
-    features(record(setups), density, error, torque, innovation, reference, record(states), out)
+    def kernel(self, tuner_params: np.ndarray, _: np.ndarray, *inputs: np.ndarray) -> None:
+        features, setting, confidence = np.empty(len(FEATURES)), self.centre.copy(), 0.0
+        arguments: Any = (*inputs, features)
+        if compute_features(tuner_params, *arguments):
+            confidence = self._choose(features, setting)
+        slew(tuner_params, setting, confidence, inputs[-1])
 
 
 @dataclass(frozen=True)
@@ -174,7 +166,7 @@ class State:
 
     @classmethod
     def load(cls, file: Path, identity: str) -> State:
-        content = read_checked(file, f"state {file}", LARGEST)
+        content = read_checked(file, f"state {file}", MAX_FILE_BYTES)
         values: dict[str, Any] = unseal(content, f"state {file}", "`stewart-drake train`; remove it to start anew")
         if values.pop("identity", None) != identity:
             allowed = "the state of a training with the same options; remove the file to start anew"
@@ -241,7 +233,7 @@ class Training:
         # All of kappa was drawn, if not to its very ends.
         ends[:, FEATURES.index("kappa")] = -1.0, 1.0
         policy = policy_of(state.best, self.centre, state.mean, state.scale, ends)
-        return Policy(policy.layers, self._card(state, self.validate(state, policy)))
+        return dataclasses.replace(policy, provenance=self._card(state, self.validate(state, policy)))
 
     def policy(self, state: State, weights: np.ndarray) -> Policy:
         return policy_of(weights, self.centre, state.mean, state.scale)

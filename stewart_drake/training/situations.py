@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.planning.pose_box import NEAR
+from stewart_drake.analysis.feasibility import NEAR
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.robot.robot_scale import PAPER
 from stewart_drake.runs.checks import check_scenario
-from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 TRAINING, VALIDATION, HELD_OUT = (range(first, first + 10**6) for first in (0, 10**6, 3 * 10**6))
 """Seeds: of what is searched and trained on, of what is chosen by, and of what is assessed by. Earlier policies
@@ -36,7 +36,7 @@ class Case(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Setup:
+class Template:
     """A robot in a run of a duration [s], before anything is drawn.
 
     `viscous` [N m s/rad] is its motors' friction, `beyond` [N m] dry friction that nobody believes, lowest and highest;
@@ -59,24 +59,24 @@ class Setup:
 
 
 ROBOTS = {
-    "paper": Setup("exact_breathing", {}, 1.8, 0.0, (0.04, 0.1), 1.0),
+    "paper": Template("exact_breathing", {}, 1.8, 0.0, (0.04, 0.1), 1.0),
     # Its counts alone would not change at rest.
-    "reachy_mini": Setup("reachy_nod", {"sensors.noise": 3e-4}, 3.0, 0.095, (0.062, 0.08), 0.7),
+    "reachy_mini": Template("reachy_nod", {"sensors.noise": 3e-4}, 3.0, 0.095, (0.062, 0.08), 0.7),
 }
 
 
 class Draw:
-    def __init__(self, rng: np.random.Generator, setup: Setup) -> None:
-        self.rng, self.setup, self.robot = rng, setup, setup.base.robot
+    def __init__(self, rng: np.random.Generator, template: Template) -> None:
+        self.rng, self.template, self.robot = rng, template, template.base.robot
         self.length = self.robot.characteristic_length / PAPER.characteristic_length
-        self._torque = setup.push * self.robot.effort_limit / PAPER.effort_limit
+        self._torque = template.push * self.robot.effort_limit / PAPER.effort_limit
 
     def between(self, low: float, high: float) -> float:
         return float(low * (high / low) ** self.rng.random())
 
     def time(self, low: float, high: float) -> float:
         """[s] by shares of the run, on a millisecond."""
-        return round(self.setup.duration * float(self.rng.uniform(low, high)), 3)
+        return round(self.template.duration * float(self.rng.uniform(low, high)), 3)
 
     def place(self, share: float) -> np.ndarray:
         """A pose (6,) within a share of the near box."""
@@ -192,8 +192,8 @@ def _loaded(draw: Draw) -> Changes:
 
 
 def _sticking(draw: Draw) -> Changes:
-    coulomb = draw.between(*draw.setup.beyond)
-    more = {"break_away": coulomb * float(draw.rng.uniform(1.0, 1.4)), "viscous": draw.setup.viscous}
+    coulomb = draw.between(*draw.template.beyond)
+    more = {"break_away": coulomb * float(draw.rng.uniform(1.0, 1.4)), "viscous": draw.template.viscous}
     return {"plant.motor_friction": 0.0, "plant.motor_damping": 0.0, "plant.friction": {"coulomb": coulomb, **more}}
 
 
@@ -211,7 +211,7 @@ def _bursts(draw: Draw, before: bool, after: bool) -> Changes:
         "amplitude": [(size * moves).tolist() for moves in (before, after)],
         "center": draw.place(0.2).tolist(),
         "burst_duration": draw.time(0.6, 0.75),
-        "fade": 0.1 * draw.setup.duration,
+        "fade": 0.1 * draw.template.duration,
     }
     return {"reference": reference}
 
@@ -277,12 +277,12 @@ def situation(kind: str, robot: str, seed: int) -> Scenario:
     """A run that the robot can do, the same for the same arguments; with the default setting, on Drake's plant."""
     if kind not in kinds_of(robot):
         raise ConfigurationError("kind", kind, f"one of {', '.join(kinds_of(robot))}, for {robot}")
-    setup = ROBOTS[robot]
+    template = ROBOTS[robot]
     rng = np.random.default_rng([zlib.crc32(kind.encode()), zlib.crc32(robot.encode()), seed])
-    draw = Draw(rng, setup)
+    draw = Draw(rng, template)
     for left in reversed(range(_TRIES)):
         changes = {"sensors.noise_seed": int(rng.integers(2**31)), **KINDS[kind].draw(draw)}
-        scenario = setup.base.replace({"name": f"{kind} {robot} {seed}", **changes})
+        scenario = template.base.replace({"name": f"{kind} {robot} {seed}", **changes})
         try:
             check_scenario(scenario)
             break

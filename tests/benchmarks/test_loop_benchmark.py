@@ -8,6 +8,7 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from stewart_drake import Controller, RobotParameters, build_diagram, build_plant, load_scenario
+from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.riccati import (
     INTEGRAL,
     POSITION,
@@ -20,9 +21,8 @@ from stewart_drake.control.riccati import (
 )
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.parts import loop_of
-from stewart_drake.sampling import on_grid
-from stewart_drake.systems import ReferenceSource, diagram
+from stewart_drake.scenario.assembly import loop_of
+from stewart_drake.systems import diagram
 
 ROBOT = RobotParameters()
 STEP = on_grid(0.001)
@@ -109,17 +109,17 @@ def test_the_same_systems_doing_nothing(compare, monkeypatch):
 
     def idle(part):
         start = part.initial.copy()
-        if part.name == "controller":
+        if part.name in ("controller", "motors"):
             start["torque"] = hold
         return part._replace(initial=start, kernel=lambda *_: None, error=None)
 
     def idle_loop(scenario):
         loop = loop_of(scenario)
-        return loop._replace(parts=tuple(map(idle, loop.parts)))
+        sources = tuple(each._replace(evaluate=lambda times: np.tile(wanted, (len(times), 1))) for each in loop.sources)
+        return loop._replace(parts=tuple(map(idle, loop.parts)), sources=sources)
 
     wanted = np.concatenate([ROBOT.home_pose, np.zeros(12)])
     monkeypatch.setattr(diagram, "loop_of", idle_loop)
-    monkeypatch.setattr(ReferenceSource, "_calc", lambda _self, _context, output: output.SetFromVector(wanted))
     loop = Loop("reference={kind: hold}", *ALL)
     compare("idle loop", loop.step, "plant alone", loop.plant_alone, per=STEPS, base_per=STEPS)
 
@@ -127,7 +127,7 @@ def test_the_same_systems_doing_nothing(compare, monkeypatch):
 @pytest.mark.parametrize("observed", [False, True], ids=["differences", "observer"])
 def test_a_tick_of_the_controller(compare, observed):
     """The controller's side without a Diagram: estimator, reference, regulator, densities, network."""
-    changes = ["estimator={kind: observer}", "friction_compensation={coulomb: 0.01}"] if observed else []
+    changes = ["estimator={kind: observer}", "model.friction={coulomb: 0.01}"] if observed else []
     scenario = load_scenario("exact_fig7", [*ALL, "reference={kind: breathing}", *changes])
     controller, torque, count = Controller(scenario), np.empty(6), 256
     home, tick = inverse_kinematics(ROBOT, scenario.start()[0]), itertools.count()

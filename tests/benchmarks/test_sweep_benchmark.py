@@ -3,8 +3,8 @@
 import json
 import time
 
-from stewart_drake.studies.study import run_study
-from stewart_drake.studies.sweep import Sweep
+from stewart_drake.studies.experiment import run_experiment
+from stewart_drake.studies.sweep import make_sweep
 from stewart_drake.studies.workers import Workers
 
 RUNS, WARM = 40, 6  # of a sweep, and how many pass before the clock starts
@@ -18,8 +18,8 @@ SPEC = {
 
 def measured(folder, workers):
     ends = {}
-    sweep = Sweep.from_dict(SPEC)
-    made = run_study(sweep, folder, Workers(workers), lambda done: ends.setdefault(done, time.perf_counter()))
+    sweep = make_sweep(SPEC)
+    made = run_experiment(sweep, folder, Workers(workers), lambda done: ends.setdefault(done, time.perf_counter()))
     rows = made.rows["sweep"]
     order = [json.loads(line)["index"] for line in (folder / "rows.jsonl").read_text().splitlines()]
     return ends[float(RUNS)] - ends[float(WARM)], sum(rows[index]["wall_s"] for index in order[WARM:])

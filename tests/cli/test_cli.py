@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from conftest import resealed
 
+from stewart_drake.base.errors import ConfigurationError, DiskError
+from stewart_drake.base.yaml_files import shipped_folder
 from stewart_drake.cli import run_commands
 from stewart_drake.cli.options import COMMANDS
-from stewart_drake.control.network import default_network_path
-from stewart_drake.errors import ConfigurationError, DiskError
-from stewart_drake.files.yaml_files import shipped_folder
+from stewart_drake.control.network import TunerNetwork
 from stewart_drake.logs.log import load_log
 from stewart_drake.runs import outputs
-from stewart_drake.scenario import load_scenario, scenario_schema
+from stewart_drake.scenario.scenario import load_scenario, scenario_schema
 from stewart_drake.studies import workers
 
 QUICK = ("--set", "duration=0.05", "--set", "tuner.kind=fixed")
-FAST = ("--set", "plant.engine=reduced")
+FAST = ("--set", "plant.kind=closed_form")
 
 
 WITHOUT_PICTURES = """
@@ -96,7 +96,9 @@ def test_the_schema_command_writes_what_the_checkout_holds(call):
 def test_tables_are_json_on_request_and_choose_columns_by_the_terminals_width(call, monkeypatch):
     status, out, err = call("check", "paper_fig7", "--json")
     assert (status, err) == (0, "what each limit is: stewart-drake explain limits\n")
-    assert json.loads(out)["reach"]["bound"] == 0.98
+    limits, machine = json.loads(out).values()
+    assert limits["reach"]["bound"] == 0.98
+    assert machine[-1] == {"": "delay of a command [ticks]", "simulated": 0.0, "believed": 0.0}
     for width, shown, left_out in ((200, "where", ""), (50, "allowed", "more columns")):
         monkeypatch.setenv("COLUMNS", str(width))
         out = call("check", "paper_fig7")[1]
@@ -115,8 +117,8 @@ BAD = [
     ("run paper_fig7 --ot x", ["--ot", "--out"]),
     ("run paper_fig7 --set reference.phase=90", ["reference.phase", "6.28319", "did you mean 90 deg?"]),
     ("run paper_fig7 --set plant.time_step=0.1", ["plant.time_step", "at most 0.01"]),
-    ("run hexadecimal.yaml", ["duration: expected a number [s]"]),
-    (f"run paper_fig7 --set duration=0x{5000 * 'f'}", ["duration: expected a number [s]"]),
+    ("run hexadecimal.yaml", ["duration: expected a positive number [s]"]),
+    (f"run paper_fig7 --set duration=0x{5000 * 'f'}", ["duration: expected a positive number [s]"]),
     ("run paper_fig8", ["'paper_fig8'", "paper_fig7"]),
     ("run twice.yaml", ["twice.yaml", "line 2", 'duplicate key "duration"']),
     ("run paper_fig7 --set duration", ["--set", "'duration'", "key=value"]),
@@ -133,7 +135,10 @@ BAD = [
     ("calibrate poses.csv --robot paper --out x.yaml", ["poses.csv", "No such file"]),
     ("calibrate --plan 5 --robot paper --out x.yaml", ["--plan", "a number of poses from 12"]),
     ("identify --robot paper --out x.yaml", ["LOGS"]),
-    ("excite --robot paper --set limits.torque_fraction=1e-4 --out x.yaml", ["limits: expected "]),
+    (
+        "excite --robot paper --hold coulomb --hold viscous --set limits.torque_fraction=1e-4",
+        ["limits: expected "],
+    ),
     ("robots show reachy_max", ["'reachy_max'", "paper, reachy_mini, servo_hexapod"]),
     ("sweep tiny.yaml --scheduler tcp://127.0.0.1:1", ["--scheduler", "tcp://127.0.0.1:1", "answers"]),
 ]
@@ -142,7 +147,7 @@ BAD = [
 @pytest.fixture
 def bad_files(tmp_path, monkeypatch):
     monkeypatch.setattr(workers, "CONNECT_TIMEOUT", 1.0)
-    weights = json.loads(default_network_path().read_text())
+    weights = json.loads(TunerNetwork.shipped.read_text())
     files = {
         "twice.yaml": b"duration: 1\nduration: 2\n",
         "hexadecimal.yaml": b"duration: 0x" + 5000 * b"f",

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from stewart_drake.files.yaml_files import shipped_folder
-from stewart_drake.scenario import load_scenario
+from stewart_drake.base.yaml_files import shipped_folder
+from stewart_drake.scenario.scenario import load_scenario
 
 
 def test_what_there_is_to_choose_from_is_listed(call):

@@ -10,13 +10,13 @@ import pytest
 from simulated_calibration import aligned, change_to, deviating, measured
 from strategies import ROBOT
 
-from stewart_drake.calibration.poses import MeasurementNoise, load_measurements
-from stewart_drake.identification.parameters import COULOMB, of_robot
+from stewart_drake.estimation.poses import MeasurementNoise, load_measurements
+from stewart_drake.estimation.torques import COULOMB, values_of
 from stewart_drake.robot.leg import FrictionOptions
 from stewart_drake.robot.robot_files import load_robot
-from stewart_drake.scenario import load_scenario
+from stewart_drake.scenario.scenario import load_scenario
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "estimation"))
 from recordings import motion, recording, truth_of
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -90,11 +90,11 @@ def test_from_a_log_to_an_identified_robot(call, tmp_path):
     assert names == {"friction.yaml", "identification.png", "parameters.csv", "report.md"}
     with (tmp_path / "report" / "parameters.csv").open() as stream:
         rows = list(csv.DictReader(stream))
-    assert len(rows) == len(of_robot(ROBOT))
+    assert len(rows) == len(values_of(ROBOT))
     assert float(rows[0]["value"]) == pytest.approx(robot.platform_mass)
     # The friction goes into a scenario as it stands.
     friction = (tmp_path / "report" / "friction.yaml").read_text()
-    (tmp_path / "run.yaml").write_text(f"model_robot: mine.yaml\n{friction}")
+    (tmp_path / "run.yaml").write_text(f"model: {{robot: mine.yaml}}\n{friction}")
     believed = load_scenario(tmp_path / "run.yaml")
     assert isinstance(believed.plant.friction, FrictionOptions)
     np.testing.assert_allclose(believed.plant.friction.coulomb, truth[COULOMB], rtol=0.1)

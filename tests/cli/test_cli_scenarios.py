@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from stewart_drake.planning.limits import RULES
 from stewart_drake.runs.checks import motion_report
-from stewart_drake.scenario import load_scenario
+from stewart_drake.scenario.limits import RULES
+from stewart_drake.scenario.scenario import load_scenario
 
 FAST = ("--set", "reference.angular_frequency=[14,14,14,14,14,14]", "--set", "duration=1")
 

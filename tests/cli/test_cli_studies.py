@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stewart_drake.control.policy import default_policy_path, load_policy
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.control.policy import Policy
 
 TEXT = """
 scenario: paper_fig7
@@ -43,7 +43,7 @@ def test_a_study_of_which_every_run_is_refused_ends_with_the_reason_and_status_2
 
 TUNE = """
 cost: {position: 0.1}
-tune: {controllers: {weak: {controller.kp: [1.0, 100.0]}}, population: 4, set: {plant.engine: reduced}}
+tune: {controllers: {weak: {controller.kp: [1.0, 100.0]}}, population: 4, set: {plant.kind: closed_form}}
 """
 
 
@@ -52,7 +52,7 @@ def test_a_search_is_done_and_what_it_found_is_compared(call, tmp_path):
     (tmp_path / "mine.yaml").write_text(TEXT + TUNE)
     status, out, _ = call("tune", "mine.yaml", "--workers", 1, "--budget", 8)
     assert status == 0
-    assert all(word in out for word in ("weak", "weak, tuned", "plant.engine reduced", "tuned.yaml", "verdict-"))
+    assert all(word in out for word in ("weak", "weak, tuned", "plant.kind closed_form", "tuned.yaml", "verdict-"))
     made = tmp_path / "runs" / "mine-tune"
     names = {path.name for path in made.iterdir()}
     assert {"tuned.yaml", "tune.parquet", "tune.csv", "tune.md", "tune.png"} <= names
@@ -68,7 +68,7 @@ def test_the_card_of_a_policy_says_box_and_provenance(call):
     status, out, err = call("tuner", "show")
     assert (status, err) == (0, "")
     rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in out.splitlines() if "│" in line]
-    policy = load_policy()
+    policy = Policy.load()
     assert all(list(row) in rows for row in policy.box_rows())
     tables = json.loads(call("tuner", "show", "--json")[1])
     assert list(tables["policy.json"]) == [name for name, _ in policy.facts()]
@@ -83,7 +83,7 @@ def test_a_file_that_is_no_policy_is_refused_before_anything_is_written(call, tm
     assert not (tmp_path / "verdict").exists()
 
 
-CONTENT = default_policy_path().read_bytes()
+CONTENT = Policy.shipped.read_bytes()
 
 
 @given(st.integers(0, 8 * len(CONTENT) - 1))
@@ -93,4 +93,4 @@ def test_every_flipped_bit_is_refused_or_changes_nothing(tmp_path_factory, bit):
     content[bit // 8] ^= 1 << bit % 8
     path.write_bytes(content)
     with suppress(ConfigurationError):
-        assert load_policy(path).to_bytes() == CONTENT
+        assert Policy.load(path).to_bytes() == CONTENT

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from strategies import vectors
 
-from stewart_drake.control.network import MEAN_FLOOR, TunerNetwork, density, density_part, load_network, network_part
-from stewart_drake.errors import ConfigurationError, NotFiniteError
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError
+from stewart_drake.control.features import MEAN_FLOOR, density, density_part
+from stewart_drake.control.network import TunerNetwork, load_network, network_part
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 

@@ -1,4 +1,4 @@
-"""Tuners of settings: what they hear, what they may answer, and the file of a policy."""
+"""Tuners of settings: their features, the settings that they may choose, and the file of a policy."""
 
 from types import SimpleNamespace
 
@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from strategies import ROBOT
 
-from stewart_drake.control.features import DRIFT_TIME, FEATURES, TIMES, features
-from stewart_drake.control.policy import FADE, SIZE, STEP, Layers, Policy, answer, setting_part, weights_of
+from stewart_drake.base.jit import record
+from stewart_drake.control.features import DRIFT_TIME, FEATURES, TIMES, compute_features
+from stewart_drake.control.policy import FADE, SIZE, STEP, Policy, policy_setting, setting_part, weights_of
 from stewart_drake.control.riccati import chain_gain
 from stewart_drake.control.tuners import ScheduleTuner
-from stewart_drake.jit import njit, record
 
 BASE, LEVEL = np.array([4e5, 30.0, 4e7, 1.0]), 16.0
 CONTEXT = SimpleNamespace(period=1e-3, noise=2e-5, latency=2e-3, robot=ROBOT, disturbance=LEVEL)
@@ -25,14 +25,16 @@ def made(seed=0, reach=0.5, hull=8.0):
     hidden, output = rng.standard_normal((10, count)), rng.standard_normal((SIZE, 10))
     ends = np.full(SIZE, reach), np.full(SIZE, 2.0 * reach)
     centre = np.array([0.1, -0.2, 0.3, -0.4])
-    return Policy(
-        Layers(np.zeros(count), np.ones(count), hidden, np.zeros(10), output, np.zeros(4), centre, *ends, low, high)
-    )
+    layers = np.zeros(count), np.ones(count), hidden, np.zeros(10), output, np.zeros(4)
+    return Policy(*layers, centre, *ends, low, high)
 
 
-CHOOSERS = {
-    "policy": made(),
-    "schedule": ScheduleTuner(calm=(-0.2, 0.0, 0.1, -1.0), alert=(0.2, 0.1, 0.0, 0.5), threshold=1.5, hold=0.02),
+SOURCES = {
+    "policy": (made(), made().lowest),
+    "schedule": (
+        ScheduleTuner(calm=(-0.2, 0.0, 0.1, -1.0), alert=(0.2, 0.1, 0.0, 0.5), threshold=1.5, hold=0.02),
+        np.array([-0.2, 0.0, 0.0, -1.0]),
+    ),
 }
 
 
@@ -44,21 +46,15 @@ def test_speed_is_a_change_of_the_unit_of_time(speed, s):
     np.testing.assert_allclose(fast, slow * faster ** np.array([2.0, 1.0, 3.0]), rtol=1e-7)
 
 
-@njit
-def hear(setups, density, error, torque, innovation, reference, states, out):
-    features(record(setups), density, error, torque, innovation, reference, record(states), out)
-
-
-def heard_in_turn(*inputs):
+def features_after(*inputs):
     """Features by name after the last of several ticks."""
     out, policy = np.empty(len(FEATURES)), made()
-    chooser = SimpleNamespace(
-        centre=policy.centre,
-        width=policy.width,
-        numbers=policy.numbers,
-        law=lambda setups, _, *rest: hear(setups, *rest, out),
-    )
-    part = setting_part(chooser, CONTEXT, BASE, 0.3)
+
+    def kernel(params, _, *rest):
+        compute_features(params, *rest, out)
+
+    source = SimpleNamespace(centre=policy.centre, width=policy.width, params=policy.params, kernel=kernel)
+    part = setting_part(source, CONTEXT, BASE, 0.3)
     state = part.initial.copy()
     for each in inputs:
         part.tick(*each, state)
@@ -70,14 +66,16 @@ def test_features_are_what_their_names_say():
     reference = np.concatenate([none, [0.0, 0.0, 2.0, 0.0, 0.3, 0.0], [0.0] * 5 + [4.0]])
     error = np.array([np.radians(0.03), 0.0, 0.0, 0.0, 0.03e-3, 0.0])
     torque = np.array([0.03 * 6.0**0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
-    values = heard_in_turn(
+    values = features_after(
         (density, none, none, none, reference), (density, error, torque, np.full(6, 6e-5), reference)
     )
     share = dict(zip(("surprise", "surprise_slow", "error", "error_slow", "torque_change"), TIMES, strict=True))
     share = {name: CONTEXT.period / (CONTEXT.period + time) for name, time in share.items()}
-    quiet = 1.0 - share["surprise"]
-    assert 10.0 ** values["surprise"] == pytest.approx(quiet**2 + 9.0 * share["surprise"] + 0.01)
-    assert 10.0 ** values["error"] == pytest.approx(2.0 * share["error"] + 1e-6)
+    for name in ("surprise", "surprise_slow"):
+        quiet = 1.0 - share[name]
+        assert 10.0 ** values[name] == pytest.approx(quiet**2 + 9.0 * share[name] + 0.01)
+    for name in ("error", "error_slow"):
+        assert 10.0 ** values[name] == pytest.approx(2.0 * share[name] + 1e-6)
     assert 10.0 ** values["torque_change"] == pytest.approx(share["torque_change"] + 1e-6)
     drift = 3.0 * CONTEXT.period / (CONTEXT.period + DRIFT_TIME)
     assert 10.0 ** values["drift"] == pytest.approx(drift**2 + 1e-3)
@@ -86,26 +84,26 @@ def test_features_are_what_their_names_say():
     assert (10.0 ** values["noise"], 10.0 ** values["latency"]) == (pytest.approx(2.0), pytest.approx(2.0))
     assert (values["kappa"], 10.0 ** values["error_density"]) == (0.3, pytest.approx(2.1))
     # The first torque is no change.
-    first = heard_in_turn((density, none, np.full(6, 5.0), none, reference))
+    first = features_after((density, none, np.full(6, 5.0), none, reference))
     assert first["torque_change"] == pytest.approx(-6.0)
 
 
 wild = arrays(float, 54, elements=st.floats(allow_nan=True, allow_infinity=True, width=64))
 
 
-@given(st.sampled_from([*CHOOSERS]), st.lists(wild, min_size=1, max_size=4))
-def test_whatever_is_heard_a_setting_stays_in_its_box_and_moves_by_a_small_share_of_it(name, inputs):
-    chooser = CHOOSERS[name]
-    part = setting_part(chooser, CONTEXT, BASE, 0.3)
+@given(st.sampled_from([*SOURCES]), st.lists(wild, min_size=1, max_size=4))
+def test_whatever_comes_in_a_setting_stays_in_its_box_and_moves_by_a_small_share_of_it(name, inputs):
+    source, lowest = SOURCES[name]
+    part = setting_part(source, CONTEXT, BASE, 0.3)
     memory = part.initial.copy()
     setting = memory["setting"][0, :4]
-    np.testing.assert_array_equal(setting, chooser.centre)
+    np.testing.assert_array_equal(setting, source.centre)
     for values in inputs:
         before = setting.copy()
         part.tick(*np.split(values, [12, 18, 24, 36 - 6]), memory)
-        assert (setting >= chooser.lowest - 1e-12).all()
-        assert (setting <= chooser.lowest + chooser.width + 1e-12).all()
-        assert (np.abs(setting - before) <= STEP * chooser.width + 1e-12).all()
+        assert (setting >= lowest - 1e-12).all()
+        assert (setting <= lowest + source.width + 1e-12).all()
+        assert (np.abs(setting - before) <= STEP * source.width + 1e-12).all()
         np.testing.assert_allclose(memory["weights"][0], weights_of(BASE, setting))
         assert memory["disturbance"][0, 0] == pytest.approx(LEVEL * 10.0 ** setting[3])
         assert 0.0 <= memory["setting"][0, 4] <= 1.0
@@ -113,11 +111,11 @@ def test_whatever_is_heard_a_setting_stays_in_its_box_and_moves_by_a_small_share
 
 @pytest.mark.parametrize(("beyond", "expected"), [(0.0, 1.0), (0.5 * FADE, 0.5), (FADE, 0.0), (np.nan, 0.0)])
 def test_outside_of_what_it_was_trained_on_a_policy_fades_to_the_centre(beyond, expected):
-    policy, wanted = made(hull=2.0), np.empty(SIZE)
-    heard = np.eye(len(FEATURES))[3]
-    heard[5] = 2.0 + beyond
-    assert answer(record(policy.numbers()), heard, wanted) == pytest.approx(expected)
-    assert ((wanted == policy.centre) == (expected == 0.0)).all()
+    policy, setting = made(hull=2.0), np.empty(SIZE)
+    features = np.eye(len(FEATURES))[3]
+    features[5] = 2.0 + beyond
+    assert policy_setting(record(policy.params()), features, setting) == pytest.approx(expected)
+    assert ((setting == policy.centre) == (expected == 0.0)).all()
 
 
 @pytest.mark.parametrize("hold", [0.0, 0.02])

@@ -5,6 +5,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from strategies import ROBOT, poses
 
+from stewart_drake.base.errors import RiccatiError
 from stewart_drake.control.riccati import (
     INTEGRAL,
     POSITION,
@@ -20,7 +21,6 @@ from stewart_drake.control.riccati import (
     split_gain,
     state_matrix,
 )
-from stewart_drake.errors import RiccatiError
 from stewart_drake.mechanics.dynamics import force_map, pose_acceleration_map
 
 PERIOD = 0.005

@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 from strategies import ROBOT
-from ticks import REST, ticked
+from ticks import ticked
 
+from stewart_drake.base.code import ControllerError
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.control.base import Setpoint
 from stewart_drake.control.user_controller import function_part
-from stewart_drake.errors import ConfigurationError, NotFiniteError
-from stewart_drake.files.code import ControllerError
 from stewart_drake.runs.simulation import run
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.scenario import Scenario
 
 HEAD = """
 import numpy as np
@@ -58,18 +58,16 @@ def test_a_system_of_the_users_own_runs_in_the_loop(written):
     assert "weights" not in log.signals
 
 
-def test_weights_error_and_integral_are_connected_where_they_are_there(written):
+def test_weights_and_integral_are_connected_where_they_are_there(written):
     more = GOOD.replace(
         '        self.DeclareVectorInputPort("reference", 18)\n',
         '        self.DeclareVectorInputPort("reference", 18)\n'
         '        self.weights = self.DeclareVectorInputPort("weights", 2)\n'
-        '        self.DeclareVectorOutputPort("error", 6, lambda c, o: o.SetFromVector(np.full(6, 0.25)))\n'
         '        self.DeclareVectorOutputPort("integral", 6, lambda c, o: o.SetFromVector(np.full(6, 0.75)))\n',
     ).replace("0.33 * self.scale", "0.1 * self.weights.Eval(context)[0]")
     log = run(scenario(written(more), tuner={"kind": "fixed", "omega_q": 3.0}))
     np.testing.assert_allclose(log["torque"], 0.3)
     np.testing.assert_allclose(log["weights"], [[3.0, 1.0]] * len(log.time))
-    assert (log["error"] == 0.25).all()
     assert (log["integral"] == 0.75).all()
     assert log["density"].shape[1] == 12
 
@@ -118,8 +116,6 @@ def test_a_function_gets_what_it_asks_for_and_what_it_changes_is_its_own():
 
     state = ticked(function_part(spring), POSE, RATE, SETPOINT, NOW)
     np.testing.assert_allclose(state.torque, -0.01 - 0.2 + 0.1 + 3.0 + 0.25)
-    np.testing.assert_allclose(state.error, 0.01)
-    np.testing.assert_array_equal(state.integral, REST)
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from stewart_drake.base.sampling import on_grid
 from stewart_drake.hardware.disturbances import ImpulseWrench, NoiseWrench, StepWrench
-from stewart_drake.sampling import on_grid
 
 WRENCH = (0.1, -0.2, 0.3, 4.0, -5.0, 6.0)
 

@@ -4,6 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import vectors
 
+from stewart_drake import load_scenario, run
 from stewart_drake.hardware.faults import EncoderFault, PoseFault
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part, faulty_sensor_part
 
@@ -75,3 +76,21 @@ def test_a_late_encoder_says_what_it_read_before(leg, delay, first):
         # So is a pose, as a whole; part of a tick late is a tick late.
         told = says(PoseFault(kind="late", delay=PERIOD * (delay - 0.6), time=PERIOD * first))
         np.testing.assert_array_equal(told, expected)
+
+
+@pytest.mark.parametrize("kind", ["drake", "closed_form"])
+@pytest.mark.parametrize("sensors", [{"kind": "ideal"}, {"kind": "encoders", "resolution_bits": 0}])
+def test_an_old_reading_is_that_of_so_many_milliseconds_ago(kind, sensors):
+    changes = {"plant": {"kind": kind}, "sensors": {**sensors, "delay": 0.0035}, "plant.time_step": 5e-4}
+    loop = {"controller": {"kind": "feedforward", "period": 0.002}, "duration": 0.1, "log_period": 5e-4}
+    servos = {
+        "motors": {"kind": "position", "stiffness": 50.0},
+        "estimator": {"kind": "difference"},
+        "tuner": "fixed",
+        "safety": None,
+    }
+    log = run(load_scenario("exact_breathing").replace({**loop, **servos, **changes}), check=False)
+    # A row before its tick's reading has the one of the tick before.
+    ticks = np.arange(8, len(log.time), 4)
+    np.testing.assert_allclose(log["measured_pose"][ticks], log["pose"][ticks - 7], atol=1e-7)
+    np.testing.assert_allclose(log["measured_pose"][:8:4], log["pose"][:1].repeat(2, axis=0), atol=1e-7)

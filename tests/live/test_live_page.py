@@ -100,7 +100,7 @@ def test_a_push_shows_in_the_trace_and_a_dead_motor_in_the_torque(page):
 
 
 def test_smoothness_is_there_where_the_controller_has_a_tuner(browser):
-    own = ["plant.engine=reduced", "plant.payload_mass=0.2", "tuner={kind: policy, kappa: 0.5}"]
+    own = ["plant.kind=closed_form", "plant.payload_mass=0.2", "tuner={kind: policy, kappa: 0.5}"]
     session = Live("exact_breathing", *(word for each in own for word in ("--set", each)))
     page, _ = opened(browser, session.url)
     wait(page, "last && !document.getElementById('kappa-label').hidden", 60_000)
@@ -148,7 +148,7 @@ def test_a_second_tab_shows_what_is_set_in_the_first(page, browser, live):
 
 
 def test_the_page_says_when_the_session_is_gone_or_silent_and_when_it_is_back(browser):
-    session = Live("exact_fig7", "--set", "plant.engine=reduced")
+    session = Live("exact_fig7", "--set", "plant.kind=closed_form")
     page, _ = opened(browser, session.url)
     assert page.is_hidden("#gone")
     session.process.send_signal(signal.SIGSTOP)
@@ -160,7 +160,7 @@ def test_the_page_says_when_the_session_is_gone_or_silent_and_when_it_is_back(br
     wait(page, "document.getElementById('gone').textContent.includes('the session has ended')")
     assert page.is_visible("#gone")
     # Whoever starts a session in its place sees that one, with its own robot.
-    again = Live("exact_heart", "--set", "plant.engine=reduced")
+    again = Live("exact_heart", "--set", "plant.kind=closed_form")
     if again.url == session.url:
         wait(page, f"{HAS_ROWS} && about.session !== '{before}' && document.title.startsWith('exact_heart')", 60_000)
         wait(page, "document.getElementById('gone').hidden")

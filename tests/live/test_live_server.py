@@ -12,13 +12,13 @@ import pytest
 from stewart_drake.live import server as live_server
 from stewart_drake.live.server import MOST_BYTES, MOST_PAGES, LiveServer
 from stewart_drake.live.session import COMMANDS_KEPT, ROWS_KEPT, LiveSession
-from stewart_drake.scenario import load_scenario
+from stewart_drake.scenario.scenario import load_scenario
 
 JSON = {"Content-Type": "application/json"}
 
 
 def new_session():
-    return LiveSession(load_scenario("exact_fig7").replace({"plant.engine": "reduced", "reference": "hold"}))
+    return LiveSession(load_scenario("exact_fig7").replace({"plant.kind": "closed_form", "reference": "hold"}))
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stewart_drake.live.start import _FARTHEST, _room
 from stewart_drake.live.steering import HandReference, SmoothValue, nearest_allowed
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.planning.limits import Limits, limit_margins
 from stewart_drake.references import SineReference
 from stewart_drake.robot import RobotParameters
+from stewart_drake.scenario.limits import Limits, limit_margins
+from stewart_drake.scenario.scenario import Scenario
 
 STEP = 1e-3
 ROBOT = RobotParameters()
@@ -73,3 +75,14 @@ def test_the_motion_about_the_hand_stays_within_the_limits() -> None:
     moving = nearest_allowed(ROBOT, Limits(), HOME, wanted, STANDARD_GRAVITY, around)
     assert moving.pose[5] < alone.pose[5]
     assert all(_margin(moving.pose + each) >= 0.0 for each in around)
+    reference.share.target[0] = 0.0
+    np.testing.assert_array_equal(reference.excursions(6.0), ALONE)
+
+
+def test_sliders_go_as_far_as_each_axis_alone_can() -> None:
+    room = _room(Scenario(), HOME)
+    for axis in range(6):
+        ends = [HOME + sign * room[axis] * np.eye(6)[axis] for sign in (1.0, -1.0)]
+        beyond = [HOME + sign * (room[axis] + 2e-3) * np.eye(6)[axis] for sign in (1.0, -1.0)]
+        assert max(map(_margin, ends)) >= 0.0
+        assert room[axis] == _FARTHEST[axis] or not max(map(_margin, beyond)) >= 0.0

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from made_logs import made_log
 
-from stewart_drake.errors import NotFiniteError, SafetyStop
+from stewart_drake.base.errors import NotFiniteError, SafetyStop
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
 from stewart_drake.runs.simulation import run
 from stewart_drake.safety import LEVELS, MONITORS
-from stewart_drake.scenario import load_scenario
+from stewart_drake.scenario.scenario import load_scenario
 
 TRIP = {"monitor": "deadline", "level": "hold", "time": 0.4, "leg": 2, "cause": None, "worst": "safe_hold"}
 TAKEN = {"monitor": "crank_speed", "time": 0.5, "leg": 1}
@@ -254,14 +254,14 @@ def test_a_run_in_which_no_command_arrives_any_more_is_not_completed(link, since
     ],
 )
 def test_what_ends_a_run_names_the_likely_cause(scenario, changes, cause):
-    log = run(load_scenario(scenario).replace({"plant.engine": "reduced", **changes}))
+    log = run(load_scenario(scenario).replace({"plant.kind": "closed_form", **changes}))
     assert log.status != "completed"
     assert re.search(f"^[^\n]*; likely cause: {cause}[^\n]*$", log.message)
 
 
 def test_figures_and_outcome_do_not_depend_on_which_rows_the_log_keeps():
     blow = {"kind": "impulse", "time": 0.25, "impulse": [0, 0, 0, 0, 2.0, 0]}
-    fast = {"plant.engine": "reduced", "plant.time_step": 0.0005, "duration": 0.6, "disturbances": [blow]}
+    fast = {"plant.kind": "closed_form", "plant.time_step": 0.0005, "duration": 0.6, "disturbances": [blow]}
     still = load_scenario("exact_fig7").replace({"reference": {"kind": "hold"}, **fast})
     logs = [run(still.replace({"log_period": period})) for period in (0.0005, None, 0.6, 0.007)]
     assert [len(log.time) for log in logs] == [1201, 601, 2, 86]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from strategies import ROBOT, robots_and_poses, vectors
 
-from stewart_drake.errors import ConfigurationError, UnreachablePoseError
+from stewart_drake.base.errors import ConfigurationError, UnreachablePoseError
 from stewart_drake.mechanics import dynamics, kinematics
 from stewart_drake.mechanics.dynamics import (
     crank_map,

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import ROBOT, vectors
 
-from stewart_drake.jit import record
+from stewart_drake.base.jit import record
 from stewart_drake.mechanics import friction
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.mechanics.friction import friction_law
@@ -66,7 +66,7 @@ def driven(law, step, moves, tension=0.0):
         increments.append(scale * k.break_away[0] / k.stiffness[0] * direction)
         angles = angles + increments[-1]
         torques.append(explicit(law, anchor, slip, angles, increments[-1] / step))
-        friction.drag_anchors(record(law), angles, step, anchor, slip)
+        friction.update_bristles(record(law), angles, step, anchor, slip)
     return np.array(torques), np.array(increments), anchor, slip
 
 

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from strategies import ROBOT, robots_and_poses, vectors
 
-from stewart_drake.errors import ConfigurationError, ForwardKinematicsError
+from stewart_drake.base.errors import ConfigurationError, ForwardKinematicsError
 from stewart_drake.mechanics.kinematics import (
     conditioning,
     crank_rates,
@@ -20,6 +20,7 @@ from stewart_drake.mechanics.kinematics import (
     leg_geometry,
     pose_jacobian,
     pose_rate_to_twist,
+    rod_length_errors,
     rod_lines,
     roll_pitch_yaw,
     rotation_angle,
@@ -27,7 +28,7 @@ from stewart_drake.mechanics.kinematics import (
     twist_jacobian,
     twist_to_pose_rate,
 )
-from stewart_drake.mechanics.kinematics_laws import euler_drift
+from stewart_drake.mechanics.kinematics_laws import euler_drift, robot_record
 
 CASES = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["cases"]
 AXES = np.eye(6)
@@ -103,6 +104,16 @@ def test_leg_vectors_are_unit_and_close_the_loop_of_any_robot(at):
     np.testing.assert_allclose(found, pose, atol=1e-9)
 
 
+@given(robots_and_poses(), vectors(6, 1e-3))
+def test_rod_length_errors_are_those_of_the_rods_and_vanish_where_the_legs_close(at, error):
+    robot, pose = at
+    angles = inverse_kinematics(robot, pose)
+    assert rod_length_errors(robot, angles, pose) == pytest.approx(np.zeros(6), abs=1e-12)
+    short = robot_record(robot).copy()
+    short["rod_length"] -= error
+    assert rod_length_errors(short, angles, pose) == pytest.approx(error, abs=1e-12)
+
+
 @pytest.mark.parametrize(("axis", "beyond"), [(0, 1.4), (1, -1.3), (2, 1.56)])
 def test_conditioning_vanishes_exactly_where_the_rods_lines_lose_rank(axis, beyond):
     def determinant(angle):
@@ -121,6 +132,9 @@ def test_conditioning_vanishes_exactly_where_the_rods_lines_lose_rank(axis, beyo
         (lambda: inverse_kinematics(ROBOT, np.zeros(5)), "pose"),
         (lambda: inverse_kinematics(ROBOT, ROBOT.home_pose, 0), "branch"),
         (lambda: forward_kinematics(ROBOT, np.full(6, np.nan)), "crank_angles"),
+        (lambda: forward_kinematics(ROBOT, np.zeros(5)), "crank_angles"),
+        (lambda: forward_kinematics(ROBOT, np.zeros(6), guess=np.full(6, np.inf)), r"guess.*\(\.\.\., 6\)"),
+        (lambda: forward_kinematics(ROBOT, np.zeros(6), guess=np.zeros(7)), r"guess.*\(\.\.\., 6\)"),
         (lambda: forward_kinematics(ROBOT, np.zeros(6), guess=np.tile(ROBOT.home_pose, (3, 1))), r"guess.*\(6,\)"),
     ],
 )

@@ -5,7 +5,7 @@ from pydrake.systems.analysis import Simulator
 from strategies import ROBOT
 
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.plant.plant_options import DrakeOptions
 
 _built = {}
 
@@ -14,7 +14,7 @@ def built(rod_joint="universal", robot=ROBOT, gravity=9.81, **options):
     """Diagram and plant; the same arguments share them, because a test may only change a Context of its own."""
     key = (rod_joint, id(robot), gravity, *sorted(options.items()))
     if key not in _built:
-        _built[key] = build_plant(robot, PlantOptions(rod_joint=rod_joint, **options), gravity)
+        _built[key] = build_plant(robot, DrakeOptions(rod_joint=rod_joint, **options), gravity)
     return _built[key]
 
 

@@ -3,9 +3,9 @@ import pytest
 from plant_runs import Run
 from strategies import UNEQUAL
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.robot.leg import FrictionOptions
 from stewart_drake.robot.robot_files import load_robot
 
@@ -40,6 +40,6 @@ def test_below_break_away_a_motor_yields_5e_6_rad_at_most_and_then_rests(robot, 
 
 def test_bad_friction_is_refused_in_a_line():
     with pytest.raises(ConfigurationError, match=r"plant\.friction\.break_away: expected at least"):
-        PlantOptions.from_dict({"friction": {"coulomb": 0.1, "break_away": 0.05}})
+        DrakeOptions.from_dict({"friction": {"coulomb": 0.1, "break_away": 0.05}})
     with pytest.raises(ConfigurationError, match=r"plant\.motor_friction: expected 0, because `friction`"):
-        PlantOptions.from_dict({"friction": {}, "motor_friction": 0.1})
+        DrakeOptions.from_dict({"friction": {}, "motor_friction": 0.1})

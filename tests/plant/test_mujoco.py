@@ -14,7 +14,7 @@ from plant_runs import Run
 from strategies import ROBOT
 
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.robot.robot_files import load_robot
 
 FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]
@@ -37,7 +37,7 @@ def platforms(robot, pose, torque, time_step):
     run = Run(pose, torque=torque, robot=robot, time_step=time_step).to(DURATION)
     stewart, state = run.stewart, run.state
     quaternion = state[stewart.indices.quaternion]
-    engine = MujocoRobot(robot, options=PlantOptions(time_step=time_step))
+    engine = MujocoRobot(robot, options=DrakeOptions(time_step=time_step))
     engine.set_state(stewart, stewart.assemble(pose))
     engine.advance(torque, round(DURATION / time_step))
     # Drake lets the length of its quaternion grow, by parts in a million here.

@@ -11,15 +11,21 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from scipy.optimize import brentq
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.errors import ConfigurationError, SingularPoseError, UnreachablePoseError
+from stewart_drake.base.errors import ConfigurationError, SingularPoseError, UnreachablePoseError
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian, pose_rate_to_twist, reach_margin
-from stewart_drake.plant.plant_options import PlantOptions, platform_damping_limit
-from stewart_drake.plant.sdf_model import sdf_text
+from stewart_drake.plant.model_files import sdf_text
+from stewart_drake.plant.plant_options import DrakeOptions, platform_damping_limit
 
 FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]
 HOME = ROBOT.home_pose
 
 universal_or_ball = pytest.mark.parametrize("rod_joint", ["universal", "ball"])
+
+
+@pytest.mark.parametrize(("time", "step"), [(0.0, 0), (0.0201, 21), (0.02, 20)])
+def test_a_rod_breaks_at_the_first_step_that_begins_later(time, step):
+    assert DrakeOptions(time_step=0.001, broken_rod={"leg": 1, "time": time}).break_step == step
+    assert DrakeOptions().break_step is None
 
 
 def in_drake(stewart, state):
@@ -95,7 +101,7 @@ def test_what_cannot_be_assembled_is_refused():
             stewart.assemble(np.array([0.0, 0.0, 0.0, 0.0, 0.0, height]))
     with pytest.raises(ConfigurationError, match="pose"):
         stewart.set_state(diagram.CreateDefaultContext(), np.full(6, np.nan))
-    limit = platform_damping_limit(ROBOT, PlantOptions())
+    limit = platform_damping_limit(ROBOT, DrakeOptions())
     with pytest.raises(ConfigurationError, match=r"plant\.platform_joint_damping: expected at most"):
         built(platform_joint_damping=1.01 * limit)
 

@@ -9,7 +9,7 @@ from made_logs import made_log
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plotting import plot_states, plot_torques, save_figure
 from stewart_drake.plotting.study_plots import plot_rmse
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.scenario import Scenario
 
 AXES = ("φ", "θ", "ψ", "X", "Y", "Z")
 BOTH = pytest.mark.parametrize("plot", [plot_states, plot_torques])
@@ -109,6 +109,17 @@ def test_a_run_says_how_it_ended_and_marks_when(plot):
     figure = plot(dataclasses.replace(make_log(rows=100), **outcome))
     assert figure.get_suptitle() == "made up: failed at 2.480 s of 10 s: crank_dead_centre, leg 5"
     assert all([span.get_x() for span in axes.patches] == [2.48] for axes in figure.axes)
+
+
+@BOTH
+def test_nothing_is_cut_off_and_the_headline_is_free(plot):
+    figure = plot(make_log())
+    figure.draw_without_rendering()
+    whole, inner = figure.bbox, figure.get_tightbbox()
+    assert 0.0 <= inner.x0 < inner.x1 <= whole.width / figure.dpi
+    assert 0.0 <= inner.y0 < inner.y1 <= whole.height / figure.dpi
+    headline = min(text.get_window_extent().y0 for text in figure.texts)
+    assert max(panel.get_tightbbox().y1 for panel in figure.axes if panel.axison) < headline
 
 
 @pytest.mark.slow

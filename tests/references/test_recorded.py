@@ -6,10 +6,10 @@ import pyarrow.csv as pc
 import pyarrow.parquet as pq
 import pytest
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.references import RecordedReference, SineReference, center_of
 from stewart_drake.runs.simulation import run
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.scenario import Scenario
 
 COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")
 MOTION = SineReference()
@@ -64,7 +64,7 @@ def test_a_run_is_as_long_as_its_recording_unless_it_is_told(tmp_path):
     assert scenario.replace({"reference.time_scale": 2.0}).duration == 6.25
     assert scenario.replace({"reference": {"kind": "hold"}}).duration == 10.0
     assert Scenario(reference=motion, duration=10.0).duration == 10.0
-    fast = {"plant.engine": "reduced", "tuner": {"kind": "fixed"}, "controller.feedforward": "platform"}
+    fast = {"plant.kind": "closed_form", "tuner": {"kind": "fixed"}, "controller.feedforward": "platform"}
     warnings = [run(scenario.replace({**fast, **more})).warnings for more in ({}, {"duration": 5.0}, {"duration": 1.5})]
     said = ["".join(each["text"] for each in found if each["name"] == "motion_length") for found in warnings]
     assert said[0] == ""

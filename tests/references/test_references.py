@@ -7,7 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from references.laws import KINDS, bursts, check_derivatives, check_smooth, ends, moves, simple, six, splines, sums
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.references import (
     AdjustedReference,
     HeartbeatReference,
@@ -19,7 +19,7 @@ from stewart_drake.references import (
     center_of,
     paper_reference,
 )
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.scenario import Scenario
 
 CENTER = (0.1, -0.05, 0.2, 0.01, -0.02, 0.3)
 
@@ -47,7 +47,7 @@ def test_the_papers_reference_is_37_and_38(time):
     assert np.all(np.abs(rate) <= np.abs(start))
 
 
-# What a field alone takes is asked of every section by tests/test_config.py; here are rules between fields.
+# What a field alone takes is asked of every section by tests/base/test_config.py; here are rules between fields.
 TWO = ((0.0,) * 6, (1.0,) * 6)
 BURSTS = {"frequency": (1.0, 2.0), "amplitude": (CENTER, CENTER)}
 REFUSED = [

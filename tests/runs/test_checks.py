@@ -4,14 +4,14 @@ import re
 import numpy as np
 import pytest
 
-from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.analysis.feasibility import check_reference
+from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.planning.feasibility import check_reference
-from stewart_drake.planning.limits import Limits
 from stewart_drake.references import AdjustedReference, HeartbeatReference, MinimumJerkReference, SineReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.checks import adjusted, check_scenario, fit_amplitude, fit_speed, plant_report
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.limits import Limits
+from stewart_drake.scenario.scenario import Scenario
 
 ROBOT, LIMITS, GRAVITY = RobotParameters(), Limits(), 9.81
 WEAK = dataclasses.replace(ROBOT, effort_limit=0.45)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stewart_drake.runs.simulation import run
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.scenario import Scenario
 
 RUNS, PARTS = 90, 3
 LQI = {"period": 0.001, "model": "exact", "weight_length": None, "solver": "split", "feedforward": "full"}
@@ -32,13 +32,13 @@ def random_scenario(seed):
     paper = {"controller": {"solver": "split", "feedforward": one_of("gravity", "platform")}}
     computed = {"kind": "computed_torque", "natural_frequency": between(2.0, 100.0), "damping": 0.8}
     bits, noise = int(rng.integers(12, 18)), between(1e-6, 1e-4)
-    encoders = {"kind": "encoders", "resolution_bits": bits, "noise": noise, "rate_cutoff": 150.0}
+    encoders = {"kind": "encoders", "resolution_bits": bits, "noise": noise}
     push = {"kind": "step", "wrench": [0.0, 0.0, 0.0, *rng.uniform(-5.0, 5.0, 3)], "time": begin, "until": begin + 1.0}
     return Scenario.from_dict(
         {
             "duration": duration,
             "plant": {
-                "engine": "reduced",
+                "kind": "closed_form",
                 "motor_friction": one_of(0.0, between(0.005, 3.0)),
                 "payload_mass": one_of(0.0, between(0.05, 0.5)),
             },
@@ -56,7 +56,7 @@ def random_scenario(seed):
                 {"controller": one_of({"kind": "pid"}, computed)},
             ),
             "sensors": one_of({"kind": "ideal"}, encoders),
-            "estimator": {"kind": one_of("difference", "observer")},
+            "estimator": one_of({"kind": "difference", "rate_cutoff": 150.0}, {"kind": "observer"}),
             "disturbances": one_of([], [push]),
         }
     )

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.runs.replay import nearest_rows, write_replay
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.scenario import Scenario
 
 
 def make_log(rows=101, period=0.005, **outcome):

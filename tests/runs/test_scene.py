@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.runs.scene import link_poses, robot_scene
@@ -22,7 +22,7 @@ def joint(request):
 @pytest.mark.parametrize("name", ROBOTS)
 def test_links_are_where_drake_has_them(name, joint):
     robot, rng = ROBOTS[name], np.random.default_rng(3)
-    diagram, stewart = build_plant(robot, PlantOptions(rod_joint=joint))
+    diagram, stewart = build_plant(robot, DrakeOptions(rod_joint=joint))
     context = diagram.CreateDefaultContext()
     mine = stewart.plant.GetMyMutableContextFromRoot(context)
     poses = np.array(robot.home_pose) + rng.uniform(-0.05, 0.05, (5, 6)) * ([1.0] * 3 + [robot.home_height] * 3)

@@ -5,13 +5,13 @@ import signal
 import numpy as np
 import pytest
 
-from stewart_drake.errors import ConfigurationError, NotFiniteError
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.runs import simulation
-from stewart_drake.runs.simulation import engine_of, run
-from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.runs.simulation import run, run_of
+from stewart_drake.scenario.scenario import Scenario, load_scenario
 from stewart_drake.systems.diagram import ClosedLoop
 from stewart_drake.systems.library import PartSystem
 
@@ -45,10 +45,10 @@ def test_the_robot_starts_assembled_at_the_references_pose_and_velocity_and_an_o
     np.testing.assert_allclose(log["crank_angle"][0], inverse_kinematics(log.scenario.robot, pose + offset), atol=1e-12)
 
 
-@pytest.mark.parametrize("engine", ["drake", "reduced"])
-def test_a_run_that_breaks_at_its_first_tick_has_a_log_without_rows(tmp_path, engine):
+@pytest.mark.parametrize("kind", ["drake", "closed_form"])
+def test_a_run_that_breaks_at_its_first_tick_has_a_log_without_rows(tmp_path, kind):
     # A believed robot that cannot stand at the start.
-    log = run(scenario(model_robot={"home_height": 0.2, "rod_length": 0.2}, plant={"engine": engine}))
+    log = run(scenario(model={"robot": {"home_height": 0.2, "rod_length": 0.2}}, plant={"kind": kind}))
     assert (log.status, log.reason, log.end_time) == ("failed", "unreachable_pose", 0.0)
     assert {name: values.shape for name, values in log.signals.items() if len(values)} == {}
     log.save(tmp_path / "log.parquet")
@@ -87,15 +87,15 @@ def test_what_a_tick_raises_ends_the_run_with_its_time_and_whole_rows(monkeypatc
     assert "\n" not in log.message
 
 
-@pytest.mark.parametrize("engine", ["drake", "reduced"])
-def test_an_engine_runs_once_and_the_scenario_that_it_was_made_of(engine):
-    own, allowed = scenario(plant={"engine": engine}), "what engine_of has made of this scenario"
-    made = engine_of(own)
-    with pytest.raises(ConfigurationError, match=f"engine: expected {allowed}"):
-        run(scenario(plant={"engine": engine}, gravity=0.0), engine=made)
-    assert run(scenario(plant={"engine": engine}), engine=made).status == "completed"
+@pytest.mark.parametrize("kind", ["drake", "closed_form"])
+def test_what_is_prepared_runs_once_and_the_scenario_that_it_was_made_of(kind):
+    own, allowed = scenario(plant={"kind": kind}), "what run_of has made of this scenario"
+    made = run_of(own)
+    with pytest.raises(ConfigurationError, match=f"prepared: expected {allowed}"):
+        run(scenario(plant={"kind": kind}, gravity=0.0), prepared=made)
+    assert run(scenario(plant={"kind": kind}), prepared=made).status == "completed"
     with pytest.raises(ConfigurationError, match=f"{allowed}.* that has run"):
-        run(own, engine=made)
+        run(own, prepared=made)
 
 
 def test_ctrl_c_while_a_run_is_assessed_does_not_lose_it(monkeypatch):
@@ -106,7 +106,7 @@ def test_ctrl_c_while_a_run_is_assessed_does_not_lose_it(monkeypatch):
         return real(rows)
 
     monkeypatch.setattr(simulation, "figures_of", interrupted)
-    log = run(scenario(plant={"engine": "reduced"}))
+    log = run(scenario(plant={"kind": "closed_form"}))
     assert (log.status, log.end_time, len(log.time)) == ("interrupted", 0.05, 11)
 
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from setups import setup_for
 from strategies import ROBOT
 
-from stewart_drake.errors import ConfigurationError, SafetyStop, failure_code
+from stewart_drake.base.errors import ConfigurationError, SafetyStop, failure_code
+from stewart_drake.loop.part import HEALTHY
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics, static_torque
-from stewart_drake.part import HEALTHY
 from stewart_drake.safety import (
     HOLD,
     LEVELS,

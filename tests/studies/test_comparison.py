@@ -2,11 +2,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.markdown import number
 from stewart_drake.runs.simulation import run
-from stewart_drake.studies.comparison import Comparison
+from stewart_drake.studies.comparison import Comparison, _rank
+from stewart_drake.studies.experiment import run_experiment
 from stewart_drake.studies.runs import settling_time, sine_response
-from stewart_drake.studies.study import number, run_study
 from stewart_drake.studies.workers import Workers
 
 SMALL = {
@@ -42,7 +43,7 @@ def small(**changes):
 def done(tmp_path_factory):
     folder = tmp_path_factory.mktemp("comparison")
     comparison = small()
-    return comparison, run_study(comparison, folder, Workers(0)), folder
+    return comparison, run_experiment(comparison, folder, Workers(0)), folder
 
 
 @pytest.mark.slow
@@ -85,6 +86,18 @@ def test_the_markdown_is_a_table_with_failures_and_the_chosen_one(done):
     assert pid[1] == f"{number(here['sine']['rmse_norm_deg'])}° {number(here['sine']['rmse_norm_mm'])} mm"
     (paper,) = [row for row in grid[0].rows if row[0] == "paper"]
     assert paper[1:4] == ("-", "-", "failed, crank_dead_centre at t = 0.260 s")
+
+
+def test_the_best_has_the_smallest_error_and_where_all_have_failed_got_furthest():
+    rows = [
+        {"status": "completed", "pose_rmse_mm": 0.2},
+        {"status": "completed", "pose_rmse_mm": 0.3},
+        {"status": "failed", "pose_rmse_mm": 0.1, "end_time": 4.0},
+        {"status": "completed", "pose_rmse_mm": None, "end_time": 2.0},
+        {"status": "lost", "end_time": None},
+    ]
+    mixed = [rows[place] for place in (3, 0, 4, 2, 1)]
+    assert sorted(mixed, key=_rank) == rows
 
 
 def test_settling_of_an_exponential_decay_is_known_and_counts_the_last_time_outside_the_band():

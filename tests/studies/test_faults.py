@@ -12,7 +12,7 @@ from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.safety import MONITORS
 from stewart_drake.studies import runs
-from stewart_drake.studies.faults import COLUMNS, DURATION, FAULTS, MOTIONS, FaultStudy, base, holdable_load
+from stewart_drake.studies.faults import COLUMNS, DURATION, FAULTS, MOTIONS, base, fault_study, holdable_load
 from stewart_drake.studies.runs import execute
 from stewart_drake.studies.workers import Workers
 
@@ -20,9 +20,13 @@ IN_TURN = [(fault, tuple(MOTIONS)[number % len(MOTIONS)]) for number, fault in e
 
 
 def fault_row(fault, motion):
-    study = FaultStudy(base(), [(fault, motion)], name="faults", indices=[0])
-    (row,) = study.tables([execute(study.task(0))])["faults"][1]
+    study = fault_study(pairs=[(fault, motion)])
+    (row,) = study.tables([run_here(study.trials[0])])["faults"][1]
     return {column.name: row.get(column.name) for column in COLUMNS}
+
+
+def run_here(trial):
+    return {**trial.labels, **execute(trial)}
 
 
 def bad_ending(fault, row):
@@ -59,9 +63,9 @@ def test_the_catalogue_has_58_faults_and_its_monitors_exist():
     assert {monitor for fault in FAULTS.values() for monitor in fault.monitors} <= set(MONITORS)
 
 
-def instantly(task):
+def instantly(_):
     figures = {"safety_monitor": "deadline", "safety_leg": 2, "latency_ms": 3.0, "travel_mm": 1.25}
-    return {**task.row("completed", None, None), "reaction": "held", "peak_torque": 0.5, **figures}
+    return {**runs.ending("completed", None, None), "reaction": "held", "peak_torque": 0.5, **figures}
 
 
 def test_the_command_writes_a_row_a_run_and_a_line_a_fault_quick_that_of_the_held_platform_alone(

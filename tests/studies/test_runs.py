@@ -11,13 +11,13 @@ import pytest
 from joblib.externals.loky import get_reusable_executor
 from sweep_functions import deadly, faulty, killed_once, number, with_function
 
-from stewart_drake.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.base.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.logs import versions
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
+from stewart_drake.studies.experiment import COMPARED, INCIDENTAL, run_experiment
 from stewart_drake.studies.runs import simulate
-from stewart_drake.studies.study import COMPARED, INCIDENTAL, run_study
-from stewart_drake.studies.sweep import Sweep, summary
+from stewart_drake.studies.sweep import make_sweep, summary
 from stewart_drake.studies.workers import WORKER_GONE, Workers, run_jobs
 
 HERE = Workers(0)
@@ -43,7 +43,7 @@ SPEC = {
 
 
 def sweep(function=simulate, **changes):
-    return with_function(Sweep.from_dict({**SPEC, **changes}), function)
+    return with_function(make_sweep({**SPEC, **changes}), function)
 
 
 def outcomes(result):
@@ -57,7 +57,7 @@ def same(result):
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
-    return run_study(sweep(), tmp_path_factory.mktemp("reference"), HERE)
+    return run_experiment(sweep(), tmp_path_factory.mktemp("reference"), HERE)
 
 
 @pytest.mark.slow
@@ -65,11 +65,11 @@ def test_a_row_holds_what_was_drawn_and_the_figures_of_a_direct_run(reference):
     assert outcomes(reference) == dict.fromkeys(range(6), ("completed", None))
     study, table = sweep(), pq.read_table(reference.folder / "sweep.parquet")
     assert table.equals(reference.tables["sweep"], check_metadata=True)
-    row, drawn = table.to_pylist()[3], study.draw(3)
+    row, drawn = table.to_pylist()[3], make_sweep(SPEC).trials.draw(3)
     # The log of every tick, whatever log_period says.
     log = run(study.scenario(3))
     metrics = run_metrics(log)
-    assert (row["index"], row["seed"], row["status"]) == (3, study.run_seed(3), "completed")
+    assert (row["index"], row["seed"], row["status"]) == (3, study.trials[3].labels["seed"], "completed")
     assert row["initial_offset[0]"] == log.scenario.initial_offset[0] == drawn["initial_offset[0]"]
     assert row["robot.platform_mass.factor"] == drawn["robot.platform_mass"]
     assert tuple(json.loads(row["robot.platform_inertia"])) == log.scenario.robot.platform_inertia
@@ -82,7 +82,7 @@ def test_a_row_holds_what_was_drawn_and_the_figures_of_a_direct_run(reference):
 
 @pytest.mark.slow
 def test_what_a_run_raises_is_its_row(tmp_path):
-    result = run_study(sweep(faulty, runs=4), tmp_path, HERE)
+    result = run_experiment(sweep(faulty, runs=4), tmp_path, HERE)
     completed = ("completed", None)
     raised = [("raised", name) for name in ("ZeroDivisionError", "SystemExit")]
     assert list(outcomes(result).values()) == [completed, *raised, completed]
@@ -93,7 +93,7 @@ def test_refused_and_broken_runs_are_rows_with_their_reason(tmp_path):
     # Gravity and nothing but (34): after 0.26 s a crank is at its dead centre.
     grids = {"duration": {"kind": "grid", "values": [0.4, 0.05, -1.0]}}
     spec = {"scenario": "paper_fig7_uncompensated", "set": TINY, "distributions": grids}
-    result = run_study(Sweep.from_dict(spec), tmp_path, HERE)
+    result = run_experiment(make_sweep(spec), tmp_path, HERE)
     ends = ("failed", "crank_dead_centre"), ("completed", None), ("rejected", "configuration")
     assert tuple(outcomes(result).values()) == ends
     assert "duration: expected " in result.rows["sweep"][2]["message"]
@@ -101,15 +101,15 @@ def test_refused_and_broken_runs_are_rows_with_their_reason(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_sweep_on_the_reduced_engine_says_how_far_its_first_run_is_from_drakes(tmp_path):
+def test_a_sweep_on_the_closed_form_says_how_far_its_first_run_is_from_drakes(tmp_path):
     offset = {"initial_offset[0]": SPEC["distributions"]["initial_offset[0]"]}
-    fast = {**TINY, "plant.engine": "reduced", "controller.solver": "split"}
+    fast = {**TINY, "plant.kind": "closed_form", "controller.solver": "split"}
     study = sweep(runs=2, set=fast, distributions=offset)
-    made = run_study(study, tmp_path, HERE)
-    assert json.loads(made.tables["sweep"].schema.metadata[b"stewart_drake.sweep"])["engine"] == made.engine
-    drake = run_metrics(run(study.scenario(0).replace({"plant.engine": "drake"})))
+    made = run_experiment(study, tmp_path, HERE)
+    assert json.loads(made.tables["sweep"].schema.metadata[b"stewart_drake.sweep"])["compared"] == made.compared
+    drake = run_metrics(run(study.scenario(0).replace({"plant.kind": "drake"})))
     for name in COMPARED[:2]:
-        other, off = map(float, re.search(rf"{name} (\S+) \(here (\S+) %\)", made.engine).groups())
+        other, off = map(float, re.search(rf"{name} (\S+) \(here (\S+) %\)", made.compared).groups())
         assert other == pytest.approx(drake[name], rel=0.01)
         assert off == pytest.approx(100.0 * (made.rows["sweep"][0][name] / drake[name] - 1.0), abs=0.06, rel=0.06)
 
@@ -119,7 +119,7 @@ def test_processes_give_the_same_table_also_where_one_is_killed_or_they_are_worn
     monkeypatch.setenv("SWEEP_TEST_MARK", str(tmp_path / "mark"))
     # Processes that an earlier study has left know nothing of it.
     get_reusable_executor().shutdown(wait=True)
-    two = run_study(sweep(killed_once), tmp_path / "out", Workers(2, worn=2))
+    two = run_experiment(sweep(killed_once), tmp_path / "out", Workers(2, worn=2))
     assert (tmp_path / "mark").exists()
     assert same(two).equals(same(reference), check_metadata=True)
     processes = two.tables["sweep"].column("worker").to_pylist()
@@ -136,7 +136,7 @@ def assert_two_died(result, reference):
 
 @pytest.mark.long
 def test_a_run_that_kills_its_worker_twice_is_a_row_and_the_runs_beside_it_are_whole(reference, tmp_path):
-    assert_two_died(run_study(sweep(deadly), tmp_path, Workers(2)), reference)
+    assert_two_died(run_experiment(sweep(deadly), tmp_path, Workers(2)), reference)
 
 
 @pytest.mark.slow
@@ -164,7 +164,7 @@ def cluster():
 @pytest.mark.slow
 def test_on_dask_the_table_is_the_same_and_a_run_that_kills_its_worker_the_same_row(cluster, reference, tmp_path):
     with Workers(scheduler=cluster.scheduler_address) as where:
-        result = run_study(sweep(deadly), tmp_path, where)
+        result = run_experiment(sweep(deadly), tmp_path, where)
     assert_two_died(result, reference)
     assert os.getpid() not in result.tables["sweep"].column("worker").to_pylist()
 
@@ -182,11 +182,11 @@ def test_more_runs_go_on_where_fewer_ended_or_were_interrupted_and_an_unfinished
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_study(sweep(spy, runs=4), tmp_path, HERE, interrupt)
+        run_experiment(sweep(spy, runs=4), tmp_path, HERE, interrupt)
     assert rows.read_bytes().count(b"\n") == 1
     rows.write_bytes(rows.read_bytes() + b'{"key": "5, "se')
-    few = run_study(sweep(spy, runs=2), tmp_path, HERE).tables["sweep"]
-    many = run_study(sweep(spy, runs=4), tmp_path, HERE, counts.append).tables["sweep"]
+    few = run_experiment(sweep(spy, runs=2), tmp_path, HERE).tables["sweep"]
+    many = run_experiment(sweep(spy, runs=4), tmp_path, HERE, counts.append).tables["sweep"]
     assert ran == [0, 1, 2, 3]
     assert counts == [2.0, 3.0, 4.0]
     assert many.slice(0, 2).to_pylist() == few.to_pylist()
@@ -202,7 +202,7 @@ def test_a_damaged_row_is_run_again_and_no_more_whatever_became_of_the_header(tm
         ran.append(number(scenario))
         return simulate(scenario)
 
-    whole = run_study(sweep(spy, runs=5), tmp_path, HERE).tables["sweep"]
+    whole = run_experiment(sweep(spy, runs=5), tmp_path, HERE).tables["sweep"]
     good = rows.read_bytes()
     lines = good.splitlines()
     # A figure that is another, no row, no JSON, no text.
@@ -210,24 +210,24 @@ def test_a_damaged_row_is_run_again_and_no_more_whatever_became_of_the_header(tm
     lines[1], lines[2], lines[4] = b"5", lines[2][:-20], b"\xff\xfe"
     rows.write_bytes(b"\n".join(lines) + b"\n")
     (tmp_path / "study.json").write_text(header)
-    again = run_study(sweep(spy, runs=5), tmp_path, HERE).tables["sweep"]
+    again = run_experiment(sweep(spy, runs=5), tmp_path, HERE).tables["sweep"]
     assert ran == [0, 1, 2, 3, 4, 0, 1, 2, 4]
     assert "4 of 5 rows are damaged and run again" in caplog.text
     incidental = [column.name for column in INCIDENTAL]
     assert again.drop(incidental).equals(whole.drop(incidental))
     caplog.clear()
-    run_study(sweep(spy, runs=5), tmp_path, HERE)
+    run_experiment(sweep(spy, runs=5), tmp_path, HERE)
     assert (len(ran), caplog.text) == (9, "")
 
 
 @pytest.mark.usefixtures("code_as_it_is")
 def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
-    run_study(sweep(runs=1), tmp_path, HERE)
+    run_experiment(sweep(runs=1), tmp_path, HERE)
     before = (tmp_path / "rows.jsonl").read_bytes()
 
     def refused(words, **changes):
         with pytest.raises(ConfigurationError) as caught:
-            run_study(sweep(runs=1, **changes), tmp_path, HERE)
+            run_experiment(sweep(runs=1, **changes), tmp_path, HERE)
         assert [word for word in ("--out", "--restart", words) if word not in str(caught.value)] == []
         assert (tmp_path / "rows.jsonl").read_bytes() == before
 
@@ -239,8 +239,8 @@ def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
     (tmp_path / "study.json").unlink()
     refused("study.json, which cannot be read", seed=6)
     (tmp_path / "own.csv").touch()
-    result = run_study(sweep(runs=1, seed=6), tmp_path, HERE, restart=True)
-    assert result.rows["sweep"][0]["seed"] == sweep(seed=6).run_seed(0)
+    result = run_experiment(sweep(runs=1, seed=6), tmp_path, HERE, restart=True)
+    assert result.rows["sweep"][0]["seed"] == sweep(seed=6).trials[0].labels["seed"]
     assert (tmp_path / "own.csv").exists()
     # Another name is no other sweep.
-    assert run_study(sweep(runs=1, seed=6, name="other"), tmp_path, HERE).rows == result.rows
+    assert run_experiment(sweep(runs=1, seed=6, name="other"), tmp_path, HERE).rows == result.rows

@@ -1,6 +1,5 @@
 """What a sweep draws, what it refuses, and the command."""
 
-import dataclasses
 import os
 import signal
 import time
@@ -10,8 +9,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.studies.sweep import Sweep, SweepFile
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.studies.sweep import SweepFile, make_sweep
 
 UNIFORM = {"kind": "uniform", "low": -1.0, "high": 1.0}
 PLAIN = {"scenario": "paper_fig7", "runs": 4, "distributions": {"initial_offset[0]": UNIFORM}}
@@ -19,7 +18,7 @@ QUANTILES = np.linspace(0.0, 1.0, 1000, endpoint=False)
 
 
 def sweep(**changes):
-    return Sweep.from_dict({**PLAIN, **changes})
+    return make_sweep({**PLAIN, **changes})
 
 
 def drawn_from(**data):
@@ -43,14 +42,14 @@ SEVERAL = {
 
 
 def draws(s):
-    return [s.draw(index) for index in s.indices]
+    return [s.trials.draw(index) for index in range(s.runs)]
 
 
 def test_a_run_is_the_same_whatever_the_number_of_runs():
     few, many = (sweep(runs=runs, distributions=SEVERAL) for runs in (5, 77))
     assert draws(few) == draws(many)[:5]
     assert len({str(draw) for draw in draws(many)}) == 77
-    assert [few.run_seed(i) for i in range(5)] == [many.run_seed(i) for i in range(5)]
+    assert [few.trials.run_seed(i) for i in range(5)] == [many.trials.run_seed(i) for i in range(5)]
 
 
 def test_keys_and_runs_are_independent_and_the_seed_changes_all():
@@ -68,24 +67,33 @@ def test_grids_run_through_all_their_combinations_the_first_key_fastest():
         "tuner.omega_q": {"kind": "grid", "values": [1.0, 2.0]},
         "controller.solver": {"kind": "grid", "values": ["split", "drake"]},
     }
-    s = Sweep.from_dict({"scenario": "paper_fig7", "distributions": grids})
+    s = make_sweep({"scenario": "paper_fig7", "distributions": grids})
     assert s.runs == 4
     assert [tuple(d.values()) for d in draws(s)] == [(1.0, "split"), (2.0, "split"), (1.0, "drake"), (2.0, "drake")]
-    assert dataclasses.replace(s, indices=range(5)).draw(4) == s.draw(0)
+    assert s.trials.draw(4) == s.trials.draw(0)
 
 
 def test_a_scenario_gets_what_was_drawn():
     s = sweep(distributions={**SEVERAL, "robot.platform_inertia": {"kind": "choice", "values": [2.0], "factor": True}})
-    drawn, scenario = s.draw(1), s.scenario(1)
+    drawn, scenario = s.trials.draw(1), s.scenario(1)
     assert scenario.initial_offset == (drawn["initial_offset[0]"], 0.0, 0.0, 0.0, 0.0, drawn["initial_offset[5]"])
     assert scenario.robot.platform_mass == s.base.robot.platform_mass * drawn["robot.platform_mass"]
     assert scenario.robot.platform_inertia == tuple(2.0 * x for x in s.base.robot.platform_inertia)
     assert scenario.tuner.omega_q == 1.0
-    assert scenario.model_robot is None
+    assert scenario.model.robot is None
     masses = {"robot.platform_mass": {"kind": "uniform", "low": 2.0, "high": 3.0}}
     s = sweep(mismatch=True, distributions=masses, set={"robot.rod_length": 0.41})
-    assert s.scenario(0).robot.platform_mass == s.draw(0)["robot.platform_mass"]
-    assert s.scenario(0).model_robot == s.base.robot
+    assert s.scenario(0).robot.platform_mass == s.trials.draw(0)["robot.platform_mass"]
+    assert s.scenario(0).model.robot == s.base.robot
+
+
+def test_with_a_mismatch_a_controller_goes_on_believing_in_the_servos_of_the_scenario():
+    stiffness = {"motors.stiffness": {"kind": "uniform", "low": 20.0, "high": 30.0}}
+    servos = {"motors": {"kind": "position", "stiffness": 25.0}, "safety": None}
+    right, wrong = (sweep(mismatch=each, distributions=stiffness, set=servos).scenario(0) for each in (False, True))
+    assert right.belief.motors == right.motors == wrong.motors
+    assert wrong.belief.motors.stiffness == 25.0 != wrong.motors.stiffness
+    assert wrong.belief.motors.delay == wrong.motors.delay
 
 
 ANY = {"kind": "uniform", "low": 1, "high": 2}
@@ -102,7 +110,7 @@ BAD = [
     (only("gravity", kind="unifrom"), ["distributions.gravity.kind", "'unifrom'", "uniform"]),
     (only("gravity", kind="uniform", low=2, high=1), ["distributions.gravity.high", "more than low, 2"]),
     (only("initial_offset", **ANY), ["distributions.initial_offset", "initial_offset[0]"]),
-    (only("model_robot.rod_mass", **ANY), ["model_robot.rod_mass", "mismatch: true"]),
+    (only("model.robot.rod_mass", **ANY), ["model.robot.rod_mass", "mismatch: true"]),
     (only("tuner.window", **ANY), ["tuner.window", "whole number", "1.5"]),
     (only("name", **ANY, factor=True), ["distributions.name", "to multiply"]),
     (only("plant", **ANY), ["distributions.plant", "1.5"]),

@@ -4,8 +4,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.yaml_files import parse_yaml
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.yaml_files import parse_yaml
 from stewart_drake.logs.metrics import mean_cost
 from stewart_drake.studies.comparison import Comparison
 from stewart_drake.studies.tune import START, TUNED, Tuning, minimise, run_tuning, write_picture
@@ -14,7 +14,7 @@ from stewart_drake.studies.workers import Workers
 FILE = {
     "name": "small",
     "scenario": "paper_fig7",
-    "set": {"duration": 0.12, "plant": {"engine": "reduced"}, "reference": {"kind": "hold"}},
+    "set": {"duration": 0.12, "plant": {"kind": "closed_form"}, "reference": {"kind": "hold"}},
     "cost": {"position": 0.01},
     "controllers": {
         "pid": {"controller": {"kind": "pid", "kp": 4.0, "ki": 30.0, "kd": 0.02}},
@@ -64,7 +64,7 @@ def test_a_search_betters_what_it_starts_from_and_the_verdict_says_so(done):
         np.testing.assert_array_equal([row["best"] for row in own], np.minimum.accumulate([row["cost"] for row in own]))
         assert own[-1]["best"] < 0.8 * own[0]["cost"]
         # Other noise, the same motions.
-        verdict = result.verdict.rows["comparison"]
+        verdict = result.test.rows["comparison"]
         start, tuned = (
             mean_cost(row["cost"] for row in verdict if row["controller"] == f"{name}, {way}") for way in (START, TUNED)
         )
@@ -78,7 +78,7 @@ def test_what_is_found_goes_into_the_comparison(done):
     found = parse_yaml((folder / "tuned.yaml").read_text(), "tuned")
     assert found == {"name": "small", "controllers": result.tuned}
     with_it = Comparison.from_dict({**FILE, "tuned": str(folder / "tuned.yaml")})
-    place = next(place for place, cell in enumerate(with_it.cells) if cell.controller == "pid")
+    place = [trial.labels["controller"] for trial in with_it.trials].index("pid")
     assert with_it.scenario(place).controller.kp == result.tuned["pid"]["controller.kp"]
     assert with_it.scenario(place).controller.ki == 30.0
     # And a search starts from what the file itself has.

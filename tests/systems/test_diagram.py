@@ -9,11 +9,14 @@ from conftest import ROOT, make_network
 
 from stewart_drake.control.network import load_network
 from stewart_drake.runs.simulation import run
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.systems.diagram import build_diagram
 
 DIAGRAMS = ROOT / "diagrams"
-PORTS = {"measurement": 12, "reference": 18, "torque": 6, "error": 6, "integral": 6, "weights": 2, "density": 12}
+PORTS = {
+    **{"measurement": 12, "reference": 18, "torque": 6, "torque_applied": 6, "error": 6, "integral": 6, "weights": 2},
+    "density": 12,
+}
 
 
 def scenario(**keys):
@@ -26,7 +29,8 @@ def test_every_signal_is_an_exported_port_by_its_name():
     assert {port.get_name(): port.size() for port in ports} == {**PORTS, "plant_state": loop.plant.indices.size}
     assert loop.num_input_ports() == 0
     assert set(loop.sinks) == {*PORTS, "plant_state"}
-    assert set(loop.systems) == {"controller", "density"} == {part.name for part in loop.loop.parts}
+    names = {"tracking_error", "controller", "density", "motors"}
+    assert set(loop.systems) == names == {part.name for part in loop.loop.parts}
 
 
 @pytest.mark.slow

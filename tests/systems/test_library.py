@@ -12,15 +12,15 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from strategies import ROBOT
 
 from stewart_drake import systems
+from stewart_drake.base.errors import ConfigurationError, RiccatiError
+from stewart_drake.base.jit import fields, new_record
+from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.lqi import LqiOptions
-from stewart_drake.errors import ConfigurationError, RiccatiError
-from stewart_drake.jit import fields, new_record
+from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.part import Part
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.references import paper_reference
-from stewart_drake.sampling import on_grid
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.systems import PartSystem
 from stewart_drake.systems.library import PlatformWrench
 
@@ -30,9 +30,10 @@ PLANT = build_plant(ROBOT)[1]
 EVERY = [
     systems.AnnTuner(make_network(), PERIOD),
     systems.DensityFeatures(4, PERIOD),
+    systems.TrackingError(PERIOD),
     systems.LqiController(ROBOT, LqiOptions(solver="split", period=PERIOD), GRAVITY),
 ]
-PLAIN = [PlatformWrench(PLANT, ()), systems.ReferenceSource(paper_reference()), systems.TaskSpaceSensor(PLANT)]
+PLAIN = [PlatformWrench(PLANT), systems.ReferenceSource(paper_reference()), systems.TaskSpaceSensor(PLANT)]
 """Those without a part."""
 
 
@@ -63,9 +64,9 @@ SCENARIOS = {
     systems.MotorEncoders: {"sensors": "encoders"},
     systems.PoseEstimator: {"sensors": "encoders"},
     systems.PlatformObserver: {"sensors": "encoders", "estimator": "observer"},
-    systems.FrictionFeedforward: {"friction_compensation": {"coulomb": 0.01}},
-    systems.CommandSum: {"friction_compensation": {"coulomb": 0.01}},
-    systems.SentCommand: {"sensors": "encoders", "estimator": "observer"},
+    systems.FrictionFeedforward: {"model": {"friction": {"coulomb": 0.01}}},
+    systems.CommandSum: {"model": {"friction": {"coulomb": 0.01}}},
+    systems.NetTorque: {"sensors": "encoders", "estimator": "observer"},
     systems.CommandDelay: {"command_delay": 1},
     systems.CommandLink: {"link": {"drop_probability": 0.1}},
     systems.MotorDrive: {"motors": {"ripple": 0.1}},
@@ -83,7 +84,7 @@ def test_a_part_of_a_scenario_has_the_ports_that_its_class_names(kind):
 
 
 def test_a_scenario_without_the_part_is_refused():
-    with pytest.raises(ConfigurationError, match=r"with the part observer.*; it has controller"):
+    with pytest.raises(ConfigurationError, match=r"with the part observer.*; it has tracking_error, controller"):
         systems.PlatformObserver(Scenario())
     with pytest.raises(ConfigurationError, match=r"controller.kind: expected pid, got 'lqi'"):
         systems.JointPid(Scenario())
@@ -94,7 +95,7 @@ def test_an_observer_wired_by_hand_knows_where_the_platform_is():
     context = system.CreateDefaultContext()
     home = ROBOT.home_pose
     system.reading.FixValue(context, inverse_kinematics(ROBOT, home))
-    system.sent.FixValue(context, np.zeros(6))
+    system.net_torque.FixValue(context, np.zeros(6))
     system.reference.FixValue(context, [*home, *np.zeros(12)])
     np.testing.assert_allclose(system.measurement.Eval(context)[:6], home, atol=1e-4)
 

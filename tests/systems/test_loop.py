@@ -6,10 +6,10 @@ from pydrake.systems.analysis import Simulator
 from strategies import ROBOT
 
 from stewart_drake import Controller, Scenario, load_scenario, run
+from stewart_drake.base.sampling import on_grid, steps_per
 from stewart_drake.control.policy import disturbance_of, weights_of
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.systems.diagram import ClosedLoop
 
 
@@ -123,7 +123,7 @@ def test_a_rod_breaks_at_its_time_and_alone_and_not_after_the_end():
 
 
 HOME = [0, 0, 0, 0, 0, 0.3]
-BASE = load_scenario("exact_breathing").replace({"plant.engine": "reduced", "tuner": {"kind": "block"}})
+BASE = load_scenario("exact_breathing").replace({"plant.kind": "closed_form", "tuner": {"kind": "block"}})
 
 
 @pytest.mark.slow
@@ -132,7 +132,7 @@ def test_a_robot_with_friction_comes_to_rest_and_stays(believed, level):
     # Up to twice the friction that is believed; without that rule it hunts by ten counts and more for ever.
     rest = {
         "plant.friction": {"coulomb": believed, "break_away": level},
-        "friction_compensation": {"coulomb": believed},
+        "model": {"friction": {"coulomb": believed}},
         "reference": {"kind": "minimum_jerk", "poses": [HOME, [0.05, 0, 0, 0.01, 0, 0.31]], "durations": [0.5]},
         "duration": 6.0,
         "estimator": {"kind": "observer"},

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from stewart_drake.files.yaml_files import shipped_folder
+from stewart_drake.base.yaml_files import shipped_folder
 from stewart_drake.runs.simulation import run
-from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 BASE = {
     "duration": 0.12,
@@ -56,6 +56,6 @@ NOMINAL = sorted({path.stem for path in shipped_folder("scenarios").glob("*.yaml
 def test_no_nominal_scenario_trips_anything(name):
     case = load_scenario(name)
     # The part in which the most happens; each has gone through its fastest motion by then.
-    log = run(case.replace({"safety": {}, "duration": min(2.5, case.duration), "plant.engine": "reduced"}))
+    log = run(case.replace({"safety": {}, "duration": min(2.5, case.duration), "plant.kind": "closed_form"}))
     assert (log.status, log.safety) == ("completed", None)
     assert (log["safety"][:, 0] == 0.0).all()

@@ -2,13 +2,13 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from stewart_drake.errors import ConfigurationError, RunFailure
-from stewart_drake.files.tables import to_parquet, with_about
+from stewart_drake.base.errors import ConfigurationError, RunFailure
+from stewart_drake.base.tables import to_parquet, with_about
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.references import SineBurstsReference
-from stewart_drake.scenario import Scenario
-from stewart_drake.training import collect
-from stewart_drake.training.collect import (
+from stewart_drake.scenario.scenario import Scenario
+from stewart_drake.training import paper_network
+from stewart_drake.training.paper_network import (
     BURST,
     COLUMNS,
     FREQUENCIES,
@@ -57,7 +57,7 @@ def test_an_experiment_that_ended_early_stops_the_collection_and_is_named(change
 
 def test_a_collected_dataset_comes_back_whole(tmp_path, monkeypatch):
     # Nine short experiments on a small motion; the search for the largest feasible one is tested apart.
-    monkeypatch.setattr(collect, "experiment_reference", lambda _: SMALL)
+    monkeypatch.setattr(paper_network, "experiment_reference", lambda _: SMALL)
     base = Scenario.from_dict({"controller": {"solver": "split"}, "tuner": {"kind": "paper", "window": WINDOW}})
     dataset = collect_dataset(base, lambda _: None, SAMPLES)
     dataset.save(tmp_path / "data.parquet")

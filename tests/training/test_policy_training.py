@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.jit import record
 from stewart_drake.control.features import CostScales
-from stewart_drake.control.policy import default_policy_path, load_policy
+from stewart_drake.control.policy import Policy, policy_setting
 from stewart_drake.control.tuners import PolicyTuner
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metrics import run_cost, run_metrics
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.workers import Workers
@@ -20,6 +21,7 @@ from stewart_drake.training.policy_training import (
     Training,
     episode_cost,
     episode_features,
+    policy_of,
     train_policy,
 )
 from stewart_drake.training.situations import Case, situation
@@ -34,12 +36,20 @@ def state_of(training):
     return State(pool, validation, np.zeros(13), np.ones(13), weights, np.zeros((2, WEIGHTS)), weights)
 
 
+def test_in_training_a_policy_trusts_itself_whatever_the_features():
+    weights = np.random.default_rng(0).standard_normal(WEIGHTS)
+    policy, setting = policy_of(weights, np.zeros(4)), np.empty(4)
+    for features in (np.zeros(13), np.full(13, 8.0), np.full(13, -8.0)):
+        assert policy_setting(record(policy.params()), features, setting) == 1.0
+        assert np.abs(setting).max() > 0.01
+
+
 @pytest.mark.slow
 def test_an_episode_costs_what_the_same_run_from_a_file_costs(tmp_path):
-    policy, kappa, case = load_policy(), 0.4, Case("pushes", "reachy_mini", 7, 0.4)
+    policy, kappa, case = Policy.load(), 0.4, Case("pushes", "reachy_mini", 7, 0.4)
     policy.save(tmp_path / "policy.json")
     tuner = {"kind": "policy", "weights_file": str(tmp_path / "policy.json"), "kappa": kappa}
-    log = run(situation(*case[:3]).replace({"plant.engine": "reduced", "plant.time_step": 0.005, "tuner": tuner}))
+    log = run(situation(*case[:3]).replace({"plant.kind": "closed_form", "plant.time_step": 0.005, "tuner": tuner}))
     expected = run_cost(run_metrics(log), log.status, 0.01, CostScales().at(kappa))
     assert np.exp(episode_cost(policy, case)) == pytest.approx(expected)
     features = episode_features(policy, case)
@@ -67,7 +77,8 @@ def test_evolution_goes_down_and_keeps_its_best_generation(monkeypatch):
     bowl = np.random.default_rng(3).normal(size=WEIGHTS) * 0.05
 
     def cost(policy, case):
-        away = np.concatenate([np.ravel(each) for each in policy.layers[2:6]]) - bowl
+        layers = policy.hidden_weights, policy.hidden_bias, policy.output_weights, policy.output_bias
+        away = np.concatenate([np.ravel(layer) for layer in layers]) - bowl
         return float(away @ away) + case.kappa
 
     monkeypatch.setattr(policy_training, "episode_cost", cost)
@@ -96,8 +107,8 @@ def test_interrupted_or_on_more_processes_it_comes_to_the_same_policy(tmp_path, 
         train_policy(SMALL, file, stop, Workers(0))
     again = train_policy(SMALL, file, workers=Workers(2))
     assert not file.exists()
-    for one, other in zip(whole.layers, again.layers, strict=True):
-        np.testing.assert_array_equal(one, other)
+    for name in whole.shapes():
+        np.testing.assert_array_equal(getattr(whole, name), getattr(again, name))
 
 
 def test_the_state_of_another_training_is_refused(tmp_path):
@@ -123,8 +134,8 @@ def test_a_damaged_state_is_refused_and_an_unchanged_one_is_the_same(tmp_path, d
 
 
 def test_the_shipped_policy_is_one_and_names_the_revision_that_trained_it():
-    policy = load_policy()
-    assert policy.to_bytes() == default_policy_path().read_bytes()
+    policy = Policy.load()
+    assert policy.to_bytes() == Policy.shipped.read_bytes()
     assert len(policy.provenance["versions"]["git_revision"]) == 40
-    np.testing.assert_allclose(PolicyTuner().chooser().centre, policy.centre)
+    np.testing.assert_allclose(PolicyTuner().source().centre, policy.centre)
     np.testing.assert_allclose([policy.lowest, policy.lowest + policy.width], [LOWEST, HIGHEST])

@@ -1,13 +1,10 @@
 import numpy as np
 import pytest
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.training.collect import Dataset, r_squared
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.training.paper_network import Dataset, TrainingOptions, r_squared, train_network
 
 torch = pytest.importorskip("torch")
-
-from stewart_drake.training.train import TrainingOptions, train_network  # noqa: E402
-
 pytestmark = pytest.mark.torch
 METADATA = {"density": "signed", "window": 7, "sample_time": 0.005, "scenario": {"name": "left out"}}
 

@@ -1,0 +1,320 @@
+"""Families of kinds, and how a user's own class becomes one of them; the kinds themselves are in `registry`."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from importlib import import_module
+from operator import attrgetter
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import Field, GetJsonSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+from stewart_drake.base.code import CLASS_PATH, CodePath, path_of, source_of
+from stewart_drake.base.config import Section, as_problem, check_plain, choices_text
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.keys import join_or
+
+_PACKAGE = __name__.partition(".")[0]
+USER_CLASS = "module:Class"
+"""How a kind of a user's own is written, among the `choices` of a family."""
+
+NOTHING_YET = "one that a program has added"
+
+
+class Table:
+    """Objects by name, in `Annotated` the type of a key that holds such a name.
+
+    `lines`: name -> `module:name` in this package, imported when it is asked for, or the object itself.
+    """
+
+    def __init__(self, lines: dict[str, Any]) -> None:
+        self._lines = lines
+
+    @property
+    def names(self) -> list[str]:
+        """In the order of the lines."""
+        return list(self._lines)
+
+    def __getitem__(self, name: str) -> Any:
+        """The object of a name."""
+        if isinstance(self._lines[name], str):
+            self._lines[name] = imported(self._lines[name])
+        return self._lines[name]
+
+    def add(self, name: str, thing: Any) -> None:
+        """Adds an object; a `ConfigurationError` where the name means something already."""
+        self._check_new(name)
+        self._lines[name] = thing
+
+    def _check_new(self, name: str) -> None:
+        if name in self._lines:
+            raise ConfigurationError("kind", name, f"a new name; there are already {join_or(self.names)}")
+
+    def added_code(self) -> dict[str, str]:
+        """Kind -> source of what was added from outside of the package, and of the modules that it stands in.
+
+        Results are kept under it: a kind with other code is another kind.
+        """
+        sources: dict[str, str] = {}
+        for kind, line in self._lines.items():
+            for part in line if isinstance(line, tuple) else (line,):
+                module = getattr(part, "__module__", _PACKAGE)
+                if module.partition(".")[0] != _PACKAGE:
+                    sources[kind] = f"{sources.get(kind, '')}{source_of(part)}{source_of(sys.modules.get(module))}"
+        return sources
+
+    def _validate(self, value: Any) -> Any:
+        if isinstance(value, str) and value in self._lines:
+            return value
+        raise as_problem(ConfigurationError("", value, choices_text(value, self.names)))
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self._validate)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"enum": self.names, "type": "string"}
+
+
+class Family(Table):
+    """The kinds of one part of a scenario: a union told apart by the key `kind`; in `Annotated`, the type of the part.
+
+    A text that is a kind stands for a section of nothing else. `default` is the kind where the key is absent, `own` the
+    section for a user's own class, a `UserMade`, and `methods` what an object of the user's own has one of.
+    """
+
+    def __init__(
+        self,
+        lines: dict[str, Any],
+        default: str | None = None,
+        own: str | None = None,
+        methods: tuple[str, ...] = (),
+        without: tuple[str, ...] = (),
+    ) -> None:
+        super().__init__(lines)
+        self.default, self._own, self._methods, self._without = default, own, methods, without
+        self._paths: dict[str, str] = {}
+
+    def excluding(self, *kinds: str) -> Family:
+        """The same kinds, without some and without a default."""
+        family = Family(self._lines, None, self._own, self._methods, kinds)
+        family._paths = self._paths
+        return family
+
+    @property
+    def kinds(self) -> list[str]:
+        """Names of the kinds."""
+        return [kind for kind in self._lines if kind not in self._without]
+
+    @property
+    def choices(self) -> list[str]:
+        """For messages."""
+        return [*self.kinds, *self._paths, *([USER_CLASS] if self._own else [])] or [NOTHING_YET]
+
+    def __getitem__(self, name: str) -> Any:
+        section = super().__getitem__(name)
+        section.kinds_with = self._kinds_with
+        return section
+
+    def _kinds_with(self, key: str) -> list[str]:
+        return [kind for kind in self.kinds if key in self[kind].__pydantic_fields__]
+
+    def add(self, section: type[Section]) -> None:  # type: ignore[override]
+        """Adds a kind: its section, whose `kind` has its name as the default; again too, as in a notebook."""
+        kind = section.__pydantic_fields__["kind"].default
+        if kind in self._lines and path_of(self[kind]) == path_of(section):
+            del self._lines[kind]
+        super().add(kind, section)
+
+    def register(self, name: str, path: str) -> None:
+        """Lets a name stand for the import path of a user's own class, `module:Class`, wherever a kind does."""
+        if self._own is None or ":" not in path:
+            raise ConfigurationError(name, path, "module:Class, for a part that may be your own class")
+        self._check_new(name)
+        self._paths[name] = path
+
+    def normalise(self, data: Any) -> Any:
+        """A section as written, in full; what stands for one is a kind, or a user's class or object."""
+        if isinstance(data, type) and issubclass(data, Section):
+            return data()
+        if not isinstance(data, Mapping) and (self._is_own(data) or data in self.kinds):
+            data = {"kind": data}
+        kind = data.get("kind") if isinstance(data, Mapping) else None
+        if kind == "python" and self._own is not None and "system" in data:
+            # Another way to write a path.
+            return {"kind": data["system"], **{key: data[key] for key in data if key not in ("kind", "system")}}
+        return {**data, "kind": self._paths[kind]} if isinstance(kind, str) and kind in self._paths else data
+
+    def resolve(self, data: Any) -> Any:
+        """Class of a section that is written, or of one that is one of these; None where it is not."""
+        data = self.normalise(data)
+        kind = data.get("kind", self.default) if isinstance(data, Mapping) else getattr(data, "kind", None)
+        section = self._own_section if self._is_own(kind) else self[kind] if kind in self.kinds else None
+        return section if isinstance(data, Mapping) or (section is not None and isinstance(data, section)) else None
+
+    @property
+    def _own_section(self) -> Any:
+        return None if self._own is None else imported(self._own)
+
+    def _is_own(self, kind: Any) -> bool:
+        """Whether a kind is a user's import path, class or object."""
+        if self._own is None or kind is None or isinstance(kind, Section):
+            return False
+        if isinstance(kind, str):
+            return ":" in kind or kind in self._paths
+        return isinstance(kind, (type, CodePath)) or any(hasattr(kind, method) for method in self._methods)
+
+    def section(self, value: Any) -> Any:
+        """The section that is written, or one that is there already, checked."""
+        value = self.normalise(value)
+        section = self.resolve(value)
+        if section is None:
+            raise as_problem(self._refusal(value))
+        if isinstance(value, Mapping):
+            value = {**value}
+            if self._is_own(value.get("kind")) and not isinstance(value["kind"], str):
+                value["kind"] = CodePath.of(value["kind"])
+        return section.__pydantic_validator__.validate_python(value)
+
+    _validate = section
+
+    def _refusal(self, value: Any) -> ConfigurationError:
+        if not isinstance(value, (Mapping, Section)):
+            allowed = f"a section with kind {join_or(self.choices)}, or such a kind alone"
+            allowed = choices_text(value, self.choices) if isinstance(value, str) else allowed
+            return ConfigurationError("", value, allowed)
+        kind = value.get("kind") if isinstance(value, Mapping) else getattr(value, "kind", None)
+        required = "; this key is required" if isinstance(value, Mapping) and "kind" not in value else ""
+        return ConfigurationError("kind", kind, f"{choices_text(kind, self.choices)}{required}")
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        ways: list[dict[str, Any]] = []
+        alone = list(self._paths)
+        for kind in [*self.kinds, *([None] if self._own else [])]:
+            section = self._own_section if kind is None else self[kind]
+            ways.append({**handler(section.__pydantic_core_schema__)})
+            section.describe(ways[-1])
+            if kind not in (self.default, None):
+                ways[-1]["required"] = ["kind"]
+            if kind is not None and not any(field.is_required() for field in section.__pydantic_fields__.values()):
+                alone.append(kind)
+        if self._own is not None:
+            ways.append({"type": "string", "pattern": CLASS_PATH})
+        if not ways:
+            named = {"type": "string", "description": f"Kind: {NOTHING_YET}."}
+            return {"type": "object", "description": "", "properties": {"kind": named}, "required": ["kind"]}
+        return {"anyOf": [*ways, {"enum": alone}]}
+
+
+class UserMade(Section):
+    """Base of sections for what a class of the user's own makes.
+
+    In a file `kind` is the import path of the class. In Python it may also be the class itself or an object, and an
+    object may replace the whole section.
+    """
+
+    asked: ClassVar[str]
+    """What an object of the class does, such as `evaluate(t) returns ...`; begins with its method."""
+
+    kind: CodePath
+    """Import path of your class, from the folder of the file that names it: path/to/file.py:Class, or module:Class. Its
+    code is run."""
+    arguments: dict[str, Any] = Field(default_factory=dict)
+    """Keyword arguments of the constructor, plain values."""
+
+    def rules(self) -> None:
+        """Arguments are plain values."""
+        check_plain("arguments", self.arguments)
+
+    @property
+    def code(self) -> CodePath:
+        """Where the class comes from."""
+        return self.kind
+
+    @property
+    def code_key(self) -> str:
+        """Key of the scenario that has it, for messages."""
+        return f"{vars(self).get('place', self.section_key)}.kind"
+
+    def load(self) -> Any:
+        """The class, not called; a `ConfigurationError` where it is none, or cannot be loaded."""
+        loaded = self.code.load(self.code_key)
+        if not isinstance(loaded, type) and self.code.given is None:
+            raise ConfigurationError(self.code_key, self.code, f"a class, not a {type(loaded).__name__}")
+        return loaded if isinstance(loaded, type) else type(loaded)
+
+    def construct(self, offered: Mapping[str, Any]) -> Any:
+        """The object: with `arguments` and what the constructor names of `offered`, or as it was given."""
+        kind, given = self.load(), self.code.given
+        if given is not None and not isinstance(given, type):
+            return given
+        place = self.code_key.rpartition(".")[0]
+        with self.code.blamed(self.code_key, f"a constructor that takes {place}.arguments and does not raise"):
+            parameters = inspect.signature(kind).parameters
+            return kind(**{name: value for name, value in offered.items() if name in parameters} | self.arguments)
+
+    @cached_property
+    def made(self) -> Any:
+        """The object; a `ConfigurationError` where it does not have the method."""
+        made = self.construct({})
+        method = self.asked.partition("(")[0]
+        if not callable(getattr(made, method, None)):
+            raise self.refusal(f"one without {method}")
+        return made
+
+    def refusal(self, answer: str) -> ConfigurationError:
+        """The error that says what is asked of the class, and what came instead."""
+        return ConfigurationError(self.code_key, self.code, f"a class whose {self.asked}, not {answer}")
+
+    def numbers(self, answer: Any) -> np.ndarray:
+        """An answer of the object as an array, else a `ConfigurationError`."""
+        try:
+            return np.asarray(answer, dtype=float)
+        except (TypeError, ValueError):
+            raise self.refusal(f"a {type(answer).__name__} that is not an array of numbers") from None
+
+
+def given_keys(value: Any) -> Any:
+    """What was given of a section, and of those in it, in plain values but for code, which need not be trusted anew."""
+    if isinstance(value, Section):
+        value = value.given()
+    if isinstance(value, (list, tuple)):
+        return [given_keys(each) for each in value]
+    return {key: given_keys(each) for key, each in value.items()} if isinstance(value, Mapping) else value
+
+
+def refuse_given(section: Any) -> None:
+    """Refuses what was given in Python as a class or an object, where results are kept and known again by content."""
+    for part in user_parts(section):
+        if part.code.given is not None:
+            raise ConfigurationError(part.code_key, part.code, "a class by its import path, to run it many times")
+
+
+def user_parts(section: Any) -> list[UserMade]:
+    """Every part of the user's own in a section, and in those inside."""
+    return [part for _, part in _placed(section)]
+
+
+def place_users(section: Any) -> None:
+    """Tells the sections of a user's classes where they stand, for messages."""
+    for place, part in _placed(section):
+        vars(part)["place"] = place
+
+
+def _placed(section: Any, place: str = "") -> Iterator[tuple[str, UserMade]]:
+    if isinstance(section, UserMade):
+        yield place, section
+    if isinstance(section, (Section, tuple)):
+        named = list(vars(section).items()) if isinstance(section, Section) else enumerate(section)
+        for name, part in named:
+            yield from _placed(part, f"{place}.{name}" if place else str(name))
+
+
+def imported(place: str) -> Any:
+    """The object of a `module:name` in this package."""
+    module, _, name = place.partition(":")
+    return attrgetter(name)(import_module(f"{_PACKAGE}.{module}"))

@@ -1,0 +1,159 @@
+"""numba's decorator with one cache that is fresh for all sources, and structured records.
+
+Laws are compiled functions of one robot or one part. What they take and fill are records: structured arrays of one
+entry, all of it float64. `NUMBA_DISABLE_JIT=1` runs the same source in Python, for a debugger.
+
+A record does not keep its array alive where it is compiled. So scratch memory is made by one law and handed as an array
+to an inner one, which takes its record: never `record(np.empty(1, KIND))`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import pickle
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+import numpy as np
+from numba.core import caching
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+_PREFIX = "compiled-"
+_PACKAGE = Path(__file__).parents[1]
+_OWN = _PACKAGE / "__pycache__"
+_CONFIG: Any = numba.config
+_FunctionCache: Any = caching.FunctionCache
+
+
+def fields(**shapes: int | tuple[int, ...]) -> np.dtype:
+    """Type of a record of float64 numbers: name -> size of a vector, or shape of an array; () for a single number."""
+    return np.dtype([(name, np.float64, shape) for name, shape in shapes.items()])
+
+
+def new_record(kind: np.dtype, options: Any = None, **values: Any) -> np.ndarray:
+    """A structured array (1,) with named values; what is not given is that attribute of the options, or zero.
+
+    An attribute that is None, a limit that is off, is infinite.
+    """
+    result = np.zeros(1, dtype=kind)
+    for name in kind.names or ():
+        if hasattr(options, name) and name not in values:
+            value = getattr(options, name)
+            result[name][0] = np.inf if value is None else value
+    for name, value in values.items():
+        result[name][0] = value
+    return result
+
+
+if _CONFIG.DISABLE_JIT:
+
+    def record(array: Any) -> Any:
+        """The record of a structured array (1,), with its fields as attributes; a view."""
+        return array.view(np.recarray)[0]
+else:
+
+    @numba.njit(inline="always")
+    def record(array: Any) -> Any:
+        """The record of a structured array (1,), with its fields as attributes; a view."""
+        return array[0]
+
+
+def njit(function: _F) -> _F:
+    """Compiles a law: `numba.njit` with numpy's rules for a division by zero, without Python's lock, and with a cache.
+
+    numba looks at a function's own file alone, not at those of what it calls. So machine code is kept in a folder for
+    each state of all sources that compile anything; where there is no place for a cache, there is none.
+    """
+    # Nobody calls a law from C, so that entry is not compiled.
+    options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+    compiled: Any = numba.njit(**options)(function)
+    if _FOLDER is None:
+        return compiled
+    before = _CONFIG.CACHE_DIR
+    try:
+        # Where files go is settled as a cache is made; other people's functions keep their own place.
+        _CONFIG.CACHE_DIR = str(_FOLDER)
+        with suppress(RuntimeError):  # the place is gone again
+            compiled._cache = _Cache(function)
+    finally:
+        _CONFIG.CACHE_DIR = before
+    return compiled
+
+
+class _Sealed(bytes):
+    """Is pickled with a digest: of machine code a changed bit can end the process."""
+
+    def __reduce__(self) -> Any:
+        return _unsealed, (bytes(self), hashlib.sha256(self).digest())
+
+
+def _unsealed(content: bytes, digest: bytes) -> Any:
+    if hashlib.sha256(content).digest() != digest:
+        raise ValueError("a file has changed since it was written")
+    return pickle.loads(content)
+
+
+class _Cache(_FunctionCache):
+    """numba's cache of a function, whose files may be damaged, and their disk full, at any time."""
+
+    told = False
+
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)
+        dump = self._cache_file._dump
+        self._cache_file._dump = lambda entry: pickle.dumps(_Sealed(dump(entry)))
+
+    @contextmanager
+    def _guard_against_spurious_io_errors(self) -> Iterator[None]:
+        """Around all that loads and saves; numba's own, for Windows."""
+        try:
+            yield
+        except Exception as error:  # of pickle any, of the disk OSError
+            if not _Cache.told:
+                _Cache.told = True
+                why = f"{_FOLDER}: {error or type(error).__name__}"
+                logging.getLogger("stewart_drake").warning(f"stewart-drake: cache of compiled code is bad, {why}")
+            try:
+                self.flush()
+            except OSError:
+                self.disable()
+
+
+def source_digest() -> str:
+    """sha256 of all sources of the package that compile anything, and of the versions that compile them."""
+    content = hashlib.sha256(f"{numba.__version__} {np.__version__}".encode())
+    for file in sorted(_PACKAGE.rglob("*.py")):
+        source = file.read_bytes()
+        if b"stewart_drake.base.jit import" in source:
+            content.update(source)
+    return content.hexdigest()
+
+
+def _folder(name: str) -> Path | None:
+    """Where machine code of these sources is kept; None where nothing can be."""
+    # Somebody's own choice comes first; an installation that is not ours to write to has its place at home.
+    home = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache") / "stewart-drake"
+    for place in [*([_CONFIG.CACHE_DIR] if _CONFIG.CACHE_DIR else []), _OWN, home]:
+        try:
+            folder = Path(place).expanduser().absolute() / name
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except (OSError, RuntimeError):  # RuntimeError: nobody's home
+            continue
+        for other in _OWN.glob(f"{_PREFIX}*") if place == _OWN else ():
+            if other.name != name:
+                shutil.rmtree(other, ignore_errors=True)
+        return folder
+    return None
+
+
+_FOLDER = None if _CONFIG.DISABLE_JIT else _folder(_PREFIX + source_digest()[:16])

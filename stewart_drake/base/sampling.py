@@ -1,0 +1,97 @@
+"""Sample times on which events of different rates coincide bit for bit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from stewart_drake.base.errors import ConfigurationError
+
+_PER_SECOND = 192_000_000
+"""Units in a second: microseconds, their thirds and their sixty-fourths (so 1/4096 s too) are whole numbers of it."""
+_UNIT = math.ceil(2.0**56 / _PER_SECOND) / 2.0**56
+"""[s] the unit, rounded up to 29 bits, 1.4e-10 of itself too long."""
+_STRETCH = 1.0 + 2.0**-32
+"""More than the unit's own."""
+_SAME = 1e-9
+"""[s] that two instants may be apart and still be the same, for a function of time."""
+_TOLERANCE = 1e-11
+"""What two decimal numbers may be apart, as a share, and still mean the same sample time."""
+
+
+def on_grid(seconds: float) -> float:
+    """Sample time near `seconds` whose multiples are exact: that of n x is n times that of x, to the last bit.
+
+    Drake fires a periodic event at k * period. Decimal periods drift apart by rounding (10 k * 0.0001 s and
+    k * 0.001 s differ for 384 of the first 2001 k), and a controller that ticks just after the plant sees it one step
+    too late. Here a period (up to 5 s, and any round one beyond) is a whole number of units of so few bits that
+    products are exact, and events coincide always. It grows by 1.4e-10 of itself and never shrinks, so that an event at
+    a decimal time still comes before the plant's step of that time. One that is no whole number of units (1/7000 s) is
+    rounded up a little further: not all its multiples coincide, but ticks never come after the plant's step.
+
+    Raises:
+        ConfigurationError: `seconds` is not finite or not positive; Drake would fire once and never again.
+    """
+    if not (math.isfinite(seconds) and seconds > 0.0):
+        raise ConfigurationError("period", seconds, "a positive number of seconds")
+    count = round(seconds * _PER_SECOND)
+    if abs(seconds * _PER_SECOND - count) <= _TOLERANCE * count:
+        return count * _UNIT
+    return math.ceil(seconds * _STRETCH * 2.0**40) / 2.0**40
+
+
+def times_of(steps: np.ndarray, time_step: float) -> np.ndarray:
+    """Times (n,) [s] of steps (n,), as decimals where the step is one: 0.174 and not 0.17400000000000002."""
+    per_second = round(1.0 / time_step)
+    if per_second >= 1 and abs(per_second * time_step - 1.0) < 1e-15:
+        return steps / per_second
+    return steps * time_step
+
+
+def unwrapped(angles: np.ndarray) -> np.ndarray:
+    """Angles (n, k) [rad] without jumps by whole turns, of which the first is within half a turn."""
+    angles = np.unwrap(angles, axis=0)
+    return angles - 2.0 * math.pi * np.round(angles[0] / (2.0 * math.pi))
+
+
+def steps_per(key: str, period: float, time_step: float, of: str = "the plant's time step") -> int:
+    """Number of steps in a period, which is refused where it is no whole multiple of the step, `of` in words."""
+    ratio = period / time_step if time_step > 0.0 and math.isfinite(time_step) else math.nan
+    count = round(ratio) if math.isfinite(ratio) else 0
+    if count < 1 or abs(ratio - count) > _TOLERANCE * count:
+        raise ConfigurationError(key, period, f"a whole multiple of {of} {time_step:g} s")
+    return count
+
+
+class InBlocks:
+    """A function of time, (n,) [s] -> (n, k), at multiples of a period [s], some hundred at once, which costs a tenth.
+
+    What was computed last is a memory of a pure function; several runs may share it. `period` is as Drake has it.
+    """
+
+    _ROWS = 256
+
+    def __init__(self, function: Callable[[np.ndarray], np.ndarray], period: float) -> None:
+        self._function, self.period = function, on_grid(period)
+        self._table: tuple[int, np.ndarray, np.ndarray] = (-1, np.empty(0), np.empty(0))
+
+    def at(self, step: int) -> np.ndarray:
+        """Value (k,) at a multiple."""
+        return self._row(step)[1]
+
+    def at_time(self, time: float) -> np.ndarray:
+        """Value (k,) at a time [s]; at multiples it is fastest."""
+        at, value = self._row(round(time / self.period))
+        return value if abs(at - time) < _SAME else self._function(np.array([time]))[0]
+
+    def _row(self, step: int) -> tuple[float, np.ndarray]:
+        block, row = divmod(step, self._ROWS)
+        # Read once: another thread's run may replace it meanwhile.
+        kept, times, values = self._table
+        if block != kept:
+            times = np.arange(block * self._ROWS, (block + 1) * self._ROWS) * self.period
+            values = self._function(times)
+            self._table = block, times, values
+        return times[row], values[row]

@@ -1,0 +1,108 @@
+"""The package's YAML files: scenarios, sweeps, comparisons; found by path or by name, and read as plain values."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.composer import Composer
+from ruamel.yaml.error import MarkedYAMLError
+from ruamel.yaml.events import AliasEvent
+
+from stewart_drake.base.atomic_files import PACKAGE, read_checked
+from stewart_drake.base.config import did_you_mean, shorten
+from stewart_drake.base.errors import ConfigurationError
+
+MAX_BYTES = 1_000_000
+
+
+def shipped_folder(kind: str) -> Path:
+    """Folder of the files of a kind, such as `scenarios`, that the package carries (in a checkout: diagrams/KIND)."""
+    inside = PACKAGE / kind
+    return inside if inside.is_dir() else PACKAGE.parent / "diagrams" / kind
+
+
+def find_file(kind: str, name: str | Path) -> Path:
+    """The file that `name` means, a path or the stem of a file of the package; `kind` such as `scenario`."""
+    path, shipped = Path(name), {each.stem: each for each in sorted(shipped_folder(f"{kind}s").glob("*.yaml"))}
+    try:
+        # What is a pipe or a device says so itself once it is to be read.
+        if path.exists() and not path.is_dir():
+            return path
+    except OSError as error:
+        raise ConfigurationError(f"{kind} file", str(name), f"a path that can be read ({error.strerror})") from None
+    if str(name) in shipped:
+        return shipped[str(name)]
+    allowed = f"an existing file, or one of {', '.join(shipped)}{did_you_mean(str(name), shipped)}"
+    raise ConfigurationError(f"{kind} file", str(name), allowed)
+
+
+def read_mapping(kind: str, path: Path, longest_name: int) -> dict[str, Any]:
+    """Keys and values of a file; `name` is its stem where it has none, cut to `longest_name`."""
+    what = f"{kind} file {path}"
+    try:
+        text = read_checked(path, what, MAX_BYTES).decode()
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(what, str(error), "a YAML text in UTF-8") from None
+    data = parse_yaml(text, what)
+    if not isinstance(data, dict):
+        raise ConfigurationError(what, "an empty file" if data is None else data, "a mapping of keys to values")
+    # The name of a file may hold what the name of a scenario may not.
+    data.setdefault("name", re.sub(r"^\W+|[^\w .+-]", "_", path.stem, flags=re.ASCII)[:longest_name])
+    return data
+
+
+def _yaml() -> YAML:
+    # YAML 1.2: 1e-3 is a number, duplicate keys are refused, and the safe loader builds plain values alone.
+    return YAML(typ="safe", pure=True)
+
+
+def parse_yaml(text: str, key: str) -> Any:
+    """Plain values from a YAML text."""
+    yaml = _yaml()
+    yaml.Composer = _PlainComposer
+    try:
+        return yaml.load(text)
+    except Exception as error:
+        # Of a tag that does not fit its value (`!!bool 3`) the loader lets KeyError, IndexError and others escape.
+        mark = getattr(error, "problem_mark", None)
+        where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
+        problem = str(getattr(error, "problem", None) or f"{type(error).__name__}: {error}").removeprefix("but ")
+        hint = "; indent with spaces" if "'\\t'" in problem else ""
+        allowed = f"well-formed YAML without tags and aliases{hint}"
+        raise ConfigurationError(key, f"{where}{' '.join(problem.split())}", allowed) from None
+
+
+def parse_changes(texts: Iterable[str], example: str) -> dict[str, Any]:
+    """Keys and plain values of `key=value` texts, as after `--set`; `example` is one."""
+    changes: dict[str, Any] = {}
+    for text in texts:
+        key, separator, value = (part.strip() for part in text.partition("="))
+        if not separator or not key:
+            raise ConfigurationError("--set", text, f"key=value, such as {example}")
+        changes[key] = parse_yaml(value, f"--set {shorten(key)}")
+    return changes
+
+
+def to_yaml(data: Any) -> str:
+    """Plain values as YAML that `parse_yaml` reads back."""
+    yaml, stream = _yaml(), StringIO()
+    yaml.default_flow_style = None
+    yaml.width = 120
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    yaml.dump(data, stream)
+    return stream.getvalue()
+
+
+class _PlainComposer(Composer):
+    """Refuses aliases, and with them merge keys: a few of them say more than any memory holds."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.parser.check_event(AliasEvent):
+            event = self.parser.peek_event()
+            raise MarkedYAMLError(problem=f"an alias, *{event.anchor}", problem_mark=event.start_mark)
+        return super().compose_node(parent, index)

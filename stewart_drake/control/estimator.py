@@ -1,0 +1,191 @@
+"""Pose and rate of the platform from the motor encoders alone: forward kinematics, and differences of the angles."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from stewart_drake.base import errors
+from stewart_drake.base.config import Natural, Period, Positive, PositivePair, Section
+from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.loop.part import HEALTHY, LoopContext, Part
+from stewart_drake.mechanics import kinematics_laws as laws
+from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
+from stewart_drake.mechanics.kinematics_laws import NO_CONVERGENCE, NOT_FINITE, OK, PARALLEL, SERIAL
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
+from stewart_drake.robot.robot_scale import LENGTH
+
+TOLERANCE = 1e-12  # [m] rod-length error at which Newton's method stops.
+ITERATIONS = 12  # Newton steps at most; a warm start needs two.
+SAME_BRANCH = 1.0 - 1e-6
+"""Cosine between a crank and the inverse kinematics of the pose found from it; below, it is the other branch's."""
+TOO_FAST, OTHER_MODE = 10, 11  # How a tick may end beside the statuses of `kinematics_laws`.
+
+
+class EstimatorOptions(Section, key="estimator"):
+    """Base of the options of estimators."""
+
+    exact: ClassVar[bool] = False
+    """Whether it passes on what a sensor of pose and rate says."""
+    kind: str
+    period: Period | None = None
+    """[s] between two readings, each of which it takes; controller.period is a whole multiple. Null for the same."""
+
+    @property
+    def disturbance_density(self) -> float:
+        """[rad/s^2 per sqrt(s)] that an observer expects unless a tuner says otherwise; 0 for none."""
+        return 0.0
+
+    def parts(self, context: LoopContext) -> tuple[Part, ...]:  # noqa: ARG002
+        """What makes of `reading` the signal `measurement`; none where that is the reading itself."""
+        return ()
+
+
+class DifferenceOptions(EstimatorOptions):
+    """Pose from the readings, rate from the difference of two; a sensor of pose and rate is passed on unchanged."""
+
+    exact: ClassVar[bool] = True
+    kind: Literal["difference"] = "difference"
+    rate_cutoff: Positive | None = None
+    """[Hz] corner frequency of the first-order low pass on crank rates, which are differences over one tick; null for
+    none."""
+    max_speed: Positive = 60.0
+    """[rad/s] largest plausible crank speed; a reading that has moved faster is rejected."""
+    max_step: Annotated[PositivePair, LENGTH] = (0.2, 0.05)
+    """[rad, m] largest plausible step from the last pose, at first from the start; a pose beyond it is rejected, for
+    Newton's method has found another assembly mode."""
+    hold_ticks: Annotated[Natural, Field(le=1000)] = 10
+    """Rejected readings in a row that the last good pose may replace before the run ends."""
+
+    def parts(self, context: LoopContext) -> tuple[Part, ...]:
+        if context.reading == 12:
+            return ()
+        return (difference_part(self, context),)
+
+
+PARAMS = fields(period=(), smoothing=(), max_speed=(), max_turn=(), max_shift=(), hold_ticks=())
+"""[s], share of a new difference in the filtered crank rate, [rad/s], [rad], [m], [ticks]; see `DifferenceOptions`."""
+STATE = fields(measurement=12, health=2, angles=6, crank_rate=6, missed=(), assembly_sign=(), started=(), candidate=6)
+"""measurement: pose and its rate [rad, m and 1/s]. angles: the last that were believed [rad]. crank_rate: filtered
+[rad/s]. missed: ticks since. assembly_sign: of the rods' determinant. candidate: pose that was found in the last tick,
+which need not have been believed."""
+
+
+@njit
+def pose_of_angles(robot: Any, params: Any, angles: Any, legs: Any, state: Any) -> Any:
+    """Forward kinematics from the last pose, and the pose's rate from the difference of the angles (6,).
+
+    The rate lags by half a period; the first repeats the crank rates of the state. A pose is believed if no angle has
+    jumped, Newton's method converges near the last pose, the cranks stand on the robot's branch of the inverse
+    kinematics, and the rods' lines have not changed orientation: between two assembly modes lies a parallel
+    singularity, where their determinant changes sign.
+
+    Returns status, leg or -1, margin; of NO_CONVERGENCE steps taken and error [m]. If not OK only `candidate` changes.
+    """
+    pose, last = state.candidate[:], state.measurement
+    started, elapsed = state.started > 0.0, params.period * (1.0 + state.missed)
+    copy_to(pose, last[:6])
+    if not all_finite(angles):
+        return NOT_FINITE, -1, 0.0
+    if started and (np.abs(angles - state.angles) > params.max_speed * elapsed).any():
+        return TOO_FAST, -1, 0.0
+    error, steps = laws.forward_kinematics(robot, angles, pose, TOLERANCE, ITERATIONS)
+    if not error <= TOLERANCE:
+        return NO_CONVERGENCE, steps, error
+    bad = laws.legs_at(robot, pose, legs)
+    if bad >= 0:
+        # A crank carried across its dead centre, slightly.
+        return SERIAL, bad, legs.reach_margin[bad]
+    for i in range(6):
+        if legs.cosine[i] * np.cos(angles[i]) + legs.sine[i] * np.sin(angles[i]) < SAME_BRANCH:
+            return SERIAL, i, -abs(legs.transmission[i])
+    twist, rate = np.empty((6, 1)), state.crank_rate.copy()
+    for i in range(6):
+        if started:
+            rate[i] += params.smoothing * ((angles[i] - state.angles[i]) / elapsed - rate[i])
+        twist[i, 0] = legs.lever[i] * rate[i]
+    sign = solve(legs.line[:], twist)
+    near = True
+    for k in range(6):
+        near = near and abs(pose[k] - last[k]) <= (params.max_turn if k < 3 else params.max_shift)
+    if not near or (started and sign != 0.0 and sign != state.assembly_sign):
+        return OTHER_MODE, -1, 0.0
+    if sign == 0.0:
+        return PARALLEL, -1, 0.0
+    copy_to(state.measurement[:6], pose)
+    laws.rate_of(pose, twist[:, 0], state.measurement[6:])
+    copy_to(state.angles[:], angles)
+    copy_to(state.crank_rate[:], rate)
+    state.missed, state.assembly_sign, state.started = 0.0, sign, 1.0
+    return OK, -1, 0.0
+
+
+@njit
+def difference_tick(robot: Any, params: Any, angles: Any, legs: Any, state: Any) -> Any:
+    """One tick: `pose_of_angles`; up to `hold_ticks` failures in a row repeat the last state."""
+    robot, params, legs, state = record(robot), record(params), record(legs), record(state)
+    result = pose_of_angles(robot, params, angles, legs, state)
+    if result[0] != OK and state.started > 0.0 and state.missed < params.hold_ticks:
+        state.missed += 1.0
+        return OK, -1, 0.0
+    return result
+
+
+def difference_params(options: DifferenceOptions, period: float) -> np.ndarray:
+    """`PARAMS` record."""
+    cutoff = options.rate_cutoff
+    return new_record(
+        PARAMS,
+        options,
+        period=period,
+        smoothing=1.0 if cutoff is None else 1.0 - math.exp(-2.0 * math.pi * cutoff * period),
+        max_turn=options.max_step[0],
+        max_shift=options.max_step[1],
+    )
+
+
+def difference_part(options: DifferenceOptions, context: LoopContext) -> Part:
+    """`reading` (6,) [rad] of encoders -> `measurement` (12,), pose [rad, m] and its rate; see `difference_tick`.
+
+    The pose at the start, which need only be about right, picks the assembly mode. Up to `hold_ticks` failures in a row
+    are bridged by the last good pose and rate.
+    """
+    robot, initial = context.robot, new_record(STATE, health=HEALTHY)
+    initial["measurement"][0, :6] = context.pose
+    # A robot that cannot stand there: the first tick says so, with a log.
+    with contextlib.suppress(errors.UnreachablePoseError), np.errstate(all="ignore"):
+        rates = crank_rates(robot, leg_geometry(robot, context.pose), context.pose, context.pose_rate)
+        initial["crank_rate"] = rates if np.isfinite(rates).all() else 0.0
+
+    constants = {"robot": laws.robot_record(robot), "params": difference_params(options, context.period)}
+    return Part(
+        "estimator", difference_tick, constants, {"reading": 6}, ("measurement",), initial, (laws.LEGS,), encoder_error
+    )
+
+
+def singular_pose(status: int, leg: int, margin: float, pose: np.ndarray) -> errors.SingularPoseError:
+    """The error of a pose that ends a tick as SERIAL, a crank carried across its dead centre, or PARALLEL."""
+    if status == SERIAL:
+        return errors.SingularPoseError("serial", pose, margin, 0.0, leg)
+    return errors.SingularPoseError("parallel", pose, 0.0, 0.0)
+
+
+def encoder_error(result: Any, arguments: Mapping[str, Any]) -> errors.RunFailure:
+    """The error of a tick that ended with a status of `pose_of_angles` other than OK."""
+    (status, leg, margin), state, angles = result, arguments["state"], arguments["reading"]
+    pose = state["candidate"][0].copy()
+    if status == NO_CONVERGENCE:
+        return errors.ForwardKinematicsError(margin, leg)
+    if status in (SERIAL, PARALLEL):
+        return singular_pose(status, leg, margin, pose)
+    if status == OTHER_MODE:
+        return errors.AssemblyModeError(pose, state["measurement"][0, :6].copy())
+    what = (
+        "not finite" if status == NOT_FINITE else f"changed faster than {arguments['params']['max_speed'][0]:g} rad/s"
+    )
+    return errors.RunFailure(f"encoder readings {errors.pose_text(angles)}: {what}", reason="encoder")

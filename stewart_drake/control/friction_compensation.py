@@ -1,0 +1,70 @@
+"""What is added to a torque against the friction of the motors, and the torque that holds a robot at rest."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.base.config import Positive
+from stewart_drake.base.errors import UnreachablePoseError
+from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.loop.part import LoopContext, Part
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.friction import dry_level
+from stewart_drake.mechanics.kinematics_laws import LEGS, crank_rates, legs_at, robot_record, twist_of
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import FrictionOptions
+
+
+def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: float) -> np.ndarray:
+    """Torques (6,) [N m] that hold the controller's model at a pose; zeros where it cannot be held."""
+    # In that case the first tick says so, with a log.
+    with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
+        return static_torque(robot, pose, gravity)
+    return np.zeros(6)
+
+
+class FrictionCompensation(FrictionOptions, key="model.friction"):
+    """The controller's model of motor friction; its torque for the reference's velocity is added to the command.
+
+    It uses the reference and not the measurement: noise cannot make it chatter, and it does not push a robot that
+    should rest.
+    """
+
+    width: Positive = 0.002
+    """[rad/s] crank speed at which 76 % of the dry friction is compensated; larger smooths reversals more."""
+
+    def part(self, context: LoopContext) -> Part:
+        """`reference` (18,) -> `friction_torque` (6,) [N m]."""
+        levels = dict(zip(("coulomb", "break_away", "stribeck_rate", "viscous"), self.levels, strict=True))
+        believed = new_record(_BELIEVED, **levels, width=self.width)
+        constants, first = (
+            {"robot": robot_record(context.robot), "friction": believed},
+            new_record(fields(friction_torque=6)),
+        )
+        outputs = ("friction_torque",)
+        return Part("friction_compensation", friction_tick, constants, {"reference": 18}, outputs, first, (LEGS,))
+
+
+_BELIEVED = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, width=())
+"""[N m], [N m], [rad/s], [N m s/rad], [rad/s]."""
+
+
+@njit
+def friction_tick(robot: Any, friction: Any, reference: Any, legs: Any, state: Any) -> None:
+    """Torques (6,) g(rate) tanh(rate / width) + viscous rate along a reference (18,); zeros out of reach."""
+    robot, friction, legs = record(robot), record(friction), record(legs)
+    out = record(state).friction_torque
+    twist, rates = np.empty(6), np.empty(6)
+    out[:] = 0.0
+    if legs_at(robot, reference[:6], legs) >= 0:
+        return
+    twist_of(reference[:6], reference[6:12], twist)
+    crank_rates(legs, twist, rates)
+    if not np.isfinite(rates).all():
+        return
+    for i in range(6):
+        dry = dry_level(friction.coulomb[i], friction.break_away[i], friction.stribeck_rate[i], rates[i])
+        out[i] = dry * np.tanh(rates[i] / friction.width) + friction.viscous[i] * rates[i]

@@ -1,0 +1,1 @@
+"""Estimates of a robot from measurements: geometry from poses, bodies and friction from torques."""

@@ -1,0 +1,116 @@
+"""A motion that determines the parameters: a finite Fourier series within the limits, of least condition number.
+
+J. Swevers et al., "Optimal robot excitation and identification" (IEEE Trans. Robotics and Automation 13, 1997).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stewart_drake.analysis.feasibility import bisect
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.estimation.torques import free_directions, samples_of_motion, scales, values_of
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.references.motions import AdjustedReference, SineReference, SumReference
+from stewart_drake.robot import RobotParameters
+from stewart_drake.scenario.limits import Limits, limit_margins
+
+HARMONICS = (2, 3, 5, 8, 13, 21, 31)
+PERIOD = 19.937
+"""[s] of the whole motion: sines of 0.1 to 1.55 Hz, and coarse encoders err anew in each period."""
+ROOM = 1.15  # [-] by which the motion could be larger within the limits: the robot is not quite the guess
+_SAMPLES = 240
+_BEGINNINGS, _CHANGES = 20, 400
+_FADE = 2.0
+_ROUNDING = 1e-9  # [-] of the largest singular value
+
+
+class Excitation(NamedTuple):
+    """A motion begun from rest, its condition number [-] in the parameters' scales, and that of random ones."""
+
+    reference: AdjustedReference
+    condition: float
+    random_condition: float
+
+
+def excite(
+    robot: RobotParameters,
+    limits: Limits | None = None,
+    hold: Collection[str] = (),
+    gravity: float = STANDARD_GRAVITY,
+    seed: int = 0,
+    changes: int = _CHANGES,
+) -> Excitation:
+    """Designs a motion.
+
+    Args:
+        robot: The guess.
+        limits: Limits of the motion, kept with the margin `ROOM`.
+        hold: As for `identify`.
+        gravity: [m/s^2].
+        seed: Of the random motions.
+        changes: Number of changes to try.
+
+    Raises:
+        ConfigurationError: No motion at all is within the limits.
+    """
+    limits = Limits() if limits is None else limits
+    rng = np.random.default_rng(seed)
+    size, values = scales(robot), values_of(robot)
+    ways = size[:, None] * free_directions(hold)
+    time = np.linspace(0.0, PERIOD, _SAMPLES, endpoint=False)
+
+    def motion(waves: np.ndarray, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return _reference(robot, scale * waves).evaluate(time)
+
+    def feasible(waves: np.ndarray, scale: float) -> bool:
+        margins = limit_margins(robot, limits, *motion(waves, ROOM * scale), gravity)
+        return not any((values < 0.0).any() or np.isnan(values).any() for values in margins.values())
+
+    def condition(waves: np.ndarray) -> float:
+        samples = samples_of_motion(robot, time, motion(waves), gravity)
+        rows = (samples.derivative(values) * samples.used[..., None] @ ways).reshape(-1, ways.shape[1])
+        sigma = np.linalg.svd(rows, compute_uv=False)
+        return float(sigma[0] / sigma[sigma > _ROUNDING * sigma[0]][-1])
+
+    length = np.array([1.0] * 3 + [robot.characteristic_length] * 3)
+    motions: list[tuple[float, np.ndarray]] = []
+    for _ in range(_BEGINNINGS if feasible(np.zeros((2, len(HARMONICS), 6)), 0.0) else 0):
+        waves = rng.standard_normal((2, len(HARMONICS), 6)) * length / np.sqrt(HARMONICS)[:, None]
+        largest = bisect(partial(feasible, waves), 0.0, 1.0)
+        if largest > 0.0:
+            motions.append((condition(largest * waves), largest * waves))
+    if not motions:
+        raise ConfigurationError("limits", "no motion within them", "limits that leave room about home")
+    random_condition = float(np.median([each[0] for each in motions]))
+    best, waves = min(motions, key=lambda each: each[0])
+    spread = 0.3
+    for _ in range(changes):
+        other = waves * (1.0 + spread * rng.standard_normal(waves.shape))
+        other += spread * rng.standard_normal(waves.shape) * np.abs(waves).mean(axis=(0, 1))
+        other *= np.exp(0.3 * spread * rng.standard_normal())
+        better = feasible(other, 1.0) and (now := condition(other)) < best
+        if better:
+            best, waves = now, other
+        # One success in five keeps the steps as they are.
+        spread = float(np.clip(spread * (1.5 if better else 0.9), 0.01, 1.0))
+    faded = AdjustedReference(motion=_reference(robot, waves), fade_in=_FADE)
+    return Excitation(faded, best, random_condition)
+
+
+def _reference(robot: RobotParameters, waves: np.ndarray) -> SumReference:
+    """The series of sine and cosine amplitudes (2, harmonics, 6) [rad, m] about home."""
+    parts: list[Any] = [
+        SineReference(
+            center=tuple(robot.home_pose.tolist()),
+            amplitude=tuple(np.hypot(sine, cosine).tolist()),
+            angular_frequency=(2.0 * np.pi * harmonic / PERIOD,) * 6,
+            phase=tuple(np.arctan2(cosine, sine).tolist()),
+        )
+        for harmonic, sine, cosine in zip(HARMONICS, *waves, strict=True)
+    ]
+    return SumReference(parts=tuple(parts))

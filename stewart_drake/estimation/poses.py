@@ -1,0 +1,221 @@
+"""Poses that a tracker measured, with the encoders' readings at each; and which poses are most informative."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from stewart_drake.analysis.workspace import LIMIT_NAMES, way_out
+from stewart_drake.base.config import Positive, Section
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.tables import CRANK_ANGLES, POSE, column_name
+from stewart_drake.estimation import geometry
+from stewart_drake.estimation.core import Readings
+from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.robot import RobotParameters
+from stewart_drake.scenario.limits import Limits
+
+_FARTHEST = 1e6  # [m] beyond which no tracker is
+QUANTITIES = (*POSE, *CRANK_ANGLES)
+COLUMNS = tuple(column_name(*each) for each in QUANTITIES)
+CANDIDATES = 1500
+MARGIN = 0.85  # [-] of each limit that a pose may take up: the robot is not quite the guess
+AMPLIFICATION = 1.3
+"""[-] most by which parameters act on a pose more than at home: near a parallel singularity a robot that is not quite
+the guess cannot be assembled. A hundred robots off by 1 mm and 1 mrad could be at each of 60 planned poses.
+"""
+_WAY = np.linspace(0.0, 2.0, 41)
+_PASSES, _DRAWS = 20, 20
+_GAIN = 1e-6
+
+
+class MeasurementNoise(Section, key="noise"):
+    """Standard deviations of the measurements; independent, and the same in all directions."""
+
+    position: Annotated[Positive, Field(le=1.0)] = 2e-5
+    """[m] of each coordinate of a measured position."""
+    rotation: Annotated[Positive, Field(le=1.0)] = 1e-4
+    """[rad] of a measured orientation about each axis."""
+    encoder: Annotated[Positive, Field(le=1.0)] = 2.0 * math.pi / 2**17 / math.sqrt(12.0)
+    """[rad] of an encoder reading. An encoder limited by its resolution has a step over the root of 12: here 17
+    bits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements(Readings):
+    """Poses (n, 6) [rad, m] of the marker in the tracker's frame, and encoder readings (n, 6) [rad] there; checked."""
+
+    pose: np.ndarray
+    angles: np.ndarray
+    source: str = "poses"
+
+    quantities: ClassVar = QUANTITIES
+    columns: ClassVar = {"pose": slice(0, 6), "angles": slice(6, 12)}
+    largest: ClassVar = (10_000_000, 10_000)
+
+    def __post_init__(self) -> None:
+        self.check()
+        # A stroke of pi covers what roll, pitch and yaw can be; an encoder may have been homed a turn away.
+        most = np.array([math.pi, math.pi / 2.0, math.pi] + [_FARTHEST] * 3 + [4.0 * math.pi] * 6)
+        allowed = (
+            "metres, and radians, roll and yaw within +-pi, pitch within +-pi/2, readings within +-4 pi; "
+            "name columns _mm for millimetres, _deg for degrees"
+        )
+        self.refuse(np.abs(self.table) > most * (1.0 + 1e-9), allowed)
+        _, first, which = np.unique(self.pose, axis=0, return_index=True, return_inverse=True)
+        again = np.flatnonzero(first[which.ravel()] != np.arange(len(self)))
+        if again.size:
+            got = f"the pose of row {first[which.ravel()[again[0]]] + 1} again in row {again[0] + 1}"
+            allowed = "measured poses; a tracker never gives the same numbers twice"
+            raise ConfigurationError(self.source, got, allowed)
+
+    @cached_property
+    def marker(self) -> np.ndarray:
+        return geometry.transform_of(self.pose)
+
+
+def load_measurements(path: str | Path) -> Measurements:
+    """Measured poses of a table with `COLUMNS`, in any order and unit; R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    return Measurements.of_file(path, f"poses file {path}")
+
+
+@dataclass(frozen=True, eq=False)
+class PosePlan:
+    """Poses to measure, half widths (78,) [m, rad] of 95 % intervals to expect, of random poses too; `gain` [-]."""
+
+    targets: Measurements
+    half_width: np.ndarray
+    random_half_width: np.ndarray
+    gain: float
+
+    def table(self) -> tuple[list[str], list[list[str]]]:
+        """Header and rows: the largest interval of any leg to expect of these poses, and at random, in mm and mrad."""
+        both = (
+            geometry.by_leg(widths, display=True).max(axis=0) for widths in (self.half_width, self.random_half_width)
+        )
+        columns = [[f"{width:.2g}" if width > 0.0 else "held" for width in widths] for widths in both]
+        return ["", "planned", "at random"], [list(row) for row in zip(geometry.table_names(), *columns, strict=True)]
+
+
+def plan_poses(
+    robot: RobotParameters,
+    count: int,
+    limits: Limits | None = None,
+    noise: MeasurementNoise | None = None,
+    known_frames: Collection[str] = (),
+    hold: Collection[str] = (),
+    seed: int = 0,
+    candidates: int = CANDIDATES,
+) -> PosePlan:
+    """Most informative poses to calibrate a robot: D-optimal, by Fedorov's exchange.
+
+    V. V. Fedorov, Theory of Optimal Experiments (1972). Begun with the pose that adds most, one after the other; then
+    each is taken out and the best of all put in its place, until none is better. What is known before the first pose
+    is that no direction is off by more than a tenth of the robot's size.
+
+    Args:
+        robot: The guess.
+        count: How many poses.
+        limits: What poses keep to, on the straight way from home too, with `MARGIN`.
+        noise: Of tracker and encoders.
+        known_frames: As for `calibrate`.
+        hold: As for `calibrate`.
+        seed: Of the candidates.
+        candidates: How many poses to choose from.
+
+    Raises:
+        ConfigurationError: Fewer poses than determine all parameters, or more than candidates; home breaks a limit.
+    """
+    noise = MeasurementNoise() if noise is None else noise
+    rng = np.random.default_rng(seed)
+    free = geometry.free_directions(robot, known_frames, hold)
+    least = free.shape[1] // 6 + 1
+    if not least <= count <= candidates // 2:
+        raise ConfigurationError("--plan", count, f"a number of poses from {least} to {candidates // 2}")
+    pose = candidate_poses(robot, candidates, Limits() if limits is None else limits, rng)
+    at, angles, model = geometry.transform_of(pose), inverse_kinematics(robot, pose), geometry.PoseModel(robot)
+    ways = geometry.scales(robot)[:, None] * free
+    slope = model.tracker_slope(np.zeros(geometry.SIZE), at, angles)
+    rows = model.whitening(np.zeros(geometry.SIZE), at, angles, noise) @ slope @ ways
+    chosen = _exchange(rows, count)
+    covariances = [_covariance(rows[each]) for each in (chosen, *rng.choice(len(pose), (20, count)))]
+    widths = [1.96 * np.linalg.norm(ways @ np.linalg.cholesky(each), axis=1) for each in covariances]
+    volume = [np.linalg.slogdet(each)[1] / (2.0 * free.shape[1]) for each in covariances]
+    return PosePlan(
+        Measurements(pose[chosen], angles[chosen], "planned poses"),
+        widths[0],
+        np.median(widths[1:], axis=0),
+        float(np.exp(np.mean(volume[1:]) - volume[0])),
+    )
+
+
+def candidate_poses(robot: RobotParameters, count: int, limits: Limits, rng: np.random.Generator) -> np.ndarray:
+    """Poses (count, 6) [rad, m] on straight ways from home in all directions, up to where a limit ends them."""
+    home, size = robot.home_pose, np.array([1.0] * 3 + [robot.characteristic_length] * 3)
+    poses = np.empty((0, 6))
+    for _ in range(_DRAWS):
+        way = rng.standard_normal((count, 6)) * size
+        way /= np.linalg.norm(way / size, axis=1, keepdims=True)
+        last, limit = way_out(robot, limits, home, way, _WAY, most=MARGIN)
+        if not last.any():
+            got = f"a limit {LIMIT_NAMES[limit[0]]} that is broken on every line from home"
+            raise ConfigurationError("limits", got, f"limits of which the home pose uses at most {MARGIN:g}")
+        # Nearer to the end than to home, where poses are more informative; the step before the last holds the limits.
+        share = rng.uniform(0.0, 1.0, count) ** (1.0 / 3.0)
+        pose = (home + (last * share)[:, None] * way)[last > 0.0]
+        calm = _amplification(robot, pose) <= AMPLIFICATION * _amplification(robot, home[None])
+        poses = np.concatenate([poses, pose[calm]])
+        if len(poses) >= count:
+            return poses[:count]
+    raise ConfigurationError("limits", f"{len(poses)} poses of {_DRAWS * count} tries", "limits that leave more room")
+
+
+def _amplification(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
+    """Size (n,) of the derivatives of poses (n, 6) by a robot's parameters, both in `scales`."""
+    size = geometry.scales(robot)
+    at, angles = geometry.transform_of(pose), inverse_kinematics(robot, pose)
+    slope = geometry.PoseModel(robot).tracker_slope(np.zeros(geometry.SIZE), at, angles)
+    slope = (slope * size / size[-6:, None])[..., : geometry.OF_ROBOT]
+    return np.asarray(np.linalg.norm(slope, axis=(1, 2)))
+
+
+def _exchange(rows: np.ndarray, count: int) -> np.ndarray:
+    """Indices (count,) of rows (n, 6, k) with the largest determinant of their information."""
+
+    def gains(covariance: np.ndarray, some: np.ndarray) -> np.ndarray:
+        return np.asarray(np.linalg.slogdet(np.eye(6) + some @ covariance @ np.swapaxes(some, -1, -2))[1])
+
+    def best(covariance: np.ndarray, chosen: list[int]) -> tuple[int, float]:
+        gain = gains(covariance, rows)
+        gain[chosen] = -np.inf
+        return int(gain.argmax()), float(gain.max())
+
+    chosen: list[int] = []
+    for _ in range(count):
+        chosen.append(best(_covariance(rows[chosen]), chosen)[0])
+    for _ in range(_PASSES):
+        won = 0.0
+        for place, now in enumerate(list(chosen)):
+            rest = chosen[:place] + chosen[place + 1 :]
+            covariance = _covariance(rows[rest])
+            other, gain = best(covariance, rest)
+            more = gain - float(gains(covariance, rows[now]))
+            if more > _GAIN:
+                won += more
+                chosen[place] = other
+        if won < _GAIN:
+            break
+    return np.array(chosen)
+
+
+def _covariance(rows: np.ndarray) -> np.ndarray:
+    """Covariance (k, k) of the directions, from what is known before and from rows (n, 6, k)."""
+    flat = rows.reshape(-1, rows.shape[2])
+    return np.linalg.inv(flat.T @ flat + np.eye(flat.shape[1]) / geometry.LARGEST_DEVIATION**2)

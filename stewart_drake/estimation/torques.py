@@ -1,0 +1,328 @@
+"""From logs of crank angles and torques to equations in thirty-two parameters, one for each motor at each instant.
+
+    torque_i = exp(-gain_i) (Y_i(motion) bodies + coulomb_i sign(rate_i) + viscous_i rate_i)
+
+The bodies are the first fourteen. Gains are those of the amplifiers, or of the torque constants: gain_i is the natural
+logarithm of the true torque of motor i over that of its log. Angles and torques pass one filter. Where a crank turns
+slowly or reverses its equation is not used, nor where the filter smears the reversal.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from stewart_drake.base.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
+from stewart_drake.base.sampling import unwrapped
+from stewart_drake.base.tables import CRANK_ANGLES
+from stewart_drake.estimation import core
+from stewart_drake.estimation.core import Parameter, Readings
+from stewart_drake.logs.log import SimulationLog, load_log
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics
+from stewart_drake.mechanics.kinematics import crank_rates, forward_kinematics, inverse_kinematics, leg_geometry
+from stewart_drake.mechanics.kinematics_laws import robot_record
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
+
+_MOTORS = tuple(f"motor {leg}" for leg in range(LEGS))
+PARAMETERS = (
+    Parameter("platform_mass", "", "kg"),
+    *(Parameter("platform_moment", axis, "kg m") for axis in "xyz"),
+    *(Parameter("platform_inertia", axes, "kg m^2") for axes in ("xx", "yy", "zz", "xy", "xz", "yz")),
+    Parameter("rod_mass", "", "kg"),
+    Parameter("rod_inertia", "", "kg m^2"),
+    Parameter("crank_mass", "", "kg"),
+    Parameter("rotor_inertia", "", "kg m^2"),
+    *(Parameter("coulomb", motor, "N m") for motor in _MOTORS),
+    *(Parameter("viscous", motor, "N m s/rad") for motor in _MOTORS),
+    *(Parameter("torque_constant", motor, "") for motor in _MOTORS),
+)
+"""Moments are in P, inertias about its origin; a crank's own inertia stays: only the sum with the rotor's acts."""
+KINDS = tuple(dict.fromkeys(parameter.kind for parameter in PARAMETERS))
+SIZE = len(PARAMETERS)
+BODIES, COULOMB, VISCOUS, GAIN = slice(0, 14), slice(14, 20), slice(20, 26), slice(26, 32)
+MASS, MOMENT, INERTIA, ROD_MASS, ROD_INERTIA, CRANK_MASS, ROTOR = 0, slice(1, 4), slice(4, 10), 10, 11, 12, 13
+ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Of the inertia's matrix, in the order of its six parameters."""
+
+UNEVEN = 0.1  # [-] of a step by which times may lie beside an even grid
+QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"torque_{leg}", "N m") for leg in range(LEGS)))
+BANDWIDTH, ROWS_A_PERIOD = 15.0, 12.0
+"""[Hz] where the filter lets half of the amplitude through, and least rows in one of its periods."""
+SLOW = 0.05  # [rad/s] of a crank below which its friction may stick
+_OVERSAMPLING, _SMEAR, _EDGE, _SHORTEST = 6.0, 0.5, 2.0, 20.0
+"""In periods of the bandwidth: rows a period, how far the filter smears, what the ends lose, what must be left."""
+_HOMOTOPY = 4
+
+
+def values_of(robot: RobotParameters) -> np.ndarray:
+    """Parameters (`SIZE`,) of a robot without friction whose log has its true torques."""
+    inertia = robot.platform_inertia_about_origin
+    platform = [robot.platform_mass, *robot.platform_moment, *(inertia[at] for at in ENTRIES)]
+    links = [robot.rod_mass, robot.rod_inertia[0], robot.crank_mass, robot.rotor_inertia]
+    return np.array([*platform, *links, *[0.0] * 18])
+
+
+def as_robot(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
+    """The guess with bodies of parameters (`SIZE`,); friction and gains have no place in a robot."""
+    mass = float(values[MASS])
+    centre = values[MOMENT] / mass
+    central = inertia_matrix(values) - mass * ((centre @ centre) * np.eye(3) - np.outer(centre, centre))
+    return guess.replace(
+        platform_mass=mass,
+        platform_center_of_mass=centre,
+        platform_inertia=np.diag(central),
+        platform_products=[central[at] for at in ENTRIES[3:]],
+        rod_mass=values[ROD_MASS],
+        rod_inertia=(values[ROD_INERTIA], values[ROD_INERTIA], guess.rod_inertia[2]),
+        crank_mass=values[CRANK_MASS],
+        rotor_inertia=values[ROTOR],
+    )
+
+
+def inertia_matrix(values: np.ndarray) -> Any:
+    """Inertia (3, 3) of the platform about the origin of P, of parameters, numbers or expressions."""
+    xx, yy, zz, xy, xz, yz = values[INERTIA]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _body_record(guess: RobotParameters, bodies: np.ndarray) -> np.ndarray:
+    """`ROBOT` record of a guess with other bodies (14,), which no real robot needs to have."""
+    record, half = robot_record(guess).copy(), 0.5 * guess.crank_lengths
+    record["platform_mass"], record["platform_moment"] = bodies[MASS], bodies[MOMENT]
+    record["platform_tensor"] = inertia_matrix(bodies)
+    record["rod_mass"], record["rod_inertia"], record["crank_mass"] = (
+        bodies[ROD_MASS],
+        bodies[ROD_INERTIA],
+        bodies[CRANK_MASS],
+    )
+    record["crank_inertia"] = bodies[CRANK_MASS] * half * half + guess.crank_inertia[1] + bodies[ROTOR]
+    return record
+
+
+def scales(guess: RobotParameters) -> np.ndarray:
+    """Change (`SIZE`,) of each parameter that counts as 1: its own size, a hundredth of the limit, tenths of gains."""
+    mass, length, effort = guess.platform_mass, guess.characteristic_length, float(guess.effort_limits.mean())
+    platform = [mass, *[mass * length] * 3, *[mass * length**2] * 6]
+    links = [guess.rod_mass, guess.rod_inertia[0], guess.crank_mass, float(guess.crank_axis_inertias.mean())]
+    return np.array([*platform, *links, *[0.01 * effort] * 12, *[0.1] * 6])
+
+
+def free_directions(hold: Collection[str]) -> np.ndarray:
+    """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change.
+
+    A heavier robot and stronger motors give the same torques: unless one of them is held, the mean of the torque
+    constants is.
+    """
+    mean_gain = np.zeros(SIZE)
+    mean_gain[GAIN] = 1.0
+    is_relative = "torque_constant" not in hold and "platform_mass" not in hold
+    return core.free_directions(PARAMETERS, KINDS, hold, constraints=[mean_gain] if is_relative else [])
+
+
+@dataclass(frozen=True, eq=False)
+class Recording(Readings):
+    """n readings of six cranks and six torques at a constant rate, checked.
+
+    Attributes:
+        time: (n,) [s].
+        angles: (n, 6) [rad] encoder readings; kept without jumps by whole turns, the first within half a turn.
+        torque: (n, 6) [N m] as reported by the motors' amplifiers.
+        lag: [s] from a row's time to the middle of that over which its torque acts.
+        gravity: [m/s^2].
+        source: What it is called in messages, such as the file's name.
+
+    Raises:
+        ConfigurationError: Wrong shapes; a value that is not finite; angles beyond two turns; gaps in time; torques
+            that are always zero.
+    """
+
+    time: np.ndarray
+    angles: np.ndarray
+    torque: np.ndarray
+    lag: float = 0.0
+    gravity: float = STANDARD_GRAVITY
+    source: str = "recording"
+
+    quantities: ClassVar = QUANTITIES
+    columns: ClassVar = {"time": 0, "angles": slice(1, 7), "torque": slice(7, 13)}
+    largest: ClassVar = (300_000_000, 1_000_000)
+
+    def __post_init__(self) -> None:
+        self.check()
+        if len(self) < 2:
+            raise ConfigurationError(self.source, f"{len(self)} rows", "some seconds of motion")
+        steps = np.diff(self.time)
+        uneven = np.abs(steps - np.median(steps)) > UNEVEN * np.median(steps)
+        if uneven.any() or np.median(steps) <= 0.0:
+            row = int(uneven.argmax())
+            got = f"{self.time[row]:g} s and then {self.time[row + 1]:g} s in row {row + 2}"
+            raise ConfigurationError(f"{self.source}: time", got, "rows at a constant rate, without gaps")
+        too_large = np.zeros(self.table.shape, dtype=bool)
+        too_large[:, self.columns["angles"]] = np.abs(self.angles) > 4.0 * math.pi
+        allowed = "radians within +-4 pi; for degrees name the columns crank_angle_0_deg to crank_angle_5_deg"
+        self.refuse(too_large, allowed)
+        object.__setattr__(self, "angles", unwrapped(self.angles))
+        self.angles.flags.writeable = False
+        zero = (self.torque == 0.0).all(axis=0)
+        if zero.any():
+            raise ConfigurationError(f"{self.source}: torque_{zero.argmax()}", "0 in all rows", "measured torques")
+
+    @property
+    def rate(self) -> float:
+        return (len(self) - 1) / float(self.time[-1] - self.time[0])
+
+
+def load_recording(path: str | Path, guess: RobotParameters, lag: float = 0.0) -> Recording:
+    """A recording from a log of this package (.parquet, or a folder), or a CSV file with `QUANTITIES` and a lag [s]."""
+    if Path(path).suffix.lower() != ".csv":
+        return recording_of_log(load_log(path), guess, f"log {path}")
+    return Recording.of_file(path, f"recording {path}", lag=lag)
+
+
+def recording_of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> Recording:
+    """Readings of encoders and amplifiers in a run: from the pose that the readings gave, never from the true pose."""
+    robot = log.scenario.belief.robot
+    for name in ("shaft_positions", "platform_joints", "crank_lengths", "rod_lengths", "crank_zero_directions"):
+        off = np.abs(getattr(robot, name) - getattr(guess, name)).max()
+        if off > 1e-9:
+            got = f"a robot whose {name} differ by up to {off:.3g}"
+            raise ConfigurationError(source, got, "a log of the guessed robot")
+    if not log.scenario.estimator.exact:
+        got = f"poses of estimator.kind {log.scenario.estimator.kind}, which uses the guessed robot"
+        raise ConfigurationError(source, got, "poses straight from the encoders; run with estimator.kind=difference")
+    motors = log.scenario.motors
+    if motors.takes != "torque":
+        allowed = f"a log of motors that take torque: those of kind {motors.kind} change theirs between two rows"
+        raise ConfigurationError(source, f"motors.kind {motors.kind}", allowed)
+    # Between two ticks nothing is read, and the torque is held.
+    tick, step = log.scenario.controller.period, log.scenario.effective_log_period
+    rows = slice(None, None, max(1, round(tick / step)))
+    angles = inverse_kinematics(robot, log.signals.get("measured_pose", log["pose"])[rows])
+    # A torque acts until the next tick. The plant's own steps put an acceleration half a step ahead of its torque.
+    lag = 0.5 * (tick - log.scenario.plant.time_step)
+    return Recording(log.time[rows], angles, log["torque_applied"][rows], lag, log.scenario.gravity, source)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """n instants: torques [N m], `columns` (n, 6, 26) by bodies and friction, `known` torques, equations `used`.
+
+    `rates` [rad/s] are the cranks', `pieces` the recordings; `step` [s] is between instants, of which `repeats` lie in
+    half a period of the filter.
+    """
+
+    time: np.ndarray
+    torque: np.ndarray
+    columns: np.ndarray
+    known: np.ndarray
+    rates: np.ndarray
+    used: np.ndarray
+    pieces: tuple[slice, ...]
+    step: float
+    repeats: float
+    source: str
+
+    def predicted(self, values: np.ndarray) -> np.ndarray:
+        """Torques (n, 6) [N m] in logs of a robot with parameters (`SIZE`,)."""
+        return np.exp(-values[GAIN]) * (self.columns @ values[: GAIN.start] + self.known)
+
+    def derivative(self, values: np.ndarray) -> np.ndarray:
+        """Of `predicted` by the parameters, (n, 6, `SIZE`)."""
+        by_gain = -self.predicted(values)[..., None] * np.eye(LEGS)
+        return np.concatenate([np.exp(-values[GAIN])[:, None] * self.columns, by_gain], axis=-1)
+
+
+def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float | None = None) -> Samples:
+    """Equations of a recording; what moves the robot should lie well below the filter's bandwidth [Hz]."""
+    import scipy.interpolate
+    import scipy.ndimage
+    import scipy.signal
+
+    time, rate, source = recording.time, recording.rate, recording.source
+    if bandwidth is None:
+        bandwidth = min(BANDWIDTH, rate / ROWS_A_PERIOD)
+    if not 0.0 < bandwidth <= rate / 5.0:
+        allowed = f"above 0, at most {rate / 5.0:g} Hz, a fifth of the rows' rate"
+        raise ConfigurationError("bandwidth", bandwidth, allowed)
+    length, least = time[-1] - time[0], (2.0 * _EDGE + _SHORTEST) / bandwidth
+    if length < least:
+        raise ConfigurationError(source, f"{length:.3g} s", f"at least {least:.3g} s of motion")
+    sos = scipy.signal.butter(4, bandwidth, fs=rate, output="sos")
+
+    def smooth(values: np.ndarray) -> np.ndarray:
+        return np.asarray(scipy.signal.sosfiltfilt(sos, values, axis=0))
+
+    even = np.linspace(time[0], time[-1], len(time))
+    angles = smooth(recording.angles)
+    rates = np.gradient(angles, even, axis=0)
+    thin = max(1, int(rate / (_OVERSAMPLING * bandwidth)))
+    motion = scipy.interpolate.make_interp_spline(even[::thin], _poses_of(guess, angles[::thin], source), k=5)
+    torque = scipy.interpolate.make_interp_spline(even, smooth(recording.torque), k=3)
+    at = even[::thin]
+    at = at[(at > at[0] + _EDGE / bandwidth) & (at < at[-1] - _EDGE / bandwidth)]
+    middle = np.searchsorted(even, at - 0.5 / rate)
+    smear = 2 * int(_SMEAR * rate / bandwidth) + 1
+    # Smallest |rate| around an instant, not above zero where the crank reverses.
+    slowest = np.maximum(
+        scipy.ndimage.minimum_filter1d(rates, smear, axis=0), -scipy.ndimage.maximum_filter1d(rates, smear, axis=0)
+    )
+    exact = samples_of_motion(guess, at, (motion(at), motion(at, 1), motion(at, 2)), recording.gravity, source)
+    # The filter smears friction as it does the torques.
+    exact.columns[..., COULOMB] = smooth(np.sign(rates))[middle][..., None] * np.eye(LEGS)
+    used, repeats = slowest[middle] > SLOW, rate / (2.0 * bandwidth * thin)
+    return replace(exact, torque=torque(at - recording.lag), used=used, repeats=repeats)
+
+
+def samples_of_motion(
+    guess: RobotParameters,
+    time: np.ndarray,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    gravity: float,
+    source: str = "motion",
+) -> Samples:
+    """Equations of a motion known exactly, without torques: inverse dynamics once for each parameter of the bodies."""
+    pose, rate, _ = motion
+    bodies = np.vstack([np.zeros(14), np.eye(14)])
+    known, *torques = (inverse_dynamics(_body_record(guess, row), *motion, gravity) for row in bodies)
+    speed = crank_rates(guess, leg_geometry(guess, pose), pose, rate)
+    friction = (each[..., None] * np.eye(LEGS) for each in (np.sign(speed), speed))
+    columns = np.concatenate([np.stack(torques, axis=-1) - known[..., None], *friction], axis=-1)
+    used, step, pieces = np.abs(speed) > SLOW, float(time[1] - time[0]), (slice(0, len(time)),)
+    return Samples(time, np.zeros_like(known), columns, known, speed, used, pieces, step, 1.0, source)
+
+
+def together(parts: Sequence[Samples]) -> Samples:
+    ends = np.cumsum([0, *(len(part.time) for part in parts)]).tolist()
+    arrays = ("time", "torque", "columns", "known", "rates", "used")
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
+    return Samples(
+        **joined,
+        pieces=tuple(slice(start, end) for start, end in itertools.pairwise(ends)),
+        step=max(part.step for part in parts),
+        repeats=max(part.repeats for part in parts),
+        source=", ".join(part.source for part in parts),
+    )
+
+
+def _poses_of(guess: RobotParameters, angles: np.ndarray, source: str) -> np.ndarray:
+    """Poses (n, 6) [rad, m] of crank angles (n, 6) [rad], followed from home in a few steps."""
+    home = inverse_kinematics(guess, guess.home_pose)
+    pose, stray = np.broadcast_to(guess.home_pose, angles.shape), np.inf
+    try:
+        for share in np.linspace(0.0, 1.0, _HOMOTOPY + 1)[1:]:
+            pose = forward_kinematics(guess, home + share * (angles - home), pose)
+        off = inverse_kinematics(guess, pose) - angles
+        stray = float(np.abs(np.arctan2(np.sin(off), np.cos(off))).max())
+    except (ForwardKinematicsError, UnreachablePoseError):
+        pass
+    if stray > 1e-6:
+        allowed = "readings of the guessed robot, in radians, or in degrees if the columns are named so"
+        raise ConfigurationError(source, "crank angles at which the robot cannot be assembled", allowed)
+    return pose

@@ -1,1 +1,0 @@
-"""Finding, reading and writing files, whole or not at all."""

@@ -1,0 +1,82 @@
+"""Motors as they are sold: numbers of `motors: {kind: position | current, preset: NAME}`, each with its source.
+
+A preset sets what the other keys are by default, and the friction of its gear where `plant` and `model` say nothing of
+friction. A constant that nobody has published is our own estimate, and says so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from stewart_drake.base.families import Table
+
+
+class Preset(NamedTuple):
+    """A motor: keys of its kinds, and friction of its gear."""
+
+    about: str
+    coulomb: float = 0.0  # [N m].
+    viscous: float = 0.0  # [N m s/rad].
+    position: Mapping[str, Any] | None = None
+    current: Mapping[str, Any] | None = None
+
+
+PRESETS = {
+    # 0.52 N m at 1.47 A, 103 rev/min, 12 bits, current in steps of 1 mA: ROBOTIS e-Manual, XL330-M288-T at 5 V. Reachy
+    # Mini's servos are set to a gain P of 300. Stiffness and damping at it, and friction: by the constants that
+    # github.com/Rhoban/bam identified, whose models give 0.6 to 1.7 N m/rad and 0.037 to 0.048 N m s/rad.
+    "xl330_m288": Preset(
+        "Dynamixel XL330-M288 at 5 V: 0.52 N m, 618 deg/s",
+        coulomb=0.0128,
+        viscous=0.0037,
+        position={"stiffness": 1.0, "damping": 0.04, "torque_limit": 0.52, "no_load_speed": math.radians(618.0)},
+        current={"torque_constant": 0.52 / 1.47, "current_limit": 1.47, "resolution": 0.001}
+        | {"no_load_speed": math.radians(618.0)},
+    ),
+    # 30 kg cm and 45 rev/min at 12 V, 12 bits: Feetech's data sheet of the STS3215-C018 (gear 1:345). Stiffness,
+    # damping and friction: class sts3215_345 of the MJCF in reachy_mini 1.13.0, with which, it says, a walking robot
+    # was simulated well. Play: 0.87 deg as measured by robonine.com; the data sheet has 0.5 deg.
+    "sts3215": Preset(
+        "Feetech STS3215, gear 1:345, at 12 V: 2.94 N m, 270 deg/s",
+        coulomb=0.068,
+        position={"stiffness": 17.11, "damping": 0.56, "torque_limit": 2.94, "no_load_speed": math.radians(270.0)}
+        | {"backlash": math.radians(0.87)},
+    ),
+    # 20 kg cm and 0.16 s for 60 deg at 6.8 V, dead band 3 us of 2000 us for 180 deg: data sheets of 20 kg cm servos
+    # such as the DS3218. Full torque 4 deg from the angle, friction of 3 % of it and half a degree of play: our own
+    # estimates.
+    "rc_20kg": Preset(
+        "RC servo of 20 kg cm at 6.8 V: 1.96 N m, 375 deg/s",
+        coulomb=0.06,
+        position={"stiffness": 28.0, "damping": 0.3, "torque_limit": 1.96, "no_load_speed": math.radians(375.0)}
+        | {"resolution_bits": None, "dead_band": math.radians(0.27), "backlash": math.radians(0.5)},
+    ),
+    # Classes of the MJCF in reachy_mini 1.13.0 (Pollen Robotics): what its simulation runs on; and what it has of the
+    # real motor, of which it says "probably wrong, would need to re-identify".
+    "perfect_actuator": Preset(
+        "the actuator of Reachy Mini's simulation",
+        coulomb=0.1,
+        viscous=0.15,
+        position={"stiffness": 10.0, "damping": 0.1, "torque_limit": 20.0, "resolution_bits": None},
+    ),
+    "xc330m288t": Preset(
+        "the servo of Reachy Mini as its maker's MJCF has it",
+        coulomb=0.058,
+        viscous=0.095,
+        position={"stiffness": 2.54, "damping": 0.0, "torque_limit": 0.8},
+    ),
+}
+
+
+class Presets(Table):
+    """The presets that have a kind of motor, in `Annotated` the type of the key that names one."""
+
+    def __init__(self, kind: str) -> None:
+        super().__init__({name: getattr(preset, kind) for name, preset in PRESETS.items() if getattr(preset, kind)})
+
+    def filled(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """The keys that were given, and the others of their preset."""
+        preset = given.get("preset")
+        return {**(self[preset] if preset in self.names else {}), **given}

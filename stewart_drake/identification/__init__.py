@@ -1,1 +1,0 @@
-"""Masses, inertias, friction and torque constants of a robot from logs of its crank angles and torques."""

@@ -1,0 +1,98 @@
+"""One table of the signals of a run, for log, metrics and figures: where each comes from, its columns, units, title."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stewart_drake.base.tables import AXES
+from stewart_drake.control.policy import NAMES
+from stewart_drake.plant.plant_options import ANGLES, POSE, RATE
+
+LEG_NAMES = tuple(map(str, range(6)))
+DISPLAY_UNITS = ("deg",) * 3 + ("mm",) * 3
+SCALES = np.array([180.0 / np.pi] * 3 + [1e3] * 3)
+"""Of a pose in tables and figures that are read: units, and factors to them from [rad, m]."""
+
+
+class Signal(NamedTuple):
+    """A signal: its components (none for a scalar), the unit of each, a text, and of which signal of the loop it is.
+
+    `source` is that signal's name, None for the same, and `part` what of it is taken.
+    """
+
+    components: tuple[str, ...]
+    units: tuple[str, ...]
+    text: str
+    source: str | None = None
+    part: slice = slice(None)
+    title: str = ""
+
+    def of(self, values: np.ndarray) -> np.ndarray | None:
+        """Its values (n, k) in those of its source; None where they are another signal's."""
+        taken = values if values.ndim == 1 else values[:, self.part]
+        return taken if not self.components or taken.shape[1] == len(self.components) else None
+
+
+def _axes(angle: str, length: str, text: str, **more: Any) -> Signal:
+    return Signal(AXES, (angle,) * 3 + (length,) * 3, text, **more)
+
+
+def _legs(unit: str, text: str, **more: Any) -> Signal:
+    return Signal(LEG_NAMES, (unit,) * 6, f"{text}, by leg 0..5", **more)
+
+
+def _numbers(components: tuple[str, ...], text: str, **more: Any) -> Signal:
+    return Signal(components, ("1",) * len(components), text, **more)
+
+
+_DENSITY = (*(f"error_{axis}" for axis in AXES), *(f"torque_{leg}" for leg in LEG_NAMES))
+_OUTSIDE = "decades of a tuner's setting above the base, and how far what it hears lies outside of its training"
+SIGNALS: Mapping[str, Signal] = {
+    "time": Signal((), ("s",), "simulated time"),
+    "pose": _axes("rad", "m", "pose of the platform, P in B", source="measured", part=POSE),
+    "pose_rate": _axes("rad/s", "m/s", "Euler rates and velocity of the platform", source="measured", part=RATE),
+    "reference": _axes("rad", "m", "reference pose", source="reference", part=slice(0, 6)),
+    "reference_rate": _axes("rad/s", "m/s", "rate of the reference", source="reference", part=slice(6, 12)),
+    "reference_acceleration": _axes(
+        "rad/s^2", "m/s^2", "acceleration of the reference", source="reference", part=slice(12, 18)
+    ),
+    "error": _axes(
+        "rad", "m", "pose minus reference at the latest tick; with an observer, when its command acts", title="Error"
+    ),
+    "integral": _axes("rad s", "m s", "integral state z after the latest tick", title="Integral state"),
+    "torque": _legs("N m", "torque commanded by the controller, about the motor axis", title="commanded"),
+    "commanded_angle": _legs("rad", "angle that motors which take one are told"),
+    "commanded_current": _legs("A", "current that motors which take one are told"),
+    "torque_applied": _legs("N m", "torque at the motors, delayed and within their limit", title="applied"),
+    "crank_angle": _legs("rad", "theta, from the horizontal", source="measured", part=ANGLES),
+    "weights": _numbers(("omega_q", "omega_r"), "weights in use"),
+    "block_weights": _numbers(
+        ("q_pose", "q_rate", "q_integral", "r"), "block weights in use, in place of `weights`", source="weights"
+    ),
+    "setting": _numbers((*NAMES, "outside"), _OUTSIDE, title="Tuner"),
+    "density": _numbers(_DENSITY, "density features"),
+    "loop_gap": _legs("m", "distance from rod end to platform joint"),
+    "measured_pose": _axes(
+        "rad",
+        "m",
+        "pose that is measured or estimated; the true one without this signal",
+        source="measurement",
+        part=slice(0, 6),
+    ),
+    "measured_pose_rate": _axes("rad/s", "m/s", "its rate", source="measurement", part=slice(6, 12)),
+    "innovation": _legs("rad", "readings less what the observer expected"),
+    "disturbance": Signal(
+        ("mx", "my", "mz", "fx", "fy", "fz"), ("N m",) * 3 + ("N",) * 3, "wrench from outside on the platform"
+    ),
+    "safety": _numbers(
+        ("level", "monitor", "leg"),
+        "state of the safety layer: numbers in safety.LEVELS and safety.MONITORS, leg or -1",
+    ),
+    "plant_state": Signal((), (), "positions and velocities of the MultibodyPlant"),
+}
+"""Every signal of a log, where the scenario has it: block_weights stand in place of `weights`, setting where a tuner of
+settings is, the measured pose beside the true one where there are encoders, an observer or a sensor that fails,
+innovation with an observer. `plant_state` has one column per entry of the plant's state, named by Drake."""

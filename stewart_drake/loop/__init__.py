@@ -1,0 +1,1 @@
+"""What a loop is made of: parts, and what runs them."""

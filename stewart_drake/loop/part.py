@@ -1,0 +1,282 @@
+"""The type of which a loop is made, a part: a kernel with constants, inputs, outputs and a state; and what runs parts.
+
+A run is an ordered list of parts. Drake's Diagram connects them by name, each in a LeafSystem; `LoopRunner` calls them
+in order on one vector of all signals and states, for the fast engine and for `Controller`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stewart_drake.base.errors import RunFailure, failure_code
+from stewart_drake.base.sampling import steps_per
+from stewart_drake.robot import RobotParameters
+
+NOTHING: Mapping[str, Any] = MappingProxyType({})
+HEALTHY = (0.0, -1.0)
+"""The health of a part whose last tick did not fail: no cause, no leg."""
+
+
+class Part(NamedTuple):
+    """A part of the loop.
+
+    Its kernel is called as `kernel(*constants, *inputs, *scratch, state)` and changes the state in place. It returns
+    nothing, or a tuple that begins with a status, 0 where all is well; who runs the part raises `error` for another.
+    The state is then worthless. A kernel of our own is compiled; a user's may be plain Python, and may raise
+    RunFailure.
+
+    An input is the last signal of its name: of the same instant by a part before it in the list, or of the tick before
+    by a part after it, or by one that runs at the end of a tick.
+
+    Attributes:
+        name: In the Diagram and in messages.
+        kernel: See above.
+        constants: Name -> what does not change: records of numbers, for a kernel in Python anything. A signal of as
+            many numbers may take the place of a record, see `connections`.
+        inputs: Port -> size; the kernel gets arrays (size,). The port `time` (1,) [s] is given by who runs the part.
+        outputs: Fields of its state that are signals; they come first in the state, in this order.
+        initial: State before the first tick: a record (1,) of float64 fields, see `jit.fields`.
+        scratch: Kinds of records that the kernel overwrites.
+        error: The error of a result of the kernel and of its arguments by name, with `scratch` and `state`.
+        connections: Port or constant -> name of the signal, where that is not the port's own; or an array that stays,
+            for a port that this loop has no signal for.
+        output_names: Output -> name of the signal, where that is not its own.
+        period: [s] between two ticks; None for that of the controller.
+        end_of_tick: Whether it runs once all others have, so that its outputs act from the next tick on.
+        fault_tolerant: Whether a tick that fails does not end the run: its last state is repeated, and its output
+            `health` (2,) has the cause as `errors.FAILURES` counts it, 0 for none, and the leg or -1.
+        system: A user's own LeafSystem in the place of kernel and state; it runs in a Diagram alone.
+    """
+
+    name: str
+    kernel: Callable[..., Any]
+    constants: Mapping[str, Any]
+    inputs: Mapping[str, int]
+    outputs: tuple[str, ...]
+    initial: np.ndarray
+    scratch: tuple[np.dtype, ...] = ()
+    error: Callable[[Any, Mapping[str, Any]], RunFailure] | None = None
+    connections: Mapping[str, str | np.ndarray] = NOTHING
+    output_names: Mapping[str, str] = NOTHING
+    period: float | None = None
+    end_of_tick: bool = False
+    fault_tolerant: bool = False
+    system: Any = None
+
+    def source(self, port: str) -> str | np.ndarray:
+        """Name of the signal at an input port, or the array that stands there."""
+        return self.connections.get(port, port)
+
+    def signal(self, output: str) -> str:
+        """Name of the signal that an output is."""
+        return self.output_names.get(output, output)
+
+    @property
+    def replaced(self) -> tuple[str, ...]:
+        """Constants whose place a signal takes."""
+        return tuple(name for name in self.constants if name in self.connections)
+
+    def size(self, field: str) -> int:
+        """Numbers in a field of its state."""
+        return int(np.prod(self.initial.dtype[field].shape, dtype=int))
+
+    def tick(self, *inputs: Any) -> None:
+        """A tick by hand: the inputs in their order and then the state, which is changed in place."""
+        BoundPart(self, inputs[:-1], inputs[-1])()
+
+    def connected(self, **sources: str | np.ndarray) -> Part:
+        """The part with these signals, or arrays, at those of its ports and constants that have such a name."""
+        known = {port: source for port, source in sources.items() if port in self.inputs or port in self.constants}
+        return self._replace(connections={**self.connections, **known})
+
+    def named(self, **signals: str) -> Part:
+        """The part with other names of its outputs."""
+        return self._replace(output_names={**self.output_names, **signals})
+
+
+class LoopContext(NamedTuple):
+    """What the parts of a scenario's kinds are made for: robot, clock and neighbours.
+
+    The sections of estimators, controllers, tuners and adaptive laws have a method `parts(context)`.
+    """
+
+    robot: RobotParameters  # As the controller believes it to be.
+    gravity: float  # [m/s^2].
+    period: float  # [s] of the ticks.
+    pose: np.ndarray  # (6,) [rad, m] at the start.
+    pose_rate: np.ndarray  # (6,) [rad/s, m/s] likewise.
+    initial_torque: np.ndarray  # (6,) [N m] at the motors until the first command arrives.
+    delay: int  # [ticks] of the commands.
+    latency: float  # [s] from a reading to its torque, as believed.
+    reading: int  # Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
+    noise: float  # [rad] of a reading, as an observer believes it.
+    friction: float  # [N m] largest break-away torque that the motors are believed to have.
+    viscous: tuple[float, ...]  # (6,) [N m s/rad] likewise.
+    tuner: Any  # Options of the tuner, with its file read.
+    disturbance: float  # [rad/s^2 per sqrt(s)] that an observer expects; 0 without one.
+    feedback: bool  # Whether the controller uses what is measured.
+    split: bool  # Whether an LQI takes the compiled split solution whatever its options say.
+
+    def ticking(self, period: float | None) -> LoopContext:
+        """The same for a part of another period [s], with the delay in its ticks; None for the controller's."""
+        if period is None:
+            return self
+        return self._replace(period=period, delay=round(self.delay * self.period / period))
+
+
+class BoundPart:
+    """A part with its arguments: a call of it is a tick.
+
+    Args:
+        part: The part.
+        inputs: Its inputs, in their order.
+        state: Its state.
+        signals: Signals in the place of constants, by their names.
+    """
+
+    def __init__(
+        self, part: Part, inputs: Sequence[Any], state: np.ndarray, signals: Mapping[str, np.ndarray] = NOTHING
+    ) -> None:
+        self.part = part
+        self._scratch = tuple(np.zeros(1, kind) for kind in part.scratch)
+        self._before = part.initial.copy()
+        self.bind(inputs, state, signals)
+
+    def bind(self, inputs: Sequence[Any], state: np.ndarray, signals: Mapping[str, np.ndarray] = NOTHING) -> None:
+        """Other arrays in the place of those that were given."""
+        constants = self.part.constants
+        if signals:
+            constants = {**constants, **{name: array.view(constants[name].dtype) for name, array in signals.items()}}
+        self.state = state
+        self.arguments = (*constants.values(), *inputs, *self._scratch, state)
+
+    def __call__(self) -> None:
+        """A tick; raises the named error of a part that is not fault tolerant."""
+        if not self.part.fault_tolerant:
+            result = self.part.kernel(*self.arguments)
+            if result is not None and result[0] != 0:
+                raise self._error(result)
+            return
+        np.copyto(self._before, self.state)
+        try:
+            result = self.part.kernel(*self.arguments)
+            if result is not None and result[0] != 0:
+                raise self._error(result)
+            self.state["health"] = HEALTHY
+        except RunFailure as error:
+            np.copyto(self.state, self._before)
+            self.state["health"] = failure_code(error.reason), -1.0 if error.leg is None else error.leg
+
+    def _error(self, result: Any) -> RunFailure:
+        assert self.part.error is not None
+        named = dict(zip((*self.part.constants, *self.part.inputs), self.arguments, strict=False))
+        return self.part.error(result, {**named, "scratch": self._scratch, "state": self.state})
+
+    @property
+    def call(self) -> Callable[[], Any]:
+        """The same tick with the arguments that are bound now, by the shortest way."""
+        plain = self.part.error is None and not self.part.fault_tolerant
+        return partial(self.part.kernel, *self.arguments) if plain else self
+
+
+class LoopRunner:
+    """Parts with their states, side by side in one vector, called in order outside of a Diagram.
+
+    Args:
+        parts: In order.
+        outside: Signals that come from elsewhere -> size; whoever has this object writes them.
+        inside: Signals that are parts of those -> where in `values` they are.
+        period: [s] of the parts that name none.
+        step: [s] between two calls of `run`; None for `period`.
+
+    Attributes:
+        values: (n,) all signals and states. A copy of it is a snapshot of the whole loop.
+        places: Name of a signal -> where in `values` it is.
+        time: (1,) [s] of the step; to be written before it.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[Part],
+        outside: Mapping[str, int],
+        inside: Mapping[str, slice] | None = None,
+        period: float = 1.0,
+        step: float | None = None,
+    ) -> None:
+        self._parts = tuple(parts)
+        sizes = [*outside.values(), *(part.initial.dtype.itemsize // 8 for part in parts)]
+        starts = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+        self.values, self.time = np.zeros(starts[-1]), np.zeros(1)
+        self.places = {name: slice(starts[k], starts[k] + size) for k, (name, size) in enumerate(outside.items())}
+        self.places |= inside or {}
+        self._states: list[np.ndarray] = []
+        self._outside = set(outside)
+        for part, start, size in zip(parts, starts[len(outside) :], sizes[len(outside) :], strict=False):
+            self._states.append(self.values[start : start + size].view(part.initial.dtype))
+            for output in part.outputs:
+                at = start + part.initial.dtype.fields[output][1] // 8  # type: ignore[index]
+                self.places[part.signal(output)] = slice(at, at + part.size(output))
+        calls = [
+            BoundPart(part, *self._sources(part, state)).call for part, state in zip(parts, self._states, strict=True)
+        ]
+        steps = [steps_per(f"{part.name}.period", part.period or period, step or period) for part in parts]
+        self._cycle = math.lcm(*steps)
+        self._rows = list(zip(self._parts, calls, steps, strict=True))
+        self._due: dict[tuple[int, bool], list[Callable[[], Any]]] = {}
+        self.reset()
+
+    def _sources(self, part: Part, state: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, dict[str, np.ndarray]]:
+        inputs = [self.time if port == "time" else self._array(part.source(port)) for port in part.inputs]
+        return inputs, state, {name: self._array(part.source(name)) for name in part.replaced}
+
+    def _array(self, source: str | np.ndarray) -> np.ndarray:
+        return self.values[self.places[source]] if isinstance(source, str) else source
+
+    def reset(self) -> None:
+        """All states as before the first tick."""
+        for part, state in zip(self._parts, self._states, strict=True):
+            state[:] = part.initial
+
+    def take_over(self, other: LoopRunner) -> None:
+        """Goes on where another one is: each signal from outside, and each part, that both have is as it is there."""
+        for name in self._outside & other._outside:
+            self.signal(name)[:] = other.signal(name)
+        states = {part.name: state for part, state in zip(other._parts, other._states, strict=True)}
+        for part, state in zip(self._parts, self._states, strict=True):
+            if part.name in states and states[part.name].dtype == state.dtype:
+                state[:] = states[part.name]
+
+    def signal(self, name: str) -> np.ndarray:
+        """A signal as it is now; a view."""
+        return self.values[self.places[name]]
+
+    def state(self, name: str) -> np.ndarray:
+        """The record (1,) of a part, by its name; a view."""
+        return next(state for part, state in zip(self._parts, self._states, strict=True) if part.name == name)
+
+    def run(self, step: int = 0) -> None:
+        """The parts that are due at a step, but those of the end of a tick; a RunFailure of a part gets the time."""
+        self._run(step, False)
+
+    def end(self, step: int = 0) -> None:
+        """The parts that are due at the end of a step: what acts from the next one on."""
+        self._run(step, True)
+
+    def _run(self, step: int, end: bool) -> None:
+        key = step % self._cycle, end
+        calls = self._due.get(key)
+        if calls is None:
+            calls = [call for part, call, every in self._rows if part.end_of_tick == end and step % every == 0]
+            self._due[key] = calls
+        try:
+            for call in calls:
+                call()
+        except RunFailure as error:
+            error.time = float(self.time[0])
+            raise

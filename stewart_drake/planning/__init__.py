@@ -1,1 +1,0 @@
-"""What a robot can reach and whether a motion can be done."""

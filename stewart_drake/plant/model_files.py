@@ -1,0 +1,216 @@
+"""The robot as SDF for Drake, and as MJCF for MuJoCo: links, joints and loop closures at the assembled home pose.
+
+All joint angles are zero at home, Drake's motor angle too; theta of a crank is not. `sdf/stewart.sdf` is the default.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.config import check_value
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.kinematics import cross, leg_geometry, roll_pitch_yaw
+from stewart_drake.plant.plant_options import DrakeOptions, PlantOptions, RodJoint
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LARGEST_SIZE, LEGS
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+_HOUSING_RADIUS = 3.6  # Of a motor, in multiples of the link radius: decoration.
+
+
+@dataclass(frozen=True)
+class HomeFrames:
+    """Frames of cranks C_i and rods R_i at the home pose; at any other pose they turn with their links."""
+
+    crank_angles: np.ndarray  # (6,) [rad] theta_i at home.
+    # (6, 3, 3) [-] R_BC: x along the crank, z along which its tip moves, so the motor axis is -y.
+    crank_rotation: np.ndarray
+    crank_tips: np.ndarray  # (6, 3) [m] origins of the rod frames in B.
+    rod_rotation: np.ndarray  # (6, 3, 3) [-] R_BR: z along the rod, x the motor axis projected square to the rod.
+    stops: np.ndarray  # (6, 2) [rad] of the motors, from home, in the turn that holds it; infinite where there is none.
+
+    @property
+    def rod_in_crank(self) -> np.ndarray:
+        """(6, 3, 3) [-] R_CF: the rod joint's frame F, fixed in the crank, which is the rod's own frame at home."""
+        return np.swapaxes(self.crank_rotation, -1, -2) @ self.rod_rotation
+
+    def motor_angles(self, crank_angles: np.ndarray) -> np.ndarray:
+        """Motor angles (..., 6) [rad], zero at home, of theta of any turn: within half a turn of the stops' middle."""
+        middle = _middles(self.stops)
+        off = crank_angles - self.crank_angles - middle
+        return middle + np.arctan2(np.sin(off), np.cos(off))
+
+
+def crank_lateral(robot: RobotParameters) -> np.ndarray:
+    """Lateral axes y (6, 3) [-] of the cranks, opposite to the motor axes, the same at every pose."""
+    return cross(robot.crank_quarter_directions, robot.crank_zero_directions)
+
+
+def crank_rotations(robot: RobotParameters, angles: np.ndarray) -> np.ndarray:
+    """R_BC (..., 6, 3, 3) [-] of cranks at theta (..., 6) [rad]: x along the crank, z along which its tip moves."""
+    cosine, sine = np.cos(angles)[..., None], np.sin(angles)[..., None]
+    along, up = robot.crank_zero_directions, robot.crank_quarter_directions
+    axes = cosine * along + sine * up, crank_lateral(robot), cosine * up - sine * along
+    return np.stack(np.broadcast_arrays(*axes), axis=-1)
+
+
+def rod_rotations(robot: RobotParameters, e_l: np.ndarray) -> np.ndarray:
+    """R_BR (..., 6, 3, 3) [-] of rods along e_l (..., 6, 3): z along it, x as near to the motor's axis as can be."""
+    lateral = crank_lateral(robot)
+    along_motor = -lateral + np.sum(lateral * e_l, axis=-1, keepdims=True) * e_l
+    x = along_motor / np.linalg.norm(along_motor, axis=-1, keepdims=True)
+    return np.stack([x, cross(e_l, x), e_l], axis=-1)
+
+
+def home_frames(robot: RobotParameters) -> HomeFrames:
+    legs = leg_geometry(robot, robot.home_pose)
+    turns = np.round((_middles(robot.crank_angle_ranges) - legs.crank_angles) / (2.0 * math.pi))
+    return HomeFrames(
+        crank_angles=legs.crank_angles,
+        crank_rotation=np.stack([legs.crank, crank_lateral(robot), legs.e_n], axis=-1),
+        crank_tips=robot.shaft_positions + robot.crank_lengths[:, None] * legs.crank,
+        rod_rotation=rod_rotations(robot, legs.e_l),
+        stops=robot.crank_angle_ranges - (legs.crank_angles + 2.0 * math.pi * turns)[:, None],
+    )
+
+
+def _middles(ranges: np.ndarray) -> np.ndarray:
+    """Middles (6,) of ranges (6, 2) [rad]; zero where there are no stops."""
+    return np.clip(ranges, -LARGEST_SIZE, LARGEST_SIZE).mean(axis=-1)
+
+
+def sdf_text(robot: RobotParameters, *, rod_joint: RodJoint = "universal", collision: bool = True) -> str:
+    """The robot as an SDF model named `stewart` for Drake's parser; pictures are written always.
+
+    Links `base` (welded to the world), `crank_0..5`, `rod_0..5`, `platform`; joints `motor_0..5` and `universal_0..5`
+    or `ball_0..5`; six `drake:ball_constraint` close the loops.
+    """
+    check_value("rod_joint", rod_joint, RodJoint)
+    frames, radius = home_frames(robot), robot.link_radius
+    # Of an upright crank R_BC = Rz(yaw) Ry(-theta): no rounding of a matrix on the way.
+    crank_turns = [
+        (0.0, -frames.crank_angles[leg], robot.crank_yaws[leg])
+        if _upright(robot, leg)
+        else roll_pitch_yaw(frames.crank_rotation[leg])
+        for leg in range(LEGS)
+    ]
+    return render(
+        "robot.sdf.j2",
+        robot=robot,
+        default=RobotParameters(),
+        rod_joint=rod_joint,
+        collision=collision,
+        frames=frames,
+        crank_turns=crank_turns,
+        rod_turns=roll_pitch_yaw(frames.rod_rotation),
+        housing_radius=_HOUSING_RADIUS * radius,
+        housings=[_housing(robot, frames, leg) for leg in range(LEGS)],
+        # All of a link but two radii at either joint may collide.
+        free_length=lambda span: max(span - 4.0 * radius, radius),
+    )
+
+
+def write_sdf(
+    robot: RobotParameters, path: str | Path, *, rod_joint: RodJoint = "universal", collision: bool = True
+) -> None:
+    """Writes `sdf_text` to a file; a reader sees the old file or the new one, never a half.
+
+    Raises:
+        ConfigurationError: The folder is missing or not writable, or unknown `rod_joint`.
+    """
+    write_atomically(Path(path), sdf_text(robot, rod_joint=rod_joint, collision=collision).encode())
+
+
+def mjcf_text(robot: RobotParameters, gravity: float = STANDARD_GRAVITY, options: PlantOptions | None = None) -> str:
+    """The robot in MJCF: every body where the home pose has it, rods on two hinges, six `connect` that close the loops.
+
+    MuJoCo's `connect` is a spring and damper on the gap r: here d^2 r/dt^2 = -r / h^2 - dr/dt / h, by which one Euler
+    step of length h closes a gap altogether. Its impedance is 0.9999 at most: a ten-thousandth of what would open the
+    loops is left to the spring, which has it at a gap of order h^2. Behind heavy rotors that is much in a single
+    acceleration, and little in the motion.
+
+    Motors `motor_0..5` take torques [N m] within the effort limit; their joints are zero at home. Links are drawn, but
+    do not collide.
+
+    Of the options count `time_step`, `universal_damping` and the motors' friction, of which MuJoCo has no break-away
+    level. Gravity is in m/s^2 along -z.
+    """
+    options = DrakeOptions() if options is None else options
+    frames, friction = home_frames(robot), options.friction_options
+    return render(
+        "robot.mjcf.j2",
+        robot=robot,
+        frames=frames,
+        gravity=gravity,
+        step=options.time_step,
+        linear=not any(friction.coulomb) and not np.isfinite(frames.stops).any(),
+        coulomb=friction.coulomb,
+        viscous=friction.viscous,
+        universal_damping=options.universal_damping,
+    )
+
+
+def _upright(robot: RobotParameters, leg: int) -> bool:
+    """Whether a crank turns in a vertical plane, from the horizontal up."""
+    return bool((robot.crank_quarter_directions[leg] == (0.0, 0.0, 1.0)).all())
+
+
+def _housing(robot: RobotParameters, frames: HomeFrames, leg: int) -> dict[str, Any]:
+    """A motor's housing on its axis: centre (3,) [m], length [m], turn of z; those of a pair stand back to back."""
+    r, axis, shaft = robot.link_radius, frames.crank_rotation[leg, :, 1], robot.shaft_positions[leg]
+    partner = robot.shaft_positions[leg ^ 1] - shaft
+    apart = float(partner @ axis)
+    if abs(apart) > 0.99 * float(np.linalg.norm(partner)):
+        gap, side = 0.5 * abs(apart), math.copysign(1.0, apart)
+        length = max(gap - 2.0 * r, r)
+    else:
+        gap, side = 2.0 * _HOUSING_RADIUS * r, -math.copysign(1.0, float(shaft @ axis))
+        length = gap - 2.0 * r
+    x, y, z = axis
+    turn = (0.0, math.atan2(math.hypot(x, y), z), math.atan2(y, x))
+    if _upright(robot, leg):
+        turn = (0.5 * math.pi, 0.0, robot.crank_yaws[leg])
+    return {"centre": shaft + side * (gap - 0.5 * length) * axis, "length": length, "turn": turn}
+
+
+def render(template: str, **values: Any) -> str:
+    """A text of the folder `templates`, in which `exact` and `short` write numbers."""
+    return _environment().get_template(template).render(values)
+
+
+@cache
+def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    form: Any = {"trim_blocks": True, "keep_trailing_newline": True}
+    environment = Environment(loader=PackageLoader("stewart_drake.plant"), undefined=StrictUndefined, **form)
+    environment.globals |= {
+        "exact": _exact,
+        "short": _short,
+        "zip": zip,
+        "pi": math.pi,
+        "cos": math.cos,
+        "sin": math.sin,
+    }
+    environment.globals["inf"] = math.inf
+    return environment
+
+
+def _exact(*parts: Any) -> str:
+    """Shortest text that reads back as the same doubles; what is zero up to rounding is written as zero."""
+    values = np.concatenate([np.ravel(np.asarray(part, dtype=float)) for part in parts]).tolist()
+    return " ".join(repr(0.0 if abs(value) < 1e-15 else value) for value in values)
+
+
+def _short(*parts: Any) -> str:
+    """Numbers of shapes, which need no more than seven digits."""
+    return _exact([float(f"{value:.7g}") for part in parts for value in np.ravel(part)])

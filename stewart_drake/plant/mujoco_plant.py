@@ -1,0 +1,427 @@
+"""MuJoCo as a plant: our own MJCF of the scenario's robot, or any other MJCF of a rotary Stewart platform.
+
+What is no part of the six legs is held where the file has it: a body's yaw, antennas. Geometry acts through mass alone:
+nothing collides. The model's actuators are taken away, and the motors' torques go to their joints.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from stewart_drake.base.atomic_files import check_file
+from stewart_drake.base.config import Text, choices_text
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, installed_with, pose_text
+from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.mechanics import kinematics_laws as laws
+from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_rate_to_twist, rotation_matrix
+from stewart_drake.plant.model_files import home_frames, mjcf_text
+from stewart_drake.plant.plant_options import MechanismOptions
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import FrictionOptions, Moderate
+from stewart_drake.robot.robot_files import robot_model
+
+_MAX_BYTES = 10_000_000
+_CLOSED, _NOT_CLOSED, _ITERATIONS = 1e-12, 1e-9, 100
+"""[m] of the loops and the pose at which `initial` is content, and beyond which it gives up."""
+_NEAR = 3.0  # Of what a model may be off: from where on `initial` moves the motors too.
+_KEY = "plant.model_file"
+
+
+class MujocoOptions(MechanismOptions):
+    """MuJoCo on an MJCF file: the robot's own, one that its maker ships, or yours; extra `mujoco`.
+
+    Legs and frames are found in the model and must be those of `robot` within 1 mm. Masses are the model's, and so are
+    friction, damping, armature and joint limits where no key says otherwise.
+    """
+
+    kind: Literal["mujoco"] = "mujoco"
+    model_file: Text | None = None
+    """MJCF file, from the folder of the file that names it; or `package:NAME==VERSION/path`, in an installed package;
+    or a robot's name or YAML file, for the `mjcf` that this names; null for our own MJCF of `robot`."""
+    motor_joints: tuple[Text, Text, Text, Text, Text, Text] | None = None
+    """Names of the motors' joints, in any order; null takes those with an actuator."""
+    motor_class: Text | None = None
+    """Default class of the MJCF from which the motors' joints take armature, damping, dry friction and force range;
+    null leaves them as they are."""
+    passive_friction: Moderate = 1.0
+    """[-] factor on damping and dry friction of all joints without a motor; 0 for none."""
+    passive_armature: Moderate = 1.0
+    """[-] factor on the armature of these joints, which a class that was made for motors may give them; 0 for none."""
+    motor_damping: Moderate | None = None  # type: ignore[assignment]
+    """[N m s/rad] viscous friction of each motor; null for the model's, none in our own."""
+    motor_friction: Moderate | None = None  # type: ignore[assignment]
+    """[N m] dry (Coulomb) friction of each motor; null for the model's, none in our own."""
+
+    def rules(self) -> None:
+        """Friction is said once, and without stiction; a model's keys need a model."""
+        for name in ("motor_friction", "motor_damping"):
+            if self.friction is not None and getattr(self, name) is not None:
+                allowed = "null, because `friction` is given and has this value"
+                raise ConfigurationError(name, getattr(self, name), allowed)
+        if self.friction is not None and self.friction.levels[0] != self.friction.levels[1]:
+            allowed = "the same as `coulomb`, or null: MuJoCo has no stiction"
+            raise ConfigurationError("friction.break_away", self.friction.break_away, allowed)
+        for name in ("motor_joints", "motor_class"):
+            if self.model_file is None and getattr(self, name) is not None:
+                raise ConfigurationError(name, getattr(self, name), "null, without a `model_file`")
+
+    @property
+    def friction_options(self) -> FrictionOptions:
+        """Friction of the motors; of a model's the largest, for each motor."""
+        if self.friction is not None:
+            return self.friction
+        dry, viscous = self.motor_friction, self.motor_damping
+        if self.model_file is not None and (dry is None or viscous is None):
+            file = _File(self)
+            dofs = file.model.jnt_dofadr[[joint.id for joint in file.motors]]
+            dry = float(file.model.dof_frictionloss[dofs].max()) if dry is None else dry
+            viscous = float(file.model.dof_damping[dofs].max()) if viscous is None else viscous
+        return FrictionOptions.from_dict({"coulomb": dry or 0.0, "viscous": viscous or 0.0})
+
+    def make(self, robot: RobotParameters, gravity: float) -> MujocoPlant:
+        return MujocoPlant(robot, self, gravity)
+
+    def simulated(self, robot: RobotParameters) -> tuple[dict[str, Any], list[tuple[str, Any, str]]]:
+        if self.model_file is None:
+            return {}, []
+        file = _File(self)
+        fit, model, legs, root = file.fit(robot), file.model, file.legs, file.mjcf_legs.rigid_roots(file.model)
+        motors, passive = ([joint.id for joint in joints] for joints in (file.motors, file.passive))
+        of_passive = np.isin(model.dof_jntid, passive)
+        mass = [
+            [model.body_mass[np.isin(root, bodies)].sum() for bodies in group] for group in (legs.rods, legs.cranks)
+        ]
+        keys = {
+            "platform_mass": model.body_mass[root == legs.platform].sum(),
+            "rod_mass": tuple(mass[0]),
+            "crank_mass": tuple(mass[1]),
+            "rotor_inertia": tuple(model.dof_armature[model.jnt_dofadr[motors]]),
+            "effort_limit": tuple(file.limits[:, 1]),
+        }
+        turns = np.where(model.jnt_limited[motors], np.degrees(np.ptp(model.jnt_range[motors], axis=1)), np.inf)
+        facts = [
+            (f"misfit of the model ({fit.worst})", 1e3 * fit.residual, "mm"),
+            ("range of a motor's joint", turns, "deg"),
+            ("damping of passive joints", self.passive_friction * model.dof_damping[of_passive], "N m s/rad"),
+            ("dry friction of passive joints", self.passive_friction * model.dof_frictionloss[of_passive], "N m"),
+            ("armature of passive joints", self.passive_armature * model.dof_armature[of_passive], "kg m^2"),
+        ]
+        return keys, facts
+
+
+def _path(given: str) -> Path:
+    """The MJCF file that `model_file` means."""
+    if re.search(r"\.ya?ml$", given) or not re.search(r"[./:\\]", given):
+        given = robot_model(given)
+    if not given.startswith("package:"):
+        return Path(given)
+    requirement, _, inside = given.removeprefix("package:").partition("/")
+    name = re.split(r"[=<>~! ]", requirement)[0]
+    if not name.isidentifier() or not inside:
+        raise ConfigurationError(_KEY, given, "package:NAME/path of an MJCF in it, or package:NAME==VERSION/path")
+    # It is found, not imported.
+    spec = importlib.util.find_spec(name)
+    if spec is None or not spec.submodule_search_locations:
+        allowed = f"a file in the installed package {name}; pip install --no-deps {requirement}"
+        raise ConfigurationError(_KEY, given, allowed)
+    return Path(spec.submodule_search_locations[0]) / inside
+
+
+class _File:
+    """A model as its file has it, but what is no part of the legs is held, and only masses are left of geometry."""
+
+    def __init__(self, options: MujocoOptions, text: str = "") -> None:
+        with installed_with("stewart-drake[mujoco]"):
+            import mujoco
+        from stewart_drake.plant import mjcf_legs
+
+        self.mujoco, self.mjcf_legs, self.name = mujoco, mjcf_legs, options.model_file or ""
+        path = None if text else check_file(_path(self.name), f"{_KEY} {self.name}", _MAX_BYTES)
+        with self.reading():
+            self.spec = spec = mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(path))
+            self._strip()
+            model = spec.compile()
+        names, known = options.motor_joints, [joint.name for joint in spec.joints]
+        for name in names or ():
+            if name not in known:
+                allowed = f"six joints of {self.name}: {choices_text(name, known)}"
+                raise ConfigurationError("plant.motor_joints", name, allowed)
+        hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE).tolist()
+        is_motor = [known[joint] in names if names else bool(self._actuators(model, joint)) for joint in hinges]
+        legs = mjcf_legs.find_legs(model, [joint for joint, is_one in zip(hinges, is_motor, strict=True) if is_one])
+        if isinstance(legs, int):
+            allowed = f"a model in which six motors each turn a crank with a rod to one platform, not {legs}"
+            hint = "a motor is a hinge with an actuator, or one of plant.motor_joints"
+            raise ConfigurationError(_KEY, self.name, f"{allowed}; {hint}")
+        self.legs, bodies = legs, {legs.platform, *(body for rods in legs.rods for body in rods)}
+        self.limits = np.array([self._force_range(model, joint) for joint in legs.motors])
+        passive = [joint for joint in range(model.njnt) if int(model.jnt_bodyid[joint]) in bodies]
+        self.motors, self.passive = ([spec.joints[joint] for joint in some] for some in (legs.motors, passive))
+        self.closures = [spec.equalities[each] for each in legs.closures]
+        if options.motor_class is not None:
+            self._take_class(options.motor_class)
+        with self.reading():
+            self._delete(
+                spec.actuators,
+                [each for each in spec.equalities if each.id not in legs.closures],
+                [each for each in spec.joints if each.id not in (*legs.motors, *passive)],
+            )
+            self.model = spec.compile()
+
+    def _strip(self) -> None:
+        """Takes out geometry that has no part in the masses: its meshes need not be there. And what refers to it."""
+        spec = self.spec
+        spec.compiler.fusestatic = False  # ids stay
+        self._delete(spec.keys, spec.sensors, spec.pairs, spec.excludes, spec.tuples, spec.skins)
+        if spec.compiler.inertiafromgeom != self.mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+            self._delete([each for each in spec.geoms if each.parent.explicitinertial])
+        for geom in spec.geoms:
+            geom.material = ""
+        used = {geom.meshname for geom in spec.geoms}
+        self._delete(spec.materials, spec.textures, [each for each in spec.meshes if each.name not in used])
+
+    def _delete(self, *groups: Any) -> None:
+        for each in [each for group in groups for each in group]:
+            self.spec.delete(each)
+
+    def _actuators(self, model: Any, joint: int) -> list[int]:
+        on_joint = int(self.mujoco.mjtTrn.mjTRN_JOINT), int(self.mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+        found = (model.actuator_trnid[:, 0] == joint) & np.isin(model.actuator_trntype, on_joint)
+        return np.flatnonzero(found).tolist()
+
+    def _force_range(self, model: Any, joint: int) -> tuple[float, float]:
+        """[N m] between which the model's actuators of a joint can drive it."""
+        low, high = model.jnt_actfrcrange[joint] if model.jnt_actfrclimited[joint] else (-np.inf, np.inf)
+        for each in self._actuators(model, joint):
+            if model.actuator_forcelimited[each]:
+                ends = model.actuator_gear[each, 0] * model.actuator_forcerange[each]
+                low, high = max(low, ends.min()), min(high, ends.max())
+        return float(low), float(high)
+
+    def _take_class(self, name: str) -> None:
+        given = self.spec.find_default(name)
+        if given is None:
+            known = re.findall(r'<default class="([^"]+)"', self.spec.to_xml()) or ["none"]
+            raise ConfigurationError("plant.motor_class", name, f"a class of {self.name}: {choices_text(name, known)}")
+        for joint in self.motors:
+            for key in ("armature", "damping", "frictionloss"):
+                setattr(joint, key, getattr(given.joint, key))
+        self.limits[:] = given.actuator.forcerange if np.any(given.actuator.forcerange) else (-np.inf, np.inf)
+
+    def fit(self, robot: RobotParameters) -> Any:
+        """How its legs and frames are the robot's, a `mjcf_legs.Fit`."""
+        fit, most = self.mjcf_legs.fit_frames(robot, self.legs), self.mjcf_legs.ALLOWED
+        if not fit.residual <= most:
+            allowed = f"a model of `robot` within {1e3 * most:g} mm, not {1e3 * fit.residual:.4g} mm ({fit.worst})"
+            raise ConfigurationError(_KEY, self.name, f"{allowed}; is `robot` another one, or not yet calibrated?")
+        return fit
+
+    @contextmanager
+    def reading(self) -> Iterator[None]:
+        """Says in a line what MuJoCo finds wrong with the file."""
+        try:
+            yield
+        except (ValueError, OSError) as error:
+            said = " ".join(str(error).split())
+            raise ConfigurationError(_KEY, self.name, f"an MJCF that MuJoCo reads ({said})") from None
+
+
+_FRAMES = fields(base=(3, 3), origin=3, signs=6, angles=6, least=6, most=6)
+"""base: R_WB [-]. origin: of B in the world [m]. signs: of the motors' joints [-]. angles: theta of the cranks where
+their joints are zero [rad]. least, most: torques of the motors [N m]."""
+
+
+class MujocoPlant:
+    """An MJCF model as a `Plant`; the torques of its motors are within the model's force ranges."""
+
+    def __init__(self, robot: RobotParameters, options: MujocoOptions, gravity: float) -> None:
+        file = _File(options, mjcf_text(robot, gravity, options) if options.model_file is None else "")
+        self._mujoco, self._mjcf_legs, fit = file.mujoco, file.mjcf_legs, file.fit(robot)
+        self._robot, self._home, (self._base, self._origin) = robot, home_frames(robot), fit.base
+        site, body = self._add_platform(file, fit.platform, options)
+        with file.reading():
+            self._model = model = file.spec.compile()
+        motors, self._site, self._body = np.array([file.motors[leg].id for leg in fit.order]), site.id, body.id
+        self._closures, self._data = [each.id for each in file.closures], self._mujoco.MjData(model)
+        self._at, self._rates = model.jnt_qposadr[motors], model.jnt_dofadr[motors]
+        self._set_options(options, [joint.id for joint in file.passive], gravity)
+        self._signs, (least, most) = fit.signs, np.sort(fit.signs * file.limits[fit.order].T, axis=0)
+        # Theta at zero of the joints, in the turn that has home nearest to the middle of a joint's range.
+        at_zero = fit.angles - fit.signs * model.qpos0[self._at]
+        middle = np.where(model.jnt_limited[motors], model.jnt_range[motors].mean(axis=1), model.qpos0[self._at])
+        turns = (self._home.crank_angles - at_zero - fit.signs * middle) / (2.0 * np.pi)
+        self._at_zero = at_zero + 2.0 * np.pi * np.round(turns)
+        places = {"base": self._base, "origin": self._origin, "signs": fit.signs, "angles": self._at_zero}
+        self._frames, self._measured = new_record(_FRAMES, **places, least=least, most=most), np.zeros(24)
+        # MuJoCo's own memory, where it stays.
+        data, self._motion = self._data, np.zeros(6)
+        self._place = data.site_xpos[self._site]
+        self._pushed = self._place, data.xipos[self._body], data.qfrc_applied, data.xfrc_applied[self._body]
+        joints = self._at, data.qpos, self._rates, data.qvel
+        self._moving = self._place, data.site_xmat[self._site], self._motion, *joints
+        kinds = self._mujoco.mjtIntegrator
+        moves = {int(kinds.mjINT_EULER): self._mujoco.mj_Euler, int(kinds.mjINT_RK4): self._runge_kutta}
+        self._integrate: Callable[..., None] = moves.get(int(model.opt.integrator), self._mujoco.mj_implicit)
+
+    def _add_platform(
+        self, file: _File, frame: tuple[np.ndarray, np.ndarray], options: MujocoOptions
+    ) -> tuple[Any, Any]:
+        """The site P of a model, and its body, which gets the payload."""
+        data, quaternion, (rotation, place) = self._mujoco.MjData(file.model), np.empty(4), frame
+        self._mujoco.mj_kinematics(file.model, data)
+        body, own = file.spec.bodies[file.legs.platform], data.xmat[file.legs.platform].reshape(3, 3)
+        place = own.T @ (place - data.xpos[file.legs.platform])
+        self._mujoco.mju_mat2Quat(quaternion, (own.T @ rotation).ravel())
+        # One without mass too: states are then those of any payload.
+        load = body.add_body(pos=place + own.T @ rotation @ np.array(options.payload_position), ipos=np.zeros(3))
+        load.mass, load.explicitinertial = options.payload_mass, True
+        return body.add_site(pos=place, quat=quaternion), body
+
+    def _set_options(self, options: MujocoOptions, passive: list[int], gravity: float) -> None:
+        model, bits, levels = self._model, self._mujoco.mjtDisableBit, options.friction_options.levels
+        model.opt.timestep, model.opt.gravity[:] = options.time_step, self._base @ [0.0, 0.0, -gravity]
+        model.opt.disableflags |= bits.mjDSBL_CONTACT | bits.mjDSBL_SENSOR
+        of_passive = np.isin(model.dof_jntid, passive)
+        # `dof_dampingpoly`, of higher powers of a rate, is not in every version.
+        damping = [each for each in ("dof_damping", "dof_dampingpoly") if hasattr(model, each)]
+        for name in ("dof_frictionloss", *damping):
+            getattr(model, name)[of_passive] *= options.passive_friction
+        model.dof_armature[of_passive] *= options.passive_armature
+        if options.friction is not None or options.motor_friction is not None:
+            model.dof_frictionloss[self._rates] = levels[0]
+        if options.friction is not None or options.motor_damping is not None:
+            for name in damping:
+                getattr(model, name)[self._rates] = 0.0
+            model.dof_damping[self._rates] = levels[3]
+        self._mujoco.mj_setConst(model, self._data)
+
+    def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
+        """Begins at a pose (6,) and its rate (6,), loops closed; RunFailure where the model cannot be there."""
+        self._mujoco.mj_resetData(self._model, self._data)
+        theta = self._home.crank_angles + self._home.motor_angles(inverse_kinematics(self._robot, pose))
+        self._data.qpos[self._at] = self._signs * (theta - self._at_zero)
+        slope = self._assemble(pose)
+        turn, shift = pose_rate_to_twist(pose, pose_rate).reshape(2, 3) @ self._base.T
+        wanted = np.concatenate([np.zeros(len(slope) - 6), shift, self._robot.characteristic_length * turn])
+        self._data.qvel[:] = np.linalg.lstsq(slope, wanted, rcond=None)[0]
+        return self._arrived()
+
+    def _assemble(self, pose: np.ndarray) -> np.ndarray:
+        """Closes all loops at a pose (6,): Newton's method on the joints' positions; the slopes of `_gaps` there.
+
+        From afar the motors stay where the robot has them, so that no crank changes its branch.
+        """
+        for _ in range(_ITERATIONS):
+            error, slope = self._gaps(pose)
+            if (size := float(np.abs(error).max())) < _CLOSED:
+                return slope
+            free = slope.copy()
+            if size > _NEAR * self._mjcf_legs.ALLOWED:
+                free[:, self._rates] = 0.0
+            step = np.linalg.lstsq(free, -error, rcond=1e-10)[0]
+            self._mujoco.mj_integratePos(self._model, self._data.qpos, min(1.0, 0.5 / np.abs(step).max()) * step, 1.0)
+        if not size < _NOT_CLOSED:
+            text = f"the model of {_KEY} does not close its loops at pose {pose_text(pose)}: {size:.2g} m open"
+            raise RunFailure(text, reason="unreachable_pose")
+        return slope
+
+    def _gaps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gaps (n,) [m] of the loops, then of the pose from the one that is wanted; their slopes (n, nv)."""
+        mujoco, model, data, length = self._mujoco, self._model, self._data, self._robot.characteristic_length
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        gaps, slopes = [], []
+        for equality in self._closures:
+            ends, moved = self._mjcf_legs.connect_ends(model, data, equality), np.zeros((2, 3, model.nv))
+            for (body, place), slope in zip(ends, moved, strict=True):
+                mujoco.mj_jac(model, data, slope, None, place, body)
+            gaps.append(ends[0][1] - ends[1][1])
+            slopes.append(moved[0] - moved[1])
+        moved, own = np.zeros((2, 3, model.nv)), data.site_xmat[self._site].reshape(3, 3)
+        mujoco.mj_jacSite(model, data, *moved, self._site)
+        # Half the sum of the axes' cross products is the turn's sine: Newton needs no more.
+        turn = 0.5 * np.cross((self._base @ rotation_matrix(pose[:3])).T, own.T).sum(axis=0)
+        gaps += [data.site_xpos[self._site] - self._origin - self._base @ pose[3:], length * turn]
+        return np.concatenate(gaps), np.concatenate([*slopes, moved[0], length * moved[1]])
+
+    def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
+        """A step; NotFiniteError where the simulation has blown up."""
+        mujoco, model, data = self._mujoco, self._model, self._data
+        _push(self._frames, torque, wrench, self._rates, *self._pushed)
+        # What `mj_step` does, but for checks that would write a file and begin anew.
+        mujoco.mj_fwdActuation(model, data)
+        mujoco.mj_fwdAcceleration(model, data)
+        mujoco.mj_fwdConstraint(model, data)
+        self._integrate(model, data)
+        return self._arrived()
+
+    def _runge_kutta(self, model: Any, data: Any) -> None:
+        self._mujoco.mj_RungeKutta(model, data, 4)
+
+    def _arrived(self) -> np.ndarray:
+        mujoco, model, data = self._mujoco, self._model, self._data
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, self._site, self._motion, 0)
+        if not _measure(self._frames, *self._moving, self._measured):
+            raise NotFiniteError("MuJoCo's state", self._measured[:6])
+        return self._measured
+
+    def save(self) -> np.ndarray:
+        kind = self._mujoco.mjtState.mjSTATE_INTEGRATION
+        state = np.empty(self._mujoco.mj_stateSize(self._model, kind))
+        self._mujoco.mj_getState(self._model, self._data, state, kind)
+        return state
+
+    def restore(self, state: np.ndarray) -> np.ndarray:
+        self._mujoco.mj_setState(self._model, self._data, state, self._mujoco.mjtState.mjSTATE_INTEGRATION)
+        return self._arrived()
+
+
+@njit
+def _push(
+    frames: Any, torque: Any, wrench: Any, rates: Any, place: Any, centre: Any, applied: Any, pushed: Any
+) -> None:
+    """Torques (6,) of the motors at their joints, and a wrench (6,) about P's place at its body's centre of mass."""
+    frames = record(frames)
+    for i in range(6):
+        applied[rates[i]] = frames.signs[i] * min(max(torque[i], frames.least[i]), frames.most[i])
+    for i in range(3):
+        pushed[i], pushed[3 + i] = laws.dot(frames.base[i], wrench[3:]), laws.dot(frames.base[i], wrench[:3])
+    turning = np.empty(3)
+    laws.cross(place - centre, pushed[:3], turning)
+    for i in range(3):
+        pushed[3 + i] += turning[i]
+
+
+@njit
+def _measure(
+    frames: Any, place: Any, axes: Any, motion: Any, at: Any, angles: Any, rates: Any, speeds: Any, out: Any
+) -> bool:
+    """What is measured (24,), of P's place (3,), axes (9,) and velocities (6,) in the world and of the motors' joints.
+
+    False where that is not finite.
+    """
+    frames = record(frames)
+    rotation, twist, finite = np.empty((3, 3)), np.empty(6), True
+    for i in range(3):
+        along = frames.base[:, i]
+        for k in range(3):
+            rotation[i, k] = laws.dot(along, axes[k::3])
+        out[3 + i] = laws.dot(along, place) - laws.dot(along, frames.origin)
+        twist[i], twist[3 + i] = laws.dot(along, motion[:3]), laws.dot(along, motion[3:])
+    laws.roll_pitch_yaw(rotation, out[:3])
+    laws.rate_of(out[:6], twist, out[6:12])
+    for i in range(6):
+        out[12 + i] = frames.angles[i] + frames.signs[i] * angles[at[i]]
+        out[18 + i] = frames.signs[i] * speeds[rates[i]]
+    for i in range(24):
+        finite = finite and np.isfinite(out[i])
+    return finite

@@ -1,0 +1,1 @@
+"""The YAML document of a run, and the loop that is made from it."""

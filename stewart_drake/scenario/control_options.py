@@ -1,0 +1,251 @@
+"""The controller's side: its options, and what it believes of the machine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+
+import numpy as np
+from pydantic import Field, TypeAdapter
+
+from stewart_drake.base.code import ROBOT_KEY, trusting_code
+from stewart_drake.base.config import (
+    NAME,
+    NAME_WORDS,
+    Natural,
+    NotNegative,
+    Section,
+    Text,
+    Vector6,
+    with_message,
+)
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.families import place_users
+from stewart_drake.base.registry import ADAPTATIONS, CONTROLLERS, ESTIMATORS, MOTORS, TUNERS
+from stewart_drake.base.sampling import on_grid, steps_per
+from stewart_drake.base.yaml_files import to_yaml
+from stewart_drake.control.base import AdaptationOptions, ControllerOptions
+from stewart_drake.control.estimator import DifferenceOptions, EstimatorOptions
+from stewart_drake.control.friction_compensation import FrictionCompensation
+from stewart_drake.control.lqi import LqiOptions
+from stewart_drake.control.tuners import PaperTuner, Tuner
+from stewart_drake.hardware.motors import MotorOptions, TorqueMotors
+from stewart_drake.hardware.presets import PRESETS, Preset
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.references import AnyReference, SineReference
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LARGEST_SIZE
+from stewart_drake.robot.robot_files import AnyRobot
+from stewart_drake.robot.robot_scale import PAPER, defaults_of
+from stewart_drake.safety import SafetyOptions
+from stewart_drake.scenario.keys import with_keys
+
+
+class ModelOptions(Section, key="model"):
+    """What the controller's side believes of the machine. It knows nothing else of it."""
+
+    robot: AnyRobot | None = None
+    """The robot that it computes with; null for the simulated one. Keys that are not given are those of `robot`."""
+    gravity: Annotated[NotNegative, Field(le=LARGEST_SIZE)] | None = None
+    """[m/s^2] gravity, along -z of the base frame B; null for the simulated one."""
+    friction: FrictionCompensation | None = None
+    """Friction of the motors, to compensate it; null for none."""
+    reading: Literal["angles", "pose"] | None = None
+    """What a reading is: the six angles of the cranks, or pose and pose rate of the platform; null for what `sensors`
+    read."""
+    noise: Annotated[NotNegative, Field(le=1.0)] | None = None
+    """[rad] standard deviation of a crank's angle as it is read, rounding included; null for that of `sensors`."""
+    delay: Annotated[Natural, Field(le=100)] | None = None
+    """[ticks] delay from a command to the motors; null for `command_delay`. An observer gives the controller state and
+    reference at the time when its command acts."""
+    motors: Annotated[MotorOptions, MOTORS] | None = None
+    """The motors that it commands; null for the simulated ones without their faults."""
+
+
+class Belief(NamedTuple):
+    """`ModelOptions` with nothing left open."""
+
+    robot: RobotParameters
+    gravity: float  # [m/s^2].
+    friction: FrictionCompensation | None
+    reading: Literal["angles", "pose"]
+    noise: float  # [rad] of a crank's angle.
+    delay: int  # [ticks] of the commands.
+    motors: MotorOptions
+
+    @property
+    def reading_size(self) -> int:
+        """Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate."""
+        return {"angles": 6, "pose": 12}[self.reading]
+
+
+class ControlOptions(Section):
+    """What runs on the computer beside a robot: all that a `Controller` is made of; `load_controller` reads a file.
+
+    Raises:
+        ConfigurationError: Names the key, the value and what is allowed.
+    """
+
+    moved_keys: ClassVar[Mapping[str, str]] = {"model_robot": "model.robot", "friction_compensation": "model.friction"}
+    nominal_robot: ClassVar[RobotParameters | None] = None
+    """The simulated robot where no other is given; None where nothing is simulated."""
+
+    name: Annotated[Text, Field(max_length=100, pattern=NAME), with_message(f"at most 100 {NAME_WORDS}")] = "scenario"
+    """Name of the run, for the output folder and titles; letters, digits and, after the first, space and . + - too."""
+    model: ModelOptions = Field(default_factory=ModelOptions)
+    """What the controller's side believes of the machine; by default it is right."""
+    reference: AnyReference = Field(default_factory=SineReference)
+    """The motion to follow."""
+    initial_offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """[rad, m] start pose minus the reference's start pose; the start velocity is the reference's."""
+    controller: Annotated[ControllerOptions, CONTROLLERS] = Field(default_factory=LqiOptions)
+    """The control law that computes the motor torques; without `kind`, the LQI."""
+    tuner: Annotated[Tuner, TUNERS] = Field(default_factory=PaperTuner)
+    """Sets the weights of the LQI; ignored by controllers without weights."""
+    estimator: Annotated[EstimatorOptions, ESTIMATORS] = Field(default_factory=DifferenceOptions)
+    """Estimates the platform's pose and rate for the controller from the sensor readings."""
+    adaptation: Annotated[AdaptationOptions, ADAPTATIONS] | None = None
+    """What learns while the robot runs; null for nothing."""
+    safety: SafetyOptions | None = None
+    """The safety layer between controller and motors; null for none."""
+
+    @classmethod
+    def _validated(cls, data: Any, key: str, **details: Any) -> Any:
+        if not isinstance(data, dict):
+            return super()._validated(data, key, **details)
+        data, defaults = _with_robots(data, cls.nominal_robot)
+        with defaults:
+            return super()._validated(data, key, **details)
+
+    @classmethod
+    def from_dict(cls, data: Any, key: str | None = None, trust_code: bool = False) -> Self:
+        """Options from plain values; with `trust_code`, code that they name may run."""
+        with trusting_code(trust_code):
+            return super().from_dict(data, key)
+
+    def replace(self, changes: Mapping[str, Any] | None = None, **keys: Any) -> Self:
+        """The keys that were given with some of them changed, checked again: what was but a default is one anew.
+
+        Another `kind` drops the keys that only the old kind has; of plant and motors they are an error.
+
+        Args:
+            changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as
+                `robot.legs[2].rod_length`, come last. New code is named within `trusting_code`.
+            keys: Likewise, those at the top.
+
+        Raises:
+            ConfigurationError: As for the class.
+        """
+        return with_keys(type(self), self.given(), {**(changes or {}), **keys})
+
+    def in_full(self) -> dict[str, Any]:
+        """`to_dict`, with what each leg of the robots has where `legs` leaves it to the symmetric robot."""
+        full = self.to_dict()
+        for section, robot in ((full, getattr(self, "robot", None)), (full["model"], self.model.robot)):
+            if robot is not None:
+                section["robot"]["legs"] = robot.each_leg()
+        return full
+
+    def to_yaml(self) -> str:
+        """All of it, defaults included, as YAML that is read back as the same."""
+        return to_yaml(self.to_dict())
+
+    @property
+    def nominal(self) -> Belief:
+        """What is believed where `model` says nothing; with no simulated machine, the paper's robot."""
+        return Belief(PAPER, STANDARD_GRAVITY, None, "angles", 0.0, 0, TorqueMotors())
+
+    @property
+    def belief(self) -> Belief:
+        """What the controller's side believes of the machine."""
+        said = {name: getattr(self.model, name) for name in Belief._fields}
+        return self.nominal._replace(**{name: value for name, value in said.items() if value is not None})
+
+    @property
+    def lqi(self) -> LqiOptions:
+        """`controller`, for what needs the LQI; refused where it is of another kind."""
+        if not isinstance(self.controller, LqiOptions):
+            raise ConfigurationError("controller.kind", self.controller.kind, "lqi, for this")
+        return self.controller
+
+    @property
+    def reading_period(self) -> float:
+        """[s] between two readings."""
+        return self.estimator.period or self.controller.period
+
+    @property
+    def preview(self) -> float:
+        """[s] by which the controller sees the reference ahead of time.
+
+        With an observer, and the state too: the delay of commands. Without feedback that of the motors as well, and
+        half of the period for which a command holds. Else none.
+        """
+        period = on_grid(self.controller.period)
+        if not self.controller.feedback:
+            return self.belief.delay * period + self.belief.motors.dead_time + 0.5 * period
+        return self.belief.delay * period if self.estimator.disturbance_density else 0.0
+
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pose (6,) and pose rate (6,) at t = 0."""
+        pose, rate, _ = self.reference.evaluate(0.0)
+        return pose + np.array(self.initial_offset), rate
+
+    def rules(self) -> None:
+        """Periods fit each other, and the tuner its estimator."""
+        place_users(self)
+        period = self.controller.period
+        steps_per("controller.period", period, self.reading_period, "estimator.period")
+        steps_per("tuner.period", self.tuner.period or period, period, "controller.period")
+        if self.tuner.needs_observer and not self.estimator.disturbance_density:
+            allowed = f"observer, for tuner.kind {self.tuner.kind}"
+            raise ConfigurationError("estimator.kind", self.estimator.kind, allowed)
+
+
+_ROBOT: TypeAdapter[RobotParameters | None] = TypeAdapter(AnyRobot | None)
+
+
+def _with_robots(
+    data: dict[str, Any], nominal: RobotParameters | None
+) -> tuple[dict[str, Any], AbstractContextManager[None]]:
+    """The keys with the robots read, and the defaults of these robots, and of how soon a command acts.
+
+    Without the key `robot` it is `nominal`, or where that is None the one that is believed.
+    """
+    try:
+        robots: dict[str, Any] = {ROBOT_KEY: _ROBOT.validate_python(data[ROBOT_KEY])} if ROBOT_KEY in data else {}
+        robot = robots.get(ROBOT_KEY) or nominal or PAPER
+        model = data.get("model", {})
+        model = model.given() if isinstance(model, Section) else {**model}
+        believed = model.get(ROBOT_KEY)
+        if isinstance(believed, Mapping):
+            believed = {**robot.given(), **believed}
+        if believed is not None:
+            believed = model[ROBOT_KEY] = _ROBOT.validate_python(believed)
+        delay = data.get("command_delay", 0) if model.get("delay") is None else model["delay"]
+        motors = model.get("motors") or data.get("motors", {})
+        in_motors = MOTORS.section(motors).dead_time if motors else 0.0
+        latency = CONTROLLERS.section(data.get("controller", {})).period * (1 + delay) + in_motors
+        friction = _friction(data.get("motors"), model.get("motors"))
+    except (ConfigurationError, ValueError, TypeError, OverflowError):
+        # The checks will say what is wrong with it.
+        return data, nullcontext()
+    if "model" in data:
+        robots["model"] = model
+    believed = believed or robot
+    return data | robots, defaults_of(robots.get(ROBOT_KEY) or nominal or believed, believed, latency, friction)
+
+
+def _friction(motors: Any, believed: Any) -> dict[str, dict[str, Any]]:
+    """What the sections `plant` and `model` have of friction by default: that of motors that one can buy."""
+
+    def preset(section: Any) -> Preset | None:
+        section = getattr(section, "given", lambda: section)()
+        return PRESETS.get(str(section.get("preset"))) if isinstance(section, Mapping) else None
+
+    result: dict[str, dict[str, Any]] = {}
+    if (real := preset(motors)) is not None:
+        result["plant"] = {"friction": None, "motor_friction": real.coulomb, "motor_damping": real.viscous}
+    if (known := preset(motors if believed is None else believed)) is not None:
+        result["model"] = {"friction": {"coulomb": known.coulomb, "viscous": known.viscous, "width": 0.004}}
+    return result

@@ -1,0 +1,123 @@
+"""The controller's side as one object: readings in, commands out; no plant, no simulator, no Drake."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError
+from stewart_drake.base.sampling import InBlocks
+from stewart_drake.hardware.motors import within_limit
+from stewart_drake.loop.part import LoopRunner, Part
+from stewart_drake.safety import LEVELS
+from stewart_drake.scenario.assembly import control_side
+from stewart_drake.scenario.control_options import ControlOptions
+
+
+class Controller:
+    """Estimator, controller, tuner and safety layer, for a real machine or another simulator.
+
+        controller = Controller(load_scenario("exact_fig7"))  # or load_controller("my_robot.yaml")
+        torque = np.empty(6)
+        controller.step(angles, time, torque)  # every controller.period seconds
+
+    The same parts run here as in a Diagram, without sensors, delay, link and motors: those are the machine's, and
+    `model` says what is believed of them. The Riccati equation of an LQI is solved by the compiled split solution.
+
+    Args:
+        options: Model of the machine, reference, controller, tuner, estimator and safety layer; a Scenario has them.
+
+    Raises:
+        ConfigurationError: A controller that is a LeafSystem, which needs a Diagram; as `loop_of`.
+
+    Attributes:
+        period: [s] between two steps, that of the controller or a shorter one of its estimator.
+        reading: Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
+        unit: Of the commands: N m, or what `model.motors` take: rad, A.
+    """
+
+    def __init__(self, options: ControlOptions) -> None:
+        side, self._age = control_side(options, split=True), np.zeros(1)
+        parts, self._safe = list(side.every_part), side.safety is not None
+        if any(part.system is not None for part in parts):
+            raise ConfigurationError(
+                "controller", options.controller.kind, "a controller that is no LeafSystem, to run without a plant"
+            )
+        if side.safety is not None:
+            parts.append(side.safety.connected(command=side.torque, age=self._age))
+        elif not options.controller.feedback:
+            parts = _without(parts, {side.reading})
+        self.period, self._tick, self.reading = options.reading_period, side.setup.period, side.setup.reading
+        outside = {side.reading: self.reading, **{source.signal: source.size for source in side.sources}}
+        self._running = LoopRunner(parts, outside, period=side.setup.period, step=self.period)
+        self._sources = [
+            (self._running.signal(each.signal), InBlocks(each.evaluate, self.period)) for each in side.sources
+        ]
+        self._reading = self._running.signal(side.reading)
+        self._command, self.unit = self._running.signal("safe_torque" if self._safe else side.command), side.unit
+        # What is no torque has its limit in the motor.
+        self._limits = side.setup.robot.effort_limits if side.command == side.torque else np.inf
+        self._last, self._ticks = -np.inf, 0
+
+    def step(self, readings: np.ndarray, time: float, out: np.ndarray, age: float = 0.0) -> None:
+        """One tick.
+
+        Args:
+            readings: (6,) [rad] angles of the cranks, or (12,) pose [rad, m] and its rate, see `reading`. A controller
+                without feedback, `feedforward`, takes anything.
+            time: [s] of the motion, later than at the step before; fastest at multiples of the period.
+            out: (6,) out, commands for the motors in `unit`: float64; torques are within the robot's effort limits.
+            age: [s] of the readings beyond what the scenario says; the safety layer's `deadline` refers to it.
+
+        Raises:
+            ConfigurationError: An argument that is not as said; nothing has changed then.
+            RunFailure: A part has failed, or the safety layer gives the robot up; `reason` and `leg` say why.
+        """
+        given = np.asarray(readings)
+        if given.shape != self._reading.shape or given.dtype.kind not in "fiu":
+            allowed = f"an array of shape ({self.reading},) of real numbers"
+            raise ConfigurationError("readings", f"{given.shape} of {given.dtype}", allowed)
+        if not (isinstance(out, np.ndarray) and out.dtype == np.float64 and out.shape == (6,) and out.flags.writeable):
+            raise ConfigurationError("out", out, "a writable array of shape (6,), dtype float64")
+        if not self._last < time < np.inf:
+            raise ConfigurationError("time", time, f"a finite time later than that of the step before, {self._last} s")
+        if not age >= 0.0:
+            raise ConfigurationError("age", age, "a number that is not negative [s]")
+        self._reading[:] = given
+        self._age[0] = age / self._tick
+        self._running.time[0] = self._last = time
+        for signal, table in self._sources:
+            signal[:] = table.at_time(time)
+        self._running.run(self._ticks)
+        if not np.isfinite(self._command).all():
+            raise NotFiniteError("command", self._command.copy())
+        out[:] = within_limit(self._command, self._limits)
+        self._running.end(self._ticks)
+        self._ticks += 1
+
+    def reset(self) -> None:
+        """Resets the state to that before the first step."""
+        self._running.reset()
+        self._last, self._ticks = -np.inf, 0
+
+    def signal(self, name: str) -> np.ndarray:
+        """A signal of the last step by its name, such as `torque`, `error` or `measurement`; a view.
+
+        The tuner's `weights` or `setting` apply from the next step on.
+        """
+        return self._running.signal(name)
+
+    @property
+    def status(self) -> str:
+        """Level of the safety layer: `none` where all is well, then `hold`, `ramp`, `safe_hold`, `end`."""
+        return LEVELS[int(self._running.signal("safety")[0])] if self._safe else LEVELS[0]
+
+
+def _without(parts: list[Part], signals: set[str]) -> list[Part]:
+    """The parts that need none of some signals, nor what depends on these."""
+    kept = []
+    for part in parts:
+        if signals.intersection(source for port in part.inputs if isinstance(source := part.source(port), str)):
+            signals |= {part.signal(output) for output in part.outputs}
+        else:
+            kept.append(part)
+    return kept

@@ -1,0 +1,323 @@
+"""What a motion must keep to, and how far a pose or a motion is from each limit: one compiled law, on all cores.
+
+A margin is positive inside, in the limit's own unit. A motion is checked at its samples; beyond them, a sign change of
+the rods' determinant, a parallel singularity jumped over, counts as broken `conditioning`. `transmission` |e_l . e_N|
+is zero where a crank is at its dead centre (serial), `conditioning` where the rods' lines lose rank (parallel).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from stewart_drake.base.config import Positive, Section
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.jit import fields, njit, record
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.dynamics_laws import loads, twists_of_motion
+from stewart_drake.mechanics.kinematics import over_rows
+from stewart_drake.mechanics.kinematics_laws import (
+    LEGS,
+    cross,
+    dot,
+    robot_record,
+    turned,
+)
+from stewart_drake.mechanics.singularities import PLANNED, measure_pose
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.robot_scale import LENGTH
+
+Ratio = Annotated[Positive, Field(le=1.0)]
+
+
+class Limits(Section, key="limits"):
+    """Limits on the reference motion; null switches a limit off.
+
+    The paper gives none of these; the defaults are assumptions of this project.
+    """
+
+    reach: Ratio | None = 0.98
+    """[-] largest extension of a leg, where 1 is the end of its reach: |C| / sqrt(A^2 + B^2) of the crank equation.
+    null means 1, beyond which the rod cannot reach its joint."""
+    euler_pitch: Annotated[Positive, Field(le=math.pi / 2.0)] | None = math.radians(85.0)
+    """[rad] largest |pitch|; the Euler angles of a pose are singular at pi/2."""
+    conditioning: Ratio | None = PLANNED.conditioning
+    """[-] smallest distance from a parallel singularity, a pose that the rods cannot hold: sigma_min / sigma_max of the
+    rods' lines."""
+    transmission: Ratio | None = PLANNED.transmission
+    """[-] smallest distance of a crank from its dead centre, in line with its rod: |e_l . e_N|, the cosine of the angle
+    between the rod and the velocity of the crank's end."""
+    joint_swing: Annotated[Positive, Field(le=math.pi)] | None = math.radians(65.0)
+    """[rad] largest swing of a rod from home, at the platform (ball joint) and at its crank (universal joint). The
+    paper's own reference (37), (38) needs 63.1 deg at the universal joint of leg 2."""
+    clearance: Annotated[Positive | None, LENGTH] = 0.005
+    """[m] smallest distance between the surfaces of cranks and rods of different legs; the default scales with the
+    robot."""
+    crank_speed: Positive | None = 10.0
+    """[rad/s] largest crank speed that the reference may need."""
+    torque_fraction: Positive | None = 1.0
+    """[-] largest |motor torque| of the exact inverse dynamics, as a fraction of `robot.effort_limit`."""
+
+
+class SuccessCriteria(Section, key="bounds"):
+    """Bounds that a run must keep for its motion to count as followed; null switches a bound off.
+
+    A bound applies while the controller is in charge, from when the run is first inside it; a run that never gets
+    inside is lost. The default lengths scale with the robot.
+    """
+
+    rotation: Positive | None = math.radians(10.0)
+    """[rad] largest rotation error, the angle between platform and reference."""
+    position: Annotated[Positive | None, LENGTH] = 0.03
+    """[m] largest position error, the distance between platform and reference."""
+    loop_gap: Annotated[Positive | None, LENGTH] = 0.001
+    """[m] largest gap between a rod's end and its platform joint; a larger one opens the simulated closed chain."""
+    motion_ratio: Positive | None = 0.25
+    """[-] smallest size of the platform's motion over its reference's, see docs/promises.md. Friction that holds the
+    robot makes it 0."""
+    error_ratio: Positive | None = 1.0
+    """[-] largest error after settling, over the size of the reference's motion, see docs/promises.md."""
+
+
+RULES = {
+    "reach": ("-", "|C| / sqrt(A^2 + B^2) <= {:g}"),
+    "euler_pitch": ("rad", "|pitch| <= {:.4g} rad"),
+    "conditioning": ("-", "sigma_min / sigma_max of the rods' lines >= {:g}, without crossing zero"),
+    "transmission": ("-", "|e_l . e_N| >= {:g}"),
+    "joint_swing": ("rad", "swing of the rod from home <= {:.4g} rad"),
+    "clearance": ("m", "distance of the links' surfaces >= {:g} m"),
+    "crank_range": ("rad", "distance of the crank angle from its stops >= {:g} rad"),
+    "crank_speed": ("rad/s", "|crank speed| <= {:g} rad/s"),
+    "torque": ("N m", "|motor torque| <= {:g} N m"),
+}
+"""Unit of the margin and wording of each limit, in the order in which simultaneous violations are named."""
+
+_LINKS = [(kind, leg) for kind in ("crank", "rod") for leg in range(6)]
+_PAIRS = [pair for pair in itertools.combinations(_LINKS, 2) if pair[0][1] != pair[1][1]]
+PLACES: dict[str, list[tuple[int | None, str]]] = {
+    **{limit: [(leg, f"leg {leg}") for leg in range(6)] for limit in RULES},
+    "euler_pitch": [(None, "platform")],
+    "conditioning": [(None, "platform")],
+    "joint_swing": [(leg, f"{joint} joint of leg {leg}") for joint in ("ball", "universal") for leg in range(6)],
+    "clearance": [(one[1], "{} {} to {} {}".format(*one, *other)) for one, other in _PAIRS],
+}
+"""Leg and name of each column of a limit's margins."""
+
+
+def limit_bounds(robot: RobotParameters, limits: Limits) -> dict[str, float]:
+    """Value of each limit that is on, in the unit of its margin; `reach` always is."""
+    given = {name: getattr(limits, name, None) for name in RULES}
+    given["reach"] = 1.0 if limits.reach is None else limits.reach
+    given["torque"] = None if limits.torque_fraction is None else limits.torque_fraction * robot.effort_limit
+    given["crank_range"] = 0.0 if np.isfinite(robot.crank_angle_ranges).any() else None
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def limit_margins(
+    robot: RobotParameters,
+    limits: Limits,
+    pose: np.ndarray,
+    pose_rate: np.ndarray,
+    pose_acceleration: np.ndarray,
+    gravity: float,
+) -> dict[str, np.ndarray]:
+    """Margins (n, k) of a motion (n, 6) to each limit that is on, by `PLACES`; NaN where a rod cannot span."""
+    m = measure(robot, pose, pose_rate, pose_acceleration, gravity)
+    reached = m["assembly_sign"][~np.isnan(m["assembly_sign"])]
+    margins: dict[str, Callable[[float], np.ndarray]] = {
+        "reach": lambda bound: m["reach_margin"] - (1.0 - bound),
+        "euler_pitch": lambda bound: bound - np.abs(pose[:, 1:2]),
+        "conditioning": lambda bound: (m["assembly_sign"] * reached[:1].sum() * m["conditioning"] - bound)[:, None],
+        "transmission": lambda bound: m["transmission"] - bound,
+        "joint_swing": lambda bound: bound - _swing(robot, m),
+        "clearance": lambda bound: m["distance"] - bound,
+        "crank_range": lambda bound: np.subtract(*_stroke(robot, m)) - bound,
+        "crank_speed": lambda bound: bound - m["speed"],
+        "torque": lambda bound: bound * robot.effort_shares - m["torque"],
+    }
+    return {name: margins[name](bound) for name, bound in limit_bounds(robot, limits).items()}
+
+
+MEASURES = fields(
+    reach_margin=6, transmission=6, conditioning=(), assembly_sign=(), speed=6,
+    rod=(12, 3), angle=6, distance=60, torque=6, force=(), moment=(),
+)  # fmt: skip
+"""Measures at a pose and motion, NaN where a rod cannot span, but for `reach_margin`. That, transmission, conditioning,
+assembly_sign and |speed| are those of `measure_pose`. rod: directions of the rods in P, then along crank, lateral axis
+and e_N of their cranks. angle: of the cranks [rad]. distance: between the surfaces of links of different legs, in the
+order of `PLACES`, negative where they overlap [m]. torque: |motor torque| [N m]. force, moment: see `strength` [N],
+[N m]. Exactly at a singularity speed and torque are infinite."""
+
+POSE_MEASURES = (
+    *("reach_margin", "transmission", "conditioning", "ball_swing", "universal_swing", "stroke", "clearance"),
+    *("holding_torque", "force", "moment"),
+)
+"""Measures at a pose at rest, NaN where a rod cannot span, but for `reach_margin`. reach_margin, transmission: the
+smallest of a leg. conditioning: negative where the lines' determinant has not the sign that it has at home; zero at a
+parallel singularity. ball_swing, universal_swing: the largest [rad]. stroke: largest distance of a crank from the
+middle of its range, as a part of half of it; 0 of a robot without stops. clearance: smallest distance of the surfaces
+of links of different legs [m]. holding_torque: the largest [N m]. force, moment: see `strength` [N], [N m]."""
+
+_BLOCK = 1 << 16  # poses whose measures are kept at a time
+
+
+def measure(
+    robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray, pose_acceleration: np.ndarray, gravity: float
+) -> np.ndarray:
+    """`MEASURES` records (n,) of a motion (n, 6)."""
+    motion = [np.array(rows, dtype=float, order="C") for rows in (pose, pose_rate, pose_acceleration)]
+    measures = np.full((len(motion[0]), MEASURES.itemsize // 8), np.nan).view(MEASURES)[:, 0]
+    over_rows(_measure, (robot_record(robot), float(gravity), 2.0 * robot.link_radius), (*motion, measures))
+    return measures
+
+
+def measure_poses(robot: RobotParameters, pose: np.ndarray, gravity: float = STANDARD_GRAVITY) -> np.recarray:
+    """`POSE_MEASURES` records (n,) at poses (n, 6) [rad, m]."""
+    pose = np.asarray(pose, dtype=float)
+    if pose.ndim != 2 or pose.shape[1] != 6 or not np.isfinite(pose).all():
+        raise ConfigurationError("pose", pose, "finite numbers of shape (n, 6)")
+    measures = np.recarray(len(pose), [(name, float) for name in POSE_MEASURES])
+    for start in range(0, len(pose), _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        still = np.zeros_like(pose[rows])
+        m = measure(robot, pose[rows], still, still, gravity)
+        half, stroke = _stroke(robot, m)
+        ball, universal = np.hsplit(_swing(robot, m), 2)
+        least = {"reach_margin": m["reach_margin"], "transmission": m["transmission"], "clearance": m["distance"]}
+        most = {"ball_swing": ball, "universal_swing": universal, "stroke": stroke / half}
+        most["holding_torque"] = m["torque"] / robot.effort_shares
+        results = {"conditioning": m["conditioning"] * m["assembly_sign"] * _at_home(robot)["assembly_sign"]}
+        results |= {"force": m["force"], "moment": m["moment"]}
+        results |= {name: values.min(axis=1) for name, values in least.items()}
+        results |= {name: values.max(axis=1) for name, values in most.items()}
+        for name, values in results.items():
+            measures[name][rows] = values
+    return measures
+
+
+@lru_cache(maxsize=128)
+def _at_home(robot: RobotParameters) -> np.void:
+    still = np.zeros((1, 6))
+    return measure(robot, robot.home_pose[None], still, still, 0.0)[0]
+
+
+def _swing(robot: RobotParameters, measures: np.ndarray) -> np.ndarray:
+    """Swings (n, 12) [rad] of the rods from home, at the ball joints, then at the universal joints."""
+    (a, b, c), (x, y, z) = np.moveaxis(measures["rod"], -1, 0), _at_home(robot)["rod"].T
+    across = np.sqrt((b * z - c * y) ** 2 + (c * x - a * z) ** 2 + (a * y - b * x) ** 2)
+    return np.arctan2(across, a * x + b * y + c * z)
+
+
+def _stroke(robot: RobotParameters, measures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Half of the cranks' ranges (6,) [rad], and how far (n, 6) [rad] the cranks are from the middle of theirs."""
+    stops = np.isfinite(robot.crank_angle_ranges)
+    low, high = np.where(stops, robot.crank_angle_ranges, [-2.0 * np.pi, 2.0 * np.pi]).T
+    off = measures["angle"] - 0.5 * (low + high)
+    return 0.5 * (high - low) if stops.any() else np.full(6, np.inf), np.abs(np.arctan2(np.sin(off), np.cos(off)))
+
+
+@njit
+def _rod_directions(legs: Any, out: Any) -> None:
+    lateral, to_platform = np.empty(3), np.ascontiguousarray(legs.rotation.T)
+    for i in range(6):
+        turned(to_platform, legs.e_l[i], out[i])
+        cross(legs.e_n[i], legs.crank[i], lateral)
+        out[6 + i, 0], out[6 + i, 1] = dot(legs.e_l[i], legs.crank[i]), dot(legs.e_l[i], lateral)
+        out[6 + i, 2] = legs.transmission[i]
+
+
+@njit
+def segment_distance(start: Any, way: Any, other_start: Any, other_way: Any) -> float:
+    """Distance [m] between segments of start and way (3,): Ericson, Real-Time Collision Detection (2005), 5.1.9."""
+    uu, uv, vv, ur, vr = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(3):
+        u, v, r = way[k], other_way[k], start[k] - other_start[k]
+        uu += u * u
+        uv += u * v
+        vv += v * v
+        ur += u * r
+        vr += v * r
+    # Of parallel segments any s will do to start with: t follows from it, and s once more from the clamped t.
+    s, tiny, determinant = 0.0, 2.2250738585072014e-308, uu * vv - uv * uv
+    if determinant > 2.220446049250313e-16 * uu * vv:
+        s = min(1.0, max(0.0, (uv * vr - ur * vv) / determinant))
+    t = min(1.0, max(0.0, (uv * s + vr) / max(vv, tiny)))
+    s = min(1.0, max(0.0, (uv * t - ur) / max(uu, tiny)))
+    square = 0.0
+    for k in range(3):
+        gap = start[k] - other_start[k] + s * way[k] - t * other_way[k]
+        square += gap * gap
+    return np.sqrt(square)
+
+
+@njit
+def _link_distances(robot: Any, legs: Any, apart: float, out: Any) -> None:
+    """Fills `MEASURES.distance`: cranks, then rods, in pairs, less `apart` [m]."""
+    start, way = np.empty((12, 3)), np.empty((12, 3))
+    for i in range(6):
+        for k in range(3):
+            way[i, k], way[6 + i, k] = robot.crank_length[i] * legs.crank[i, k], robot.rod_length[i] * legs.e_l[i, k]
+            start[i, k] = robot.shaft[i, k]
+            start[6 + i, k] = start[i, k] + way[i, k]
+    pair = 0
+    for i in range(12):
+        for j in range(i + 1, 12):
+            if j != i + 6:
+                out[pair] = segment_distance(start[i], way[i], start[j], way[j]) - apart
+                pair += 1
+
+
+@njit
+def strength(legs: Any, inverse: Any, torque: Any, limit: Any) -> Any:
+    """Largest force [N] and moment [N m] that can be exerted in every direction, each without the other.
+
+    To exert the wrench w the motors need T = t + A w, with t the holding torque and A the inverse of the map tau of
+    (18), `statics`. Over all forces of size r the term of motor i runs from -r |a_i| to r |a_i|, a_i the three entries
+    of row i of A that belong to the force (or to the moment): the largest r is min_i (T_max - |t_i|) / |a_i|, and zero
+    where the weight alone is too much.
+    """
+    force, moment = np.inf, np.inf
+    for i in range(6):
+        spare, size, row = limit[i] - torque[i], abs(legs.lever[i]), inverse[:, i].copy()
+        if not spare > 0.0:
+            return 0.0, 0.0
+        force = min(force, spare / (size * np.sqrt(dot(row[3:], row[3:]))))
+        moment = min(moment, spare / (size * np.sqrt(dot(row[:3], row[:3]))))
+    return force, moment
+
+
+@njit
+def _measure(robot: Any, gravity: float, apart: float, poses: Any, rates: Any, accelerations: Any, out: Any) -> None:
+    """Fills `MEASURES` records, which are NaN before."""
+    robot, store, inverse = record(robot), np.empty(1, LEGS), np.empty((6, 6))
+    twist, twist_rate, wrench, of_cranks = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+    for n in range(len(poses)):
+        legs, m = record(store), record(out[n : n + 1])
+        twists_of_motion(poses[n], rates[n], accelerations[n], twist, twist_rate)
+        inverse[:] = 0.0
+        for i in range(6):
+            inverse[i, i] = 1.0
+        if not measure_pose(robot, poses[n], twist, 1e-14, legs, inverse, m):
+            m.transmission[:] = np.nan
+            continue
+        _rod_directions(legs, m.rod[:])
+        _link_distances(robot, legs, apart, m.distance[:])
+        for i in range(6):
+            m.angle[i] = np.arctan2(legs.sine[i], legs.cosine[i])
+        if m.assembly_sign == 0.0 or m.transmission.min() == 0.0:
+            m.speed[:], m.torque[:] = np.inf, np.inf
+            m.force, m.moment = 0.0, 0.0
+            continue
+        loads(robot, legs, twist, twist_rate, gravity, wrench, of_cranks)
+        for i in range(6):
+            force = 0.0
+            for k in range(6):
+                force += inverse[k, i] * wrench[k]
+            m.torque[i], m.speed[i] = abs(legs.lever[i] * force + of_cranks[i]), abs(m.speed[i])
+        m.force, m.moment = strength(legs, inverse, m.torque[:], robot.effort_limit[:])

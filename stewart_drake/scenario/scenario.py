@@ -1,0 +1,221 @@
+"""One run as typed YAML: read, checked to the last key, frozen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, TypeVar
+
+from pydantic import Field, TypeAdapter
+
+from stewart_drake.base.code import anchored, trusting_code
+from stewart_drake.base.config import (
+    Count,
+    NotNegative,
+    Positive,
+    to_plain,
+)
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.families import user_parts
+from stewart_drake.base.registry import MOTORS, OWN_METRICS, PLANTS, SENSORS
+from stewart_drake.base.sampling import steps_per
+from stewart_drake.base.yaml_files import find_file, parse_changes, read_mapping
+from stewart_drake.control.lqi import LqiOptions
+from stewart_drake.hardware.disturbances import AnyDisturbance
+from stewart_drake.hardware.motors import LinkOptions, MotorOptions, TorqueMotors
+from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.plant.plant_options import DrakeOptions, PlantOptions
+from stewart_drake.references import RecordedReference
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LARGEST_SIZE
+from stewart_drake.robot.robot_files import AnyRobot
+from stewart_drake.robot.robot_scale import PAPER
+from stewart_drake.scenario.control_options import Belief, ControlOptions
+from stewart_drake.scenario.keys import with_keys
+from stewart_drake.scenario.limits import Limits, SuccessCriteria
+
+MAX_STEPS = 10**9
+"""Of the plant in a run: beyond it sample times, which are stretched slightly, would lose their step."""
+
+
+class Scenario(ControlOptions):
+    """Everything that one run depends on; `load_scenario` reads a file.
+
+    Raises:
+        ConfigurationError: Names the key, the value and what is allowed.
+    """
+
+    nominal_robot: ClassVar[RobotParameters | None] = PAPER
+
+    duration: Annotated[Positive, Field(le=1e6)] = 10.0
+    """[s] simulated time; that of a recorded motion where it is not given. The run ends with the last whole step of the
+    plant, at most 1e9 of them."""
+    gravity: Annotated[NotNegative, Field(le=LARGEST_SIZE)] = STANDARD_GRAVITY
+    """[m/s^2] gravity, along -z of the base frame B; 0 for none."""
+    robot: AnyRobot = Field(default_factory=lambda: PAPER)
+    """The simulated robot: geometry, masses and limits; a section, a robot's name, or a YAML file with the same
+    keys."""
+    plant: Annotated[PlantOptions, PLANTS] = Field(default_factory=DrakeOptions)
+    """The simulation of the robot: its kind, time step, friction, payload; without `kind`, Drake's plant."""
+    motors: Annotated[MotorOptions, MOTORS] = Field(default_factory=TorqueMotors)
+    """The motors, with their imperfections; by default they take torques and have none."""
+    disturbances: tuple[AnyDisturbance, ...] = ()
+    """External wrenches on the platform; they add up."""
+    sensors: Annotated[SensorOptions, SENSORS] = Field(default_factory=IdealSensors)
+    """The sensors: what they measure, their resolution, noise and faults."""
+    command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
+    """[ticks] delay from a command to the motors, in control periods; until the first arrives the motors hold the start
+    pose."""
+    link: LinkOptions = Field(default_factory=LinkOptions)
+    """The link that carries commands to the motors, after `command_delay`: what it drops, delays or corrupts."""
+    bounds: SuccessCriteria = Field(default_factory=SuccessCriteria)
+    """Bounds on the run, such as its largest error; they decide whether it counts as followed."""
+    limits: Limits = Field(default_factory=Limits)
+    """Limits on the reference, such as crank speed; checked before the run."""
+    metrics: tuple[Annotated[Any, OWN_METRICS], ...] = ()
+    """Your own metrics, each a `Metric` by its import path: module:name or path/to/file.py:name."""
+    log_period: Positive | None = None
+    """[s] time between log rows, a whole multiple of plant.time_step, at most duration; null takes
+    controller.period."""
+
+    @classmethod
+    def _validated(cls, data: Any, key: str, **details: Any) -> Any:
+        scenario = super()._validated(data, key, **details)
+        if isinstance(data, dict) and "duration" not in data and isinstance(scenario.reference, RecordedReference):
+            vars(scenario)["duration"] = scenario.reference.end
+            scenario.rules()
+        return scenario
+
+    def __repr__(self) -> str:
+        """What it is about, in ten lines; `to_yaml` has every key."""
+
+        def kinds(parts: Iterable[Any]) -> str:
+            return ", ".join(str(part.kind) for part in parts) or "none"
+
+        weighted = isinstance(self.controller, LqiOptions) or self.controller.code is not None
+        safety = "none" if self.safety is None else f"{len(self.safety.monitor_names) - 1} monitors"
+        return (
+            f"Scenario {self.name}: {self.duration:g} s, gravity {self.gravity:g} m/s^2\n"
+            f"  reference: {kinds([self.reference])}\n"
+            f"  controller: {self.controller.kind}, a tick every {self.controller.period:g} s\n"
+            f"  tuner: {self.tuner.kind if weighted else 'none'}\n"
+            f"  sensors: {self.sensors.kind}; estimator: {self.estimator.kind}\n"
+            f"  commands: {self.command_delay} ticks late\n"
+            f"  disturbances: {kinds(self.disturbances)}\n"
+            f"  safety: {safety}\n"
+            f"  plant: {self.plant.kind}, steps of {self.plant.time_step:g} s\n"
+            f"  robot: {repr(self.robot).splitlines()[2].strip()}"
+        )
+
+    @property
+    def nominal(self) -> Belief:
+        """The simulated machine as it is meant to be: without faults, friction and payload."""
+        readings, motors = self.sensors, self.motors.nominal
+        return Belief(
+            self.robot, self.gravity, None, readings.reading, readings.reading_noise, self.command_delay, motors
+        )
+
+    def control(self) -> ControlOptions:
+        """Its controller's side alone, with `model` written out: what is carried to a machine."""
+        full = self.to_dict() | {"model": to_plain(self.belief._asdict())}
+        plain = {name: full[name] for name in ControlOptions.__pydantic_fields__}
+        return ControlOptions.from_dict(plain, trust_code=all(part.code.trusted for part in user_parts(self)))
+
+    @property
+    def effective_log_period(self) -> float:
+        """[s] between log rows."""
+        return self.controller.period if self.log_period is None else self.log_period
+
+    def linearize(self, pose: Any = None) -> Any:
+        """The plant and the loop near a pose (6,) [rad, m], as matrices; see `stewart_drake.linearize`."""
+        from stewart_drake import linearize
+
+        return linearize(self, pose)
+
+    def rules(self) -> None:
+        """Periods fit each other, readings the sensors, and the tuner its estimator."""
+        super().rules()
+        if self.belief.reading != self.sensors.reading:
+            raise ConfigurationError("model.reading", self.belief.reading, f"{self.sensors.reading}, as sensors read")
+        believed, motors = self.belief.motors, self.motors
+        # What a user's motors take is their own affair.
+        if motors.code is None and believed.takes != motors.takes:
+            allowed = f"motors that take {motors.takes} [{motors.unit}], as `motors` do"
+            raise ConfigurationError("model.motors.kind", believed.kind, allowed)
+        steps_per("controller.period", self.controller.period, self.plant.time_step)
+        steps_per("estimator.period", self.reading_period, self.plant.time_step)
+        largest = MAX_STEPS * self.plant.time_step
+        if self.duration > largest * (1.0 + 1e-9):
+            raise ConfigurationError(
+                "duration", self.duration, f"at most {largest:g} s, which are 1e9 steps of the plant"
+            )
+        if self.duration < self.controller.period:
+            allowed = f"at least one control period, {self.controller.period:g} s"
+            raise ConfigurationError("duration", self.duration, allowed)
+        if self.log_period is not None:
+            steps_per("log_period", self.log_period, self.plant.time_step)
+            if self.log_period > self.duration:
+                raise ConfigurationError("log_period", self.log_period, f"at most the duration, {self.duration:g} s")
+
+
+_Options = TypeVar("_Options", bound=ControlOptions)
+
+
+def load_scenario(path: str | Path, overrides: Iterable[str] = (), trust_code: bool = False) -> Scenario:
+    """Reads a scenario file.
+
+    Args:
+        path: YAML file; `weights_file`, `motion_file` and files with code in it are relative to its folder. A bare name
+            such as `paper_fig7` is looked up among the scenarios of the package.
+        overrides: `key=value` texts, keys dotted, values as YAML, see `Scenario.replace`; files among them are relative
+            to the current folder.
+        trust_code: Let the code run that is named in it and in `overrides`.
+
+    Raises:
+        ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
+    """
+    return _load(Scenario, "scenario", path, overrides, trust_code)
+
+
+def load_controller(path: str | Path, overrides: Iterable[str] = (), trust_code: bool = False) -> ControlOptions:
+    """Reads a file of the controller's side alone, see `Scenario.control`; arguments and errors as `load_scenario`."""
+    return _load(ControlOptions, "controller", path, overrides, trust_code)
+
+
+def _load(kind: type[_Options], what: str, path: str | Path, overrides: Iterable[str], trust_code: bool) -> _Options:
+    path = find_file(what, path)
+    data = anchored(read_mapping(what, path, 100), path.parent)
+    changes = anchored(parse_changes(overrides, "controller.period=0.002"), Path())
+    with trusting_code(trust_code):
+        return with_keys(kind, data, changes)
+
+
+def require_scenario(value: object) -> None:
+    """Raises a `TypeError` for anything but a Scenario."""
+    if not isinstance(value, Scenario):
+        raise TypeError(f"a Scenario is needed, not {value!r}; load_scenario reads one from a file")
+
+
+def scenario_schema() -> dict[str, Any]:
+    """JSON schema of a scenario file, for editors: each section once, under `$defs`."""
+    sections: dict[str, Any] = {}
+
+    def moved(node: Any) -> Any:
+        if isinstance(node, list):
+            return [moved(each) for each in node]
+        if not isinstance(node, dict):
+            return node
+        node = {key: moved(each) for key, each in node.items()}
+        if "properties" not in node or "title" not in node:
+            return node
+        name = node["title"]
+        while sections.setdefault(name, node) != node:
+            name += "_"
+        return {"$ref": f"#/$defs/{name}"}
+
+    schema = TypeAdapter(Scenario).json_schema()
+    for name, section in schema.pop("$defs", {}).items():
+        sections[name] = {key: moved(each) for key, each in section.items()}
+    schema = {key: moved(each) for key, each in schema.items()}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "$defs": sections}

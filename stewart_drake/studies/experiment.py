@@ -1,0 +1,255 @@
+"""What every experiment is: runs of scenarios, a row each, and its tables."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self, TypeVar
+
+from pydantic import Field
+
+from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.code import TRUST, anchored
+from stewart_drake.base.config import NAME, NAME_WORDS, Section, Text, with_message
+from stewart_drake.base.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.base.families import refuse_given, user_parts
+from stewart_drake.base.markdown import TextTable, number
+from stewart_drake.base.tables import to_csv, to_parquet
+from stewart_drake.base.yaml_files import find_file, read_mapping
+from stewart_drake.logs.metrics import Column, run_metrics
+from stewart_drake.logs.outcomes import describe_outcome
+from stewart_drake.logs.versions import collect_versions
+from stewart_drake.scenario.scenario import Scenario, load_scenario
+from stewart_drake.studies.runs import Measure, Row, RowStore, Trial, identity, measure_all
+from stewart_drake.studies.workers import Workers
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+T = TypeVar("T")
+StudyName = Annotated[Text, Field(max_length=80, pattern=NAME), with_message(f"at most 80 {NAME_WORDS}")]
+Tables = Mapping[str, tuple[Sequence[Column], list[Row]]]
+"""Name of a table -> its columns, and its rows, which may say more."""
+RunTrials = Callable[[Sequence[Trial]], list[Row]]
+"""See `RowStore.rows`."""
+INCIDENTAL = (
+    Column("wall_s", "s", "wall-clock time of the run: diagram, simulation, metrics"),
+    Column("simulation_s", "s", "wall-clock time of the simulation alone"),
+    Column("host", "", "name of the machine", "text"),
+    Column("worker", "", "number of the worker process", "integer"),
+)
+COMPARED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
+
+
+class StudyFile(Section):
+    """Keys that the files of sweeps and comparisons have; paths among them are absolute."""
+
+    name: StudyName
+    """Name of the study, for the output folder and titles."""
+    scenario: Text
+    """The scenario to change: a file, relative to this one, or the name of a shipped scenario."""
+    set: dict[Text, Any] = Field(default_factory=dict)
+    """Scenario key -> value, for every run."""
+
+    @classmethod
+    def read(cls, what: str, data: Any, folder: Path | None) -> tuple[Self, Scenario]:
+        """The keys from plain values, and the scenario with `set` in it; paths are relative to `folder`."""
+        folder = Path() if folder is None else folder
+        if not isinstance(data, Mapping):
+            raise ConfigurationError(what, data, "a mapping of keys to values")
+        given = cls.from_dict(anchored(data, folder))
+        place = folder / given.scenario
+        with error_prefix("scenario: "):
+            # Unlike `Path.is_file` this never raises, whatever stands in the way.
+            loaded = load_scenario(place if os.path.isfile(place) else given.scenario)  # noqa: PTH113
+        with error_prefix("set."):
+            return given, with_changes(loaded, given.set)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Experiment:
+    """Runs of a scenario with some keys changed, and what is made of their rows.
+
+    `kind` is the name of the first table, and the key of what the tables' metadata say of the experiment; `work` is
+    what the rows depend on, in plain values; `variants` together name every weights file and class of the user's.
+    """
+
+    kind: str
+    name: str
+    base: Scenario
+    trials: Sequence[Trial]
+    columns: Sequence[Column]
+    work: Mapping[str, Any]
+    variants: Sequence[Scenario] = ()
+
+    @property
+    def runs(self) -> int:
+        return len(self.trials)
+
+    def rows(self, run: RunTrials) -> list[Row]:
+        return run(self.trials)
+
+    def tables(self, rows: list[Row]) -> Tables:
+        return {self.kind: (self.columns, rows)}
+
+    def page(self, rows: Mapping[str, list[Row]]) -> str:  # noqa: ARG002
+        """Markdown of the rows by table; empty for no page."""
+        return ""
+
+    def scenario(self, index: int) -> Scenario:
+        """The scenario of run `index`; ConfigurationError where its values do not make one."""
+        return self.trials[index].scenario()
+
+    def identity(self) -> dict[str, Any]:
+        """What kept rows are known by; the user's classes are loaded: one that lacks shows early."""
+        for part in {part.code: part for variant in self.variants for part in user_parts(variant)}.values():
+            part.load()
+        return identity(self.work, self.variants)
+
+    def compared(self, rows: Sequence[Row]) -> str | None:
+        """A line on fast plants: the first completed run on one again, on the plant that it replaces; None without."""
+        kinds = {variant.plant.kind for variant in self.variants if variant.plant.compared_with}
+        if not kinds:
+            return None
+        line = f"Plant: {', '.join(sorted(kinds))}"
+        for trial, row in zip(self.trials, rows, strict=True):
+            if row["status"] != "completed" or (other := trial.scenario().plant.compared_with) is None:
+                continue
+            try:
+                log = trial.function(trial.scenario().replace({"plant.kind": other}))
+            except StewartDrakeError as error:
+                return f"{line}. Run {trial.key} does not run on {other}: {error}"
+            figures, words = run_metrics(log), [describe_outcome(log.status, log.reason)]
+            for name in COMPARED:
+                if row.get(name) is not None and figures.get(name):
+                    change = 100.0 * (row[name] / figures[name] - 1.0)
+                    words.append(f"{name} {figures[name]:.3g} (here {change:+.2g} %)")
+            return f"{line}. Run {trial.key} on {other}: {', '.join(words)}."
+        return f"{line}; no run completed to compare."
+
+
+class Result(NamedTuple):
+    folder: Path
+    rows: dict[str, list[Row]]
+    tables: dict[str, pa.Table]
+    compared: str | None = None
+
+
+def run_experiment(
+    experiment: Experiment,
+    folder: Path,
+    workers: Workers | None = None,
+    progress: Callable[[float], None] | None = None,
+    restart: bool = False,
+) -> Result:
+    """Runs what is missing of an experiment and writes its tables; `progress` gets the number of runs done."""
+    with RowStore(folder, experiment.identity(), workers, progress, restart) as store:
+        rows = experiment.rows(store.rows)
+        compared = experiment.compared(rows)
+        about = {"name": experiment.name, "runs": experiment.runs, **experiment.work}
+        metadata = {experiment.kind: about, "versions": collect_versions(), "compared": compared}
+        tables = experiment.tables(rows)
+        arrow = {name: to_arrow(*table, experiment.kind, metadata) for name, table in tables.items()}
+        result = Result(folder, {name: wide for name, (_, wide) in tables.items()}, arrow, compared)
+        for name, table in arrow.items():
+            if table.num_rows:
+                write_atomically(folder / f"{name}.parquet", to_parquet(table))
+                write_atomically(folder / f"{name}.csv", to_csv(table))
+        if page := experiment.page(result.rows):
+            text = page if compared is None else f"{page}\n{compared}\n"
+            write_atomically(folder / f"{experiment.kind}.md", text.encode())
+    return result
+
+
+def load_experiment(kind: str, path: str | Path, make: Callable[[dict[str, Any], Path], T]) -> T:
+    """Code that the file names runs where it is loaded within `trusting_code`."""
+    path = find_file(kind, path)
+    return make(read_mapping(kind, path, 80), path.parent)
+
+
+def trial_of(
+    base: Mapping[str, Any],
+    index: int,
+    name: str,
+    changes: Mapping[str, Any],
+    labels: Mapping[str, Any],
+    measure: Measure = measure_all,
+    **more: Any,
+) -> Trial:
+    """A run by its number; figures are those of every tick, whatever the scenario wants in a log."""
+    changes = {"name": name, **changes, "log_period": None}
+    more = {"trust_code": TRUST.get(), **more}
+    return Trial(str(index), base, changes, {"index": index, **labels}, measure, **more)
+
+
+@contextmanager
+def error_prefix(where: str) -> Iterator[None]:
+    try:
+        yield
+    except ConfigurationError as error:
+        raise error.within(where) from None
+
+
+def with_changes(base: Scenario, changes: Mapping[str, Any]) -> Scenario:
+    """A scenario with some keys changed; ConfigurationError where none results, or with a part given in Python."""
+    changed = base.replace(changes)
+    refuse_given(changed)
+    return changed
+
+
+# --- tables, for programs and for readers ---
+
+
+def to_arrow(
+    columns: Sequence[Column], rows: Iterable[Mapping[str, Any]], key: str, about: Mapping[str, Any]
+) -> pa.Table:
+    import pyarrow as pa
+
+    types = {"number": pa.float64(), "integer": pa.int64(), "flag": pa.bool_()}
+    fields = [
+        pa.field(each.name, types.get(each.kind, pa.string()), metadata={"unit": each.unit, "text": each.text})
+        for each in columns
+    ]
+    as_text = [column.name for column in columns if column.kind == "json"]
+    plain = [{**row, **{name: json.dumps(row.get(name)) for name in as_text}} for row in rows]
+    return pa.Table.from_pylist(plain, pa.schema(fields, metadata={f"stewart_drake.{key}": json.dumps(about)}))
+
+
+def grouped(rows: Iterable[Mapping[str, Any]], *columns: str) -> dict[tuple[Any, ...], list[Any]]:
+    """Rows by their values in some columns, in the order in which these come."""
+    groups: dict[tuple[Any, ...], list[Any]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[column] for column in columns), []).append(row)
+    return groups
+
+
+Show = Callable[[list[Row]], str]
+
+
+def pivot(
+    title: str, rows: Sequence[Row], line: str, column: str, show: Show, more: Mapping[str, Show] | None = None
+) -> TextTable:
+    """A line for each value of one column, a cell for each of another; `more`: heading -> cell of the whole line."""
+    cells, more = grouped(rows, line, column), more or {}
+    values = [value for (value,) in grouped(rows, column)]
+    lines = [
+        (name, *(show(cells[name, value]) if (name, value) in cells else "-" for value in values))
+        + tuple(of_line(group) for of_line in more.values())
+        for (name,), group in grouped(rows, line).items()
+    ]
+    headings = [f"{value:g} Hz" if isinstance(value, float) else value for value in values]
+    return TextTable(title, (line, *headings, *more), lines)
+
+
+def worst(rows: Iterable[Row], column: str) -> str:
+    """The largest number in a column, or a dash where one lacks."""
+    values: list[Any] = [row.get(column) for row in rows]
+    return number(max(values, default=None) if None not in values else None)
+
+
+def not_completed(rows: Iterable[Row]) -> int:
+    return sum(row["status"] != "completed" for row in rows)

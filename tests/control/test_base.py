@@ -1,0 +1,74 @@
+"""What all controllers share: the tracking error of the loop, and the torque limit with anti-windup."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from setups import setup_for
+from strategies import ROBOT, vectors
+from ticks import REST, standing, ticked
+
+from stewart_drake import Scenario, run
+from stewart_drake.base.jit import fields, new_record
+from stewart_drake.control.base import TRACKING_ERROR, limit_and_integrate
+from stewart_drake.control.classical import ComputedTorqueOptions, PidOptions
+from stewart_drake.control.lqi import LqiOptions
+from stewart_drake.mechanics.kinematics_laws import NO_GAIN
+
+HOME = np.array(ROBOT.home_pose)
+LQI = {"period": 0.001, "model": "exact", "weight_length": 0.11, "solver": "split"}
+LIMITED = [
+    (PidOptions, {"kp": 300.0}, "clamp"),
+    (PidOptions, {"kp": 300.0}, "back_calculation"),
+    (ComputedTorqueOptions, {"natural_frequency": 300.0}, "clamp"),
+    (LqiOptions, LQI, "clamp"),
+    (LqiOptions, LQI, "back_calculation"),
+]
+WEIGHTS = np.array([4.0e7, 300.0, 4.0e9, 1.0])
+
+
+def test_the_error_is_measured_minus_wanted_and_stays_where_one_is_no_number():
+    state, reference = TRACKING_ERROR.initial.copy(), np.concatenate([HOME - 0.01, np.ones(12)])
+    TRACKING_ERROR.tick(np.concatenate([HOME, REST]), reference, state)
+    np.testing.assert_allclose(state["error"][0], 0.01)
+    for bad in (np.nan, np.inf):
+        TRACKING_ERROR.tick(np.full(12, bad), reference, state)
+        TRACKING_ERROR.tick(np.concatenate([HOME, REST]), np.full(18, bad), state)
+        np.testing.assert_allclose(state["error"][0], 0.01)
+
+
+@settings(max_examples=20)
+@given(vectors(6, 0.03), st.sampled_from(LIMITED))
+def test_no_torque_exceeds_the_limit_and_an_integral_at_it_grows_less_than_without_a_limit(error, case):
+    kind, options, saturation = case
+
+    def tick(saturation):
+        (part,) = kind(**options, saturation=saturation).parts(setup_for())
+        more = [WEIGHTS] * ("weights" in part.inputs)
+        if more:
+            part = part._replace(inputs={**part.inputs, "weights": 4})
+        return ticked(part, HOME, REST, standing(HOME - error), *more)
+
+    limited, free = tick(saturation), tick("none")
+    name = "crank_integral" if kind is PidOptions else "integral"
+    np.testing.assert_allclose(limited.torque, np.clip(free.torque, -ROBOT.effort_limit, ROBOT.effort_limit))
+    if (limited.torque == free.torque).all():
+        np.testing.assert_array_equal(limited[name], free[name])
+    elif saturation == "clamp":
+        assert (np.abs(limited[name]) <= np.abs(free[name])).all()
+        assert not np.array_equal(limited[name], free[name])
+
+
+@pytest.mark.parametrize("controller", ["pid", "computed_torque", "lqi"])
+def test_a_run_logs_the_error_whatever_the_controller(controller):
+    log = run(Scenario(duration=0.05, controller=controller, plant={"kind": "closed_form"}), check=False)
+    np.testing.assert_array_equal(log["error"], log["pose"] - log["reference"])
+    assert log["integral"].any() == (controller != "pid")
+
+
+def test_back_calculation_with_a_gain_that_has_no_inverse_fails_as_no_gain_of_no_leg():
+    params = new_record(fields(period=(), limit=6, clamp=(), back_share=()), period=0.001, limit=1.0, back_share=0.5)
+    torque, integral = np.empty(6), np.zeros(6)
+    result = limit_and_integrate(params[0], np.full(6, 2.0), np.ones(6), np.zeros((6, 6)), False, torque, integral)
+    assert result == (NO_GAIN, -1, 0.0)
+    np.testing.assert_array_equal(torque, np.ones(6))

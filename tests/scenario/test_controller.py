@@ -1,0 +1,347 @@
+"""The controller's side alone: what it says to the readings of a run is what it said in the run."""
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+from conftest import python
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import vectors
+
+from stewart_drake import Controller, RobotParameters, Scenario, load_controller, load_scenario, run
+from stewart_drake.base.atomic_files import read_checked
+from stewart_drake.base.errors import ConfigurationError, RunFailure, SafetyStop
+from stewart_drake.control import network
+from stewart_drake.control.friction_compensation import standing_torque
+from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
+from stewart_drake.plant.closed_form import ClosedForm
+from stewart_drake.plant.plant_options import ANGLES, POSE
+from stewart_drake.scenario.assembly import loop_of
+
+ENCODERS = {"sensors": {"kind": "encoders"}, "estimator": {"kind": "difference", "rate_cutoff": 150.0}}
+OBSERVED = {
+    **ENCODERS,
+    "estimator": "observer",
+    "model": {"friction": {"coulomb": 0.01}},
+    "plant.motor_friction": 0.01,
+    "command_delay": 1,
+}
+POLICY = {**OBSERVED, "tuner": "policy"}
+
+
+def short(name, changes=(), duration=0.1):
+    return load_scenario(name).replace({"duration": duration, **dict(changes)})
+
+
+def readings_of(log):
+    sensors = log.scenario.sensors
+    if not isinstance(sensors, EncoderOptions):
+        return np.concatenate([log["pose"], log["pose_rate"]], axis=1)
+    part, readings = encoder_part(sensors), []
+    state = part.initial.copy()
+    for angles in log["crank_angle"]:
+        part.tick(np.append(angles, np.zeros(6)), state)
+        readings.append(state["reading"][0].copy())
+    return np.array(readings)
+
+
+def replayed(controller, log, names=("torque",)):
+    period, out, said = controller.period, np.empty(6), {name: [] for name in (*names, "out")}
+    for tick, reading in enumerate(readings_of(log)):
+        controller.step(reading, tick * period, out)
+        said["out"].append(out.copy())
+        for name in names:
+            said[name].append(controller.signal(name).copy())
+    return {name: np.array(values) for name, values in said.items()}
+
+
+CASES = {
+    "pose": ("exact_fig7", {}),
+    "encoders": ("exact_breathing", {**ENCODERS, "tuner": "block", "sensors.noise": 2e-5}),
+    "observer, friction": ("exact_breathing", {**OBSERVED, "tuner": "block"}),
+    "policy": ("exact_breathing", POLICY),
+    "the paper's network": ("paper_fig7", {"controller.solver": "split", "duration": 0.3}),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["closed_form", "drake"])
+@pytest.mark.parametrize(("name", "changes"), CASES.values(), ids=CASES.keys())
+def test_fed_with_what_a_run_read_its_file_says_what_the_run_logged(name, changes, kind, tmp_path):
+    log = run(short(name, {**changes, "plant.kind": kind}))
+    assert log.status == "completed"
+    names = [each for each in ("torque", "error", "integral", "innovation") if each in log.signals]
+    (tmp_path / "carried.yaml").write_text(log.scenario.control().to_yaml())
+    said = replayed(Controller(load_controller(tmp_path / "carried.yaml")), log, names)
+    # The fast engine calls the same laws on the same numbers. Drake's angles are sums of other terms, a bit apart.
+    bound = {"rtol": 0.0, "atol": 0.0} if kind == "closed_form" else {"rtol": 1e-7, "atol": 1e-8}
+    for signal in names:
+        np.testing.assert_allclose(said[signal], log[signal], **bound, err_msg=signal)
+    np.testing.assert_array_equal(said["out"], said["torque"])
+    assert np.ptp(said["torque"], axis=0).min() > 0.0
+
+
+def test_the_shipped_controller_is_that_of_the_shipped_scenario():
+    shipped, own = load_controller("reachy_mini"), load_scenario("reachy_nod").control()
+    assert shipped.belief.noise == pytest.approx(own.belief.noise, rel=0.01)
+    assert shipped.belief._replace(noise=own.belief.noise) == own.belief
+    for name in set(vars(own)) - {"name", "model", "_given"}:
+        assert getattr(shipped, name) == getattr(own, name), name
+
+
+def test_reset_gives_the_same_again():
+    log = run(short("exact_breathing", {**POLICY, "plant.kind": "closed_form", "safety": {}}))
+    controller = Controller(log.scenario)
+    first = replayed(controller, log)
+    controller.reset()
+    again = replayed(controller, log)
+    np.testing.assert_array_equal(first["out"], again["out"])
+
+
+def test_behind_a_safety_layer_it_says_how_it_is_and_ends_by_name():
+    log = run(short("exact_breathing", {"plant.kind": "closed_form", "safety.safe_hold_time": 0.01}, 0.15))
+    controller, out = Controller(log.scenario), np.empty(6)
+    readings, period = readings_of(log), controller.period
+    for tick in range(50):
+        controller.step(readings[tick], tick * period, out)
+        assert controller.status == "none"
+        np.testing.assert_array_equal(out, log["torque"][tick])
+    levels = []
+    # An encoder that tells nothing more: the estimator bridges it for a while, and then the layer takes over.
+    readings[50:, 2] = np.nan
+
+    def go_on():
+        for tick in range(50, len(readings)):
+            controller.step(readings[tick], tick * period, out)
+            levels.append(controller.status)
+            assert np.isfinite(out).all()
+
+    with pytest.raises(SafetyStop) as caught:
+        go_on()
+    assert list(dict.fromkeys(levels))[:2] == ["none", "hold"]
+    assert caught.value.reason in ("sensor_failed", "measurement_not_finite")
+    assert caught.value.time == pytest.approx((50 + len(levels)) * period)
+
+
+WITHOUT = """
+import json, sys
+sys.modules.update(pydrake=None, torch=None, pyarrow=None, matplotlib=None)
+import numpy as np
+from stewart_drake import Controller, load_scenario
+name, changes, readings = json.loads(sys.argv[1])
+controller, out = Controller(load_scenario(name).replace(changes)), np.empty(6)
+torques = []
+for tick, reading in enumerate(readings):
+    controller.step(np.array(reading), tick * controller.period, out)
+    torques.append(out.tolist())
+print(json.dumps(torques))
+"""
+
+
+@pytest.mark.slow
+def test_it_runs_where_drake_is_not_installed():
+    changes = {**POLICY, "safety": {}, "duration": 0.05}
+    log = run(short("exact_breathing", {**changes, "plant.kind": "closed_form"}))
+    given = json.dumps(["exact_breathing", changes, readings_of(log).tolist()])
+    torques = json.loads(python("-c", WITHOUT, given).splitlines()[-1])
+    np.testing.assert_array_equal(torques, replayed(Controller(log.scenario), log)["out"])
+
+
+def test_a_solver_that_needs_drake_is_refused_where_it_would_be_ignored():
+    scenario = short("exact_fig7", {"controller.solver": "drake"})
+    fast = scenario.replace({"plant.kind": "closed_form"})
+    for ignores in (lambda: Controller(scenario), lambda: run(fast)):
+        with pytest.raises(ConfigurationError, match=r"controller.solver: expected split, or null .*, got 'drake'"):
+            ignores()
+
+
+@pytest.mark.parametrize("name", ["exact_breathing", "paper_fig7"])
+def test_a_tuners_file_is_read_once_a_loop(name, monkeypatch):
+    paths = []
+
+    def counted(path, *more):
+        paths.append(path)
+        return read_checked(path, *more)
+
+    monkeypatch.setattr(network, "read_checked", counted)
+    loop_of(load_scenario(name))
+    assert len(paths) == 1
+
+
+def test_a_function_is_a_controller():
+    controller, out = Controller(Scenario(controller=lambda *_: np.arange(6.0))), np.empty(6)
+    controller.step(np.zeros(12), 0.0, out)
+    np.testing.assert_array_equal(out, np.arange(6.0))
+
+
+@pytest.fixture(scope="module")
+def by_torque():
+    """A controller that asks for 8 N m of motors that give 5, with and without safety layer."""
+    scenario = Scenario(controller=lambda *_: np.full(6, 8.0), robot={"effort_limit": 5.0})
+    return {"alone": Controller(scenario), "safety": Controller(scenario.replace(safety={"torque_rate": None}))}
+
+
+@pytest.mark.parametrize("name", ["alone", "safety"])
+def test_it_gives_no_more_than_the_motors_can(by_torque, name):
+    controller, out = by_torque[name], np.empty(6)
+    controller.reset()
+    home = np.concatenate([RobotParameters().home_pose, np.zeros(6)])
+    controller.step(home, 0.0, out)
+    np.testing.assert_array_equal(out, 5.0)
+
+
+def test_a_torque_that_is_no_number_never_comes_out():
+    controller = Controller(
+        load_scenario("exact_fig7", ("controller=lqi", "tuner=fixed", "controller.feedforward=none"))
+    )
+    out = np.full(6, 1.5)
+    with pytest.raises(RunFailure):
+        controller.step(np.full(12, np.nan), 0.0, out)
+    np.testing.assert_array_equal(out, 1.5)
+
+
+HOME = RobotParameters().home_pose
+REFUSED = {
+    "five readings": ("readings", {"readings": np.zeros(5)}),
+    "one reading for all": ("readings", {"readings": 0.0}),
+    "complex readings": ("readings", {"readings": np.zeros(12, dtype=complex)}),
+    "readings of words": ("readings", {"readings": ["0.1"] * 12}),
+    "read-only": ("out", {"out": np.broadcast_to(0.0, 6)}),
+    "whole numbers out": ("out", {"out": np.zeros(6, dtype=int)}),
+    "seven torques": ("out", {"out": np.zeros(7)}),
+    "a list": ("out", {"out": [0.0] * 6}),
+    "the same time": ("time", {"time": 0.0}),
+    "an earlier time": ("time", {"time": -1.0}),
+    "no time": ("time", {"time": np.nan}),
+    "a reading of the future": ("age", {"age": -0.001}),
+}
+
+
+@pytest.mark.parametrize(("key", "given"), REFUSED.values(), ids=REFUSED.keys())
+def test_what_is_not_as_said_is_refused_and_changes_nothing(by_torque, key, given):
+    controller = by_torque["alone"]
+    controller.reset()
+    usual = {"readings": np.concatenate([HOME, np.zeros(6)]), "time": 0.001, "out": np.full(6, 1.5)}
+    controller.step(usual["readings"], 0.0, np.empty(6))
+    before = controller._running.values.copy()
+    with pytest.raises(ConfigurationError) as caught:
+        controller.step(**{**usual, **given})
+    assert caught.value.key == key
+    assert "\n" not in str(caught.value)
+    np.testing.assert_array_equal(controller._running.values, before)
+    controller.step(**usual)
+
+
+def test_readings_that_are_too_old_reach_the_deadline():
+    scenario = Scenario(controller=lambda *_: np.zeros(6), gravity=0.0, reference="hold", safety={"deadline": 2})
+    controller, out = Controller(scenario), np.empty(6)
+    at_home, period = np.concatenate([HOME, np.zeros(6)]), controller.period
+    for tick, (age, status) in enumerate(
+        [(0.0, "none"), (2.0, "none"), (2.1, "hold"), (0.0, "none"), (np.inf, "hold")]
+    ):
+        controller.step(at_home, tick * period, out, age * period)
+        assert controller.status == status
+
+
+KINDS = [
+    {"kind": kind, "saturation": saturation, "period": 0.001}
+    for kind, ways in {
+        "lqi": ("none", "clamp", "back_calculation"),
+        "pid": ("none", "clamp", "back_calculation"),
+        "computed_torque": ("none", "clamp"),
+    }.items()
+    for saturation in ways
+]
+
+
+@pytest.mark.parametrize("safety", [None, {}])
+@pytest.mark.parametrize("controller", KINDS, ids=lambda keys: f"{keys['kind']}-{keys['saturation']}")
+@settings(max_examples=20, deadline=None)
+@given(steps=st.lists(st.tuples(vectors(6), st.floats(0.0, 5.0), st.floats(0.1, 5.0)), min_size=1, max_size=8))
+def test_whatever_it_reads_and_whenever_no_kind_gives_more_than_the_limit(controller, safety, steps):
+    """Angles far from the reference, readings of any age, ticks at any time; the limit is near the weight's torque."""
+    mine = the_controller(json.dumps(controller), json.dumps(safety))
+    mine.reset()
+    out, time = np.zeros(6), 0.0
+    for unit, age, later in steps:
+        pose = HOME + unit * [0.2, 0.2, 0.2, 0.03, 0.03, 0.02]
+        assert (abs(out) <= 0.6).all()
+        try:
+            mine.step(np.concatenate([pose, 0.1 * unit]), time, out, 0.001 * age)
+        except RunFailure:
+            break
+        time += 0.001 * later
+    assert (abs(out) <= 0.6).all()
+
+
+@cache
+def the_controller(controller, safety):
+    keys = {"controller": json.loads(controller), "safety": json.loads(safety), "robot.effort_limit": 0.6}
+    return Controller(short("exact_fig7", {**keys, "duration": 1.0}))
+
+
+class Machine:
+    """The closed chain as a machine with a clock of its own: steps of 0.1 ms, noisy encoders, commands under way."""
+
+    STEP = 1e-4
+
+    def __init__(self, scenario, noise, delay, seed=0):
+        options = scenario.replace({"plant.time_step": self.STEP, "log_period": 0.001}).plant
+        self.plant, self.rng = ClosedForm(scenario.robot, options, scenario.gravity), np.random.default_rng(seed)
+        self.measured, self.noise, self.delay = self.plant.initial(*scenario.start()), noise, round(delay / self.STEP)
+        self.torque = standing_torque(scenario.robot, scenario.start()[0], scenario.gravity)
+        self.steps, self.under_way = 0, []
+
+    def advance(self, until):
+        while self.steps < round(until / self.STEP):
+            while self.under_way and self.under_way[0][0] <= self.steps:
+                self.torque = self.under_way.pop(0)[1]
+            self.measured = self.plant.step(self.torque, np.zeros(6))
+            self.steps += 1
+
+    def read(self):
+        return self.measured[ANGLES] + self.noise * self.rng.normal(size=6)
+
+    def command(self, torque):
+        self.under_way.append((self.steps + self.delay, torque.copy()))
+
+
+def error_on_a_machine(noise=2e-5, delay=0.001, late=0.0, lost=0.0, duration=1.0):
+    """RMS error [mm] where the controller believes in noise of 2e-5 rad, a delay of 1 ms and a tick a millisecond.
+
+    `late` [s]: by up to how much ticks are late; `lost`: share of readings of an encoder that never come.
+    """
+    scenario = short(
+        "exact_breathing", {**OBSERVED, "sensors.noise": 2e-5, "tuner": "block", "plant.motor_friction": 0}
+    )
+    controller, machine, rng = Controller(scenario), Machine(scenario, noise, delay), np.random.default_rng(1)
+    torque, errors = np.empty(6), []
+    for tick in range(round(duration / controller.period)):
+        time = tick * controller.period + late * rng.random()
+        machine.advance(time)
+        reading = machine.read()
+        reading[(rng.random(6) < lost) & (tick > 0)] = np.nan
+        controller.step(reading, time, torque)
+        machine.command(torque)
+        wanted = scenario.reference.evaluate(machine.steps * machine.STEP)[0]
+        errors.append(machine.measured[POSE][3:] - wanted[3:])
+    return 1e3 * np.sqrt(np.mean(np.sum(np.square(errors[len(errors) // 2 :]), axis=1)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("wrong", "most"),
+    [
+        ({"noise": 0.0}, 0.02),
+        ({"noise": 2e-4}, 0.04),
+        ({"delay": 0.0}, 0.02),
+        ({"delay": 0.003}, 0.02),
+        ({"late": 0.0009}, 0.02),
+        ({"lost": 0.2}, 0.02),
+    ],
+    ids=str,
+)
+def test_it_bears_a_machine_with_other_noise_delay_and_clock(wrong, most):
+    assert error_on_a_machine(**wrong) < most
