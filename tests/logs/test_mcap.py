@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from stewart_drake import Scenario, load_scenario, run
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import load_scenario, run
 from stewart_drake.mechanics.kinematics import rotation_matrix
 
 
@@ -62,9 +61,3 @@ def test_the_scene_has_cranks_and_rods_of_their_lengths(log, topics):
         for lines, lengths in ((cranks, robot.crank_lengths), (rods, robot.rod_lengths)):
             np.testing.assert_allclose(np.linalg.norm(lines[1::2] - lines[::2], axis=1), lengths, rtol=1e-9)
         np.testing.assert_array_equal(rods[1::2], platform)
-
-
-def test_another_ending_is_refused(tmp_path):
-    log = run(Scenario(duration=0.01, plant={"kind": "closed_form"}), check=False)
-    with pytest.raises(ConfigurationError, match=r"ends in \.parquet, \.csv or \.mcap"):
-        log.save(tmp_path / "run.bag")
