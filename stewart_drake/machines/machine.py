@@ -1,0 +1,158 @@
+"""What a machine is to whoever drives it, and which one a URL names."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Literal, NamedTuple, Protocol
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from stewart_drake.base.code import CLASS_PATH
+from stewart_drake.base.errors import ConfigurationError, RunFailure
+from stewart_drake.scenario.scenario import Scenario
+
+LOCALHOST = "127.0.0.1"
+LOST = 1.0
+"""[s] without a reading after which a machine is lost."""
+URLS = "reachy://HOST:PORT, udp://HOST:PORT, serial:DEVICE, sim: or mine.py:MyMachine"
+
+Takes = Literal["angle", "torque", "current"]
+
+
+class MachineError(RunFailure):
+    """A machine that cannot be reached, is lost, or gives what is no reading; one line says which."""
+
+    reason = "machine"
+
+
+class Reading(NamedTuple):
+    """What a machine says of itself.
+
+    Attributes:
+        angles: (6,) [rad] of the cranks.
+        time: [s] of the machine's own clock where it has one, else of `time.monotonic` when the reading arrived.
+        age: [s] since it arrived, at the moment that `read` returns.
+        number: Counts the machine's readings; it stays where none has come since the last `read`, and a jump by more
+            than one says how many were lost.
+        command_age: [s] since that command was sent which is known to have arrived; no reading is older than that,
+            whatever the network does. 0 where the machine does not say.
+        holding: Whether the machine says that it follows no commands: it has got none yet, or the last is too old.
+        pose: (6,) [rad, m] of the platform where the machine tells it, for comparison only.
+    """
+
+    angles: np.ndarray
+    time: float
+    age: float
+    number: int
+    command_age: float = 0.0
+    holding: bool = False
+    pose: np.ndarray | None = None
+
+
+class Machine(Protocol):
+    """Six motors that can be told what to do. `open_machine` makes one; nothing happens before `connect`.
+
+    Every method may raise a `MachineError`; after one, `disconnect` is all that may be called.
+
+    Attributes:
+        period: [s] between two readings; None where it is not known, or does not matter. Final after `connect`.
+        takes: What `command` takes: `angle` [rad], `torque` [N m] or `current` [A].
+        reads: Whether it measures its angles; otherwise `read` gives the last command.
+        paced: Whether its own ticks set the pace. `read` then waits for the next reading, for at most some periods;
+            if none comes it gives the last one again, older. Otherwise `read` gives the latest at once.
+    """
+
+    period: float | None
+    takes: Takes
+    reads: bool
+    paced: bool
+
+    def connect(self) -> None:
+        """Opens the connection and waits for the first reading; moves nothing."""
+
+    def read(self) -> Reading:
+        """The latest reading, see `paced`."""
+
+    def command(self, values: np.ndarray) -> None:
+        """Sends six commands (6,), see `takes`; returns at once. They are cut to the robot's limits."""
+
+    def disconnect(self) -> None:
+        """Lets go: the machine holds where it is. Never raises, and may be called twice."""
+
+
+def open_machine(url: str, scenario: Scenario) -> Machine:
+    """The machine that a URL names, not connected yet.
+
+    Args:
+        url: `reachy://HOST:PORT`, `udp://HOST:PORT`, `serial:DEVICE` or `serial:DEVICE:BAUD`, `sim:` or `sim:SCENARIO`,
+            or a class of the user's own, `mine.py:MyMachine` or `module:Class`, whose code has to be trusted.
+        scenario: What is driven; what its motors are believed to take, and the limits of its robot, are the machine's.
+
+    Raises:
+        ConfigurationError: A URL that names none, code that is not trusted, a machine that takes something else.
+    """
+    kind, _, rest = url.partition(":")
+    if kind in ("reachy", "udp"):
+        host, port = _address(url, 8000 if kind == "reachy" else None)
+        if kind == "reachy":
+            from stewart_drake.machines.reachy import ReachyMachine
+
+            return ReachyMachine(scenario, host, port)
+        from stewart_drake.machines.udp import UdpMachine
+
+        return UdpMachine(scenario, host, port)
+    if kind == "serial" and (parts := re.fullmatch(r"(.+?)(?::(\d{1,8}))?", rest)):
+        from stewart_drake.machines.serial_line import SerialMachine
+
+        return SerialMachine(scenario, parts[1], int(parts[2] or 1_000_000))
+    if kind == "sim":
+        from stewart_drake.machines.simulated import SimulatedMachine
+
+        return SimulatedMachine(scenario, rest)
+    if re.fullmatch(CLASS_PATH, url):
+        from stewart_drake.machines.user_machine import UserMachine
+
+        return UserMachine(scenario, url)
+    raise ConfigurationError("machine", url, URLS)
+
+
+def _address(url: str, default_port: int | None) -> tuple[str, int]:
+    """Host, this computer where none is named, and port of a URL `kind://HOST:PORT`."""
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname or LOCALHOST, parts.port or default_port
+        rest = parts.path.strip("/") + parts.query + parts.fragment + (parts.username or "")
+    except ValueError:
+        port, rest = None, url
+    if port is None or rest or "://" not in url:
+        raise ConfigurationError("machine", url, f"{url.partition(':')[0]}://HOST:PORT, with a port from 1 to 65535")
+    return host, port
+
+
+def motors_take(scenario: Scenario) -> Any:
+    """What commands are, of the motors that the controller believes in, see `Machine.takes`."""
+    return scenario.belief.motors.takes
+
+
+def command_limits(scenario: Scenario) -> np.ndarray:
+    """(2, 6) lowest and highest commands of a scenario's robot and motors, in the motors' unit.
+
+    Angles may be beyond the stops by what a servo needs for its largest torque; without stops they are within a turn.
+    """
+    robot, motors = scenario.belief.robot, scenario.belief.motors
+    most = robot.effort_limits
+    if motors.takes == "angle":
+        low, high = np.clip(robot.crank_angle_ranges, -2.0 * np.pi, 2.0 * np.pi).T
+        return np.stack([low, high])
+    if motors.takes == "current":
+        most = most / getattr(motors, "torque_constant", 1.0)
+    return np.stack([-most, most])
+
+
+def within_limits(values: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    """Commands (6,) cut to `command_limits` (2, 6); a MachineError where they are no numbers."""
+    given = np.asarray(values, dtype=float)
+    if given.shape != (6,) or not np.isfinite(given).all():
+        raise MachineError(f"a command that is not six finite numbers: {given}")
+    return np.clip(given, limits[0], limits[1])
