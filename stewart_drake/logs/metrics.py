@@ -147,6 +147,8 @@ def _ripple(index: int) -> Callable[[RunRows], float | None]:
 def _torque_change(rows: RunRows) -> float | None:
     """[N m] RMS of the torque asked for, or that servos give, tick to tick of the second half; None without such."""
     asked = "torque" if rows.scenario.motors.takes == "torque" else "torque_applied"
+    if asked not in rows.signals:
+        return None
     torque = within_limit(rows[asked][rows.second_half_tick], rows.scenario.robot.effort_limits)
     change = np.diff(torque, axis=0)[np.diff(rows.tick_number[rows.second_half_tick]) == 1]
     return _rms(change) if change.size else None
@@ -162,6 +164,18 @@ def _integral(rows: RunRows) -> np.ndarray | None:
 def _of_weights(function: Callable[[np.ndarray], float]) -> Callable[[RunRows], float | None]:
     """A function of the two weights (n, 2) at the ticks; None where a run has none."""
     return lambda rows: float(function(rows["weights"][rows.tick])) if "weights" in rows.signals else None
+
+
+def _of_torque(function: Callable[[np.ndarray], float], rows: str = "") -> Callable[[RunRows], float | None]:
+    """A function of the motors' torques (n, 6), in a mask of rows; None where a machine does not tell them."""
+
+    def of(table: RunRows) -> float | None:
+        if "torque_applied" not in table.signals:
+            return None
+        torque = table["torque_applied"]
+        return float(function(torque[getattr(table, rows)] if rows else torque))
+
+    return of
 
 
 def _rms(values: np.ndarray) -> float:
@@ -204,11 +218,11 @@ METRICS: tuple[Metric, ...] = (
     ),
     Metric(
         "torque_rms", "N m", "RMS torque of all motors, within their limits, whole run",
-        lambda t: _rms(t["torque_applied"][t.tick]), "ticks", label="torque RMS", form=".3f",
+        _of_torque(_rms, "tick"), "ticks", label="torque RMS", form=".3f",
     ),
     Metric(
         "torque_rms_second_half", "N m", "RMS torque of all motors, within their limits",
-        lambda t: _rms(t["torque_applied"][t.second_half_tick]),
+        _of_torque(_rms, "second_half_tick"),
     ),
     Metric(
         "torque_change_rms", "N m", "RMS change of the commanded torque, or of what servos give, from tick to tick",
@@ -223,7 +237,7 @@ METRICS: tuple[Metric, ...] = (
     ),
     Metric(
         "torque_peak", "N m", "largest torque of any motor, within their limits, whole run",
-        lambda t: float(np.abs(t["torque_applied"]).max()), "steps", label="torque peak", form=".3f",
+        _of_torque(lambda torque: np.abs(torque).max()), "steps", label="torque peak", form=".3f",
     ),
     Metric(
         "saturated_fraction", "1", "share of torques at their limit, over ticks and motors",

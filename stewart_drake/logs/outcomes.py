@@ -119,8 +119,9 @@ class RunRows:
         """(n, 6) whether a torque is at its limit, at ticks."""
         limit = self.scenario.robot.effort_limits
         if self.scenario.motors.takes != "torque":
-            # Their own loop asks for it.
-            return (np.abs(self["torque_applied"]) >= limit) & self.tick[:, None]
+            # Their own loop asks for it, and a machine may not tell.
+            given = self.signals.get("torque_applied", np.zeros((len(self.time), 6)))
+            return (np.abs(given) >= limit) & self.tick[:, None]
         size = np.abs(self["torque"])
         # A controller that limits the torque itself asks for the limit and no more.
         full = size > limit if self.scenario.controller.asks_for_more else size >= limit

@@ -74,6 +74,8 @@ SIGNALS: Mapping[str, Signal] = {
     ),
     "setting": _numbers((*NAMES, "outside"), _OUTSIDE, title="Tuner"),
     "density": _numbers(_DENSITY, "density features"),
+    "lateness": Signal((), ("s",), "of a tick on a machine"),
+    "reading_age": Signal((), ("s",), "of a machine's reading when it was used"),
     "loop_gap": _legs("m", "distance from rod end to platform joint"),
     "measured_pose": _axes(
         "rad",
@@ -96,3 +98,10 @@ SIGNALS: Mapping[str, Signal] = {
 """Every signal of a log, where the scenario has it: block_weights stand in place of `weights`, setting where a tuner of
 settings is, the measured pose beside the true one where there are encoders, an observer or a sensor that fails,
 innovation with an observer. `plant_state` has one column per entry of the plant's state, named by Drake."""
+
+
+def signals_of(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Signals by their names in a log, of what was logged (n, k) by the names of their sources."""
+    sources = {name: signal.source or name for name, signal in SIGNALS.items()}
+    taken = {name: SIGNALS[name].of(values[of]) for name, of in sources.items() if of in values}
+    return {name: each for name, each in taken.items() if each is not None}

@@ -143,7 +143,8 @@ def _tuner_panels(log: SimulationLog) -> Iterator[_Panel]:
 def plot_torques(log: SimulationLog) -> Figure:
     """Torques of the six motors over time [N m], on one scale, with limits where they are near; Fig. 7(b)."""
     log = _drawable(log)
-    applied, commanded, limits = log["torque_applied"], log["torque"], log.scenario.robot.effort_limits
+    commanded, limits = log["torque"], log.scenario.robot.effort_limits
+    applied = log.signals.get("torque_applied", commanded)
     rms, peak = np.sqrt(np.mean(applied**2, axis=0)), np.abs(applied).max(axis=0)
     near = bool((peak >= _NEAR_LIMIT * limits).any())
     figure, axes = _figure([log], "motor torques", 6, 2.6, sharey=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from stewart_drake.base.errors import StewartDrakeError, drake_guard
 from stewart_drake.base.sampling import on_grid, times_of
-from stewart_drake.logs.signals import SIGNALS
+from stewart_drake.logs.signals import signals_of
 from stewart_drake.runs.stepped_loop import SteppedLoop
 from stewart_drake.scenario.scenario import Scenario
 
@@ -65,9 +65,7 @@ class Run(ABC):
             del values["measurement"]
         # Loops that are closed by construction have no gap.
         values.setdefault("loop_gap", np.zeros((count, 6)))
-        sources = {name: signal.source or name for name, signal in SIGNALS.items()}
-        taken = {name: SIGNALS[name].of(values[of]) for name, of in sources.items() if of in values}
-        return {name: each for name, each in taken.items() if each is not None}
+        return signals_of(values)
 
     @abstractmethod
     def safety_state(self) -> Any:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
@@ -25,6 +27,7 @@ class Controller:
 
     Args:
         options: Model of the machine, reference, controller, tuner, estimator and safety layer; a Scenario has them.
+        sources: What takes the place of signals of time: `reference` (18,), and `reference_ahead`, at a time [s].
 
     Raises:
         ConfigurationError: A controller that is a LeafSystem, which needs a Diagram; as `loop_of`.
@@ -33,9 +36,12 @@ class Controller:
         period: [s] between two steps, that of the controller or a shorter one of its estimator.
         reading: Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
         unit: Of the commands: N m, or what `model.motors` take: rad, A.
+        logged: Name in a log -> name for `signal`, or a constant.
     """
 
-    def __init__(self, options: ControlOptions) -> None:
+    def __init__(
+        self, options: ControlOptions, sources: Mapping[str, Callable[[float], np.ndarray]] | None = None
+    ) -> None:
         side, self._age = control_side(options, split=True), np.zeros(1)
         parts, self._safe = list(side.every_part), side.safety is not None
         if any(part.system is not None for part in parts):
@@ -49,9 +55,11 @@ class Controller:
         self.period, self._tick, self.reading = options.reading_period, side.context.period, side.context.reading
         outside = {side.reading: self.reading, **{source.signal: source.size for source in side.sources}}
         self._running = LoopRunner(parts, outside, period=side.context.period, step=self.period)
-        self._sources = [
-            (self._running.signal(each.signal), InBlocks(each.evaluate, self.period)) for each in side.sources
-        ]
+        evaluated = {each.signal: InBlocks(each.evaluate, self.period).at_time for each in side.sources}
+        evaluated |= {name: evaluate for name, evaluate in (sources or {}).items() if name in evaluated}
+        self._sources = [(self._running.signal(name), evaluate) for name, evaluate in evaluated.items()]
+        there = self._running.places
+        self.logged = {name: of for name, of in side.logged.items() if not isinstance(of, str) or of in there}
         self._reading = self._running.signal(side.reading)
         self._command, self.unit = self._running.signal("safe_torque" if self._safe else side.command), side.unit
         # What is no torque has its limit in the motor.
@@ -85,8 +93,8 @@ class Controller:
         self._reading[:] = given
         self._age[0] = age / self._tick
         self._running.time[0] = self._last = time
-        for signal, table in self._sources:
-            signal[:] = table.at_time(time)
+        for signal, evaluate in self._sources:
+            signal[:] = evaluate(time)
         self._running.run(self._ticks)
         if not np.isfinite(self._command).all():
             raise NotFiniteError("command", self._command.copy())

@@ -1,0 +1,236 @@
+"""A controller on a machine: from where it stands to the motion, along it, and to rest, with a log as of a run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from stewart_drake.analysis.feasibility import check_reference
+from stewart_drake.base.code import file_digests
+from stewart_drake.base.errors import (
+    ConfigurationError,
+    InfeasibleReferenceError,
+    RunFailure,
+    StewartDrakeError,
+)
+from stewart_drake.logs.log import SimulationLog
+from stewart_drake.logs.metrics import figures_of
+from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
+from stewart_drake.logs.signals import signals_of
+from stewart_drake.logs.versions import collect_versions
+from stewart_drake.machines.machine import Machine, Reading
+from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
+from stewart_drake.references.paced import RAMP, PacedMotion
+from stewart_drake.scenario.controller import Controller
+from stewart_drake.scenario.scenario import Scenario
+
+APPROACH_SPEED = 0.5
+"""[rad/s] of the fastest crank on the way to the motion."""
+STALE = 0.1
+"""[s] age of a reading, or five periods if that is more, from which on the robot slows down and stops."""
+FOLLOWING = 0.35
+"""[rad] of a crank from where it should be, from which on the robot slows down and stops."""
+HOLD = 0.3
+"""[s] for which it is held at the end before it is let go."""
+
+
+class Start(NamedTuple):
+    """Where a machine stands, and how it comes to the motion."""
+
+    angles: np.ndarray  # (6,) [rad] that it reads.
+    pose: np.ndarray  # (6,) [rad, m] of the platform there.
+    motion: PacedMotion
+    duration: float  # [s] from now until it rests again.
+
+
+def connected(scenario: Scenario, machine: Machine, seconds: float | None = None) -> Start:
+    """Connects a machine, and plans the way from where it stands, the motion for some seconds, and the end.
+
+    Raises:
+        ConfigurationError: The machine takes something else than the model's motors, has another rate, or stands where
+            the believed robot cannot; the way to the motion leaves the limits.
+        MachineError: It cannot be reached.
+    """
+    takes = scenario.belief.motors.takes
+    if machine.takes != takes:
+        raise ConfigurationError(
+            "model.motors", scenario.belief.motors.kind, f"motors that take {machine.takes}, as the machine does"
+        )
+    machine.connect()
+    period, own = scenario.reading_period, machine.period
+    if machine.paced and own is not None and abs(own - period) > 1e-6:
+        raise ConfigurationError("controller.period", period, f"{own:g} s, that of the machine, which sets the pace")
+    robot, angles = scenario.belief.robot, machine.read().angles
+    motion: PacedMotion
+    if machine.reads:
+        low, high = robot.crank_angle_ranges.T
+        if bad := [leg for leg in range(6) if not low[leg] - 0.02 <= angles[leg] <= high[leg] + 0.02]:
+            leg = bad[0]
+            allowed = f"within {low[leg]:.4g} to {high[leg]:.4g} rad, its stops: is its zero that of the model?"
+            raise ConfigurationError(f"angle of leg {leg}", f"{angles[leg]:.4g} rad", allowed)
+        try:
+            pose = forward_kinematics(robot, angles)
+        except StewartDrakeError as error:
+            allowed = f"angles that the believed robot can stand at ({error}): are leg order, signs and zeros its own?"
+            raise ConfigurationError("angles", np.round(angles, 4).tolist(), allowed) from None
+    else:
+        pose = scenario.reference.evaluate(0.0)[0]
+    goal = inverse_kinematics(robot, scenario.reference.evaluate(0.0)[0])
+    far = float(np.abs(goal - inverse_kinematics(robot, pose)).max())
+    # The fastest instant of the way is 1.875 times as fast as its mean.
+    motion = PacedMotion(scenario.reference, pose, 1.875 * far / APPROACH_SPEED if far > 1e-3 else 0.0)
+    if motion.approach > 0.0:
+        try:
+            check_reference(robot, scenario.limits, motion, motion.approach, scenario.gravity).raise_if_infeasible()
+        except InfeasibleReferenceError as error:
+            raise ConfigurationError(
+                "start", np.round(pose, 4).tolist(), f"a pose from which the motion can be reached ({error})"
+            ) from None
+    return Start(angles, pose, motion, motion.duration(scenario.duration if seconds is None else seconds))
+
+
+class Drive:
+    """The loop of a controller on a connected machine.
+
+    With a paced machine a tick is one of its own; else ticks have absolute deadlines on the monotonic clock.
+    """
+
+    def __init__(self, scenario: Scenario, machine: Machine, start: Start) -> None:
+        self._machine, self._start, self._motion = machine, start, start.motion
+        held = scenario.replace({"reference": {"kind": "hold", "pose": start.pose.tolist()}, "duration": start.duration})
+        held = held.replace({"initial_offset": [0.0] * 6})
+        motion, ahead = self._motion, scenario.preview
+        sources = {"reference": motion.row, "reference_ahead": lambda now: motion.row(now + ahead)}
+        self.scenario, self._robot = scenario.replace({"duration": start.duration}), scenario.belief.robot
+        self._controller, self._ahead = Controller(held, sources), ahead
+        self._period, self._command = self._controller.period, np.empty(6)
+        self._stale = max(STALE, 5.0 * self._period)
+        self._rows: list[dict[str, np.ndarray | float]] = []
+        self._stopped_by: RunFailure | KeyboardInterrupt | None = None
+        motion.stop(start.duration - RAMP)
+
+    @property
+    def time(self) -> float:
+        """[s] that the log has reached."""
+        return float(self._rows[-1]["time"]) if self._rows else 0.0
+
+    def run(self, progress: Callable[[float], None] | None = None) -> SimulationLog:
+        """To the end, or to rest before it: after Ctrl-C, an old reading, an error that grows; a lost machine ends it.
+
+        The log says how it ended, as that of a run does.
+        """
+        began = time.monotonic()
+        try:
+            while not self._done():
+                try:
+                    self._tick(began)
+                    if progress is not None:
+                        progress(self.time)
+                except KeyboardInterrupt as end:
+                    if self._stopped_by is not None:
+                        # The second one does not wait.
+                        raise
+                    self._stop(end)
+        except (RunFailure, KeyboardInterrupt) as end:
+            self._stopped_by = end
+        finally:
+            self._machine.disconnect()
+        return self._log(time.monotonic() - began)
+
+    def _done(self) -> bool:
+        return self.time >= self._motion.rests + HOLD
+
+    def _stop(self, why: RunFailure | KeyboardInterrupt) -> None:
+        """Slows down from what has been commanded already on; the first reason is the one that is told."""
+        if self._stopped_by is None:
+            if isinstance(why, RunFailure):
+                why.time = self.time
+            self._stopped_by = why
+            self._motion.stop(self.time + self._ahead)
+
+    def _tick(self, began: float) -> None:
+        reading, now, late = self._next(began)
+        if now <= self.time and self._rows:
+            # A paced machine that has nothing new: only time passes.
+            self._look(reading, now)
+            return
+        age = max(reading.age, reading.command_age - 2.0 * self._period, 0.0)
+        self._controller.step(reading.angles, now, self._command, age)
+        self._machine.command(self._command)
+        logged = {
+            name: self._controller.signal(of).copy() if isinstance(of, str) else of
+            for name, of in self._controller.logged.items()
+        }
+        own = {"angles": reading.angles.copy(), "pose": reading.pose, "reading_age": age, "lateness": late}
+        sent = {"sent": self._command.copy(), "reference": self._motion.row(now)}
+        self._rows.append({"time": now, **logged, **own, **sent})
+        self._look(reading, now)
+
+    def _next(self, began: float) -> tuple[Reading, float, float]:
+        """The next reading, its time since the beginning, and how late it is [s]."""
+        machine, period, count = self._machine, self._period, len(self._rows)
+        if machine.paced:
+            reading = machine.read()
+            self._first = reading.number if count == 0 else self._first
+            return reading, (reading.number - self._first) * period, 0.0
+        # Ticks that have gone by are left out, not made up for.
+        due = max(round(self.time / period) + (count > 0), int((time.monotonic() - began) / period))
+        if (rest := began + due * period - time.monotonic()) > 0.0:
+            time.sleep(rest)
+        late = time.monotonic() - began - due * period
+        return machine.read(), due * period, late
+
+    def _look(self, reading: Reading, now: float) -> None:
+        """What makes it slow down and stop."""
+        if reading.age > self._stale:
+            text = f"a reading that is {reading.age:.3g} s old, at most {self._stale:.3g} s"
+            self._stop(RunFailure(text, reason="stale_reading"))
+        elif self._machine.reads:
+            wanted = inverse_kinematics(self._robot, self._motion.evaluate(now)[0])
+            apart = np.abs(reading.angles - wanted)
+            if apart.max() > FOLLOWING:
+                leg = int(apart.argmax())
+                text = f"leg {leg} is {apart[leg]:.3g} rad from where it should be, at most {FOLLOWING} rad"
+                self._stop(RunFailure(text, leg, "not_following"))
+
+    def _log(self, wall: float) -> SimulationLog:
+        scenario = self.scenario
+        with np.errstate(all="ignore"):
+            rows = RunRows(scenario, self._signals())
+            figures, outcome = figures_of(rows), assess(rows, None, self.time, self._stopped_by)
+            warnings = find_warnings(outcome.status, rows, None)
+        return SimulationLog(
+            scenario=scenario,
+            signals=rows.signals,
+            **outcome._asdict(),
+            end_time=self.time,
+            warnings=warnings,
+            wall_time=wall,
+            versions=collect_versions(),
+            files=file_digests(scenario.to_dict()),
+            figures=figures,
+        )
+
+    def _signals(self) -> dict[str, np.ndarray]:
+        """As of a run: the pose is that which the machine tells, or else that of the angles that it reads."""
+        if not self._rows:
+            return {}
+        values = {name: np.array([row[name] for row in self._rows]) for name in self._rows[0] if name != "pose"}
+        angles, poses = values.pop("angles"), [row["pose"] for row in self._rows]
+        of_angles, guess = [], self._start.pose
+        for row in angles:
+            guess = forward_kinematics(self._robot, row, guess)
+            of_angles.append(guess)
+        told = all(pose is not None for pose in poses)
+        pose = np.array(poses if told else of_angles, dtype=float)
+        rate = np.gradient(pose, values["time"], axis=0) if len(pose) > 1 else np.zeros_like(pose)
+        values |= {"measured": np.concatenate([pose, rate, angles], axis=1), "loop_gap": np.zeros((len(pose), 6))}
+        sent = values.pop("sent")
+        if self._machine.takes == "torque":
+            values["torque_applied"] = sent
+        if told and "measurement" not in values:
+            values["measured_pose"] = np.array(of_angles)
+        return signals_of(values)

@@ -1,0 +1,143 @@
+"""`drive`: a controller on a machine, here one in the same process whose servos come to their angles by a lag."""
+
+import numpy as np
+import pytest
+
+from stewart_drake import load_scenario, run_metrics
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.logs.log import load_log
+from stewart_drake.machines.machine import MachineError, Reading
+from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.references.paced import RAMP
+from stewart_drake.runs.drive import HOLD, Drive, connected
+
+SERVOS = {
+    "motors": {"kind": "position", "preset": "xl330_m288"},
+    "controller": {"kind": "feedforward", "feedforward": "none", "period": 0.02},
+    **{"estimator": "difference", "tuner": "fixed", "safety": None, "duration": 2.0},
+    "model.motors": {"kind": "position", "preset": "xl330_m288", "damping": 0.0},
+}
+BASE = load_scenario("reachy_nod").replace(SERVOS)
+HOME = inverse_kinematics(BASE.robot, BASE.robot.home_pose)
+ROTATED = BASE.robot.home_pose + [0.1, -0.05, 0.1, 0.0, 0.0, 0.003]
+
+
+class Servos:
+    """A paced machine at 50 Hz."""
+
+    period, takes, reads, paced = 0.02, "angle", True, True
+
+    def __init__(self, angles=HOME, at=None, event=None):
+        self.angles, self.count, self.commands, self.gone = np.array(angles), 0, [], False
+        self.at, self.event, self.age = at, event, 0.0
+
+    def connect(self):
+        pass
+
+    def read(self):
+        self.count += 1
+        if self.count == self.at:
+            self.event(self)
+        return Reading(self.angles.copy(), 0.02 * self.count, self.age, self.count)
+
+    def command(self, values):
+        self.commands.append(values.copy())
+        self.angles += 0.6 * (values - self.angles)
+
+    def disconnect(self):
+        self.gone = True
+
+
+def driven(machine, scenario=BASE, seconds=None):
+    return Drive(scenario, machine, connected(scenario, machine, seconds)).run()
+
+
+def test_it_comes_from_where_the_robot_stands_to_the_motion_and_rests_at_its_end():
+    machine = Servos(inverse_kinematics(BASE.robot, ROTATED))
+    start = connected(BASE, machine)
+    np.testing.assert_allclose(start.pose, ROTATED, atol=1e-6)
+    log = Drive(BASE, machine, start).run()
+    assert (log.status, machine.gone) == ("completed", True)
+    np.testing.assert_allclose(log["reference"][0], ROTATED, atol=1e-6)
+    assert log.end_time == pytest.approx(start.motion.approach + 2.0 + RAMP + HOLD, abs=0.05)
+    np.testing.assert_allclose(log["reference"][-1], BASE.reference.evaluate(2.0)[0], atol=1e-9)
+    speeds = np.diff(machine.commands, axis=0) / 0.02
+    assert np.abs(speeds[: int(start.motion.approach / 0.02)]).max() < 0.6
+    assert np.abs(speeds[-5:]).max() < 0.1
+    assert run_metrics(log)["rmse_norm_deg"] < 3.0
+    np.testing.assert_array_equal(log["commanded_angle"], machine.commands)
+
+
+def test_its_log_is_that_of_a_run(tmp_path):
+    log = driven(Servos(), seconds=1.0)
+    log.save(tmp_path / "log.parquet")
+    again = load_log(tmp_path / "log.parquet")
+    assert set(again) == set(log)
+    assert {"lateness", "reading_age", "commanded_angle", "pose", "reference", "crank_angle"} <= set(log)
+    assert "torque_rms" in run_metrics(log)
+
+
+def interrupted(_):
+    raise KeyboardInterrupt
+
+
+def lost(_):
+    raise MachineError("lost")
+
+
+def late(machine):
+    machine.age = 0.5
+
+
+def stuck(machine):
+    machine.command = lambda values: machine.commands.append(values.copy())
+    machine.angles = HOME + 0.5
+
+
+@pytest.mark.parametrize(
+    ("event", "status", "reason", "rests"),
+    [
+        (interrupted, "interrupted", "interrupted", True),
+        (late, "failed", "stale_reading", True),
+        (stuck, "failed", "not_following", True),
+        (lost, "failed", "machine", False),
+    ],
+)
+def test_what_goes_wrong_slows_it_down_on_its_path_and_is_told(event, status, reason, rests):
+    machine = Servos(at=80, event=event)
+    log = driven(machine, BASE.replace({"duration": 10.0}))
+    assert (log.status, log.reason, machine.gone) == (status, reason, True)
+    assert log.end_time < 80 * 0.02 + RAMP + HOLD + 0.1
+    moved = np.abs(np.diff(machine.commands, axis=0)).max(axis=1)
+    assert moved.max() < 0.12
+    assert bool(moved[-5:].max() < 0.01) == rests
+
+
+def test_a_second_interrupt_does_not_wait():
+    def again(machine):
+        machine.at += 5
+        raise KeyboardInterrupt
+
+    machine = Servos(at=80, event=again)
+    log = driven(machine, BASE.replace({"duration": 10.0}))
+    assert log.status == "interrupted"
+    assert machine.gone
+    assert machine.count == 85
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"angles": HOME + [1.5, 0, 0, 0, 0, 0]}, "angle of leg 0.*its stops"),
+        ({"takes": "torque"}, "model.motors.*motors that take torque, as the machine does"),
+        ({"period": 0.01}, "controller.period.*0.01 s, that of the machine"),
+        ({"angles": np.array([1.2, -1.2, 1.2, -1.2, 1.2, -1.2])}, "angles.*can stand at|start.*motion can be reached"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_anything_moves(change, words):
+    machine = Servos()
+    for name, value in change.items():
+        setattr(machine, name, value)
+    with pytest.raises(ConfigurationError, match=words):
+        connected(BASE, machine)
+    assert machine.commands == []
