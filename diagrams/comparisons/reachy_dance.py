@@ -1,4 +1,4 @@
-"""A motion of one's own: the dances that Reachy Mini's maker publishes, `pip install --no-deps` and `PACKAGE`."""
+"""A motion of one's own: the dances that Reachy Mini's maker publishes in the package `PACKAGE`."""
 
 import importlib.util
 import sys
@@ -18,8 +18,8 @@ def moves():
     """Name -> function of the time in beats, its keywords, and facts, of all moves in the library."""
     spec = importlib.util.find_spec(PACKAGE.partition("=")[0])
     if spec is None:
-        allowed = f"a motion from an installed package; pip install --no-deps {PACKAGE}"
-        raise ConfigurationError("reference", "a dance of Reachy Mini", allowed)
+        allowed = f"an installed package for a dance of Reachy Mini; pip install --no-deps {PACKAGE}"
+        raise ConfigurationError("reference", PACKAGE, allowed)
     # Under another name, as its own `__init__` imports all of the robot's software.
     package = sys.modules.setdefault("reachy_mini_dances", types.ModuleType("reachy_mini_dances"))
     package.__path__ = spec.submodule_search_locations
