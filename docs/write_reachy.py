@@ -191,14 +191,14 @@ def draw(comparison: Comparison, rows: Rows) -> Figure:
         if name.startswith("angles"):
             left.plot(log.time[late], np.degrees(log["reference"][late, 1]), color="black", lw=5.0, alpha=0.25)
         left.plot(log.time[late], np.degrees(log["pose"][late, 1]), color=color, lw=1.5)
-    left.set(title="A nod of 15 deg, once a second", xlabel="time [s]", ylabel="pitch [deg]")
+    left.set(title="A nod of 15 deg at 1 Hz", xlabel="time [s]", ylabel="pitch [deg]")
     motions = (*MOTIONS, DANCE)
     for label, color, marker in IN_PICTURE.values():
         right.plot([], [], marker, color=color, label=label)
     for place, motion in enumerate(reversed(motions)):
         for name, (_, color, marker) in IN_PICTURE.items():
             right.plot(rows[name, motion, MAKERS]["pose_rmse_mm"], place, marker, color=color, ms=8.0)
-    right.set_yticks(range(len(motions)), [name.removeprefix("dance ").replace("_", " ") for name in reversed(motions)])
+    right.set_yticks(range(len(motions)), [name.replace("_", " ") for name in reversed(motions)])
     right.set(title="Error of the head", xlabel="RMS error 30 mm from its centre [mm]", ylim=(-0.6, len(motions) - 0.4))
     logarithmic(right, "x")
     legend_below(figure, [*right.get_legend_handles_labels()[0], Patch(color="0.75", label="wanted")], columns=2)
@@ -222,7 +222,8 @@ TEXT = """# What an owner of Reachy Mini can expect
 
 Simulated: no head has been measured. The plant is the MuJoCo model that the maker ships, with ball joints that turn
 freely; the servos are XL330-M288 at 5 V, with the constants of the preset `xl330_m288`; a command acts a period and
-10 ms after it was sent. RMS errors over the second half of a run. On our own plant they differ by {apart}.
+10 ms after it was sent. RMS errors over the second half of a run, lag included. On our own plant they differ by
+{apart}.
 
 **What you have.** The head's own software sends the angles of the inverse kinematics, 50 times a second. Its servos are
 springs: they lag, swing and hang.
