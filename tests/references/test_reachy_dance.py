@@ -41,7 +41,7 @@ def test_a_dance_begins_at_rest_at_home_and_is_the_makers_move_a_beat_at_its_tem
 @pytest.mark.parametrize("move", ["grid_snap", "yeah_nod"])
 def test_a_move_that_jumps_is_smooth_once_it_is_averaged(move):
     check_scenario(dancing(move, smoothing=0.04))  # its rates, and what it asks of the motors
-    with pytest.raises(InfeasibleReferenceError, match="does it jump"):
+    with pytest.raises(InfeasibleReferenceError, match="breaks the limit"):
         run(dancing(move))
 
 
