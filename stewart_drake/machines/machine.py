@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -15,6 +15,8 @@ from stewart_drake.scenario.scenario import Scenario
 LOCALHOST = "127.0.0.1"
 LOST = 1.0
 """[s] without a reading after which a machine is lost."""
+PATIENCE = 3
+"""Periods for which `read` waits for the next reading of a machine that sets the pace."""
 URLS = "reachy://HOST:PORT, udp://HOST:PORT, serial:DEVICE, sim: or mine.py:MyMachine"
 
 Takes = Literal["angle", "torque", "current"]
@@ -130,15 +132,17 @@ def _address(url: str, default_port: int | None) -> tuple[str, int]:
     return host, port
 
 
-def motors_take(scenario: Scenario) -> Any:
-    """What commands are, of the motors that the controller believes in, see `Machine.takes`."""
-    return scenario.belief.motors.takes
+def check_takes(scenario: Scenario, takes: Takes, who: str) -> None:
+    """Raises a ConfigurationError where the motors that the controller believes in take something else."""
+    motors = scenario.belief.motors
+    if motors.takes != takes:
+        raise ConfigurationError("motors.kind", motors.kind, f"motors that take {takes}, as {who} does")
 
 
 def command_limits(scenario: Scenario) -> np.ndarray:
     """(2, 6) lowest and highest commands of a scenario's robot and motors, in the motors' unit.
 
-    Angles may be beyond the stops by what a servo needs for its largest torque; without stops they are within a turn.
+    For angles these are the stops, and without stops a turn both ways.
     """
     robot, motors = scenario.belief.robot, scenario.belief.motors
     most = robot.effort_limits

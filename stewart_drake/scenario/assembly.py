@@ -75,7 +75,7 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
 
     With `split` an LQI takes the compiled solution of its Riccati equation in any case. Raises as `control_side`.
     """
-    sensors = _sensors(scenario)
+    sensors = sensor_parts(scenario)
     side = control_side(scenario, split, "reading" if sensors else "plant_pose")
     sources, logged = [*side.sources], dict(side.logged)
     if scenario.disturbances:
@@ -88,7 +88,7 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
     return Loop((*sensors, *side.parts, *way, *side.at_end), tuple(sources), "motor_torque", logged)
 
 
-def _sensors(scenario: Scenario) -> list[Part]:
+def sensor_parts(scenario: Scenario) -> list[Part]:
     """What makes the signal `reading`; nothing where that is the pose of the plant itself."""
     period, step = scenario.reading_period, scenario.plant.time_step
     parts = [part._replace(period=period) for part in scenario.sensors.parts(period)]

@@ -1,0 +1,110 @@
+"""The packet on the wire, the same in both directions; docs/wire.md describes every byte.
+
+Only pure functions: bytes in, values out; whatever the bytes are, nothing raises.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+from zlib import crc32
+
+import numpy as np
+
+MAGIC, VERSION = b"SD", 1
+READING, ACTIVE, MEASURED = 1, 2, 16
+"""Bits of `flags`. READING: from the machine; clear in a command. ACTIVE: in a command, follow these values, clear to
+hold and to be sent readings; in a reading, commands are followed, clear while it holds. MEASURED: in a reading, the
+angles are measured; clear where they are the last command."""
+TAKES = ("angle", "torque", "current")
+"""What commands are, by bits 2 and 3 of `flags`: 0 angle [rad], 1 torque [N m], 2 current [A]."""
+HOLD_AFTER = 0.1
+"""[s] without an active command after which a machine holds by itself."""
+QUIET_AFTER = 1.0
+"""[s] without any command after which a machine sends no more readings, and takes commands from anybody."""
+_BODY, _CHECK = struct.Struct("<2sBBIIQ6f"), struct.Struct("<I")
+SIZE = _BODY.size + _CHECK.size
+LONGEST_FRAME = SIZE + 2
+"""[byte] of a packet on a serial line."""
+
+
+class Packet(NamedTuple):
+    """What a packet says.
+
+    Attributes:
+        flags: See `READING`, `ACTIVE`, `MEASURED`, `TAKES`; other bits are 0.
+        number: Counts the packets of a direction, modulo 2^32.
+        answers: The newest `number` that has arrived from the other side; 0 where none has.
+        microseconds: [us] of the sender's clock; it never goes back.
+        values: (6,) angles [rad] in a reading, commands in a command; float32 on the wire, and finite.
+    """
+
+    flags: int
+    number: int
+    answers: int
+    microseconds: int
+    values: np.ndarray
+
+    @property
+    def takes(self) -> str:
+        """What the machine's commands are."""
+        return TAKES[self.flags >> 2 & 3]
+
+
+def flags_of(takes: str, *bits: int) -> int:
+    """Flags with these bits for a machine that takes `takes`."""
+    return sum(bits) | TAKES.index(takes) << 2
+
+
+def encode(packet: Packet) -> bytes:
+    """The bytes (SIZE,) of a packet; numbers are cut to their fields."""
+    numbers = packet.number & 0xFFFFFFFF, packet.answers & 0xFFFFFFFF, packet.microseconds & (1 << 64) - 1
+    body = _BODY.pack(MAGIC, VERSION, packet.flags, *numbers, *np.asarray(packet.values, dtype=np.float32).tolist())
+    return body + _CHECK.pack(crc32(body))
+
+
+def decode(data: bytes) -> Packet | None:
+    """The packet of some bytes; None where they are none, or one of its values is not finite."""
+    if len(data) != SIZE or crc32(data[: _BODY.size]) != _CHECK.unpack_from(data, _BODY.size)[0]:
+        return None
+    magic, version, flags, number, answers, microseconds, *values = _BODY.unpack_from(data)
+    if magic != MAGIC or version != VERSION or flags & 0xE0 or flags >> 2 & 3 == 3:
+        return None
+    numbers = np.array(values)
+    return Packet(flags, number, answers, microseconds, numbers) if np.isfinite(numbers).all() else None
+
+
+def newer(number: int, last: int) -> bool:
+    """Whether a number comes after another one, as they count modulo 2^32."""
+    return 0 < (number - last) % 2**32 < 2**31
+
+
+# --- framing on a serial line: consistent overhead byte stuffing (COBS), a zero after each frame ---
+
+
+def to_frame(data: bytes) -> bytes:
+    """At most 254 bytes as a frame: no zero in it but the last byte."""
+    frame = bytearray()
+    for block in data.split(b"\0"):
+        frame.append(len(block) + 1)
+        frame += block
+    return bytes(frame) + b"\0"
+
+
+def from_frame(frame: bytes) -> bytes | None:
+    """The bytes of a frame without its last zero; None where it is none."""
+    data, at = bytearray(), 0
+    while at < len(frame):
+        code = frame[at]
+        if code == 0 or at + code > len(frame):
+            return None
+        data += frame[at + 1 : at + code] + b"\0"
+        at += code
+    return bytes(data[:-1]) if data else None
+
+
+def split_frames(buffer: bytearray) -> list[bytes]:
+    """Takes the whole frames out of what has arrived; what is longer than any frame is thrown away."""
+    *frames, rest = bytes(buffer).split(b"\0")
+    buffer[:] = rest if len(rest) <= LONGEST_FRAME else b""
+    return [frame for frame in frames if frame]
