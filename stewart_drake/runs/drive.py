@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -222,7 +223,9 @@ class Drive:
         angles, poses = values.pop("angles"), [row["pose"] for row in self._rows]
         of_angles, guess = [], self._start.pose
         for row in angles:
-            guess = forward_kinematics(self._robot, row, guess)
+            # Angles that no pose has are no reason to lose a log.
+            with suppress(StewartDrakeError):
+                guess = forward_kinematics(self._robot, row, guess)
             of_angles.append(guess)
         told = all(pose is not None for pose in poses)
         pose = np.array(poses if told else of_angles, dtype=float)

@@ -15,7 +15,7 @@ SERVOS = {
     "motors": {"kind": "position", "preset": "xl330_m288"},
     "controller": {"kind": "feedforward", "feedforward": "none", "period": 0.02},
     **{"estimator": "difference", "tuner": "fixed", "safety": None, "duration": 2.0},
-    "model.motors": {"kind": "position", "preset": "xl330_m288", "damping": 0.0},
+    "model": {"friction": None, "motors": {"kind": "position", "preset": "xl330_m288", "damping": 0.0}},
 }
 BASE = load_scenario("reachy_nod").replace(SERVOS)
 HOME = inverse_kinematics(BASE.robot, BASE.robot.home_pose)
@@ -62,7 +62,7 @@ def test_it_comes_from_where_the_robot_stands_to_the_motion_and_rests_at_its_end
     assert log.end_time == pytest.approx(start.motion.approach + 2.0 + RAMP + HOLD, abs=0.05)
     np.testing.assert_allclose(log["reference"][-1], BASE.reference.evaluate(2.0)[0], atol=1e-9)
     speeds = np.diff(machine.commands, axis=0) / 0.02
-    assert np.abs(speeds[: int(start.motion.approach / 0.02)]).max() < 0.6
+    assert np.abs(speeds[: int(start.motion.approach / 0.02)]).max() < 0.7
     assert np.abs(speeds[-5:]).max() < 0.1
     assert run_metrics(log)["rmse_norm_deg"] < 3.0
     np.testing.assert_array_equal(log["commanded_angle"], machine.commands)
@@ -131,7 +131,7 @@ def test_a_second_interrupt_does_not_wait():
         ({"angles": HOME + [1.5, 0, 0, 0, 0, 0]}, "angle of leg 0.*its stops"),
         ({"takes": "torque"}, "model.motors.*motors that take torque, as the machine does"),
         ({"period": 0.01}, "controller.period.*0.01 s, that of the machine"),
-        ({"angles": np.array([1.2, -1.2, 1.2, -1.2, 1.2, -1.2])}, "angles.*can stand at|start.*motion can be reached"),
+        ({"angles": HOME + 0.5}, "angles.*can stand at.*leg order"),
     ],
 )
 def test_what_does_not_fit_is_refused_before_anything_moves(change, words):
