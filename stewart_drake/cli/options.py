@@ -26,6 +26,9 @@ class About(NamedTuple):
 COMMANDS = {
     "run": About("run", "exact_fig7 --set duration=2", "Simulate a scenario"),
     "live": About("view", "exact_breathing", "Steer a robot in the browser, in real time"),
+    "drive": About(
+        "machine", "reachy_nod --machine sim: --for 5", "Drive a real robot, or one that is simulated apart"
+    ),
     "replay": About("view", "runs/exact_fig7 runs/exact_fig7-2", "Show runs side by side as one page"),
     "check": About("run", "paper_fig7 --retime", "Check a motion against every limit, without a run"),
     "compare": About("study", "tracking --quick", "Compare controllers over motions and conditions"),

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError
@@ -53,15 +54,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     with claimed_place(loaded, out, force) as claimed:
         with shown_compiling(), progress_bar(loaded.name, loaded.duration) as advance:
             log = simulate(loaded, progress=advance, check=False, prepared=prepared)
-        place, problem = save_run(log, claimed)
-        _print_run(log, place)
-        try:
-            problem = problem or draw_run(log, place, graph)
-        except KeyboardInterrupt:
-            say("pictures: interrupted")
-            raise
-    if problem:
-        say(problem)
+        place = leave(log, claimed, graph)
     if (place / "replay.html").exists():
         other = "run exact_fig7" if loaded.name == "paper_fig7" else "live"
         tell(f"open {place / 'replay.html'}; try: stewart-drake {other}")
@@ -71,19 +64,42 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
         with progress_bar("film", log.end_time) as advance:
             write_film(log, video, progress=advance)
         tell(f"film in {video}")
+    end(log, place == claimed)
+
+
+def leave(log: SimulationLog, claimed: Path, graph: str | None = None, machine: str = "") -> Path:
+    """Saves a log in a folder, prints its figures and draws its pictures; where they are."""
+    place, problem = save_run(log, claimed)
+    _print_run(log, place, machine)
+    try:
+        problem = problem or draw_run(log, place, graph)
+    except KeyboardInterrupt:
+        say("pictures: interrupted")
+        raise
+    if problem:
+        say(problem)
+    return place
+
+
+def end(log: SimulationLog, in_place: bool) -> None:
+    """Ends the command with the status of a log that was not completed, or could not go where it was to be."""
     if log.status != "completed":
         why = (log.message or "").removeprefix(f"{log.reason}: ")
         say(f"{describe_outcome(log.status, log.reason, log.outcome_time)}: {why}")
         sys.exit(opt.EXIT_INTERRUPTED if log.status == "interrupted" else opt.EXIT_RUN_FAILED)
-    if place != claimed:
+    if not in_place:
         # A disk was full: where the results were to be there are none.
         sys.exit(opt.EXIT_RUN_FAILED)
 
 
-def _print_run(log: SimulationLog, place: Path) -> None:
+def _print_run(log: SimulationLog, place: Path, machine: str) -> None:
     metrics = run_metrics(log)
-    rows = [("status", describe_outcome(log.status, log.reason)), ("simulated time", f"{log.end_time:.3f} s")]
-    if log.scenario.plant.kind != "drake":
+    rows = [("status", describe_outcome(log.status, log.reason)), ("time", f"{log.end_time:.3f} s")]
+    if machine:
+        rows.append(("machine", machine))
+        late = 1e3 * np.quantile(log["lateness"], [0.5, 0.999]) if len(log.time) else np.zeros(2)
+        rows.append(("lateness of a tick, median, 99.9 %", f"{late[0]:.3f}  {late[1]:.3f} ms"))
+    elif log.scenario.plant.kind != "drake":
         rows.append(("plant", f"{log.scenario.plant.kind}, not Drake's"))
     for metric in metrics_of(log.scenario):
         value = metrics[metric.name]

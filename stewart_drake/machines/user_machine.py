@@ -40,7 +40,9 @@ class UserMachine:
             self._machine = kind(**{name: value for name, value in offered.items() if name in names})
         missing = [name for name in METHODS if not callable(getattr(self._machine, name, None))]
         if missing:
-            raise ConfigurationError("machine", code, f"a class with {', '.join(METHODS)}, not one without {missing[0]}")
+            raise ConfigurationError(
+                "machine", code, f"a class with {', '.join(METHODS)}, not one without {missing[0]}"
+            )
         self._code, self._guard, self._limits = code, UserCode(code.own_module), command_limits(scenario)
         self.takes: Takes = getattr(self._machine, "takes", scenario.belief.motors.takes)
         check_takes(scenario, self.takes, str(code))

@@ -101,7 +101,9 @@ class Drive:
 
     def __init__(self, scenario: Scenario, machine: Machine, start: Start) -> None:
         self._machine, self._start, self._motion = machine, start, start.motion
-        held = scenario.replace({"reference": {"kind": "hold", "pose": start.pose.tolist()}, "duration": start.duration})
+        held = scenario.replace(
+            {"reference": {"kind": "hold", "pose": start.pose.tolist()}, "duration": start.duration}
+        )
         held = held.replace({"initial_offset": [0.0] * 6})
         motion, ahead = self._motion, scenario.preview
         sources = {"reference": motion.row, "reference_ahead": lambda now: motion.row(now + ahead)}

@@ -1,0 +1,72 @@
+"""Commands that move a machine: `drive`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import numpy as np
+
+from stewart_drake.cli import options as opt
+from stewart_drake.cli.options import command
+from stewart_drake.cli.run_commands import end, leave
+from stewart_drake.cli.terminal import print_table, progress_bar, shown_compiling, tell
+from stewart_drake.runs.outputs import check_place, claimed_place
+from stewart_drake.scenario.scenario import load_scenario
+
+
+@command(
+    "drive",
+    machine=opt.option(
+        "What to drive: reachy://HOST:PORT, udp://HOST:PORT, serial:DEVICE, sim: or mine.py:MyMachine.", required=True
+    ),
+    seconds=opt.option("Seconds of the motion [default: the scenario's duration].", click.FloatRange(0.1), "--for"),
+    dry=opt.switch("Connect, read and plan; move nothing."),
+    out=opt.option("Folder for the results [default: runs/NAME, or runs/NAME-2, ...].", opt.PATH),
+)
+def drive(
+    scenario: str,
+    machine: str,
+    overrides: tuple[str, ...],
+    seconds: float | None,
+    dry: bool,
+    out: Path | None,
+    force: bool,
+) -> None:
+    """SCENARIO's controller drives a machine: slowly from where it stands to the motion, along it, and to rest.
+
+    It stops on its path, and holds, after Ctrl-C, when a reading is too old or a crank is far from where it should be;
+    a second Ctrl-C lets go at once. The results are those of a run.
+    """
+    from stewart_drake.machines.machine import open_machine
+    from stewart_drake.runs.checks import check_scenario
+    from stewart_drake.runs.drive import Drive, connected
+
+    loaded = load_scenario(scenario, overrides)
+    if out is not None:
+        check_place(loaded, out, force)
+    opened = open_machine(machine, loaded)
+    with shown_compiling():
+        check_scenario(loaded)
+    try:
+        start = connected(loaded, opened, seconds)
+        planned = [
+            ("angles now [rad]", "  ".join(f"{angle:.4f}" for angle in start.angles)),
+            (
+                "pose now [deg, mm]",
+                "  ".join(f"{value:.2f}" for value in np.r_[np.degrees(start.pose[:3]), 1e3 * start.pose[3:]]),
+            ),
+            ("way to the motion", f"{start.motion.approach:.1f} s"),
+            ("until it rests again", f"{start.duration:.1f} s"),
+        ]
+        print_table(f"{loaded.name} on {machine}", planned)
+        if dry:
+            tell("nothing was moved")
+            return
+        with claimed_place(loaded, out, force) as claimed:
+            with progress_bar(loaded.name, start.duration) as advance:
+                log = Drive(loaded, opened, start).run(advance)
+            place = leave(log, claimed, machine=machine)
+    finally:
+        opened.disconnect()
+    end(log, place == claimed)
