@@ -18,7 +18,7 @@ from stewart_drake.machines.machine import (
     command_limits,
     within_limits,
 )
-from stewart_drake.machines.packet import ACTIVE, MEASURED, READING, Packet, decode, encode, flags_of, newer
+from stewart_drake.machines.packet import ACTIVE, HOLD_AFTER, MEASURED, READING, Packet, decode, encode, flags_of, newer
 from stewart_drake.scenario.scenario import Scenario
 
 ASK_EVERY, ANSWER_WITHIN = 0.05, 3.0
@@ -91,14 +91,21 @@ class PacketMachine(ABC):
 
     def read(self) -> Reading:
         """The next reading, or the last one again."""
-        if self._last is None:
+        if self._last is None or self.period is None:
             raise MachineError(f"{self.name} is not connected; call connect first")
-        deadline, counted = time.monotonic() + PATIENCE * (self.period or ASK_EVERY), self._counted
-        while self._counted == counted and (left := deadline - time.monotonic()) > 0.0:
+        begun, counted = time.monotonic(), self._counted
+        if begun - self._looked > HOLD_AFTER:
+            # Nobody has looked for a while; what the machine was silent about meanwhile says nothing.
+            self._listening = begun
+        if begun - self._sent[self._number % KEPT] > HOLD_AFTER:
+            # It holds anyway, and would soon send no more.
+            self._tell(np.zeros(6), False)
+        while self._counted == counted and (left := begun + PATIENCE * self.period - time.monotonic()) > 0.0:
             self._wait(left)
-        now, last = time.monotonic(), self._last
-        if now - self._arrived > LOST:
-            raise MachineError(f"{self.name} has sent no reading for {now - self._arrived:.1f} s")
+        self._looked = now = time.monotonic()
+        last, silent = self._last, now - max(self._arrived, self._listening)
+        if silent > LOST:
+            raise MachineError(f"{self.name} has sent no reading for {silent:.1f} s")
         age, held = now - self._arrived, not last.flags & ACTIVE
         return Reading(last.values.copy(), last.microseconds * 1e-6, age, last.number, now - self._answered, held)
 
@@ -121,7 +128,8 @@ class PacketMachine(ABC):
     def _forget(self) -> None:
         self._last: Packet | None = None
         self._number = self._counted = 0
-        self._sent, self._arrived, self._answered = np.full(KEPT, time.monotonic()), 0.0, time.monotonic()
+        self._looked = self._listening = self._arrived = self._answered = time.monotonic()
+        self._sent = np.full(KEPT, self._looked)
 
     def _tell(self, values: np.ndarray, active: bool) -> None:
         self._number += 1

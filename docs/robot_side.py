@@ -1,0 +1,76 @@
+"""The robot's side of docs/wire.md over UDP, with Python's standard library alone; your motors go where it says so."""
+
+import math
+import select
+import socket
+import struct
+import sys
+import time
+import zlib
+
+BODY, CHECK = struct.Struct("<2sBBIIQ6f"), struct.Struct("<I")
+READING, ACTIVE, MEASURED = 1, 2, 16
+TAKES = 0  # 0: angles [rad], 1: torques [N m], 2: currents [A]
+LOW, HIGH = -1.5, 1.5  # Commands beyond are not followed.
+PERIOD, HOLD_AFTER, QUIET_AFTER = 0.01, 0.1, 1.0  # [s]
+
+
+def encode(flags, number, answers, microseconds, values):
+    body = BODY.pack(b"SD", 1, flags, number & 0xFFFFFFFF, answers, microseconds, *values)
+    return body + CHECK.pack(zlib.crc32(body))
+
+
+def decode(data):
+    """Flags, number and six values; None where it is no command for these motors."""
+    if len(data) != BODY.size + CHECK.size or zlib.crc32(data[: BODY.size]) != CHECK.unpack(data[BODY.size :])[0]:
+        return None
+    magic, version, flags, number, _, _, *values = BODY.unpack(data[: BODY.size])
+    good = magic == b"SD" and version == 1 and flags & ~ACTIVE == TAKES << 2 and all(map(math.isfinite, values))
+    return (flags, number, values) if good else None
+
+
+class Motors:
+    """Yours: here they are at once where they are told to be."""
+
+    angles = [0.0] * 6
+
+    def follow(self, values):
+        self.angles = values
+
+    def hold(self):
+        """Motors that take angles keep the last one; those that take torques brake."""
+
+    def read(self):
+        return self.angles
+
+
+def serve(motors, port, host="127.0.0.1"):
+    line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    line.bind((host, port))
+    peer, last, sent, heard, active, due = None, 0, 0, -math.inf, -math.inf, time.monotonic()
+    while True:
+        due = max(due, time.monotonic()) + PERIOD
+        while (left := due - time.monotonic()) > 0.0 and select.select([line], [], [], left)[0]:
+            data, sender = line.recvfrom(64)
+            now, packet = time.monotonic(), decode(data)
+            quiet = now - heard > QUIET_AFTER
+            if packet is None or not (quiet or (sender == peer and 0 < (packet[1] - last) % 2**32 < 2**31)):
+                continue
+            flags, number, values = packet
+            if flags & ACTIVE and not all(LOW <= value <= HIGH for value in values):
+                continue
+            peer, last, heard, active = sender, number, now, now if flags & ACTIVE else -math.inf
+            if flags & ACTIVE:
+                motors.follow(values)
+        now = time.monotonic()
+        holds = now - active > HOLD_AFTER
+        if holds:
+            motors.hold()
+        if now - heard <= QUIET_AFTER:
+            sent += 1
+            flags = READING | MEASURED | TAKES << 2 | (0 if holds else ACTIVE)
+            line.sendto(encode(flags, sent, last, int(now * 1e6), motors.read()), peer)
+
+
+if __name__ == "__main__":
+    serve(Motors(), int(sys.argv[1]))
