@@ -55,7 +55,9 @@ class ReachyMachine:
             from websockets.sync.client import connect
         self._errors = (OSError, EOFError, WebSocketException)
         try:
-            opened = connect(self._url, open_timeout=5.0, close_timeout=0.2, compression=None, proxy=None, max_queue=None)
+            opened = connect(
+                self._url, open_timeout=5.0, close_timeout=0.2, compression=None, proxy=None, max_queue=None
+            )
             self._socket = self._stack.enter_context(opened)
         except self._errors as error:
             allowed = "does the daemon run? See docs/machines.md"

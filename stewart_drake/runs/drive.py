@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -111,7 +111,12 @@ class Drive:
         self._controller, self._ahead = Controller(held, sources), ahead
         self._period, self._command = self._controller.period, np.empty(6)
         self._stale = max(STALE, 5.0 * self._period)
-        self._rows: list[dict[str, np.ndarray | float]] = []
+        # What is compiled or loaded in the first call must not come in the first tick.
+        self._controller.step(start.angles, 0.0, self._command)
+        self._controller.reset()
+        self._rows: list[dict[str, Any]] = []
+        self._behind = 0  # Ticks by which the motion's clock is behind that of the machine.
+        self._origin = 0.0  # [s], or a machine's number of its reading, at the beginning.
         self._stopped_by: RunFailure | KeyboardInterrupt | None = None
         motion.stop(start.duration - RAMP)
 
@@ -129,7 +134,7 @@ class Drive:
         try:
             while not self._done():
                 try:
-                    self._tick(began)
+                    self._tick()
                     if progress is not None:
                         progress(self.time)
                 except KeyboardInterrupt as end:
@@ -154,13 +159,20 @@ class Drive:
             self._stopped_by = why
             self._motion.stop(self.time + self._ahead)
 
-    def _tick(self, began: float) -> None:
-        reading, now, late = self._next(began)
-        if now <= self.time and self._rows:
+    def _tick(self) -> None:
+        reading, tick, late = self._next()
+        if self._rows and tick <= self._rows[-1]["tick"]:
             # A paced machine that has nothing new: only time passes.
-            self._look(reading, now)
+            self._look(reading)
             return
-        age = max(reading.age, reading.command_age - 2.0 * self._period, 0.0)
+        if self._rows and (gone := (tick - self._rows[-1]["tick"]) * self._period) > self._stale:
+            # The motion waits, or its next pose would be far away.
+            self._behind += tick - self._rows[-1]["tick"] - 1
+            tick = self._rows[-1]["tick"] + 1
+            self._stop(
+                RunFailure(f"nothing came from the machine, or nothing ran here, for {gone:.3g} s", reason="late")
+            )
+        now, age = tick * self._period, max(reading.age, reading.command_age - 2.0 * self._period, 0.0)
         self._controller.step(reading.angles, now, self._command, age)
         self._machine.command(self._command)
         logged = {
@@ -169,30 +181,32 @@ class Drive:
         }
         own = {"angles": reading.angles.copy(), "pose": reading.pose, "reading_age": age, "lateness": late}
         sent = {"sent": self._command.copy(), "reference": self._motion.row(now)}
-        self._rows.append({"time": now, **logged, **own, **sent})
-        self._look(reading, now)
+        self._rows.append({"time": now, "tick": tick, **logged, **own, **sent})
+        self._look(reading)
 
-    def _next(self, began: float) -> tuple[Reading, float, float]:
-        """The next reading, its time since the beginning, and how late it is [s]."""
-        machine, period, count = self._machine, self._period, len(self._rows)
+    def _next(self) -> tuple[Reading, int, float]:
+        """The next reading, its tick, and how late it is [s]."""
+        machine, first = self._machine, not self._rows
         if machine.paced:
             reading = machine.read()
-            self._first = reading.number if count == 0 else self._first
-            return reading, (reading.number - self._first) * period, 0.0
+            self._origin = reading.number if first else self._origin
+            return reading, int(reading.number - self._origin) - self._behind, 0.0
+        self._origin = time.monotonic() if first else self._origin
         # Ticks that have gone by are left out, not made up for.
-        due = max(round(self.time / period) + (count > 0), int((time.monotonic() - began) / period))
-        if (rest := began + due * period - time.monotonic()) > 0.0:
+        passed = int((time.monotonic() - self._origin) / self._period)
+        due = 0 if first else max(self._rows[-1]["tick"] + self._behind + 1, passed)
+        if (rest := self._origin + due * self._period - time.monotonic()) > 0.0:
             time.sleep(rest)
-        late = time.monotonic() - began - due * period
-        return machine.read(), due * period, late
+        late = time.monotonic() - self._origin - due * self._period
+        return machine.read(), due - self._behind, late
 
-    def _look(self, reading: Reading, now: float) -> None:
+    def _look(self, reading: Reading) -> None:
         """What makes it slow down and stop."""
         if reading.age > self._stale:
             text = f"a reading that is {reading.age:.3g} s old, at most {self._stale:.3g} s"
             self._stop(RunFailure(text, reason="stale_reading"))
         elif self._machine.reads:
-            wanted = inverse_kinematics(self._robot, self._motion.evaluate(now)[0])
+            wanted = inverse_kinematics(self._robot, self._motion.evaluate(self.time)[0])
             apart = np.abs(reading.angles - wanted)
             if apart.max() > FOLLOWING:
                 leg = int(apart.argmax())
@@ -221,7 +235,9 @@ class Drive:
         """As of a run: the pose is that which the machine tells, or else that of the angles that it reads."""
         if not self._rows:
             return {}
-        values = {name: np.array([row[name] for row in self._rows]) for name in self._rows[0] if name != "pose"}
+        values = {
+            name: np.array([row[name] for row in self._rows]) for name in self._rows[0] if name not in ("pose", "tick")
+        }
         angles, poses = values.pop("angles"), [row["pose"] for row in self._rows]
         of_angles, guess = [], self._start.pose
         for row in angles:
