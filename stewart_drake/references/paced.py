@@ -1,6 +1,6 @@
-"""A motion for a machine: a smooth way to its first pose, then the motion, at a pace that rises from rest and ends at it.
+"""A motion for a machine: a smooth way to its first pose, then the motion, at a pace that begins and ends with rest.
 
-The path is never left: what stops early slows down along it. The pace rises as `smoothstep`, and falls as one less that.
+The path is never left: what stops early slows down along it. The pace rises as `smoothstep`, and falls as one minus it.
 """
 
 from __future__ import annotations

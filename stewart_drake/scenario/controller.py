@@ -55,7 +55,9 @@ class Controller:
         self.period, self._tick, self.reading = options.reading_period, side.context.period, side.context.reading
         outside = {side.reading: self.reading, **{source.signal: source.size for source in side.sources}}
         self._running = LoopRunner(parts, outside, period=side.context.period, step=self.period)
-        evaluated = {each.signal: InBlocks(each.evaluate, self.period).at_time for each in side.sources}
+        evaluated: dict[str, Callable[[float], np.ndarray]] = {
+            each.signal: InBlocks(each.evaluate, self.period).at_time for each in side.sources
+        }
         evaluated |= {name: evaluate for name, evaluate in (sources or {}).items() if name in evaluated}
         self._sources = [(self._running.signal(name), evaluate) for name, evaluate in evaluated.items()]
         there = self._running.places
