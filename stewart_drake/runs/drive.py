@@ -101,10 +101,10 @@ class Drive:
 
     def __init__(self, scenario: Scenario, machine: Machine, start: Start) -> None:
         self._machine, self._start, self._motion = machine, start, start.motion
-        held = scenario.replace(
-            {"reference": {"kind": "hold", "pose": start.pose.tolist()}, "duration": start.duration}
-        )
-        held = held.replace({"initial_offset": [0.0] * 6})
+        here = {"reference": {"kind": "hold", "pose": start.pose.tolist()}, "initial_offset": [0.0] * 6}
+        # What it believes begins where the robot stands, and it reads angles, whatever a simulation would.
+        here = {"reference": {"kind": "hold", "pose": start.pose.tolist()}, "initial_offset": [0.0] * 6}
+        held = scenario.control().replace({**here, "model.reading": "angles"})
         motion, ahead = self._motion, scenario.preview
         sources = {"reference": motion.row, "reference_ahead": lambda now: motion.row(now + ahead)}
         self.scenario, self._robot = scenario.replace({"duration": start.duration}), scenario.belief.robot
