@@ -25,7 +25,7 @@ def decode(data):
     if len(data) != BODY.size + CHECK.size or zlib.crc32(data[: BODY.size]) != CHECK.unpack(data[BODY.size :])[0]:
         return None
     magic, version, flags, number, _, _, *values = BODY.unpack(data[: BODY.size])
-    good = magic == b"SD" and version == 1 and flags & ~ACTIVE == TAKES << 2 and all(map(math.isfinite, values))
+    good = magic == b"SD" and version == 1 and flags in (0, 4, 8, TAKES << 2 | ACTIVE) and all(map(math.isfinite, values))
     return (flags, number, values) if good else None
 
 

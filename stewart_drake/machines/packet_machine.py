@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
+from contextlib import suppress
 
 import numpy as np
 
@@ -68,8 +69,15 @@ class PacketMachine(ABC):
 
     def connect(self) -> None:
         """Asks for readings until enough have come to know the period."""
-        self._forget()
-        self._open()
+        self.disconnect()
+        try:
+            self._open()
+            self._greet()
+        except BaseException:
+            self.disconnect()
+            raise
+
+    def _greet(self) -> None:
         gave_up, ask, first = time.monotonic() + ANSWER_WITHIN, 0.0, None
         while first is None or self._counted < COUNTED:
             now = time.monotonic()
@@ -118,12 +126,10 @@ class PacketMachine(ABC):
     def disconnect(self) -> None:
         """Tells the machine to hold, and closes."""
         if self._last is not None:
-            try:
+            with suppress(MachineError):
                 self._tell(np.zeros(6), False)
-            except MachineError:
-                pass
-        self._last = None
         self._close()
+        self._forget()
 
     def _forget(self) -> None:
         self._last: Packet | None = None

@@ -163,23 +163,24 @@ class RobotSide:
     def take(self, data: bytes, peer: Any, now: float) -> bool:
         """Looks at what a peer has sent; whether it is a command to be followed."""
         packet, quiet = decode(data), now - self._heard > QUIET_AFTER
-        if packet is None or packet.flags & READING or packet.takes != self.takes:
+        active = packet is not None and bool(packet.flags & ACTIVE)
+        if packet is None or packet.flags & READING or (active and packet.takes != self.takes):
             reason = "garbage"
         elif peer != self.peer and not quiet:
             reason = "foreign"
         elif peer == self.peer and not quiet and not newer(packet.number, self._heard_number):
             reason = "old"
-        elif packet.flags & ACTIVE and not ((packet.values >= self._low) & (packet.values <= self._high)).all():
+        elif active and not ((packet.values >= self._low) & (packet.values <= self._high)).all():
             reason = "range"
         else:
             reason = "accepted"
             if peer == self.peer and not quiet:
                 self.counts["missing"] += (packet.number - self._heard_number) % 2**32 - 1
             self.peer, self._heard, self._heard_number = peer, now, packet.number
-            self.values, self._active = (packet.values, now) if packet.flags & ACTIVE else (None, -np.inf)
-            self.counts["late"] += bool(packet.flags & ACTIVE) and now - self._sent > 0.001
+            self.values, self._active = (packet.values, now) if active else (None, -np.inf)
+            self.counts["late"] += active and now - self._sent > 0.001
         self.counts[reason] += 1
-        return reason == "accepted" and bool(packet and packet.flags & ACTIVE)
+        return reason == "accepted" and active
 
     def reading(self, angles: np.ndarray, time: float, now: float) -> bytes:
         """The packet of a reading (6,) [rad] at a time [s] of the robot's clock; nothing where nobody asks."""
