@@ -102,7 +102,7 @@ class ReachyMachine:
     def _receive(self, timeout: float) -> Any:
         """The next message; None where none has come in a time [s]."""
         try:
-            return json.loads(self._opened().recv(timeout=timeout))
+            return json.loads(self._opened().recv(timeout=timeout)) or {}
         except TimeoutError:
             return None
         except ValueError:
