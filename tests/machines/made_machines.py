@@ -14,9 +14,7 @@ from stewart_drake.machines.simulated import RobotSide
 from stewart_drake.scenario.scenario import load_scenario
 
 ROOT = Path(__file__).parents[2]
-SERVOS = load_scenario(
-    "reachy_nod", ["plant={kind: closed_form}", "motors.kind=position", "model={}", "safety=null"]
-)
+SERVOS = load_scenario("reachy_nod", ["plant={kind: closed_form}", "motors.kind=position", "model={}", "safety=null"])
 TORQUES = load_scenario("exact_fig7", ["plant.kind=closed_form", "sensors.kind=encoders"])
 
 
@@ -25,6 +23,13 @@ def docs_module(name):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def go_on(machine):
+    """Until it is lost."""
+    for _ in range(1000):
+        machine.command(np.zeros(6))
+        machine.read()
 
 
 class Robot(threading.Thread):

@@ -148,9 +148,7 @@ def in_c(tmp_path_factory):
         pytest.skip("needs a C compiler")
     library = tmp_path_factory.mktemp("c") / "robot_side.so"
     warned = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-std=c99"]
-    subprocess.run(
-        [compiler, *warned, "-shared", "-fPIC", ROOT / "docs" / "robot_side.c", "-o", library], check=True
-    )
+    subprocess.run([compiler, *warned, "-shared", "-fPIC", ROOT / "docs" / "robot_side.c", "-o", library], check=True)
     loaded = ctypes.CDLL(str(library))
     for name in ("sd_to_frame", "sd_from_frame", "sd_reading"):
         getattr(loaded, name).restype = ctypes.c_size_t
@@ -194,7 +192,9 @@ def test_c_decides_as_python_does(in_c):
         side.take(data, "peer", clock * 1e-6)
         if packet is not None:
             values = (ctypes.c_float * 6)(*packet.values)
-            taken = in_c.sd_take(ctypes.byref(other), ctypes.byref(CPacket(*packet[:4], values)), ctypes.c_uint64(clock))
+            taken = in_c.sd_take(
+                ctypes.byref(other), ctypes.byref(CPacket(*packet[:4], values)), ctypes.c_uint64(clock)
+            )
             assert taken == side.counts["accepted"] - accepted
         now = clock + chance.choice([500, 98_000, 102_000]) + chance.randint(1, 99)
         assert bool(in_c.sd_holds(ctypes.byref(other), ctypes.c_uint64(now))) == side.holds(now * 1e-6)

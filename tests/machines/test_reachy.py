@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_machines import SERVOS
+from made_machines import SERVOS, go_on
 
 from stewart_drake.base.errors import MissingPackageError
 from stewart_drake.machines.machine import MachineError, open_machine
@@ -101,7 +101,7 @@ def test_a_command_has_seven_numbers_with_the_yaw_that_the_body_has(daemon, mach
     for _ in range(5):
         machine.read()
     yaw = json.loads(TICKS[0][0])["head_joint_positions"][0]
-    low, high = SERVOS.robot.crank_angle_ranges.T
+    _, high = SERVOS.robot.crank_angle_ranges.T
     assert daemon.commands == [
         {"type": "set_head_joints", "joints": [yaw, *angles.tolist()]},
         {"type": "set_head_joints", "joints": [yaw, *high.tolist()]},
@@ -137,16 +137,13 @@ def test_silence_is_an_older_reading_and_then_a_lost_machine(daemon, machine):
     assert older.number == old.number
     assert 0.05 < older.age - old.age < 0.2
     with pytest.raises(MachineError, match=r"has sent no angles for 1\.\d s"):
-        for _ in range(50):
-            machine.read()
+        go_on(machine)
 
 
 def test_a_closed_socket_is_a_lost_machine_in_one_line(daemon, machine):
     daemon.connection.close()
-    with pytest.raises(MachineError, match="connection to Reachy Mini's daemon is lost") as caught:
-        for _ in range(50):
-            machine.read()
-            machine.command(np.zeros(6))
+    with pytest.raises(MachineError, match=r"reachy://.*: the connection is lost") as caught:
+        go_on(machine)
     assert "\n" not in str(caught.value)
     machine.disconnect()
     with pytest.raises(MachineError, match="not connected"):
@@ -156,12 +153,14 @@ def test_a_closed_socket_is_a_lost_machine_in_one_line(daemon, machine):
 def test_without_a_daemon_it_says_so_in_one_line():
     with Daemon() as gone:
         pass
-    with pytest.raises(MachineError, match=r"no daemon of Reachy Mini at ws://127.*does the daemon run") as caught:
+    with pytest.raises(
+        MachineError, match=r"reachy://127.*: no daemon of Reachy Mini answers there; does it run"
+    ) as caught:
         open_machine(f"reachy://127.0.0.1:{gone.port}", SERVOS).connect()
     assert "\n" not in str(caught.value)
 
 
-def test_it_opens_again(daemon, machine):
+def test_it_opens_again(machine):
     for _ in range(3):
         machine.disconnect()
         machine.connect()

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from made_machines import SERVOS, TORQUES
+from made_machines import ROOT, SERVOS, TORQUES, go_on
 
 from stewart_drake.machines.machine import MachineError, open_machine
 from stewart_drake.machines.simulated import SimulatedRobot
@@ -83,9 +83,7 @@ def test_a_killed_simulation_is_a_lost_machine():
     machine.connect()
     machine._process.kill()
     with pytest.raises(MachineError, match="sim:: nobody listens there"):
-        for _ in range(100):
-            machine.command(np.zeros(6))
-            machine.read()
+        go_on(machine)
     machine.disconnect()
 
 
@@ -108,9 +106,7 @@ def test_a_robot_whose_driver_is_killed_holds_and_takes_the_next_one(shell_envir
     robot = subprocess.Popen(command, stdout=subprocess.PIPE, env=shell_environment)
     try:
         port = int(robot.stdout.readline())
-        driver = subprocess.Popen(
-            [sys.executable, "-c", DRIVER % port], stdout=subprocess.PIPE, env=shell_environment
-        )
+        driver = subprocess.Popen([sys.executable, "-c", DRIVER % port], stdout=subprocess.PIPE, env=shell_environment)
         for _ in range(20):
             assert driver.stdout.readline() == b"driving\n"
         driver.kill()
@@ -155,6 +151,5 @@ def test_a_child_ends_with_its_parent(shell_environment):
 
 @pytest.fixture
 def shell_environment():
-    root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    path = os.pathsep.join([os.path.dirname(root), root, os.path.dirname(os.path.abspath(__file__))])
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [path, os.environ.get("PYTHONPATH")]))}
+    folders = ROOT, ROOT / "tests", ROOT / "tests" / "machines", os.environ.get("PYTHONPATH")
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(str(each) for each in folders if each)}

@@ -11,11 +11,19 @@ import tty
 
 import numpy as np
 import pytest
-from made_machines import ROOT, SERVOS, TORQUES, Robot, UdpRobot
+from made_machines import ROOT, SERVOS, TORQUES, Robot, UdpRobot, go_on
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.machines.machine import MachineError, command_limits, open_machine
 from stewart_drake.machines.packet import ACTIVE, READING, Packet, decode, encode, from_frame, split_frames, to_frame
+
+
+FLOOD = """
+import socket
+line = socket.socket(type=socket.SOCK_DGRAM)
+while True:
+    line.sendto(b"x" * 48, ("127.0.0.1", %d))
+"""
 
 
 class SerialRobot(Robot):
@@ -83,7 +91,7 @@ def test_readings_and_commands_go_both_ways_at_the_robots_pace(robot, machine):
 
 
 def test_commands_are_cut_to_the_limits_and_numbers_are_needed(robot, machine):
-    low, high = command_limits(SERVOS)
+    _, high = command_limits(SERVOS)
     machine.command(np.full(6, 9.0))
     for _ in range(5):
         reading = machine.read()
@@ -94,7 +102,7 @@ def test_commands_are_cut_to_the_limits_and_numbers_are_needed(robot, machine):
             machine.command(bad)
 
 
-def test_a_pause_is_no_loss(robot, machine):
+def test_a_pause_is_no_loss(machine):
     machine.command(np.zeros(6))
     time.sleep(1.3)  # Longer than the robot sends without being asked.
     for _ in range(30):
@@ -148,8 +156,7 @@ def test_a_reading_that_is_missing_is_given_again_older(robot, machine):
     assert old.number == older.number
     assert old.age < older.age
     with pytest.raises(MachineError, match=r"has sent no reading for 1\.\d s"):
-        for _ in range(400):
-            machine.read()
+        go_on(machine)
 
 
 def test_commands_that_no_longer_arrive_show_in_their_age(robot, machine):
@@ -164,7 +171,7 @@ def test_commands_that_no_longer_arrive_show_in_their_age(robot, machine):
 
 def test_a_robot_that_takes_something_else_is_refused(robot):
     machine = machine_of(robot, TORQUES)
-    with pytest.raises(ConfigurationError, match=r"motors.kind: expected motors that take angle, as .* says of its own"):
+    with pytest.raises(ConfigurationError, match=r"motors.kind: expected motors that take angle, as .* does"):
         machine.connect()
     assert robot.followed == []
 
@@ -186,7 +193,7 @@ def test_nobody_there_is_one_line():
     machine.disconnect()
     with pytest.raises(MachineError, match="not connected"):
         machine.read()
-    with pytest.raises(MachineError, match="serial:/dev/nowhere: .*No such file"):
+    with pytest.raises(MachineError, match=r"serial:/dev/nowhere: .*No such file"):
         open_machine("serial:/dev/nowhere", SERVOS).connect()
 
 
@@ -196,9 +203,7 @@ def test_a_line_that_is_unplugged_is_lost():
         machine = machine_of(robot)
         machine.connect()
     with pytest.raises(MachineError, match="serial:"):
-        for _ in range(400):
-            machine.read()
-            machine.command(np.zeros(6))
+        go_on(machine)
     machine.disconnect()
 
 
@@ -220,9 +225,8 @@ def test_a_flood_from_elsewhere_and_from_the_robot_stops_neither_side():
     with UdpRobot() as robot:
         machine = machine_of(robot)
         machine.connect()
-        flood = "import socket, sys\ns = socket.socket(type=socket.SOCK_DGRAM)\nwhile True: s.sendto(b'x' * 48, ('127.0.0.1', %d))"
         own = machine._socket.getsockname()[1]
-        flooding = [subprocess.Popen([sys.executable, "-c", flood % port]) for port in (robot.port, own)]
+        flooding = [subprocess.Popen([sys.executable, "-c", FLOOD % port]) for port in (robot.port, own)]
         robot.mischief = lambda data: [b"y" * 48] * 50 + [data]
         try:
             began = machine.read()
@@ -261,9 +265,7 @@ def test_the_example_in_plain_python_is_a_robot():
         robot.kill()
         robot.wait()
         with pytest.raises(MachineError, match="nobody listens there"):
-            for _ in range(10):
-                machine.command(np.zeros(6))
-                machine.read()
+            go_on(machine)
         machine.disconnect()
     finally:
         robot.kill()

@@ -100,7 +100,7 @@ def test_its_code_has_to_be_trusted(mine):
 @pytest.mark.parametrize("answer", ["5", "[1, 2]", "'up'", "[float('nan')] * 6", "([0] * 6, 'now')", "self"])
 def test_what_is_no_reading_is_a_line(mine, answer):
     machine = mine("Now", answer)
-    with pytest.raises(MachineError, match="mine.py:Now: read gave") as caught:
+    with pytest.raises(MachineError, match=r"mine.py:Now: read gave") as caught:
         machine.connect()
     assert "\n" not in str(caught.value)
 
@@ -119,13 +119,13 @@ def test_what_it_raises_is_its_own(mine):
     with pytest.raises(ControllerError, match="ZeroDivisionError"):
         machine.connect()
     machine = mine("Now", "open('/nowhere')")
-    with pytest.raises(MachineError, match="mine.py:Now: .*No such file"):
+    with pytest.raises(MachineError, match=r"mine.py:Now: .*No such file"):
         machine.connect()
 
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("NoCommand", "not one without command"), ("Asks", "can be constructed"), ("Other", "a name that")],
+    [("NoCommand", "command is missing"), ("Asks", "can be constructed"), ("Other", "a name that")],
 )
 def test_a_class_that_is_none_is_a_line(mine, name, message):
     with pytest.raises(ConfigurationError, match=f"machine: .*{message}"):
