@@ -33,11 +33,12 @@ class PacketMachine(ABC):
     period: float | None = None
     reads = True
     paced = True
+    _looked = _listening = _arrived = _answered = 0.0
 
     def __init__(self, scenario: Scenario, name: str) -> None:
         self._scenario, self._limits, self.name = scenario, machine.command_limits(scenario), name
         self.takes: Takes = scenario.belief.motors.takes  # type: ignore[assignment]
-        self.dropped, self._line = Counter[str](), None
+        self.dropped, self._line = Counter[str](), None  # type: Counter[str], Any
         self._forget()
 
     @abstractmethod
@@ -116,9 +117,9 @@ class PacketMachine(ABC):
 
     def _forget(self) -> None:
         self._last: wire.Packet | None = None
-        self._number, self._counted, now = 0, 0, time.monotonic()
+        now = time.monotonic()
+        self._number, self._counted, self._sent = 0, 0, np.full(KEPT, now)
         self._looked = self._listening = self._arrived = self._answered = now
-        self._sent = np.full(KEPT, now)
 
     def _connected(self) -> wire.Packet:
         if self._last is None:

@@ -41,7 +41,9 @@ class ReachyMachine:
             f"ws://{host}:{port}/ws/sdk",
             ExitStack(),
         )
-        self.name, self._errors = f"reachy://{host}:{port}", (OSError, EOFError)
+        self.name = f"reachy://{host}:{port}"
+        self._errors: tuple[type[Exception], ...] = (OSError, EOFError)
+        self._socket: Any = None
         self.disconnect()
 
     def connect(self) -> None:
@@ -87,7 +89,7 @@ class ReachyMachine:
     def disconnect(self) -> None:
         """Closes the socket; the daemon holds the last angles."""
         self._stack.close()
-        self._socket: Any = None
+        self._socket = None
         self._number, self._pose_number, self._arrived, self._off = -1, -1, 0.0, False
         self._joints, self._yaw, self._pose = np.zeros(7), 0.0, np.zeros(6)
 

@@ -17,7 +17,6 @@ from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.machines.machine import MachineError, command_limits, open_machine
 from stewart_drake.machines.packet import ACTIVE, READING, Packet, decode, encode, from_frame, split_frames, to_frame
 
-
 FLOOD = """
 import socket
 line = socket.socket(type=socket.SOCK_DGRAM)
@@ -225,7 +224,7 @@ def test_a_flood_from_elsewhere_and_from_the_robot_stops_neither_side():
     with UdpRobot() as robot:
         machine = machine_of(robot)
         machine.connect()
-        own = machine._socket.getsockname()[1]
+        own = machine._line.getsockname()[1]
         flooding = [subprocess.Popen([sys.executable, "-c", FLOOD % port]) for port in (robot.port, own)]
         robot.mischief = lambda data: [b"y" * 48] * 50 + [data]
         try:

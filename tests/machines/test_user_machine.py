@@ -93,7 +93,7 @@ def test_one_with_a_clock_and_attributes_of_its_own(mine):
 
 
 def test_its_code_has_to_be_trusted(mine):
-    with pytest.raises(ConfigurationError, match=r"machine: expected code that you trust; .*--trust-code"):
+    with pytest.raises(ConfigurationError, match=r"machine: expected code that you trust, .*--trust-code"):
         mine("MyMachine", trust=False)
 
 
