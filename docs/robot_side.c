@@ -114,7 +114,7 @@ size_t sd_from_frame(const uint8_t *frame, size_t size, uint8_t out[SD_FRAME]) {
 int sd_take(sd_side *side, const sd_packet *packet, uint64_t now_us) {
     int quiet = !side->heard || now_us - side->heard_us > SD_QUIET_AFTER, active = (packet->flags & SD_ACTIVE) != 0;
     uint32_t ahead = packet->number - side->last;
-    if ((packet->flags & SD_READING) || ((packet->flags >> 2) & 3u) != side->takes) return 0;
+    if ((packet->flags & SD_READING) || (active && ((packet->flags >> 2) & 3u) != side->takes)) return 0;
     if (!quiet && (ahead == 0 || ahead >= 0x80000000u)) return 0;
     for (int k = 0; k < 6; k++)
         if (active && !(packet->values[k] >= side->low[k] && packet->values[k] <= side->high[k])) return 0;

@@ -16,6 +16,7 @@ PERIOD, HOLD_AFTER, QUIET_AFTER = 0.01, 0.1, 1.0  # [s]
 
 
 def encode(flags, number, answers, microseconds, values):
+    """The bytes of a packet."""
     body = BODY.pack(b"SD", 1, flags, number & 0xFFFFFFFF, answers, microseconds, *values)
     return body + CHECK.pack(zlib.crc32(body))
 
@@ -25,8 +26,8 @@ def decode(data):
     if len(data) != BODY.size + CHECK.size or zlib.crc32(data[: BODY.size]) != CHECK.unpack(data[BODY.size :])[0]:
         return None
     magic, version, flags, number, _, _, *values = BODY.unpack(data[: BODY.size])
-    good = magic == b"SD" and version == 1 and flags & ~ACTIVE == TAKES << 2 and all(map(math.isfinite, values))
-    return (flags, number, values) if good else None
+    good = (magic, version) == (b"SD", 1) and flags in (0, 4, 8, TAKES << 2 | ACTIVE)
+    return (flags, number, values) if good and all(map(math.isfinite, values)) else None
 
 
 class Motors:
@@ -35,16 +36,19 @@ class Motors:
     angles = [0.0] * 6
 
     def follow(self, values):
+        """Go there."""
         self.angles = values
 
     def hold(self):
         """Motors that take angles keep the last one; those that take torques brake."""
 
     def read(self):
+        """Six angles."""
         return self.angles
 
 
 def serve(motors, port, host="127.0.0.1"):
+    """For ever."""
     line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     line.bind((host, port))
     peer, last, sent, heard, active, due = None, 0, 0, -math.inf, -math.inf, time.monotonic()

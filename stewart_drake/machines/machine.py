@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Literal, NamedTuple, Protocol
 from urllib.parse import urlsplit
 
@@ -10,6 +12,7 @@ import numpy as np
 
 from stewart_drake.base.code import CLASS_PATH
 from stewart_drake.base.errors import ConfigurationError, RunFailure
+from stewart_drake.base.families import imported
 from stewart_drake.scenario.scenario import Scenario
 
 LOCALHOST = "127.0.0.1"
@@ -17,15 +20,29 @@ LOST = 1.0
 """[s] without a reading after which a machine is lost."""
 PATIENCE = 3
 """Periods for which `read` waits for the next reading of a machine that sets the pace."""
-URLS = "reachy://HOST:PORT, udp://HOST:PORT, serial:DEVICE, sim: or mine.py:MyMachine"
-
 Takes = Literal["angle", "torque", "current"]
+_URLS = "reachy://HOST:PORT, udp://HOST:PORT, serial:DEVICE, sim: or mine.py:MyMachine"
+_AT_ADDRESS = {"reachy": ("reachy:ReachyMachine", 8000), "udp": ("udp:UdpMachine", None)}  # With their default ports.
 
 
 class MachineError(RunFailure):
-    """A machine that cannot be reached, is lost, or gives what is no reading; one line says which."""
+    """A machine that cannot be reached, is lost, or gives what is no reading: one line, which begins with its name."""
 
     reason = "machine"
+
+    def __init__(self, name: str, problem: str | Exception) -> None:
+        super().__init__(f"{name}: {' '.join(str(problem).split()) or type(problem).__name__}")
+
+
+@contextmanager
+def line_errors(name: str) -> Iterator[None]:
+    """Within it, what a socket or a serial line raises is a MachineError."""
+    try:
+        yield
+    except ConnectionRefusedError:
+        raise MachineError(name, "nobody listens there") from None
+    except (OSError, ValueError) as error:
+        raise MachineError(name, error) from None
 
 
 class Reading(NamedTuple):
@@ -35,12 +52,12 @@ class Reading(NamedTuple):
         angles: (6,) [rad] of the cranks.
         time: [s] of the machine's own clock where it has one, else of `time.monotonic` when the reading arrived.
         age: [s] since it arrived, at the moment that `read` returns.
-        number: Counts the machine's readings; it stays where none has come since the last `read`, and a jump by more
-            than one says how many were lost.
+        number: Counts the machine's readings. It stays where none has come since the last `read`; a jump by more than
+            one says that some were lost, or came too fast to be read.
         command_age: [s] since that command was sent which is known to have arrived; no reading is older than that,
             whatever the network does. 0 where the machine does not say.
         holding: Whether the machine says that it follows no commands: it has got none yet, or the last is too old.
-        pose: (6,) [rad, m] of the platform where the machine tells it, for comparison only.
+        pose: (6,) [rad, m] of the platform where the machine tells it; for comparison, no law reads it.
     """
 
     angles: np.ndarray
@@ -55,14 +72,14 @@ class Reading(NamedTuple):
 class Machine(Protocol):
     """Six motors that can be told what to do. `open_machine` makes one; nothing happens before `connect`.
 
-    Every method may raise a `MachineError`; after one, `disconnect` is all that may be called.
+    Every method but `disconnect` may raise a `MachineError`.
 
     Attributes:
-        period: [s] between two readings; None where it is not known, or does not matter. Final after `connect`.
+        period: [s] between two readings, known once it is connected; None where that does not matter.
         takes: What `command` takes: `angle` [rad], `torque` [N m] or `current` [A].
         reads: Whether it measures its angles; otherwise `read` gives the last command.
-        paced: Whether its own ticks set the pace. `read` then waits for the next reading, for at most some periods;
-            if none comes it gives the last one again, older. Otherwise `read` gives the latest at once.
+        paced: Whether its own ticks set the pace. `read` then waits for the next reading, for at most `PATIENCE`
+            periods; if none comes it gives the last one again, older. Otherwise `read` gives the latest at once.
     """
 
     period: float | None
@@ -74,13 +91,13 @@ class Machine(Protocol):
         """Opens the connection and waits for the first reading; moves nothing."""
 
     def read(self) -> Reading:
-        """The latest reading, see `paced`."""
+        """The next or the latest reading, see `paced`."""
 
     def command(self, values: np.ndarray) -> None:
-        """Sends six commands (6,), see `takes`; returns at once. They are cut to the robot's limits."""
+        """Sends six commands (6,), see `takes`, cut to the robot's limits; does not wait."""
 
     def disconnect(self) -> None:
-        """Lets go: the machine holds where it is. Never raises, and may be called twice."""
+        """Lets go; the machine holds where it is. Never raises, and may be called twice."""
 
 
 def open_machine(url: str, scenario: Scenario) -> Machine:
@@ -92,47 +109,37 @@ def open_machine(url: str, scenario: Scenario) -> Machine:
         scenario: What is driven; what its motors are believed to take, and the limits of its robot, are the machine's.
 
     Raises:
-        ConfigurationError: A URL that names none, code that is not trusted, a machine that takes something else.
+        ConfigurationError: A URL that names no machine, code that is not trusted, a machine that takes something else.
     """
     kind, _, rest = url.partition(":")
-    if kind in ("reachy", "udp"):
-        host, port = _address(url, 8000 if kind == "reachy" else None)
-        if kind == "reachy":
-            from stewart_drake.machines.reachy import ReachyMachine
-
-            return ReachyMachine(scenario, host, port)
-        from stewart_drake.machines.udp import UdpMachine
-
-        return UdpMachine(scenario, host, port)
-    if kind == "serial" and (parts := re.fullmatch(r"(.+?)(?::(\d{1,8}))?", rest)):
-        from stewart_drake.machines.serial_line import SerialMachine
-
-        return SerialMachine(scenario, parts[1], int(parts[2] or 1_000_000))
-    if kind == "sim":
-        from stewart_drake.machines.simulated import SimulatedMachine
-
-        return SimulatedMachine(scenario, rest)
-    if re.fullmatch(CLASS_PATH, url):
-        from stewart_drake.machines.user_machine import UserMachine
-
-        return UserMachine(scenario, url)
-    raise ConfigurationError("machine", url, URLS)
+    if kind in _AT_ADDRESS:
+        place, default_port = _AT_ADDRESS[kind]
+        machine: Machine = imported(f"machines.{place}")(scenario, *_address(url, default_port))
+    elif kind == "serial" and (parts := re.fullmatch(r"(.+?)(?::(\d{1,8}))?", rest)):
+        machine = imported("machines.serial_line:SerialMachine")(scenario, parts[1], int(parts[2] or 1_000_000))
+    elif kind == "sim":
+        machine = imported("machines.simulated:SimulatedMachine")(scenario, rest)
+    elif re.fullmatch(CLASS_PATH, url):
+        machine = imported("machines.user_machine:UserMachine")(scenario, url)
+    else:
+        raise ConfigurationError("machine", url, _URLS)
+    return machine
 
 
 def _address(url: str, default_port: int | None) -> tuple[str, int]:
     """Host, this computer where none is named, and port of a URL `kind://HOST:PORT`."""
     try:
         parts = urlsplit(url)
-        host, port = parts.hostname or LOCALHOST, parts.port or default_port
-        rest = parts.path.strip("/") + parts.query + parts.fragment + (parts.username or "")
+        host, port = parts.hostname or LOCALHOST, default_port if parts.port is None else parts.port
+        more = parts.path.strip("/") + parts.query + parts.fragment + (parts.username or "")
     except ValueError:
-        port, rest = None, url
-    if port is None or rest or "://" not in url:
+        host, port, more = "", None, ""
+    if not port or more or "://" not in url:
         raise ConfigurationError("machine", url, f"{url.partition(':')[0]}://HOST:PORT, with a port from 1 to 65535")
     return host, port
 
 
-def check_takes(scenario: Scenario, takes: Takes, who: str) -> None:
+def check_takes(scenario: Scenario, takes: str, who: str) -> None:
     """Raises a ConfigurationError where the motors that the controller believes in take something else."""
     motors = scenario.belief.motors
     if motors.takes != takes:
@@ -140,23 +147,17 @@ def check_takes(scenario: Scenario, takes: Takes, who: str) -> None:
 
 
 def command_limits(scenario: Scenario) -> np.ndarray:
-    """(2, 6) lowest and highest commands of a scenario's robot and motors, in the motors' unit.
-
-    For angles these are the stops, and without stops a turn both ways.
-    """
+    """(2, 6) lowest and highest commands in the motors' unit; for angles the stops, without stops a turn both ways."""
     robot, motors = scenario.belief.robot, scenario.belief.motors
-    most = robot.effort_limits
     if motors.takes == "angle":
-        low, high = np.clip(robot.crank_angle_ranges, -2.0 * np.pi, 2.0 * np.pi).T
-        return np.stack([low, high])
-    if motors.takes == "current":
-        most = most / getattr(motors, "torque_constant", 1.0)
+        return np.clip(robot.crank_angle_ranges, -2.0 * np.pi, 2.0 * np.pi).T
+    most = robot.effort_limits / (getattr(motors, "torque_constant", 1.0) if motors.takes == "current" else 1.0)
     return np.stack([-most, most])
 
 
-def within_limits(values: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Commands (6,) cut to `command_limits` (2, 6); a MachineError where they are no numbers."""
+def within_limits(values: np.ndarray, limits: np.ndarray, name: str) -> np.ndarray:
+    """Commands (6,) cut to `command_limits` (2, 6); a MachineError of a machine where they are no numbers."""
     given = np.asarray(values, dtype=float)
     if given.shape != (6,) or not np.isfinite(given).all():
-        raise MachineError(f"a command that is not six finite numbers: {given}")
+        raise MachineError(name, f"a command that is not six finite numbers: {given}")
     return np.clip(given, limits[0], limits[1])

@@ -5,158 +5,149 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
+from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.machines.machine import (
-    LOST,
-    PATIENCE,
-    MachineError,
-    Reading,
-    Takes,
-    command_limits,
-    within_limits,
-)
-from stewart_drake.machines.packet import ACTIVE, HOLD_AFTER, MEASURED, READING, Packet, decode, encode, flags_of, newer
+from stewart_drake.machines import machine
+from stewart_drake.machines import packet as wire
+from stewart_drake.machines.machine import MachineError, Reading, Takes
 from stewart_drake.scenario.scenario import Scenario
 
-ASK_EVERY, ANSWER_WITHIN = 0.05, 3.0
-"""[s] between two requests while a connection opens, and until it is given up."""
-COUNTED = 20
-"""Readings from which the period is measured."""
+ASK_EVERY, ANSWER_WITHIN, COUNTED = 0.05, 3.0, 20
+"""[s] between two requests while a connection opens, and until it is given up; readings that give the period."""
 LARGEST_ANGLE = 4.0 * np.pi
 """[rad] of a reading that is believed."""
 KEPT = 1024
 """Commands whose time of sending is kept."""
-MOST_PACKETS = 1000
-"""Packets that one `read` looks at, however many come."""
 
 
 class PacketMachine(ABC):
     """What is the same for every carrier of packets.
 
     Attributes:
-        dropped: Packets that were not used, by reason: `garbage`, `old`, `foreign`, `range`.
+        dropped: Packets that were not used, by reason: `garbage`, `foreign`, `range`, `old`.
     """
 
     period: float | None = None
     reads = True
     paced = True
+    _looked = _listening = _arrived = _answered = 0.0
 
     def __init__(self, scenario: Scenario, name: str) -> None:
+        self._scenario, self._limits, self.name = scenario, machine.command_limits(scenario), name
         self.takes: Takes = scenario.belief.motors.takes  # type: ignore[assignment]
-        self._limits, self.name, self.dropped = command_limits(scenario), name, Counter[str]()
-        self._motors = scenario.belief.motors.kind
+        self.dropped, self._line = Counter[str](), None  # type: Counter[str], Any
         self._forget()
 
     @abstractmethod
-    def _open(self) -> None:
-        """Opens what carries the packets."""
+    def _open(self) -> Any:
+        """Opens what carries the packets; it has a method `close`."""
 
     @abstractmethod
-    def _send(self, packet: bytes) -> None:
-        """Sends one."""
+    def _send(self, line: Any, packet: bytes) -> None:
+        """Sends one, or loses it where there is no room."""
 
     @abstractmethod
-    def _receive(self, timeout: float) -> list[bytes]:
+    def _receive(self, line: Any, timeout: float) -> list[bytes]:
         """What has arrived, in order; waits for something for at most some time [s]."""
-
-    @abstractmethod
-    def _close(self) -> None:
-        """Closes it; may be called twice, and never raises."""
 
     def connect(self) -> None:
         """Asks for readings until enough have come to know the period."""
-        self._forget()
-        self._open()
-        gave_up, ask, first = time.monotonic() + ANSWER_WITHIN, 0.0, None
+        self.disconnect()
+        try:
+            with machine.line_errors(self.name):
+                self._line = self._open()
+            self._greet()
+        except BaseException:
+            self.disconnect()
+            raise
+
+    def _greet(self) -> None:
+        begun, asked, first = time.monotonic(), 0, None
         while first is None or self._counted < COUNTED:
-            now = time.monotonic()
-            if now > gave_up:
-                raise MachineError(f"{self.name} sends no readings: {dict(self.dropped) or 'nothing has come'}")
-            if now >= ask:
-                ask = now + ASK_EVERY
+            waited = time.monotonic() - begun
+            if waited > ANSWER_WITHIN:
+                raise MachineError(self.name, f"sends no readings: {dict(self.dropped) or 'nothing has come'}")
+            if waited >= asked * ASK_EVERY:
+                asked += 1
                 self._tell(np.zeros(6), False)
             self._wait(ASK_EVERY)
             if first is None and self._last is not None:
                 first, self._counted = self._last, 0
-        assert self._last is not None
-        if self._last.takes != self.takes:
-            allowed = f"motors that take {self._last.takes}, as {self.name} says of its own"
-            raise ConfigurationError("motors.kind", self._motors, allowed)
-        counted = (self._last.number - first.number) % 2**32
-        self.reads = bool(self._last.flags & MEASURED)
-        self.period = (self._last.microseconds - first.microseconds) * 1e-6 / counted
+        last = self._last or first
+        machine.check_takes(self._scenario, last.takes, self.name)
+        self.reads = bool(last.flags & wire.MEASURED)
+        self.period = (last.microseconds - first.microseconds) * 1e-6 / ((last.number - first.number) % 2**32)
 
     def read(self) -> Reading:
         """The next reading, or the last one again."""
-        if self._last is None or self.period is None:
-            raise MachineError(f"{self.name} is not connected; call connect first")
-        begun, counted = time.monotonic(), self._counted
-        if begun - self._looked > HOLD_AFTER:
+        last, begun, counted = self._connected(), time.monotonic(), self._counted
+        if begun - self._looked > wire.HOLD_AFTER:
             # Nobody has looked for a while; what the machine was silent about meanwhile says nothing.
             self._listening = begun
-        if begun - self._sent[self._number % KEPT] > HOLD_AFTER:
+        if begun - self._sent[self._number % KEPT] > wire.HOLD_AFTER:
             # It holds anyway, and would soon send no more.
             self._tell(np.zeros(6), False)
-        while self._counted == counted and (left := begun + PATIENCE * self.period - time.monotonic()) > 0.0:
+        end = begun + machine.PATIENCE * (self.period or ASK_EVERY)
+        while self._counted == counted and (left := end - time.monotonic()) > 0.0:
             self._wait(left)
         self._looked = now = time.monotonic()
-        last, silent = self._last, now - max(self._arrived, self._listening)
-        if silent > LOST:
-            raise MachineError(f"{self.name} has sent no reading for {silent:.1f} s")
-        age, held = now - self._arrived, not last.flags & ACTIVE
-        return Reading(last.values.copy(), last.microseconds * 1e-6, age, last.number, now - self._answered, held)
+        last, silent = self._last or last, now - max(self._arrived, self._listening)
+        if silent > machine.LOST:
+            raise MachineError(self.name, f"has sent no reading for {silent:.1f} s")
+        held, ages = not last.flags & wire.ACTIVE, (now - self._arrived, now - self._answered)
+        return Reading(last.values.copy(), last.microseconds * 1e-6, ages[0], last.number, ages[1], held)
 
     def command(self, values: np.ndarray) -> None:
         """Sends commands (6,) that are to be followed."""
-        if self._last is None:
-            raise MachineError(f"{self.name} is not connected; call connect first")
-        self._tell(within_limits(values, self._limits), True)
+        self._connected()
+        self._tell(machine.within_limits(values, self._limits, self.name), True)
 
     def disconnect(self) -> None:
         """Tells the machine to hold, and closes."""
-        if self._last is not None:
-            try:
+        if self._line is not None:
+            with suppress(MachineError):
                 self._tell(np.zeros(6), False)
-            except MachineError:
-                pass
-        self._last = None
-        self._close()
+            with suppress(OSError):
+                self._line.close()
+        self._line = None
+        self._forget()
 
     def _forget(self) -> None:
-        self._last: Packet | None = None
-        self._number = self._counted = 0
-        self._looked = self._listening = self._arrived = self._answered = time.monotonic()
-        self._sent = np.full(KEPT, self._looked)
+        self._last: wire.Packet | None = None
+        now = time.monotonic()
+        self._number, self._counted, self._sent = 0, 0, np.full(KEPT, now)
+        self._looked = self._listening = self._arrived = self._answered = now
+
+    def _connected(self) -> wire.Packet:
+        if self._last is None:
+            raise MachineError(self.name, "not connected; call connect first")
+        return self._last
 
     def _tell(self, values: np.ndarray, active: bool) -> None:
-        self._number += 1
-        now = time.monotonic()
+        self._number, now = self._number + 1, time.monotonic()
         self._sent[self._number % KEPT] = now
-        answers = 0 if self._last is None else self._last.number
-        flags = flags_of(self.takes, ACTIVE if active else 0)
-        self._send(encode(Packet(flags, self._number, answers, int(now * 1e6), values)))
+        answers, flags = 0 if self._last is None else self._last.number, wire.ACTIVE if active else 0
+        packet = wire.Packet(wire.flags_of(self.takes, flags), self._number, answers, int(now * 1e6), values)
+        with machine.line_errors(self.name):
+            self._send(self._line, wire.encode(packet))
 
     def _wait(self, timeout: float) -> None:
         """Takes what arrives in some time [s], at once where something is there; the newest reading is kept."""
-        for data in self._receive(timeout)[-MOST_PACKETS:]:
-            packet = decode(data)
-            reason = self._reason_against(packet)
-            if packet is None or reason:
-                self.dropped[reason] += 1
-                continue
-            self._last, self._arrived, self._counted = packet, time.monotonic(), self._counted + 1
-            behind = (self._number - packet.answers) % 2**32
-            if behind < KEPT and packet.answers > 0:
-                self._answered = float(self._sent[packet.answers % KEPT])
-
-    def _reason_against(self, packet: Packet | None) -> str:
-        if packet is None:
-            return "garbage"
-        if not packet.flags & READING:
-            return "foreign"
-        if np.abs(packet.values).max() > LARGEST_ANGLE:
-            return "range"
-        return "" if self._last is None or newer(packet.number, self._last.number) else "old"
+        with machine.line_errors(self.name):
+            arrived = self._receive(self._line, timeout)
+        for packet in map(wire.decode, arrived):
+            if packet is None:
+                self.dropped["garbage"] += 1
+            elif not packet.flags & wire.READING:
+                self.dropped["foreign"] += 1
+            elif np.abs(packet.values).max() > LARGEST_ANGLE:
+                self.dropped["range"] += 1
+            elif self._last is not None and not wire.newer(packet.number, self._last.number):
+                self.dropped["old"] += 1
+            else:
+                self._last, self._arrived, self._counted = packet, time.monotonic(), self._counted + 1
+                if packet.answers > 0 and (self._number - packet.answers) % 2**32 < KEPT:
+                    self._answered = float(self._sent[packet.answers % KEPT])

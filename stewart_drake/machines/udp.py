@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import socket
+from contextlib import suppress
 
-from stewart_drake.machines.machine import MachineError
 from stewart_drake.machines.packet import SIZE
-from stewart_drake.machines.packet_machine import MOST_PACKETS, PacketMachine
+from stewart_drake.machines.packet_machine import PacketMachine
 from stewart_drake.scenario.scenario import Scenario
+
+MOST = 1000
+"""Datagrams that are looked at at a time, however many come."""
 
 
 class UdpMachine(PacketMachine):
@@ -15,49 +18,25 @@ class UdpMachine(PacketMachine):
 
     def __init__(self, scenario: Scenario, host: str, port: int) -> None:
         super().__init__(scenario, f"udp://{host}:{port}")
-        self._address, self._socket = (host, port), None
+        self._address = host, port
 
-    def _open(self) -> None:
-        try:
-            family, kind, protocol, _, address = socket.getaddrinfo(*self._address, type=socket.SOCK_DGRAM)[0]
-            self._socket = socket.socket(family, kind, protocol)
-            # From now on the system itself turns away what comes from elsewhere.
-            self._socket.connect(address)
-        except OSError as error:
-            raise self._lost(error) from None
+    def _open(self) -> socket.socket:
+        family, kind, protocol, _, address = socket.getaddrinfo(*self._address, type=socket.SOCK_DGRAM)[0]
+        line = socket.socket(family, kind, protocol)
+        # From now on the system itself turns away what comes from elsewhere.
+        line.connect(address)
+        return line
 
-    def _send(self, packet: bytes) -> None:
-        try:
-            self._opened().send(packet)
-        except BlockingIOError:
-            pass  # A full buffer: one command is lost, the next one will do.
-        except OSError as error:
-            raise self._lost(error) from None
+    def _send(self, line: socket.socket, packet: bytes) -> None:
+        with suppress(BlockingIOError):
+            line.send(packet)
 
-    def _receive(self, timeout: float) -> list[bytes]:
-        opened, data = self._opened(), []
-        opened.settimeout(max(timeout, 0.0))
-        try:
-            while len(data) < MOST_PACKETS:
+    def _receive(self, line: socket.socket, timeout: float) -> list[bytes]:
+        data: list[bytes] = []
+        line.settimeout(timeout)
+        with suppress(TimeoutError, BlockingIOError):
+            while len(data) < MOST:
                 # One byte more than a packet has, so that a longer one is not taken for one.
-                data.append(opened.recv(SIZE + 1))
-                opened.settimeout(0.0)
-        except (TimeoutError, BlockingIOError):
-            pass
-        except OSError as error:
-            raise self._lost(error) from None
+                data.append(line.recv(SIZE + 1))
+                line.settimeout(0.0)
         return data
-
-    def _close(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-        self._socket = None
-
-    def _opened(self) -> socket.socket:
-        if self._socket is None:
-            raise MachineError(f"{self.name} is not connected; call connect first")
-        return self._socket
-
-    def _lost(self, error: OSError) -> MachineError:
-        reason = "nobody listens there" if isinstance(error, ConnectionRefusedError) else error.strerror or str(error)
-        return MachineError(f"{self.name}: {reason}")

@@ -5,20 +5,15 @@ from __future__ import annotations
 import inspect
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from stewart_drake.base.code import CodePath, UserCode
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.machines.machine import (
-    MachineError,
-    Reading,
-    Takes,
-    check_takes,
-    command_limits,
-    within_limits,
-)
+from stewart_drake.machines import machine
+from stewart_drake.machines.machine import MachineError, Reading, Takes
 from stewart_drake.scenario.scenario import Scenario
 
 METHODS = ("connect", "read", "command", "disconnect")
@@ -28,76 +23,67 @@ class UserMachine:
     """An object of the user's own as a `Machine`; its attributes `period`, `takes`, `reads` and `paced` may be absent.
 
     Its `read` returns six angles [rad], or these and the time [s] of its own clock, or a `Reading`. None is no new
-    reading: the last one, older. A constructor that names `scenario` or `robot` gets them.
+    reading: the last one again, older. A constructor that names `scenario` or `robot` gets them.
     """
 
     def __init__(self, scenario: Scenario, url: str) -> None:
-        code = CodePath.of(url)
+        code, offered = CodePath.of(url), {"scenario": scenario, "robot": scenario.belief.robot}
         kind = code.load("machine")
-        with code.blamed("machine", "a class that can be constructed without arguments, or of scenario and robot"):
-            offered = {"scenario": scenario, "robot": scenario.belief.robot}
+        with code.blamed("machine", "a class that can be constructed, of scenario and robot where it names them"):
             names = inspect.signature(kind).parameters
-            self._machine = kind(**{name: value for name, value in offered.items() if name in names})
-        missing = [name for name in METHODS if not callable(getattr(self._machine, name, None))]
-        if missing:
-            raise ConfigurationError(
-                "machine", code, f"a class with {', '.join(METHODS)}, not one without {missing[0]}"
-            )
-        self._code, self._guard, self._limits = code, UserCode(code.own_module), command_limits(scenario)
-        self.takes: Takes = getattr(self._machine, "takes", scenario.belief.motors.takes)
-        check_takes(scenario, self.takes, str(code))
+            self._own = kind(**{name: value for name, value in offered.items() if name in names})
+        if missing := [name for name in METHODS if not callable(getattr(self._own, name, None))]:
+            raise ConfigurationError("machine", code, f"a class with {', '.join(METHODS)}; {missing[0]} is missing")
+        self.name, self._guard, self._limits = str(code), UserCode(code.own_module), machine.command_limits(scenario)
+        self.takes: Takes = getattr(self._own, "takes", None) or scenario.belief.motors.takes  # type: ignore[assignment]
+        machine.check_takes(scenario, self.takes, self.name)
         self._last: Reading | None = None
         self._arrived = 0.0
         self._look()
 
     def connect(self) -> None:
         """Connects, and reads once."""
-        self._ask(self._machine.connect)
+        self._ask(self._own.connect)
         self._look()
         self.read()
 
     def read(self) -> Reading:
         """What the user's object reads, checked."""
-        given = self._ask(self._machine.read)
-        now = time.monotonic()
+        given, now = self._ask(self._own.read), time.monotonic()
         if given is not None:
             self._last, self._arrived = self._checked(given, now), now
         if self._last is None:
-            raise MachineError(f"{self._code}: read gave no reading yet")
+            raise MachineError(self.name, "read gave no reading yet")
         return self._last._replace(age=self._last.age + now - self._arrived)
 
     def command(self, values: np.ndarray) -> None:
         """Hands over commands (6,), a copy."""
-        self._ask(self._machine.command, within_limits(values, self._limits))
+        self._ask(self._own.command, machine.within_limits(values, self._limits, self.name))
 
     def disconnect(self) -> None:
         """Disconnects; what the user's object raises is of no use any more."""
-        try:
-            self._machine.disconnect()
-        except Exception:
-            pass
+        with suppress(Exception):
+            self._own.disconnect()
 
     def _look(self) -> None:
-        """What the user's object says of itself."""
-        self.period: float | None = getattr(self._machine, "period", None)
-        self.reads, self.paced = (bool(getattr(self._machine, *each)) for each in (("reads", True), ("paced", False)))
+        self.period: float | None = getattr(self._own, "period", None)
+        self.reads, self.paced = (bool(getattr(self._own, *each)) for each in (("reads", True), ("paced", False)))
 
     def _ask(self, method: Callable[..., Any], *given: Any) -> Any:
         with self._guard:
             try:
                 return method(*given)
             except OSError as error:
-                raise MachineError(f"{self._code}: {' '.join(str(error).split())}") from error
+                raise MachineError(self.name, error) from error
 
     def _checked(self, given: Any, now: float) -> Reading:
         if not isinstance(given, Reading):
             angles, at = given if isinstance(given, tuple) and len(given) == 2 else (given, now)
-            number = 1 if self._last is None else self._last.number + 1
-            given = Reading(angles, at, 0.0, number)
+            given = Reading(angles, at, 0.0, 1 if self._last is None else self._last.number + 1)
         try:
             reading = given._replace(angles=np.array(given.angles, dtype=float), time=float(given.time))
         except (TypeError, ValueError):
-            raise MachineError(f"{self._code}: read gave a {type(given.angles).__name__}, no six angles") from None
+            raise MachineError(self.name, f"read gave a {type(given.angles).__name__}, no six angles") from None
         if reading.angles.shape != (6,) or not np.isfinite([*reading.angles, reading.time]).all():
-            raise MachineError(f"{self._code}: read gave {reading.angles}, no six finite angles [rad]")
+            raise MachineError(self.name, f"read gave {reading.angles}, no six finite angles [rad]")
         return reading

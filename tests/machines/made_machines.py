@@ -25,6 +25,13 @@ def docs_module(name):
     return module
 
 
+def go_on(machine):
+    """Until it is lost."""
+    for _ in range(1000):
+        machine.command(np.zeros(6))
+        machine.read()
+
+
 class Robot(threading.Thread):
     """Sends a reading in each tick, of the last command; `mischief` makes of each packet those that are sent."""
 

@@ -1,0 +1,155 @@
+"""`sim:`, the simulation as a machine: a process of its own, in real time; and either side killed."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from made_machines import ROOT, SERVOS, TORQUES, go_on
+
+from stewart_drake.machines.machine import MachineError, open_machine
+from stewart_drake.machines.simulated import SimulatedRobot
+from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.scenario.controller import Controller
+
+
+@pytest.mark.parametrize("scenario", [SERVOS, TORQUES], ids=["servos", "torques"])
+def test_the_robot_stands_at_home_with_closed_brakes_and_stops_with_them(scenario):
+    robot = SimulatedRobot(scenario)
+    for _ in range(20):
+        robot.advance(True)
+    home = inverse_kinematics(scenario.robot, scenario.robot.home_pose)
+    np.testing.assert_allclose(robot.reading, home, atol=2e-3)
+    for _ in range(20):
+        robot.command += 1e-3
+        robot.advance(False)
+    moving = robot.reading.copy()
+    for _ in range(20):
+        robot.advance(True)
+    np.testing.assert_allclose(robot.reading, moving, atol=2e-3)
+
+
+def test_servos_that_get_no_command_keep_the_last_angle():
+    robot = SimulatedRobot(SERVOS)
+    robot.command[:] += 0.05
+    for _ in range(1500):
+        robot.advance(False)
+    settled = robot.reading.copy()
+    for _ in range(200):
+        robot.advance(False)
+    np.testing.assert_allclose(robot.reading, settled, atol=2e-3)
+
+
+def drive(machine, controller, ticks, out, begun=None):
+    """Some ticks of a controller on a machine."""
+    done = 0
+    while done < ticks:
+        reading = machine.read()
+        begun = reading.time - machine.period if begun is None else begun
+        if reading.time - begun > controller._last:
+            controller.step(reading.angles, reading.time - begun, out, reading.age)
+            done += 1
+        machine.command(out)
+    return reading
+
+
+@pytest.mark.slow
+def test_a_controller_drives_it_in_real_time():
+    scenario = TORQUES.replace({"reference": "hold"})
+    controller, out = Controller(scenario), np.zeros(6)
+    home = inverse_kinematics(scenario.robot, scenario.robot.home_pose)
+    controller.step(home, 0.0, out)  # Compiles.
+    controller.reset()
+    machine = open_machine("sim:", scenario)
+    machine.connect()
+    assert machine.period == pytest.approx(scenario.controller.period)
+    began = machine.read()
+    start = time.monotonic()
+    reading = drive(machine, controller, 1000, out)
+    assert time.monotonic() - start == pytest.approx(reading.time - began.time, abs=0.3)
+    assert not reading.holding
+    np.testing.assert_allclose(reading.angles, home, atol=5e-3)
+    machine.disconnect()
+    assert machine.counts["accepted"] > 500
+    assert machine.counts.get("garbage", 0) == machine.counts.get("range", 0) == 0
+
+
+@pytest.mark.slow
+def test_a_killed_simulation_is_a_lost_machine():
+    machine = open_machine("sim:", SERVOS)
+    machine.connect()
+    machine._process.kill()
+    with pytest.raises(MachineError, match="sim:: nobody listens there"):
+        go_on(machine)
+    machine.disconnect()
+
+
+DRIVER = """
+import numpy as np
+from made_machines import TORQUES
+from stewart_drake.machines.machine import open_machine
+machine = open_machine("udp://127.0.0.1:%d", TORQUES)
+machine.connect()
+while True:
+    machine.read()
+    machine.command(np.full(6, 0.01))
+    print("driving", flush=True)
+"""
+
+
+@pytest.mark.slow
+def test_a_robot_whose_driver_is_killed_holds_and_takes_the_next_one(shell_environment):
+    command = [sys.executable, "-m", "stewart_drake.machines.simulated", "exact_fig7", "--port", "0"]
+    robot = subprocess.Popen(command, stdout=subprocess.PIPE, env=shell_environment)
+    try:
+        port = int(robot.stdout.readline())
+        driver = subprocess.Popen([sys.executable, "-c", DRIVER % port], stdout=subprocess.PIPE, env=shell_environment)
+        for _ in range(20):
+            assert driver.stdout.readline() == b"driving\n"
+        driver.kill()
+        driver.communicate()
+        time.sleep(1.2)  # Then it listens to anybody.
+        machine = open_machine(f"udp://127.0.0.1:{port}", TORQUES)
+        machine.connect()
+        first = machine.read()
+        assert first.holding
+        time.sleep(0.3)
+        for _ in range(20):
+            later = machine.read()
+        np.testing.assert_array_equal(first.angles, later.angles)
+        machine.disconnect()
+    finally:
+        robot.send_signal(signal.SIGINT)
+        said = robot.communicate(timeout=20)[0]
+    assert b'"accepted"' in said
+
+
+@pytest.mark.slow
+def test_a_child_ends_with_its_parent(shell_environment):
+    code = (
+        "from made_machines import SERVOS\nfrom stewart_drake.machines.machine import open_machine\n"
+        "machine = open_machine('sim:', SERVOS)\nmachine.connect()\nprint(machine._process.pid, flush=True)\ninput()\n"
+    )
+    parent = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=shell_environment
+    )
+    child = int(parent.stdout.readline())
+    parent.kill()
+    parent.communicate()
+    deadline = time.monotonic() + 10.0
+    while time.monotonic() < deadline:
+        try:
+            os.kill(child, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    pytest.fail("the simulation outlives who started it")
+
+
+@pytest.fixture
+def shell_environment():
+    folders = ROOT, ROOT / "tests", ROOT / "tests" / "machines", os.environ.get("PYTHONPATH")
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(str(each) for each in folders if each)}

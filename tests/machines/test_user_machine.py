@@ -1,0 +1,132 @@
+"""A machine of the user's own: what it may be, and what is said of one that is not as it should be."""
+
+import numpy as np
+import pytest
+from made_machines import SERVOS, TORQUES
+
+from stewart_drake.base.code import ControllerError, trusting_code
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.machines.machine import MachineError, open_machine
+
+MINE = """
+import numpy as np
+
+
+class MyMachine:
+    period = 0.02
+
+    def connect(self):
+        self.angles = np.zeros(6)
+
+    def read(self):
+        return self.angles
+
+    def command(self, values):
+        self.angles = values
+
+    def disconnect(self):
+        pass
+
+
+class WithClock(MyMachine):
+    paced, reads, takes = True, False, "angle"
+
+    def __init__(self, robot, scenario):
+        self.robot, self.clock, self.period = robot, 0.0, scenario.controller.period
+
+    def read(self):
+        self.clock += self.period
+        return self.angles.tolist(), self.clock
+
+
+class Now(MyMachine):
+    def read(self):
+        return {answer}
+
+
+class NoCommand:
+    connect = read = disconnect = print
+
+
+class Asks:
+    def __init__(self, port):
+        pass
+"""
+
+
+@pytest.fixture
+def mine(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def opened(name, answer="None", scenario=SERVOS, trust=True):
+        (tmp_path / "mine.py").write_text(MINE.replace("{answer}", answer), encoding="utf-8")
+        with trusting_code(trust):
+            return open_machine(f"mine.py:{name}", scenario)
+
+    return opened
+
+
+def test_four_methods_are_enough(mine):
+    machine = mine("MyMachine")
+    assert (machine.period, machine.takes, machine.reads, machine.paced) == (0.02, "angle", True, False)
+    machine.connect()
+    wanted = np.full(6, 0.2)
+    machine.command(wanted)
+    wanted[:] = 9.0
+    first, second = machine.read(), machine.read()
+    assert first.angles.tolist() == [0.2] * 6
+    assert second.number == first.number + 1
+    assert second.time > first.time
+    assert 0.0 <= second.age < 0.1
+    machine.command(np.full(6, 9.0))
+    assert machine.read().angles == pytest.approx(SERVOS.robot.crank_angle_ranges[:, 1])
+    machine.disconnect()
+
+
+def test_one_with_a_clock_and_attributes_of_its_own(mine):
+    machine = mine("WithClock")
+    assert (machine.period, machine.takes, machine.reads, machine.paced) == (0.01, "angle", False, True)
+    machine.connect()
+    assert machine.read().time == pytest.approx(0.02)
+    with pytest.raises(ConfigurationError, match=r"motors.kind: expected motors that take angle, as .*WithClock does"):
+        mine("WithClock", scenario=TORQUES)
+
+
+def test_its_code_has_to_be_trusted(mine):
+    with pytest.raises(ConfigurationError, match=r"machine: expected code that you trust, .*--trust-code"):
+        mine("MyMachine", trust=False)
+
+
+@pytest.mark.parametrize("answer", ["5", "[1, 2]", "'up'", "[float('nan')] * 6", "([0] * 6, 'now')", "self"])
+def test_what_is_no_reading_is_a_line(mine, answer):
+    machine = mine("Now", answer)
+    with pytest.raises(MachineError, match=r"mine.py:Now: read gave") as caught:
+        machine.connect()
+    assert "\n" not in str(caught.value)
+
+
+def test_no_new_reading_is_the_last_one_older(mine):
+    machine = mine("Now", "self.angles if self.first() else None\n    seen = False\n    def first(self):\n"
+                   "        self.seen, seen = True, self.seen\n        return not seen")  # fmt: skip
+    machine.connect()
+    first, second = machine.read(), machine.read()
+    assert first.number == second.number
+    assert second.age > first.age > 0.0
+
+
+def test_what_it_raises_is_its_own(mine):
+    machine = mine("Now", "1 / 0")
+    with pytest.raises(ControllerError, match="ZeroDivisionError"):
+        machine.connect()
+    machine = mine("Now", "open('/nowhere')")
+    with pytest.raises(MachineError, match=r"mine.py:Now: .*No such file"):
+        machine.connect()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("NoCommand", "command is missing"), ("Asks", "can be constructed"), ("Other", "a name that")],
+)
+def test_a_class_that_is_none_is_a_line(mine, name, message):
+    with pytest.raises(ConfigurationError, match=f"machine: .*{message}"):
+        mine(name)
