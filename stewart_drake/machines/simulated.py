@@ -102,20 +102,30 @@ class SimulatedRobot:
         late = round((scenario.command_delay * scenario.controller.period + scenario.motors.dead_time) / self.step)
         delay = delay_part(late, first)._replace(period=self.step).connected(value="command").named(value="arrived")
         motors = scenario.motors.part(robot, self.step).connected(command="arrived" if late else "command")
-        parts = [*sensor_parts(scenario), *([delay] if late else []), motors]
+        way = [delay, motors] if late else [motors]
         inside = {"plant_pose": slice(POSE.start, RATE.stop), "crank_state": slice(ANGLES.start, CRANK_RATES.stop)}
-        self._runner = LoopRunner(parts, {"measured": 24, "command": 6}, inside, self.period, self.step)
-        self._plant, self._measured = scenario.plant.make(robot, scenario.gravity), self._runner.signal("measured")
-        self.command, self._torque = self._runner.signal("command"), self._runner.signal("torque")
-        angles = scenario.sensors.reading == "angles"
-        self.reading = self._runner.signal("reading") if angles else self._measured[ANGLES]
+        # Sensors look at the beginning of a tick, when the command of its first step has not come yet.
+        self._sensors, self._motors = (
+            LoopRunner(parts, {"measured": 24, "command": 6}, inside, self.period, self.step)
+            for parts in (sensor_parts(scenario), way)
+        )
+        self._plant, self._measured = scenario.plant.make(robot, scenario.gravity), self._motors.signal("measured")
+        self.command, self._torque = self._motors.signal("command"), self._motors.signal("torque")
+        self._reads_angles = scenario.sensors.reading == "angles"
         self._measured[:] = self._plant.initial(home, rest)
         self.command[:], self.now, self._pushes = first, 0, scenario.disturbances
 
+    def reading(self) -> np.ndarray:
+        """(6,) [rad] what the sensors say now; once in a tick."""
+        self._sensors.signal("measured")[:] = self._measured
+        self._sensors.time[0] = self.now * self.step
+        self._sensors.run(self.now)
+        return self._sensors.signal("reading") if self._reads_angles else self._measured[ANGLES]
+
     def advance(self, braked: bool) -> None:
         """One step of the plant; with closed brakes the robot stands."""
-        self._runner.time[0] = self.now * self.step
-        self._runner.run(self.now)
+        self._motors.time[0] = self.now * self.step
+        self._motors.run(self.now)
         if braked:
             self._measured[:] = self._plant.initial(self._measured[POSE].copy(), np.zeros(6))
         else:
@@ -179,16 +189,18 @@ class RobotSide:
 
 def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
     """Simulates a scenario behind a socket, for ever; says its port once everything is compiled."""
-    SimulatedRobot(scenario).advance(False)
+    # What is compiled in the first call must not come in the first tick.
+    compiled = SimulatedRobot(scenario)
+    compiled.reading()
+    compiled.advance(False)
     robot, brakes = SimulatedRobot(scenario), side.takes != "angle"
-    robot.advance(True)
     print(line.getsockname()[1], flush=True)
     line.setblocking(False)
-    begun = time.monotonic() - robot.step
+    begun = time.monotonic()
     while True:
         # A step is simulated when it is over, with the commands that have come until then.
         due = begun + robot.now * robot.step
-        if packet := side.reading(robot.reading, robot.now * robot.step, time.monotonic()):
+        if packet := side.reading(robot.reading(), robot.now * robot.step, time.monotonic()):
             with suppress(OSError):
                 line.sendto(packet, side.peer)
         arrived: deque[tuple[float, Any]] = deque()

@@ -22,14 +22,14 @@ def test_the_robot_stands_at_home_with_closed_brakes_and_stops_with_them(scenari
     for _ in range(20):
         robot.advance(True)
     home = inverse_kinematics(scenario.robot, scenario.robot.home_pose)
-    np.testing.assert_allclose(robot.reading, home, atol=2e-3)
+    np.testing.assert_allclose(robot.reading(), home, atol=2e-3)
     for _ in range(20):
         robot.command += 1e-3
         robot.advance(False)
-    moving = robot.reading.copy()
+    moving = robot.reading().copy()
     for _ in range(20):
         robot.advance(True)
-    np.testing.assert_allclose(robot.reading, moving, atol=2e-3)
+    np.testing.assert_allclose(robot.reading(), moving, atol=2e-3)
 
 
 def test_servos_that_get_no_command_keep_the_last_angle():
@@ -37,10 +37,10 @@ def test_servos_that_get_no_command_keep_the_last_angle():
     robot.command[:] += 0.05
     for _ in range(1500):
         robot.advance(False)
-    settled = robot.reading.copy()
+    settled = robot.reading().copy()
     for _ in range(200):
         robot.advance(False)
-    np.testing.assert_allclose(robot.reading, settled, atol=2e-3)
+    np.testing.assert_allclose(robot.reading(), settled, atol=2e-3)
 
 
 def drive(machine, controller, ticks, out, begun=None):

@@ -82,7 +82,7 @@ def interrupted(_):
 
 
 def lost(_):
-    raise MachineError("lost")
+    raise MachineError("robot", "lost")
 
 
 def late(machine):
