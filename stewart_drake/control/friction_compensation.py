@@ -10,6 +10,7 @@ import numpy as np
 from stewart_drake.base.config import Positive
 from stewart_drake.base.errors import UnreachablePoseError
 from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.control.ball_joints import BallJoints, ball_joint_torques, joints_record
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.friction import dry_level
@@ -35,16 +36,15 @@ class FrictionCompensation(FrictionOptions, key="model.friction"):
 
     width: Positive = 0.002
     """[rad/s] crank speed at which 76 % of the dry friction is compensated; larger smooths reversals more."""
+    joints: BallJoints | None = None
+    """Ball joints of the rods that rub too; null for free ones."""
 
     def part(self, context: LoopContext) -> Part:
         """`reference` (18,) -> `friction_torque` (6,) [N m]."""
         levels = dict(zip(("coulomb", "break_away", "stribeck_rate", "viscous"), self.levels, strict=True))
         believed = new_record(_BELIEVED, **levels, width=self.width)
-        constants, first = (
-            {"robot": robot_record(context.robot), "friction": believed},
-            new_record(fields(friction_torque=6)),
-        )
-        outputs = ("friction_torque",)
+        constants = {"robot": robot_record(context.robot), "friction": believed, "joints": joints_record(self.joints)}
+        outputs, first = ("friction_torque",), new_record(fields(friction_torque=6))
         return Part("friction_compensation", friction_tick, constants, {"reference": 18}, outputs, first, (LEGS,))
 
 
@@ -53,9 +53,12 @@ _BELIEVED = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, width=()
 
 
 @njit
-def friction_tick(robot: Any, friction: Any, reference: Any, legs: Any, state: Any) -> None:
-    """Torques (6,) g(rate) tanh(rate / width) + viscous rate along a reference (18,); zeros out of reach."""
-    robot, friction, legs = record(robot), record(friction), record(legs)
+def friction_tick(robot: Any, friction: Any, joints: Any, reference: Any, legs: Any, state: Any) -> None:
+    """Torques (6,) g(rate) tanh(rate / width) + viscous rate along a reference (18,); zeros out of reach.
+
+    With those of the ball joints.
+    """
+    robot, friction, joints, legs = record(robot), record(friction), record(joints), record(legs)
     out = record(state).friction_torque
     twist, rates = np.empty(6), np.empty(6)
     out[:] = 0.0
@@ -68,3 +71,5 @@ def friction_tick(robot: Any, friction: Any, reference: Any, legs: Any, state: A
     for i in range(6):
         dry = dry_level(friction.coulomb[i], friction.break_away[i], friction.stribeck_rate[i], rates[i])
         out[i] = dry * np.tanh(rates[i] / friction.width) + friction.viscous[i] * rates[i]
+    if joints.viscous > 0.0 or joints.coulomb > 0.0 or joints.inertia > 0.0:
+        ball_joint_torques(robot, joints, reference[:12], reference[12:], legs, out)

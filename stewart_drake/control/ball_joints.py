@@ -1,0 +1,106 @@
+"""Friction and inertia of the rods' ball joints, as torques of the motors: a term of the model for robots that have them.
+
+Each rod hangs in a ball joint at its crank and in another at the platform. What a joint turns is the difference of the
+angular velocities of the bodies that it joins. A rod may turn about itself; of that each of its joints gets half.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.base.config import NotNegative, Positive, Section, SixNumbers
+from stewart_drake.base.jit import fields, new_record, njit
+from stewart_drake.mechanics.dynamics_laws import twists_of_motion
+from stewart_drake.mechanics.kinematics_laws import LEGS, cross, dot, legs_at
+from stewart_drake.mechanics.linear_algebra import solve
+
+_AHEAD = 1e-4  # [s] between two instants whose joint rates tell the joints' accelerations.
+
+
+class BallJoints(Section, key="model.friction.joints"):
+    """Ball joints of the rods that rub, or carry an inertia of their own; by default both of a rod are alike."""
+
+    viscous: NotNegative = 0.0
+    """[N m s/rad] viscous friction of a joint."""
+    coulomb: NotNegative = 0.0
+    """[N m] dry friction of a joint."""
+    width: Positive = 0.01
+    """[rad/s] speed of a joint from which on all of the dry friction acts; below, in proportion."""
+    inertia: NotNegative = 0.0
+    """[kg m^2] that a joint's turning moves, such as MuJoCo's armature."""
+    crank: SixNumbers = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    """Share of these that the joint at each crank has."""
+    platform: SixNumbers = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    """Share of these that the joint at the platform has, of each leg."""
+
+
+JOINTS = fields(viscous=(), coulomb=(), width=(), inertia=(), crank=6, platform=6)
+"""`BallJoints` as numbers."""
+
+
+def joints_record(joints: BallJoints | None) -> np.ndarray:
+    """A `JOINTS` record; zeros for none."""
+    return new_record(JOINTS, width=1.0) if joints is None else new_record(JOINTS, **joints.to_dict())
+
+
+@njit
+def joint_rates(robot: Any, legs: Any, twist: Any, at_crank: Any, at_platform: Any) -> None:
+    """Angular velocities (6, 3) [rad/s] of the rods against their cranks, and of the platform against its rods."""
+    axis, arm, rod, tip = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(6):
+        e, e_n = legs.e_l[i], legs.e_n[i]
+        rate = (dot(legs.line[i, :3], twist[:3]) + dot(legs.line[i, 3:], twist[3:])) / legs.lever[i]
+        cross(legs.crank[i], e_n, axis)
+        cross(twist[:3], legs.arm[i], arm)
+        for k in range(3):
+            tip[k] = twist[3 + k] + arm[k] - robot.crank_length[i] * rate * e_n[k]
+        cross(e, tip, rod)
+        # About itself a rod turns so that both of its joints turn alike.
+        spin = 0.5 * (rate * dot(axis, e) + dot(twist[:3], e))
+        for k in range(3):
+            turning = rod[k] / robot.rod_length[i] + spin * e[k]
+            at_crank[i, k] = turning - rate * axis[k]
+            at_platform[i, k] = twist[k] - turning
+
+
+@njit
+def ball_joint_torques(robot: Any, joints: Any, motion: Any, acceleration: Any, legs: Any, out: Any) -> None:
+    """Adds to torques (6,) [N m] what the joints ask for along a motion (12,) pose and rate, acceleration (6,).
+
+    By virtual work: torques T with T . rates = sum of the joints' moments . their rates, for every twist. Nothing is
+    added where the pose is out of reach or singular.
+    """
+    twist, change, later, soon = np.empty(6), np.empty(6), np.empty(12), np.empty(1, LEGS)
+    twists_of_motion(motion[:6], motion[6:], acceleration, twist, change)
+    now, then, moments = np.empty((2, 6, 3)), np.empty((2, 6, 3)), np.empty((2, 6, 3))
+    joint_rates(robot, legs, twist, now[0], now[1])
+    for k in range(6):
+        later[k] = motion[k] + _AHEAD * (motion[6 + k] + 0.5 * _AHEAD * acceleration[k])
+        later[6 + k] = twist[k] + _AHEAD * change[k]
+    if legs_at(robot, later[:6], soon[0]) >= 0:
+        return
+    joint_rates(robot, soon[0], later[6:], then[0], then[1])
+    for side in range(2):
+        for i in range(6):
+            share = joints.crank[i] if side == 0 else joints.platform[i]
+            speed = np.sqrt(dot(now[side, i], now[side, i]))
+            rubbing = joints.viscous + joints.coulomb / max(speed, joints.width)
+            for k in range(3):
+                gained = (then[side, i, k] - now[side, i, k]) / _AHEAD
+                moments[side, i, k] = share * (rubbing * now[side, i, k] + joints.inertia * gained)
+    matrix, work = np.empty((6, 6)), np.zeros((6, 1))
+    unit, rates = np.zeros(6), np.empty((2, 6, 3))
+    for m in range(6):
+        unit[:] = 0.0
+        unit[m] = 1.0
+        joint_rates(robot, legs, unit, rates[0], rates[1])
+        for i in range(6):
+            work[m, 0] += dot(moments[0, i], rates[0, i]) + dot(moments[1, i], rates[1, i])
+            # J' T = work, J' the transposed Jacobian.
+            matrix[m, i] = legs.line[i, m] / legs.lever[i]
+    if solve(matrix, work) == 0.0:
+        return
+    for i in range(6):
+        out[i] += work[i, 0]

@@ -1,0 +1,80 @@
+"""Friction and inertia of the rods' ball joints, against virtual work by numerical differentiation."""
+
+import numpy as np
+import pytest
+
+from stewart_drake import RobotParameters, load_robot
+from stewart_drake.control.ball_joints import BallJoints, ball_joint_torques, joint_rates, joints_record
+from stewart_drake.mechanics.kinematics import leg_geometry, pose_jacobian, pose_rate_to_twist
+from stewart_drake.mechanics.kinematics_laws import LEGS, legs_at, robot_record
+
+ROBOTS = [RobotParameters(), load_robot("reachy_mini")]
+RATE = np.array([0.3, -0.2, 0.4, 0.02, -0.01, 0.03])
+
+
+def record_of(robot, pose):
+    legs = np.empty(1, LEGS)
+    assert legs_at(robot_record(robot)[0], pose, legs[0]) == -1
+    return legs[0]
+
+
+def rates_at(robot, pose, rate):
+    made = np.empty((2, 6, 3))
+    joint_rates(robot_record(robot)[0], record_of(robot, pose), pose_rate_to_twist(pose, rate), made[0], made[1])
+    return made
+
+
+def torques(robot, joints, pose, rate, acceleration):
+    out = np.zeros(6)
+    motion = np.concatenate([pose, rate])
+    ball_joint_torques(
+        robot_record(robot)[0], joints_record(joints)[0], motion, acceleration, record_of(robot, pose), out
+    )
+    return out
+
+
+@pytest.mark.parametrize("robot", ROBOTS, ids=["paper", "reachy"])
+def test_rates_are_those_of_the_bodies(robot):
+    pose, h = robot.home_pose + [0.05, 0.02, -0.03, 0.002, 0.001, 0.003], 1e-6
+    at_crank, at_platform = rates_at(robot, pose, RATE)
+    legs, after, before = (leg_geometry(robot, pose + shift * RATE) for shift in (0.0, h, -h))
+    rod_change = (after.e_l - before.e_l) / (2.0 * h)
+    crank_rates = pose_jacobian(robot, pose) @ RATE
+    of_crank = crank_rates[:, None] * np.cross(legs.crank, legs.e_n)
+    of_platform = pose_rate_to_twist(pose, RATE)[:3]
+    for i in range(6):
+        e = legs.e_l[i]
+        of_rod = at_crank[i] + of_crank[i]
+        # Whatever a rod turns about itself, this is how its direction changes.
+        np.testing.assert_allclose(np.cross(of_rod, e), rod_change[i], atol=1e-6)
+        np.testing.assert_allclose(at_platform[i], of_platform - of_rod, atol=1e-12)
+        assert at_crank[i] @ e == pytest.approx(at_platform[i] @ e, abs=1e-12)
+
+
+@pytest.mark.parametrize("robot", ROBOTS, ids=["paper", "reachy"])
+def test_power_of_the_motors_is_what_the_joints_take(robot):
+    pose = robot.home_pose + [0.05, 0.02, -0.03, 0.002, 0.001, 0.003]
+    joints = BallJoints(viscous=0.15, coulomb=0.1, width=0.1, platform=(0, 0, 0, 0, 0, 1))
+    speeds = np.linalg.norm(rates_at(robot, pose, RATE), axis=2)
+    lost = joints.viscous * speeds**2 + joints.coulomb * speeds * np.minimum(1.0, speeds / joints.width)
+    lost = lost[0].sum() + lost[1, 5]
+    made = torques(robot, joints, pose, RATE, np.zeros(6)) @ (pose_jacobian(robot, pose) @ RATE)
+    assert made == pytest.approx(lost, rel=1e-9)
+
+
+@pytest.mark.parametrize("robot", ROBOTS, ids=["paper", "reachy"])
+def test_power_of_the_motors_is_what_the_joints_inertia_gains(robot):
+    pose, acceleration, h = robot.home_pose + [0.05, 0.02, -0.03, 0.0, 0.0, 0.003], 5.0 * RATE[::-1], 1e-4
+    joints = BallJoints(inertia=0.001)
+
+    def energy(shift):
+        there = pose + shift * RATE + 0.5 * shift**2 * acceleration
+        return 0.5 * joints.inertia * np.sum(rates_at(robot, there, RATE + shift * acceleration) ** 2)
+
+    made = torques(robot, joints, pose, RATE, acceleration) @ (pose_jacobian(robot, pose) @ RATE)
+    assert made == pytest.approx((energy(h) - energy(-h)) / (2.0 * h), rel=2e-3)
+
+
+def test_at_rest_nothing_is_asked_for():
+    robot = ROBOTS[0]
+    assert not torques(robot, BallJoints(coulomb=0.1, viscous=1.0), robot.home_pose, np.zeros(6), np.zeros(6)).any()
