@@ -13,6 +13,10 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
+from stewart_drake import load_scenario
+from stewart_drake.machines.machine import open_machine
+from stewart_drake.mechanics.kinematics import inverse_kinematics
+
 FOLDER = Path(__file__).parents[1] / "build" / "reachy_daemon"
 VERSION = "1.12.0"
 NEEDS = (
@@ -43,6 +47,7 @@ def __getattr__(name):
 '''
 FLAGS = "--sim --headless --no-media --no-wake-up-on-start --no-goto-sleep-on-stop --no-preload-datasets"
 STARTS_WITHIN = 60.0  # [s]
+SERVOS = ["motors={kind: position, preset: perfect_actuator}", "controller={kind: feedforward}", "safety=null"]
 
 
 def install() -> None:
@@ -74,10 +79,22 @@ def daemon() -> Iterator[int]:
         process = subprocess.Popen(command, stdout=said, stderr=said, env={**os.environ, "HF_HUB_OFFLINE": "1"})
         try:
             _wait_for(port, process)
+            _rise(port)
             yield port
         finally:
             process.terminate()
             process.wait()
+
+
+def _rise(port: int) -> None:
+    """To home: the head begins asleep, 50 mm low."""
+    scenario = load_scenario("reachy_nod", SERVOS)
+    machine = open_machine(f"reachy://localhost:{port}", scenario)
+    machine.connect()
+    for _ in range(100):
+        machine.read()
+        machine.command(inverse_kinematics(scenario.robot, scenario.robot.home_pose))
+    machine.disconnect()
 
 
 def _wait_for(port: int, process: "subprocess.Popen[bytes]") -> None:

@@ -1,7 +1,8 @@
 """Friction and inertia of the rods' ball joints, as torques of the motors: a term of the model for robots that have them.
 
 Each rod hangs in a ball joint at its crank and in another at the platform. What a joint turns is the difference of the
-angular velocities of the bodies that it joins. A rod may turn about itself; of that each of its joints gets half.
+angular velocities of the bodies that it joins. A rod may turn about itself, and does so that the moments of its two joints about
+it are in balance, as if all friction were viscous.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ def joints_record(joints: BallJoints | None) -> np.ndarray:
 
 
 @njit
-def joint_rates(robot: Any, legs: Any, twist: Any, at_crank: Any, at_platform: Any) -> None:
+def joint_rates(robot: Any, joints: Any, legs: Any, twist: Any, at_crank: Any, at_platform: Any) -> None:
     """Angular velocities (6, 3) [rad/s] of the rods against their cranks, and of the platform against its rods."""
     axis, arm, rod, tip = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(6):
@@ -57,8 +58,8 @@ def joint_rates(robot: Any, legs: Any, twist: Any, at_crank: Any, at_platform: A
         for k in range(3):
             tip[k] = twist[3 + k] + arm[k] - robot.crank_length[i] * rate * e_n[k]
         cross(e, tip, rod)
-        # About itself a rod turns so that both of its joints turn alike.
-        spin = 0.5 * (rate * dot(axis, e) + dot(twist[:3], e))
+        crank, platform = joints.crank[i], joints.platform[i]
+        spin = (crank * rate * dot(axis, e) + platform * dot(twist[:3], e)) / max(crank + platform, 1e-9)
         for k in range(3):
             turning = rod[k] / robot.rod_length[i] + spin * e[k]
             at_crank[i, k] = turning - rate * axis[k]
@@ -75,13 +76,13 @@ def ball_joint_torques(robot: Any, joints: Any, motion: Any, acceleration: Any, 
     twist, change, later, soon = np.empty(6), np.empty(6), np.empty(12), np.empty(1, LEGS)
     twists_of_motion(motion[:6], motion[6:], acceleration, twist, change)
     now, then, moments = np.empty((2, 6, 3)), np.empty((2, 6, 3)), np.empty((2, 6, 3))
-    joint_rates(robot, legs, twist, now[0], now[1])
+    joint_rates(robot, joints, legs, twist, now[0], now[1])
     for k in range(6):
         later[k] = motion[k] + _AHEAD * (motion[6 + k] + 0.5 * _AHEAD * acceleration[k])
         later[6 + k] = twist[k] + _AHEAD * change[k]
     if legs_at(robot, later[:6], soon[0]) >= 0:
         return
-    joint_rates(robot, soon[0], later[6:], then[0], then[1])
+    joint_rates(robot, joints, soon[0], later[6:], then[0], then[1])
     for side in range(2):
         for i in range(6):
             share = joints.crank[i] if side == 0 else joints.platform[i]
@@ -95,7 +96,7 @@ def ball_joint_torques(robot: Any, joints: Any, motion: Any, acceleration: Any, 
     for m in range(6):
         unit[:] = 0.0
         unit[m] = 1.0
-        joint_rates(robot, legs, unit, rates[0], rates[1])
+        joint_rates(robot, joints, legs, unit, rates[0], rates[1])
         for i in range(6):
             work[m, 0] += dot(moments[0, i], rates[0, i]) + dot(moments[1, i], rates[1, i])
             # J' T = work, J' the transposed Jacobian.
