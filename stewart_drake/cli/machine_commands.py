@@ -12,7 +12,7 @@ from stewart_drake.cli.options import command
 from stewart_drake.cli.run_commands import end, leave
 from stewart_drake.cli.terminal import print_table, progress_bar, shown_compiling, tell
 from stewart_drake.runs.outputs import check_place, claimed_place
-from stewart_drake.scenario.scenario import load_scenario
+from stewart_drake.scenario.scenario import load_driven
 
 
 @command(
@@ -33,7 +33,7 @@ def drive(
     out: Path | None,
     force: bool,
 ) -> None:
-    """SCENARIO's controller drives a machine: slowly from where it stands to the motion, along it, and to rest.
+    """SCENARIO, or a file of a controller alone, drives a machine: slowly from where it stands to the motion, along it, and to rest.
 
     It stops on its path, and holds, after Ctrl-C, when a reading is too old or a crank is far from where it should be;
     a second Ctrl-C lets go at once. The results are those of a run.
@@ -42,7 +42,7 @@ def drive(
     from stewart_drake.runs.checks import check_scenario
     from stewart_drake.runs.drive import Drive, connected
 
-    loaded = load_scenario(scenario, overrides)
+    loaded = load_driven(scenario, overrides)
     if out is not None:
         check_place(loaded, out, force)
     opened = open_machine(machine, loaded)

@@ -183,6 +183,22 @@ def load_controller(path: str | Path, overrides: Iterable[str] = (), trust_code:
     return _load(ControlOptions, "controller", path, overrides, trust_code)
 
 
+def load_driven(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
+    """A scenario, or a file of a controller's side as one, whose robot and motors are then those that it believes in."""
+    try:
+        file = find_file("scenario", path)
+    except ConfigurationError:
+        file = find_file("controller", path)
+    if not set(read_mapping("scenario", file, 100)) <= set(ControlOptions.__pydantic_fields__):
+        return load_scenario(file, overrides)
+    control = load_controller(file, overrides)
+    robot, motors = to_plain(control.belief.robot), to_plain(control.belief.motors)
+    sensors = "encoders" if control.belief.reading == "angles" else "ideal"
+    trusted = all(part.code.trusted for part in user_parts(control))
+    data = {**control.to_dict(), "robot": robot, "motors": motors, "sensors": sensors}
+    return Scenario.from_dict(data, trust_code=trusted)
+
+
 def _load(kind: type[_Options], what: str, path: str | Path, overrides: Iterable[str], trust_code: bool) -> _Options:
     path = find_file(what, path)
     data = anchored(read_mapping(what, path, 100), path.parent)
