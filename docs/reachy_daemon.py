@@ -1,42 +1,54 @@
-"""The daemon of Reachy Mini's maker, simulated, in a virtual environment of its own under build/: `make daemon`.
+"""Installs the daemon of Reachy Mini's maker in an environment of its own, and starts its simulation.
 
-It is installed without GStreamer, which only camera and sound need; a module that stands in for `gi` is all that the
-daemon itself misses of it.
+`python docs/reachy_daemon.py FOLDER [PORT]` installs it in a folder, the first time, and runs it until Ctrl-C: some
+400 MB, no compiler, no camera and no sound. `stewart-drake` reaches it at `reachy://127.0.0.1:PORT`, 8000 by default.
 """
 
 import os
-import socket
 import subprocess
-import time
+import sys
 import venv
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
-from stewart_drake import load_scenario
-from stewart_drake.machines.machine import open_machine
-from stewart_drake.mechanics.kinematics import inverse_kinematics
-
-FOLDER = Path(__file__).parents[1] / "build" / "reachy_daemon"
-VERSION = "1.12.0"
-NEEDS = (
-    "aiohttp asgiref fastapi huggingface-hub<2 jinja2 libusb_package log-throttling==0.0.3 mujoco==3.3.0 numpy"
-    " onnxruntime==1.27.0 platformdirs psutil pulsectl pyserial python-multipart pyusb questionary"
-    " reachy-mini-rust-kinematics reachy_mini_motor_controller requests rich rustypot scipy starlette toml"
-    " uvicorn[standard] websockets<16 zeroconf"
-)
-STAND_IN = '''"""Stands in for PyGObject, of which a daemon without camera and sound needs nothing."""
-
-
-def require_version(*_):
-    pass
-
-
+DAEMON = "reachy_mini==1.12.0"
+# What it needs but for its camera and sound, which would need GStreamer.
+NEEDS = [
+    "aiohttp",
+    "asgiref",
+    "fastapi",
+    "huggingface-hub",
+    "jinja2",
+    "libusb_package",
+    "log-throttling==0.0.3",
+    "mujoco==3.3.0",
+    "numpy",
+    "onnxruntime==1.27.0",
+    "platformdirs",
+    "psutil",
+    "pulsectl",
+    "pyserial",
+    "python-multipart",
+    "pyusb",
+    "questionary",
+    "reachy-mini-rust-kinematics",
+    "reachy_mini_motor_controller",
+    "requests",
+    "rich",
+    "rustypot",
+    "scipy",
+    "starlette",
+    "toml",
+    "uvicorn[standard]",
+    "websockets<16",
+    "zeroconf",
+]
+# In the place of PyGObject, which it imports and then does not use.
+NO_GOBJECT = """
 class _Anything:
-    def __getattr__(self, _):
+    def __getattr__(self, name):
         return _Anything()
 
-    def __call__(self, *_, **__):
+    def __call__(self, *given, **named):
         return _Anything()
 
 
@@ -44,74 +56,44 @@ def __getattr__(name):
     if name.startswith("__"):
         raise AttributeError(name)
     return _Anything()
-'''
-FLAGS = "--sim --headless --no-media --no-wake-up-on-start --no-goto-sleep-on-stop --no-preload-datasets"
-STARTS_WITHIN = 60.0  # [s]
-SERVOS = ["motors={kind: position, preset: perfect_actuator}", "controller={kind: feedforward}", "safety=null"]
+"""
+FLAGS = [
+    "--sim",
+    "--headless",
+    "--no-media",
+    "--no-wake-up-on-start",
+    "--no-goto-sleep-on-stop",
+    "--no-preload-datasets",
+    "--fastapi-port",
+]
 
 
-def install() -> None:
-    """Makes the environment: half a minute, 400 MB."""
-    venv.create(FOLDER, clear=True, with_pip=True)
-    pip = [FOLDER / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    subprocess.run([*pip, "--no-deps", f"reachy_mini=={VERSION}"], check=True)
-    subprocess.run([*pip, *NEEDS.split()], check=True)
-    (where,) = FOLDER.glob("lib/python*/site-packages")
-    for name in ("__init__", "repository"):
-        (where / "gi").mkdir(exist_ok=True)
-        (where / "gi" / f"{name}.py").write_text(STAND_IN, encoding="utf-8")
-    (FOLDER / "installed").touch()
+def install(folder: Path) -> None:
+    """Makes the environment; one that was not finished is made again."""
+    if folder.exists() and any(folder.iterdir()) and not (folder / "pyvenv.cfg").exists():
+        sys.exit(f"{folder} has other things in it; name a new folder")
+    venv.create(folder, with_pip=True, clear=True)
+    pip = [folder / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    subprocess.run([*pip, "--no-deps", DAEMON], check=True)
+    subprocess.run([*pip, *NEEDS], check=True)
+    (packages,) = folder.glob("lib/python*/site-packages")
+    (packages / "gi").mkdir()
+    (packages / "gi" / "__init__.py").write_text("def require_version(*given):\n    pass\n", encoding="utf-8")
+    (packages / "gi" / "repository.py").write_text(NO_GOBJECT, encoding="utf-8")
+    (folder / "installed").touch()
 
 
-def installed() -> bool:
-    """Whether `install` has ended."""
-    return (FOLDER / "installed").exists()
-
-
-@contextmanager
-def daemon() -> Iterator[int]:
-    """A daemon on a free port, until the end of the block; the head is brought to its home first."""
-    with closing(socket.socket()) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    command = [FOLDER / "bin" / "reachy-mini-daemon", *FLAGS.split(), "--fastapi-port", str(port)]
-    with (FOLDER / "log.txt").open("w", encoding="utf-8") as said:
-        process = subprocess.Popen(command, stdout=said, stderr=said, env={**os.environ, "HF_HUB_OFFLINE": "1"})
-        try:
-            _wait_for(port, process)
-            _rise(port)
-            yield port
-        finally:
-            process.terminate()
-            process.wait()
-
-
-def _rise(port: int) -> None:
-    """To home: the head begins asleep, 50 mm low."""
-    scenario = load_scenario("reachy_nod", SERVOS)
-    machine = open_machine(f"reachy://localhost:{port}", scenario)
-    machine.connect()
-    for _ in range(100):
-        machine.read()
-        machine.command(inverse_kinematics(scenario.robot, scenario.robot.home_pose))
-    machine.disconnect()
-
-
-def _wait_for(port: int, process: "subprocess.Popen[bytes]") -> None:
-    ends = time.monotonic() + STARTS_WITHIN
-    while time.monotonic() < ends and process.poll() is None:
-        with closing(socket.socket()) as asked:
-            if asked.connect_ex(("127.0.0.1", port)) == 0:
-                return
-        time.sleep(0.2)
-    raise RuntimeError(f"the daemon does not start; see {FOLDER / 'log.txt'}")
+def start(folder: Path, port: int) -> "subprocess.Popen[bytes]":
+    """The daemon with its simulation, installed where it is not there yet."""
+    if not (folder / "installed").exists():
+        install(folder)
+    command = [folder / "bin" / "reachy-mini-daemon", *FLAGS, str(port)]
+    return subprocess.Popen(command, env={**os.environ, "HF_HUB_OFFLINE": "1"})
 
 
 if __name__ == "__main__":
-    if not installed():
-        install()
-    with daemon() as at:
-        print(f"reachy://localhost:{at}, Ctrl-C ends it", flush=True)
-        with suppress(KeyboardInterrupt):
-            while True:
-                time.sleep(1.0)
+    daemon = start(Path(sys.argv[1]).absolute(), int(sys.argv[2]) if len(sys.argv) > 2 else 8000)
+    try:
+        sys.exit(daemon.wait())
+    except KeyboardInterrupt:
+        daemon.wait()

@@ -82,7 +82,7 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
     goal = inverse_kinematics(robot, scenario.reference.evaluate(0.0)[0])
     far = float(np.abs(goal - inverse_kinematics(robot, pose)).max())
     # The fastest instant of the way is 1.875 times as fast as its mean.
-    motion = PacedMotion(scenario.reference, pose, 1.875 * far / APPROACH_SPEED if far > 1e-3 else 0.0)
+    motion = PacedMotion(scenario.reference, pose, max(RAMP, 1.875 * far / APPROACH_SPEED))
     if motion.approach > 0.0:
         try:
             check_reference(robot, scenario.limits, motion, motion.approach, scenario.gravity).raise_if_infeasible()
