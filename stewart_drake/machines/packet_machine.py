@@ -34,6 +34,7 @@ class PacketMachine(ABC):
     reads = True
     paced = True
     _looked = _listening = _arrived = _answered = 0.0
+    _sent = np.zeros(KEPT)
 
     def __init__(self, scenario: Scenario, name: str) -> None:
         self._scenario, self._limits, self.name = scenario, machine.command_limits(scenario), name
