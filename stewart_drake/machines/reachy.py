@@ -12,6 +12,7 @@ import numpy as np
 from stewart_drake.base.errors import installed_with
 from stewart_drake.machines import machine
 from stewart_drake.machines.machine import MachineError, Reading, Takes
+from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.scenario.scenario import Scenario
 
 TICK = 0.02
@@ -129,7 +130,6 @@ def _numbers(given: Any, count: int) -> np.ndarray | None:
 
 def _pose(head: np.ndarray, yaw: float) -> np.ndarray:
     """Pose (6,) [rad, m] of P in B of `head_pose` (4, 4), which is told in the world, and the yaw of the body [rad]."""
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ head[:3]
+    turned = rotation_matrix([0.0, 0.0, -yaw]) @ head[:3]
     roll, pitch = np.arctan2(turned[2, 1], turned[2, 2]), np.arcsin(np.clip(-turned[2, 0], -1.0, 1.0))
     return np.array([roll, pitch, np.arctan2(turned[1, 0], turned[0, 0]), *turned[:, 3] + [0.0, 0.0, HEAD_HEIGHT]])

@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from stewart_drake.base.errors import RunFailure
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.control.friction_compensation import standing_torque
 from stewart_drake.hardware.disturbances import total_wrench
@@ -59,13 +60,16 @@ class SimulatedMachine(UdpMachine):
 
     def __init__(self, scenario: Scenario, other: str = "") -> None:
         super().__init__(scenario, LOCALHOST, 0)
-        self._simulated, self.name = load_scenario(other) if other else scenario, f"sim:{other}"
+        self._simulated, self.name = load_scenario(other) if other else scenario, f"sim:{other}".rstrip(":")
         self._process: subprocess.Popen[bytes] | None = None
         self.counts: dict[str, int] = {}
 
     def _open(self) -> socket.socket:
         command = [sys.executable, "-m", "stewart_drake.machines.simulated", "-", "--port", "0"]
-        self._process = process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        # In a session of its own: Ctrl-C is for who drives, and the robot must still be there while that slows down.
+        self._process = process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+        )
         assert process.stdin is not None
         assert process.stdout is not None
         with suppress(BrokenPipeError):
@@ -230,9 +234,12 @@ def main() -> None:
         threading.Thread(target=end_with_parent, daemon=True).start()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         line.bind((arguments.host, arguments.port))
-        with suppress(KeyboardInterrupt):
+        try:
             serve(scenario, line, side)
-    print(json.dumps(side.counts))
+        except RunFailure as failure:
+            sys.exit(f"stewart-drake: the simulated robot has failed: {failure}")
+        except KeyboardInterrupt:
+            print(json.dumps(side.counts))
 
 
 if __name__ == "__main__":
