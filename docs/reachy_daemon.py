@@ -70,6 +70,8 @@ FLAGS = [
 
 def install(folder: Path) -> None:
     """Makes the environment; one that was not finished is made again."""
+    if folder.exists() and any(folder.iterdir()) and not (folder / "pyvenv.cfg").exists():
+        sys.exit(f"{folder} has other things in it; name a new folder")
     venv.create(folder, with_pip=True, clear=True)
     pip = [folder / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     subprocess.run([*pip, "--no-deps", DAEMON], check=True)

@@ -17,10 +17,8 @@ from stewart_drake.scenario.scenario import Scenario
 
 ASK_EVERY, ANSWER_WITHIN, COUNTED = 0.05, 3.0, 20
 """[s] between two requests while a connection opens, and until it is given up; readings that give the period."""
-LARGEST_ANGLE = 4.0 * np.pi
-"""[rad] of a reading that is believed."""
-KEPT = 1024
-"""Commands whose time of sending is kept."""
+LARGEST_ANGLE = 4.0 * np.pi  # [rad] of a reading that is believed.
+KEPT = 1024  # Commands whose time of sending is kept.
 
 
 class PacketMachine(ABC):

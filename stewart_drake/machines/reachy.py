@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import numpy as np
@@ -15,12 +15,9 @@ from stewart_drake.machines.machine import MachineError, Reading, Takes
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.scenario.scenario import Scenario
 
-TICK = 0.02
-"""[s] of the daemon between two messages of a kind; it sends one in each of its ticks, and no time stamp."""
-PAIR = 0.003
-"""[s] after the angles of a tick within which its pose comes."""
-HEAD_HEIGHT = 0.177
-"""[m] above the origin of the robot's base frame B of that in which the daemon tells `head_pose`."""
+TICK = 0.02  # [s] of the daemon between two messages of a kind; it sends one in each of its ticks, and no time stamp.
+PAIR = 0.003  # [s] after the angles of a tick within which its pose comes.
+HEAD_HEIGHT = 0.177  # [m] above the origin of the robot's base frame B of that in which the daemon tells `head_pose`.
 
 
 class ReachyMachine:
@@ -89,7 +86,8 @@ class ReachyMachine:
 
     def disconnect(self) -> None:
         """Closes the socket; the daemon holds the last angles."""
-        self._stack.close()
+        with suppress(*self._errors):
+            self._stack.close()
         self._socket = None
         self._number, self._pose_number, self._arrived, self._off = -1, -1, 0.0, False
         self._joints, self._yaw, self._pose = np.zeros(7), 0.0, np.zeros(6)

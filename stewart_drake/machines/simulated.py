@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.errors import RunFailure
+from stewart_drake.base.errors import StewartDrakeError
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.control.friction_compensation import standing_torque
 from stewart_drake.hardware.disturbances import total_wrench
@@ -39,12 +39,9 @@ from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES, POSE, RATE
 from stewart_drake.scenario.assembly import context_of, sensor_parts
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
-STARTS_WITHIN = 300.0
-"""[s] for a process to compile what it needs, the first time."""
-MOST_LATE = 50
-"""Datagrams that are looked at in a tick that is late."""
-LATEST = 0.5
-"""[s] behind the clock from which on the simulation gives up catching up; its own clock then stands still."""
+STARTS_WITHIN = 300.0  # [s] for a process to compile what it needs, the first time.
+MOST_LATE = 50  # Datagrams that are looked at in a tick that is late.
+LATEST = 0.5  # [s] behind the clock from which on the simulation gives up catching up; its own clock then stands still.
 
 
 class SimulatedMachine(UdpMachine):
@@ -236,7 +233,7 @@ def main() -> None:
         line.bind((arguments.host, arguments.port))
         try:
             serve(scenario, line, side)
-        except RunFailure as failure:
+        except StewartDrakeError as failure:
             sys.exit(f"stewart-drake: the simulated robot has failed: {failure}")
         except KeyboardInterrupt:
             print(json.dumps(side.counts))
