@@ -143,6 +143,8 @@ def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:
         with user_code(scenario), np.errstate(all="ignore"):
             return feasibility.check_reference(*motion)
     except ControllerError as error:
+        if isinstance(error.__cause__, ConfigurationError):
+            raise error.__cause__ from None
         raise ConfigurationError("reference", scenario.reference, f"a motion that does not raise ({error})") from None
     except ConfigurationError as error:
         if error.key not in ("pose", "pose_rate", "pose_acceleration"):
