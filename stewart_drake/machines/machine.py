@@ -16,10 +16,8 @@ from stewart_drake.base.families import imported
 from stewart_drake.scenario.scenario import Scenario
 
 LOCALHOST = "127.0.0.1"
-LOST = 1.0
-"""[s] without a reading after which a machine is lost."""
-PATIENCE = 3
-"""Periods for which `read` waits for the next reading of a machine that sets the pace."""
+LOST = 1.0  # [s] without a reading after which a machine is lost.
+PATIENCE = 3  # Periods for which `read` waits for the next reading of a machine that sets the pace.
 Takes = Literal["angle", "torque", "current"]
 _URLS = "reachy://HOST:PORT, udp://HOST:PORT, serial:DEVICE, sim: or mine.py:MyMachine"
 _AT_ADDRESS = {"reachy": ("reachy:ReachyMachine", 8000), "udp": ("udp:UdpMachine", None)}  # With their default ports.

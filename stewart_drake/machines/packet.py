@@ -18,14 +18,12 @@ hold and to be sent readings; in a reading, commands are followed, clear while i
 angles are measured; clear where they are the last command."""
 TAKES = ("angle", "torque", "current")
 """What commands are, by bits 2 and 3 of `flags`: 0 angle [rad], 1 torque [N m], 2 current [A]."""
-HOLD_AFTER = 0.1
-"""[s] without an active command after which a machine holds by itself."""
+HOLD_AFTER = 0.1  # [s] without an active command after which a machine holds by itself, at the latest.
 QUIET_AFTER = 1.0
 """[s] without any command after which a machine sends no more readings, and takes commands from anybody."""
 _BODY, _CHECK = struct.Struct("<2sBBIIQ6f"), struct.Struct("<I")
 SIZE = _BODY.size + _CHECK.size
-LONGEST_FRAME = SIZE + 2
-"""[byte] of a packet on a serial line."""
+LONGEST_FRAME = SIZE + 2  # [byte] of a packet on a serial line.
 
 
 class Packet(NamedTuple):

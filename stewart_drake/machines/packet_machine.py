@@ -17,10 +17,8 @@ from stewart_drake.scenario.scenario import Scenario
 
 ASK_EVERY, ANSWER_WITHIN, COUNTED = 0.05, 3.0, 20
 """[s] between two requests while a connection opens, and until it is given up; readings that give the period."""
-LARGEST_ANGLE = 4.0 * np.pi
-"""[rad] of a reading that is believed."""
-KEPT = 1024
-"""Commands whose time of sending is kept."""
+LARGEST_ANGLE = 4.0 * np.pi  # [rad] of a reading that is believed.
+KEPT = 1024  # Commands whose time of sending is kept.
 
 
 class PacketMachine(ABC):
@@ -34,6 +32,7 @@ class PacketMachine(ABC):
     reads = True
     paced = True
     _looked = _listening = _arrived = _answered = 0.0
+    _sent = np.zeros(KEPT)
 
     def __init__(self, scenario: Scenario, name: str) -> None:
         self._scenario, self._limits, self.name = scenario, machine.command_limits(scenario), name
@@ -79,7 +78,10 @@ class PacketMachine(ABC):
         last = self._last or first
         machine.check_takes(self._scenario, last.takes, self.name)
         self.reads = bool(last.flags & wire.MEASURED)
-        self.period = (last.microseconds - first.microseconds) * 1e-6 / ((last.number - first.number) % 2**32)
+        microseconds = (last.microseconds - first.microseconds) / ((last.number - first.number) % 2**32)
+        self.period = round(microseconds) / 1e6
+        if self.period <= 0.0:
+            raise MachineError(self.name, "its clock stands still")
 
     def read(self) -> Reading:
         """The next reading, or the last one again."""
@@ -145,9 +147,13 @@ class PacketMachine(ABC):
                 self.dropped["foreign"] += 1
             elif np.abs(packet.values).max() > LARGEST_ANGLE:
                 self.dropped["range"] += 1
-            elif self._last is not None and not wire.newer(packet.number, self._last.number):
+            elif self._last is not None and not _follows(packet, self._last):
                 self.dropped["old"] += 1
             else:
                 self._last, self._arrived, self._counted = packet, time.monotonic(), self._counted + 1
                 if packet.answers > 0 and (self._number - packet.answers) % 2**32 < KEPT:
                     self._answered = float(self._sent[packet.answers % KEPT])
+
+
+def _follows(packet: wire.Packet, last: wire.Packet) -> bool:
+    return wire.newer(packet.number, last.number) and packet.microseconds >= last.microseconds

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import numpy as np
@@ -12,14 +12,12 @@ import numpy as np
 from stewart_drake.base.errors import installed_with
 from stewart_drake.machines import machine
 from stewart_drake.machines.machine import MachineError, Reading, Takes
+from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.scenario.scenario import Scenario
 
-TICK = 0.02
-"""[s] of the daemon between two messages of a kind; it sends one in each of its ticks, and no time stamp."""
-PAIR = 0.003
-"""[s] after the angles of a tick within which its pose comes."""
-HEAD_HEIGHT = 0.177
-"""[m] above the origin of the robot's base frame B of that in which the daemon tells `head_pose`."""
+TICK = 0.02  # [s] of the daemon between two messages of a kind; it sends one in each of its ticks, and no time stamp.
+PAIR = 0.003  # [s] after the angles of a tick within which its pose comes.
+HEAD_HEIGHT = 0.177  # [m] above the origin of the robot's base frame B of that in which the daemon tells `head_pose`.
 
 
 class ReachyMachine:
@@ -88,7 +86,8 @@ class ReachyMachine:
 
     def disconnect(self) -> None:
         """Closes the socket; the daemon holds the last angles."""
-        self._stack.close()
+        with suppress(*self._errors):
+            self._stack.close()
         self._socket = None
         self._number, self._pose_number, self._arrived, self._off = -1, -1, 0.0, False
         self._joints, self._yaw, self._pose = np.zeros(7), 0.0, np.zeros(6)
@@ -129,7 +128,6 @@ def _numbers(given: Any, count: int) -> np.ndarray | None:
 
 def _pose(head: np.ndarray, yaw: float) -> np.ndarray:
     """Pose (6,) [rad, m] of P in B of `head_pose` (4, 4), which is told in the world, and the yaw of the body [rad]."""
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ head[:3]
+    turned = rotation_matrix([0.0, 0.0, -yaw]) @ head[:3]
     roll, pitch = np.arctan2(turned[2, 1], turned[2, 2]), np.arcsin(np.clip(-turned[2, 0], -1.0, 1.0))
     return np.array([roll, pitch, np.arctan2(turned[1, 0], turned[0, 0]), *turned[:, 3] + [0.0, 0.0, HEAD_HEIGHT]])

@@ -10,8 +10,7 @@ from stewart_drake.machines.packet import from_frame, split_frames, to_frame
 from stewart_drake.machines.packet_machine import PacketMachine
 from stewart_drake.scenario.scenario import Scenario
 
-WRITTEN_WITHIN = 0.005
-"""[s] after which a packet that the line does not take is lost: the loop must not wait for it."""
+WRITTEN_WITHIN = 0.005  # [s] after which a packet that the line does not take is lost: the loop must not wait for it.
 
 
 class SerialMachine(PacketMachine):

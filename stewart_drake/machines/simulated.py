@@ -4,8 +4,8 @@
 
 It is also the example of what a robot's side has to do: it takes commands of one peer alone, in order, of the right
 kind, finite and within limits; it sends a reading in each tick while somebody asks; and 0.1 s after the last active
-command it holds by itself: motors that take angles keep the last one, those that take torques or currents close their
-brakes, which stop the robot where it is. So it stands at home until the first command comes.
+command, or 20 ticks where that is sooner, it holds by itself: motors that take angles keep the last one, those that
+take torques or currents close their brakes, which stop the robot where it is. So it stands at home at first.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from stewart_drake.base.errors import StewartDrakeError
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.control.friction_compensation import standing_torque
 from stewart_drake.hardware.disturbances import total_wrench
@@ -38,12 +39,10 @@ from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES, POSE, RATE
 from stewart_drake.scenario.assembly import context_of, sensor_parts
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
-STARTS_WITHIN = 300.0
-"""[s] for a process to compile what it needs, the first time."""
-MOST_LATE = 50
-"""Datagrams that are looked at in a tick that is late."""
-LATEST = 0.5
-"""[s] behind the clock from which on the simulation gives up catching up; its own clock then stands still."""
+STARTS_WITHIN = 300.0  # [s] for a process to compile what it needs, the first time.
+HOLD_TICKS = 20  # Without an active command after which the robot holds: no fast loop is stable for 0.1 s without one.
+MOST_LATE = 50  # Datagrams that are looked at in a tick that is late.
+LATEST = 0.5  # [s] behind the clock from which on the simulation gives up catching up; its own clock then stands still.
 
 
 class SimulatedMachine(UdpMachine):
@@ -59,13 +58,16 @@ class SimulatedMachine(UdpMachine):
 
     def __init__(self, scenario: Scenario, other: str = "") -> None:
         super().__init__(scenario, LOCALHOST, 0)
-        self._simulated, self.name = load_scenario(other) if other else scenario, f"sim:{other}"
+        self._simulated, self.name = load_scenario(other) if other else scenario, f"sim:{other}".rstrip(":")
         self._process: subprocess.Popen[bytes] | None = None
         self.counts: dict[str, int] = {}
 
     def _open(self) -> socket.socket:
         command = [sys.executable, "-m", "stewart_drake.machines.simulated", "-", "--port", "0"]
-        self._process = process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        # In a session of its own: Ctrl-C is for who drives, and the robot must still be there while that slows down.
+        self._process = process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+        )
         assert process.stdin is not None
         assert process.stdout is not None
         with suppress(BrokenPipeError):
@@ -144,8 +146,8 @@ class RobotSide:
             commands `late` by more than 1 ms after the last reading.
     """
 
-    def __init__(self, takes: str, limits: np.ndarray) -> None:
-        self.takes, self.counts = takes, Counter[str]()
+    def __init__(self, takes: str, limits: np.ndarray, hold_after: float = wire.HOLD_AFTER) -> None:
+        self.takes, self.hold_after, self.counts = takes, hold_after, Counter[str]()
         # In the numbers of the wire, or a limit itself would be beyond it.
         self._low, self._high = limits.astype(np.float32).astype(float)
         self.peer: Any = None
@@ -155,7 +157,7 @@ class RobotSide:
 
     def holds(self, now: float) -> bool:
         """Whether there is no command, at a time [s], that is to be followed."""
-        return self.values is None or now - self._active > wire.HOLD_AFTER
+        return self.values is None or now - self._active > self.hold_after
 
     def take(self, data: bytes, peer: Any, now: float) -> bool:
         """Looks at what a peer has sent; whether it is a command to be followed."""
@@ -230,7 +232,8 @@ def main() -> None:
     arguments = parser.parse_args()
     child = arguments.scenario == "-"
     scenario = pickle.load(sys.stdin.buffer) if child else load_scenario(arguments.scenario)
-    side = RobotSide(scenario.motors.takes, command_limits(scenario))
+    hold_after = min(wire.HOLD_AFTER, HOLD_TICKS * scenario.reading_period)
+    side = RobotSide(scenario.motors.takes, command_limits(scenario), hold_after)
 
     def end_with_parent() -> None:
         sys.stdin.buffer.read()
@@ -242,9 +245,12 @@ def main() -> None:
         threading.Thread(target=end_with_parent, daemon=True).start()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         line.bind((arguments.host, arguments.port))
-        with suppress(KeyboardInterrupt):
+        try:
             serve(scenario, line, side)
-    print(json.dumps(side.counts))
+        except StewartDrakeError as failure:
+            sys.exit(f"stewart-drake: the simulated robot has failed: {failure}")
+        except KeyboardInterrupt:
+            print(json.dumps(side.counts))
 
 
 if __name__ == "__main__":

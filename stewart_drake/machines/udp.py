@@ -9,8 +9,7 @@ from stewart_drake.machines.packet import SIZE
 from stewart_drake.machines.packet_machine import PacketMachine
 from stewart_drake.scenario.scenario import Scenario
 
-MOST = 1000
-"""Datagrams that are looked at at a time, however many come."""
+MOST = 1000  # Datagrams that are looked at at a time, however many come.
 
 
 class UdpMachine(PacketMachine):

@@ -81,8 +81,9 @@ def test_a_controller_drives_it_in_real_time():
 def test_a_killed_simulation_is_a_lost_machine():
     machine = open_machine("sim:", SERVOS)
     machine.connect()
+    assert os.getpgid(machine._process.pid) != os.getpgid(0)  # Ctrl-C is not for it.
     machine._process.kill()
-    with pytest.raises(MachineError, match="sim:: nobody listens there"):
+    with pytest.raises(MachineError, match="sim: nobody listens there"):
         go_on(machine)
     machine.disconnect()
 

@@ -110,6 +110,17 @@ def test_a_pause_is_no_loss(machine):
     assert reading.holding
 
 
+def test_it_opens_again_and_numbers_begin_anew(machine):
+    machine.command(np.full(6, 0.1))
+    machine.read()
+    machine.connect()  # The robot takes others only once it has heard nothing for a second.
+    for _ in range(5):
+        machine.command(np.full(6, 0.2))
+        reading = machine.read()
+    assert reading.angles == pytest.approx(0.2)
+    assert reading.command_age < 0.1
+
+
 @pytest.mark.slow
 def test_drops_repetitions_disorder_and_garbage_stop_nothing(robot, machine):
     chance, late = random.Random(3), []
@@ -173,6 +184,16 @@ def test_a_robot_that_takes_something_else_is_refused(robot):
     with pytest.raises(ConfigurationError, match=r"motors.kind: expected motors that take angle, as .* does"):
         machine.connect()
     assert robot.followed == []
+
+
+@pytest.mark.parametrize(
+    ("clock", "message"), [(lambda _: 5, "its clock stands still"), (lambda k: 10**9 - k, "no readings")]
+)
+def test_a_clock_that_does_not_go_on_is_one_line(robot, clock, message):
+    robot.mischief = lambda data: [encode((packet := decode(data))._replace(microseconds=clock(packet.number)))]
+    machine = machine_of(robot)
+    with pytest.raises(MachineError, match=message):
+        machine.connect()
 
 
 def test_a_robot_that_says_nothing_is_one_line():
