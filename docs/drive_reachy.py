@@ -1,4 +1,4 @@
-"""Drives the daemon of Reachy Mini's maker, and writes docs/results/drive.md and its picture: `make drive`, 5 minutes.
+"""Drives the daemon of Reachy Mini's maker; writes docs/results/drive.md and its picture: `make drive`, three minutes.
 
 The daemon is the maker's own, unchanged, in its simulation; docs/reachy_daemon.py installs and starts it.
 """
@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-
 from reachy_daemon import start
+
 from stewart_drake import SimulationLog, run_metrics
 from stewart_drake.base.markdown import markdown_table
 from stewart_drake.machines.machine import MachineError, open_machine
@@ -44,7 +44,10 @@ LOOK = {
 MOTIONS: Mapping[str, tuple[float, Mapping[str, Any]]] = {
     "nod": (8.0, {}),
     "look around": (6.0, {"reference": LOOK}),
-    "breathing": (20.0, {"reference": {"kind": "sine", "amplitude": [0, 0, 0, 0, 0, 0.005], "angular_frequency": "0.1 Hz"}}),
+    "breathing": (
+        20.0,
+        {"reference": {"kind": "sine", "amplitude": [0, 0, 0, 0, 0, 0.005], "angular_frequency": "0.1 Hz"}},
+    ),
 }
 FREE = {"bounds": {"rotation": None, "position": None, "motion_ratio": None, "error_ratio": None}}
 
@@ -88,7 +91,10 @@ def draw(logs: Mapping[tuple[str, str], SimulationLog]) -> Figure:
     plain, exact = logs["angles of the inverse kinematics", "nod"], logs["exact model", "nod"]
     shown = (exact.time > 4.0) & (exact.time < 6.5)
     axis.plot(exact.time[shown], np.degrees(exact["reference"][shown, 1]), color="0.75", lw=6, label="wanted")
-    for log, color, label in ((plain, "#d55e00", "angles of the inverse kinematics"), (exact, "#0072b2", "exact model")):
+    for log, color, label in (
+        (plain, "#d55e00", "angles of the inverse kinematics"),
+        (exact, "#0072b2", "exact model"),
+    ):
         shown = (log.time > 4.0) & (log.time < 6.5)
         axis.plot(log.time[shown], np.degrees(log["pose"][shown, 1]), color=color, label=label)
     axis.set(xlabel="time [s]", ylabel="pitch [deg]", title="A nod through the maker's daemon")
@@ -98,21 +104,21 @@ def draw(logs: Mapping[tuple[str, str], SimulationLog]) -> Figure:
 
 TEXT = """# Through the maker's own daemon
 
-`stewart-drake drive` against the daemon of `reachy_mini` 1.12.0, unchanged, in its own MuJoCo simulation, through its web
-socket: 50 Hz, in step with its ticks. The head's pose is the one that the daemon tells. RMS errors over the second half,
-lag included; ripple is the error of the velocity above 2 Hz.
+`stewart-drake drive` against the daemon of `reachy_mini` 1.12.0, unchanged, in its own MuJoCo simulation, through its
+web socket: 50 Hz, in step with its ticks. The head's pose is the one that the daemon tells. RMS errors over the second
+half, lag included; ripple is the error of the velocity above 2 Hz.
 
 {table}
 
 ![Pitch of a nod over time](drive.png)
 
-**Angles of the inverse kinematics** is what its owners send. **Exact model** is `drive reachy_daemon`: nothing is learnt;
-the numbers are those of the maker's MJCF, where the ball joints of the rods have a motor's friction. A real head hardly
-has such joints, and its motors have other numbers: see [Reachy Mini](reachy.md) for those. The file has the dry friction
-of a ball joint about three axes of its own, the model about the axis in which it turns; most of what is left comes from
-that.
+**Angles of the inverse kinematics** is what its owners send. **Exact model** is `drive reachy_daemon`: nothing is
+learnt; the numbers are those of the maker's MJCF, where the ball joints of the rods have a motor's friction. A real
+head hardly has such joints, and its motors have other numbers: see [Reachy Mini](reachy.md) for those. The file has the
+dry friction of a ball joint about three axes of its own, the model about the axis in which it turns.
 
-The daemon's clock is no wall clock: it stalls, here for {age:.0f} ms at most. `drive` counts its ticks and stays in step.
+The daemon's clock is no wall clock: it stalls, here for {age:.0f} ms at most. `drive` counts its ticks and stays in
+step.
 
 Made by `make drive`, with the daemon that it installs under build/, 400 MB.
 """
@@ -129,7 +135,8 @@ def main() -> None:
     lines = []
     for scheme in SCHEMES:
         figures = {motion: run_metrics(logs[scheme, motion]) for motion in MOTIONS}
-        cells = [f"{figures[m]['rmse_norm_deg']:.2f} / {figures[m]['rmse_norm_mm']:.2f}" for m in ("nod", "look around")]
+        fast = [figures[motion] for motion in ("nod", "look around")]
+        cells = [f"{each['rmse_norm_deg']:.2f} / {each['rmse_norm_mm']:.2f}" for each in fast]
         cells += [f"{figures['nod']['ripple_mm_s']:.1f}", f"{figures['breathing']['rmse_norm_mm']:.3f}"]
         lines.append((scheme, *cells, f"{figures['breathing']['ripple_mm_s']:.2f}"))
     header = (

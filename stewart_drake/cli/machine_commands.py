@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-import numpy as np
 
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.run_commands import end, leave
 from stewart_drake.cli.terminal import print_table, progress_bar, shown_compiling, tell
+from stewart_drake.logs.signals import SCALES
 from stewart_drake.runs.outputs import check_place, claimed_place
 from stewart_drake.scenario.scenario import load_driven
 
@@ -33,7 +33,7 @@ def drive(
     out: Path | None,
     force: bool,
 ) -> None:
-    """SCENARIO, or a file of a controller alone, drives a machine: slowly from where it stands to the motion, along it, and to rest.
+    """SCENARIO, or a file of a controller alone, drives a machine: to the motion, along it, and to rest.
 
     It stops on its path, and holds, after Ctrl-C, when a reading is too old or a crank is far from where it should be;
     a second Ctrl-C lets go at once. The results are those of a run.
@@ -52,10 +52,7 @@ def drive(
         start = connected(loaded, opened, seconds)
         planned = [
             ("angles now [rad]", "  ".join(f"{angle:.4f}" for angle in start.angles)),
-            (
-                "pose now [deg, mm]",
-                "  ".join(f"{value:.2f}" for value in np.r_[np.degrees(start.pose[:3]), 1e3 * start.pose[3:]]),
-            ),
+            ("pose now [deg, mm]", "  ".join(f"{value:.2f}" for value in SCALES * start.pose)),
             ("way to the motion", f"{start.motion.approach:.1f} s"),
             ("until it rests again", f"{start.duration:.1f} s"),
         ]

@@ -1,8 +1,8 @@
-"""Friction and inertia of the rods' ball joints, as torques of the motors: a term of the model for robots that have them.
+"""Friction and inertia of the rods' ball joints, as torques of the motors, for robots that have them.
 
 Each rod hangs in a ball joint at its crank and in another at the platform. What a joint turns is the difference of the
-angular velocities of the bodies that it joins. A rod may turn about itself, and does so that the moments of its two joints about
-it are in balance, as if all friction were viscous.
+angular velocities of the bodies that it joins. A rod may turn about itself, and does so that the moments of its two
+joints about it are in balance, as if all friction were viscous.
 """
 
 from __future__ import annotations

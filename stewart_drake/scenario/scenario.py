@@ -184,7 +184,7 @@ def load_controller(path: str | Path, overrides: Iterable[str] = (), trust_code:
 
 
 def load_driven(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
-    """A scenario, or a file of a controller's side as one, whose robot and motors are then those that it believes in."""
+    """A scenario, or a controller's file as one, whose robot and motors are then those that it believes in."""
     try:
         file = find_file("scenario", path)
     except ConfigurationError:
