@@ -3,9 +3,10 @@
 The daemon is the maker's own, unchanged, in its simulation; docs/reachy_daemon.py installs and starts it.
 """
 
-import sys
+import socket
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from stewart_drake.runs.drive import Drive, connected
 from stewart_drake.scenario.scenario import Scenario, load_driven
 
 ROOT = Path(__file__).parents[1]
-OUT, FOLDER, PORT = ROOT / "docs" / "results", ROOT / "build" / "reachy_daemon", 8765
+OUT, FOLDER = ROOT / "docs" / "results", ROOT / "build" / "reachy_daemon"
 SCHEMES: Mapping[str, Mapping[str, Any]] = {
     "angles of the inverse kinematics": {
         "controller.feedforward": "none",
@@ -69,18 +70,30 @@ def rise(scenario: Scenario, url: str) -> None:
     machine.disconnect()
 
 
-def driven(url: str) -> Iterator[tuple[str, str, SimulationLog]]:
-    """Scheme, motion and log of each."""
-    base = load_driven("reachy_daemon").replace(FREE)
-    rise(base, url)
-    for scheme, changes in SCHEMES.items():
-        for motion, (seconds, more) in MOTIONS.items():
-            scenario = base.replace({**changes, **more})
-            machine = open_machine(url, scenario)
-            log = Drive(scenario, machine, connected(scenario, machine, seconds)).run()
-            if log.status != "completed":
-                sys.exit(f"{scheme}, {motion}: {log.message}")
-            yield scheme, motion, log
+@contextmanager
+def daemon(folder: Path) -> Iterator[str]:
+    """The URL of a daemon whose head is at home; it is installed in a folder, if it is not there yet."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    process = start(folder, port)
+    try:
+        rise(load_driven("reachy_daemon"), f"reachy://127.0.0.1:{port}")
+        yield f"reachy://127.0.0.1:{port}"
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def driven(url: str, scheme: str, motion: str) -> SimulationLog:
+    """One of the page."""
+    seconds, more = MOTIONS[motion]
+    scenario = load_driven("reachy_daemon").replace({**FREE, **SCHEMES[scheme], **more})
+    machine = open_machine(url, scenario)
+    log = Drive(scenario, machine, connected(scenario, machine, seconds)).run()
+    if log.status != "completed":
+        raise RuntimeError(f"{scheme}, {motion}: {log.message}")
+    return log
 
 
 @styled
@@ -121,17 +134,14 @@ The daemon's clock is no wall clock: it stalls, here for {age:.0f} ms at most. `
 step.
 
 Made by `make drive`, with the daemon that it installs under build/, 400 MB.
+`make results` recomputes some of these numbers.
 """
 
 
 def main() -> None:
     """Starts the daemon, drives, and writes the page."""
-    daemon = start(FOLDER, PORT)
-    try:
-        logs = {(scheme, motion): log for scheme, motion, log in driven(f"reachy://127.0.0.1:{PORT}")}
-    finally:
-        daemon.terminate()
-        daemon.wait()
+    with daemon(FOLDER) as url:
+        logs = {(scheme, motion): driven(url, scheme, motion) for scheme in SCHEMES for motion in MOTIONS}
     lines = []
     for scheme in SCHEMES:
         figures = {motion: run_metrics(logs[scheme, motion]) for motion in MOTIONS}

@@ -5,10 +5,12 @@ check names, where a few runs stand for the page's hundreds.
 """
 
 import importlib.util
+import os
 import re
 from functools import lru_cache
 from pathlib import Path
 
+import drive_reachy
 import integrators
 import numpy as np
 import pyarrow.parquet as pq
@@ -196,6 +198,16 @@ def test_reachy(page):
     row = compared(write_reachy.dances(), exact, "grid_snap", makers)
     cell = page.cell("`grid_snap`", column="exact model [deg], [mm]")
     assert_says(cell, row["rmse_norm_deg"], row["rmse_norm_mm"], within=NOISY)
+
+
+@pytest.mark.long
+@pytest.mark.skipif("REACHY_DAEMON" not in os.environ, reason="needs REACHY_DAEMON, a folder for the maker's daemon")
+def test_drive(page):
+    with drive_reachy.daemon(Path(os.environ["REACHY_DAEMON"]).absolute()) as url:
+        for scheme, within in (("angles of the inverse kinematics", 0.1), ("exact model", 0.3)):
+            figures = run_metrics(drive_reachy.driven(url, scheme, "nod"))
+            cell = page.cell(scheme, column="nod [deg], [mm]")
+            assert_says(cell, figures["rmse_norm_deg"], figures["rmse_norm_mm"], within=within)
 
 
 def log_costs(folder, plant, candidates, cases):

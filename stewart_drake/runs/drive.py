@@ -30,8 +30,8 @@ from stewart_drake.scenario.scenario import Scenario
 
 APPROACH_SPEED = 0.5
 """[rad/s] of the fastest crank on the way to the motion."""
-STALE = 0.1
-"""[s] age of a reading, or twelve periods if that is more, from which on the robot slows down and stops."""
+STALE = {"angle": 0.5, "torque": 0.1, "current": 0.1}
+"""[s] age of a reading from which on the robot slows down and stops, by what its motors take: angles they hold alone."""
 FOLLOWING = 0.35
 """[rad] of a crank from where it should be, from which on the robot slows down and stops."""
 HOLD = 0.3
@@ -110,7 +110,7 @@ class Drive:
         self.scenario, self._robot = scenario.replace({"duration": start.duration}), scenario.belief.robot
         self._controller, self._ahead = Controller(held, sources), ahead
         self._period, self._command = self._controller.period, np.empty(6)
-        self._stale = max(STALE, 12.0 * self._period)
+        self._stale = STALE[machine.takes]
         # What is compiled or loaded in the first call must not come in the first tick.
         self._controller.step(start.angles, 0.0, self._command)
         self._controller.reset()

@@ -86,7 +86,7 @@ def lost(_):
 
 
 def late(machine):
-    machine.age = 0.5
+    machine.age = 0.6
 
 
 def stuck(machine):
