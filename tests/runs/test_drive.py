@@ -104,10 +104,10 @@ def stuck(machine):
     ],
 )
 def test_what_goes_wrong_slows_it_down_on_its_path_and_is_told(event, status, reason, rests):
-    machine = Servos(at=80, event=event)
+    machine = Servos(at=130, event=event)
     log = driven(machine, BASE.replace({"duration": 10.0}))
     assert (log.status, log.reason, machine.gone) == (status, reason, True)
-    assert log.end_time < 80 * 0.02 + RAMP + HOLD + 0.1
+    assert log.end_time < 130 * 0.02 + RAMP + HOLD + 0.1
     moved = np.abs(np.diff(machine.commands, axis=0)).max(axis=1)
     assert moved.max() < 0.12
     assert bool(moved[-5:].max() < 0.01) == rests
