@@ -201,6 +201,7 @@ def test_reachy(page):
 
 
 @pytest.mark.long
+@pytest.mark.xdist_group("reachy_daemon")
 @pytest.mark.skipif("REACHY_DAEMON" not in os.environ, reason="needs REACHY_DAEMON, a folder for the maker's daemon")
 def test_drive(page):
     with drive_reachy.daemon(Path(os.environ["REACHY_DAEMON"]).absolute()) as url:

@@ -14,7 +14,11 @@ from stewart_drake.machines.machine import MachineError, open_machine
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 
 FOLDER = os.environ.get("REACHY_DAEMON")
-pytestmark = [pytest.mark.long, pytest.mark.skipif(not FOLDER, reason="needs REACHY_DAEMON, a folder for the daemon")]
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.xdist_group("reachy_daemon"),  # which is installed once
+    pytest.mark.skipif(not FOLDER, reason="needs REACHY_DAEMON, a folder for the daemon"),
+]
 
 
 @pytest.fixture(scope="module")
