@@ -53,6 +53,7 @@ def drive(
         planned = [
             ("angles now [rad]", "  ".join(f"{angle:.4f}" for angle in start.angles)),
             ("pose now [deg, mm]", "  ".join(f"{value:.2f}" for value in SCALES * start.pose)),
+            ("its tick", "-" if opened.period is None else f"{1e3 * opened.period:.2f} ms"),
             ("way to the motion", f"{start.motion.approach:.1f} s"),
             ("until it rests again", f"{start.duration:.1f} s"),
         ]

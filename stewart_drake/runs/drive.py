@@ -34,6 +34,9 @@ STALE = {"angle": 0.5, "torque": 0.1, "current": 0.1}
 """[s] age of a reading from which on the robot slows down and stops, by what its motors take: angles they hold alone."""
 FOLLOWING = 0.35
 """[rad] of a crank from where it should be, from which on the robot slows down and stops."""
+CLOCKS_APART = 0.05
+"""Share by which the period of a machine that sets the pace may differ from the controller's. Its ticks count as the
+controller's: where they are longer, the motion takes longer."""
 HOLD = 0.3
 """[s] for which it is held at the end before it is let go."""
 
@@ -62,8 +65,8 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
         )
     machine.connect()
     period, own = scenario.reading_period, machine.period
-    if machine.paced and own is not None and abs(own - period) > 1e-6:
-        raise ConfigurationError("controller.period", period, f"{own:g} s, that of the machine, which sets the pace")
+    if machine.paced and own is not None and abs(own - period) > CLOCKS_APART * period:
+        raise ConfigurationError("controller.period", period, f"about {own:.4g} s, that of the machine, which sets the pace")
     robot, angles = scenario.belief.robot, machine.read().angles
     motion: PacedMotion
     if machine.reads:
