@@ -53,13 +53,13 @@ def plot_identification(identification: Identification, path: str | Path) -> Non
     """Each motor's torque and what is left of it, over the first seconds and over the crank's rate."""
     figure, axes = look.panels(6, 2, 12.0, sharex="col", width_ratios=[2, 1])
     samples = identification.samples
-    left = samples.torque - samples.predicted(identification.values)
+    left = samples.measured - samples.predicted(identification.values)
     first = samples.pieces[0].start
     some = slice(first, first + int(_SHOWN / samples.step))
     time = samples.time[some]
     for leg, (over_time, over_rate) in enumerate(axes):
         used, rest, moving = samples.used[some, leg], left[some, leg], samples.used[:, leg]
-        over_time.plot(time, samples.torque[some, leg], color=look.BLUE, label="torque", linewidth=1.0)
+        over_time.plot(time, samples.measured[some, leg], color=look.BLUE, label="torque", linewidth=1.0)
         over_time.plot(time, np.where(used, rest, np.nan), color=look.ORANGE, label="residual", linewidth=1.0)
         over_time.plot(time, np.where(used, np.nan, rest), color=look.GREY, label="residual, not used", linewidth=1.0)
         over_rate.plot(samples.rates[moving, leg], 1e3 * left[moving, leg], ".", color=look.ORANGE, markersize=2)

@@ -1,0 +1,358 @@
+"""Servos that take angles, from commands and measured angles alone: stiffness, damping, friction, delay, head's mass.
+
+    angle_i(t) = command_i(t - delay - age) - (mass Y_head + rotor Y_rotor + Y_rest + damping_i rate_i
+                 + coulomb_i sign(rate_i)) / stiffness
+
+A servo is a spring between its command and its angle, so it is itself the sensor of the torque. Y are torques of the
+motion that was read, by the exact inverse dynamics; all pass one filter, see `torques`. Damping has back-EMF and viscous
+friction: they act as one. The delay of a command and the age of a reading do too, so the age must be told. All torques
+may be larger by one factor: the inertia of rotors and cranks, which is believed, makes them absolute, or else a head
+that was weighed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.tables import CRANK_ANGLES
+from stewart_drake.base.yaml_files import to_yaml
+from stewart_drake.estimation import core, torques
+from stewart_drake.estimation.core import Estimate, Parameter, Result
+from stewart_drake.estimation.identification import Problem, fitted
+from stewart_drake.estimation.torques import CrankReadings, Samples
+from stewart_drake.logs.log import SimulationLog, load_log
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
+
+_MOTORS = tuple(f"motor {leg}" for leg in range(LEGS))
+PARAMETERS = (
+    Parameter("stiffness", "", "N m/rad"),
+    Parameter("delay", "", "s"),
+    Parameter("reading_age", "", "s"),
+    Parameter("platform_mass", "", "kg"),
+    Parameter("rotor_inertia", "", "kg m^2"),
+    *(Parameter("damping", motor, "N m s/rad") for motor in _MOTORS),
+    *(Parameter("coulomb", motor, "N m") for motor in _MOTORS),
+)
+KINDS = tuple(dict.fromkeys(parameter.kind for parameter in PARAMETERS))
+ASKED = ("stiffness", "delay", "platform_mass", "damping", "coulomb")
+STIFFNESS, DELAY, AGE, MASS, ROTOR, DAMPING, COULOMB = 0, 1, 2, 3, 4, slice(5, 11), slice(11, 17)
+_LOADS = slice(MASS, COULOMB.stop)  # In which torques are linear.
+QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"commanded_angle_{leg}", "rad") for leg in range(LEGS)))
+_LONGEST, _STEP = 0.3, 0.005  # [s] delays that are tried first.
+_UNEXPLAINED = 0.5  # [-] of the changes of command minus angle that may be left.
+_LEAST = 0.05  # [-] of the rows in which each crank must turn.
+_WIDTH = 0.004  # [rad/s] of the friction that is believed, as with motors that one can buy.
+
+
+@dataclass(frozen=True, eq=False)
+class ServoRecording(CrankReadings):
+    """n readings of six cranks and the six angles that were commanded then, at a constant rate, checked.
+
+    Attributes:
+        time: (n,) [s].
+        angles: (n, 6) [rad] as read.
+        commands: (n, 6) [rad] sent at a row's time and held until the next one.
+        gravity: [m/s^2].
+        source: What it is called in messages.
+
+    Raises:
+        ConfigurationError: As for `torques.Recording`; commands that are always the same.
+    """
+
+    time: np.ndarray
+    angles: np.ndarray
+    commands: np.ndarray
+    gravity: float = STANDARD_GRAVITY
+    source: str = "recording"
+
+    quantities: ClassVar = QUANTITIES
+    columns: ClassVar = {"time": 0, "angles": slice(1, 7), "commands": slice(7, 13)}
+
+    def __post_init__(self) -> None:
+        self.check_cranks("commands")
+        for what, values in (("commanded_angle", self.commands), ("crank_angle", self.angles)):
+            still = np.ptp(values, axis=0) == 0.0
+            if still.any():
+                raise ConfigurationError(f"{self.source}: {what}_{still.argmax()}", "the same in all rows", _MOTION)
+
+
+_MOTION = "a motion in which all motors turn; `excite` designs one"
+
+
+def servo_recording_of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> ServoRecording:
+    """Readings of encoders and commands of a run whose motors take angles."""
+    rows, angles = torques.readings_of_log(log, guess, source)
+    return ServoRecording(log.time[rows], angles, log["commanded_angle"][rows], log.scenario.gravity, source)
+
+
+@dataclass(frozen=True, eq=False)
+class ServoSamples(Samples):
+    """Samples whose measured values are angles [rad]; columns (n, 6, 14) are those of torques by `_LOADS`.
+
+    `commands` are filtered, as functions of time [s], one for each piece.
+    """
+
+    commands: tuple[Callable[..., np.ndarray], ...] = ()
+
+    def command(self, values: np.ndarray, order: int = 0) -> np.ndarray:
+        """Commands (n, 6) [rad] that acted at the readings, or their derivatives by time."""
+        late = values[DELAY] + values[AGE]
+        return np.concatenate(
+            [each(self.time[piece] - late, order) for piece, each in zip(self.pieces, self.commands, strict=True)]
+        )
+
+    def predicted(self, values: np.ndarray) -> np.ndarray:
+        """Angles (n, 6) [rad] of parameters (17,)."""
+        return self.command(values) - (self.columns @ values[_LOADS] + self.known) / values[STIFFNESS]
+
+    def derivative(self, values: np.ndarray) -> np.ndarray:
+        by_delay = -self.command(values, 1)[..., None]
+        loads = -self.columns / values[STIFFNESS]
+        by_stiffness = (self.columns @ values[_LOADS] + self.known)[..., None] / values[STIFFNESS] ** 2
+        return np.concatenate([by_stiffness, by_delay, by_delay, loads], axis=-1)
+
+
+def servo_samples_of(
+    guess: RobotParameters, recordings: Sequence[ServoRecording], bandwidth: float | None = None
+) -> ServoSamples:
+    """Equations of recordings: the head's bodies in proportion to its mass, rods and cranks those of the guess."""
+    values, parts, commands = torques.values_of(guess), [], []
+    for each in recordings:
+        samples, smooth = torques.filtered(guess, each, bandwidth)
+        by_body = samples.columns[..., torques.BODIES] * values[torques.BODIES]
+        columns = [
+            by_body[..., : torques.ROD_MASS].sum(axis=-1, keepdims=True) / guess.platform_mass,
+            samples.columns[..., [torques.ROTOR]],
+            samples.columns[..., torques.VISCOUS],
+            samples.columns[..., torques.COULOMB],
+        ]
+        known = samples.known + by_body[..., torques.ROD_MASS : torques.ROTOR].sum(axis=-1)
+        angles = smooth(each.angles)(samples.time)
+        parts.append(replace(samples, columns=np.concatenate(columns, axis=-1), known=known, measured=angles))
+        # A command holds for a row: its middle is half a row later.
+        commands.append(_later(smooth(each.commands), 0.5 / each.rate))
+    return ServoSamples(**vars(torques.together(parts)), commands=tuple(commands))
+
+
+def _later(spline: Callable[..., np.ndarray], lag: float) -> Callable[..., np.ndarray]:
+    return lambda time, order=0: spline(time - lag, order)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ServoIdentification(Result):
+    """Servos and head of a robot, and how well they are known.
+
+    Attributes:
+        guess: The robot that the identification started from.
+        estimate: (17,) `PARAMETERS`.
+        samples: The samples that it used.
+        errors: (name, RMS [rad] of predicted angles where no crank sticks) of each log, those for validation last.
+        logs: Number of recordings that were fitted.
+    """
+
+    guess: RobotParameters
+    estimate: Estimate
+    samples: ServoSamples
+    errors: tuple[tuple[str, float], ...]
+    logs: int
+
+    columns: ClassVar = ("parameter", "part", "unit", "value", "half_width")
+    about: ClassVar = (
+        "Values with 95 % intervals. Damping has back-EMF and viscous friction, which act as one. What is kept was\n"
+        "believed: nothing in commands and angles tells it from others."
+    )
+    picture: ClassVar = "Angles and their residuals"
+
+    @property
+    def title(self) -> str:
+        return f"Identification of servos from {self.samples.source}"
+
+    @property
+    def values(self) -> np.ndarray:
+        """(17,) of `PARAMETERS`; friction and delay at least 0."""
+        values = self.estimate.values.copy()
+        values[[DELAY, *range(DAMPING.start, COULOMB.stop)]] = np.maximum(
+            values[[DELAY, *range(DAMPING.start, COULOMB.stop)]], 0.0
+        )
+        return values
+
+    @property
+    def half_width(self) -> np.ndarray:
+        """(17,) of the 95 % intervals; 0 for what kept its value."""
+        return self.estimate.half_width
+
+    @cached_property
+    def robot(self) -> RobotParameters:
+        """The guess with the head's mass, its inertia in proportion, and the rotors' inertia."""
+        share = self.values[MASS] / self.guess.platform_mass
+        inertia = {
+            name: tuple(share * np.array(getattr(self.guess, name))) for name in ("platform_inertia", "platform_products")
+        }
+        mass, rotor = float(self.values[MASS]), float(self.values[ROTOR])
+        return self.guess.replace(platform_mass=mass, rotor_inertia=rotor, **inertia)
+
+    @property
+    def motors(self) -> dict[str, Any]:
+        """For `model.motors`."""
+        stiffness, delay = self.values[[STIFFNESS, DELAY]].tolist()
+        return {"kind": "position", "stiffness": stiffness, "damping": self._damping, "delay": delay}
+
+    @property
+    def friction(self) -> dict[str, Any]:
+        """For `model.friction`: damping beyond the smallest motor's is viscous friction."""
+        viscous = self.values[DAMPING] - self._damping
+        return {"coulomb": self.values[COULOMB].tolist(), "viscous": viscous.tolist(), "width": _WIDTH}
+
+    @property
+    def _damping(self) -> float:
+        return float(self.values[DAMPING].min())
+
+    def model_file(self) -> str:
+        """`model` of a scenario, but for the robot."""
+        return to_yaml({"model": {"motors": self.motors, "friction": self.friction}})
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        numbers = zip(PARAMETERS, self.values.tolist(), self.half_width.tolist(), strict=True)
+        return [(*parameter[:3], value, width) for parameter, value, width in numbers]
+
+    def summary(self) -> list[tuple[str, str]]:
+        errors = [
+            (f"angle error (RMS), {'fitted' if at < self.logs else 'not used'}: {name}", f"{1e3 * error:.3g} mrad")
+            for at, (name, error) in enumerate(self.errors)
+        ]
+        return [
+            ("samples, parameters estimated", f"{len(self.samples.time)}, {len(self.estimate.covariance)}"),
+            ("rows in which a crank moves", f"{100.0 * self.samples.used.mean():.0f} %"),
+            *errors,
+            *((row[0], row[1]) for row in self.table()[1] if row[0] in ("stiffness", "delay", "platform mass")),
+            *(("believed, not identified", line) for line in self.estimate.unidentifiable_sentences()),
+        ]
+
+    def table(self) -> tuple[list[str], list[list[str]]]:
+        rows = []
+        for parameter, (*_, value, width) in zip(PARAMETERS, self.rows(), strict=True):
+            unit, factor = ("ms", 1e3) if parameter.unit == "s" else (parameter.unit, 1.0)
+            interval = f"{factor * value:.4g} ± {factor * width:.2g}" if width > 0.0 else f"{factor * value:.4g}, kept"
+            rows.append([f"{parameter}".replace("_", " "), f"{interval} {unit}"])
+        return ["", "value"], rows
+
+    def robot_file(self) -> str:
+        about = f"head identified through its servos from {self.logs} {'log' if self.logs == 1 else 'logs'}"
+        comments = ["Servos and friction, for `model` of a scenario:", *self.model_file().splitlines()]
+        comments += ["Values with 95 % intervals:", *(f"  {name}: {text}" for name, text in self.table()[1])]
+        return core.robot_yaml(about, comments, self.robot)
+
+
+def identify_servos(
+    robot: RobotParameters,
+    logs: Sequence[ServoRecording | SimulationLog | str | Path],
+    hold: Collection[str] = (),
+    ask: Collection[str] = ASKED,
+    validate: Sequence[ServoRecording | SimulationLog | str | Path] = (),
+    bandwidth: float | None = None,
+    reading_age: float = 0.0,
+) -> ServoIdentification:
+    """Stiffness, damping, friction and delay of servos that take angles, and the head's mass, without any torque.
+
+    Nothing need be known of the servos before.
+
+    Args:
+        robot: The guess. Its geometry, rods and cranks are kept, and the shape of its head.
+        logs: At least one: recordings, logs, or files of them.
+        hold: Kinds that keep the guess's value. The rotors' inertia does, unless `platform_mass` is held: a head that
+            was weighed tells it.
+        ask: Kinds that the logs must determine.
+        validate: Logs that are only predicted.
+        bandwidth: [Hz] of the filter; None for one by the logs' rate.
+        reading_age: [s] of an angle in its row.
+
+    Raises:
+        ConfigurationError: Nothing to read, an unknown kind; a log that is too short, without commands, whose motors
+            do not turn, or whose angles are not those of its commands.
+    """
+    core.check_choices("hold", hold, KINDS)
+    core.check_choices("ask", ask, KINDS)
+    if not logs:
+        raise ConfigurationError("logs", "none", "at least one log")
+
+    def read(log: ServoRecording | SimulationLog | str | Path) -> ServoRecording:
+        return log if isinstance(log, ServoRecording) else load_servo_recording(log, robot)
+
+    recordings, unseen = [read(log) for log in logs], [read(log) for log in validate]
+    samples = servo_samples_of(robot, recordings, bandwidth)
+    start = _start(robot, samples, reading_age)
+    believed = [at for at in (AGE, ROTOR) if at == AGE or "platform_mass" not in hold]
+    kinds = {*hold, *(PARAMETERS[at].kind for at in believed)}
+    free = core.free_directions(PARAMETERS, KINDS, kinds)
+    size = np.array([start[STIFFNESS], 0.01, 0.01, robot.platform_mass, _rotor(robot), *[0.01 * start[STIFFNESS]] * 12])
+
+    def bounded(values: np.ndarray) -> np.ndarray:
+        values[STIFFNESS] = np.clip(values[STIFFNESS], 0.3 * start[STIFFNESS], 3.0 * start[STIFFNESS])
+        return values
+
+    problem = Problem(PARAMETERS, size, start, free, set(ask) - kinds, believed)
+    estimate = fitted(samples, problem, lambda values: _refuse_other(samples, values), bounded)
+    parts = [servo_samples_of(robot, [each], bandwidth) for each in (*recordings, *unseen)]
+    errors = tuple((each.source, _rms(each, each.measured - each.predicted(estimate.values))) for each in parts)
+    return ServoIdentification(robot, estimate, samples, errors, len(recordings))
+
+
+def load_servo_recording(log: SimulationLog | str | Path, guess: RobotParameters) -> ServoRecording:
+    """A recording from a log of this package, or a CSV file with `QUANTITIES`."""
+    if not isinstance(log, SimulationLog):
+        if Path(log).suffix.lower() == ".csv":
+            return ServoRecording.of_file(log, f"recording {log}")
+        log = load_log(log)
+    return servo_recording_of_log(log, guess, f"log of {log.scenario.name}")
+
+
+def _rotor(robot: RobotParameters) -> float:
+    """[kg m^2] what counts as much in the inertia of the rotors."""
+    return float(robot.crank_axis_inertias.mean())
+
+
+def _rms(samples: Samples, values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values[samples.used] ** 2)))
+
+
+def _start(guess: RobotParameters, samples: ServoSamples, age: float) -> np.ndarray:
+    """Parameters (17,) near the best ones: linear least squares for the delay that fits best of many.
+
+    command - angle is linear in compliance, and compliance times mass, damping and friction.
+    """
+    if (few := samples.used.mean(axis=0)).min() < _LEAST:
+        got = f"motor {few.argmin()} at rest or reversing in {100.0 * (1.0 - few.min()):.0f} % of the rows"
+        raise ConfigurationError(samples.source, got, _MOTION)
+    values = np.zeros(len(PARAMETERS))
+    rest = samples.known + samples.columns[..., 1] * guess.rotor_inertia
+    columns = np.concatenate([rest[..., None], samples.columns[..., [0]], samples.columns[..., 2:]], axis=-1)[samples.used]
+    best, found = np.inf, np.zeros(14)
+    for delay in np.arange(-age, _LONGEST, _STEP):
+        values[[DELAY, AGE]] = delay, age
+        twist = (samples.command(values) - samples.measured)[samples.used]
+        shares = np.linalg.lstsq(columns, twist, rcond=None)[0]
+        left = float(np.sum((twist - columns @ shares) ** 2))
+        if left < best:
+            best, found, late = left, shares, delay
+    compliance = max(found[0], 1e-9)
+    loads = [found[1] / compliance, guess.rotor_inertia, *(found[2:] / compliance)]
+    return np.array([1.0 / compliance, late, age, *loads])
+
+
+def _refuse_other(samples: ServoSamples, values: np.ndarray) -> None:
+    """Refuses angles that are not those of the commands."""
+    twist = samples.command(values) - samples.measured
+    left, changes = _rms(samples, samples.measured - samples.predicted(values)), _rms(samples, twist - twist.mean(axis=0))
+    if left > _UNEXPLAINED * changes or values[MASS] <= 0.0:
+        share = min(100.0, 100.0 * left / changes)
+        got = f"commands less angles with {share:.0f} % of their changes unexplained by any servo"
+        raise ConfigurationError(samples.source, got, "a log of the guessed robot, commands and angles in rad")
