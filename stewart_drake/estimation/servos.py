@@ -20,15 +20,18 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.base.tables import CRANK_ANGLES
 from stewart_drake.base.yaml_files import to_yaml
 from stewart_drake.estimation import core, torques
 from stewart_drake.estimation.core import Estimate, Parameter, Result
 from stewart_drake.estimation.identification import Problem, fitted
 from stewart_drake.estimation.torques import CrankReadings, Samples
+from stewart_drake.hardware.servos import PositionServos
 from stewart_drake.logs.log import SimulationLog, load_log
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.plant.closed_form import ClosedFormOptions
+from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
@@ -50,6 +53,9 @@ QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"commanded_angle_{leg}", "rad") 
 _LONGEST, _STEP = 0.3, 0.005  # [s] delays that are tried first.
 _UNEXPLAINED = 0.5  # [-] of the changes of command minus angle that may be left.
 _LEAST = 0.05  # [-] of the rows in which each crank must turn.
+_KERNEL = 0.03  # [s] standard deviation of the kernel.
+_ROWS_A_PERIOD = 6.25  # Least rows in a period of the filter before it.
+_SERVO_STEP = 0.001  # [s] of the simulation, and of the servos' own loop there.
 _WIDTH = 0.004  # [rad/s] of the friction that is believed, as with motors that one can buy.
 
 
@@ -124,22 +130,31 @@ class ServoSamples(Samples):
 def servo_samples_of(
     guess: RobotParameters, recordings: Sequence[ServoRecording], bandwidth: float | None = None
 ) -> ServoSamples:
-    """Equations of recordings: the head's bodies in proportion to its mass, rods and cranks those of the guess."""
+    """Equations of recordings: the head's bodies in proportion to its mass, rods and cranks those of the guess.
+
+    The motion passes a filter that leaves its harmonics alone; then all passes one kernel, friction's sign too.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
     values, parts, commands = torques.values_of(guess), [], []
     for each in recordings:
-        samples, smooth = torques.filtered(guess, each, bandwidth)
-        by_body = samples.columns[..., torques.BODIES] * values[torques.BODIES]
-        columns = [
-            by_body[..., : torques.ROD_MASS].sum(axis=-1, keepdims=True) / guess.platform_mass,
-            samples.columns[..., [torques.ROTOR]],
-            samples.columns[..., torques.VISCOUS],
-            samples.columns[..., torques.COULOMB],
-        ]
-        known = samples.known + by_body[..., torques.ROD_MASS : torques.ROTOR].sum(axis=-1)
-        angles = smooth(each.angles)(samples.time)
-        parts.append(replace(samples, columns=np.concatenate(columns, axis=-1), known=known, measured=angles))
+
+        def kernel(rows: np.ndarray, rate: float = each.rate) -> np.ndarray:
+            return np.asarray(gaussian_filter1d(rows, _KERNEL * rate, axis=0, mode="nearest"))
+
+        samples, smooth = torques.filtered(guess, each, each.rate / _ROWS_A_PERIOD if bandwidth is None else bandwidth)
+        columns, known = samples.columns, samples.known
+        by_body = columns[..., torques.BODIES] * values[torques.BODIES]
+        head = by_body[..., : torques.ROD_MASS].sum(axis=-1, keepdims=True) / guess.platform_mass
+        known = known + by_body[..., torques.ROD_MASS : torques.ROTOR].sum(axis=-1)
+        chosen = [head, *(columns[..., part] for part in ([torques.ROTOR], torques.VISCOUS, torques.COULOMB))]
+        columns, known = (kernel(rows, 1.0 / samples.step) for rows in (np.concatenate(chosen, axis=-1), known))
+        used, edge = samples.used.copy(), 1 + int(4.0 * _KERNEL / samples.step)
+        used[:edge] = used[-edge:] = False
+        measured = smooth(kernel(each.angles))(samples.time)
+        parts.append(replace(samples, columns=columns, known=known, measured=measured, used=used))
         # A command holds for a row: its middle is half a row later.
-        commands.append(_later(smooth(each.commands), 0.5 / each.rate))
+        commands.append(_later(smooth(kernel(each.commands)), 0.5 / each.rate))
     return ServoSamples(**vars(torques.together(parts)), commands=tuple(commands))
 
 
@@ -178,12 +193,8 @@ class ServoIdentification(Result):
 
     @property
     def values(self) -> np.ndarray:
-        """(17,) of `PARAMETERS`; friction and delay at least 0."""
-        values = self.estimate.values.copy()
-        values[[DELAY, *range(DAMPING.start, COULOMB.stop)]] = np.maximum(
-            values[[DELAY, *range(DAMPING.start, COULOMB.stop)]], 0.0
-        )
-        return values
+        """(17,) of `PARAMETERS`."""
+        return possible(self.estimate.values)
 
     @property
     def half_width(self) -> np.ndarray:
@@ -192,13 +203,8 @@ class ServoIdentification(Result):
 
     @cached_property
     def robot(self) -> RobotParameters:
-        """The guess with the head's mass, its inertia in proportion, and the rotors' inertia."""
-        share = self.values[MASS] / self.guess.platform_mass
-        inertia = {
-            name: tuple(share * np.array(getattr(self.guess, name))) for name in ("platform_inertia", "platform_products")
-        }
-        mass, rotor = float(self.values[MASS]), float(self.values[ROTOR])
-        return self.guess.replace(platform_mass=mass, rotor_inertia=rotor, **inertia)
+        """The guess with what was identified."""
+        return with_head(self.guess, self.values)
 
     @property
     def motors(self) -> dict[str, Any]:
@@ -288,22 +294,82 @@ def identify_servos(
         return log if isinstance(log, ServoRecording) else load_servo_recording(log, robot)
 
     recordings, unseen = [read(log) for log in logs], [read(log) for log in validate]
+    estimate, samples = _estimate(robot, recordings, hold, ask, bandwidth, reading_age)
+    try:
+        again = [replayed(robot, each, estimate.values) for each in recordings]
+    except RunFailure as failure:
+        allowed = "angles and commands of the guessed robot; it cannot follow them with what was identified"
+        raise ConfigurationError(samples.source, str(failure), allowed) from failure
+    bias = _estimate(robot, again, hold, ask, bandwidth, reading_age)[0].values - estimate.values
+    estimate = replace(estimate, values=estimate.values - bias)
+    parts = [servo_samples_of(robot, [each], bandwidth) for each in (*recordings, *unseen)]
+    errors = tuple((each.source, _rms(each, each.measured - each.predicted(estimate.values))) for each in parts)
+    return ServoIdentification(robot, estimate, samples, errors, len(recordings))
+
+
+def _estimate(
+    robot: RobotParameters,
+    recordings: Sequence[ServoRecording],
+    hold: Collection[str],
+    ask: Collection[str],
+    bandwidth: float | None,
+    reading_age: float,
+) -> tuple[Estimate, ServoSamples]:
     samples = servo_samples_of(robot, recordings, bandwidth)
     start = _start(robot, samples, reading_age)
     believed = [at for at in (AGE, ROTOR) if at == AGE or "platform_mass" not in hold]
     kinds = {*hold, *(PARAMETERS[at].kind for at in believed)}
     free = core.free_directions(PARAMETERS, KINDS, kinds)
-    size = np.array([start[STIFFNESS], 0.01, 0.01, robot.platform_mass, _rotor(robot), *[0.01 * start[STIFFNESS]] * 12])
+    stiffness, rotor = start[STIFFNESS], float(robot.crank_axis_inertias.mean())
+    size = np.array([stiffness, 0.01, 0.01, robot.platform_mass, rotor, *[0.01 * stiffness] * 12])
 
     def bounded(values: np.ndarray) -> np.ndarray:
-        values[STIFFNESS] = np.clip(values[STIFFNESS], 0.3 * start[STIFFNESS], 3.0 * start[STIFFNESS])
+        values[STIFFNESS] = np.clip(values[STIFFNESS], 0.3 * stiffness, 3.0 * stiffness)
         return values
 
     problem = Problem(PARAMETERS, size, start, free, set(ask) - kinds, believed)
-    estimate = fitted(samples, problem, lambda values: _refuse_other(samples, values), bounded)
-    parts = [servo_samples_of(robot, [each], bandwidth) for each in (*recordings, *unseen)]
-    errors = tuple((each.source, _rms(each, each.measured - each.predicted(estimate.values))) for each in parts)
-    return ServoIdentification(robot, estimate, samples, errors, len(recordings))
+    return fitted(samples, problem, lambda values: _refuse_other(samples, values), bounded), samples
+
+
+def replayed(guess: RobotParameters, recording: ServoRecording, values: np.ndarray) -> ServoRecording:
+    """What a simulated robot of parameters (17,) does with the commands of a recording; it begins there at rest.
+
+    What the estimate makes of it, less what it was made with, is the estimate's bias by filter, reversals and steps: B.
+    Efron and R. J. Tibshirani, An Introduction to the Bootstrap (1993), chapter 10.
+    """
+    robot, values = with_head(guess, values), possible(values)
+    friction = {"coulomb": values[COULOMB].tolist(), "viscous": values[DAMPING].tolist()}
+    options = {"integrator": "rk4", "time_step": _SERVO_STEP, "friction": friction}
+    plant = ClosedFormOptions.from_dict(options).make(robot, recording.gravity)
+    servos = PositionServos(stiffness=float(values[STIFFNESS]), damping=0.0, resolution_bits=None)
+    part = servos.part(robot, _SERVO_STEP)
+    state, wrench, still = part.initial.copy(), np.zeros(6), np.zeros(6)
+    steps = int((recording.time[-1] - recording.time[0]) / _SERVO_STEP) + 1
+    time, rows = _SERVO_STEP * np.arange(steps), recording.time - recording.time[0]
+    newest = np.searchsorted(rows, time - values[DELAY] + 1e-9, side="right") - 1
+    commands, angles = recording.commands[np.maximum(newest, 0)], np.empty((steps, 6))
+    measured = plant.initial(torques.poses_of(guess, recording.angles[:1], recording.source)[0], still)
+    for step in range(steps):
+        angles[step] = measured[ANGLES]
+        part.kernel(*part.constants.values(), commands[step], measured[ANGLES.start : CRANK_RATES.stop], state)
+        measured = plant.step(state["torque"][0], wrench)
+    read = np.stack([np.interp(rows - values[AGE], time, column) for column in angles.T], axis=-1)
+    return replace(recording, angles=read)
+
+
+def with_head(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
+    """The guess with the head's mass of parameters (17,), its inertia in proportion, and the rotors' inertia."""
+    share = float(values[MASS]) / guess.platform_mass
+    names = ("platform_mass", "platform_inertia", "platform_products")
+    head = {name: (share * np.asarray(getattr(guess, name))).tolist() for name in names}
+    return guess.replace(**head, rotor_inertia=float(values[ROTOR]))
+
+
+def possible(values: np.ndarray) -> np.ndarray:
+    """Parameters (17,) without negative delay, damping and friction."""
+    least = np.full(len(PARAMETERS), -np.inf)
+    least[[DELAY, *range(DAMPING.start, COULOMB.stop)]] = 0.0
+    return np.maximum(values, least)
 
 
 def load_servo_recording(log: SimulationLog | str | Path, guess: RobotParameters) -> ServoRecording:
@@ -313,11 +379,6 @@ def load_servo_recording(log: SimulationLog | str | Path, guess: RobotParameters
             return ServoRecording.of_file(log, f"recording {log}")
         log = load_log(log)
     return servo_recording_of_log(log, guess, f"log of {log.scenario.name}")
-
-
-def _rotor(robot: RobotParameters) -> float:
-    """[kg m^2] what counts as much in the inertia of the rotors."""
-    return float(robot.crank_axis_inertias.mean())
 
 
 def _rms(samples: Samples, values: np.ndarray) -> float:

@@ -289,7 +289,7 @@ def filtered(
     angles = smooth(recording.angles)
     rates = np.gradient(angles, even, axis=0)
     thin = max(1, int(rate / (_OVERSAMPLING * bandwidth)))
-    motion = scipy.interpolate.make_interp_spline(even[::thin], _poses_of(guess, angles[::thin], source), k=5)
+    motion = scipy.interpolate.make_interp_spline(even[::thin], poses_of(guess, angles[::thin], source), k=5)
     at = even[::thin]
     at = at[(at > at[0] + _EDGE / bandwidth) & (at < at[-1] - _EDGE / bandwidth)]
     middle = np.searchsorted(even, at - 0.5 / rate)
@@ -337,7 +337,7 @@ def together(parts: Sequence[Samples]) -> Samples:
     )
 
 
-def _poses_of(guess: RobotParameters, angles: np.ndarray, source: str) -> np.ndarray:
+def poses_of(guess: RobotParameters, angles: np.ndarray, source: str) -> np.ndarray:
     """Poses (n, 6) [rad, m] of crank angles (n, 6) [rad], followed from home in a few steps."""
     home = inverse_kinematics(guess, guess.home_pose)
     pose, stray = np.broadcast_to(guess.home_pose, angles.shape), np.inf
