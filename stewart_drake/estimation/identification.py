@@ -74,6 +74,7 @@ class Identification(Result):
         "means a sum, the parameters after the first have the guess's values; the logs determine only the sum."
     )
     picture: ClassVar = "Torques and their residuals"
+    measured: ClassVar = ("torque", "N m")
 
     @property
     def title(self) -> str:
@@ -190,7 +191,7 @@ def identify(
     bandwidth: float | None = None,
     lag: float = 0.0,
 ) -> Identification:
-    """Masses, inertias, friction and torque constants of a robot from logs of its motion; for servos `identify_servos`.
+    """Masses, inertias, friction and torque constants of a robot from logs of its motion.
 
     Args:
         robot: The guess. Its geometry is kept, and its bodies where the logs do not determine them.

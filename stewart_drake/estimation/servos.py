@@ -12,7 +12,8 @@ that was weighed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+import contextlib
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -54,7 +55,9 @@ _LONGEST, _STEP = 0.3, 0.005  # [s] delays that are tried first.
 _UNEXPLAINED = 0.5  # [-] of the changes of command minus angle that may be left.
 _LEAST = 0.05  # [-] of the rows in which each crank must turn.
 _KERNEL = 0.03  # [s] standard deviation of the kernel.
-_ROWS_A_PERIOD = 6.25  # Least rows in a period of the filter before it.
+_ROWS_A_PERIOD, _SMEAR = 6.25, 1.0
+"""Rows in a period of the filter before it, and how many periods from a reversal of a crank its rows are used."""
+_FINEST = 1e-6  # [rad] of an encoder's steps.
 _SERVO_STEP = 0.001  # [s] of the simulation, and of the servos' own loop there.
 _WIDTH = 0.004  # [rad/s] of the friction that is believed, as with motors that one can buy.
 
@@ -92,12 +95,6 @@ class ServoRecording(CrankReadings):
 
 
 _MOTION = "a motion in which all motors turn; `excite` designs one"
-
-
-def servo_recording_of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> ServoRecording:
-    """Readings of encoders and commands of a run whose motors take angles."""
-    rows, angles = torques.readings_of_log(log, guess, source)
-    return ServoRecording(log.time[rows], angles, log["commanded_angle"][rows], log.scenario.gravity, source)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +139,8 @@ def servo_samples_of(
         def kernel(rows: np.ndarray, rate: float = each.rate) -> np.ndarray:
             return np.asarray(gaussian_filter1d(rows, _KERNEL * rate, axis=0, mode="nearest"))
 
-        samples, smooth = torques.filtered(guess, each, each.rate / _ROWS_A_PERIOD if bandwidth is None else bandwidth)
+        width = each.rate / _ROWS_A_PERIOD if bandwidth is None else bandwidth
+        samples, smooth = torques.filtered(guess, each, width, _SMEAR)
         columns, known = samples.columns, samples.known
         by_body = columns[..., torques.BODIES] * values[torques.BODIES]
         head = by_body[..., : torques.ROD_MASS].sum(axis=-1, keepdims=True) / guess.platform_mass
@@ -186,6 +184,7 @@ class ServoIdentification(Result):
         "believed: nothing in commands and angles tells it from others."
     )
     picture: ClassVar = "Angles and their residuals"
+    measured: ClassVar = ("angle", "rad")
 
     @property
     def title(self) -> str:
@@ -301,7 +300,8 @@ def identify_servos(
         allowed = "angles and commands of the guessed robot; it cannot follow them with what was identified"
         raise ConfigurationError(samples.source, str(failure), allowed) from failure
     bias = _estimate(robot, again, hold, ask, bandwidth, reading_age)[0].values - estimate.values
-    estimate = replace(estimate, values=estimate.values - bias)
+    # The bias is as uncertain as the estimate: its readings are rounded anew.
+    estimate = replace(estimate, values=estimate.values - bias, covariance=2.0 * estimate.covariance)
     parts = [servo_samples_of(robot, [each], bandwidth) for each in (*recordings, *unseen)]
     errors = tuple((each.source, _rms(each, each.measured - each.predicted(estimate.values))) for each in parts)
     return ServoIdentification(robot, estimate, samples, errors, len(recordings))
@@ -346,15 +346,20 @@ def replayed(guess: RobotParameters, recording: ServoRecording, values: np.ndarr
     state, wrench, still = part.initial.copy(), np.zeros(6), np.zeros(6)
     steps = int((recording.time[-1] - recording.time[0]) / _SERVO_STEP) + 1
     time, rows = _SERVO_STEP * np.arange(steps), recording.time - recording.time[0]
-    newest = np.searchsorted(rows, time - values[DELAY] + 1e-9, side="right") - 1
-    commands, angles = recording.commands[np.maximum(newest, 0)], np.empty((steps, 6))
+    # A command that arrives within a step counts for its share of it.
+    within = time[:, None] + _SERVO_STEP * np.linspace(0.05, 0.95, 10) - values[DELAY]
+    newest = np.searchsorted(rows, within, side="right") - 1
+    commands, angles = recording.commands[np.maximum(newest, 0)].mean(axis=1), np.empty((steps, 6))
     measured = plant.initial(torques.poses_of(guess, recording.angles[:1], recording.source)[0], still)
     for step in range(steps):
         angles[step] = measured[ANGLES]
         part.kernel(*part.constants.values(), commands[step], measured[ANGLES.start : CRANK_RATES.stop], state)
         measured = plant.step(state["torque"][0], wrench)
     read = np.stack([np.interp(rows - values[AGE], time, column) for column in angles.T], axis=-1)
-    return replace(recording, angles=read)
+    # In the steps of its encoders.
+    apart = np.abs(np.diff(recording.angles, axis=0))
+    count = apart[apart > _FINEST].min()
+    return replace(recording, angles=count * np.rint(read / count))
 
 
 def with_head(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
@@ -373,12 +378,27 @@ def possible(values: np.ndarray) -> np.ndarray:
 
 
 def load_servo_recording(log: SimulationLog | str | Path, guess: RobotParameters) -> ServoRecording:
-    """A recording from a log of this package, or a CSV file with `QUANTITIES`."""
+    """A recording from a log of this package whose motors take angles, or from a CSV file with `QUANTITIES`."""
     if not isinstance(log, SimulationLog):
         if Path(log).suffix.lower() == ".csv":
             return ServoRecording.of_file(log, f"recording {log}")
         log = load_log(log)
-    return servo_recording_of_log(log, guess, f"log of {log.scenario.name}")
+    source = f"log of {log.scenario.name}"
+    if (motors := log.scenario.motors).takes != "angle":
+        raise ConfigurationError(source, f"motors.kind {motors.kind}", "a log of motors that take angles")
+    rows, angles = torques.readings_of_log(log, guess, source)
+    return ServoRecording(log.time[rows], angles, log["commanded_angle"][rows], log.scenario.gravity, source)
+
+
+def take_angles(logs: Iterable[str | Path]) -> bool:
+    """Whether the first of some logs is one of motors that take angles."""
+    for log in logs:
+        if Path(log).suffix.lower() != ".csv":
+            return load_log(log).scenario.motors.takes == "angle"
+        with contextlib.suppress(OSError, ValueError), Path(log).open(encoding="utf-8-sig") as stream:
+            names = stream.readline()
+            return "commanded_angle" in names and "torque_" not in names
+    return False
 
 
 def _rms(samples: Samples, values: np.ndarray) -> float:
@@ -395,7 +415,9 @@ def _start(guess: RobotParameters, samples: ServoSamples, age: float) -> np.ndar
         raise ConfigurationError(samples.source, got, _MOTION)
     values = np.zeros(len(PARAMETERS))
     rest = samples.known + samples.columns[..., 1] * guess.rotor_inertia
-    columns = np.concatenate([rest[..., None], samples.columns[..., [0]], samples.columns[..., 2:]], axis=-1)[samples.used]
+    columns = np.concatenate([rest[..., None], samples.columns[..., [0]], samples.columns[..., 2:]], axis=-1)[
+        samples.used
+    ]
     best, found = np.inf, np.zeros(14)
     for delay in np.arange(-age, _LONGEST, _STEP):
         values[[DELAY, AGE]] = delay, age
@@ -412,7 +434,10 @@ def _start(guess: RobotParameters, samples: ServoSamples, age: float) -> np.ndar
 def _refuse_other(samples: ServoSamples, values: np.ndarray) -> None:
     """Refuses angles that are not those of the commands."""
     twist = samples.command(values) - samples.measured
-    left, changes = _rms(samples, samples.measured - samples.predicted(values)), _rms(samples, twist - twist.mean(axis=0))
+    left, changes = (
+        _rms(samples, samples.measured - samples.predicted(values)),
+        _rms(samples, twist - twist.mean(axis=0)),
+    )
     if left > _UNEXPLAINED * changes or values[MASS] <= 0.0:
         share = min(100.0, 100.0 * left / changes)
         got = f"commands less angles with {share:.0f} % of their changes unexplained by any servo"

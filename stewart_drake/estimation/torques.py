@@ -204,7 +204,8 @@ def recording_of_log(log: SimulationLog, guess: RobotParameters, source: str = "
     """Readings of encoders and amplifiers in a run: from the pose that the readings gave, never from the true pose."""
     motors = log.scenario.motors
     if motors.takes != "torque":
-        allowed = f"a log of motors that take torque: those of kind {motors.kind} change theirs between two rows"
+        allowed = f"a log of motors that take torque: those of kind {motors.kind} change theirs between two rows; "
+        allowed += "of motors that take angles `identify_servos`"
         raise ConfigurationError(source, f"motors.kind {motors.kind}", allowed)
     rows, angles = readings_of_log(log, guess, source)
     # A torque acts until the next tick. The plant's own steps put an acceleration half a step ahead of its torque.
@@ -264,9 +265,12 @@ def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float | 
 
 
 def filtered(
-    guess: RobotParameters, recording: CrankReadings, bandwidth: float | None = None
+    guess: RobotParameters, recording: CrankReadings, bandwidth: float | None = None, smear: float = _SMEAR
 ) -> tuple[Samples, Callable[[np.ndarray], Any]]:
-    """Equations without torques of what was read, and a function of rows (n, 6): these, filtered alike, as a spline."""
+    """Equations without torques of what was read, and a function of rows (n, 6): these, filtered alike, as a spline.
+
+    They are not used nearer to a reversal than `smear` periods of the bandwidth.
+    """
     import scipy.interpolate
     import scipy.ndimage
     import scipy.signal
@@ -293,10 +297,10 @@ def filtered(
     at = even[::thin]
     at = at[(at > at[0] + _EDGE / bandwidth) & (at < at[-1] - _EDGE / bandwidth)]
     middle = np.searchsorted(even, at - 0.5 / rate)
-    smear = 2 * int(_SMEAR * rate / bandwidth) + 1
+    window = 2 * int(smear * rate / bandwidth) + 1
     # Smallest |rate| around an instant, not above zero where the crank reverses.
     slowest = np.maximum(
-        scipy.ndimage.minimum_filter1d(rates, smear, axis=0), -scipy.ndimage.maximum_filter1d(rates, smear, axis=0)
+        scipy.ndimage.minimum_filter1d(rates, window, axis=0), -scipy.ndimage.maximum_filter1d(rates, window, axis=0)
     )
     exact = samples_of_motion(guess, at, (motion(at), motion(at, 1), motion(at, 2)), recording.gravity, source)
     # The filter smears friction as it does the torques.
