@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,6 +20,10 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
 from stewart_drake.runs.outputs import prepare_file, write_text
 from stewart_drake.scenario.scenario import Scenario, load_scenario
+
+if TYPE_CHECKING:
+    from stewart_drake.estimation.identification import Identification
+    from stewart_drake.estimation.servos import ServoIdentification
 
 _PASSES = 16  # Pictures under different lights that are averaged.
 _OWN = ("platform_mass", "rod_mass", "crank_mass", "rotor_inertia", "effort_limit")
@@ -234,14 +238,16 @@ def identify(
     from stewart_drake.estimation import identification
     from stewart_drake.plotting.model_plots import plot_identification
 
-    guess, options = load_robot(robot), {"validate": validate, "hold": hold}
+    guess = load_robot(robot)
+    result: ServoIdentification | Identification
     with working("fitting"):
         if servos.take_angles(logs):
-            own = {"ask": ask or servos.ASKED, "reading_age": reading_age}
-            result: Any = servos.identify_servos(guess, logs, **options, **own)
+            asked = ask or servos.ASKED
+            result = servos.identify_servos(guess, logs, hold, asked, validate, reading_age=reading_age)
             tables = {"model.yaml": result.model_file}
         else:
-            result = identification.identify(guess, logs, **options, ask=ask or identification.ASKED, lag=lag)
+            asked = ask or identification.ASKED
+            result = identification.identify(guess, logs, hold, asked, validate, lag=lag)
             tables = {"friction.yaml": result.friction_file}
     _write_result(
         result, ", ".join(map(str, logs)), out, report_folder, "identification.png", plot_identification, tables
@@ -279,6 +285,9 @@ def excite(
         "controller={kind: feedforward, period: 0.02}",
         "sensors.resolution_bits=12",
         "estimator={kind: difference}",
+        "command_delay=0",
+        "plant={}",
+        "model={}",
     )
     duration = duration or (60.0 if motors is None else 20.0)
     own = (f"robot={json.dumps(robot)}", *differences, *(torque if motors is None else angle), f"duration={duration!r}")

@@ -4,10 +4,10 @@
                  + coulomb_i sign(rate_i)) / stiffness
 
 A servo is a spring between its command and its angle, so it is itself the sensor of the torque. Y are torques of the
-motion that was read, by the exact inverse dynamics; all pass one filter, see `torques`. Damping has back-EMF and viscous
-friction: they act as one. The delay of a command and the age of a reading do too, so the age must be told. All torques
-may be larger by one factor: the inertia of rotors and cranks, which is believed, makes them absolute, or else a head
-that was weighed.
+motion that was read, by the exact inverse dynamics; all pass one filter, see `torques`. Damping has back-EMF and
+viscous friction: they act as one. The delay of a command and the age of a reading do too, so the age must be told. All
+torques may be larger by one factor: the inertia of rotors and cranks, which is believed, makes them absolute, or else
+a head that was weighed.
 """
 
 from __future__ import annotations
@@ -222,8 +222,8 @@ class ServoIdentification(Result):
         return float(self.values[DAMPING].min())
 
     def model_file(self) -> str:
-        """`model` of a scenario, but for the robot."""
-        return to_yaml({"model": {"motors": self.motors, "friction": self.friction}})
+        """`model` of a scenario, but for the robot; the motors' delay has that of the bus."""
+        return to_yaml({"model": {"motors": self.motors, "friction": self.friction, "delay": 0}})
 
     def rows(self) -> list[tuple[Any, ...]]:
         numbers = zip(PARAMETERS, self.values.tolist(), self.half_width.tolist(), strict=True)
@@ -246,8 +246,8 @@ class ServoIdentification(Result):
         rows = []
         for parameter, (*_, value, width) in zip(PARAMETERS, self.rows(), strict=True):
             unit, factor = ("ms", 1e3) if parameter.unit == "s" else (parameter.unit, 1.0)
-            interval = f"{factor * value:.4g} ± {factor * width:.2g}" if width > 0.0 else f"{factor * value:.4g}, kept"
-            rows.append([f"{parameter}".replace("_", " "), f"{interval} {unit}"])
+            interval = f" ± {factor * width:.2g} {unit}" if width > 0.0 else f" {unit}, kept"
+            rows.append([f"{parameter}".replace("_", " "), f"{factor * value:.4g}{interval}"])
         return ["", "value"], rows
 
     def robot_file(self) -> str:
@@ -321,7 +321,9 @@ def _estimate(
     kinds = {*hold, *(PARAMETERS[at].kind for at in believed)}
     free = core.free_directions(PARAMETERS, KINDS, kinds)
     stiffness, rotor = start[STIFFNESS], float(robot.crank_axis_inertias.mean())
-    size = np.array([stiffness, 0.01, 0.01, robot.platform_mass, rotor, *[0.01 * stiffness] * 12])
+    size = np.array(
+        [stiffness, 0.01, 0.01, robot.platform_mass, rotor, *[0.05 * stiffness] * 6, *[0.01 * stiffness] * 6]
+    )
 
     def bounded(values: np.ndarray) -> np.ndarray:
         values[STIFFNESS] = np.clip(values[STIFFNESS], 0.3 * stiffness, 3.0 * stiffness)

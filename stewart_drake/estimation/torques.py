@@ -233,8 +233,8 @@ def readings_of_log(log: SimulationLog, guess: RobotParameters, source: str) -> 
 class Samples:
     """n instants: what was `measured` (n, 6), torques [N m] of `columns` (n, 6, k) and `known` ones, equations `used`.
 
-    Columns are those by bodies and friction, (n, 6, 26). `rates` [rad/s] are the cranks', `pieces` the recordings; `step` [s] is between instants, of which `repeats` lie in
-    half a period of the filter.
+    Columns are those by bodies and friction, (n, 6, 26). `rates` [rad/s] are the cranks', `pieces` the recordings;
+    `step` [s] is between instants, of which `repeats` lie in half a period of the filter.
     """
 
     time: np.ndarray

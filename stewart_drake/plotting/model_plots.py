@@ -10,6 +10,7 @@ from stewart_drake.analysis.margins import LoopMargins
 from stewart_drake.estimation.calibration import Calibration
 from stewart_drake.estimation.geometry import LEG_PARAMETERS, OF_ROBOT, PER_LEG
 from stewart_drake.estimation.identification import Identification
+from stewart_drake.estimation.servos import ServoIdentification
 from stewart_drake.plotting import style as look
 from stewart_drake.robot.leg import LEGS
 
