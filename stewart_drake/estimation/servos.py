@@ -322,7 +322,7 @@ def _estimate(
     free = core.free_directions(PARAMETERS, KINDS, kinds)
     stiffness, rotor = start[STIFFNESS], float(robot.crank_axis_inertias.mean())
     size = np.array(
-        [stiffness, 0.01, 0.01, robot.platform_mass, rotor, *[0.05 * stiffness] * 6, *[0.01 * stiffness] * 6]
+        [stiffness, 0.01, 0.01, robot.platform_mass, rotor, *[0.1 * stiffness] * 6, *[0.03 * stiffness] * 6]
     )
 
     def bounded(values: np.ndarray) -> np.ndarray:
