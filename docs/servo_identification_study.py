@@ -46,26 +46,29 @@ KINDS = {"stiffness": 1.0, "delay": 1e3, "platform_mass": 1e3, "damping": 1e3, "
 UNITS = ("N m/rad", "ms", "g", "mN m s/rad", "mN m")
 TEXT = """# Servos, identified from commands and angles alone
 
-`make servo_identification` simulates {robots} Reachy Minis whose servos take angles (XL330-M288, P gain 300), on the closed form with steps of 0.25 ms. Each has
-constants that are told to nobody: stiffness 0.7 to 1.3 times and damping 0.8 to 1.2 times the nominal, Coulomb and viscous friction 0 to 3 times (each motor 15 %
-apart), a delay of the commands of 10 to 50 ms (believed: 30), readings 0 to 20 ms old (believed: 10), a head of 0.8 to 1.2 times the mass. Commands go out
-at 50 Hz, encoders and servos have 12 bits. A trial's seed is its number.
+`make servo_identification` simulates {robots} Reachy Minis whose servos take angles (XL330-M288, P gain 300), on the
+closed form with steps of 0.25 ms. Each has constants that are told to nobody: stiffness 0.7 to 1.3 times and damping
+0.8 to 1.2 times the nominal, Coulomb and viscous friction 0 to 3 times (each motor 15 % apart), a delay of the
+commands of 10 to 50 ms (believed: 30), readings 0 to 20 ms old (believed: 10), a head of 0.8 to 1.2 times the mass.
+Commands go out at 50 Hz, encoders and servos have 12 bits. A trial's seed is its number.
 
-Each plays the motion of `stewart-drake excite --robot reachy_mini --motors xl330_m288` for 20 s, with the nominal constants. `identify` gets time, commands and
-angles of that log, and the drawing of the robot: no torque, nothing of its servos. Then the robot nods (15 deg at 1 Hz), looks around and breathes (5 mm at
-0.1 Hz), as in `stewart-drake compare reachy`. Figures are RMS errors over the second half: median / 95th percentile / largest of the robots. Ripple is the RMS
-error of the velocity above 2 Hz. Lost is a robot that does not complete a motion; its errors count as infinite.
+Each plays the motion of `stewart-drake excite --robot reachy_mini --motors xl330_m288` for 20 s, with the nominal
+constants. `identify` gets time, commands and angles of that log, and the drawing of the robot: no torque, nothing of
+its servos. Then the robot nods (15 deg at 1 Hz), looks around and breathes (5 mm at 0.1 Hz), as in `stewart-drake
+compare reachy`. Figures are RMS errors over the second half: median / 95th percentile / largest of the robots. Ripple
+is the RMS error of the velocity above 2 Hz. Lost is a robot that does not complete a motion; its errors count as
+infinite.
 
 {table}
 
-- **The readings' age** is what is left: commands and angles tell only its sum with the delay, so 10 ms more of it are a motion 10 ms late. A time stamp of the
-  bus, or one filmed motion, tells it.
+- **The readings' age** is what is left: commands and angles tell only its sum with the delay, so 10 ms more of it
+  are a motion 10 ms late. A time stamp of the bus, or one filmed motion, tells it.
 - With it told, what is left is that of the 12 bits, of the 50 Hz and of dry friction.
 
 ## What was identified
 
-Errors of the constants (with the age told), all motors, beside half the width of the 95 % intervals, and the share of the intervals that hold the truth. Damping is
-that of the servo and its viscous friction, which act as one.
+Errors of the constants (with the age told), all motors, beside half the width of the 95 % intervals, and the share of
+the intervals that hold the truth. Damping is that of the servo and its viscous friction, which act as one.
 
 {constants}
 
@@ -211,7 +214,11 @@ def page(trials: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> str:
     """The page."""
     rows, errors, widths = (np.array(column) for column in zip(*trials, strict=True))
     table = [
-        [words, *(spread(rows[:, at, column]) for column in range(4)), str(int(np.isinf(rows[:, at]).any(axis=1).sum()))]
+        [
+            words,
+            *(spread(rows[:, at, column]) for column in range(4)),
+            str(int(np.isinf(rows[:, at]).any(axis=1).sum())),
+        ]
         for at, words in enumerate(SCHEMES.values())
     ]
     constants = []

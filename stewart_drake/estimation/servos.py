@@ -298,7 +298,7 @@ def identify_servos(
         again = [replayed(robot, each, estimate.values) for each in recordings]
     except RunFailure as failure:
         allowed = "angles and commands of the guessed robot; it cannot follow them with what was identified"
-        raise ConfigurationError(samples.source, str(failure), allowed) from failure
+        raise ConfigurationError(samples.source, str(failure).splitlines()[0], allowed) from failure
     bias = _estimate(robot, again, hold, ask, bandwidth, reading_age)[0].values - estimate.values
     # The bias is as uncertain as the estimate: its readings are rounded anew.
     estimate = replace(estimate, values=estimate.values - bias, covariance=2.0 * estimate.covariance)
@@ -394,13 +394,17 @@ def load_servo_recording(log: SimulationLog | str | Path, guess: RobotParameters
 
 def take_angles(logs: Iterable[str | Path]) -> bool:
     """Whether the first of some logs is one of motors that take angles."""
-    for log in logs:
-        if Path(log).suffix.lower() != ".csv":
-            return load_log(log).scenario.motors.takes == "angle"
-        with contextlib.suppress(OSError, ValueError), Path(log).open(encoding="utf-8-sig") as stream:
-            names = stream.readline()
-            return "commanded_angle" in names and "torque_" not in names
-    return False
+    log = Path(next(iter(logs)))
+    if log.suffix.lower() != ".csv":
+        return load_log(log).scenario.motors.takes == "angle"
+    names = ""
+    # What cannot be read says so itself once it is.
+    with contextlib.suppress(OSError, ValueError), log.open(encoding="utf-8-sig") as stream:
+        names = stream.readline().strip()
+    if names and "torque_" not in names and "commanded_angle_" not in names:
+        allowed = "torque_0_Nm to torque_5_Nm, or commanded_angle_0_rad to commanded_angle_5_rad, too"
+        raise ConfigurationError(f"recording {log}: columns", names[:200], allowed)
+    return "commanded_angle_" in names and "torque_" not in names
 
 
 def _rms(samples: Samples, values: np.ndarray) -> float:
