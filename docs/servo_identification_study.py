@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-
-from identification_study import DIFFERENCES, ROBOT_OF, motions
+from identification_study import DIFFERENCES, ROBOT_OF
+from identification_study import motions as excitations
 
 from stewart_drake import Scenario, identify, identify_servos, load_robot, load_scenario, run, run_metrics
 from stewart_drake.base.markdown import markdown_table
@@ -256,7 +256,7 @@ def page(trials: list[tuple[np.ndarray, np.ndarray, np.ndarray]], mujoco: list[l
 def in_mujoco(duration: float = 60.0) -> list[list[str]]:
     """What the maker's model has, what a controller believed of it, and what was identified by torque."""
     believed = GUESS.replace(platform_mass=0.8 * GUESS.platform_mass)
-    found, _ = motions("reachy_mini")
+    found, _ = excitations("reachy_mini")
     off = ("bounds.position=null", "bounds.rotation=null", "tuner={kind: block}", "safety=null", "command_delay=0")
     keys = ("robot=reachy_mini", DIFFERENCES, *ROBOT_OF["reachy_mini"][5], *off, f"duration={duration}")
     played = load_scenario("exact_breathing", keys).replace(

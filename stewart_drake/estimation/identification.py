@@ -269,7 +269,7 @@ def fitted(
     samples: Samples,
     problem: Problem,
     check: Callable[[np.ndarray], None],
-    bounded: Callable[[np.ndarray], np.ndarray],
+    bounded: Callable[[np.ndarray], np.ndarray] = np.copy,
     preference: np.ndarray | float = 1.0,
 ) -> Estimate:
     """Gauss-Newton for what was measured; `check` may refuse the second pass, `preference` as in `identifiable`."""

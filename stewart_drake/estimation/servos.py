@@ -47,11 +47,13 @@ PARAMETERS = (
     *(Parameter("coulomb", motor, "N m") for motor in _MOTORS),
 )
 KINDS = tuple(dict.fromkeys(parameter.kind for parameter in PARAMETERS))
+HELD = ("platform_mass",)
 ASKED = ("stiffness", "delay", "platform_mass", "damping", "coulomb")
 STIFFNESS, DELAY, AGE, MASS, ROTOR, DAMPING, COULOMB = 0, 1, 2, 3, 4, slice(5, 11), slice(11, 17)
 _LOADS = slice(MASS, COULOMB.stop)  # In which torques are linear.
 QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"commanded_angle_{leg}", "rad") for leg in range(LEGS)))
 _LONGEST, _STEP = 0.3, 0.005  # [s] delays that are tried first.
+_LEAST_COMPLIANCE = 1e-9  # [rad/N m].
 _UNEXPLAINED = 0.5  # [-] of the changes of command minus angle that may be left.
 _LEAST = 0.05  # [-] of the rows in which each crank must turn.
 _KERNEL = 0.03  # [s] standard deviation of the kernel.
@@ -273,8 +275,8 @@ def identify_servos(
     Args:
         robot: The guess. Its geometry, rods and cranks are kept, and the shape of its head.
         logs: At least one: recordings, logs, or files of them.
-        hold: Kinds that keep the guess's value. The rotors' inertia does, unless `platform_mass` is held: a head that
-            was weighed tells it.
+        hold: Nothing, and then the rotors' inertia keeps the guess's value; or `platform_mass`: a head that was weighed
+            tells the rotors' inertia.
         ask: Kinds that the logs must determine.
         validate: Logs that are only predicted.
         bandwidth: [Hz] of the filter; None for one by the logs' rate.
@@ -284,7 +286,7 @@ def identify_servos(
         ConfigurationError: Nothing to read, an unknown kind; a log that is too short, without commands, whose motors
             do not turn, or whose angles are not those of its commands.
     """
-    core.check_choices("hold", hold, KINDS)
+    core.check_choices("hold", hold, HELD)
     core.check_choices("ask", ask, KINDS)
     if not logs:
         raise ConfigurationError("logs", "none", "at least one log")
@@ -316,21 +318,14 @@ def _estimate(
     reading_age: float,
 ) -> tuple[Estimate, ServoSamples]:
     samples = servo_samples_of(robot, recordings, bandwidth)
-    start = _start(robot, samples, reading_age)
-    believed = [at for at in (AGE, ROTOR) if at == AGE or "platform_mass" not in hold]
+    start = _start(robot, samples, reading_age, weighed="platform_mass" in hold)
+    believed = [AGE] if "platform_mass" in hold else [AGE, ROTOR]
     kinds = {*hold, *(PARAMETERS[at].kind for at in believed)}
-    free = core.free_directions(PARAMETERS, KINDS, kinds)
-    stiffness, rotor = start[STIFFNESS], float(robot.crank_axis_inertias.mean())
-    size = np.array(
-        [stiffness, 0.01, 0.01, robot.platform_mass, rotor, *[0.1 * stiffness] * 6, *[0.03 * stiffness] * 6]
-    )
-
-    def bounded(values: np.ndarray) -> np.ndarray:
-        values[STIFFNESS] = np.clip(values[STIFFNESS], 0.3 * stiffness, 3.0 * stiffness)
-        return values
-
+    free, stiffness = core.free_directions(PARAMETERS, KINDS, kinds), start[STIFFNESS]
+    bodies = [robot.platform_mass, float(robot.crank_axis_inertias.mean())]
+    size = np.array([stiffness, 0.01, 0.01, *bodies, *[0.1 * stiffness] * 6, *[0.03 * stiffness] * 6])
     problem = Problem(PARAMETERS, size, start, free, set(ask) - kinds, believed)
-    return fitted(samples, problem, lambda values: _refuse_other(samples, values), bounded), samples
+    return fitted(samples, problem, lambda values: _refuse_other(samples, values)), samples
 
 
 def replayed(guess: RobotParameters, recording: ServoRecording, values: np.ndarray) -> ServoRecording:
@@ -411,7 +406,7 @@ def _rms(samples: Samples, values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values[samples.used] ** 2)))
 
 
-def _start(guess: RobotParameters, samples: ServoSamples, age: float) -> np.ndarray:
+def _start(guess: RobotParameters, samples: ServoSamples, age: float, weighed: bool) -> np.ndarray:
     """Parameters (17,) near the best ones: linear least squares for the delay that fits best of many.
 
     command - angle is linear in compliance, and compliance times mass, damping and friction.
@@ -419,22 +414,27 @@ def _start(guess: RobotParameters, samples: ServoSamples, age: float) -> np.ndar
     if (few := samples.used.mean(axis=0)).min() < _LEAST:
         got = f"motor {few.argmin()} at rest or reversing in {100.0 * (1.0 - few.min()):.0f} % of the rows"
         raise ConfigurationError(samples.source, got, _MOTION)
-    values = np.zeros(len(PARAMETERS))
     rest = samples.known + samples.columns[..., 1] * guess.rotor_inertia
-    columns = np.concatenate([rest[..., None], samples.columns[..., [0]], samples.columns[..., 2:]], axis=-1)[
-        samples.used
-    ]
-    best, found = np.inf, np.zeros(14)
-    for delay in np.arange(-age, _LONGEST, _STEP):
-        values[[DELAY, AGE]] = delay, age
+    columns = np.concatenate([rest[..., None], np.delete(samples.columns, 1, axis=-1)], axis=-1)[samples.used]
+    values = np.array([1.0, 0.0, age, 0.0, guess.rotor_inertia, *[0.0] * 12])
+
+    def fit(delay: float) -> tuple[float, float, np.ndarray]:
+        values[DELAY] = delay
         twist = (samples.command(values) - samples.measured)[samples.used]
         shares = np.linalg.lstsq(columns, twist, rcond=None)[0]
-        left = float(np.sum((twist - columns @ shares) ** 2))
-        if left < best:
-            best, found, late = left, shares, delay
-    compliance = max(found[0], 1e-9)
-    loads = [found[1] / compliance, guess.rotor_inertia, *(found[2:] / compliance)]
-    return np.array([1.0 / compliance, late, age, *loads])
+        return float(np.sum((twist - columns @ shares) ** 2)), delay, shares
+
+    _, values[DELAY], shares = min(map(fit, np.arange(-age, _LONGEST, _STEP)), key=lambda each: each[0])
+    compliance = max(shares[0], _LEAST_COMPLIANCE)
+    values[STIFFNESS], values[MASS], values[ROTOR + 1 :] = (
+        1.0 / compliance,
+        shares[1] / compliance,
+        shares[2:] / compliance,
+    )
+    if weighed:
+        # All torques by one factor, see above.
+        values[[STIFFNESS, *range(MASS, COULOMB.stop)]] *= guess.platform_mass / values[MASS]
+    return values
 
 
 def _refuse_other(samples: ServoSamples, values: np.ndarray) -> None:

@@ -86,7 +86,8 @@ def test_a_head_that_was_weighed_tells_the_rotors_inertia(trial):
     result = identify_servos(off, [recording], hold=["platform_mass"], reading_age=real.age)
     assert result.values[ROTOR] == pytest.approx(GUESS.rotor_inertia, rel=0.03)
     assert result.values[STIFFNESS] == pytest.approx(real.stiffness, rel=0.03)
-    assert result.half_width[MASS] == 0.0
+    assert (result.values[MASS], result.half_width[MASS]) == (pytest.approx(real.robot.platform_mass), 0.0)
+    assert "stiffness" in refused(recording, hold=["stiffness"])
 
 
 def test_what_was_identified_goes_into_a_scenario(trial, found, tmp_path):
