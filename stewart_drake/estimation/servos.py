@@ -53,7 +53,6 @@ STIFFNESS, DELAY, AGE, MASS, ROTOR, DAMPING, COULOMB = 0, 1, 2, 3, 4, slice(5, 1
 _LOADS = slice(MASS, COULOMB.stop)  # In which torques are linear.
 QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"commanded_angle_{leg}", "rad") for leg in range(LEGS)))
 _LONGEST, _STEP = 0.3, 0.005  # [s] delays that are tried first.
-_LEAST_COMPLIANCE = 1e-9  # [rad/N m].
 _UNEXPLAINED = 0.5  # [-] of the changes of command minus angle that may be left.
 _LEAST = 0.05  # [-] of the rows in which each crank must turn.
 _KERNEL = 0.03  # [s] standard deviation of the kernel.
@@ -318,7 +317,7 @@ def _estimate(
     reading_age: float,
 ) -> tuple[Estimate, ServoSamples]:
     samples = servo_samples_of(robot, recordings, bandwidth)
-    start = _start(robot, samples, reading_age, weighed="platform_mass" in hold)
+    start = _start(robot, samples, reading_age)
     believed = [AGE] if "platform_mass" in hold else [AGE, ROTOR]
     kinds = {*hold, *(PARAMETERS[at].kind for at in believed)}
     free, stiffness = core.free_directions(PARAMETERS, KINDS, kinds), start[STIFFNESS]
@@ -406,8 +405,8 @@ def _rms(samples: Samples, values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values[samples.used] ** 2)))
 
 
-def _start(guess: RobotParameters, samples: ServoSamples, age: float, weighed: bool) -> np.ndarray:
-    """Parameters (17,) near the best ones: linear least squares for the delay that fits best of many.
+def _start(guess: RobotParameters, samples: ServoSamples, age: float) -> np.ndarray:
+    """Parameters (17,) near the best ones, with the guess's head: linear least squares for the best of many delays.
 
     command - angle is linear in compliance, and compliance times mass, damping and friction.
     """
@@ -425,15 +424,9 @@ def _start(guess: RobotParameters, samples: ServoSamples, age: float, weighed: b
         return float(np.sum((twist - columns @ shares) ** 2)), delay, shares
 
     _, values[DELAY], shares = min(map(fit, np.arange(-age, _LONGEST, _STEP)), key=lambda each: each[0])
-    compliance = max(shares[0], _LEAST_COMPLIANCE)
-    values[STIFFNESS], values[MASS], values[ROTOR + 1 :] = (
-        1.0 / compliance,
-        shares[1] / compliance,
-        shares[2:] / compliance,
-    )
-    if weighed:
-        # All torques by one factor, see above.
-        values[[STIFFNESS, *range(MASS, COULOMB.stop)]] *= guess.platform_mass / values[MASS]
+    # Its weight is better known than the inertia of stiff servos.
+    stiffness = guess.platform_mass / shares[1]
+    values[STIFFNESS], values[MASS], values[ROTOR + 1 :] = stiffness, guess.platform_mass, stiffness * shares[2:]
     return values
 
 
@@ -444,7 +437,7 @@ def _refuse_other(samples: ServoSamples, values: np.ndarray) -> None:
         _rms(samples, samples.measured - samples.predicted(values)),
         _rms(samples, twist - twist.mean(axis=0)),
     )
-    if left > _UNEXPLAINED * changes or values[MASS] <= 0.0:
+    if left > _UNEXPLAINED * changes or values[[STIFFNESS, MASS]].min() <= 0.0:
         share = min(100.0, 100.0 * left / changes)
         got = f"commands less angles with {share:.0f} % of their changes unexplained by any servo"
         raise ConfigurationError(samples.source, got, "a log of the guessed robot, commands and angles in rad")
