@@ -221,7 +221,7 @@ def trial(seed: int, reference: Any, motions: dict[str, Any]) -> tuple[np.ndarra
 
 def spread(values: np.ndarray) -> str:
     """Median, 95th percentile and largest."""
-    chosen = np.median(values), np.quantile(values, 0.95, method="higher"), values.max()
+    chosen = np.median(values), np.quantile(values, 0.95, method="nearest"), values.max()
     return " / ".join("lost" if np.isinf(value) else f"{value:.3g}" for value in chosen)
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -294,37 +294,32 @@ def identify_servos(
         return log if isinstance(log, ServoRecording) else load_servo_recording(log, robot)
 
     recordings, unseen = [read(log) for log in logs], [read(log) for log in validate]
-    estimate, samples = _estimate(robot, recordings, hold, ask, bandwidth, reading_age)
+    kinds = {"reading_age", *(hold or ("rotor_inertia",))}
+    believed = [at for at, parameter in enumerate(PARAMETERS) if parameter.kind in kinds - {*hold}]
+    free, bodies = core.free_directions(PARAMETERS, KINDS, kinds), torques.scales(robot)[[torques.MASS, torques.ROTOR]]
+
+    def fit(recordings: Sequence[ServoRecording]) -> tuple[Estimate, ServoSamples]:
+        samples = servo_samples_of(robot, recordings, bandwidth)
+        start = _start(robot, samples, reading_age)
+        _refuse_other(samples, start)
+        least = np.where(np.arange(len(start)) == STIFFNESS, 0.3 * start, -np.inf)
+        size = np.array([1.0, 0.01, 0.01, *bodies, *[0.1] * 6, *[0.03] * 6])
+        size[[STIFFNESS, *range(DAMPING.start, COULOMB.stop)]] *= start[STIFFNESS]
+        problem = Problem(PARAMETERS, size, start, free, set(ask) - kinds, believed)
+        return fitted(samples, problem, partial(_refuse_other, samples), partial(np.maximum, least)), samples
+
+    estimate, samples = fit(recordings)
     try:
-        again = [replayed(robot, each, estimate.values) for each in recordings]
+        again, _ = fit([replayed(robot, each, estimate.values) for each in recordings])
     except RunFailure as failure:
         allowed = "angles and commands of the guessed robot; it cannot follow them with what was identified"
         raise ConfigurationError(samples.source, str(failure).splitlines()[0], allowed) from failure
-    bias = _estimate(robot, again, hold, ask, bandwidth, reading_age)[0].values - estimate.values
     # The bias is as uncertain as the estimate: its readings are rounded anew.
-    estimate = replace(estimate, values=estimate.values - bias, covariance=2.0 * estimate.covariance)
+    values, covariance = 2.0 * estimate.values - again.values, 2.0 * estimate.covariance
+    estimate = replace(estimate, values=values, covariance=covariance)
     parts = [servo_samples_of(robot, [each], bandwidth) for each in (*recordings, *unseen)]
-    errors = tuple((each.source, _rms(each, each.measured - each.predicted(estimate.values))) for each in parts)
+    errors = tuple((each.source, _rms(each, each.measured - each.predicted(values))) for each in parts)
     return ServoIdentification(robot, estimate, samples, errors, len(recordings))
-
-
-def _estimate(
-    robot: RobotParameters,
-    recordings: Sequence[ServoRecording],
-    hold: Collection[str],
-    ask: Collection[str],
-    bandwidth: float | None,
-    reading_age: float,
-) -> tuple[Estimate, ServoSamples]:
-    samples = servo_samples_of(robot, recordings, bandwidth)
-    start = _start(robot, samples, reading_age)
-    believed = [AGE] if "platform_mass" in hold else [AGE, ROTOR]
-    kinds = {*hold, *(PARAMETERS[at].kind for at in believed)}
-    free, stiffness = core.free_directions(PARAMETERS, KINDS, kinds), start[STIFFNESS]
-    bodies = [robot.platform_mass, float(robot.crank_axis_inertias.mean())]
-    size = np.array([stiffness, 0.01, 0.01, *bodies, *[0.1 * stiffness] * 6, *[0.03 * stiffness] * 6])
-    problem = Problem(PARAMETERS, size, start, free, set(ask) - kinds, believed)
-    return fitted(samples, problem, lambda values: _refuse_other(samples, values)), samples
 
 
 def replayed(guess: RobotParameters, recording: ServoRecording, values: np.ndarray) -> ServoRecording:
@@ -434,10 +429,11 @@ def _refuse_other(samples: ServoSamples, values: np.ndarray) -> None:
     """Refuses angles that are not those of the commands."""
     twist = samples.command(values) - samples.measured
     left, changes = (
-        _rms(samples, samples.measured - samples.predicted(values)),
-        _rms(samples, twist - twist.mean(axis=0)),
+        _rms(samples, each) for each in (samples.measured - samples.predicted(values), twist - twist.mean(0))
     )
     if left > _UNEXPLAINED * changes or values[[STIFFNESS, MASS]].min() <= 0.0:
-        share = min(100.0, 100.0 * left / changes)
-        got = f"commands less angles with {share:.0f} % of their changes unexplained by any servo"
-        raise ConfigurationError(samples.source, got, "a log of the guessed robot, commands and angles in rad")
+        got = (
+            f"commands less angles that no servo explains, {min(100.0, 100.0 * left / changes):.0f} % of their changes"
+        )
+        allowed = "a log of the guessed robot, commands and angles in rad, no servo at its torque limit"
+        raise ConfigurationError(samples.source, got, allowed)

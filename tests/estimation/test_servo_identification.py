@@ -148,10 +148,13 @@ def test_logs_that_cannot_be_used(trial):
     noise = 1e-3 * np.random.default_rng(0).integers(-1, 2, recording.angles.shape)
     at_rest = changed(angles=recording.angles[0] + noise)
     assert "motor 0 at rest or reversing" in refused(at_rest)
-    assert "unexplained by any servo" in refused(changed(commands=recording.commands[::-1].copy()))
+    assert "that no servo explains" in refused(changed(commands=recording.commands[::-1].copy()))
     assert "reading_ages" in refused(recording, hold=["reading_ages"])
     with pytest.raises(ConfigurationError, match="at least one log"):
         identify_servos(GUESS, [])
+    # Commands twice as far from the angles as these servos can push.
+    limited = scenario(trial[0], NOMINAL, FADED, 20.0).replace({"motors.torque_limit": 0.05})
+    assert "no servo at its torque limit" in refused(run(limited, check=False))
     torque = dataclasses.replace(log, scenario=load_scenario("reachy_nod"))
     assert "expected a log of motors that take angles" in refused(torque)
     for name in ("angles", "commands"):
