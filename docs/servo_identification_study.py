@@ -16,7 +16,7 @@ from stewart_drake import Scenario, identify, identify_servos, load_robot, load_
 from stewart_drake.base.markdown import markdown_table
 from stewart_drake.estimation import torques
 from stewart_drake.estimation.excitation import SERVO_ROOM, excite
-from stewart_drake.estimation.servos import PARAMETERS
+from stewart_drake.estimation.servos import COULOMB, DELAY, PARAMETERS, STIFFNESS
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.studies.comparison import load_comparison
 
@@ -44,6 +44,14 @@ SCHEMES = {
     "truth": "exact model, truth known",
 }
 FIGURES = ("nod [deg]", "look around [deg]", "breathing [mm]", "its ripple [mm/s]")
+STRANGE: dict[str, dict[str, Any]] = {
+    "as above": {},
+    "stiction of 1.4 times the Coulomb friction": {"plant.friction.break_away": 1.4},
+    "play of 0.5 deg in each gear": {"motors.backlash": np.radians(0.5).item()},
+    "a dead band of 0.27 deg": {"motors.dead_band": np.radians(0.27).item()},
+    "noise of 1 mrad in each reading": {"sensors.noise": 0.001},
+}
+"""Changes of a robot; break-away torque relative to the dry friction."""
 KINDS = {"stiffness": 1.0, "delay": 1e3, "platform_mass": 1e3, "damping": 1e3, "coulomb": 1e3}
 """Kind of parameter, and factor to its unit in the table."""
 UNITS = ("N m/rad", "ms", "g", "mN m s/rad", "mN m")
@@ -78,6 +86,12 @@ the intervals that hold the truth. Damping is that of the servo and its viscous 
 ## The first robot
 
 {first}
+
+## What is not in the model
+
+The first robot with something that `identify` knows nothing of; errors of constants, and of motions, with the age told.
+
+{strange}
 
 ## By torque, on the maker's model
 
@@ -198,12 +212,15 @@ def beliefs(seed: int, log: SimulationLog) -> tuple[dict[str, Any], Any]:
     return dict(zip(SCHEMES, (PLAIN, NOMINAL, *identified, true), strict=True)), told
 
 
-def figures(seed: int, scheme: str, belief: dict[str, Any], motions: dict[str, Any]) -> list[float]:
-    """A robot's `FIGURES`; infinite where it is lost."""
+def figures(
+    seed: int, scheme: str, belief: dict[str, Any], motions: dict[str, Any], changes: dict[str, Any] | None = None
+) -> list[float]:
+    """A robot's `FIGURES`, perhaps with some changes of it; infinite where it is lost."""
     found = []
     for name, reference in motions.items():
         _, duration, metric = MOTIONS[name]
-        log = run(scenario(hidden(seed), belief, reference, duration, scheme == "plain"), check=False)
+        moving = scenario(hidden(seed), belief, reference, duration, scheme == "plain").replace(changes or {})
+        log = run(moving, check=False)
         measured = run_metrics(log) if log.status == "completed" else {}
         found.append(measured.get(metric, np.inf))
         if name == "breathing":
@@ -225,8 +242,10 @@ def spread(values: np.ndarray) -> str:
     return " / ".join("lost" if np.isinf(value) else f"{value:.3g}" for value in chosen)
 
 
-def page(trials: list[tuple[np.ndarray, np.ndarray, np.ndarray]], mujoco: list[list[str]]) -> str:
-    """The page."""
+def page(
+    trials: list[tuple[np.ndarray, np.ndarray, np.ndarray]], others: list[list[str]], maker: list[list[str]]
+) -> str:
+    """The page, of the trials and the rows of `strange` and `in_mujoco`."""
     rows, errors, widths = (np.array(column) for column in zip(*trials, strict=True))
     table = [
         [
@@ -249,8 +268,26 @@ def page(trials: list[tuple[np.ndarray, np.ndarray, np.ndarray]], mujoco: list[l
         table=markdown_table(["commands", *FIGURES, "lost"], table),
         constants=markdown_table(["", "error: median, largest", "half width, median", "hold the truth"], constants),
         first=markdown_table(["commands", *FIGURES], first),
-        mujoco=markdown_table(["", "the model's own", "believed", "identified"], mujoco),
+        strange=markdown_table(["", "stiffness", "delay", "Coulomb, worst", *FIGURES], others),
+        mujoco=markdown_table(["", "the model's own", "believed", "identified"], maker),
     )
+
+
+def strange(reference: Any, motions: dict[str, Any]) -> list[list[str]]:
+    """Rows of a table for `STRANGE`."""
+    real, rows = hidden(0), []
+    for words, changes in STRANGE.items():
+        more = {key: value for key, value in changes.items() if "break_away" not in key}
+        if more != changes:
+            more = {"plant.friction.break_away": (changes["plant.friction.break_away"] * real.coulomb).tolist()}
+        log = run(scenario(real, NOMINAL, reference, DURATION).replace(more), check=False)
+        told = identify_servos(GUESS, [log], reading_age=real.age)
+        off = told.values - real.values
+        dry = np.abs(1e3 * off[COULOMB]).max()
+        errors = f"{100 * off[STIFFNESS] / real.stiffness:+.1f} %", f"{1e3 * off[DELAY]:+.2f} ms", f"{dry:.2g} mN m"
+        belief = {"robot": told.robot, "motors": told.motors, "friction": told.friction}
+        rows.append([words, *errors, *(f"{value:.3g}" for value in figures(0, "told", belief, motions, more))])
+    return rows
 
 
 def in_mujoco(duration: float = 60.0) -> list[list[str]]:
@@ -289,7 +326,7 @@ def main() -> None:
     with ProcessPoolExecutor() as workers:
         jobs = [workers.submit(trial, seed, reference, motions) for seed in range(ROBOTS)]
         trials = [job.result() for job in jobs]
-    OUT.write_text(page(trials, in_mujoco()))
+    OUT.write_text(page(trials, strange(reference, motions), in_mujoco()))
 
 
 if __name__ == "__main__":
