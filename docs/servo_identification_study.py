@@ -84,6 +84,8 @@ the intervals that hold the truth. Damping is that of the servo and its viscous 
 
 {constants}
 
+The intervals are a little too narrow: the servo's own rounding, and its loop of 1 kHz, are not in them.
+
 ## The first robot
 
 {first}
@@ -103,6 +105,8 @@ believes in a head 20 % too light and in no friction. `identify` gets angles and
 beliefs. Beside it the model's own numbers; of each motor the mean, and the one farthest from it.
 
 {mujoco}
+
+Errors are up to five times the intervals: these do not include that dry friction is soft in MuJoCo.
 
 `make results` recomputes some of these numbers.
 """
