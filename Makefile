@@ -13,7 +13,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PINS)
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test test-all test-torch check newest golden processors results lint bench docs docs-quick picture gallery robots calibration calibration-example identification servo_identification integrators margins plan reproduction montecarlo random_faults fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three format clean
+.PHONY: demo install test test-all test-torch check newest golden processors results lint bench docs docs-quick picture gallery robots calibration calibration-example identification servo_identification integrators margins plan reproduction montecarlo random_faults reachy fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three format clean
 
 demo: $(BASE)
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -27,11 +27,12 @@ $(BASE): pyproject.toml constraints.txt
 	$(PIP) -e .
 	touch $@
 
-# Reachy Mini's model for MuJoCo is in its maker's package, which would bring all that drives the real one.
+# Reachy Mini's model for MuJoCo and its dances are in its maker's packages, which would bring all that drives the real one.
 MODEL := $(shell sed -n 's|^mjcf: package:\([^/]*\)/.*|\1|p' stewart_drake/robots/reachy_mini.yaml)
+DANCES := $(shell sed -n 's|^PACKAGE = "\(.*\)"|\1|p' diagrams/comparisons/reachy_dance.py)
 $(STAMP): $(BASE)
 	$(PIP) -e '.[$(EXTRA)]'
-	$(PIP) --no-deps '$(MODEL)'
+	$(PIP) --no-deps '$(MODEL)' '$(DANCES)'
 	touch $@
 
 PYTEST := $(ONE_THREAD) $(BIN)/pytest -n auto --dist loadgroup --ignore=tests/benchmarks
@@ -135,6 +136,10 @@ tuner_safety: install
 # docs/results/integrators.md and its picture: five minutes on one core.
 integrators: install
 	$(ONE_THREAD) $(BIN)/python docs/integrators.py
+
+# docs/results/reachy.md and its picture: two minutes.
+reachy: install
+	$(ONE_THREAD) $(BIN)/python docs/write_reachy.py
 
 # docs/results/identification.md: half an hour.
 identification: install

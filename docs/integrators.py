@@ -215,7 +215,8 @@ of each other (`tests/runs/test_closed_form_run.py`); open, as here, they part f
 
 ## With friction
 
-Dry friction of 0.05 N m and viscous friction of 0.02 N m s/rad in each motor. Dry friction is of first order in all.
+Dry friction of 0.05 N m and viscous friction of 0.02 N m s/rad in each motor. Where a motor turns
+round or sticks, all are of first order; `rk4` takes such a step as eight.
 
 {rubbing}
 

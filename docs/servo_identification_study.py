@@ -18,7 +18,6 @@ from stewart_drake.estimation import torques
 from stewart_drake.estimation.excitation import SERVO_ROOM, excite
 from stewart_drake.estimation.servos import COULOMB, DELAY, PARAMETERS, STIFFNESS
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.studies.comparison import load_comparison
 
 OUT = Path(__file__).parent / "results" / "servo_identification.md"
 ROBOTS, DURATION = 20, 20.0
@@ -28,15 +27,12 @@ SERVO = {"kind": "position", "preset": "xl330_m288"}
 FRICTION = {"coulomb": 0.0128, "viscous": 0.0037, "width": 0.004}
 NOMINAL_DELAY, NOMINAL_AGE = 0.03, 0.01  # [s] believed.
 STEP = 0.00025  # [s] of the plant.
-PLAIN = {"motors": {**SERVO, "damping": 0.0, "resolution_bits": None}}
+PLAIN = {"motors": {**SERVO, "damping": 0.0, "resolution_bits": None}, "friction": None, "delay": 0}
 """What makes commands of the angles of the inverse kinematics alone."""
 NOMINAL = {"robot": GUESS, "motors": {**SERVO, "delay": NOMINAL_DELAY}, "friction": FRICTION}
-MOTIONS = {
-    "nod": ("nod", 8.0, "rmse_norm_deg"),
-    "look": ("look around", 6.0, "rmse_norm_deg"),
-    "breathing": ("breathing", 22.0, "rmse_norm_mm"),
-}
-"""Name of the motion in `compare reachy`, duration [s], metric."""
+MOTIONS = {"nod": (8.0, "rmse_norm_deg"), "look": (6.0, "rmse_norm_deg"), "breathing": (22.0, "rmse_norm_mm")}
+"""Duration [s] and metric of a motion."""
+BREATH = {"kind": "sine", "amplitude": [0.0, 0.0, 0.0, 0.0, 0.0, 0.005], "angular_frequency": "0.1 Hz"}
 SCHEMES = {
     "plain": "angles of the inverse kinematics",
     "before": "exact model, nominal constants",
@@ -200,9 +196,8 @@ def logged(seed: int, reference: Any) -> SimulationLog:
 
 def references() -> dict[str, Any]:
     """The motions of `compare reachy`, as plain values."""
-    shipped = load_comparison("reachy").file.references
-    nod = load_scenario("reachy_nod").reference.to_dict()
-    return {name: shipped[of].get("reference", nod) for name, (of, *_) in MOTIONS.items()}
+    nod, look = (load_scenario(name).reference.to_dict() for name in ("reachy_nod", "reachy_look_around"))
+    return {"nod": nod, "look": look, "breathing": {"kind": "adjusted", "fade_in": 2.0, "motion": BREATH}}
 
 
 def beliefs(seed: int, log: SimulationLog) -> tuple[dict[str, Any], Any]:
@@ -224,7 +219,7 @@ def figures(
     """A robot's `FIGURES`, perhaps with some changes of it; infinite where it is lost."""
     found = []
     for name, reference in motions.items():
-        _, duration, metric = MOTIONS[name]
+        duration, metric = MOTIONS[name]
         moving = scenario(hidden(seed), belief, reference, duration, scheme == "plain").replace(changes or {})
         log = run(moving, check=False)
         measured = run_metrics(log) if log.status == "completed" else {}

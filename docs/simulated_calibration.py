@@ -28,7 +28,7 @@ from stewart_drake.estimation.geometry import (
 from stewart_drake.estimation.poses import MeasurementNoise, Measurements
 from stewart_drake.mechanics.kinematics import cross, forward_kinematics, roll_pitch_yaw
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS
+from stewart_drake.robot.leg import LEG_COUNT
 
 STILL = np.eye(4)
 
@@ -41,7 +41,7 @@ def deviating(
     Raises:
         ConfigurationError: It cannot be a robot.
     """
-    most = np.array([length if each.unit == "m" else angle for each in LEG_PARAMETERS] * LEGS)
+    most = np.array([length if each.unit == "m" else angle for each in LEG_PARAMETERS] * LEG_COUNT)
     change = np.zeros(SIZE)
     change[:OF_ROBOT] = rng.uniform(-most, most)
     return as_robot(robot, change)
@@ -94,7 +94,7 @@ def aligned(robot: RobotParameters, guess: RobotParameters, known: Collection[st
             "rod_length": robot.rod_lengths[leg],
             "branch": int(robot.branches[leg]),
         }
-        for leg in range(LEGS)
+        for leg in range(LEG_COUNT)
     ]
     return robot.replace(legs=legs)
 
@@ -108,7 +108,7 @@ def _onto(points: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 def change_to(guess: RobotParameters, robot: RobotParameters) -> np.ndarray:
     """The change (`SIZE`,) [m, rad] that makes of a guess another robot, frames left alone: undoes `as_robot`."""
-    change = np.zeros((LEGS, PER_LEG))
+    change = np.zeros((LEG_COUNT, PER_LEG))
     change[:, SHAFT] = robot.shaft_positions - guess.shaft_positions
     change[:, JOINT] = robot.platform_joints - guess.platform_joints
     change[:, CRANK] = robot.crank_lengths - guess.crank_lengths
@@ -119,7 +119,7 @@ def change_to(guess: RobotParameters, robot: RobotParameters) -> np.ndarray:
     across = cross(axis, other)
     sine = np.linalg.norm(across, axis=-1)
     angle = np.arctan2(sine, np.sum(axis * other, axis=-1))
-    turn = across * np.divide(angle, sine, out=np.ones(LEGS), where=sine > 0.0)[:, None]
+    turn = across * np.divide(angle, sine, out=np.ones(LEG_COUNT), where=sine > 0.0)[:, None]
     change[:, 8], change[:, 9] = np.sum(turn * zero, axis=-1), np.sum(turn * quarter, axis=-1)
     rotation = exponential(turn)
     c, s = (np.einsum("lij,lj,li->l", rotation, v, robot.crank_zero_directions) for v in (zero, quarter))
@@ -177,8 +177,8 @@ def run_trial(
     right = measured(truth, unseen, tracker_free, rng, base, marker)
     believed = located(guess, observed, known_frames)
     same = aligned(truth, guess, known_frames)
-    off = (found.change - change_to(guess, same))[:OF_ROBOT].reshape(LEGS, PER_LEG)
-    width = found.half_width[:OF_ROBOT].reshape(LEGS, PER_LEG)
+    off = (found.change - change_to(guess, same))[:OF_ROBOT].reshape(LEG_COUNT, PER_LEG)
+    width = found.half_width[:OF_ROBOT].reshape(LEG_COUNT, PER_LEG)
     return Trial(
         _error(guess, believed.base, believed.marker, right, unseen),
         _error(found.robot, found.base, found.marker, right, unseen),

@@ -26,7 +26,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS
+from stewart_drake.robot.leg import LEG_COUNT
 
 KNOWN = ("platform_mass", "platform_moment", "platform_inertia", "rod_mass")
 
@@ -50,9 +50,9 @@ def deviating(
     values = values_of(guess)
     off = np.array([parameter.kind not in KNOWN for parameter in PARAMETERS])
     values *= np.where(off, 1.0 + share * rng.uniform(-1.0, 1.0, SIZE), 1.0)
-    values[COULOMB] = friction * rng.uniform(0.5, 1.5, LEGS)
-    values[VISCOUS] = viscous * rng.uniform(0.5, 1.5, LEGS)
-    gains = np.log1p(share * rng.uniform(-1.0, 1.0, LEGS))
+    values[COULOMB] = friction * rng.uniform(0.5, 1.5, LEG_COUNT)
+    values[VISCOUS] = viscous * rng.uniform(0.5, 1.5, LEG_COUNT)
+    gains = np.log1p(share * rng.uniform(-1.0, 1.0, LEG_COUNT))
     values[GAIN] = gains - gains.mean()
     place = 0.5 * guess.characteristic_length * rng.uniform(-1.0, 1.0, 3)
     return with_payload(values, guess.platform_mass * rng.uniform(0.1, 0.3), place)

@@ -51,7 +51,7 @@ from stewart_drake.runs.pictures import write_film as write_film
 from stewart_drake.runs.simulation import run as run
 from stewart_drake.scenario.control_options import ControlOptions as ControlOptions
 from stewart_drake.scenario.controller import Controller as Controller
-from stewart_drake.scenario.limits import Limits as Limits
+from stewart_drake.scenario.limits import ReferenceLimits as ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario as Scenario
 from stewart_drake.scenario.scenario import load_controller as load_controller
 from stewart_drake.scenario.scenario import load_scenario as load_scenario

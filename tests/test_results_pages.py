@@ -4,6 +4,7 @@ A number of a page may differ by one unit of its last digit: another processor r
 check names, where a few runs stand for the page's hundreds.
 """
 
+import importlib.util
 import re
 from functools import lru_cache
 from pathlib import Path
@@ -14,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 import random_faults
 import servo_identification_study as servos
+import write_reachy
 from calibration_study import NOISE
 from calibration_study import poses as poses_at_random
 from identification_study import ROBOT_OF, motions
@@ -83,8 +85,8 @@ def page(request):
     return Page(request.node.originalname.removeprefix("test_"))
 
 
-def compared(name, *labels):
-    comparison = loaded(name)
+def compared(of, *labels):
+    comparison = loaded(of) if isinstance(of, str) else of
     names = ("controller", "reference", "condition")
     named = [tuple(trial.labels[name] for name in names) for trial in comparison.trials]
     return execute(comparison.trials[named.index(labels)])
@@ -180,6 +182,21 @@ def test_robots(page):
     figures = run_metrics(run(load_scenario("sway", ["robot=servo_hexapod"])))
     cell = page.cell("servo_hexapod", column="error in motion [mm], [deg]")
     assert_says(cell, figures["rmse_norm_mm"], figures["rmse_norm_deg"], within=NOISY)
+
+
+def test_reachy(page):
+    absent = [name for name in ("reachy_mini", "reachy_mini_dances_library") if importlib.util.find_spec(name) is None]
+    if absent:
+        pytest.skip(f"pip install --no-deps {' '.join(absent)}")
+    makers, exact = write_reachy.MAKERS, "exact model, 50 Hz"
+    for labels in ((exact, "nod", makers), ("angles, 50 Hz", "nod", makers)):
+        error = compared("reachy", *labels)["rmse_norm_deg"]
+        assert_says(page.cell(labels[0], column="nod [deg]"), error, within=NOISY)
+    row = compared(write_reachy.makers_servos(), "kp 10, exact model", "nod", "perfect_actuator, free")
+    assert_says(page.cell("nod [deg]", column="kp 10, exact model"), row["rmse_norm_deg"], within=NOISY)
+    row = compared(write_reachy.dances(), exact, "grid_snap", makers)
+    cell = page.cell("`grid_snap`", column="exact model [deg], [mm]")
+    assert_says(cell, row["rmse_norm_deg"], row["rmse_norm_mm"], within=NOISY)
 
 
 def log_costs(folder, plant, candidates, cases):

@@ -24,7 +24,7 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LegParameters
 from stewart_drake.robot.robot_files import load_robot, save_robot
 from stewart_drake.safety import SafetyOptions, safety_part
-from stewart_drake.scenario.limits import Limits, SuccessCriteria, limit_margins, measure_poses
+from stewart_drake.scenario.limits import ReferenceLimits, SuccessCriteria, limit_margins, measure_poses
 from stewart_drake.scenario.scenario import Scenario, load_scenario, scenario_schema
 
 ROBOT = RobotParameters()
@@ -219,7 +219,7 @@ def test_each_motor_has_its_own_effort_limit_everywhere():
     forces = [motor.get("forcerange").split() for motor in ET.fromstring(mjcf_text(WEAK)).iter("motor")]
     assert [float(most) for _, most in forces] == WEAK.effort_limits.tolist()
     still = np.zeros((1, 6))
-    margins = limit_margins(WEAK, Limits(), WEAK.home_pose[None], still, still, 9.81)["torque"][0]
+    margins = limit_margins(WEAK, ReferenceLimits(), WEAK.home_pose[None], still, still, 9.81)["torque"][0]
     held = static_torque(WEAK, WEAK.home_pose)
     np.testing.assert_allclose(margins, WEAK.effort_limits - np.abs(held), rtol=1e-12)
     measures = measure_poses(WEAK, WEAK.home_pose[None])
@@ -241,7 +241,11 @@ ALL = {"safety": {}, "tuner": {"kind": "block"}, "sensors": {"kind": "encoders"}
 def test_the_papers_robot_has_the_defaults_of_the_classes_to_the_last_bit():
     for scenario in (Scenario.from_dict(ALL), Scenario(robot="paper", **ALL), Scenario(robot=ROBOT, **ALL)):
         assert scenario.reference == SineReference()
-        assert (scenario.limits, scenario.bounds, scenario.safety) == (Limits(), SuccessCriteria(), SafetyOptions())
+        assert (scenario.limits, scenario.bounds, scenario.safety) == (
+            ReferenceLimits(),
+            SuccessCriteria(),
+            SafetyOptions(),
+        )
         assert (scenario.tuner, scenario.sensors) == (BlockTuner(), EncoderOptions())
     assert Scenario(controller={"kind": "pid"}).controller == PidOptions()
 
@@ -256,7 +260,7 @@ def test_another_robot_has_lengths_torques_and_home_of_its_own():
     assert scenario.estimator.max_step == pytest.approx((0.2, 0.05 * length))
     assert scenario.reference.center == (0.0, 0.0, 0.0, 0.0, 0.0, 0.151)
     assert scenario.reference.amplitude[5] == pytest.approx(0.05 * length)
-    assert scenario.limits.crank_speed == Limits().crank_speed
+    assert scenario.limits.crank_speed == ReferenceLimits().crank_speed
 
 
 def test_what_is_given_stays_and_what_is_off_stays_off():
@@ -284,12 +288,12 @@ def test_another_robot_in_place_of_the_first_takes_its_own_defaults_along():
     scenario = Scenario(robot="reachy_mini", controller={"weight_length": None}, **ALL)
     assert scenario.replace({"robot": "paper"}) == Scenario(controller={"weight_length": 0.11}, **ALL)
     changed = scenario.replace({"robot": SERVO, "limits.crank_speed": 3.0})
-    assert changed.limits == Limits(clearance=0.005 * (0.065 / 0.11), crank_speed=3.0)
+    assert changed.limits == ReferenceLimits(clearance=0.005 * (0.065 / 0.11), crank_speed=3.0)
     assert changed.controller.weight_length == 0.065
     # What the controller believes in sizes the controller.
     scenario = Scenario(robot=ROBOT, model={"robot": ROBOT.replace(platform_mass=2.0)}, **ALL)
     assert scenario.tuner.q_pose > 4.0e5
-    assert scenario.limits == Limits()
+    assert scenario.limits == ReferenceLimits()
 
 
 @pytest.mark.parametrize("name", ["paper", "reachy_mini", "servo_hexapod"])

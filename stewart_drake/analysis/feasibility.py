@@ -16,7 +16,7 @@ from stewart_drake.mechanics.kinematics import reach_margin
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import PAPER
-from stewart_drake.scenario.limits import PLACES, RULES, Limits, limit_bounds, limit_margins
+from stewart_drake.scenario.limits import PLACES, RULES, ReferenceLimits, limit_bounds, limit_margins
 
 SEARCH_RTOL = 1e-4  # Relative width at which the searches for the largest amplitude and scale stop.
 SAMPLES_PER_SECOND = 500.0
@@ -75,7 +75,7 @@ class FeasibilityReport:
 
 def check_motion(
     robot: RobotParameters,
-    limits: Limits,
+    limits: ReferenceLimits,
     time: np.ndarray,
     pose: np.ndarray,
     pose_rate: np.ndarray,
@@ -126,7 +126,7 @@ def refuse_turns(key: str, pose: np.ndarray, time: np.ndarray) -> None:
 
 def check_reference(
     robot: RobotParameters,
-    limits: Limits,
+    limits: ReferenceLimits,
     reference: Reference,
     duration: float,
     gravity: float = STANDARD_GRAVITY,
@@ -148,7 +148,9 @@ def checked_times(duration: float, samples_per_second: float = SAMPLES_PER_SECON
     return np.linspace(0.0, duration, math.ceil(duration * samples_per_second) + 1)
 
 
-def largest_amplitude(robot: RobotParameters, limits: Limits, axis: int, frequency_hz: float, gravity: float) -> float:
+def largest_amplitude(
+    robot: RobotParameters, limits: ReferenceLimits, axis: int, frequency_hz: float, gravity: float
+) -> float:
     """Largest A [rad] or [m] for which home + a sin(2 pi f t) along one axis (0..5) is feasible for every a <= A.
 
     At an offset x the acceleration is -(2 pi f)^2 x whatever the amplitude, and the squared speed runs from 0 to (2 pi
@@ -176,14 +178,16 @@ def largest_amplitude(robot: RobotParameters, limits: Limits, axis: int, frequen
     return most if feasible(most) else bisect(feasible, 0.0, most)
 
 
-def amplitude_table(robot: RobotParameters, limits: Limits, frequencies: Iterable[float], gravity: float) -> np.ndarray:
+def amplitude_table(
+    robot: RobotParameters, limits: ReferenceLimits, frequencies: Iterable[float], gravity: float
+) -> np.ndarray:
     """`largest_amplitude` (n, 6) [rad, m] of every axis at every frequency [Hz]."""
     return np.array([[largest_amplitude(robot, limits, axis, f, gravity) for axis in range(6)] for f in frequencies])
 
 
 def largest_scale(
     robot: RobotParameters,
-    limits: Limits,
+    limits: ReferenceLimits,
     make_reference: Callable[[float], Reference],
     duration: float,
     gravity: float,
@@ -245,7 +249,7 @@ def sample_poses(
     count: int,
     rng: np.random.Generator,
     least_margin: float = 1e-6,
-    limits: Limits | None = None,
+    limits: ReferenceLimits | None = None,
     gravity: float = STANDARD_GRAVITY,
 ) -> np.ndarray:
     """Poses (count, 6) uniform over a box, in reach by `least_margin` and within `limits`; fewer where few are."""

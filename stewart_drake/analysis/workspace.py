@@ -19,7 +19,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import reach_margin, rotation_matrix
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH
-from stewart_drake.scenario.limits import Limits, limit_bounds, measure_poses
+from stewart_drake.scenario.limits import ReferenceLimits, limit_bounds, measure_poses
 
 Kind = Literal["position", "orientation"]
 
@@ -50,7 +50,7 @@ _STEPS, _BISECTIONS = 64, 16
 
 
 def utilisation(
-    robot: RobotParameters, limits: Limits, pose: np.ndarray, measures: np.recarray
+    robot: RobotParameters, limits: ReferenceLimits, pose: np.ndarray, measures: np.recarray
 ) -> dict[str, np.ndarray]:
     """Part (n,) [-] of each limit that is on which poses (n, 6) at rest take up; NaN where a rod cannot span."""
     bounds = limit_bounds(robot, limits)
@@ -214,7 +214,7 @@ class Survey:
         return np.stack([point.min(axis=0) - half, point.max(axis=0) + half])
 
 
-def survey(robot: RobotParameters, limits: Limits, grid: Grid, gravity: float = STANDARD_GRAVITY) -> Survey:
+def survey(robot: RobotParameters, limits: ReferenceLimits, grid: Grid, gravity: float = STANDARD_GRAVITY) -> Survey:
     """Measures every cell of a grid."""
     measures = measure_poses(robot, grid.poses, gravity)
     return Survey(grid, measures, utilisation(robot, limits, grid.poses, measures))
@@ -222,7 +222,7 @@ def survey(robot: RobotParameters, limits: Limits, grid: Grid, gravity: float = 
 
 def way_out(
     robot: RobotParameters,
-    limits: Limits,
+    limits: ReferenceLimits,
     start: np.ndarray,
     ways: np.ndarray,
     steps: np.ndarray,
@@ -268,7 +268,7 @@ def spread_directions(count: int) -> np.ndarray:
 
 def boundary(
     robot: RobotParameters,
-    limits: Limits,
+    limits: ReferenceLimits,
     kind: Kind,
     center: np.ndarray,
     directions: np.ndarray,
@@ -286,7 +286,9 @@ def boundary(
     return Boundary(*way_out(robot, limits, center, ways, steps, gravity, bisections=_BISECTIONS))
 
 
-def slices(robot: RobotParameters, limits: Limits, gravity: float, region: Survey, pixels: int) -> list[Survey]:
+def slices(
+    robot: RobotParameters, limits: ReferenceLimits, gravity: float, region: Survey, pixels: int
+) -> list[Survey]:
     """Five slices across the third coordinate of a survey and one along it, through what the limits leave."""
     grid, middle = region.grid, region.grid.center[region.grid.coordinates]
     box = region.bounding_box(region.connected)
@@ -311,7 +313,7 @@ def slices(robot: RobotParameters, limits: Limits, gravity: float, region: Surve
 
 def study_poses(
     robot: RobotParameters,
-    limits: Limits,
+    limits: ReferenceLimits,
     gravity: float,
     center: np.ndarray,
     samples: int,

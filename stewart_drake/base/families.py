@@ -206,8 +206,8 @@ class Family(Table):
             ways.append({"type": "string", "pattern": CLASS_PATH})
         if not ways:
             named = {"type": "string", "description": f"Kind: {NOTHING_YET}."}
-            kind = {"properties": {"kind": named}, "required": ["kind"]}
-            return {"type": "object", "title": "Added", "description": "A kind of your own program.", **kind}
+            keys = {"properties": {"kind": named}, "required": ["kind"]}
+            return {"type": "object", "title": "Added", "description": "A kind of your own program.", **keys}
         return {"anyOf": [*ways, {"enum": alone}]}
 
 

@@ -75,7 +75,7 @@ def sweep(sweep: str, out: Path | None, runs: int | None, **options: Any) -> Non
 
 @command("compare", comparison="tracking")
 def compare(comparison: str, out: Path | None, quick: bool, robot: str | None, **options: Any) -> None:
-    """COMPARISON is a YAML file or one of tracking, controllers, fair, observer [default: tracking].
+    """COMPARISON is a YAML file or one of tracking, controllers, fair, observer, reachy [default: tracking].
 
     Writes comparison.parquet, .csv and .md, bands.parquet and .csv (frequency response), and plots.
     """

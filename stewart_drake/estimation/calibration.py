@@ -25,7 +25,7 @@ from stewart_drake.estimation.core import Estimate, Result, Unidentifiable
 from stewart_drake.estimation.geometry import OF_ROBOT, PARAMETERS, PER_LEG, SIZE, PoseModel
 from stewart_drake.estimation.poses import MeasurementNoise, Measurements, load_measurements
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS
+from stewart_drake.robot.leg import LEG_COUNT
 
 _CONFIDENCE = 0.95
 _SHARE = 1e-3  # [-] of an unidentifiable direction beyond which a parameter has no interval
@@ -199,7 +199,7 @@ class Calibration(Result):
 
         changes, widths = (geometry.by_leg(numbers, display=True) for numbers in (self.change, self.half_width))
         rows = [[name, *map(cell, changes[:, at], widths[:, at])] for at, name in enumerate(geometry.table_names())]
-        return ["", *(f"leg {leg}" for leg in range(LEGS))], rows
+        return ["", *(f"leg {leg}" for leg in range(LEG_COUNT))], rows
 
     def robot_file(self) -> str:
         about = f"calibrated from {len(self.measurements)} measured poses: pose error {self.summary()[2][1]} (RMS)"
@@ -453,7 +453,7 @@ def _alternatives(
     for rows in suspects:
         got, allowed = "a pose that does not fit the others", "pose and readings at rest"
         yield np.delete(table, rows, axis=0), f"{source}: row {rows[0] + 1}", got, allowed
-    for leg in range(LEGS):
+    for leg in range(LEG_COUNT):
         inverted = table * np.where(np.arange(12) == 6 + leg, -1.0, 1.0)
         got, allowed = "readings that fit with the other sign", "angles with the sign of the guess's crank angle"
         yield inverted, f"{source}: crank_angle_{leg}", got, allowed

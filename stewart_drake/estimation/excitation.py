@@ -17,7 +17,7 @@ from stewart_drake.estimation.torques import free_directions, samples_of_motion,
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.references.motions import AdjustedReference, SineReference, SumReference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scenario.limits import Limits, limit_margins
+from stewart_drake.scenario.limits import ReferenceLimits, limit_margins
 
 HARMONICS = (2, 3, 5, 8, 13, 21, 31)
 PERIOD = 19.937
@@ -40,7 +40,7 @@ class Excitation(NamedTuple):
 
 def excite(
     robot: RobotParameters,
-    limits: Limits | None = None,
+    limits: ReferenceLimits | None = None,
     hold: Collection[str] = (),
     gravity: float = STANDARD_GRAVITY,
     seed: int = 0,
@@ -61,7 +61,7 @@ def excite(
     Raises:
         ConfigurationError: No motion at all is within the limits.
     """
-    limits = Limits() if limits is None else limits
+    limits = ReferenceLimits() if limits is None else limits
     rng = np.random.default_rng(seed)
     size, values = scales(robot), values_of(robot)
     ways = size[:, None] * free_directions(hold)

@@ -17,7 +17,7 @@ from stewart_drake.estimation.core import Parameter
 from stewart_drake.mechanics.kinematics import newton, rod_length_errors, roll_pitch_yaw, rotation_matrix
 from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS
+from stewart_drake.robot.leg import LEG_COUNT
 
 if TYPE_CHECKING:
     from stewart_drake.estimation.poses import MeasurementNoise
@@ -38,7 +38,7 @@ offset is reading minus true angle, counted from the guess's `crank_zero_directi
 KINDS = tuple(dict.fromkeys(parameter.kind for parameter in LEG_PARAMETERS))
 SHAFT, JOINT, CRANK, ROD, HOMING = slice(0, 3), slice(3, 6), 6, 7, 10
 PARAMETERS = (
-    *(parameter._replace(owner=f"leg {leg}") for leg in range(LEGS) for parameter in LEG_PARAMETERS),
+    *(parameter._replace(owner=f"leg {leg}") for leg in range(LEG_COUNT) for parameter in LEG_PARAMETERS),
     *(
         Parameter(frame, f"frame {what} {axis}", unit)
         for frame in FRAMES
@@ -47,20 +47,20 @@ PARAMETERS = (
     ),
 )
 """Those of legs 0 to 5, then turn and shift of the tracker's frame, then those of the marker's."""
-SIZE, PER_LEG, OF_ROBOT = len(PARAMETERS), len(LEG_PARAMETERS), len(LEG_PARAMETERS) * LEGS
+SIZE, PER_LEG, OF_ROBOT = len(PARAMETERS), len(LEG_PARAMETERS), len(LEG_PARAMETERS) * LEG_COUNT
 LARGEST_DEVIATION = 0.1  # [-] in `scales`, beyond which a direction counts as unidentifiable
 CLOSED = 1e-12  # [m] rod-length error at which a pose counts as that of the readings
 _NEWTON_STEPS = 40
 _STEP = 1e-5  # [m, rad] of finite differences
 _FRAME_STEPS = np.eye(SIZE)[OF_ROBOT:]
-_LEG_STEPS = np.hstack([np.tile(np.eye(PER_LEG), LEGS), np.zeros((PER_LEG, 12))])
+_LEG_STEPS = np.hstack([np.tile(np.eye(PER_LEG), LEG_COUNT), np.zeros((PER_LEG, 12))])
 """Steps of all legs at once: the closure of a leg depends on its numbers alone."""
 
 
 def by_leg(values: np.ndarray, display: bool = False) -> np.ndarray:
     """Values (`OF_ROBOT` or `SIZE`,) as (6, `PER_LEG`), on request in the units of texts."""
     factors = [parameter.display[1] if display else 1.0 for parameter in LEG_PARAMETERS]
-    return values[:OF_ROBOT].reshape(LEGS, PER_LEG) * factors
+    return values[:OF_ROBOT].reshape(LEG_COUNT, PER_LEG) * factors
 
 
 def table_names() -> list[str]:
@@ -135,7 +135,7 @@ def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
             "branch": int(guess.branches[leg]),
             "crank_angle_range": ranges[leg] if np.isfinite(ranges[leg]).all() else None,
         }
-        for leg in range(LEGS)
+        for leg in range(LEG_COUNT)
     ]
     return guess.replace(legs=legs)
 
@@ -143,7 +143,7 @@ def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
 def values_of(guess: RobotParameters) -> np.ndarray:
     """Parameters (`OF_ROBOT`,) [m, rad] of a guess, whose turns and offsets count as zero."""
     lengths = guess.crank_lengths[:, None], guess.rod_lengths[:, None]
-    return np.hstack([guess.shaft_positions, guess.platform_joints, *lengths, np.zeros((LEGS, 3))]).ravel()
+    return np.hstack([guess.shaft_positions, guess.platform_joints, *lengths, np.zeros((LEG_COUNT, 3))]).ravel()
 
 
 def scales(guess: RobotParameters) -> np.ndarray:
@@ -161,9 +161,9 @@ def free_directions(guess: RobotParameters, known: Collection[str], hold: Collec
     ):
         # Points that are held define the frame themselves.
         for axis in np.eye(3) if frame not in known and kind not in hold else ():
-            for shift in (np.tile(axis, (LEGS, 1)), np.cross(axis, points - points.mean(axis=0))):
+            for shift in (np.tile(axis, (LEG_COUNT, 1)), np.cross(axis, points - points.mean(axis=0))):
                 constraints.append(np.zeros(SIZE))
-                constraints[-1][:OF_ROBOT].reshape(LEGS, PER_LEG)[:, columns] = shift / np.linalg.norm(shift)
+                constraints[-1][:OF_ROBOT].reshape(LEG_COUNT, PER_LEG)[:, columns] = shift / np.linalg.norm(shift)
     return core.free_directions(PARAMETERS, KINDS, hold, known, constraints)
 
 
@@ -235,10 +235,10 @@ class PoseModel:
 
     def _leg_slope(self, change: np.ndarray, at: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Derivatives (n, 6, `OF_ROBOT`) of the closures: zero of each leg by the numbers of the others."""
-        slope = np.zeros((len(angles), LEGS, LEGS, PER_LEG))
+        slope = np.zeros((len(angles), LEG_COUNT, LEG_COUNT, PER_LEG))
         by_leg = derivative(lambda step: self.closures(change + step, at, angles), _LEG_STEPS)
-        slope[:, range(LEGS), range(LEGS)] = by_leg
-        return slope.reshape(len(angles), LEGS, OF_ROBOT)
+        slope[:, range(LEG_COUNT), range(LEG_COUNT)] = by_leg
+        return slope.reshape(len(angles), LEG_COUNT, OF_ROBOT)
 
     def whitening(self, change: np.ndarray, at: np.ndarray, angles: np.ndarray, noise: MeasurementNoise) -> np.ndarray:
         """Weights (n, 6, 6) of the tracker's error by its covariance, the encoders' share included."""

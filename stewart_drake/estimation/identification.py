@@ -17,7 +17,7 @@ from stewart_drake.estimation.core import Estimate, Result
 from stewart_drake.estimation.torques import COULOMB, GAIN, KINDS, PARAMETERS, SIZE, VISCOUS, Recording, Samples
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS
+from stewart_drake.robot.leg import LEG_COUNT
 
 AnyLog = Recording | SimulationLog | str | Path
 ASKED: tuple[str, ...] = ("platform_mass", "coulomb", "viscous")
@@ -275,7 +275,7 @@ def fitted(
     """Gauss-Newton for what was measured; `check` may refuse the second pass, `preference` as in `identifiable`."""
     parameters, size, start, free, asked, believed = problem
     values, unidentifiable = start, tuple[core.Unidentifiable, ...]()
-    noise = np.eye(LEGS) * np.mean(samples.measured**2)
+    noise = np.eye(LEG_COUNT) * np.mean(samples.measured**2)
     for turn in range(_PASSES):
         slope, residual = _whitened(samples, values, size[:, None] * free, noise)
         values = bounded(values + size * (free @ np.linalg.lstsq(slope, residual, rcond=_ROUNDING)[0]))
@@ -308,7 +308,7 @@ def _whitened(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives (6 n, k) of whitened torques, and their residuals (6 n,); zero in rows that are not used."""
     both = samples.used[:, :, None] & samples.used[:, None, :]
-    white = np.where(both, core.whitening(np.where(both, noise, np.eye(LEGS))), 0.0)
+    white = np.where(both, core.whitening(np.where(both, noise, np.eye(LEG_COUNT))), 0.0)
     slope = (white @ (samples.derivative(values) @ directions)).reshape(-1, directions.shape[1])
     return slope, np.einsum("nij,nj->ni", white, samples.measured - samples.predicted(values)).ravel()
 
@@ -320,7 +320,7 @@ def _noise(samples: Samples, values: np.ndarray) -> np.ndarray:
     covariance = residual.T @ residual / np.maximum(used.T @ used, 1.0)
     # Pairs seldom in motion torques.together could make it indefinite; half of what is common is on the safe side.
     covariance = 0.5 * (covariance + np.diag(np.diag(covariance)))
-    return covariance + 1e-12 * float(np.mean(samples.measured**2)) * np.eye(LEGS)
+    return covariance + 1e-12 * float(np.mean(samples.measured**2)) * np.eye(LEG_COUNT)
 
 
 def _long_run(samples: Samples, scores: np.ndarray) -> np.ndarray:
@@ -328,7 +328,7 @@ def _long_run(samples: Samples, scores: np.ndarray) -> np.ndarray:
 
     W. K. Newey and K. D. West, Econometrica 55 (1987).
     """
-    of_instant = scores.reshape(len(samples.time), LEGS, -1).sum(axis=1)
+    of_instant = scores.reshape(len(samples.time), LEG_COUNT, -1).sum(axis=1)
     lags = max(1, round(MEMORY / samples.step))
     total = of_instant.T @ of_instant
     for recording in (of_instant[piece] for piece in samples.pieces):

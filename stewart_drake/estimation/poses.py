@@ -20,7 +20,7 @@ from stewart_drake.estimation import geometry
 from stewart_drake.estimation.core import Readings
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scenario.limits import Limits
+from stewart_drake.scenario.limits import ReferenceLimits
 
 _FARTHEST = 1e6  # [m] beyond which no tracker is
 QUANTITIES = (*POSE, *CRANK_ANGLES)
@@ -107,7 +107,7 @@ class PosePlan:
 def plan_poses(
     robot: RobotParameters,
     count: int,
-    limits: Limits | None = None,
+    limits: ReferenceLimits | None = None,
     noise: MeasurementNoise | None = None,
     known_frames: Collection[str] = (),
     hold: Collection[str] = (),
@@ -139,7 +139,7 @@ def plan_poses(
     least = free.shape[1] // 6 + 1
     if not least <= count <= candidates // 2:
         raise ConfigurationError("--plan", count, f"a number of poses from {least} to {candidates // 2}")
-    pose = candidate_poses(robot, candidates, Limits() if limits is None else limits, rng)
+    pose = candidate_poses(robot, candidates, ReferenceLimits() if limits is None else limits, rng)
     at, angles, model = geometry.transform_of(pose), inverse_kinematics(robot, pose), geometry.PoseModel(robot)
     ways = geometry.scales(robot)[:, None] * free
     slope = model.tracker_slope(np.zeros(geometry.SIZE), at, angles)
@@ -156,7 +156,9 @@ def plan_poses(
     )
 
 
-def candidate_poses(robot: RobotParameters, count: int, limits: Limits, rng: np.random.Generator) -> np.ndarray:
+def candidate_poses(
+    robot: RobotParameters, count: int, limits: ReferenceLimits, rng: np.random.Generator
+) -> np.ndarray:
     """Poses (count, 6) [rad, m] on straight ways from home in all directions, up to where a limit ends them."""
     home, size = robot.home_pose, np.array([1.0] * 3 + [robot.characteristic_length] * 3)
     poses = np.empty((0, 6))

@@ -34,9 +34,9 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.plant.closed_form import ClosedFormOptions
 from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS
+from stewart_drake.robot.leg import LEG_COUNT
 
-_MOTORS = tuple(f"motor {leg}" for leg in range(LEGS))
+_MOTORS = tuple(f"motor {leg}" for leg in range(LEG_COUNT))
 PARAMETERS = (
     Parameter("stiffness", "", "N m/rad"),
     Parameter("delay", "", "s"),
@@ -51,7 +51,7 @@ HELD = ("platform_mass",)
 ASKED = ("stiffness", "delay", "platform_mass", "damping", "coulomb")
 STIFFNESS, DELAY, AGE, MASS, ROTOR, DAMPING, COULOMB = 0, 1, 2, 3, 4, slice(5, 11), slice(11, 17)
 _LOADS = slice(MASS, COULOMB.stop)  # In which torques are linear.
-QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"commanded_angle_{leg}", "rad") for leg in range(LEGS)))
+QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"commanded_angle_{leg}", "rad") for leg in range(LEG_COUNT)))
 _LONGEST, _STEP = 0.3, 0.005  # [s] delays that are tried first.
 _UNEXPLAINED = 0.5  # [-] of the changes of command minus angle that may be left.
 _LEAST = 0.05  # [-] of the rows in which each crank must turn.

@@ -28,9 +28,9 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics
 from stewart_drake.mechanics.kinematics import crank_rates, forward_kinematics, inverse_kinematics, leg_geometry
 from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS
+from stewart_drake.robot.leg import LEG_COUNT
 
-_MOTORS = tuple(f"motor {leg}" for leg in range(LEGS))
+_MOTORS = tuple(f"motor {leg}" for leg in range(LEG_COUNT))
 PARAMETERS = (
     Parameter("platform_mass", "", "kg"),
     *(Parameter("platform_moment", axis, "kg m") for axis in "xyz"),
@@ -52,7 +52,7 @@ ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Of the inertia's matrix, in the order of its six parameters."""
 
 UNEVEN = 0.1  # [-] of a step by which times may lie beside an even grid
-QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"torque_{leg}", "N m") for leg in range(LEGS)))
+QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"torque_{leg}", "N m") for leg in range(LEG_COUNT)))
 BANDWIDTH, ROWS_A_PERIOD = 15.0, 12.0
 """[Hz] where the filter lets half of the amplitude through, and least rows in one of its periods."""
 SLOW = 0.05  # [rad/s] of a crank below which its friction may stick
@@ -254,7 +254,7 @@ class Samples:
 
     def derivative(self, values: np.ndarray) -> np.ndarray:
         """Of `predicted` by the parameters, (n, 6, `SIZE`)."""
-        by_gain = -self.predicted(values)[..., None] * np.eye(LEGS)
+        by_gain = -self.predicted(values)[..., None] * np.eye(LEG_COUNT)
         return np.concatenate([np.exp(-values[GAIN])[:, None] * self.columns, by_gain], axis=-1)
 
 
@@ -304,7 +304,7 @@ def filtered(
     )
     exact = samples_of_motion(guess, at, (motion(at), motion(at, 1), motion(at, 2)), recording.gravity, source)
     # The filter smears friction as it does the torques.
-    exact.columns[..., COULOMB] = smooth(np.sign(rates))[middle][..., None] * np.eye(LEGS)
+    exact.columns[..., COULOMB] = smooth(np.sign(rates))[middle][..., None] * np.eye(LEG_COUNT)
     used, repeats = slowest[middle] > SLOW, rate / (2.0 * bandwidth * thin)
     samples = replace(exact, used=used, repeats=repeats)
     return samples, lambda rows: scipy.interpolate.make_interp_spline(even, smooth(rows), k=3)
@@ -322,7 +322,7 @@ def samples_of_motion(
     bodies = np.vstack([np.zeros(14), np.eye(14)])
     known, *torques = (inverse_dynamics(_body_record(guess, row), *motion, gravity) for row in bodies)
     speed = crank_rates(guess, leg_geometry(guess, pose), pose, rate)
-    friction = (each[..., None] * np.eye(LEGS) for each in (np.sign(speed), speed))
+    friction = (each[..., None] * np.eye(LEG_COUNT) for each in (np.sign(speed), speed))
     columns = np.concatenate([np.stack(torques, axis=-1) - known[..., None], *friction], axis=-1)
     used, step, pieces = np.abs(speed) > SLOW, float(time[1] - time[0]), (slice(0, len(time)),)
     return Samples(time, np.zeros_like(known), columns, known, speed, used, pieces, step, 1.0, source)

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from stewart_drake.references.motions import Reference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scenario.limits import PLACES, Limits, limit_margins
+from stewart_drake.scenario.limits import PLACES, ReferenceLimits, limit_margins
 
 BANDWIDTH = 8.0
 """[rad/s] of the filter behind the sliders: a move is over after about a second."""
@@ -91,7 +91,12 @@ class Reached(NamedTuple):
 
 
 def nearest_allowed(
-    robot: RobotParameters, limits: Limits, here: np.ndarray, wanted: np.ndarray, gravity: float, around: np.ndarray
+    robot: RobotParameters,
+    limits: ReferenceLimits,
+    here: np.ndarray,
+    wanted: np.ndarray,
+    gravity: float,
+    around: np.ndarray,
 ) -> Reached:
     """The last pose on the straight way from `here` to the one that is wanted, (6,) each, that keeps to the limits.
 
@@ -111,7 +116,7 @@ def nearest_allowed(
 
 
 def _first_broken(
-    robot: RobotParameters, limits: Limits, way: np.ndarray, gravity: float, around: np.ndarray
+    robot: RobotParameters, limits: ReferenceLimits, way: np.ndarray, gravity: float, around: np.ndarray
 ) -> tuple[int, str] | None:
     """Index of the first pose of a way that breaks a limit, and which; None where all keep to them."""
     poses = (way[:, None] + around).reshape(-1, 6)

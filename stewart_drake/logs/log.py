@@ -15,6 +15,7 @@ from stewart_drake.base import tables
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.config import did_you_mean
 from stewart_drake.base.errors import ConfigurationError, installed_with
+from stewart_drake.base.keys import join_or
 from stewart_drake.logs.outcomes import Status, describe_outcome, second_half
 from stewart_drake.logs.signals import SCALES, SIGNALS
 from stewart_drake.scenario.scenario import Scenario
@@ -187,16 +188,22 @@ class SimulationLog(Mapping[str, np.ndarray]):
         """The signals alone."""
         return tables.to_csv(self.table())
 
+    def to_mcap(self) -> bytes:
+        """Signals, poses and a scene, see `mcap_file`."""
+        from stewart_drake.logs.mcap_file import to_mcap
+
+        return to_mcap(self)
+
     def save(self, path: str | Path) -> None:
-        """Writes the log to a file, in the format that the end of its name says: .parquet or .csv.
+        """Writes the log to a file, in the format that the end of its name says: .parquet, .csv or .mcap, for Foxglove.
 
         Raises:
             ConfigurationError: Another ending; the folder is missing or not writable.
         """
-        formats = {".parquet": self.to_parquet, ".csv": self.to_csv}
+        formats = {".parquet": self.to_parquet, ".csv": self.to_csv, ".mcap": self.to_mcap}
         ending = Path(path).suffix
         if ending not in formats:
-            raise ConfigurationError("log file", str(path), "a name that ends in .parquet or .csv")
+            raise ConfigurationError("log file", str(path), f"a name that ends in {join_or(list(formats))}")
         write_atomically(Path(path), formats[ending]())
 
 

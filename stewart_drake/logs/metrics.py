@@ -144,6 +144,13 @@ def _ripple(index: int) -> Callable[[RunRows], float | None]:
     return ripple
 
 
+def _peak_speed(rows: RunRows) -> float | None:
+    """[deg/s] by differences of the crank angles; None for a single row."""
+    if rows.steps < 2:
+        return None
+    return float(np.degrees(np.abs(np.diff(rows["crank_angle"], axis=0) / np.diff(rows.time)[:, None]).max()))
+
+
 def _torque_change(rows: RunRows) -> float | None:
     """[N m] RMS of the torque asked for, or that servos give, tick to tick of the second half; None without such."""
     asked = "torque" if rows.scenario.motors.takes == "torque" else "torque_applied"
@@ -217,13 +224,17 @@ METRICS: tuple[Metric, ...] = (
     *(
         Metric(
             f"ripple_{unit}_s", f"{unit}/s", f"RMS length of the error of {what} above 2 Hz (null for less than 2 s)",
-            of, "second_half_steps",
+            of, "second_half_steps", label=f"ripple of {what}, second half",
         )
         for what, unit, of in (("the Euler rates", "deg", _ripple(0)), ("the velocity", "mm", _ripple(1)))
     ),
     Metric(
         "torque_peak", "N m", "largest torque of any motor, within their limits, whole run",
         lambda t: float(np.abs(t["torque_applied"]).max()), "steps", label="torque peak", form=".3f",
+    ),
+    Metric(
+        "crank_speed_peak_deg_s", "deg/s", "largest speed of any crank, whole run", _peak_speed, "steps",
+        label="crank speed peak",
     ),
     Metric(
         "saturated_fraction", "1", "share of torques at their limit, over ticks and motors",

@@ -132,6 +132,14 @@ def rotation_matrix(rpy: ArrayLike) -> np.ndarray:
     return _on_arrays(laws.rotation, (3, 3), rpy)
 
 
+def quaternion(rpy: np.ndarray) -> np.ndarray:
+    """w, x, y, z (..., 4) [-] of `rotation_matrix(rpy)`."""
+    (sr, sp, sy), (cr, cp, cy) = np.moveaxis(np.sin(0.5 * rpy), -1, 0), np.moveaxis(np.cos(0.5 * rpy), -1, 0)
+    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+    return np.stack([w, x, y, z], axis=-1)
+
+
 def rotation_angle(rotation: np.ndarray) -> np.ndarray:
     """Angle (...) [rad] of rotations (..., 3, 3)."""
     # An arccos of the trace alone would lose half the digits of a small angle.

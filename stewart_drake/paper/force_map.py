@@ -18,7 +18,7 @@ from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.plotting.style import chart
 from stewart_drake.references import paper_reference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS, SMALLEST_SIZE
+from stewart_drake.robot.leg import LEG_COUNT, SMALLEST_SIZE
 
 SETTLING_STEPS = 14
 """Plant steps before the acceleration is read. SAP's near-rigid loop closures give way by half a thousandth in the
@@ -51,10 +51,10 @@ def measured(robot: RobotParameters, poses: np.ndarray, gravity: float, steps: i
     plant, output = stewart.plant, diagram.GetOutputPort("state")
     plant_context, step = plant.GetMyMutableContextFromRoot(context), plant.time_step()
     torque = _TORQUE_SHARE * robot.effort_limit
-    gained = np.empty((len(poses), 1 + LEGS, 6))
+    gained = np.empty((len(poses), 1 + LEG_COUNT, 6))
     with drake_guard("measuring accelerations"):
         for row, state in enumerate(stewart.assemble(poses)):
-            for column, torques in enumerate([np.zeros(LEGS), *(torque * np.eye(LEGS))]):
+            for column, torques in enumerate([np.zeros(LEG_COUNT), *(torque * np.eye(LEG_COUNT))]):
                 context.SetTime(0.0)
                 plant.SetPositionsAndVelocities(plant_context, state)
                 diagram.GetInputPort("torque").FixValue(context, torques)

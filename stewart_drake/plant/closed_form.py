@@ -27,6 +27,7 @@ STATE = fields(pose=6, pose_rate=6, angles=6, crank_rate=6, twist=6, anchor=6, s
 pose_rate: Euler rates and velocity [rad/s, m/s]. angles: of the cranks [rad], not wrapped. crank_rate: theirs [rad/s].
 twist: in B [rad/s, m/s]. anchor: of the bristles [rad]. slip: speed of the anchors in the step before [rad/s]."""
 PARAMS = fields(gravity=(), step=())  # [m/s^2], [s].
+FINER = 8  # Steps of `rk4` for one in which a motor with dry friction turns round or sticks.
 
 
 class ClosedFormOptions(MechanismOptions):
@@ -36,8 +37,8 @@ class ClosedFormOptions(MechanismOptions):
 
     kind: Literal["closed_form"] = "closed_form"
     integrator: Literal["semi_implicit", "rk4"] = "semi_implicit"
-    """How a step is taken: as Drake does, of first order, or by Runge-Kutta of order 4. Dry friction is of first order
-    in both."""
+    """How a step is taken: as Drake does, of first order, or by Runge-Kutta of order 4. Where a motor with dry friction
+    turns round or sticks, both are of first order."""
 
     def make(self, robot: RobotParameters, gravity: float) -> ClosedForm:
         return ClosedForm(robot, self, gravity)
@@ -168,12 +169,30 @@ def _has_friction(friction: Any) -> bool:
 
 @njit
 def _rk4(robot: Any, friction: Any, params: Any, legs: Any, torque: Any, wrench: Any, state: Any) -> Any:
-    """`_semi_implicit` by Runge-Kutta of order 4: W. Kutta, Z. Math. Phys. 46 (1901) 435.
+    """`_semi_implicit` by Runge-Kutta of order 4, and by `FINER` steps where a motor with friction turns or sticks."""
+    before, step, dry = state.copy(), record(params).step, (record(friction).break_away > 0.0).any()
+    bad, margin = _rk4_step(robot, friction, params, legs, torque, wrench, step, state)
+    if not dry or bad >= 0 or (before[0].crank_rate * state[0].crank_rate > 0.0).all():
+        return bad, margin
+    state[0] = before[0]
+    for _ in range(FINER):
+        bad, margin = _rk4_step(robot, friction, params, legs, torque, wrench, step / FINER, state)
+        if bad >= 0:
+            state[0] = before[0]
+            break
+    return bad, margin
+
+
+@njit
+def _rk4_step(
+    robot: Any, friction: Any, params: Any, legs: Any, torque: Any, wrench: Any, step: float, state: Any
+) -> Any:
+    """A step of order 4 [s]: W. Kutta, Z. Math. Phys. 46 (1901) 435.
 
     A turn is integrated in the coordinates of `_turn`. Dry friction is that of a semi-implicit step, and constant.
     """
     robot, friction, params, legs, state = record(robot), record(friction), record(params), record(legs), record(state)
-    step, jacobian, acceleration = params.step, np.empty((6, 6)), np.empty((6, 1))
+    jacobian, acceleration = np.empty((6, 6)), np.empty((6, 1))
     # Turn, shift and change of the twist since the step's beginning, their rates in a stage, and the mean of these.
     change, rate, mean = np.zeros(12), np.empty(12), np.zeros(12)
     given, twist, pose, start = torque.copy(), np.empty(6), state.pose.copy(), np.empty((3, 3))
@@ -186,7 +205,7 @@ def _rk4(robot: Any, friction: Any, params: Any, legs: Any, torque: Any, wrench:
         if stage == 0:
             start[:] = legs.rotation
             if _has_friction(friction):
-                _hold_dry_friction(robot, friction, params, legs, wrench, state, given)
+                _hold_dry_friction(robot, friction, params, legs, wrench, step, state, given)
         with_viscous = given.copy()
         for i in range(6):
             with_viscous[i] -= (
@@ -212,15 +231,17 @@ def _rk4(robot: Any, friction: Any, params: Any, legs: Any, torque: Any, wrench:
 
 
 @njit
-def _hold_dry_friction(robot: Any, friction: Any, params: Any, legs: Any, wrench: Any, state: Any, torque: Any) -> None:
+def _hold_dry_friction(
+    robot: Any, friction: Any, params: Any, legs: Any, wrench: Any, step: float, state: Any, torque: Any
+) -> None:
     """Adds to torques (6,) the dry friction of a semi-implicit step: all of it less what is viscous at its end."""
     jacobian, pushed = np.empty((6, 6)), np.empty((6, 7))
     _accelerated(robot, legs, state.twist[:], params.gravity, torque, wrench, jacobian, pushed)
-    twist, friction_torque = state.twist + params.step * pushed[:, 6], np.empty(6)
-    _friction_torque(friction, jacobian, pushed, params.step, state, twist, friction_torque)
+    twist, friction_torque = state.twist + step * pushed[:, 6], np.empty(6)
+    _friction_torque(friction, jacobian, pushed, step, state, twist, friction_torque)
     for i in range(6):
         for k in range(6):
-            twist[k] += params.step * pushed[k, i] * friction_torque[i]
+            twist[k] += step * pushed[k, i] * friction_torque[i]
     for i in range(6):
         rate = 0.0
         for k in range(6):

@@ -18,12 +18,12 @@ import numpy as np
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.plant.model_files import crank_lateral
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS
+from stewart_drake.robot.leg import LEG_COUNT
 
 ALLOWED = 1e-3
 """[m] by which a model may be another robot than the one of the scenario."""
 _ALIKE = 1e-5  # [m] by which matches of legs must differ to be told apart by their fit.
-_ORDERS = np.array(list(permutations(range(LEGS))))
+_ORDERS = np.array(list(permutations(range(LEG_COUNT))))
 
 
 class Legs(NamedTuple):
@@ -94,7 +94,7 @@ def find_legs(model: Any, motors: Collection[int]) -> Legs | int:
     found = {body: [each for each in map(leg, first) if each] for body, first in leaving.items() if body not in driven}
     platform = max(found, key=lambda body: len(found[body]), default=0)
     legs = found.get(platform, [])
-    if len(legs) != LEGS or len({each[0] for each in legs}) != LEGS:
+    if len(legs) != LEG_COUNT or len({each[0] for each in legs}) != LEG_COUNT:
         return len(legs)
     cranks, rods, tips, seats, closures, lengths = zip(*legs, strict=True)
     joints = [driven[crank] for crank in cranks]
@@ -171,5 +171,5 @@ def _rigid(robot: np.ndarray, model: np.ndarray) -> tuple[np.ndarray, np.ndarray
     s[:, 2] *= (turn := np.sign(np.linalg.det(u @ vt)))
     u[:, :, 2] *= turn[:, None]
     rotation = u @ vt
-    error = (np.sum(given**2) + np.sum(wanted[0] ** 2) - 2.0 * s.sum(axis=-1)) / LEGS
+    error = (np.sum(given**2) + np.sum(wanted[0] ** 2) - 2.0 * s.sum(axis=-1)) / LEG_COUNT
     return rotation, to - rotation @ centre, np.maximum(error, 0.0)

@@ -19,7 +19,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import cross, leg_geometry, roll_pitch_yaw
 from stewart_drake.plant.plant_options import DrakeOptions, PlantOptions, RodJoint
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LARGEST_SIZE, LEGS
+from stewart_drake.robot.leg import LARGEST_SIZE, LEG_COUNT
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -101,7 +101,7 @@ def sdf_text(robot: RobotParameters, *, rod_joint: RodJoint = "universal", colli
         (0.0, -frames.crank_angles[leg], robot.crank_yaws[leg])
         if _upright(robot, leg)
         else roll_pitch_yaw(frames.crank_rotation[leg])
-        for leg in range(LEGS)
+        for leg in range(LEG_COUNT)
     ]
     return render(
         "robot.sdf.j2",
@@ -113,7 +113,7 @@ def sdf_text(robot: RobotParameters, *, rod_joint: RodJoint = "universal", colli
         crank_turns=crank_turns,
         rod_turns=roll_pitch_yaw(frames.rod_rotation),
         housing_radius=_HOUSING_RADIUS * radius,
-        housings=[_housing(robot, frames, leg) for leg in range(LEGS)],
+        housings=[_housing(robot, frames, leg) for leg in range(LEG_COUNT)],
         # All of a link but two radii at either joint may collide.
         free_length=lambda span: max(span - 4.0 * radius, radius),
     )

@@ -57,7 +57,7 @@ from stewart_drake.plant.model_files import home_frames, sdf_text
 from stewart_drake.plant.plant_options import DrakeOptions, RodJoint, platform_damping_limit
 from stewart_drake.plant.state_map import StateIndices, StateMap
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS
+from stewart_drake.robot.leg import LEG_COUNT
 
 ResetFriction = Callable[[Context, np.ndarray], None]
 """Takes the tension off in a Context of the whole Diagram, at a state (nq + nv,) of the plant."""
@@ -200,7 +200,7 @@ def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: DrakeOp
     There a bushing without stiffness resists the rates of the platform's roll, pitch, yaw in the rod, zero at home.
     Drake takes its torque from the state before the step; `MultibodyPlant.CalcPotentialEnergy` raises on such a plant.
     """
-    for leg in range(LEGS):
+    for leg in range(LEG_COUNT):
         for name, damping in (("motor", viscous[leg]), (options.rod_joint, options.universal_damping)):
             joint = plant.GetJointByName(f"{name}_{leg}")
             joint.set_default_damping_vector(np.full(joint.num_velocities(), damping))
@@ -218,8 +218,8 @@ def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: DrakeOp
 
 def _state_indices(plant: MultibodyPlant, rod_joint: RodJoint) -> StateIndices:
     nq = plant.num_positions()
-    motors = [plant.GetJointByName(f"motor_{leg}") for leg in range(LEGS)]
-    rods = [plant.GetJointByName(f"{rod_joint}_{leg}") for leg in range(LEGS)]
+    motors = [plant.GetJointByName(f"motor_{leg}") for leg in range(LEG_COUNT)]
+    rods = [plant.GetJointByName(f"{rod_joint}_{leg}") for leg in range(LEG_COUNT)]
     platform = plant.GetBodyByName("platform")
     first_q, first_v = platform.floating_positions_start(), platform.floating_velocities_start_in_v()
     return StateIndices(
@@ -242,12 +242,12 @@ class MotorFriction(LeafSystem):
     def __init__(self, plant: MultibodyPlant, friction: np.ndarray) -> None:
         super().__init__()
         self._friction, self._step = friction, plant.time_step()
-        joints = [plant.GetJointByName(f"motor_{leg}") for leg in range(LEGS)]
+        joints = [plant.GetJointByName(f"motor_{leg}") for leg in range(LEG_COUNT)]
         self.cranks = np.array([joint.position_start() for joint in joints])
         self.plant_state = self.DeclareVectorInputPort("plant_state", plant.num_multibody_states())
-        self.bristles = self.DeclareVectorInputPort("bristles", 2 * LEGS)
+        self.bristles = self.DeclareVectorInputPort("bristles", 2 * LEG_COUNT)
         inputs = {self.all_input_ports_ticket()}
-        self.pull = self.DeclareVectorOutputPort("pull", 3 * LEGS, self._calc, prerequisites_of_calc=inputs)
+        self.pull = self.DeclareVectorOutputPort("pull", 3 * LEG_COUNT, self._calc, prerequisites_of_calc=inputs)
 
     def _calc(self, context: Context, output: Any) -> None:
         state, before = self.plant_state.Eval(context), self.bristles.Eval(context)
@@ -278,7 +278,7 @@ def _add_servos(plant: MultibodyPlant, law: np.ndarray) -> None:
 def _wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: np.ndarray) -> tuple[InputPort, ResetFriction]:
     """Feeds motors and servos of a finalised plant; gives the port of torques (6,), and what takes the tension off."""
     # What is remembered is stored by a system of Drake's: an update in Python right after the plant's step is slow.
-    stored, sent = 2 * LEGS, 3 * LEGS
+    stored, sent = 2 * LEG_COUNT, 3 * LEG_COUNT
     store = LinearSystem(
         A=np.zeros((stored, stored)), B=np.eye(stored, sent), C=np.eye(stored), D=[], time_period=plant.time_step()
     )
@@ -288,17 +288,17 @@ def _wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: np.ndarr
     builder.Connect(memory.get_output_port(), friction.bristles)
     builder.Connect(friction.pull, memory.get_input_port())
     home = plant.GetPositionsAndVelocities(plant.CreateDefaultContext())
-    memory.configure_default_state(np.append(home[friction.cranks], np.zeros(LEGS)))
+    memory.configure_default_state(np.append(home[friction.cranks], np.zeros(LEG_COUNT)))
     actuators = plant.num_actuators()
-    torque, desired = np.zeros((actuators, 4 * LEGS)), np.zeros((2 * actuators, 3 * LEGS))
-    force = np.zeros((plant.num_velocities(), 3 * LEGS))
-    for leg in range(LEGS):
+    torque, desired = np.zeros((actuators, 4 * LEG_COUNT)), np.zeros((2 * actuators, 3 * LEG_COUNT))
+    force = np.zeros((plant.num_velocities(), 3 * LEG_COUNT))
+    for leg in range(LEG_COUNT):
         torque[plant.GetJointActuatorByName(f"motor_{leg}").input_start(), leg] = 1.0
-        force[plant.GetJointByName(f"motor_{leg}").velocity_start(), 2 * LEGS + leg] = 1.0
+        force[plant.GetJointByName(f"motor_{leg}").velocity_start(), 2 * LEG_COUNT + leg] = 1.0
     for leg in np.flatnonzero(law["break_away"][0]).tolist():
         servo = plant.GetJointActuatorByName(f"friction_{leg}").input_start()
-        torque[servo, 3 * LEGS + leg], desired[servo, leg] = -1.0, 1.0
-    both = builder.AddNamedSystem("friction_inputs", Multiplexer([LEGS, 3 * LEGS]))
+        torque[servo, 3 * LEG_COUNT + leg], desired[servo, leg] = -1.0, 1.0
+    both = builder.AddNamedSystem("friction_inputs", Multiplexer([LEG_COUNT, 3 * LEG_COUNT]))
     builder.Connect(friction.pull, both.get_input_port(1))
     instance = plant.GetModelInstanceByName("stewart")
     for name, matrix, source, target in (
@@ -313,7 +313,9 @@ def _wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: np.ndarr
 
     def reset_friction(context: Context, state: np.ndarray) -> None:
         # Anchors and slips without tension.
-        memory.GetMyMutableContextFromRoot(context).SetDiscreteState(np.append(state[friction.cranks], np.zeros(LEGS)))
+        memory.GetMyMutableContextFromRoot(context).SetDiscreteState(
+            np.append(state[friction.cranks], np.zeros(LEG_COUNT))
+        )
 
     port: InputPort = both.get_input_port(0)
     return port, reset_friction

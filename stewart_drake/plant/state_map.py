@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from stewart_drake.base.errors import ConfigurationError, SingularPoseError
 from stewart_drake.base.jit import njit
 from stewart_drake.mechanics import kinematics_laws as laws
-from stewart_drake.mechanics.kinematics import cross, leg_geometry, pose_rate_to_twist, rotation_matrix
+from stewart_drake.mechanics.kinematics import cross, leg_geometry, pose_rate_to_twist, quaternion, rotation_matrix
 from stewart_drake.mechanics.singularities import ASSEMBLED
 from stewart_drake.plant.model_files import crank_lateral, crank_rotations, home_frames
 from stewart_drake.plant.plant_options import RodJoint
@@ -87,7 +87,7 @@ class StateMap:
         state = np.zeros((*pose.shape[:-1], index.size))
         state[..., index.crank] = self._home.motor_angles(legs.crank_angles)
         state[..., index.rod] = angles
-        state[..., index.quaternion] = _quaternion(pose[..., :3])
+        state[..., index.quaternion] = quaternion(pose[..., :3])
         state[..., index.position] = pose[..., 3:]
         state[..., index.crank_rate] = theta_rate
         state[..., index.rod_rate] = rates
@@ -155,11 +155,3 @@ def _platform_motion(states: Any, poses: Any, rates: Any) -> None:
 
 def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return (matrix @ vector[..., None])[..., 0]
-
-
-def _quaternion(rpy: np.ndarray) -> np.ndarray:
-    """(..., 4) [-] w, x, y, z of `rotation_matrix(rpy)`."""
-    (sr, sp, sy), (cr, cp, cy) = np.moveaxis(np.sin(0.5 * rpy), -1, 0), np.moveaxis(np.cos(0.5 * rpy), -1, 0)
-    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
-    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
-    return np.stack([w, x, y, z], axis=-1)

@@ -12,7 +12,7 @@ from stewart_drake.estimation.geometry import LEG_PARAMETERS, OF_ROBOT, PER_LEG
 from stewart_drake.estimation.identification import Identification
 from stewart_drake.estimation.servos import ServoIdentification
 from stewart_drake.plotting import style as look
-from stewart_drake.robot.leg import LEGS
+from stewart_drake.robot.leg import LEG_COUNT
 
 _SHOWN = 20.0  # [s] of a recording
 _LARGEST = 2.0  # [-] disk margin from which on it bounds no gain; drawn no further
@@ -33,7 +33,9 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
         look.logarithmic(panel, "y")
         panel.set(title=title, xlabel="row", ylabel=unit)
         panel.legend()
-    change, width = 1e3 * np.stack([calibration.change, calibration.half_width])[:, :OF_ROBOT].reshape(2, LEGS, PER_LEG)
+    change, width = 1e3 * np.stack([calibration.change, calibration.half_width])[:, :OF_ROBOT].reshape(
+        2, LEG_COUNT, PER_LEG
+    )
     # What is unidentifiable, or was held, has no change and no interval.
     width = np.where(np.isfinite(width), width, np.nan)
     for panel, unit, kind in ((axes[0, 1], "m", "lengths"), (axes[1, 1], "rad", "angles")):

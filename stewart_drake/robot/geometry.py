@@ -16,7 +16,15 @@ import numpy as np
 from stewart_drake.base.atomic_files import read_checked
 from stewart_drake.base.config import check_value
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.robot.leg import DIRECTION_TOLERANCE, LARGEST_SIZE, LEGS, Signed3, Size, crank_angles, crank_equation
+from stewart_drake.robot.leg import (
+    DIRECTION_TOLERANCE,
+    LARGEST_SIZE,
+    LEG_COUNT,
+    Signed3,
+    Size,
+    crank_angles,
+    crank_equation,
+)
 
 if TYPE_CHECKING:
     from stewart_drake.robot.robot_parameters import RobotParameters
@@ -44,7 +52,7 @@ def check_order(shafts: np.ndarray, joints: np.ndarray) -> None:
     following = np.roll(order, -1)
     steps = wrapped(around[:, following] - around[:, order])
     wrong = (steps[0] > _SLACK) & (steps[1] < -_SLACK)
-    if wrong.sum() >= LEGS - 1:
+    if wrong.sum() >= LEG_COUNT - 1:
         allowed = "joints in the same order around z as the shafts; the order is reversed: is an axis of P mirrored?"
         raise ConfigurationError("robot.legs.0.platform_joint", joints[0].tolist(), allowed)
     if wrong.any():
@@ -59,7 +67,7 @@ def _check_home(robot: RobotParameters) -> None:
     directions = robot.crank_zero_directions, robot.crank_quarter_directions
     along, up, constant = crank_equation(span, *directions, robot.crank_lengths, robot.rod_lengths)
     size = np.hypot(along, up)
-    margin = 1.0 - np.divide(np.abs(constant), size, out=np.full(LEGS, np.inf), where=size > 0.0)
+    margin = 1.0 - np.divide(np.abs(constant), size, out=np.full(LEG_COUNT, np.inf), where=size > 0.0)
     if not margin.min() > 0.0:
         leg = int(margin.argmin())
         allowed = (
@@ -126,7 +134,7 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
     for name in ("crank_length", "rod_length"):
         if name not in columns and name not in own:
             raise ConfigurationError(f"table: {name}", None, f"a column {name}, or {name} for all legs")
-        lengths[name] = np.round(scale * columns[name], 12) if name in columns else np.full(LEGS, float(own[name]))
+        lengths[name] = np.round(scale * columns[name], 12) if name in columns else np.full(LEG_COUNT, float(own[name]))
     zero, up = _directions(columns, shafts, cranks)
     if "home_height" in own:
         height = float(own["home_height"])
@@ -145,7 +153,7 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
         of_legs["crank_angle_range"] = np.stack([columns["low"], columns["high"]], axis=-1)
     size = float(np.hypot(joints[:, 0], joints[:, 1]).mean())
     known = {
-        "legs": [{name: values[leg].tolist() for name, values in of_legs.items()} for leg in range(LEGS)],
+        "legs": [{name: values[leg].tolist() for name, values in of_legs.items()} for leg in range(LEG_COUNT)],
         "home_height": height,
         "characteristic_length": size,
         "link_radius": _LINK_RADIUS * size,
@@ -169,18 +177,18 @@ def _columns(table: Any) -> dict[str, np.ndarray]:
         lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
         names, *table = [[cell.strip() for cell in row] for row in csv.reader(lines)] or [[]]
         _check_header(f"{what}: header", names)
-    allowed = f"{LEGS} rows, one per leg, of {', '.join(names)}"
+    allowed = f"{LEG_COUNT} rows, one per leg, of {', '.join(names)}"
     try:
         values = np.asarray(table, dtype=float)
     except (TypeError, ValueError) as error:
         raise ConfigurationError(what, str(error), allowed) from None
-    if values.shape != (LEGS, len(names)):
+    if values.shape != (LEG_COUNT, len(names)):
         raise ConfigurationError(what, values.shape, allowed)
     if not np.isfinite(values).all():
         leg, column = np.argwhere(~np.isfinite(values))[0]
         raise ConfigurationError(f"{what}: {names[column]} of leg {leg}", float(values[leg, column]), "a finite number")
     columns = dict(zip(names, values.T, strict=True))
-    numbers = columns.pop("leg", np.arange(LEGS))
+    numbers = columns.pop("leg", np.arange(LEG_COUNT))
     if (np.diff(numbers) != 1.0).any() or numbers[0] not in (0.0, 1.0):
         allowed = "0 to 5, or 1 to 6, in this order: the first row is leg 0"
         raise ConfigurationError("table: leg", numbers.tolist(), allowed)
@@ -204,11 +212,11 @@ def _directions(columns: Mapping[str, np.ndarray], shafts: np.ndarray, cranks: C
     elif cranks == "outwards":
         zero = shafts * [1.0, 1.0, 0.0]
     else:
-        apart = np.linalg.norm(shafts[:, None] - shafts, axis=-1) + np.diag(np.full(LEGS, np.inf))
+        apart = np.linalg.norm(shafts[:, None] - shafts, axis=-1) + np.diag(np.full(LEG_COUNT, np.inf))
         side = 1.0 if cranks == "towards" else -1.0
         zero = side * (shafts[apart.argmin(axis=1)] - shafts) * [1.0, 1.0, 0.0]
     zero = _unit(zero, "crank", "a direction: crank_x to crank_z")
-    up = _vectors(columns, "up") if "up_x" in columns else np.eye(3)[[2] * LEGS]
+    up = _vectors(columns, "up") if "up_x" in columns else np.eye(3)[[2] * LEG_COUNT]
     across = up - np.sum(up * zero, axis=-1, keepdims=True) * zero
     return zero, _unit(across, "up", "a direction not along the crank: up_x to up_z")
 

@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field
 from stewart_drake.base.config import NotNegative, Real, Section, one_for_six, plain, with_message
 from stewart_drake.base.errors import ConfigurationError
 
-LEGS = 6
+LEG_COUNT = 6
 SMALLEST_SIZE, LARGEST_SIZE = 1e-12, 1e6
 """Sizes, masses and inertias beyond these, in SI units, are slips of the pen; squares of them leave floating point."""
 DIRECTION_TOLERANCE = 1e-6

@@ -12,11 +12,22 @@ import numpy as np
 from stewart_drake.base.config import Section
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.robot.geometry import Cranks, Unit, check_geometry, from_table
-from stewart_drake.robot.leg import LEGS, Branch, HalfAngle, Length, Moderate, Signed, Signed3, SixLegs, Size, Size3
+from stewart_drake.robot.leg import (
+    LEG_COUNT,
+    Branch,
+    HalfAngle,
+    Length,
+    Moderate,
+    Signed,
+    Signed3,
+    SixLegs,
+    Size,
+    Size3,
+)
 
-_PAIR_ANGLES = np.arange(LEGS) // 2 * (2.0 * math.pi / 3.0)
+_PAIR_ANGLES = np.arange(LEG_COUNT) // 2 * (2.0 * math.pi / 3.0)
 """(6,) [rad] direction c_k of each leg's pair."""
-_SIDE = np.where(np.arange(LEGS) % 2 == 0, -1.0, 1.0)
+_SIDE = np.where(np.arange(LEG_COUNT) % 2 == 0, -1.0, 1.0)
 
 
 def _frozen(values: Any) -> np.ndarray:
@@ -152,7 +163,7 @@ class RobotParameters(Section, key="robot"):
     @cached_property
     def crank_yaws(self) -> np.ndarray:
         """(6,) [rad] about z, from x to each crank's direction at zero, where that is horizontal."""
-        own = [leg.crank_zero_direction for leg in self.legs] if self.legs else [None] * LEGS
+        own = [leg.crank_zero_direction for leg in self.legs] if self.legs else [None] * LEG_COUNT
         symmetric = _PAIR_ANGLES + _SIDE * self.crank_plane_angle
         return _frozen([at if h is None else math.atan2(h[1], h[0]) for h, at in zip(own, symmetric, strict=True)])
 
@@ -164,16 +175,16 @@ class RobotParameters(Section, key="robot"):
     """(6, 3) [m] joint centres p_i in P."""
     crank_zero_directions = _of_legs("crank_zero_direction", lambda r: r._around(r.crank_plane_angle, 1.0))
     """(6, 3) [-] unit vectors h_i in B along which the cranks point at theta = 0."""
-    crank_lengths = _of_legs("crank_length", lambda r: np.full(LEGS, r.crank_length))
+    crank_lengths = _of_legs("crank_length", lambda r: np.full(LEG_COUNT, r.crank_length))
     """(6,) [m] |a| of each leg."""
-    rod_lengths = _of_legs("rod_length", lambda r: np.full(LEGS, r.rod_length))
+    rod_lengths = _of_legs("rod_length", lambda r: np.full(LEG_COUNT, r.rod_length))
     """(6,) [m] rod of each leg."""
-    branches = _of_legs("branch", lambda r: np.full(LEGS, float(r.branch)))
+    branches = _of_legs("branch", lambda r: np.full(LEG_COUNT, float(r.branch)))
     """(6,) [-] branch of each leg, -1.0 or 1.0."""
-    crank_angle_ranges = _of_legs("crank_angle_range", lambda _: np.tile([-np.inf, np.inf], (LEGS, 1)))
+    crank_angle_ranges = _of_legs("crank_angle_range", lambda _: np.tile([-np.inf, np.inf], (LEG_COUNT, 1)))
     """(6, 2) [rad] lowest and highest theta of each leg; infinite where there is no stop."""
-    _crank_ups = _of_legs("crank_quarter_direction", lambda _: np.tile([0.0, 0.0, 1.0], (LEGS, 1)))
-    effort_limits = _of_legs("effort_limit", lambda r: np.full(LEGS, r.effort_limit))
+    _crank_ups = _of_legs("crank_quarter_direction", lambda _: np.tile([0.0, 0.0, 1.0], (LEG_COUNT, 1)))
+    effort_limits = _of_legs("effort_limit", lambda r: np.full(LEG_COUNT, r.effort_limit))
     """(6,) [N m] largest torque of each motor."""
 
     @cached_property
@@ -247,7 +258,7 @@ class RobotParameters(Section, key="robot"):
         """What each leg has, its own or that of the symmetric robot, in plain values as `legs` takes them."""
         positions = ("shaft_position", "platform_joint", "crank_zero_direction", "crank_quarter_direction")
         names = (*positions, "crank_length", "rod_length")
-        legs = [{name: getattr(self, f"{name}s")[leg].tolist() for name in names} for leg in range(LEGS)]
+        legs = [{name: getattr(self, f"{name}s")[leg].tolist() for name in names} for leg in range(LEG_COUNT)]
         for leg, branch, angles in zip(legs, self.branches, self.crank_angle_ranges, strict=True):
             leg["branch"] = int(branch)
             leg["crank_angle_range"] = angles.tolist() if np.isfinite(angles[0]) else None
@@ -265,4 +276,4 @@ class RobotParameters(Section, key="robot"):
     def _around(self, half_angle: float, radius: float, height: float = 0.0) -> np.ndarray:
         """(6, 3) points beside the pairs' directions, even legs clockwise."""
         angle = _PAIR_ANGLES + _SIDE * half_angle
-        return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(LEGS, height)], axis=-1)
+        return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(LEG_COUNT, height)], axis=-1)

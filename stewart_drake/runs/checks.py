@@ -26,7 +26,7 @@ from stewart_drake.references import AdjustedReference, Reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import FrictionOptions
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
-from stewart_drake.scenario.limits import Limits
+from stewart_drake.scenario.limits import ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
 
 _LARGEST = {"rad": math.tau, "m": 2.0}
@@ -143,6 +143,8 @@ def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:
         with user_code(scenario), np.errstate(all="ignore"):
             return feasibility.check_reference(*motion)
     except ControllerError as error:
+        if isinstance(error.__cause__, ConfigurationError):
+            raise error.__cause__ from None
         raise ConfigurationError("reference", scenario.reference, f"a motion that does not raise ({error})") from None
     except ConfigurationError as error:
         if error.key not in ("pose", "pose_rate", "pose_acceleration"):
@@ -254,7 +256,7 @@ def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
 
 
 def fit_amplitude(
-    robot: RobotParameters, limits: Limits, reference: Reference, duration: float, gravity: float
+    robot: RobotParameters, limits: ReferenceLimits, reference: Reference, duration: float, gravity: float
 ) -> tuple[Reference, float]:
     """The motion made smaller about its centre until it is feasible, and its size [-], to a relative 1e-4."""
     if feasibility.check_reference(robot, limits, reference, duration, gravity).feasible:
@@ -265,7 +267,7 @@ def fit_amplitude(
 
 
 def fit_speed(
-    robot: RobotParameters, limits: Limits, reference: Reference, duration: float, gravity: float
+    robot: RobotParameters, limits: ReferenceLimits, reference: Reference, duration: float, gravity: float
 ) -> tuple[Reference, float]:
     """The motion made slower until it is feasible, and its slowdown >= 1 [-], to a relative 1e-4.
 

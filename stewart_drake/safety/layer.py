@@ -246,14 +246,14 @@ def _stop(params: Any, is_observed: bool, unexplained: bool, angles: Any, state:
     return GOES_ON, 0.0
 
 
-def safety_part(options: SafetyOptions, setup: LoopContext) -> Part:
+def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
     """The safety layer; ports for which a loop may have no signal read `NOT_THERE`.
 
-    Where the very first command is bad, `setup.initial_torque` is held.
+    Where the very first command is bad, `context.initial_torque` is held.
     """
-    robot, period = setup.robot, setup.period
-    params = limits.params_of(robot, options, setup.gravity, period, setup.noise, setup.friction, setup.viscous)
-    torques = dict.fromkeys(("torque", "good", "weight", "command", "sent"), setup.initial_torque)
+    robot, period = context.robot, context.period
+    params = limits.params_of(robot, options, context.gravity, period, context.noise, context.friction, context.viscous)
+    torques = dict.fromkeys(("torque", "good", "weight", "command", "sent"), context.initial_torque)
     unread = dict.fromkeys(("last_pose", "reference_then", "angles", "poses"), np.nan)
     first = new_record(_STATE, **torques, **unread, safety=(NONE, NO_TRIP, -1.0))
     kernel: Any = _tick

@@ -38,7 +38,7 @@ class Source(NamedTuple):
 class ControlSide(NamedTuple):
     """What runs on the computer beside a robot, from a reading to the torque that is asked for."""
 
-    setup: LoopContext
+    context: LoopContext
     parts: tuple[Part, ...]  # In order.
     at_end: tuple[Part, ...]  # Those that run at the end of a tick.
     # `reference` (18,), and where an observer looks ahead `reference_ahead` (18,).
@@ -120,7 +120,7 @@ def _sensors(scenario: Scenario) -> list[Part]:
 def _way_to_motors(scenario: Scenario, side: ControlSide) -> list[Part]:
     """Delay, link, safety layer and motors."""
     parts: list[Part] = []
-    setup, step, command, age = side.setup, scenario.plant.time_step, side.command, {}
+    context, step, command, age = side.context, scenario.plant.time_step, side.command, {}
     if scenario.command_delay > 0:
         delay = delay_part(scenario.command_delay, side.initial_command)
         parts.append(delay.connected(value=command).named(value="delayed"))
@@ -130,7 +130,7 @@ def _way_to_motors(scenario: Scenario, side: ControlSide) -> list[Part]:
         parts.append(delay.connected(value=command).named(value="delayed_in_motors"))
         command = "delayed_in_motors"
     if not scenario.link.perfect:
-        link = scenario.link.part(setup.period, step, side.initial_command)
+        link = scenario.link.part(context.period, step, side.initial_command)
         parts.append(link.connected(torque=command).named(torque="arrived"))
         command, age = "arrived", {"age": "age"}
     if side.safety is not None:
@@ -187,14 +187,14 @@ class _Builder:
     """Adds the parts of the controller's side in order; what one adds the next ones connect to by name."""
 
     def __init__(self, options: ControlOptions, split: bool, reading: str) -> None:
-        self.options, self.setup, self.reading = options, context_of(options, split), reading
+        self.options, self.context, self.reading = options, context_of(options, split), reading
         self.friction = options.belief.friction
         self.parts: list[Part] = []
         self.logged: dict[str, str | np.ndarray] = {"reference": "reference"}
         self.at_end: list[Part] = []
 
     def side(self) -> ControlSide:
-        options, setup = self.options, self.setup
+        options, context = self.options, self.context
 
         def motion(times: np.ndarray) -> np.ndarray:
             return np.concatenate(options.reference.evaluate(times), axis=-1)
@@ -210,16 +210,16 @@ class _Builder:
         self.add_tuner()
         self.add_adaptation()
         safety = None if options.safety is None else self.safety(options.safety)
-        parts, at_end, initial = tuple(self.parts), tuple(self.at_end), options.belief.motors.initial_command(setup)
+        parts, at_end, initial = tuple(self.parts), tuple(self.at_end), options.belief.motors.initial_command(context)
         names = self.reading, "torque", command, options.belief.motors.unit
-        return ControlSide(setup, parts, at_end, tuple(sources), *names, initial, safety, self.logged)
+        return ControlSide(context, parts, at_end, tuple(sources), *names, initial, safety, self.logged)
 
     def add_estimator(self) -> None:
         """What the controller gets of the readings."""
         options = self.options.estimator
         parts = [
             part._replace(period=options.period).connected(reading=self.reading)
-            for part in options.parts(self.setup.ticking(options.period))
+            for part in options.parts(self.context.ticking(options.period))
         ]
         self.parts.extend(self._fault_tolerant(part, "sensor_health") for part in parts)
         self.measurement = "measurement" if parts else self.reading
@@ -230,13 +230,13 @@ class _Builder:
 
     def add_controller(self) -> None:
         """From measurement and reference to a torque."""
-        setup = self.setup
-        slower = setup.tuner.period
-        self.tuning = [part._replace(period=slower) for part in setup.tuner.parts(setup.ticking(slower))]
+        context = self.context
+        slower = context.tuner.period
+        self.tuning = [part._replace(period=slower) for part in context.tuner.parts(context.ticking(slower))]
         self.sees: dict[str, str | np.ndarray] = {
             "measurement": "predicted" if self.observes else self.measurement,
             "reference": "reference_ahead" if self.options.preview > 0.0 else "reference",
-            "weights": "weights" if self.tuning else np.array(setup.tuner.weights),
+            "weights": "weights" if self.tuning else np.array(context.tuner.weights),
         }
         now = self.sees
         if not self.options.controller.feedback:
@@ -244,7 +244,7 @@ class _Builder:
         # Without feedback what an observer finds stays in the log.
         self.corrects = self.observes and self.options.controller.feedback
         self.compensated = self.corrects or self.friction is not None
-        (part,) = self.options.controller.parts(setup)
+        (part,) = self.options.controller.parts(context)
         part = part.connected(**self.sees)
         if self.compensated:
             part = part.named(torque="control_torque")
@@ -255,22 +255,22 @@ class _Builder:
 
     def add_command(self) -> None:
         """What is added to a controller's torque: against friction, and against what an observer cannot explain."""
-        setup, friction = self.setup, self.friction
+        context, friction = self.context, self.friction
         added: dict[str, str | np.ndarray] = {"friction_torque": np.zeros(6), "disturbance_torque": np.zeros(6)}
         if friction is not None:
-            self.parts.append(friction.part(setup).connected(**self.sees))
+            self.parts.append(friction.part(context).connected(**self.sees))
             added["friction_torque"] = "friction_torque"
         if self.corrects:
             added["disturbance_torque"] = "disturbance_torque"
         if self.observes:
-            self.at_end.append(_net_torque_part(setup.robot.effort_limits, setup.initial_torque).connected(**added))
+            self.at_end.append(_net_torque_part(context.robot.effort_limits, context.initial_torque).connected(**added))
         if self.compensated:
             self.parts.append(_COMMAND.connected(**added))
 
     def add_inverse(self) -> str:
         """What the motors must be told to give the torque that is wanted; the name of that command."""
         motors = self.options.belief.motors
-        inverse = motors.inverse_parts(self.setup)
+        inverse = motors.inverse_parts(self.context)
         if inverse and self.options.safety is not None:
             # It stands behind the link, and looks at torques.
             allowed = f"motors that take torque [N m], with a safety layer; these take {motors.takes} [{motors.unit}]"
@@ -285,7 +285,7 @@ class _Builder:
         """Densities, and the weights that a controller takes; nothing for one that takes none."""
         if not self.weighted:
             return
-        self.parts.append(self.setup.tuner.density_part())
+        self.parts.append(self.context.tuner.density_part())
         self.logged |= {"density": "density", "weights": self.sees["weights"]}
         for part in self.tuning:
             self.at_end.append(part.connected(reference=self.sees["reference"]))
@@ -300,7 +300,7 @@ class _Builder:
         options = self.options.adaptation
         if options is None:
             return
-        parts = [part.connected(**self.sees) for part in options.parts(self.setup)]
+        parts = [part.connected(**self.sees) for part in options.parts(self.context)]
         learnt = {output: part.signal(output) for part in parts for output in part.outputs}
         places = {name for part in (*self.parts, *self.at_end) for name in part.constants}
         if not learnt.keys() & places:
@@ -314,13 +314,13 @@ class _Builder:
     def safety(self, options: SafetyOptions) -> Part:
         """The safety layer, which gets the command that arrives at the motors."""
         sources: dict[str, str | np.ndarray] = {"measurement": self.measurement}
-        if self.setup.reading == 6:
+        if self.context.reading == 6:
             sources["angles"] = self.reading
-        if self.observes and self.setup.reading == 12:
+        if self.observes and self.context.reading == 12:
             sources["pose_reading"] = self.reading
         for health in {"sensor_health", "controller_health"} & {each.signal("health") for each in self.parts}:
             sources[health] = health
-        return safety_part(options, self.setup).connected(**sources).named(torque="safe_torque")
+        return safety_part(options, self.context).connected(**sources).named(torque="safe_torque")
 
     def _fault_tolerant(self, part: Part, health: str) -> Part:
         """A part whose failing ticks the safety layer hears of, where there is one."""

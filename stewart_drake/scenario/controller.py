@@ -46,16 +46,16 @@ class Controller:
             parts.append(side.safety.connected(command=side.torque, age=self._age))
         elif not options.controller.feedback:
             parts = _without(parts, {side.reading})
-        self.period, self._tick, self.reading = options.reading_period, side.setup.period, side.setup.reading
+        self.period, self._tick, self.reading = options.reading_period, side.context.period, side.context.reading
         outside = {side.reading: self.reading, **{source.signal: source.size for source in side.sources}}
-        self._running = LoopRunner(parts, outside, period=side.setup.period, step=self.period)
+        self._running = LoopRunner(parts, outside, period=side.context.period, step=self.period)
         self._sources = [
             (self._running.signal(each.signal), InBlocks(each.evaluate, self.period)) for each in side.sources
         ]
         self._reading = self._running.signal(side.reading)
         self._command, self.unit = self._running.signal("safe_torque" if self._safe else side.command), side.unit
         # What is no torque has its limit in the motor.
-        self._limits = side.setup.robot.effort_limits if side.command == side.torque else np.inf
+        self._limits = side.context.robot.effort_limits if side.command == side.torque else np.inf
         self._last, self._ticks = -np.inf, 0
 
     def step(self, readings: np.ndarray, time: float, out: np.ndarray, age: float = 0.0) -> None:

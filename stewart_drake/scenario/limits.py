@@ -36,7 +36,7 @@ from stewart_drake.robot.robot_scale import LENGTH
 Ratio = Annotated[Positive, Field(le=1.0)]
 
 
-class Limits(Section, key="limits"):
+class ReferenceLimits(Section, key="limits"):
     """Limits on the reference motion; null switches a limit off.
 
     The paper gives none of these; the defaults are assumptions of this project.
@@ -110,7 +110,7 @@ PLACES: dict[str, list[tuple[int | None, str]]] = {
 """Leg and name of each column of a limit's margins."""
 
 
-def limit_bounds(robot: RobotParameters, limits: Limits) -> dict[str, float]:
+def limit_bounds(robot: RobotParameters, limits: ReferenceLimits) -> dict[str, float]:
     """Value of each limit that is on, in the unit of its margin; `reach` always is."""
     given = {name: getattr(limits, name, None) for name in RULES}
     given["reach"] = 1.0 if limits.reach is None else limits.reach
@@ -121,7 +121,7 @@ def limit_bounds(robot: RobotParameters, limits: Limits) -> dict[str, float]:
 
 def limit_margins(
     robot: RobotParameters,
-    limits: Limits,
+    limits: ReferenceLimits,
     pose: np.ndarray,
     pose_rate: np.ndarray,
     pose_acceleration: np.ndarray,

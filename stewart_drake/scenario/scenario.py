@@ -33,7 +33,7 @@ from stewart_drake.robot.robot_files import AnyRobot
 from stewart_drake.robot.robot_scale import PAPER
 from stewart_drake.scenario.control_options import Belief, ControlOptions
 from stewart_drake.scenario.keys import with_keys
-from stewart_drake.scenario.limits import Limits, SuccessCriteria
+from stewart_drake.scenario.limits import ReferenceLimits, SuccessCriteria
 
 MAX_STEPS = 10**9
 """Of the plant in a run: beyond it sample times, which are stretched slightly, would lose their step."""
@@ -71,7 +71,7 @@ class Scenario(ControlOptions):
     """The link that carries commands to the motors, after `command_delay`: what it drops, delays or corrupts."""
     bounds: SuccessCriteria = Field(default_factory=SuccessCriteria)
     """Bounds on the run, such as its largest error; they decide whether it counts as followed."""
-    limits: Limits = Field(default_factory=Limits)
+    limits: ReferenceLimits = Field(default_factory=ReferenceLimits)
     """Limits on the reference, such as crank speed; checked before the run."""
     metrics: tuple[Annotated[Any, OWN_METRICS], ...] = ()
     """Your own metrics, each a `Metric` by its import path: module:name or path/to/file.py:name."""

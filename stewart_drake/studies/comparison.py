@@ -163,7 +163,7 @@ class Comparison(Experiment):
                 heading: lambda group, column=column: worst(  # type: ignore[misc]
                     (row for row in group if row["status"] == "completed"), column
                 )
-                for heading, column in list(_FIGURES.items())[4:]
+                for heading, column in list(_FIGURES.items())[-4:]
             }
             over_all["not completed"] = _missed
             for condition, group in grouped(runs, "condition").items():
@@ -281,7 +281,11 @@ _FIGURES = {
     "RMSE [deg]": "rmse_norm_deg",
     "RMSE [mm]": "rmse_norm_mm",
     "worst half [mm]": "worst_half_rmse_norm_mm",
+    "ripple [deg/s]": "ripple_deg_s",
+    "ripple [mm/s]": "ripple_mm_s",
     "peak [mm]": "peak_norm_mm",
+    "torque peak [N m]": "torque_peak",
+    "speed peak [deg/s]": "crank_speed_peak_deg_s",
     "settled [s]": "settling_s",
     "torque RMS [N m]": "torque_rms_second_half",
     "change per tick [N m]": "torque_change_rms",

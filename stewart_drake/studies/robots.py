@@ -21,7 +21,7 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, PAPER
 from stewart_drake.runs.checks import adjusted, fit_amplitude
 from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.limits import Limits
+from stewart_drake.scenario.limits import ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 MARGIN = 0.7
@@ -95,7 +95,7 @@ def _factor(section: str, key: str, robot: RobotParameters) -> Any:
 
 @lru_cache(maxsize=64)
 def _fit_reference(
-    robot: RobotParameters, limits: Limits, reference: Any, duration: float, gravity: float
+    robot: RobotParameters, limits: ReferenceLimits, reference: Any, duration: float, gravity: float
 ) -> Reference:
     """A motion about the robot's home, made smaller where it is not feasible."""
     home = tuple(robot.home_pose.tolist())

@@ -26,7 +26,7 @@ from stewart_drake.control.tuners import FixedTuner
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.references import SineBurstsReference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scenario.limits import Limits
+from stewart_drake.scenario.limits import ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.runs import simulate
 from stewart_drake.studies.workers import Workers, run_all
@@ -85,7 +85,7 @@ def load_dataset(path: str | Path) -> Dataset:
 
 @lru_cache(maxsize=4)
 def feasible_amplitudes(
-    robot: RobotParameters, limits: Limits, gravity: float
+    robot: RobotParameters, limits: ReferenceLimits, gravity: float
 ) -> tuple[tuple[Vector6, ...], tuple[Vector6, ...]]:
     """Largest feasible amplitudes (n_f, 6) [rad, m] at `FREQUENCIES`: of each axis alone, and of all at once."""
     alone = tuple(six(row) for row in amplitude_table(robot, limits, FREQUENCIES, gravity))

@@ -8,10 +8,10 @@ from strategies import ROBOT
 from stewart_drake.analysis.feasibility import check_motion, check_reference, largest_amplitude, refuse_turns
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.references import SineReference, paper_reference
-from stewart_drake.scenario.limits import Limits
+from stewart_drake.scenario.limits import ReferenceLimits
 
-ALL = Limits()
-NONE = Limits(**{field.name: None for field in dataclasses.fields(Limits)})
+ALL = ReferenceLimits()
+NONE = ReferenceLimits(**{field.name: None for field in dataclasses.fields(ReferenceLimits)})
 GRAVITY = 9.81
 AXES = np.eye(6)
 HOME = tuple(ROBOT.home_pose)

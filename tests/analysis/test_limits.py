@@ -17,10 +17,10 @@ from stewart_drake.mechanics.kinematics import (
     reach_margin,
 )
 from stewart_drake.scenario import limits
-from stewart_drake.scenario.limits import PLACES, Limits, limit_margins
+from stewart_drake.scenario.limits import PLACES, ReferenceLimits, limit_margins
 
-ALL = Limits()
-NONE = Limits(**{field.name: None for field in dataclasses.fields(Limits)})
+ALL = ReferenceLimits()
+NONE = ReferenceLimits(**{field.name: None for field in dataclasses.fields(ReferenceLimits)})
 GRAVITY = 9.81
 
 
@@ -117,7 +117,9 @@ def test_a_parallel_singularity_jumped_over_between_two_samples_counts():
     singular = 1.549023038254185
     pose = np.tile(ROBOT.home_pose, (3, 1))
     pose[:, 2] = singular - 0.1, singular + 0.015, singular - 0.1
-    values = limit_margins(ROBOT, Limits(conditioning=1e-4), pose, 0.0 * pose, 0.0 * pose, GRAVITY)["conditioning"]
+    values = limit_margins(ROBOT, ReferenceLimits(conditioning=1e-4), pose, 0.0 * pose, 0.0 * pose, GRAVITY)[
+        "conditioning"
+    ]
     alone = conditioning(ROBOT, pose)
     np.testing.assert_allclose(values[:, 0], [alone[0] - 1e-4, -alone[1] - 1e-4, alone[2] - 1e-4], atol=1e-12)
     assert alone.min() > 1e-4

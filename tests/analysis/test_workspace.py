@@ -15,10 +15,10 @@ from stewart_drake.analysis.workspace import (
 )
 from stewart_drake.mechanics.dynamics import force_map, static_torque
 from stewart_drake.mechanics.kinematics import conditioning, leg_geometry, reach_margin, rod_lines
-from stewart_drake.scenario.limits import Limits, limit_margins, measure_poses
+from stewart_drake.scenario.limits import ReferenceLimits, limit_margins, measure_poses
 
 HOME = ROBOT.home_pose
-LIMITS = Limits()
+LIMITS = ReferenceLimits()
 WIDE = np.array([1.2, 1.55, 1.6, 0.1, 0.1, 0.08])
 
 

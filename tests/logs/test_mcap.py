@@ -1,0 +1,63 @@
+"""`log.save("run.mcap")`, read with the reader of the package mcap."""
+
+import json
+from collections import defaultdict
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from stewart_drake import load_scenario, run
+from stewart_drake.mechanics.kinematics import rotation_matrix
+
+
+@pytest.fixture(scope="module")
+def log():
+    return run(load_scenario("exact_fig7", ["plant.kind=closed_form", "duration=0.2", "safety={}"]))
+
+
+@pytest.fixture
+def topics(log, tmp_path):
+    log.save(tmp_path / "run.mcap")
+    made = defaultdict(list)
+    with (tmp_path / "run.mcap").open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            made[channel.topic].append((schema.name, message.log_time, json.loads(message.data)))
+    return made
+
+
+def test_every_signal_has_a_topic_with_all_its_rows(log, topics):
+    assert {f"/{name}" for name in log} - {"/time"} <= set(topics)
+    for name in set(log) - {"time", "plant_state"}:
+        values = np.array([list(message.values()) for _, _, message in topics[f"/{name}"]])
+        np.testing.assert_array_equal(values, log[name])
+    times = [time for _, time, _ in topics["/pose"]]
+    np.testing.assert_allclose(1e-9 * np.array(times), log.time, atol=1e-9)
+
+
+def test_poses_and_joints_are_messages_that_foxglove_knows(log, topics):
+    row = len(log.time) // 2
+    name, _, message = topics["/pose_in_base"][row]
+    position, turn = message["pose"]["position"], message["pose"]["orientation"]
+    assert name == "foxglove.PoseInFrame"
+    np.testing.assert_allclose([position[axis] for axis in "xyz"], log["pose"][row, 3:])
+    w, v = turn["w"], np.array([turn[axis] for axis in "xyz"])
+    across = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    turned = np.eye(3) + 2.0 * w * across + 2.0 * across @ across
+    np.testing.assert_allclose(turned, rotation_matrix(log["pose"][row, :3]), atol=1e-12)
+    joints = topics["/joint_states"][row][2]["joints"]
+    assert [each["position"] for each in joints] == log["crank_angle"][row].tolist()
+    assert [each["effort"] for each in joints] == log["torque_applied"][row].tolist()
+
+
+def test_the_scene_has_cranks_and_rods_of_their_lengths(log, topics):
+    robot = log.scenario.robot
+    assert len(topics["/scene"]) == pytest.approx(30 * 0.2, abs=1)
+    for _, _, message in topics["/scene"]:
+        cranks, rods, platform = (
+            np.array([[point[axis] for axis in "xyz"] for point in line["points"]])
+            for line in message["entities"][0]["lines"]
+        )
+        for lines, lengths in ((cranks, robot.crank_lengths), (rods, robot.rod_lengths)):
+            np.testing.assert_allclose(np.linalg.norm(lines[1::2] - lines[::2], axis=1), lengths, rtol=1e-9)
+        np.testing.assert_array_equal(rods[1::2], platform)
