@@ -20,6 +20,9 @@ from stewart_drake.estimation.identification import Identification as Identifica
 from stewart_drake.estimation.identification import identify as identify
 from stewart_drake.estimation.poses import MeasurementNoise as MeasurementNoise
 from stewart_drake.estimation.poses import plan_poses as plan_poses
+from stewart_drake.estimation.servos import ServoIdentification as ServoIdentification
+from stewart_drake.estimation.servos import ServoRecording as ServoRecording
+from stewart_drake.estimation.servos import identify_servos as identify_servos
 from stewart_drake.estimation.torques import Recording as Recording
 from stewart_drake.logs.log import SimulationLog as SimulationLog
 from stewart_drake.logs.log import load_log as load_log

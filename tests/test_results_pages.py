@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import random_faults
+import servo_identification_study as servos
 import write_reachy
 from calibration_study import NOISE
 from calibration_study import poses as poses_at_random
@@ -279,6 +280,16 @@ def test_identification(page):
     for column, key in (("Coulomb", "coulomb"), ("viscous", "viscous"), ("by what was found", "predicted")):
         median = page.cell("`paper`", column=column).partition(",")[0]
         assert_says(median, 100.0 * np.median([getattr(trial, key) for trial in trials]), within=0.5)
+
+
+def test_servo_identification(page):
+    first, nod = "## The first robot", {"nod": servos.references()["nod"]}
+    believed, _ = servos.beliefs(0, servos.logged(0, servos.motion()))
+    for scheme in ("before", "after", "told"):
+        (error,) = servos.figures(0, scheme, believed[scheme], nod)
+        assert_says(page.cell(servos.SCHEMES[scheme], column="nod [deg]", under=first), error, within=2.0 * NOISY)
+    head, *_ = servos.in_mujoco()
+    assert_says(page.cell("head [kg]", column="identified"), *(value for value, _ in numbers(head[-1])), within=NOISY)
 
 
 def test_reproduction(page, tmp_path):

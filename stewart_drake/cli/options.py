@@ -176,7 +176,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "Direction of level cranks, if the table has none: outwards, towards the partner, away from it.",
         default="outwards",
     ),
-    "duration": option("Duration of the run [s].", click.FloatRange(min=5.0), default=60.0),
     "encoder_bits": option("Encoder resolution, bits per turn.", click.IntRange(4, 40), default=17),
     "force": switch("Replace the results of another scenario in the folder."),
     "hold": option("Do not estimate these parameters.", multiple=True),

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,11 +14,16 @@ from stewart_drake.base.yaml_files import parse_changes, to_yaml
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_table, progress_bar, tell, working
-from stewart_drake.estimation import geometry, torques
+from stewart_drake.estimation import geometry, servos, torques
+from stewart_drake.hardware.servos import POSITION_PRESETS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
 from stewart_drake.runs.outputs import prepare_file, write_text
 from stewart_drake.scenario.scenario import Scenario, load_scenario
+
+if TYPE_CHECKING:
+    from stewart_drake.estimation.identification import Identification
+    from stewart_drake.estimation.servos import ServoIdentification
 
 _PASSES = 16  # Pictures under different lights that are averaged.
 _OWN = ("platform_mass", "rod_mass", "crank_mass", "rotor_inertia", "effort_limit")
@@ -201,15 +206,17 @@ def _write_result(
     print_table(title, facts)
 
 
-_TORQUES: Any = {"robot": opt.GUESS, "hold": {"type": click.Choice(torques.KINDS)}}
+_BODIES = click.Choice(tuple(dict.fromkeys((*torques.KINDS, *servos.KINDS))))
+_MOTIONS: Any = {"robot": opt.GUESS, "hold": {"type": _BODIES}}
 
 
 @command(
     "identify",
-    **_TORQUES,
+    **_MOTIONS,
     logs={"required": True},
     out="runs/identified.yaml",
-    ask=opt.option("Parameters that the logs must determine.", click.Choice(torques.KINDS), multiple=True),
+    ask=opt.option("Parameters that the logs must determine.", _BODIES, multiple=True),
+    reading_age=opt.option("Age of an angle in its row, of servos [s].", float, default=0.0),
 )
 def identify(
     logs: tuple[Path, ...],
@@ -220,37 +227,74 @@ def identify(
     hold: tuple[str, ...],
     ask: tuple[str, ...],
     lag: float,
+    reading_age: float,
 ) -> None:
     """LOGS are results folders or logs of `run`, or CSV files sampled at a constant rate.
 
-    Columns: time_s, crank_angle_0_rad to crank_angle_5_rad (or _deg), torque_0_Nm to torque_5_Nm. `excite` designs an
-    informative motion. Without --ask the logs must determine the platform's mass and all friction.
+    Columns: time_s, crank_angle_0_rad to crank_angle_5_rad (or _deg), torque_0_Nm to torque_5_Nm, or for servos that
+    take angles commanded_angle_0_rad to commanded_angle_5_rad. `excite` designs an informative motion. Without --ask
+    the logs must determine the platform's mass and all friction; of servos stiffness, damping and delay too.
     """
-    from stewart_drake.estimation.identification import ASKED
-    from stewart_drake.estimation.identification import identify as fit
+    from stewart_drake.estimation import identification
     from stewart_drake.plotting.model_plots import plot_identification
 
+    guess = load_robot(robot)
+    result: ServoIdentification | Identification
     with working("fitting"):
-        result = fit(load_robot(robot), logs, validate=validate, hold=hold, ask=ask or ASKED, lag=lag)
-    title, tables = ", ".join(map(str, logs)), {"friction.yaml": result.friction_file}
-    _write_result(result, title, out, report_folder, "identification.png", plot_identification, tables)
+        if servos.take_angles(logs):
+            asked = ask or servos.ASKED
+            result = servos.identify_servos(guess, logs, hold, asked, validate, reading_age=reading_age)
+            tables = {"model.yaml": result.model_file}
+        else:
+            asked = ask or identification.ASKED
+            result = identification.identify(guess, logs, hold, asked, validate, lag=lag)
+            tables = {"friction.yaml": result.friction_file}
+    _write_result(
+        result, ", ".join(map(str, logs)), out, report_folder, "identification.png", plot_identification, tables
+    )
     header, rows = result.table()
-    print_table("parameters, 95 % intervals", rows, header, (1, 2))
+    print_table("parameters, 95 % intervals", rows, header, tuple(range(1, len(header) - 1)))
 
 
-@command("excite", **_TORQUES, out="runs/excitation.yaml", example="limits.crank_speed=5")
-def excite(robot: str, out: Path, duration: float, hold: tuple[str, ...], overrides: tuple[str, ...]) -> None:
+@command(
+    "excite",
+    **_MOTIONS,
+    out="runs/excitation.yaml",
+    example="limits.crank_speed=5",
+    duration=opt.option(
+        "Duration of the run [s] [default: 60, of servos 20].", click.FloatRange(min=5.0), default=None
+    ),
+    motors=opt.option(
+        "Servos that take angles [default: motors that take torque].", click.Choice(POSITION_PRESETS.names)
+    ),
+)
+def excite(
+    robot: str, out: Path, motors: str | None, duration: float | None, hold: tuple[str, ...], overrides: tuple[str, ...]
+) -> None:
     """Writes a scenario for `run`, within the robot's limits. --set changes limits, encoders or controller."""
     from stewart_drake.analysis.feasibility import check_reference
+    from stewart_drake.estimation.excitation import ROOM, SERVO_ROOM
     from stewart_drake.estimation.excitation import excite as design
 
     guess = load_robot(robot)
     # Readings are logged as they are without an observer.
-    differences = ("estimator={kind: difference, rate_cutoff: 150}", "model.friction=null", "tuner={kind: block}")
-    own = (f"robot={json.dumps(robot)}", "plant.motor_friction=0", *differences, f"duration={duration!r}")
+    differences = ("estimator={kind: difference, rate_cutoff: 150}", "tuner={kind: block}")
+    torque = ("plant.motor_friction=0", "model.friction=null")
+    angle = (
+        f"motors={{kind: position, preset: {motors}}}",
+        "controller={kind: feedforward, period: 0.02}",
+        "sensors.resolution_bits=12",
+        "estimator={kind: difference}",
+        "command_delay=0",
+        "plant={}",
+        "model={}",
+    )
+    duration = duration or (60.0 if motors is None else 20.0)
+    own = (f"robot={json.dumps(robot)}", *differences, *(torque if motors is None else angle), f"duration={duration!r}")
     scenario = load_scenario("exact_breathing", (*own, *overrides))
     with working("designing"):
-        result = design(guess, scenario.limits, hold, gravity=scenario.gravity)
+        room = ROOM if motors is None else SERVO_ROOM
+        result = design(guess, scenario.limits, hold, gravity=scenario.gravity, room=room)
     check_reference(guess, scenario.limits, result.reference, duration, scenario.gravity).raise_if_infeasible()
     designed = scenario.replace({"name": "excitation", "reference": result.reference.to_dict()})
     write_text(out, to_yaml(designed.to_dict()))

@@ -22,7 +22,8 @@ from stewart_drake.scenario.limits import ReferenceLimits, limit_margins
 HARMONICS = (2, 3, 5, 8, 13, 21, 31)
 PERIOD = 19.937
 """[s] of the whole motion: sines of 0.1 to 1.55 Hz, and coarse encoders err anew in each period."""
-ROOM = 1.15  # [-] by which the motion could be larger within the limits: the robot is not quite the guess
+ROOM, SERVO_ROOM = 1.15, 1.5
+"""[-] by which the motion could be larger within the limits: the robot is not quite the guess, and servos swing on."""
 _SAMPLES = 240
 _BEGINNINGS, _CHANGES = 20, 400
 _FADE = 2.0
@@ -44,16 +45,18 @@ def excite(
     gravity: float = STANDARD_GRAVITY,
     seed: int = 0,
     changes: int = _CHANGES,
+    room: float = ROOM,
 ) -> Excitation:
     """Designs a motion.
 
     Args:
         robot: The guess.
-        limits: Limits of the motion, kept with the margin `ROOM`.
+        limits: Limits of the motion.
         hold: As for `identify`.
         gravity: [m/s^2].
         seed: Of the random motions.
         changes: Number of changes to try.
+        room: [-] by which the motion could be larger within the limits.
 
     Raises:
         ConfigurationError: No motion at all is within the limits.
@@ -68,7 +71,7 @@ def excite(
         return _reference(robot, scale * waves).evaluate(time)
 
     def feasible(waves: np.ndarray, scale: float) -> bool:
-        margins = limit_margins(robot, limits, *motion(waves, ROOM * scale), gravity)
+        margins = limit_margins(robot, limits, *motion(waves, room * scale), gravity)
         return not any((values < 0.0).any() or np.isnan(values).any() for values in margins.values())
 
     def condition(waves: np.ndarray) -> float:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -74,6 +74,7 @@ class Identification(Result):
         "means a sum, the parameters after the first have the guess's values; the logs determine only the sum."
     )
     picture: ClassVar = "Torques and their residuals"
+    measured: ClassVar = ("torque", "N m")
 
     @property
     def title(self) -> str:
@@ -224,8 +225,8 @@ def identify(
 
     def prediction(part: Samples) -> Prediction:
         def error(values: np.ndarray, rows: np.ndarray) -> float:
-            off = (part.torque - part.predicted(values))[rows]
-            return float(np.sqrt(np.mean(off**2) / np.mean(part.torque[rows] ** 2))) if off.size else np.nan
+            off = (part.measured - part.predicted(values))[rows]
+            return float(np.sqrt(np.mean(off**2) / np.mean(part.measured[rows] ** 2))) if off.size else np.nan
 
         guess = error(torques.values_of(robot), part.used)
         return Prediction(part.source, guess, error(values, part.used), error(values, np.ones_like(part.used)))
@@ -239,27 +240,59 @@ def least_squares(
     guess: RobotParameters, samples: Samples, hold: Collection[str] = (), ask: Collection[str] = ASKED
 ) -> Estimate:
     """Parameters that fit samples best, weighted by the residuals' covariance; asked kinds must be identifiable."""
-    size, start = torques.scales(guess), torques.values_of(guess)
-    values, free = start, torques.free_directions(hold)
-    unidentifiable: tuple[core.Unidentifiable, ...] = ()
-    noise = np.eye(LEG_COUNT) * np.mean(samples.torque**2)
-    for turn in range(_PASSES):
-        slope, residual = _whitened(samples, values, size[:, None] * free, noise)
-        values = values + size * (free @ np.linalg.lstsq(slope, residual, rcond=_ROUNDING)[0])
+    start = torques.values_of(guess)
+
+    def bounded(values: np.ndarray) -> np.ndarray:
         # A first pass from a crude guess may leave the logarithms of gains far off.
         values[GAIN] = np.clip(values[GAIN], -3.0, 3.0)
+        return values
+
+    problem = Problem(PARAMETERS, torques.scales(guess), start, torques.free_directions(hold), set(ask) - set(hold))
+    return fitted(samples, problem, partial(_refuse_other, guess, samples), bounded, _FIX_FIRST)
+
+
+class Problem(NamedTuple):
+    """n parameters, their scales (n,), start (n,), and directions (n, k) in scales in which they may change.
+
+    Kinds `asked` must be identifiable. Those at `believed` are held; what the data say of them is told.
+    """
+
+    parameters: Sequence[core.Parameter]
+    scales: np.ndarray
+    start: np.ndarray
+    free: np.ndarray
+    asked: Collection[str]
+    believed: Sequence[int] = ()
+
+
+def fitted(
+    samples: Samples,
+    problem: Problem,
+    check: Callable[[np.ndarray], None],
+    bounded: Callable[[np.ndarray], np.ndarray] = np.copy,
+    preference: np.ndarray | float = 1.0,
+) -> Estimate:
+    """Gauss-Newton for what was measured; `check` may refuse the second pass, `preference` as in `identifiable`."""
+    parameters, size, start, free, asked, believed = problem
+    values, unidentifiable = start, tuple[core.Unidentifiable, ...]()
+    noise = np.eye(LEG_COUNT) * np.mean(samples.measured**2)
+    for turn in range(_PASSES):
+        slope, residual = _whitened(samples, values, size[:, None] * free, noise)
+        values = bounded(values + size * (free @ np.linalg.lstsq(slope, residual, rcond=_ROUNDING)[0]))
         noise = _noise(samples, values)
         if turn == 1:
-            _refuse_other(guess, samples, values)
+            check(values)
             slope, _ = _whitened(samples, values, size[:, None] * free, noise)
             # Rows closer than half a period of the filter repeat each other.
             slope /= np.sqrt(samples.repeats)
-            free, unidentifiable = core.identifiable(slope, free, size, LARGEST_DEVIATION, _FIX_FIRST)
+            free, unidentifiable = core.identifiable(slope, free, size, LARGEST_DEVIATION, preference)
             for each in unidentifiable:
-                if (parameter := PARAMETERS[each.at]).kind in set(ask) - set(hold):
+                if (parameter := parameters[each.at]).kind in asked:
                     got = f"a motion that leaves an uncertainty of {each.deviation:.3g} times its size"
                     allowed = "a motion that determines it; `excite` designs one"
                     raise ConfigurationError(f"{samples.source}: {parameter}", got, allowed)
+            slope = _whitened(samples, values, np.diag(size), noise)[0] / np.sqrt(samples.repeats)
+            unidentifiable += tuple(core.confused(slope, free, size, at) for at in believed)
             values = start if unidentifiable else values
     directions = size[:, None] * free
     slope, residual = _whitened(samples, values, directions, noise)
@@ -267,7 +300,7 @@ def least_squares(
     inverse = np.linalg.inv(information)
     rows = int(samples.used.sum())
     covariance = inverse @ _long_run(samples, slope * residual[:, None]) @ inverse * rows / (rows - len(inverse))
-    return Estimate(PARAMETERS, size, values, directions, covariance, information, unidentifiable)
+    return Estimate(parameters, size, values, directions, covariance, information, unidentifiable)
 
 
 def _whitened(
@@ -277,17 +310,17 @@ def _whitened(
     both = samples.used[:, :, None] & samples.used[:, None, :]
     white = np.where(both, core.whitening(np.where(both, noise, np.eye(LEG_COUNT))), 0.0)
     slope = (white @ (samples.derivative(values) @ directions)).reshape(-1, directions.shape[1])
-    return slope, np.einsum("nij,nj->ni", white, samples.torque - samples.predicted(values)).ravel()
+    return slope, np.einsum("nij,nj->ni", white, samples.measured - samples.predicted(values)).ravel()
 
 
 def _noise(samples: Samples, values: np.ndarray) -> np.ndarray:
     """Covariance (6, 6) [N^2 m^2] of the residuals, by the rows that both of two motors have."""
     used = samples.used.astype(float)
-    residual = (samples.torque - samples.predicted(values)) * used
+    residual = (samples.measured - samples.predicted(values)) * used
     covariance = residual.T @ residual / np.maximum(used.T @ used, 1.0)
     # Pairs seldom in motion torques.together could make it indefinite; half of what is common is on the safe side.
     covariance = 0.5 * (covariance + np.diag(np.diag(covariance)))
-    return covariance + 1e-12 * float(np.mean(samples.torque**2)) * np.eye(LEG_COUNT)
+    return covariance + 1e-12 * float(np.mean(samples.measured**2)) * np.eye(LEG_COUNT)
 
 
 def _long_run(samples: Samples, scores: np.ndarray) -> np.ndarray:
@@ -311,7 +344,7 @@ def _refuse_other(guess: RobotParameters, samples: Samples, values: np.ndarray) 
     def size(torque: np.ndarray) -> float:
         return float(np.sqrt(np.mean(torque[samples.used] ** 2))) if samples.used.any() else 0.0
 
-    torque = samples.torque
+    torque = samples.measured
     measured, expected = size(torque), size(samples.predicted(torques.values_of(guess)))
     residual, changes = size(torque - samples.predicted(values)), size(torque - torque.mean(axis=0))
     if residual > max(_UNEXPLAINED * changes, _NOISY * measured):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -126,8 +126,41 @@ def free_directions(hold: Collection[str]) -> np.ndarray:
     return core.free_directions(PARAMETERS, KINDS, hold, constraints=[mean_gain] if is_relative else [])
 
 
+class CrankReadings(Readings):
+    """Base of rows at a constant rate with `time` (n,) [s] and `angles` (n, 6) [rad] of the cranks."""
+
+    largest: ClassVar = (300_000_000, 1_000_000)
+    time: np.ndarray
+    angles: np.ndarray
+    gravity: float
+
+    def check_cranks(self, *also: str) -> None:
+        """Checks them, and the other angles (n, 6) [rad] that are named, and takes out jumps by whole turns."""
+        self.check()
+        if len(self) < 2:
+            raise ConfigurationError(self.source, f"{len(self)} rows", "some seconds of motion")
+        steps = np.diff(self.time)
+        uneven = np.abs(steps - np.median(steps)) > UNEVEN * np.median(steps)
+        if uneven.any() or np.median(steps) <= 0.0:
+            row = int(uneven.argmax())
+            got = f"{self.time[row]:g} s and then {self.time[row + 1]:g} s in row {row + 2}"
+            raise ConfigurationError(f"{self.source}: time", got, "rows at a constant rate, without gaps")
+        too_large = np.zeros(self.table.shape, dtype=bool)
+        for name in ("angles", *also):
+            too_large[:, self.columns[name]] = np.abs(getattr(self, name)) > 4.0 * math.pi
+        allowed = "radians within +-4 pi; for degrees name the columns crank_angle_0_deg to crank_angle_5_deg"
+        self.refuse(too_large, allowed)
+        for name in ("angles", *also):
+            object.__setattr__(self, name, unwrapped(getattr(self, name)))
+            getattr(self, name).flags.writeable = False
+
+    @property
+    def rate(self) -> float:
+        return (len(self) - 1) / float(self.time[-1] - self.time[0])
+
+
 @dataclass(frozen=True, eq=False)
-class Recording(Readings):
+class Recording(CrankReadings):
     """n readings of six cranks and six torques at a constant rate, checked.
 
     Attributes:
@@ -152,31 +185,12 @@ class Recording(Readings):
 
     quantities: ClassVar = QUANTITIES
     columns: ClassVar = {"time": 0, "angles": slice(1, 7), "torque": slice(7, 13)}
-    largest: ClassVar = (300_000_000, 1_000_000)
 
     def __post_init__(self) -> None:
-        self.check()
-        if len(self) < 2:
-            raise ConfigurationError(self.source, f"{len(self)} rows", "some seconds of motion")
-        steps = np.diff(self.time)
-        uneven = np.abs(steps - np.median(steps)) > UNEVEN * np.median(steps)
-        if uneven.any() or np.median(steps) <= 0.0:
-            row = int(uneven.argmax())
-            got = f"{self.time[row]:g} s and then {self.time[row + 1]:g} s in row {row + 2}"
-            raise ConfigurationError(f"{self.source}: time", got, "rows at a constant rate, without gaps")
-        too_large = np.zeros(self.table.shape, dtype=bool)
-        too_large[:, self.columns["angles"]] = np.abs(self.angles) > 4.0 * math.pi
-        allowed = "radians within +-4 pi; for degrees name the columns crank_angle_0_deg to crank_angle_5_deg"
-        self.refuse(too_large, allowed)
-        object.__setattr__(self, "angles", unwrapped(self.angles))
-        self.angles.flags.writeable = False
+        self.check_cranks()
         zero = (self.torque == 0.0).all(axis=0)
         if zero.any():
             raise ConfigurationError(f"{self.source}: torque_{zero.argmax()}", "0 in all rows", "measured torques")
-
-    @property
-    def rate(self) -> float:
-        return (len(self) - 1) / float(self.time[-1] - self.time[0])
 
 
 def load_recording(path: str | Path, guess: RobotParameters, lag: float = 0.0) -> Recording:
@@ -188,6 +202,19 @@ def load_recording(path: str | Path, guess: RobotParameters, lag: float = 0.0) -
 
 def recording_of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> Recording:
     """Readings of encoders and amplifiers in a run: from the pose that the readings gave, never from the true pose."""
+    motors = log.scenario.motors
+    if motors.takes != "torque":
+        allowed = f"a log of motors that take torque: those of kind {motors.kind} change theirs between two rows; "
+        allowed += "of motors that take angles `identify_servos`"
+        raise ConfigurationError(source, f"motors.kind {motors.kind}", allowed)
+    rows, angles = readings_of_log(log, guess, source)
+    # A torque acts until the next tick. The plant's own steps put an acceleration half a step ahead of its torque.
+    lag = 0.5 * (log.scenario.controller.period - log.scenario.plant.time_step)
+    return Recording(log.time[rows], angles, log["torque_applied"][rows], lag, log.scenario.gravity, source)
+
+
+def readings_of_log(log: SimulationLog, guess: RobotParameters, source: str) -> tuple[slice, np.ndarray]:
+    """Which rows of a run's log are ticks, and the angles (n, 6) [rad] that were read there."""
     robot = log.scenario.belief.robot
     for name in ("shaft_positions", "platform_joints", "crank_lengths", "rod_lengths", "crank_zero_directions"):
         off = np.abs(getattr(robot, name) - getattr(guess, name)).max()
@@ -197,29 +224,21 @@ def recording_of_log(log: SimulationLog, guess: RobotParameters, source: str = "
     if not log.scenario.estimator.exact:
         got = f"poses of estimator.kind {log.scenario.estimator.kind}, which uses the guessed robot"
         raise ConfigurationError(source, got, "poses straight from the encoders; run with estimator.kind=difference")
-    motors = log.scenario.motors
-    if motors.takes != "torque":
-        allowed = f"a log of motors that take torque: those of kind {motors.kind} change theirs between two rows"
-        raise ConfigurationError(source, f"motors.kind {motors.kind}", allowed)
-    # Between two ticks nothing is read, and the torque is held.
-    tick, step = log.scenario.controller.period, log.scenario.effective_log_period
-    rows = slice(None, None, max(1, round(tick / step)))
-    angles = inverse_kinematics(robot, log.signals.get("measured_pose", log["pose"])[rows])
-    # A torque acts until the next tick. The plant's own steps put an acceleration half a step ahead of its torque.
-    lag = 0.5 * (tick - log.scenario.plant.time_step)
-    return Recording(log.time[rows], angles, log["torque_applied"][rows], lag, log.scenario.gravity, source)
+    # Between two ticks nothing is read, and the command is held.
+    rows = slice(None, None, max(1, round(log.scenario.controller.period / log.scenario.effective_log_period)))
+    return rows, inverse_kinematics(robot, log.signals.get("measured_pose", log["pose"])[rows])
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """n instants: torques [N m], `columns` (n, 6, 26) by bodies and friction, `known` torques, equations `used`.
+    """n instants: what was `measured` (n, 6), torques [N m] of `columns` (n, 6, k) and `known` ones, equations `used`.
 
-    `rates` [rad/s] are the cranks', `pieces` the recordings; `step` [s] is between instants, of which `repeats` lie in
-    half a period of the filter.
+    Columns are those by bodies and friction, (n, 6, 26). `rates` [rad/s] are the cranks', `pieces` the recordings;
+    `step` [s] is between instants, of which `repeats` lie in half a period of the filter.
     """
 
     time: np.ndarray
-    torque: np.ndarray
+    measured: np.ndarray
     columns: np.ndarray
     known: np.ndarray
     rates: np.ndarray
@@ -241,6 +260,17 @@ class Samples:
 
 def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float | None = None) -> Samples:
     """Equations of a recording; what moves the robot should lie well below the filter's bandwidth [Hz]."""
+    samples, smooth = filtered(guess, recording, bandwidth)
+    return replace(samples, measured=smooth(recording.torque)(samples.time - recording.lag))
+
+
+def filtered(
+    guess: RobotParameters, recording: CrankReadings, bandwidth: float | None = None, smear: float = _SMEAR
+) -> tuple[Samples, Callable[[np.ndarray], Any]]:
+    """Equations without torques of what was read, and a function of rows (n, 6): these, filtered alike, as a spline.
+
+    They are not used nearer to a reversal than `smear` periods of the bandwidth.
+    """
     import scipy.interpolate
     import scipy.ndimage
     import scipy.signal
@@ -263,21 +293,21 @@ def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float | 
     angles = smooth(recording.angles)
     rates = np.gradient(angles, even, axis=0)
     thin = max(1, int(rate / (_OVERSAMPLING * bandwidth)))
-    motion = scipy.interpolate.make_interp_spline(even[::thin], _poses_of(guess, angles[::thin], source), k=5)
-    torque = scipy.interpolate.make_interp_spline(even, smooth(recording.torque), k=3)
+    motion = scipy.interpolate.make_interp_spline(even[::thin], poses_of(guess, angles[::thin], source), k=5)
     at = even[::thin]
     at = at[(at > at[0] + _EDGE / bandwidth) & (at < at[-1] - _EDGE / bandwidth)]
     middle = np.searchsorted(even, at - 0.5 / rate)
-    smear = 2 * int(_SMEAR * rate / bandwidth) + 1
+    window = 2 * int(smear * rate / bandwidth) + 1
     # Smallest |rate| around an instant, not above zero where the crank reverses.
     slowest = np.maximum(
-        scipy.ndimage.minimum_filter1d(rates, smear, axis=0), -scipy.ndimage.maximum_filter1d(rates, smear, axis=0)
+        scipy.ndimage.minimum_filter1d(rates, window, axis=0), -scipy.ndimage.maximum_filter1d(rates, window, axis=0)
     )
     exact = samples_of_motion(guess, at, (motion(at), motion(at, 1), motion(at, 2)), recording.gravity, source)
     # The filter smears friction as it does the torques.
     exact.columns[..., COULOMB] = smooth(np.sign(rates))[middle][..., None] * np.eye(LEG_COUNT)
     used, repeats = slowest[middle] > SLOW, rate / (2.0 * bandwidth * thin)
-    return replace(exact, torque=torque(at - recording.lag), used=used, repeats=repeats)
+    samples = replace(exact, used=used, repeats=repeats)
+    return samples, lambda rows: scipy.interpolate.make_interp_spline(even, smooth(rows), k=3)
 
 
 def samples_of_motion(
@@ -300,7 +330,7 @@ def samples_of_motion(
 
 def together(parts: Sequence[Samples]) -> Samples:
     ends = np.cumsum([0, *(len(part.time) for part in parts)]).tolist()
-    arrays = ("time", "torque", "columns", "known", "rates", "used")
+    arrays = ("time", "measured", "columns", "known", "rates", "used")
     joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
     return Samples(
         **joined,
@@ -311,7 +341,7 @@ def together(parts: Sequence[Samples]) -> Samples:
     )
 
 
-def _poses_of(guess: RobotParameters, angles: np.ndarray, source: str) -> np.ndarray:
+def poses_of(guess: RobotParameters, angles: np.ndarray, source: str) -> np.ndarray:
     """Poses (n, 6) [rad, m] of crank angles (n, 6) [rad], followed from home in a few steps."""
     home = inverse_kinematics(guess, guess.home_pose)
     pose, stray = np.broadcast_to(guess.home_pose, angles.shape), np.inf

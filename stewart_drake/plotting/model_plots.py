@@ -10,6 +10,7 @@ from stewart_drake.analysis.margins import LoopMargins
 from stewart_drake.estimation.calibration import Calibration
 from stewart_drake.estimation.geometry import LEG_PARAMETERS, OF_ROBOT, PER_LEG
 from stewart_drake.estimation.identification import Identification
+from stewart_drake.estimation.servos import ServoIdentification
 from stewart_drake.plotting import style as look
 from stewart_drake.robot.leg import LEG_COUNT
 
@@ -51,22 +52,23 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
 
 
 @look.styled
-def plot_identification(identification: Identification, path: str | Path) -> None:
-    """Each motor's torque and what is left of it, over the first seconds and over the crank's rate."""
+def plot_identification(identification: Identification | ServoIdentification, path: str | Path) -> None:
+    """What was measured of each motor and what is left of it, over the first seconds and over the crank's rate."""
     figure, axes = look.panels(6, 2, 12.0, sharex="col", width_ratios=[2, 1])
     samples = identification.samples
-    left = samples.torque - samples.predicted(identification.values)
+    left = samples.measured - samples.predicted(identification.values)
+    what, unit = identification.measured
     first = samples.pieces[0].start
     some = slice(first, first + int(_SHOWN / samples.step))
     time = samples.time[some]
     for leg, (over_time, over_rate) in enumerate(axes):
         used, rest, moving = samples.used[some, leg], left[some, leg], samples.used[:, leg]
-        over_time.plot(time, samples.torque[some, leg], color=look.BLUE, label="torque", linewidth=1.0)
+        over_time.plot(time, samples.measured[some, leg], color=look.BLUE, label=what, linewidth=1.0)
         over_time.plot(time, np.where(used, rest, np.nan), color=look.ORANGE, label="residual", linewidth=1.0)
         over_time.plot(time, np.where(used, np.nan, rest), color=look.GREY, label="residual, not used", linewidth=1.0)
         over_rate.plot(samples.rates[moving, leg], 1e3 * left[moving, leg], ".", color=look.ORANGE, markersize=2)
-        over_time.set(title=f"Motor {leg}", ylabel="N m")
-        over_rate.set(ylabel="residual [mN m]")
+        over_time.set(title=f"Motor {leg}", ylabel=unit)
+        over_rate.set(ylabel=f"residual [m{unit}]")
     axes[-1, 0].set(xlabel="time [s]")
     axes[-1, 1].set(xlabel="crank rate [rad/s]")
     look.legend_below(figure, axes[0, 0].get_legend_handles_labels()[0], columns=3)

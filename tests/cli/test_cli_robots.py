@@ -107,3 +107,23 @@ def test_a_designed_motion_is_a_scenario(call):
     assert "condition number" in out
     # Within every limit.
     assert call("check", "excite.yaml")[0] == 0
+
+
+@pytest.mark.slow
+def test_servos_from_a_designed_motion_to_a_model(call, tmp_path):
+    keys = ("--set", "plant={kind: closed_form, integrator: rk4}", "--set", "sensors.delay=0.004")
+    assert call("excite", "--robot", "reachy_mini", "--motors", "xl330_m288", *keys, "--out", "excite.yaml")[0] == 0
+    assert call("check", "excite.yaml")[0] == 0
+    assert call("run", "excite.yaml", "--out", "log")[0] == 0
+    options = ("--reading-age", 0.004, "--out", "mine.yaml", "--report", "report")
+    status, out, err = call("identify", "log", "--robot", "reachy_mini", *options)
+    assert (status, err) == (0, "")
+    assert "stiffness" in out
+    names = {path.name for path in (tmp_path / "report").iterdir()}
+    assert names == {"model.yaml", "identification.png", "parameters.csv", "report.md"}
+    model = (tmp_path / "report" / "model.yaml").read_text()
+    (tmp_path / "run.yaml").write_text(f"robot: mine.yaml\nmotors: {{kind: position}}\n{model}")
+    belief = load_scenario(tmp_path / "run.yaml").belief
+    assert belief.motors.stiffness == pytest.approx(1.0, rel=0.03)
+    assert belief.motors.delay == pytest.approx(0.0, abs=1e-3)
+    np.testing.assert_allclose(belief.friction.coulomb, 0.0128, rtol=0.1)

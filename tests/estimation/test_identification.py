@@ -116,7 +116,7 @@ def test_the_nearest_bodies_are_bodies_and_nearest(change):
     truth = values_of(ROBOT)
     truth[COULOMB], truth[VISCOUS] = 0.02, 0.01
     truth[:10] += change * scales(ROBOT)[:10]
-    samples = dataclasses.replace(EXCITED, torque=EXCITED.predicted(truth))
+    samples = dataclasses.replace(EXCITED, measured=EXCITED.predicted(truth))
     found = least_squares(ROBOT, samples)
     nearest = consistent(ROBOT, found)
     assert is_consistent(ROBOT, nearest)

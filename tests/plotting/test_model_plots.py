@@ -24,7 +24,7 @@ def test_an_identification_shows_each_motor_s_torque_over_time_and_what_is_left_
     for motor, (left, right) in enumerate(zip(over_time, over_rate, strict=True)):
         assert left.get_title("left") == f"Motor {motor}"
         torque = left.lines[0].get_ydata()
-        np.testing.assert_array_equal(torque, found.samples.torque[found.samples.pieces[0]][: len(torque), motor])
+        np.testing.assert_array_equal(torque, found.samples.measured[found.samples.pieces[0]][: len(torque), motor])
         assert np.nanmax(np.abs(left.lines[1].get_ydata())) < 0.01 * np.ptp(torque)
         assert right.lines[0].get_xdata().size > 500
         assert left.get_position().width > 1.5 * right.get_position().width
