@@ -10,13 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stewart_drake.analysis.feasibility import check_reference
+from stewart_drake.base.atomic_files import plain_json
 from stewart_drake.base.code import file_digests
-from stewart_drake.base.errors import (
-    ConfigurationError,
-    InfeasibleReferenceError,
-    RunFailure,
-    StewartDrakeError,
-)
+from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError, RunFailure, StewartDrakeError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import figures_of
 from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
@@ -25,13 +21,16 @@ from stewart_drake.logs.versions import collect_versions
 from stewart_drake.machines.machine import Machine, Reading
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.references.paced import RAMP, PacedMotion
+from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.controller import Controller
 from stewart_drake.scenario.scenario import Scenario
 
 APPROACH_SPEED = 0.5
 """[rad/s] of the fastest crank on the way to the motion."""
 STALE = {"angle": 0.5, "torque": 0.1, "current": 0.1}
-"""[s] age of a reading from which on the robot slows down and stops, by what its motors take: angles they hold alone."""
+"""[s] age of a reading from which on the robot slows down and stops, by what motors take; angles they hold alone."""
+AT_STOP = 0.02
+"""[rad] beyond a stop that may be read of a crank that rests on it."""
 FOLLOWING = 0.35
 """[rad] of a crank from where it should be, from which on the robot slows down and stops."""
 CLOCKS_APART = 0.05
@@ -58,42 +57,40 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
             the believed robot cannot; the way to the motion leaves the limits.
         MachineError: It cannot be reached.
     """
-    takes = scenario.belief.motors.takes
-    if machine.takes != takes:
-        raise ConfigurationError(
-            "model.motors", scenario.belief.motors.kind, f"motors that take {machine.takes}, as the machine does"
-        )
+    motors, reference = scenario.belief.motors, scenario.reference
+    if machine.takes != motors.takes:
+        allowed = f"motors that take {machine.takes}, as the machine does"
+        raise ConfigurationError("model.motors", motors.kind, allowed)
     machine.connect()
     period, own = scenario.reading_period, machine.period
     if machine.paced and own is not None and abs(own - period) > CLOCKS_APART * period:
-        raise ConfigurationError("controller.period", period, f"about {own:.4g} s, that of the machine, which sets the pace")
-    robot, angles = scenario.belief.robot, machine.read().angles
-    motion: PacedMotion
-    if machine.reads:
-        low, high = robot.crank_angle_ranges.T
-        if bad := [leg for leg in range(6) if not low[leg] - 0.02 <= angles[leg] <= high[leg] + 0.02]:
-            leg = bad[0]
-            allowed = f"within {low[leg]:.4g} to {high[leg]:.4g} rad, its stops: is its zero that of the model?"
-            raise ConfigurationError(f"angle of leg {leg}", f"{angles[leg]:.4g} rad", allowed)
-        try:
-            pose = forward_kinematics(robot, angles)
-        except StewartDrakeError as error:
-            allowed = f"angles that the believed robot can stand at ({error}): are leg order, signs and zeros its own?"
-            raise ConfigurationError("angles", np.round(angles, 4).tolist(), allowed) from None
-    else:
-        pose = scenario.reference.evaluate(0.0)[0]
-    goal = inverse_kinematics(robot, scenario.reference.evaluate(0.0)[0])
-    far = float(np.abs(goal - inverse_kinematics(robot, pose)).max())
+        allowed = f"about {own:.4g} s, that of the machine, which sets the pace"
+        raise ConfigurationError("controller.period", period, allowed)
+    robot, angles, begin = scenario.belief.robot, machine.read().angles, reference.evaluate(0.0)[0]
+    # Motors that tell nothing go to the motion's beginning by themselves.
+    pose = _standing(robot, angles) if machine.reads else begin
+    far = float(np.abs(inverse_kinematics(robot, begin) - inverse_kinematics(robot, pose)).max())
     # The fastest instant of the way is 1.875 times as fast as its mean.
-    motion = PacedMotion(scenario.reference, pose, max(RAMP, 1.875 * far / APPROACH_SPEED))
-    if motion.approach > 0.0:
-        try:
-            check_reference(robot, scenario.limits, motion, motion.approach, scenario.gravity).raise_if_infeasible()
-        except InfeasibleReferenceError as error:
-            raise ConfigurationError(
-                "start", np.round(pose, 4).tolist(), f"a pose from which the motion can be reached ({error})"
-            ) from None
+    motion = PacedMotion(reference, pose, max(RAMP, 1.875 * far / APPROACH_SPEED))
+    try:
+        check_reference(robot, scenario.limits, motion, motion.approach, scenario.gravity).raise_if_infeasible()
+    except InfeasibleReferenceError as error:
+        allowed = f"a pose from which the motion can be reached ({error})"
+        raise ConfigurationError("start", np.round(pose, 4).tolist(), allowed) from None
     return Start(angles, pose, motion, motion.duration(scenario.duration if seconds is None else seconds))
+
+
+def _standing(robot: RobotParameters, angles: np.ndarray) -> np.ndarray:
+    """Pose (6,) of a robot that stands at crank angles (6,) [rad]."""
+    for leg, (angle, (low, high)) in enumerate(zip(angles, robot.crank_angle_ranges, strict=True)):
+        if not low - AT_STOP <= angle <= high + AT_STOP:
+            allowed = f"within {low:.4g} to {high:.4g} rad, its stops: is its zero that of the model?"
+            raise ConfigurationError(f"angle of leg {leg}", f"{angle:.4g} rad", allowed)
+    try:
+        return forward_kinematics(robot, angles)
+    except StewartDrakeError as error:
+        allowed = f"angles that the believed robot can stand at ({error}): are leg order, signs and zeros its own?"
+        raise ConfigurationError("angles", np.round(angles, 4).tolist(), allowed) from None
 
 
 class Drive:
@@ -104,13 +101,14 @@ class Drive:
 
     def __init__(self, scenario: Scenario, machine: Machine, start: Start) -> None:
         self._machine, self._start, self._motion = machine, start, start.motion
-        here = {"reference": {"kind": "hold", "pose": start.pose.tolist()}, "initial_offset": [0.0] * 6}
         # What it believes begins where the robot stands, and it reads angles, whatever a simulation would.
         here = {"reference": {"kind": "hold", "pose": start.pose.tolist()}, "initial_offset": [0.0] * 6}
         held = scenario.control().replace({**here, "model.reading": "angles"})
         motion, ahead = self._motion, scenario.preview
         sources = {"reference": motion.row, "reference_ahead": lambda now: motion.row(now + ahead)}
-        self.scenario, self._robot = scenario.replace({"duration": start.duration}), scenario.belief.robot
+        # What is told of the robot is told of the believed one.
+        own = {} if scenario.model.robot is None else {"robot": scenario.belief.robot}
+        self.scenario, self._robot = scenario.replace({"duration": start.duration, **own}), scenario.belief.robot
         self._controller, self._ahead = Controller(held, sources), ahead
         self._period, self._command = self._controller.period, np.empty(6)
         self._stale = STALE[machine.takes]
@@ -172,9 +170,8 @@ class Drive:
             # The motion waits, or its next pose would be far away.
             self._behind += tick - self._rows[-1]["tick"] - 1
             tick = self._rows[-1]["tick"] + 1
-            self._stop(
-                RunFailure(f"nothing came from the machine, or nothing ran here, for {gone:.3g} s", reason="late")
-            )
+            text = f"nothing came from the machine, or nothing ran here, for {gone:.3g} s"
+            self._stop(RunFailure(text, reason="late"))
         now, age = tick * self._period, max(reading.age, reading.command_age - 2.0 * self._period, 0.0)
         self._controller.step(reading.angles, now, self._command, age)
         self._machine.command(self._command)
@@ -220,14 +217,16 @@ class Drive:
         scenario = self.scenario
         with np.errstate(all="ignore"):
             rows = RunRows(scenario, self._signals())
-            figures, outcome = figures_of(rows), assess(rows, None, self.time, self._stopped_by)
-            warnings = find_warnings(outcome.status, rows, None)
+            trip = self._controller.first_trip
+            figures, outcome = figures_of(rows), assess(rows, trip, self.time, self._stopped_by)
+            warnings = tuple(plain_json(each) for each in find_warnings(outcome.status, rows, trip))
         return SimulationLog(
             scenario=scenario,
             signals=rows.signals,
             **outcome._asdict(),
             end_time=self.time,
             warnings=warnings,
+            safety=trip,
             wall_time=wall,
             versions=collect_versions(),
             files=file_digests(scenario.to_dict()),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.sampling import InBlocks
 from stewart_drake.hardware.motors import within_limit
 from stewart_drake.loop.part import LoopRunner, Part
-from stewart_drake.safety import LEVELS
+from stewart_drake.safety import LEVELS, first_trip
 from stewart_drake.scenario.assembly import control_side
 from stewart_drake.scenario.control_options import ControlOptions
 
@@ -62,6 +63,9 @@ class Controller:
         self._sources = [(self._running.signal(name), evaluate) for name, evaluate in evaluated.items()]
         there = self._running.places
         self.logged = {name: of for name, of in side.logged.items() if not isinstance(of, str) or of in there}
+        self._monitors = () if options.safety is None else options.safety.monitor_names
+        if self._safe:
+            self.logged["safety"] = "safety"
         self._reading = self._running.signal(side.reading)
         self._command, self.unit = self._running.signal("safe_torque" if self._safe else side.command), side.unit
         # What is no torque has its limit in the motor.
@@ -115,6 +119,11 @@ class Controller:
         The tuner's `weights` or `setting` apply from the next step on.
         """
         return self._running.signal(name)
+
+    @property
+    def first_trip(self) -> Mapping[str, Any] | None:
+        """What the safety layer has noticed first, as a log has it; None for nothing, or without a layer."""
+        return first_trip(self._running.state("safety"), self._tick, self._monitors) if self._safe else None
 
     @property
     def status(self) -> str:
