@@ -36,6 +36,7 @@ FOLLOWING = 0.35
 CLOCKS_APART = 0.05
 """Share by which the period of a machine that sets the pace may differ from the controller's. Its ticks count as the
 controller's: where they are longer, the motion takes longer."""
+_FRESH = 5  # Readings at most until the first that is used.
 HOLD = 0.3
 """[s] for which it is held at the end before it is let go."""
 
@@ -133,6 +134,10 @@ class Drive:
         """
         began = time.monotonic()
         try:
+            # What came while something was compiled is old.
+            for _ in range(_FRESH):
+                if self._machine.read().age < self._period:
+                    break
             while not self._done():
                 try:
                     self._tick()
@@ -172,7 +177,9 @@ class Drive:
             tick = self._rows[-1]["tick"] + 1
             text = f"nothing came from the machine, or nothing ran here, for {gone:.3g} s"
             self._stop(RunFailure(text, reason="late"))
-        now, age = tick * self._period, max(reading.age, reading.command_age - 2.0 * self._period, 0.0)
+        now = tick * self._period
+        # A command is on its way for two ticks, and before the first one none was.
+        age = max(reading.age, min(reading.command_age, now) - 2.0 * self._period)
         self._controller.step(reading.angles, now, self._command, age)
         self._machine.command(self._command)
         logged = {
