@@ -126,6 +126,10 @@ def free_directions(hold: Collection[str]) -> np.ndarray:
     return core.free_directions(PARAMETERS, KINDS, hold, constraints=[mean_gain] if is_relative else [])
 
 
+LOST_TICKS, LOST_SHARE = 6, 0.05
+"""Of a gap that is filled, at most, and of all rows."""
+
+
 class CrankReadings(Readings):
     """Base of rows at a constant rate with `time` (n,) [s] and `angles` (n, 6) [rad] of the cranks."""
 
@@ -134,11 +138,26 @@ class CrankReadings(Readings):
     angles: np.ndarray
     gravity: float
 
+    def _fill(self) -> None:
+        """Puts rows where a machine has lost some ticks, on the straight line between their neighbours."""
+        steps = np.diff(self.time)
+        rows = np.rint(steps / max(float(np.median(steps)), 1e-9)).astype(int)
+        if not (rows >= 1).all() or rows.max() > LOST_TICKS or rows.sum() > (1.0 + LOST_SHARE) * len(rows):
+            return
+        place = np.concatenate([[0], np.cumsum(rows)])
+        every, table = np.arange(place[-1] + 1), self.table
+        filled = np.stack([np.interp(every, place, column) for column in table.T], axis=1)
+        for name, column in self.columns.items():
+            # What was sent was held.
+            held = table[np.searchsorted(place, every, side="right") - 1] if name == "commands" else filled
+            object.__setattr__(self, name, held[:, column])
+
     def check_cranks(self, *also: str) -> None:
         """Checks them, and the other angles (n, 6) [rad] that are named, and takes out jumps by whole turns."""
         self.check()
         if len(self) < 2:
             raise ConfigurationError(self.source, f"{len(self)} rows", "some seconds of motion")
+        self._fill()
         steps = np.diff(self.time)
         uneven = np.abs(steps - np.median(steps)) > UNEVEN * np.median(steps)
         if uneven.any() or np.median(steps) <= 0.0:

@@ -176,3 +176,17 @@ def test_a_table_of_commands_and_angles(trial, tmp_path):
     (tmp_path / "without.csv").write_text("\n".join(",".join(row.split(",")[:7]) for row in text.splitlines()))
     with pytest.raises(ConfigurationError, match="commanded_angle_0_rad to commanded_angle_5_rad"):
         take_angles([tmp_path / "without.csv"])
+
+
+def test_a_few_lost_ticks_are_filled_in_and_more_are_refused():
+    time = 0.02 * np.arange(200)
+    angles = 0.3 * np.sin(2.0 * time[:, None] + np.arange(6))
+    commands = np.repeat(angles[::4], 4, axis=0)
+    kept = np.delete(np.arange(200), [50, 51, 120])
+    filled = ServoRecording(time[kept], angles[kept], commands[kept])
+    np.testing.assert_allclose(filled.time, time, atol=1e-12)
+    np.testing.assert_allclose(filled.angles, angles, atol=2e-3)
+    np.testing.assert_array_equal(filled.commands[[50, 51]], commands[[49, 49]])
+    few = np.delete(np.arange(200), np.arange(50, 60))
+    with pytest.raises(ConfigurationError, match="without gaps"):
+        ServoRecording(time[few], angles[few], commands[few])
