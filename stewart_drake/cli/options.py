@@ -33,7 +33,7 @@ COMMANDS = {
     "check": About("run", "paper_fig7 --retime", "Check a motion against every limit, without a run"),
     "moves": About("move", "check dances", "Moves and dances of Reachy Mini: check them, make them possible"),
     "moves check": About("move", "dances", "Check recorded moves against every limit of the head"),
-    "moves fix": About("move", "dances --out runs/moves", "Change moves, as little as possible, so that they can be done"),
+    "moves fix": About("move", "dances", "Change moves, as little as possible, until they can be done"),
     "moves export": About("move", "dance:simple_nod", "Write moves as the maker's JSON, also shaped for the servos"),
     "compare": About("study", "tracking --quick", "Compare controllers over motions and conditions"),
     "tune": About("study", "fair --quick", "Search the gains with the least cost for each controller"),

@@ -16,7 +16,7 @@ from stewart_drake.base.atomic_files import read_checked
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.sampling import unwrapped
 
-HEAD_HEIGHT = 0.177  # [m] above the origin of the robot's base frame B of that in which the robot tells its head's pose.
+HEAD_HEIGHT = 0.177  # [m] above the origin of the base frame B of that in which the robot tells its head's pose.
 MOST_TURN, MOST_BODY = math.radians(65.0), math.radians(160.0)
 """[rad] of the head on its body, and of the body: with more asked for, the robot's own software turns the body."""
 DANCES = "reachy_mini_dances_library==0.2.1"
@@ -34,6 +34,12 @@ class Move(NamedTuple):
     pose: np.ndarray  # (n, 6) [rad, m] of P in the base frame B, which turns with the body.
     antennas: np.ndarray  # (n, 2) [rad].
     body_yaw: np.ndarray  # (n,) [rad].
+
+    def at(self, time: np.ndarray) -> Move:
+        """The move with rows at other times (m,), on straight lines between its own."""
+        columns = np.column_stack([self.pose, self.antennas, self.body_yaw]).T
+        rows = np.column_stack([np.interp(time, self.time, column) for column in columns])
+        return Move(self.description, time, rows[:, :6], rows[:, 6:8], rows[:, 8])
 
 
 def pose_of_head(head: np.ndarray, yaw: Any) -> np.ndarray:
@@ -63,24 +69,20 @@ def read_move(path: str | Path) -> Move:
     content = read_checked(path, key, MAX_BYTES)
     try:
         data = json.loads(content)
-        rows = data["set_target_data"]
-        time = np.array(data["time"], dtype=float)
-        head = np.array([row["head"] for row in rows], dtype=float).reshape(-1, 4, 4)
-        antennas = np.array([row["antennas"] for row in rows], dtype=float).reshape(-1, 2)
-        yaw = np.array([row.get("body_yaw", 0.0) for row in rows], dtype=float)
+        rows = [(row["head"], row["antennas"], row.get("body_yaw", 0.0)) for row in data["set_target_data"]]
+        time = np.array(data["time"], dtype=float).reshape(len(rows))
+        head, antennas = (np.array([row[place] for row in rows], dtype=float) for place in (0, 1))
+        head, antennas = head.reshape(len(rows), 4, 4), antennas.reshape(len(rows), 2)
+        yaw = np.array([row[2] for row in rows], dtype=float).reshape(len(rows))
         about = str(data.get("description", ""))
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise ConfigurationError(key, " ".join(f"{type(error).__name__}: {error}".split())[:200], ASKED) from None
-    if not (time.shape == yaw.shape == (len(head),) and len(antennas) == len(head)):
-        raise ConfigurationError(key, f"{np.size(time)} times and {len(head)} poses", ASKED)
-    if not all(np.isfinite(each).all() for each in (time, head, antennas, yaw)):
-        raise ConfigurationError(key, "a number that is not finite", ASKED)
     skew = np.abs(np.swapaxes(head[:, :3, :3], 1, 2) @ head[:, :3, :3] - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    if (skew > 0.02).any():
-        raise ConfigurationError(f"{key}: row {skew.argmax() + 1}", "another matrix", "a head whose turn is a rotation")
+    if not (all(np.isfinite(each).all() for each in (time, head, antennas, yaw)) and (skew <= 0.02).all()):
+        raise ConfigurationError(key, "others", "finite numbers, and heads that are turned by a rotation")
     # Of rows at the same time the first.
-    rows = np.diff(time, prepend=-math.inf) != 0.0
-    time, head, antennas, yaw = time[rows], head[rows], antennas[rows], yaw[rows]
+    new = np.diff(time, prepend=-math.inf) != 0.0
+    time, head, antennas, yaw = time[new], head[new], antennas[new], yaw[new]
     if len(time) < 4 or (np.diff(time) < 0.0).any():
         raise ConfigurationError(key, f"{len(time)} times", "at least 4 rows, with times that ascend")
     turn = np.unwrap(np.arctan2(head[:, 1, 0], head[:, 0, 0]))
