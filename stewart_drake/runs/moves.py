@@ -64,6 +64,8 @@ def fix_move(robot: RobotParameters, move: Move) -> tuple[Move, dict[str, float]
 
     given = move.at(np.arange(move.time[0], move.time[-1] + 0.5 * STEP, STEP))
     count, home = len(given.time), robot.home_pose
+    if count < 4:
+        raise ConfigurationError("move", f"{move.time[-1] - move.time[0]:.3g} s", f"at least {3.0 * STEP:g} s")
     limits = ReferenceLimits(crank_speed=SPEED, torque_fraction=TORQUE / robot.effort_limit)
     smaller, widths, slowdown = np.zeros(count), np.zeros(count), 1.0
     for _ in range(_STEPS):
