@@ -21,7 +21,7 @@ SPEED, TORQUE = math.radians(618.0), 0.5  # [rad/s] of an XL330-M288-T at 5 V wi
 MOVING = ("crank_speed", "torque")  # What a move breaks by how fast it is; the rest it breaks by where it is.
 NEAR = 0.05  # [s] about a place that breaks a limit within which the move changes.
 SMALLER, SMOOTHER, SLOWER = 0.02, 0.004, 0.01  # A step: [-] of the size, [s], [-] of the duration.
-SMOOTHEST = 0.06  # [s] that a move is averaged over at most, the standard deviation of a Gaussian; then it is slowed.
+SMOOTHEST = 0.035  # [s] that a move is averaged over at most, the standard deviation of a Gaussian; then it is slowed.
 _STEPS, _SHARES = 2000, 21
 
 
@@ -84,7 +84,7 @@ def fix_move(robot: RobotParameters, move: Move) -> tuple[Move, dict[str, float]
         at = np.rint(times / (STEP * slowdown)).astype(int)
         smaller[np.unique(at[outside])] += SMALLER
         np.minimum(smaller, 1.0, out=smaller)
-        slowdown *= 1.0 + SLOWER * float((widths[at[fast]] >= SMOOTHEST).any())
+        slowdown *= 1.0 + SLOWER * float((widths[at[fast]] >= SMOOTHEST).any() and not outside.any())
         widths[np.unique(at[fast])] += SMOOTHER
         np.minimum(widths, SMOOTHEST, out=widths)
     else:
