@@ -3,7 +3,6 @@
 Needs the packages `reachy_mini` and `reachy_mini_dances_library` of its maker.
 """
 
-import sys
 from decimal import Decimal
 from pathlib import Path
 
@@ -25,13 +24,11 @@ from stewart_drake.plotting.style import (
     save_figure,
     styled,
 )
+from stewart_drake.references.moves import dances as makers_dances
 from stewart_drake.studies.comparison import Comparison
 from stewart_drake.studies.experiment import run_experiment
 
 FILE = find_file("comparison", "reachy")
-sys.path.insert(0, str(FILE.parent))
-from reachy_dance import moves  # noqa: E402 - the comparison's own file
-
 OUT, RUNS = Path(__file__).parent / "results", Path("runs/reachy")
 OURS, MAKERS = "our plant", "maker's model"
 MOTIONS, DANCE = ("nod", "look around", "breathing"), "dance groovy_sway_and_roll"
@@ -88,7 +85,7 @@ def dances() -> Comparison:
     file = read_mapping("comparison", FILE, 80)
     controllers = {name: file["controllers"][name] for name in ("angles, 50 Hz", "exact model, 50 Hz")}
     references = {}
-    for name, (_, _, facts) in moves().items():
+    for name, (_, _, facts) in makers_dances().items():
         period = facts["default_duration_beats"] * 60.0 / 114.0
         arguments = {"move": name, "smoothing": SMOOTHED.get(name, 0.0)}
         motion = {"kind": "reachy_dance.py:Dance", "arguments": arguments}

@@ -1,29 +1,13 @@
-"""A motion of one's own: the dances that Reachy Mini's maker publishes in the package `PACKAGE`."""
-
-import importlib.util
-import sys
-import types
+"""A motion of one's own: the dances that Reachy Mini's maker publishes in a package, `DANCES`."""
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from stewart_drake import ConfigurationError
+from stewart_drake.references.moves import dances
 
-PACKAGE = "reachy_mini_dances_library==0.2.1"
 SAMPLE = 0.002  # [s].
-
-
-def moves():
-    """Name -> function of the time in beats, its keywords, and facts, of all moves in the library."""
-    spec = importlib.util.find_spec(PACKAGE.partition("=")[0])
-    if spec is None:
-        allowed = f"an installed package for a dance of Reachy Mini; pip install --no-deps {PACKAGE}"
-        raise ConfigurationError("reference", PACKAGE, allowed)
-    # Under another name, as its own `__init__` imports all of the robot's software.
-    package = sys.modules.setdefault("reachy_mini_dances", types.ModuleType("reachy_mini_dances"))
-    package.__path__ = spec.submodule_search_locations
-    return importlib.import_module("reachy_mini_dances.collection.dance").AVAILABLE_MOVES
 
 
 class Dance:
@@ -34,7 +18,7 @@ class Dance:
     """
 
     def __init__(self, move, tempo=114.0, smoothing=0.0, home=(0.0, 0.0, 0.0, 0.0, 0.0, 0.177)):
-        known = moves()
+        known = dances()
         if move not in known:
             raise ConfigurationError("reference.arguments.move", move, f"one of {', '.join(known)}")
         function, keywords, facts = known[move]

@@ -12,12 +12,11 @@ import numpy as np
 from stewart_drake.base.errors import installed_with
 from stewart_drake.machines import machine
 from stewart_drake.machines.machine import MachineError, Reading, Takes
-from stewart_drake.mechanics.kinematics import rotation_matrix
+from stewart_drake.references.moves import pose_of_head
 from stewart_drake.scenario.scenario import Scenario
 
 TICK = 0.02  # [s] of the daemon between two messages of a kind; it sends one in each of its ticks, and no time stamp.
 PAIR = 0.003  # [s] after the angles of a tick within which its pose comes.
-HEAD_HEIGHT = 0.177  # [m] above the origin of the robot's base frame B of that in which the daemon tells `head_pose`.
 
 
 class ReachyMachine:
@@ -112,7 +111,7 @@ class ReachyMachine:
             self._yaw = float(joints[0]) if self._number < 0 else self._yaw
             self._joints, self._arrived, self._number = joints, time.monotonic(), self._number + 1
         elif kind == "head_pose" and (matrix := _numbers(message.get("head_pose"), 16)) is not None:
-            self._pose, self._pose_number = _pose(matrix.reshape(4, 4), float(self._joints[0])), self._number
+            self._pose, self._pose_number = pose_of_head(matrix.reshape(4, 4), float(self._joints[0])), self._number
         elif kind == "daemon_status":
             self._off = (message.get("backend_status") or {}).get("motor_control_mode") != "enabled"
         return True
@@ -124,10 +123,3 @@ def _numbers(given: Any, count: int) -> np.ndarray | None:
     except (TypeError, ValueError):
         return None
     return numbers if numbers.shape == (count,) and np.isfinite(numbers).all() else None
-
-
-def _pose(head: np.ndarray, yaw: float) -> np.ndarray:
-    """Pose (6,) [rad, m] of P in B of `head_pose` (4, 4), which is told in the world, and the yaw of the body [rad]."""
-    turned = rotation_matrix([0.0, 0.0, -yaw]) @ head[:3]
-    roll, pitch = np.arctan2(turned[2, 1], turned[2, 2]), np.arcsin(np.clip(-turned[2, 0], -1.0, 1.0))
-    return np.array([roll, pitch, np.arctan2(turned[1, 0], turned[0, 0]), *turned[:, 3] + [0.0, 0.0, HEAD_HEIGHT]])

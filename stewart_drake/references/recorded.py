@@ -17,6 +17,7 @@ from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.families import UserMade
 from stewart_drake.base.sampling import unwrapped
 from stewart_drake.base.tables import POSE, read_numbers, refuse_back, refuse_cells
+from stewart_drake.references.moves import read_move
 
 QUANTITIES = (("time", "s"), *POSE)
 MAX_RECORDING_BYTES = 100_000_000
@@ -32,12 +33,12 @@ class RecordedReference(Section, key="reference"):
     `pose_z_m` as in a saved log; `_ms`, `_deg` and `_mm` are accepted too. Times ascend. Angles may wrap: jumps by a
     whole turn are removed. The spline (not-a-knot) passes through every row, noise included, so filter a recording
     first. A run starts with the recording's own velocity. After the last row the motion comes to rest with continuous
-    acceleration.
+    acceleration. A recorded move of Reachy Mini in its maker's JSON is read too: its head on its body.
     """
 
     kind: Literal["recorded"] = "recorded"
     motion_file: Text
-    """File of the motion, .csv or .parquet, relative to the scenario file."""
+    """File of the motion, .csv, .parquet or .json, relative to the scenario file."""
     time_scale: Positive = 1.0
     """[s] duration of one unit of the file's time: 0.001 for a file in milliseconds, 2 for half the speed."""
     settle: Annotated[Real, Field(ge=1e-6, le=1e6)] = 0.25
@@ -79,8 +80,11 @@ def load_recording(path: str | Path) -> np.ndarray:
     """A recorded motion (n, 7) [s, rad, m] of a file with `QUANTITIES`, checked; wrapped angles without jumps."""
     path = Path(path)
     key = f"recorded motion {path}"
+    if path.suffix.lower() == ".json":
+        move = read_move(path)
+        return np.column_stack([move.time, move.pose])
     if path.suffix.lower() not in (".csv", ".parquet"):
-        raise ConfigurationError(key, path.suffix, "a file that ends in .csv or .parquet")
+        raise ConfigurationError(key, path.suffix, "a file that ends in .csv, .parquet or .json")
     data = read_numbers(path, key, QUANTITIES, MAX_RECORDING_BYTES, MAX_RECORDING_ROWS)
     if len(data) < 4:
         raise ConfigurationError(key, f"{len(data)} rows", "at least 4 rows")

@@ -1,0 +1,140 @@
+"""Moves of Reachy Mini: recorded ones as its maker keeps them, in JSON, and the dances of the maker's library."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import sys
+import types
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stewart_drake.base.atomic_files import read_checked
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.sampling import unwrapped
+
+HEAD_HEIGHT = 0.177  # [m] above the origin of the base frame B of that in which the robot tells its head's pose.
+MOST_TURN, MOST_BODY = math.radians(65.0), math.radians(160.0)
+"""[rad] of the head on its body, and of the body: with more asked for, the robot's own software turns the body."""
+DANCES = "reachy_mini_dances_library==0.2.1"
+TEMPO = 114.0  # [beats/min] of a dance.
+STEP = 0.01  # [s] between the rows of a dance, and of moves that are made here.
+MAX_BYTES = 100_000_000
+ASKED = "a move of Reachy Mini: `time` and `set_target_data`, a list of head (4x4), antennas (2) and body_yaw"
+
+
+class Move(NamedTuple):
+    """A move in n rows: the head on its body, and what is no part of the platform."""
+
+    description: str
+    time: np.ndarray  # (n,) [s], ascending.
+    pose: np.ndarray  # (n, 6) [rad, m] of P in the base frame B, which turns with the body.
+    antennas: np.ndarray  # (n, 2) [rad].
+    body_yaw: np.ndarray  # (n,) [rad].
+
+    def at(self, time: np.ndarray) -> Move:
+        """The move with rows at other times (m,), on straight lines between its own."""
+        columns = np.column_stack([self.pose, self.antennas, self.body_yaw]).T
+        rows = np.column_stack([np.interp(time, self.time, column) for column in columns])
+        return Move(self.description, time, rows[:, :6], rows[:, 6:8], rows[:, 8])
+
+
+def pose_of_head(head: np.ndarray, yaw: Any) -> np.ndarray:
+    """Pose (..., 6) [rad, m] of P in B of the head's (..., 4, 4), told in the world, and the yaw (...) of the body."""
+    x, y, z = np.moveaxis(head[..., :3, 3], -1, 0)
+    turn = np.arctan2(head[..., 1, 0], head[..., 0, 0]) - yaw
+    pitch, roll = np.arcsin(np.clip(-head[..., 2, 0], -1.0, 1.0)), np.arctan2(head[..., 2, 1], head[..., 2, 2])
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    parts = roll, pitch, np.remainder(turn + math.pi, math.tau) - math.pi, cosine * x + sine * y, cosine * y - sine * x
+    return np.stack([*parts, z + HEAD_HEIGHT], axis=-1)
+
+
+def head_of_pose(pose: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """The inverse (n, 4, 4) of `pose_of_head`, of poses (n, 6) and yaws (n,)."""
+    from scipy.spatial.transform import Rotation
+
+    head, cosine, sine = np.tile(np.eye(4), (len(pose), 1, 1)), np.cos(yaw), np.sin(yaw)
+    head[:, :3, :3] = Rotation.from_euler("xyz", pose[:, :3] + np.outer(yaw, [0.0, 0.0, 1.0])).as_matrix()
+    x, y, z = pose[:, 3:].T
+    head[:, :3, 3] = np.stack([cosine * x - sine * y, sine * x + cosine * y, z - HEAD_HEIGHT], axis=-1)
+    return head
+
+
+def read_move(path: str | Path) -> Move:
+    """A recorded move; where the head would turn too far on its body, that turns, as the robot's software lets it."""
+    key = f"move {path}"
+    content = read_checked(path, key, MAX_BYTES)
+    try:
+        data = json.loads(content)
+        rows = [(row["head"], row["antennas"], row.get("body_yaw", 0.0)) for row in data["set_target_data"]]
+        time = np.array(data["time"], dtype=float).reshape(len(rows))
+        head, antennas = (np.array([row[place] for row in rows], dtype=float) for place in (0, 1))
+        head, antennas = head.reshape(len(rows), 4, 4), antennas.reshape(len(rows), 2)
+        yaw = np.array([row[2] for row in rows], dtype=float).reshape(len(rows))
+        about = str(data.get("description", ""))
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise ConfigurationError(key, " ".join(f"{type(error).__name__}: {error}".split())[:200], ASKED) from None
+    skew = np.abs(np.swapaxes(head[:, :3, :3], 1, 2) @ head[:, :3, :3] - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    if not (all(np.isfinite(each).all() for each in (time, head, antennas, yaw)) and (skew <= 0.02).all()):
+        raise ConfigurationError(key, "others", "finite numbers, and heads that are turned by a rotation")
+    # Of rows at the same time the first.
+    new = np.diff(time, prepend=-math.inf) != 0.0
+    time, head, antennas, yaw = time[new], head[new], antennas[new], yaw[new]
+    if len(time) < 4 or (np.diff(time) < 0.0).any():
+        raise ConfigurationError(key, f"{len(time)} times", "at least 4 rows, with times that ascend")
+    turn = np.unwrap(np.arctan2(head[:, 1, 0], head[:, 0, 0]))
+    yaw = np.clip(np.clip(yaw, turn - MOST_TURN, turn + MOST_TURN), -MOST_BODY, MOST_BODY)
+    pose = pose_of_head(head, yaw)
+    pose[:, :3] = unwrapped(pose[:, :3])
+    return Move(about, time, pose, antennas, yaw)
+
+
+def move_json(move: Move) -> bytes:
+    """A move as the maker's player reads it."""
+    heads = head_of_pose(move.pose, move.body_yaw).tolist()
+    rows = [
+        {"head": head, "antennas": antennas, "body_yaw": yaw, "check_collision": False}
+        for head, antennas, yaw in zip(heads, move.antennas.tolist(), move.body_yaw.tolist(), strict=True)
+    ]
+    data = {"description": move.description, "time": move.time.tolist(), "set_target_data": rows}
+    return json.dumps(data, allow_nan=False).encode()
+
+
+def dances() -> Any:
+    """Name -> function of the time in beats, its keywords, and facts, of all dances in the maker's library."""
+    spec = importlib.util.find_spec(DANCES.partition("=")[0])
+    if spec is None:
+        allowed = f"an installed package for a dance of Reachy Mini; pip install --no-deps {DANCES}"
+        raise ConfigurationError("reference", DANCES, allowed)
+    # Under another name, as its own `__init__` imports all of the robot's software.
+    package = sys.modules.setdefault("reachy_mini_dances", types.ModuleType("reachy_mini_dances"))
+    package.__path__ = list(spec.submodule_search_locations or [])
+    return importlib.import_module("reachy_mini_dances.collection.dance").AVAILABLE_MOVES
+
+
+def dance(name: str) -> Move:
+    """A dance once, as `play_on` plays it."""
+    known = dances()
+    if name not in known:
+        raise ConfigurationError("dance", name, f"one of {', '.join(known)}")
+    function, keywords, facts = known[name]
+    time = np.arange(0.0, facts["default_duration_beats"] * 60.0 / TEMPO, STEP)
+    made = [function(now * TEMPO / 60.0, **keywords) for now in time.tolist()]
+    pose = np.array([[*each.orientation_offset, *each.position_offset] for each in made], dtype=float)
+    pose[:, 5] += HEAD_HEIGHT
+    antennas = np.array([each.antennas_offset for each in made], dtype=float)
+    return Move(str(facts.get("description", name)), time, pose, antennas, np.zeros(len(time)))
+
+
+def moves_of(source: str) -> dict[str, Move]:
+    """Moves by name: of a file, of a folder's files, `dance:NAME`, or all `dances`."""
+    if source == "dances" or source.startswith("dance:"):
+        return {name: dance(name) for name in (dances() if source == "dances" else [source.removeprefix("dance:")])}
+    path = Path(source)
+    files = sorted(path.glob("*.json")) if path.is_dir() else [path]
+    if not files:
+        raise ConfigurationError("move", source, "a folder with files that end in .json")
+    return {file.stem: read_move(file) for file in files}

@@ -1,0 +1,133 @@
+"""Moves of Reachy Mini: whether they can be done, how they can, and as poses from which its servos follow them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.analysis import feasibility
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.mechanics import kinematics
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.references.moves import STEP, Move
+from stewart_drake.robot import RobotParameters
+from stewart_drake.scenario.controller import Controller
+from stewart_drake.scenario.limits import ReferenceLimits, limit_margins
+from stewart_drake.scenario.scenario import Scenario
+
+SPEED, TORQUE = math.radians(618.0), 0.5  # [rad/s] of an XL330-M288-T at 5 V without load, and [N m] of a fixed move.
+MOVING = ("crank_speed", "torque")  # What a move breaks by how fast it is; the rest it breaks by where it is.
+NEAR = 0.05  # [s] about a place that breaks a limit within which the move changes.
+SMALLER, SMOOTHER, SLOWER = 0.02, 0.004, 0.01  # A step: [-] of the size, [s], [-] of the duration.
+SMOOTHEST = 0.035  # [s] that a move is averaged over at most, the standard deviation of a Gaussian; then it is slowed.
+_STEPS, _SHARES = 2000, 21
+
+
+def motion_of(move: Move) -> Any:
+    """Spline through the poses of a move, from t = 0."""
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(move.time - move.time[0], move.pose)
+
+
+def check_move(robot: RobotParameters, move: Move) -> tuple[feasibility.FeasibilityReport, float]:
+    """All limits along a move, with the speed of the servos; and the share of its ticks [-] out of reach."""
+    motion, limits = motion_of(move), ReferenceLimits(crank_speed=SPEED)
+    times = feasibility.checked_times(float(motion.x[-1]))
+    signals = motion(times), motion(times, 1), motion(times, 2)
+    report = feasibility.check_motion(robot, limits, times, *signals, STANDARD_GRAVITY)
+    return report, float((kinematics.reach_margin(robot, move.pose) < 0.0).any(axis=-1).mean())
+
+
+def averaged(pose: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """Poses (n, 6) of rows `STEP` apart, each averaged by a Gaussian of its own standard deviation (n,) [s]."""
+    most = math.ceil(4.0 * widths.max() / STEP)
+    padded = np.pad(pose, ((most, most), (0, 0)), mode="edge")
+    weights = np.exp(-0.5 * (STEP * np.arange(-most, most + 1) / np.maximum(widths, 1e-3)[:, None]) ** 2)
+    total = sum(weights[:, [place]] * padded[place : place + len(pose)] for place in range(2 * most + 1))
+    return np.asarray(total / weights.sum(axis=1, keepdims=True))
+
+
+def fix_move(robot: RobotParameters, move: Move) -> tuple[Move, dict[str, float]]:
+    """The move changed where it breaks a limit, in small steps until it breaks none; and by how much, for a table.
+
+    Where a pose is outside, the move comes nearer to home; where it is too fast or needs too much torque, it is
+    averaged over a longer time, up to `SMOOTHEST`; then all of it is slowed.
+    """
+    from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+
+    def near(values: np.ndarray) -> np.ndarray:
+        widest = maximum_filter1d(values, 2 * round(NEAR / STEP) + 1, mode="nearest")
+        return np.asarray(gaussian_filter1d(widest, 0.5 * NEAR / STEP, mode="nearest"))
+
+    given = move.at(np.arange(move.time[0], move.time[-1] + 0.5 * STEP, STEP))
+    count, home = len(given.time), robot.home_pose
+    if count < 4:
+        raise ConfigurationError("move", f"{move.time[-1] - move.time[0]:.3g} s", f"at least {3.0 * STEP:g} s")
+    limits = ReferenceLimits(crank_speed=SPEED, torque_fraction=TORQUE / robot.effort_limit)
+    smaller, widths, slowdown = np.zeros(count), np.zeros(count), 1.0
+    for _ in range(_STEPS):
+        less, wide = near(smaller), near(widths)
+        pose = averaged(home + (1.0 - less)[:, None] * (given.pose - home), wide)
+        made = given._replace(time=STEP * slowdown * np.arange(count), pose=pose)
+        motion = motion_of(made)
+        times = feasibility.checked_times(float(motion.x[-1]))
+        signals = motion(times), motion(times, 1), motion(times, 2)
+        margins = limit_margins(robot, limits, *signals, STANDARD_GRAVITY)
+        # Where a rod cannot span, the rest is unknown: NaN.
+        outside = np.any([~(margins[name] >= 0.0).all(axis=1) for name in margins if name not in MOVING], axis=0)
+        fast = np.any([(margins[name] < 0.0).any(axis=1) for name in MOVING], axis=0) & ~outside
+        if not (outside | fast).any():
+            break
+        at = np.rint(times / (STEP * slowdown)).astype(int)
+        smaller[np.unique(at[outside])] += SMALLER
+        np.minimum(smaller, 1.0, out=smaller)
+        slowdown *= 1.0 + SLOWER * float((widths[at[fast]] >= SMOOTHEST).any() and not outside.any())
+        widths[np.unique(at[fast])] += SMOOTHER
+        np.minimum(widths, SMOOTHEST, out=widths)
+    else:
+        raise ConfigurationError("move", move.description, f"a move that can be done after {_STEPS} small changes")
+    turns = np.swapaxes(kinematics.rotation_matrix(given.pose[:, :3]), 1, 2) @ kinematics.rotation_matrix(pose[:, :3])
+    apart = 1e3 * np.linalg.norm((pose - given.pose)[:, 3:], axis=1), np.degrees(kinematics.rotation_angle(turns))
+    changes = {"least size %": 100.0 * (1.0 - less.max()), "averaged ms": 1e3 * wide.max()}
+    changes["longer %"] = 100.0 * (slowdown - 1.0)
+    for unit, each in zip(("mm", "deg"), apart, strict=True):
+        changes |= {f"change {unit}": each.max(), f"its RMS {unit}": np.sqrt(np.mean(each**2))}
+    return made, changes
+
+
+def shaped_move(scenario: Scenario, move: Move) -> tuple[Move, np.ndarray]:
+    """Poses whose crank angles are what a scenario's controller would send to servos that take angles.
+
+    A player that solves inverse kinematics alone then sends the same angles. Six such angles need not have a pose: then
+    it is that of the largest share of what they differ by from the angles of the move; these shares [-] too.
+    """
+    motion = motion_of(move)
+    end, ahead = float(motion.x[-1]), scenario.preview
+
+    def row(now: float) -> np.ndarray:
+        moving = float(0.0 <= now < end)
+        return np.ravel([motion(min(max(now, 0.0), end), n) * (moving if n else 1.0) for n in range(3)])
+
+    controller = Controller(scenario, {"reference": row, "reference_ahead": lambda now: row(now + ahead)})
+    if controller.unit != "rad" or scenario.controller.feedback:
+        raise ConfigurationError("--shaped", scenario.name, "a `feedforward` controller of motors that take angles")
+    times = controller.period * np.arange(math.ceil(end / controller.period - 1e-9) + 1)
+    sent, nothing = np.empty((len(times), 6)), np.zeros(controller.reading)
+    for time, out in zip(times.tolist(), sent, strict=True):
+        controller.step(nothing, time, out)
+    robot, made = scenario.belief.robot, move.at(move.time[0] + np.minimum(times, end))._replace(time=times)
+    plain = kinematics.inverse_kinematics(robot, motion(np.minimum(times, end)))
+    pose, shares = motion(np.minimum(times, end)), np.zeros(len(times))
+    for share in np.linspace(1.0, 0.0, _SHARES, endpoint=False):
+        left = np.flatnonzero(shares == 0.0)
+        asked = np.clip(plain + share * (sent - plain), *robot.crank_angle_ranges.T)[left]
+        found, errors, _ = kinematics.newton(robot, asked, pose[left], kinematics.CLOSED, kinematics.NEWTON_STEPS)
+        closed = (errors <= kinematics.CLOSED) & (kinematics.reach_margin(robot, found) > 0.0).all(axis=1)
+        # Of the same branch.
+        same = np.abs(kinematics.inverse_kinematics(robot, found[closed]) - asked[closed]).max(axis=1) < 1e-6
+        there = np.flatnonzero(closed)[same]
+        pose[left[there]], shares[left[there]] = found[there], share
+    return made._replace(pose=pose), shares

@@ -1,0 +1,125 @@
+"""Moves of Reachy Mini made possible, and shaped for its servos."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+
+from stewart_drake import ConfigurationError, load_scenario, run
+from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.references.moves import HEAD_HEIGHT, STEP, Move, move_json, moves_of, read_move
+from stewart_drake.robot.robot_files import load_robot
+from stewart_drake.runs.moves import SMOOTHEST, TORQUE, averaged, check_move, fix_move, motion_of, shaped_move
+
+ROBOT = load_robot("reachy_mini")
+SERVO = ["motors={kind: position, preset: xl330_m288, delay: 0.01}", "controller={kind: feedforward}", "safety=null"]
+
+
+def moving(axis, values, step=STEP):
+    values = np.asarray(values)
+    pose = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, HEAD_HEIGHT], (len(values), 1))
+    pose[:, axis] += values
+    time = step * np.arange(len(values))
+    return Move("made up", time, pose, np.column_stack([time, -time]), 0.1 * time)
+
+
+def test_averaging_leaves_lines_and_makes_waves_smaller_as_a_gaussian_does():
+    time, width = STEP * np.arange(200), 0.04
+    wave = np.sin(2.0 * np.pi * 3.0 * time)
+    made = averaged(np.column_stack([time, wave, 0 * wave, wave, wave, wave]), np.full(200, width))[30:-30]
+    np.testing.assert_allclose(made[:, 0], time[30:-30], atol=1e-4)
+    np.testing.assert_allclose(made[:, 1], np.exp(-0.5 * (6.0 * np.pi * width) ** 2) * wave[30:-30], atol=1e-3)
+    assert (averaged(made, np.zeros(140)) == made).all()
+
+
+def test_a_move_that_can_be_done_stays_as_it_is():
+    move = moving(1, 0.2 * np.sin(STEP * np.arange(200)))
+    fixed, changes = fix_move(ROBOT, move)
+    np.testing.assert_allclose(fixed.pose, move.pose, atol=1e-15)
+    assert (changes["least size %"], changes["averaged ms"], changes["longer %"]) == (100.0, 0.0, 0.0)
+    assert changes["change deg"] < 1e-6
+
+
+def test_a_jump_is_averaged_around_it_and_nowhere_else():
+    move = moving(0, np.where(np.arange(300) < 150, 0.0, 0.2))
+    report, unreachable = check_move(ROBOT, move)
+    assert not report.feasible
+    assert unreachable == 0.0
+    fixed, changes = fix_move(ROBOT, move)
+    report, _ = check_move(ROBOT, fixed)
+    assert report.feasible
+    assert report.smallest["torque"].value <= TORQUE
+    away = np.abs(move.time - 1.5) > 0.3
+    np.testing.assert_allclose(fixed.pose[away], move.pose[away], atol=1e-6)
+    assert changes["longer %"] == 0.0
+    # Half of the jump, as close to it as a row is.
+    assert np.degrees(0.05) < changes["change deg"] <= np.degrees(0.1) + 1e-6
+
+
+def test_a_pose_out_of_reach_comes_nearer_to_home_and_no_more_than_a_step_too_near():
+    move = moving(5, 0.06 * np.sin(np.pi * np.arange(300) / 299.0) ** 2)
+    assert check_move(ROBOT, move)[1] > 0.1
+    fixed, changes = fix_move(ROBOT, move)
+    report, unreachable = check_move(ROBOT, fixed)
+    assert report.feasible
+    assert unreachable == 0.0
+    # At the top of what is allowed, to 3 % of the way.
+    higher = fixed._replace(pose=fixed.pose + 0.03 * (fixed.pose - ROBOT.home_pose))
+    assert not check_move(ROBOT, higher)[0].feasible
+    np.testing.assert_array_equal(fixed.pose[:20], move.pose[:20])
+    assert changes["change mm"] == pytest.approx(1e3 * np.abs(fixed.pose - move.pose).max())
+
+
+def test_what_averaging_cannot_help_is_slowed_with_antennas_and_body():
+    # A nod of 30 deg with a period of 0.14 s, shown in slow motion by nothing but the time.
+    move = moving(1, 0.45 * np.sign(np.sin(2.0 * np.pi * np.arange(120) / 60.0)))
+    short = move._replace(time=0.3 * move.time)
+    fixed, changes = fix_move(ROBOT, short)
+    assert check_move(ROBOT, fixed)[0].feasible
+    assert changes["averaged ms"] <= 1e3 * SMOOTHEST
+    assert changes["longer %"] > 5.0
+    slowdown = 1.0 + 0.01 * changes["longer %"]
+    assert fixed.time[-1] == pytest.approx(slowdown * short.time[-1], abs=2.0 * STEP)
+    np.testing.assert_allclose(fixed.antennas[-1], short.antennas[-1], atol=0.05)
+
+
+def test_a_move_shorter_than_a_few_rows_is_refused():
+    with pytest.raises(ConfigurationError, match=r"at least 0\.03 s"):
+        fix_move(ROBOT, moving(0, np.zeros(4), step=0.001))
+
+
+@pytest.mark.skipif(importlib.util.find_spec("reachy_mini_dances_library") is None, reason="needs the maker's dances")
+@pytest.mark.slow
+def test_all_twenty_dances_can_be_done_and_none_takes_longer(tmp_path):
+    dances = moves_of("dances")
+    assert len(dances) == 20
+    assert sum(not check_move(ROBOT, move)[0].feasible for move in dances.values()) == 7
+    for name, move in dances.items():
+        fixed, changes = fix_move(ROBOT, move)
+        path = tmp_path / f"{name}.json"
+        path.write_bytes(move_json(fixed))
+        report, unreachable = check_move(ROBOT, read_move(path))
+        assert (report.feasible, unreachable, changes["longer %"]) == (True, 0.0, 0.0), name
+        assert report.smallest["torque"].value <= 0.5
+        assert report.smallest["crank_speed"].value <= np.radians(618.0)
+
+
+def test_an_ordinary_player_of_a_shaped_move_sends_what_the_exact_model_sends(tmp_path):
+    move = moving(1, 0.2 * np.sin(2.0 * np.pi * STEP * np.arange(150)))
+    (tmp_path / "nod.json").write_bytes(move_json(move))
+    scenario = load_scenario("reachy_nod", [*SERVO, "plant={kind: closed_form}"])
+    shaped, shares = shaped_move(scenario, move)
+    assert (shares == 1.0).all()
+    (tmp_path / "shaped.json").write_bytes(move_json(shaped))
+    back = read_move(tmp_path / "shaped.json")
+    # The nod alone, as the angles of its inverse kinematics, is not what the servos need.
+    assert np.abs(back.pose - motion_of(move)(np.minimum(back.time, move.time[-1])))[:, 1].max() > 0.02
+    reference = {"kind": "recorded", "motion_file": str(tmp_path / "nod.json")}
+    log = run(scenario.replace({"reference": reference, "duration": 1.4}), check=False)
+    sent = np.array([log["commanded_angle"][np.searchsorted(log.time, time - 1e-6)] for time in back.time[:60]])
+    np.testing.assert_allclose(inverse_kinematics(ROBOT, back.pose[:60]), sent, atol=1e-6)
+
+
+def test_a_controller_that_reads_or_sends_torques_shapes_nothing():
+    with pytest.raises(ConfigurationError, match="motors that take angles"):
+        shaped_move(load_scenario("reachy_nod"), moving(0, np.zeros(100)))
