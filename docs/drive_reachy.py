@@ -128,7 +128,7 @@ half, lag included; ripple is the error of the velocity above 2 Hz.
 **Angles of the inverse kinematics** is what its owners send. **Exact model** is `drive reachy_daemon`: nothing is
 learnt; the numbers are those of the maker's MJCF, where the ball joints of the rods have a motor's friction. A real
 head hardly has such joints, and its motors have other numbers: see [Reachy Mini](reachy.md) for those. The file has the
-dry friction of a ball joint about three axes of its own, the model about the axis in which it turns.
+dry friction of a ball joint about three axes, which for the head and one of the rods are not those of the model.
 
 The daemon's clock is no wall clock: it stalls, here for {age:.0f} ms at most. `drive` counts its ticks and stays in
 step.

@@ -26,9 +26,9 @@ class BallJoints(Section, key="model.friction.joints"):
     viscous: NotNegative = 0.0
     """[N m s/rad] viscous friction of a joint."""
     coulomb: NotNegative = 0.0
-    """[N m] dry friction of a joint."""
+    """[N m] dry friction of a joint, about each of three axes: the rod, the motor's axis across it, and across both."""
     width: Positive = 0.01
-    """[rad/s] speed of a joint from which on all of the dry friction acts; below, in proportion."""
+    """[rad/s] speed about an axis from which on all of the dry friction acts; below, in proportion."""
     inertia: NotNegative = 0.0
     """[kg m^2] that a joint's turning moves, such as MuJoCo's armature."""
     crank: SixNumbers = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
@@ -67,6 +67,20 @@ def joint_rates(robot: Any, joints: Any, legs: Any, twist: Any, at_crank: Any, a
 
 
 @njit
+def joint_axes(legs: Any, leg: int, out: Any) -> None:
+    """Axes (3, 3) in B of the dry friction in a leg's joints: the motor's axis across the rod, across both, the rod."""
+    e, axis = legs.e_l[leg], np.empty(3)
+    cross(legs.crank[leg], legs.e_n[leg], axis)
+    along = dot(axis, e)
+    for k in range(3):
+        axis[k] -= along * e[k]
+    size = np.sqrt(dot(axis, axis))
+    for k in range(3):
+        out[0, k], out[2, k] = axis[k] / size, e[k]
+    cross(e, out[0], out[1])
+
+
+@njit
 def ball_joint_torques(robot: Any, joints: Any, motion: Any, acceleration: Any, legs: Any, out: Any) -> None:
     """Adds to torques (6,) [N m] what the joints ask for along a motion (12,) pose and rate, acceleration (6,).
 
@@ -75,6 +89,7 @@ def ball_joint_torques(robot: Any, joints: Any, motion: Any, acceleration: Any, 
     """
     twist, change, later, soon = np.empty(6), np.empty(6), np.empty(12), np.empty(1, LEGS)
     twists_of_motion(motion[:6], motion[6:], acceleration, twist, change)
+    basis = np.empty((3, 3))
     now, then, moments = np.empty((2, 6, 3)), np.empty((2, 6, 3)), np.empty((2, 6, 3))
     joint_rates(robot, joints, legs, twist, now[0], now[1])
     for k in range(6):
@@ -83,14 +98,18 @@ def ball_joint_torques(robot: Any, joints: Any, motion: Any, acceleration: Any, 
     if legs_at(robot, later[:6], soon[0]) >= 0:
         return
     joint_rates(robot, joints, soon[0], later[6:], then[0], then[1])
-    for side in range(2):
-        for i in range(6):
+    for i in range(6):
+        joint_axes(legs, i, basis)
+        for side in range(2):
             share = joints.crank[i] if side == 0 else joints.platform[i]
-            speed = np.sqrt(dot(now[side, i], now[side, i]))
-            rubbing = joints.viscous + joints.coulomb / max(speed, joints.width)
             for k in range(3):
                 gained = (then[side, i, k] - now[side, i, k]) / _AHEAD
-                moments[side, i, k] = share * (rubbing * now[side, i, k] + joints.inertia * gained)
+                moments[side, i, k] = share * (joints.viscous * now[side, i, k] + joints.inertia * gained)
+            for j in range(3):
+                turning = dot(now[side, i], basis[j]) / joints.width
+                dry = share * joints.coulomb * min(max(turning, -1.0), 1.0)
+                for k in range(3):
+                    moments[side, i, k] += dry * basis[j, k]
     matrix, work = np.empty((6, 6)), np.zeros((6, 1))
     unit, rates = np.zeros(6), np.empty((2, 6, 3))
     for m in range(6):

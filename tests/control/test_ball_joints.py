@@ -56,8 +56,13 @@ def test_rates_are_those_of_the_bodies(robot):
 def test_power_of_the_motors_is_what_the_joints_take(robot):
     pose = robot.home_pose + [0.05, 0.02, -0.03, 0.002, 0.001, 0.003]
     joints = BallJoints(viscous=0.15, coulomb=0.1, width=0.1, platform=(0, 0, 0, 0, 0, 1))
-    speeds = np.linalg.norm(rates_at(robot, joints, pose, RATE), axis=2)
-    lost = joints.viscous * speeds**2 + joints.coulomb * speeds * np.minimum(1.0, speeds / joints.width)
+    rates, legs = rates_at(robot, joints, pose, RATE), leg_geometry(robot, pose)
+    across = np.cross(np.cross(legs.crank, legs.e_n), legs.e_l)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    axes = np.stack([np.cross(legs.e_l, across), across, legs.e_l], axis=1)
+    about = np.einsum("ska,sba->skb", rates.transpose(1, 0, 2), axes)  # Leg, joint, axis.
+    dry = joints.coulomb * np.abs(about) * np.minimum(1.0, np.abs(about) / joints.width)
+    lost = joints.viscous * np.sum(rates**2, axis=2) + dry.sum(axis=2).T
     lost = lost[0].sum() + lost[1, 5]
     made = torques(robot, joints, pose, RATE, np.zeros(6)) @ (pose_jacobian(robot, pose) @ RATE)
     assert made == pytest.approx(lost, rel=1e-9)
