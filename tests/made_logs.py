@@ -12,7 +12,7 @@ STATES = tuple(f"motor_{i}_q" for i in range(6)) + ("platform_qw", "platform_z",
 def made_log(rows=101, step=0.1, duration=10.0, scenario=None, **changes):
     scenario = Scenario.from_dict({"name": "made", "duration": duration, "tuner": {"kind": "fixed"}} | (scenario or {}))
     widths = {"plant_state": len(STATES)} | {name: len(s.components) for name, s in SIGNALS.items() if s.components}
-    signals = {name: np.zeros((rows, widths.get(name, 0))) for name in SIGNALS}
+    signals = {name: np.zeros((rows, widths[name]) if name in widths else rows) for name in SIGNALS}
     signals["time"] = step * np.arange(rows)
     signals["weights"] += 1.0
     signals |= {name: changes.pop(name) for name in list(changes) if name in signals}

@@ -286,7 +286,8 @@ def excite(
         "sensors.resolution_bits=12",
         "estimator={kind: difference}",
         "command_delay=0",
-        "plant={}",
+        # So that what is simulated has no error of its own.
+        "plant={kind: closed_form, integrator: rk4, time_step: 0.00025}",
         "model={}",
     )
     duration = duration or (60.0 if motors is None else 20.0)

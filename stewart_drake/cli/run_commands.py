@@ -23,7 +23,7 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import metrics_of, run_metrics
 from stewart_drake.logs.outcomes import describe_outcome
 from stewart_drake.runs.outputs import check_place, claimed_place, draw_run, prepare_file, prepare_folder, save_run
-from stewart_drake.scenario.scenario import load_scenario
+from stewart_drake.scenario.scenario import load_driven, load_scenario
 
 
 @command(
@@ -117,7 +117,7 @@ def _print_run(log: SimulationLog, place: Path, machine: str) -> None:
     out=opt.option("Write the feasible scenario; needs --scale or --retime.", opt.OUT_FILE),
 )
 def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None) -> None:
-    """The check covers the whole run of SCENARIO. Your own code is named but not run.
+    """The check covers the whole run of SCENARIO, or of a controller's file. Your own code is named but not run.
 
     `plant_torque` is with payload, friction and disturbances, which the controller does not know. Exit status 2: the
     motion is infeasible, or the plant needs more torque than the motors have.
@@ -126,7 +126,7 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
 
     if out is not None and scale == retime:
         raise click.UsageError("--out needs either --scale or --retime")
-    loaded = load_scenario(scenario, overrides)
+    loaded = load_driven(scenario, overrides)
     for part in user_parts(loaded):
         part.code.find(part.code_key)
     for code in dict.fromkeys(part.code for part in user_parts(loaded)):

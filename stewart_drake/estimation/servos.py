@@ -294,6 +294,8 @@ def identify_servos(
         return log if isinstance(log, ServoRecording) else load_servo_recording(log, robot)
 
     recordings, unseen = [read(log) for log in logs], [read(log) for log in validate]
+    if not 0.0 <= reading_age <= 1.0:
+        raise ConfigurationError("reading_age", reading_age, "a number of seconds from 0 to 1")
     kinds = {"reading_age", *(hold or ("rotor_inertia",))}
     believed = [at for at, parameter in enumerate(PARAMETERS) if parameter.kind in kinds - {*hold}]
     free, bodies = core.free_directions(PARAMETERS, KINDS, kinds), torques.scales(robot)[[torques.MASS, torques.ROTOR]]

@@ -91,10 +91,11 @@ def _poses(stamps: list[Any], poses: np.ndarray) -> Iterator[tuple[int, dict[str
 
 
 def _joints(stamps: list[Any], log: SimulationLog) -> Iterator[tuple[int, dict[str, Any]]]:
-    torques = log.signals.get("torque_applied", np.zeros_like(log["crank_angle"]))
-    for row, (angles, efforts) in enumerate(zip(log["crank_angle"].tolist(), torques.tolist(), strict=True)):
-        named = enumerate(zip(angles, efforts, strict=True))
-        joints = [{"name": f"motor_{i}", "position": angle, "effort": effort} for i, (angle, effort) in named]
+    torques = log.signals.get("torque_applied")
+    for row, angles in enumerate(log["crank_angle"].tolist()):
+        joints = [{"name": f"motor_{i}", "position": angle} for i, angle in enumerate(angles)]
+        if torques is not None:
+            joints = [{**joint, "effort": float(torques[row, i])} for i, joint in enumerate(joints)]
         yield row, {"timestamp": stamps[row], "joints": joints}
 
 

@@ -100,7 +100,7 @@ class PacketMachine(ABC):
         if silent > machine.LOST:
             raise MachineError(self.name, f"has sent no reading for {silent:.1f} s")
         held, ages = not last.flags & wire.ACTIVE, (now - self._arrived, now - self._answered)
-        return Reading(last.values.copy(), last.microseconds * 1e-6, ages[0], last.number, ages[1], held)
+        return Reading(last.values.copy(), last.microseconds * 1e-6, ages[0], self._total, ages[1], held)
 
     def command(self, values: np.ndarray) -> None:
         """Sends commands (6,) that are to be followed."""
@@ -121,6 +121,7 @@ class PacketMachine(ABC):
         self._last: wire.Packet | None = None
         now = time.monotonic()
         self._number, self._counted, self._sent = 0, 0, np.full(KEPT, now)
+        self._total: int = 0
         self._looked = self._listening = self._arrived = self._answered = now
 
     def _connected(self) -> wire.Packet:
@@ -150,6 +151,8 @@ class PacketMachine(ABC):
             elif self._last is not None and not _follows(packet, self._last):
                 self.dropped["old"] += 1
             else:
+                # Numbers of the wire begin again after 2^32 - 1, those of readings do not.
+                self._total += 1 if self._last is None else (packet.number - self._last.number) % 2**32
                 self._last, self._arrived, self._counted = packet, time.monotonic(), self._counted + 1
                 if packet.answers > 0 and (self._number - packet.answers) % 2**32 < KEPT:
                     self._answered = float(self._sent[packet.answers % KEPT])

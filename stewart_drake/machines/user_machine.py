@@ -51,9 +51,16 @@ class UserMachine:
         """What the user's object reads, checked."""
         given, now = self._ask(self._own.read), time.monotonic()
         if given is not None:
-            self._last, self._arrived = self._checked(given, now), now
+            reading, last = self._checked(given, now), self._last
+            if last is not None and reading.time < last.time:
+                raise MachineError(self.name, f"its clock goes back from {last.time:g} to {reading.time:g} s")
+            # What has the time of the reading before is that one.
+            if last is None or reading.time > last.time:
+                self._last, self._arrived = reading, now
         if self._last is None:
             raise MachineError(self.name, "read gave no reading yet")
+        if now - self._arrived > machine.LOST:
+            raise MachineError(self.name, f"read has given no new reading for {now - self._arrived:.1f} s")
         return self._last._replace(age=self._last.age + now - self._arrived)
 
     def command(self, values: np.ndarray) -> None:
@@ -81,9 +88,17 @@ class UserMachine:
             angles, at = given if isinstance(given, tuple) and len(given) == 2 else (given, now)
             given = Reading(angles, at, 0.0, 1 if self._last is None else self._last.number + 1)
         try:
-            reading = given._replace(angles=np.array(given.angles, dtype=float), time=float(given.time))
+            pose = None if given.pose is None else np.array(given.pose, dtype=float)
+            numbers = {name: float(getattr(given, name)) for name in ("time", "age", "command_age")}
+            reading = given._replace(
+                angles=np.array(given.angles, dtype=float), pose=pose, number=int(given.number), **numbers
+            )
         except (TypeError, ValueError):
-            raise MachineError(self.name, f"read gave a {type(given.angles).__name__}, no six angles") from None
-        if reading.angles.shape != (6,) or not np.isfinite([*reading.angles, reading.time]).all():
-            raise MachineError(self.name, f"read gave {reading.angles}, no six finite angles [rad]")
+            raise MachineError(self.name, f"read gave {given}, no reading of six angles") from None
+        if reading.angles.shape != (6,) or not np.isfinite([*reading.angles, *numbers.values()]).all():
+            raise MachineError(self.name, f"read gave {reading.angles}, no six finite angles [rad], or no finite time")
+        if min(reading.age, reading.command_age) < 0.0:
+            raise MachineError(self.name, f"read gave an age of {min(reading.age, reading.command_age):g} s")
+        if pose is not None and (pose.shape != (6,) or not np.isfinite(pose).all()):
+            raise MachineError(self.name, f"read gave the pose {pose}, no six finite numbers")
         return reading

@@ -68,17 +68,26 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
         allowed = f"about {own:.4g} s, that of the machine, which sets the pace"
         raise ConfigurationError("controller.period", period, allowed)
     robot, angles, begin = scenario.belief.robot, machine.read().angles, reference.evaluate(0.0)[0]
-    # Motors that tell nothing go to the motion's beginning by themselves.
-    pose = _standing(robot, angles) if machine.reads else begin
+    try:
+        pose = _standing(robot, angles)
+    except ConfigurationError:
+        if machine.reads:
+            raise
+        # Motors that tell nothing, and were told nothing, go to the motion's beginning by themselves.
+        pose = begin
     far = float(np.abs(inverse_kinematics(robot, begin) - inverse_kinematics(robot, pose)).max())
     # The fastest instant of the way is 1.875 times as fast as its mean.
     motion = PacedMotion(reference, pose, max(RAMP, 1.875 * far / APPROACH_SPEED))
-    try:
-        check_reference(robot, scenario.limits, motion, motion.approach, scenario.gravity).raise_if_infeasible()
-    except InfeasibleReferenceError as error:
-        allowed = f"a pose from which the motion can be reached ({error})"
-        raise ConfigurationError("start", np.round(pose, 4).tolist(), allowed) from None
-    return Start(angles, pose, motion, motion.duration(scenario.duration if seconds is None else seconds))
+    duration = motion.duration(scenario.duration if seconds is None else seconds)
+    for until in (motion.approach, duration):
+        try:
+            check_reference(robot, scenario.limits, motion, until, scenario.gravity).raise_if_infeasible()
+        except InfeasibleReferenceError as error:
+            if until == duration:
+                raise
+            allowed = f"a pose from which the motion can be reached ({error})"
+            raise ConfigurationError("start", np.round(pose, 4).tolist(), allowed) from None
+    return Start(angles, pose, motion, duration)
 
 
 def _standing(robot: RobotParameters, angles: np.ndarray) -> np.ndarray:
@@ -117,6 +126,8 @@ class Drive:
         self._controller.step(start.angles, 0.0, self._command)
         self._controller.reset()
         self._rows: list[dict[str, Any]] = []
+        self._gives_up = np.inf  # [s] on the monotonic clock.
+        self._holding = 0  # Ticks in a row in which the machine said that it follows nothing.
         self._behind = 0  # Ticks by which the motion's clock is behind that of the machine.
         self._origin = 0.0  # [s], or a machine's number of its reading, at the beginning.
         self._stopped_by: RunFailure | KeyboardInterrupt | None = None
@@ -145,17 +156,20 @@ class Drive:
                         progress(self.time)
                 except KeyboardInterrupt as end:
                     if self._stopped_by is not None:
-                        # The second one does not wait.
+                        # One that comes while it stops does not wait.
                         raise
                     self._stop(end)
         except (RunFailure, KeyboardInterrupt) as end:
-            self._stopped_by = end
+            self._stopped_by = self._stopped_by or end
+        except StewartDrakeError as error:
+            self._stopped_by = self._stopped_by or RunFailure(str(error))
         finally:
             self._machine.disconnect()
         return self._log(time.monotonic() - began)
 
     def _done(self) -> bool:
-        return self.time >= self._motion.rests + HOLD
+        # Where nothing comes from a machine, its clock stands.
+        return self.time >= self._motion.rests + HOLD or time.monotonic() > self._gives_up
 
     def _stop(self, why: RunFailure | KeyboardInterrupt) -> None:
         """Slows down from what has been commanded already on; the first reason is the one that is told."""
@@ -164,6 +178,7 @@ class Drive:
                 why.time = self.time
             self._stopped_by = why
             self._motion.stop(self.time + self._ahead)
+            self._gives_up = time.monotonic() + 2.0 * RAMP + HOLD
 
     def _tick(self) -> None:
         reading, tick, late = self._next()
@@ -180,8 +195,11 @@ class Drive:
         now = tick * self._period
         # A command is on its way for two ticks, and before the first one none was.
         age = max(reading.age, min(reading.command_age, now) - 2.0 * self._period)
+        arrived = time.monotonic()
+        self._miss(tick)
         self._controller.step(reading.angles, now, self._command, age)
         self._machine.command(self._command)
+        late += time.monotonic() - arrived
         logged = {
             name: self._controller.signal(of).copy() if isinstance(of, str) else of
             for name, of in self._controller.logged.items()
@@ -191,13 +209,20 @@ class Drive:
         self._rows.append({"time": now, "tick": tick, **logged, **own, **sent})
         self._look(reading)
 
+    def _miss(self, tick: int) -> None:
+        """Ticks that were lost before this one are ticks without a reading, or its rate would come out too large."""
+        if self._rows and self.scenario.controller.feedback:
+            first, most = self._rows[-1]["tick"] + 1, getattr(self.scenario.estimator, "hold_ticks", 0)
+            for missed in range(max(first, tick - most), tick):
+                self._controller.step(np.full(6, np.nan), missed * self._period, self._command)
+
     def _next(self) -> tuple[Reading, int, float]:
         """The next reading, its tick, and how late it is [s]."""
         machine, first = self._machine, not self._rows
         if machine.paced:
             reading = machine.read()
             self._origin = reading.number if first else self._origin
-            return reading, int(reading.number - self._origin) - self._behind, 0.0
+            return reading, int(reading.number - self._origin) - self._behind, reading.age
         self._origin = time.monotonic() if first else self._origin
         # Ticks that have gone by are left out, not made up for.
         passed = int((time.monotonic() - self._origin) / self._period)
@@ -209,7 +234,11 @@ class Drive:
 
     def _look(self, reading: Reading) -> None:
         """What makes it slow down and stop."""
-        if reading.age > self._stale:
+        self._holding = self._holding + 1 if reading.holding else 0
+        if self._holding * self._period > self._stale:
+            text = "the machine says that it holds and follows nothing: are its motors off, or commands out of range?"
+            self._stop(RunFailure(text, reason="holding"))
+        elif reading.age > self._stale:
             text = f"a reading that is {reading.age:.3g} s old, at most {self._stale:.3g} s"
             self._stop(RunFailure(text, reason="stale_reading"))
         elif self._machine.reads:

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from stewart_drake import load_scenario, run_metrics
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.logs.log import load_log
 from stewart_drake.machines.machine import MachineError, Reading
+from stewart_drake.machines.simulated import SimulatedRobot
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.references.paced import RAMP
 from stewart_drake.runs.drive import HOLD, Drive, connected
@@ -19,6 +20,7 @@ SERVOS = {
 }
 BASE = load_scenario("reachy_nod").replace(SERVOS)
 HOME = inverse_kinematics(BASE.robot, BASE.robot.home_pose)
+HOME_POSE, FAR = BASE.robot.home_pose.tolist(), (BASE.robot.home_pose + [0.0, 0.0, 0.0, 0.0, 0.0, 0.1]).tolist()
 ROTATED = BASE.robot.home_pose + [0.1, -0.05, 0.1, 0.0, 0.0, 0.003]
 
 
@@ -29,7 +31,7 @@ class Servos:
 
     def __init__(self, angles=HOME, at=None, event=None):
         self.angles, self.count, self.commands, self.gone = np.array(angles), 0, [], False
-        self.at, self.event, self.age = at, event, 0.0
+        self.at, self.event, self.age, self.holding = at, event, 0.0, False
 
     def connect(self):
         pass
@@ -38,7 +40,7 @@ class Servos:
         self.count += 1
         if self.count == self.at:
             self.event(self)
-        return Reading(self.angles.copy(), 0.02 * self.count, self.age, self.count)
+        return Reading(self.angles.copy(), 0.02 * self.count, self.age, self.count, holding=self.holding)
 
     def command(self, values):
         self.commands.append(values.copy())
@@ -46,6 +48,32 @@ class Servos:
 
     def disconnect(self):
         self.gone = True
+
+
+class Exact:
+    """A paced machine at 1 kHz: the plant of a scenario, which loses a tick now and then."""
+
+    period, takes, reads, paced = 0.001, "torque", True, True
+
+    def __init__(self, scenario, lost):
+        self.robot, self.lost, self.count, self.commands = SimulatedRobot(scenario), lost, 0, []
+
+    def connect(self):
+        pass
+
+    def read(self):
+        for _ in range(2 if self.lost and self.count % self.lost == self.lost - 1 else 1):
+            angles = self.robot.reading().copy()
+            self.robot.advance(not self.commands)
+            self.count += 1
+        return Reading(angles, 0.001 * self.count, 0.0, self.count)
+
+    def command(self, values):
+        self.commands.append(values.copy())
+        self.robot.command[:] = values
+
+    def disconnect(self):
+        pass
 
 
 def driven(machine, scenario=BASE, seconds=None):
@@ -89,6 +117,15 @@ def late(machine):
     machine.age = 0.6
 
 
+def off(machine):
+    machine.holding = True
+
+
+def silent(machine):
+    machine.event, machine.at = (lambda _: None), None
+    machine.read = lambda: Reading(machine.angles.copy(), 0.0, 0.9, machine.count)
+
+
 def stuck(machine):
     machine.command = lambda values: machine.commands.append(values.copy())
     machine.angles = HOME + 0.5
@@ -100,6 +137,8 @@ def stuck(machine):
         (interrupted, "interrupted", "interrupted", True),
         (late, "failed", "stale_reading", True),
         (stuck, "failed", "not_following", True),
+        (off, "failed", "holding", True),
+        (silent, "failed", "stale_reading", False),
         (lost, "failed", "machine", False),
     ],
 )
@@ -107,7 +146,7 @@ def test_what_goes_wrong_slows_it_down_on_its_path_and_is_told(event, status, re
     machine = Servos(at=130, event=event)
     log = driven(machine, BASE.replace({"duration": 10.0}))
     assert (log.status, log.reason, machine.gone) == (status, reason, True)
-    assert log.end_time < 130 * 0.02 + RAMP + HOLD + 0.1
+    assert log.end_time < 130 * 0.02 + RAMP + HOLD + 0.7
     moved = np.abs(np.diff(machine.commands, axis=0)).max(axis=1)
     assert moved.max() < 0.12
     assert bool(moved[-5:].max() < 0.01) == rests
@@ -141,3 +180,21 @@ def test_what_does_not_fit_is_refused_before_anything_moves(change, words):
     with pytest.raises(ConfigurationError, match=words):
         connected(BASE, machine)
     assert machine.commands == []
+
+
+def test_a_motion_that_leaves_the_limits_later_is_refused():
+    scenario = BASE.replace({"reference": {"kind": "spline", "times": [0, 2, 4], "poses": [HOME_POSE, HOME_POSE, FAR]}})
+    connected(scenario, Servos(), 1.0)
+    with pytest.raises(InfeasibleReferenceError):
+        connected(scenario, Servos(), 4.0)
+
+
+def test_lost_ticks_are_ticks_without_a_reading_and_no_velocity():
+    """By torque: a machine of the exact plant in which one tick of 50 is lost."""
+    scenario = load_scenario("exact_fig7", ["plant.kind=closed_form", "sensors=encoders", "duration=1"])
+    steps = {}
+    for lost in (0, 50):
+        machine = Exact(scenario, lost)
+        assert driven(machine, scenario).status == "completed"
+        steps[lost] = np.abs(np.diff(machine.commands, axis=0)).max()
+    assert steps[50] < 3.0 * steps[0]
