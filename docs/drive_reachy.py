@@ -33,6 +33,7 @@ SCHEMES: Mapping[str, Mapping[str, Any]] = {
     "exact model, ball joints believed free": {"model.friction.joints": None},
     "exact model": {},
 }
+ENDS = "angles of the inverse kinematics", "exact model"
 LOOK = {
     "kind": "minimum_jerk",
     "poses": [
