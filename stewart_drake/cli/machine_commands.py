@@ -21,6 +21,7 @@ from stewart_drake.scenario.scenario import load_driven
         "What to drive: reachy://HOST:PORT, udp://HOST:PORT, serial:DEVICE, sim: or mine.py:MyMachine.", required=True
     ),
     seconds=opt.option("Seconds of the motion [default: the scenario's duration].", click.FloatRange(0.1), "--for"),
+    mcap=opt.switch("Also write run.mcap, for Foxglove."),
     dry=opt.switch("Connect, read and plan; move nothing."),
     out=opt.option("Folder for the results [default: runs/NAME, or runs/NAME-2, ...].", opt.PATH),
 )
@@ -29,6 +30,7 @@ def drive(
     machine: str,
     overrides: tuple[str, ...],
     seconds: float | None,
+    mcap: bool,
     dry: bool,
     out: Path | None,
     force: bool,
@@ -65,6 +67,8 @@ def drive(
             with progress_bar(loaded.name, start.duration) as advance:
                 log = Drive(loaded, opened, start).run(advance)
             place = leave(log, claimed, machine=machine)
+            if mcap:
+                log.save(place / "run.mcap")
     finally:
         opened.disconnect()
     end(log, place == claimed)

@@ -150,6 +150,10 @@ class MotorOptions(Section, ABC, key="motors"):
         """Command (6,) in force until the first one arrives."""
         return context.initial_torque
 
+    def available(self, robot: RobotParameters, rates: np.ndarray) -> np.ndarray:
+        """Largest torque (..., 6) [N m] of motors that drive cranks at rates (..., 6) [rad/s]; below 0 for none."""
+        return np.broadcast_to(robot.effort_limits, rates.shape)
+
     @property
     def dead_time(self) -> float:
         """[s] from a command's arrival to its effect."""

@@ -60,6 +60,13 @@ class _SoldMotors(MotorOptions):
         """[s/rad] share of the limit that a motor loses for its speed."""
         return 0.0 if self.no_load_speed is None else 1.0 / self.no_load_speed
 
+    def available(self, robot: RobotParameters, rates: np.ndarray) -> np.ndarray:
+        supply = getattr(self, "supply", 1.0)
+        most, speed = supply * self.limits(robot), np.abs(rates)
+        # What is left of a limit at a speed, and what the damping takes of it.
+        left = np.minimum(most * (1.0 - self.slope / supply * speed), most - getattr(self, "damping", 0.0) * speed)
+        return np.minimum(robot.effort_limits, left)
+
 
 class PositionServos(_SoldMotors):
     """Servos that take angles: T = clip(stiffness (command - angle), limit) - damping rate.

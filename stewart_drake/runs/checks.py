@@ -153,7 +153,7 @@ def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:
 
 
 def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
-    """The margin of torque with what the controller does not know: payload, motor friction, the package's disturbances.
+    """The margin of torque with what the limits do not know: payload, motor friction, disturbances, motors as sold.
 
     Empty where there is nothing of it, or where the robot cannot do the motion at all.
     """
@@ -164,6 +164,8 @@ def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
         names.append(f"payload {plant.payload_mass:g} kg")
     if (friction["break_away"] + friction["viscous"]).any():
         names.append("motor friction")
+    if getattr(scenario.motors, "no_load_speed", None) or getattr(scenario.motors, "torque_limit", None):
+        names.append(f"{scenario.motors.kind} motors at that speed")
     if not names:
         return feasibility.FeasibilityReport({}, None)
     with user_code(scenario), np.errstate(all="ignore"), suppress(RunFailure, np.linalg.LinAlgError):
@@ -173,9 +175,10 @@ def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
         torque -= np.linalg.solve(np.swapaxes(to_cranks, -1, -2), wrench[..., None])[..., 0]
         speed = (to_cranks @ pose_rate_to_twist(pose, rate)[..., None])[..., 0]
         torque += friction["break_away"] * np.sign(speed) + friction["viscous"] * speed
-        margins = robot.effort_limits - np.abs(torque)
+        available = scenario.motors.available(robot, speed)
+        margins = available - np.abs(torque)
         sample, leg = divmod(int(margins.argmin()), 6)
-        numbers = float(robot.effort_limits[leg]), float(margins[sample, leg]), float(time[sample])
+        numbers = float(available[sample, leg]), float(margins[sample, leg]), float(time[sample])
         worst = feasibility.LimitMargin("torque", *numbers, leg, f"leg {leg} with {', '.join(names)}")
         return feasibility.FeasibilityReport({"plant_torque": worst}, worst if worst.margin < 0.0 else None)
     return feasibility.FeasibilityReport({}, None)

@@ -4,9 +4,11 @@ import re
 import numpy as np
 import pytest
 
+from stewart_drake import load_scenario
 from stewart_drake.analysis.feasibility import check_reference
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.kinematics import pose_jacobian
 from stewart_drake.references import AdjustedReference, HeartbeatReference, MinimumJerkReference, SineReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.checks import adjusted, check_scenario, fit_amplitude, fit_speed, plant_report
@@ -104,3 +106,15 @@ def test_the_torque_of_the_plant_has_what_the_controller_does_not_know():
     worst = plant_report(Scenario(reference=FAST, duration=1.0).replace(rubbing)).smallest["plant_torque"]
     assert believed + 0.1 < worst.value < believed + 0.3 + 0.1 * 10.0
     assert worst.where == f"leg {worst.leg} with motor friction"
+
+
+def test_motors_as_sold_give_less_at_speed_than_the_robots_limit():
+    """By hand: the line from the torque at rest to the speed without load."""
+    servo = {"kind": "position", "torque_limit": 2.0, "no_load_speed": 8.0, "damping": 0.0}
+    scenario = load_scenario("sway", ["robot=servo_hexapod", "safety=null", "controller={kind: feedforward}"])
+    worst = plant_report(scenario.replace({"motors": servo})).smallest["plant_torque"]
+    pose, rate, _ = scenario.reference.evaluate(worst.time)
+    speed = abs((pose_jacobian(scenario.robot, pose) @ rate)[worst.leg])
+    assert worst.bound == pytest.approx(min(scenario.robot.effort_limit, 2.0) * (1.0 - speed / 8.0))
+    weak = {**servo, "torque_limit": 0.001}
+    assert plant_report(scenario.replace({"motors": weak})).first_violation is not None
