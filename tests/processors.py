@@ -38,7 +38,7 @@ if AVX512:
     }
 
 # Fast tests of the rooms whose tests state numbers, and the page that tells of rounding errors.
-ROOMS = ["mechanics", "control", "hardware", "planning", "plant", "stability"]
+ROOMS = ["mechanics", "control", "hardware", "analysis", "plant"]
 PYTEST = ["-m", "pytest", "-q", "-n", "2", "--hypothesis-profile=check"]
 CHECKS = {
     "golden": ["golden_set.py", "check"],
