@@ -21,7 +21,8 @@ def measured(folder, workers):
     sweep = make_sweep(SPEC)
     made = run_experiment(sweep, folder, Workers(workers), lambda done: ends.setdefault(done, time.perf_counter()))
     rows = made.rows["sweep"]
-    order = [json.loads(line)["index"] for line in (folder / "rows.jsonl").read_text().splitlines()]
+    keys = [json.loads(line)["key"] for line in (folder / "rows.jsonl").read_text().splitlines()]
+    order = [int(key.rpartition("/")[2]) for key in keys]
     return ends[float(RUNS)] - ends[float(WARM)], sum(rows[index]["wall_s"] for index in order[WARM:])
 
 
