@@ -93,9 +93,7 @@ def test_a_robot_with_legs_of_any_kind_holds_and_sways(which):
 @pytest.mark.parametrize("name", SHIPPED)
 def test_faults_of_a_shipped_robot_do_what_they_do_to_the_papers(name):
     plan = fault_study(quick=True, robot=name)
-    # A lasting push on Reachy Mini is taken for two wrong legs, see docs/promises.md.
-    push = () if name == "reachy_mini" else ("push_5N",)
-    for wanted in (*push, "motor_reversed", "encoder_nan", "command_nan", "reference_refused"):
+    for wanted in ("push_5N", "motor_reversed", "encoder_nan", "command_nan", "reference_refused"):
         trial = next(trial for trial in plan.trials if trial.labels["fault"] == wanted)
         (row,) = plan.tables([execute(trial)])["faults"][1]
         assert row["reaction"] in FAULTS[wanted].expected, (wanted, row)

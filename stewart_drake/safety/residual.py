@@ -125,34 +125,6 @@ def _mobility(robot: Any, legs: Any, out: Any) -> bool:
 
 
 @njit
-def _follow(params: Any, speeds: Any, sound: bool, state: Any) -> None:
-    """Leads estimates of the cranks' speeds on by the torques, the fast and the slow one, and corrects by `speeds`.
-
-    NaN is no reading. The slow one hardly sees a reading fail that has begun to; it follows none that is suspect.
-    """
-    torque = np.empty((6, 1))
-    for i in range(6):
-        turning = 0.0
-        for k in range(6):
-            state.push[i] += state.mobility[i, k] * state.residual[k]
-            turning += state.mobility[i, k] * (state.sent[0, k] - state.still[k])
-        change = state.push[i] + state.bias[1, i] if sound else 0.0
-        state.lasting[i] += params.lasting * (change - state.lasting[i])
-        torque[i, 0] = state.lasting[i]
-        for row in range(2):
-            follow, most = params.follow[row], params.most_correction[row]
-            off = 0.0 if row == 1 and state.suspect[i] == READING_WRONG else speeds[i] - state.speed[row, i]
-            off = min(max(off, -most), most) if np.isfinite(off) else 0.0
-            state.speed[row, i] += params.period * (turning + state.bias[row, i] + 2.0 * follow * off)
-            state.bias[row, i] += params.period * follow**2 * off
-            if not np.isfinite(state.speed[row, i] + state.bias[row, i]):
-                state.speed[row, i], state.bias[row, i] = 0.0, 0.0
-    solvable = solve(state.mobility.copy(), torque) != 0.0
-    for i in range(6):
-        state.missing[i] = torque[i, 0] if solvable else 0.0
-
-
-@njit
 def _dominant(values: Any) -> Any:
     """Places of the two largest of six values; by how much the first, and their difference, exceed the rest.
 
@@ -170,6 +142,44 @@ def _dominant(values: Any) -> Any:
     but_swap = max(0.0, but_one - squares[second]) + alike
     swap = abs(values[first] - values[second]) / np.sqrt(2.0)
     return first, second, abs(values[first]) - DOMINANCE * np.sqrt(but_one), swap - DOMINANCE * np.sqrt(but_swap)
+
+
+@njit
+def _follow(params: Any, speeds: Any, sound: bool, state: Any) -> None:
+    """Leads estimates of the cranks' speeds on by the torques, the fast and the slow one, and corrects by `speeds`.
+
+    NaN is no reading. The slow one hardly sees a reading fail that has begun to; it follows none that is suspect.
+    Where one leg is far off it alone is corrected by less. Else all six are, by one factor: so a push keeps its
+    direction.
+    """
+    torque, off = np.empty((6, 1)), np.zeros((2, 6))
+    for row in range(2):
+        for i in range(6):
+            trusted = np.isfinite(speeds[i]) and not (row == 1 and state.suspect[i] == READING_WRONG)
+            off[row, i] = speeds[i] - state.speed[row, i] if trusted else 0.0
+        _, _, one, _ = _dominant(off[row])
+        largest = np.abs(off[row]).max()
+        for i in range(6):
+            size = abs(off[row, i]) if one > 0.0 else largest
+            if size > params.most_correction[row]:
+                off[row, i] *= params.most_correction[row] / size
+    for i in range(6):
+        turning = 0.0
+        for k in range(6):
+            state.push[i] += state.mobility[i, k] * state.residual[k]
+            turning += state.mobility[i, k] * (state.sent[0, k] - state.still[k])
+        change = state.push[i] + state.bias[1, i] if sound else 0.0
+        state.lasting[i] += params.lasting * (change - state.lasting[i])
+        torque[i, 0] = state.lasting[i]
+        for row in range(2):
+            follow = params.follow[row]
+            state.speed[row, i] += params.period * (turning + state.bias[row, i] + 2.0 * follow * off[row, i])
+            state.bias[row, i] += params.period * follow**2 * off[row, i]
+            if not np.isfinite(state.speed[row, i] + state.bias[row, i]):
+                state.speed[row, i], state.bias[row, i] = 0.0, 0.0
+    solvable = solve(state.mobility.copy(), torque) != 0.0
+    for i in range(6):
+        state.missing[i] = torque[i, 0] if solvable else 0.0
 
 
 @njit
