@@ -53,8 +53,13 @@ def poses_to_stand_at(scenario: Scenario, count: int, seed: int) -> np.ndarray:
     return sample_poses(robot, box, count, rng, limits=scenario.limits, gravity=scenario.gravity)
 
 
-def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
-    """The loops of a scenario at poses (m, 6) [rad, m]; a pose at which a part fails is left out."""
+def linear_loops(
+    scenario: Scenario, poses: np.ndarray, progress: Callable[[float], None] = lambda _: None
+) -> LinearLoops:
+    """The loops of a scenario at poses (m, 6) [rad, m]; a pose at which a part fails is left out.
+
+    `progress` gets the number of poses that are done.
+    """
     period, results, kept, left_out = scenario.controller.period, [], [], []
     if scenario.reading_period != period:
         raise ConfigurationError("estimator.period", scenario.reading_period, "null, for a linear loop of one period")
@@ -78,6 +83,7 @@ def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
             kept.append(k)
         except (RunFailure, UnreachablePoseError) as error:
             left_out.append(str(error))
+        progress(k + 1.0)
     if not results:
         raise ConfigurationError("scenario", scenario.name, f"a loop with an equilibrium at some pose: {left_out[0]}")
     a, b, c = (np.stack(matrices) for matrices in zip(*results, strict=True))
@@ -278,6 +284,18 @@ class Linearization(NamedTuple):
     torque: np.ndarray
     plant: StateSpace
     loop: StateSpace
+
+    def __str__(self) -> str:
+        poles = np.linalg.eigvals(self.loop.a + self.loop.b @ self.loop.c)
+        radius = np.abs(poles).max()
+        return (
+            f"linear model at roll, pitch, yaw {np.degrees(self.pose[:3]).round(3).tolist()} deg, "
+            f"X, Y, Z {(1e3 * self.pose[3:]).round(3).tolist()} mm\n"
+            f"torque at rest: {self.torque.round(4).tolist()} N m\n"
+            f"plant: 6 torques -> 12 (pose, rate), {len(self.plant.a)} states\n"
+            f"loop: {len(self.loop.a)} states, period {1e3 * self.loop.period:g} ms, broken at the six torques\n"
+            f"closed: {'stable' if radius < 1.0 else 'unstable'}, slowest pole {radius:.6f}"
+        )
 
 
 def linearize(scenario: Scenario | str | Path, pose: ArrayLike | None = None) -> Linearization:

@@ -6,6 +6,7 @@ under a field begins with its unit in brackets, which messages repeat.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import difflib
 import inspect
@@ -295,6 +296,15 @@ def check_value(key: str, value: Any, kind: Any, unit: str = "") -> None:
         _adapter(kind).validate_python(plain(value))
     except ValidationError as error:
         raise _as_one(_in_words(error, kind, kind, unit), key) from None
+
+
+def number_in(key: str, text: str, unit: str) -> float:
+    """The number [unit] of a text such as `0.01` or `10 mm`."""
+    value = in_unit(text, key, unit)
+    with contextlib.suppress(ValueError):
+        value = float(value)
+    check_value(key, value, float, unit)
+    return float(value)
 
 
 @lru_cache(maxsize=256)

@@ -18,6 +18,13 @@ from stewart_drake.base.config import did_you_mean, shorten
 from stewart_drake.base.errors import ConfigurationError
 
 MAX_BYTES = 1_000_000
+_MARKS = {
+    "scenario": ({"reference", "duration", "sensors", "plant"}, "stewart-drake run FILE"),
+    "robot": ({"crank_length", "rod_length", "shaft_circle_radius"}, "stewart-drake run sway --set robot=FILE"),
+    "sweep": ({"distributions"}, "stewart-drake sweep FILE"),
+    "comparison": ({"controllers", "references"}, "stewart-drake compare FILE"),
+}
+"""Kind of a file -> keys by which it is known, and what takes it."""
 
 
 def shipped_folder(kind: str) -> Path:
@@ -37,8 +44,15 @@ def find_file(kind: str, name: str | Path) -> Path:
         raise ConfigurationError(f"{kind} file", str(name), f"a path that can be read ({error.strerror})") from None
     if str(name) in shipped:
         return shipped[str(name)]
+    for other, (_, use) in _MARKS.items():
+        if (shipped_folder(f"{other}s") / f"{name}.yaml").is_file():
+            raise _of_another_kind(kind, name, other, use)
     allowed = f"an existing file, or one of {', '.join(shipped)}{did_you_mean(str(name), shipped)}"
     raise ConfigurationError(f"{kind} file", str(name), allowed)
+
+
+def _of_another_kind(kind: str, name: str | Path, other: str, use: str) -> ConfigurationError:
+    return ConfigurationError(f"{kind} file", f"the {other} {name}", f"a {kind}; try: {use.replace('FILE', str(name))}")
 
 
 def read_mapping(kind: str, path: Path, longest_name: int) -> dict[str, Any]:
@@ -51,6 +65,9 @@ def read_mapping(kind: str, path: Path, longest_name: int) -> dict[str, Any]:
     data = parse_yaml(text, what)
     if not isinstance(data, dict):
         raise ConfigurationError(what, "an empty file" if data is None else data, "a mapping of keys to values")
+    for other, (keys, use) in _MARKS.items():
+        if kind in _MARKS and not _MARKS[kind][0] & set(data) and keys & set(data):
+            raise _of_another_kind(kind, path, other, use)
     # The name of a file may hold what the name of a scenario may not.
     data.setdefault("name", re.sub(r"^\W+|[^\w .+-]", "_", path.stem, flags=re.ASCII)[:longest_name])
     return data

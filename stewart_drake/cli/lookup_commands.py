@@ -51,12 +51,22 @@ def _about(path: Path) -> str:
 
 @command("explain")
 def explain(key: str) -> None:
-    """KEY is a scenario key such as controller.period, its last part such as period, or a section such as limits."""
-    every = Scenario.keys(inside=True)
+    """KEY is a scenario key such as controller.period, its last part such as period, or a section such as limits.
+
+    Keys of the files of `sweep`, `compare` and `tune` have that name in front: sweep.distributions, compare.bands.
+    """
+    every = [*Scenario.keys(inside=True), *_study_keys()]
     matching = [each for each in every if each.name == key] or [each for each in every if each.name.endswith(f".{key}")]
+    inside_file = [each for each in every if each.name.rpartition(".")[0] == key and key in _STUDIES]
+    if inside_file:
+        lines = [(each.name.rpartition(".")[2], each.text, each.default, each.allowed) for each in inside_file]
+        print_table(
+            f"a file of `stewart-drake {key}`", lines, ("key", "what it does", "default", "allowed"), numbers=()
+        )
+        return
     if not matching:
         names = dict.fromkeys(name for each in every for name in (each.name, each.name.rpartition(".")[2]))
-        raise ConfigurationError("KEY", key, f"a key of a scenario{did_you_mean(key, names)}")
+        raise ConfigurationError("KEY", key, f"a key of a scenario, sweep or comparison{did_you_mean(key, names)}")
     inside = [each for each in every if each.name.rpartition(".")[0] == matching[0].name and not each.chooses_kind]
     if matching[0].chooses_kind:
         print_table(key, [(each.kind, each.text) for each in matching], ("kind", "what it is"), numbers=())
@@ -74,11 +84,33 @@ def explain(key: str) -> None:
         print_table(key, [[row[place] for place in used] for row in rows], [header[place] for place in used], ())
 
 
-@command("init", file={"type": opt.OUT_FILE, "default": "scenario.yaml"})
-def init(file: Path) -> None:
-    """FILE is the scenario to write [default: scenario.yaml]."""
+_STUDIES = ("sweep", "compare", "tune")
+
+
+def _study_keys() -> Iterator[Key]:
+    """The keys of the files of studies, with the command's name before them; `tune` is a section of a comparison."""
+    from stewart_drake.studies.comparison_file import CompareFile
+    from stewart_drake.studies.sweep import SweepFile
+
+    for name, file in (("sweep", SweepFile), ("compare", CompareFile)):
+        for key in file.keys(inside=True):
+            yield key._replace(name=f"{name}.{key.name}")
+
+
+@command(
+    "init",
+    file={"type": opt.OUT_FILE, "default": "scenario.yaml"},
+    study=opt.option("Write a file for this command instead.", click.Choice(_STUDIES), "--for"),
+)
+def init(file: Path, study: str | None) -> None:
+    """FILE is the scenario to write [default: scenario.yaml]; or a sweep, or a comparison, also one to tune."""
     if file.exists():
         raise ConfigurationError("FILE", str(file), "a new file")
+    if study is not None:
+        text = (Path(__file__).with_name("templates") / f"{study}.yaml").read_text()
+        write_text(file, text.replace("FILE", str(file)))
+        tell(f"file in {file}; next: stewart-drake {study} {file}")
+        return
     texts: dict[str, Key] = {}
     given = read_mapping("scenario", shipped_folder("scenarios") / "exact_breathing.yaml", 100)
     given["reference"] = {"kind": "sine", "amplitude": [0.05, 0, 0, 0, 0, 0.01], "angular_frequency": 2}

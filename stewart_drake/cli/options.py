@@ -44,6 +44,8 @@ COMMANDS = {
     "identify": About("robot", "runs/excite --robot guess.yaml", "Estimate masses, friction and payload from logs"),
     "excite": About("robot", "--robot guess.yaml", "Design a motion from which `identify` learns most"),
     "margins": About("run", "exact_breathing --poses 100", "Stability margins of the linearised loop"),
+    "bode": About("run", "exact_breathing", "Frequency response of the linearised loop"),
+    "step": About("run", "exact_breathing --axis Z --size 1mm", "Step response of the whole loop"),
     "workspace": About("run", "--scenario sway --samples 100000", "Compute where a robot can go, and with what torque"),
     "robots": About("robot", "", "List the robots that a scenario can name"),
     "robots show": About("robot", "reachy_mini", "Print a robot's parameters, and what follows from them"),

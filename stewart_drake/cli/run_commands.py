@@ -13,6 +13,7 @@ import click
 import numpy as np
 
 from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.config import number_in
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.base.families import user_parts
 from stewart_drake.base.yaml_files import to_yaml
@@ -177,8 +178,17 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     plant.raise_if_infeasible()
 
 
-@command("margins", scenario="exact_breathing", out="runs/margins", example="estimator.kind=observer")
-def margins(scenario: str, out: Path, poses: int, overrides: tuple[str, ...]) -> None:
+_QUICK_POSES = 50
+
+
+@command(
+    "margins",
+    scenario="exact_breathing",
+    out="runs/margins",
+    quick=opt.switch(f"At most {_QUICK_POSES} poses, for a first look."),
+    example="estimator.kind=observer",
+)
+def margins(scenario: str, out: Path, poses: int, quick: bool, overrides: tuple[str, ...]) -> None:
     """SCENARIO is a file or a shipped name [default: exact_breathing].
 
     The loop with sensors, estimator, controller and delay is linearised at rest and opened at the six motor torques.
@@ -190,8 +200,9 @@ def margins(scenario: str, out: Path, poses: int, overrides: tuple[str, ...]) ->
     from stewart_drake.analysis.linear_loop import linear_loops, poses_to_stand_at
 
     loaded = load_scenario(scenario, overrides)
-    with shown_compiling(), working(f"{poses} poses"):
-        loops = linear_loops(loaded, poses_to_stand_at(loaded, poses, 0))
+    chosen = poses_to_stand_at(loaded, min(poses, _QUICK_POSES) if quick else poses, 0)
+    with shown_compiling(), progress_bar("margins", float(len(chosen)), unit="poses") as advance:
+        loops = linear_loops(loaded, chosen, advance)
     folder = prepare_folder(out)
 
     from stewart_drake.analysis import margins as report
@@ -204,6 +215,63 @@ def margins(scenario: str, out: Path, poses: int, overrides: tuple[str, ...]) ->
     title = f"{loaded.name}: margins at {len(loops.poses)} poses, beside {loaded.command_delay} ticks of delay"
     print_table(title, report.table(margins, loops.period), report.HEADER, data=numbers)
     print_table("poses", [*report.facts(loops, margins), ("results in", str(folder))])
+
+
+@command("bode", scenario="exact_breathing", out="runs/bode", example="estimator.kind=observer")
+def bode(scenario: str, out: Path, overrides: tuple[str, ...]) -> None:
+    """SCENARIO is a file or a shipped name [default: exact_breathing].
+
+    The loop as `margins` has it, at the pose of the start: singular values of the loop gain, of the sensitivity and of
+    the complementary sensitivity. Writes bode.png and bode.csv.
+    """
+    from stewart_drake.analysis import response
+    from stewart_drake.plotting.model_plots import plot_bode
+
+    loaded = load_scenario(scenario, overrides)
+    with shown_compiling():
+        found = response.bode(loaded)
+    folder = prepare_folder(out)
+    plot_bode(found, folder / "bode.png")
+    names = ("loop", "sensitivity", "complementary")
+    gains = {name: found.gains(name) for name in names}
+    header = ",".join(["frequency_hz", *(f"{name}_{k}" for name in names for k in range(6))])
+    values = np.column_stack([found.frequency, *gains.values()])
+    lines = [header, *(",".join(f"{each:.10g}" for each in row) for row in values)]
+    write_atomically(folder / "bode.csv", ("\n".join(lines) + "\n").encode())
+    low, high = found.crossover
+    rows = [("gains of the loop fall below 1 at", f"{low:.3g} to {high:.3g} Hz")]
+    rows += [(f"largest {name}", f"{gains[name].max():.3g}") for name in names[1:]]
+    print_table(f"{loaded.name}: loop, opened at the motors", [*rows, ("results in", str(folder))])
+
+
+@command(
+    "step",
+    scenario="exact_breathing",
+    out="runs/step",
+    axis=opt.option("Coordinate.", click.Choice(["roll", "pitch", "yaw", "X", "Y", "Z"]), default="Z"),
+    size=opt.option("Size, e.g. '1 mm' or '1 deg' [default: 0.01 rad, or 0.01 of the robot's size]."),
+)
+def step(scenario: str, out: Path, axis: str, size: str | None, overrides: tuple[str, ...]) -> None:
+    """SCENARIO is a file or a shipped name [default: exact_breathing].
+
+    A run of the whole loop that starts beside the pose that it is to hold. Writes step.png.
+    """
+    from stewart_drake.plotting.model_plots import plot_step
+    from stewart_drake.runs import step_response
+
+    loaded = load_scenario(scenario, overrides)
+    unit = "rad" if axis in step_response.AXES[:3] else "m"
+    with shown_compiling():
+        found = step_response.step(loaded, axis, None if size is None else number_in("--size", size, unit))
+    folder = prepare_folder(out)
+    plot_step(found, f"{loaded.name}: step of {axis}", folder / "step.png")
+    rows = [
+        ("rise time, 10 to 90 %", f"{found.rise_time:.3f} s"),
+        ("overshoot", f"{100.0 * found.overshoot:.1f} %"),
+        ("settling time, 2 %", f"{found.settling_time:.3f} s"),
+        ("results in", str(folder)),
+    ]
+    print_table(f"{loaded.name}: step of {axis}", rows)
 
 
 @command(

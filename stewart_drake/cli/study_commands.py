@@ -60,16 +60,17 @@ def sweep(sweep: str, out: Path | None, runs: int | None, **options: Any) -> Non
     """SWEEP is a YAML file, or the name of a shipped one such as initial_offset.
 
     Writes sweep.parquet and .csv: one row per run, with random values, outcome and metrics. A run that is rejected,
-    fails or crashes its worker also has a row, with the reason.
+    fails or crashes its worker also has a row, with the reason. sweep.png and .pdf show the error against what varied.
     """
     from stewart_drake.studies.experiment import run_experiment
-    from stewart_drake.studies.sweep import load_sweep, summary
+    from stewart_drake.studies.sweep import load_sweep, summary, write_picture
 
     loaded = load_sweep(sweep, runs)
     with _under_way(loaded.name, loaded.runs, out, **options) as way:
         result = run_experiment(loaded, *way)
+        write_picture(loaded, result)
     print_table(loaded.name, summary(result.rows["sweep"]))
-    _print_sheets((), result.compared, f"table in {result.folder / 'sweep.parquet'}")
+    _print_sheets((), result.compared, f"table and picture in {result.folder}")
     _exit_if_refused(result)
 
 

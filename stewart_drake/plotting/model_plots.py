@@ -1,4 +1,4 @@
-"""Pictures of a calibration, an identification, and a loop's margins; each a PNG."""
+"""Pictures of a calibration, an identification, a loop's margins and its responses; each a PNG."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from stewart_drake.analysis.margins import LoopMargins
+from stewart_drake.analysis.response import FrequencyResponse, StepResponse
 from stewart_drake.estimation.calibration import Calibration
 from stewart_drake.estimation.geometry import LEG_PARAMETERS, OF_ROBOT, PER_LEG
 from stewart_drake.estimation.identification import Identification
@@ -95,4 +96,33 @@ def plot_margins(margins: LoopMargins, path: str | Path) -> None:
     shares.set_xlim(0.0)
     for panel in (curves, shares):
         panel.legend()
+    look.save_figure(figure, path)
+
+
+@look.styled
+def plot_bode(response: FrequencyResponse, path: str | Path) -> None:
+    """Gains of the opened loop, and of what it makes of disturbances and noise, over frequency."""
+    figure, ((opened, closed),) = look.panels(1, 2, 4.0, sharex=True)
+    for panel, parts in ((opened, ("loop",)), (closed, ("sensitivity", "complementary"))):
+        for name, color in zip(parts, (look.BLUE, look.ORANGE), strict=False):
+            gains = 20.0 * np.log10(response.gains(name))
+            panel.plot(response.frequency, gains[:, 0], color=color, label=f"{name}: largest, smallest")
+            panel.plot(response.frequency, gains[:, -1], color=color, linewidth=1.0)
+        panel.axhline(0.0, color=look.TEXT, linewidth=0.8)
+        look.logarithmic(panel, "x")
+        panel.set(xlabel="frequency [Hz]", ylabel="gain [dB]")
+        panel.legend(loc="lower center")
+    opened.set(title="Loop, opened at the motors", ylim=(-80.0, None))
+    closed.set(title="Sensitivity S and complementary T", ylim=(-60.0, 15.0))
+    look.save_figure(figure, path)
+
+
+@look.styled
+def plot_step(response: StepResponse, title: str, path: str | Path) -> None:
+    """How a coordinate goes to its wanted value, which is 1."""
+    figure, ((panel,),) = look.panels(1, 1, 4.0)
+    panel.plot(response.time, response.value, color=look.BLUE)
+    panel.axhspan(0.98, 1.02, color=look.SKY, alpha=0.4, linewidth=0)
+    shown = 3.0 * response.settling_time if np.isfinite(response.settling_time) else response.time[-1]
+    panel.set(title=title, xlabel="time [s]", ylabel="share of the step", xlim=(0.0, min(shown, response.time[-1])))
     look.save_figure(figure, path)

@@ -1,4 +1,4 @@
-"""Figures of comparisons of controllers, of searches for gains, and of what tuners of settings cost."""
+"""Figures of sweeps, of comparisons of controllers, of searches for gains, and of what tuners of settings cost."""
 
 from __future__ import annotations
 
@@ -22,6 +22,58 @@ _CROSS: dict[str, Any] = {"marker": "x", "markersize": 6.5, "markeredgewidth": 2
 _DASHED: dict[str, Any] = {"color": look.TEXT, "linestyle": (0, (4, 3)), "linewidth": 0.9}
 _SMALLEST = 1e-6  # [mm] what is smaller is drawn here
 _PHASE_SHOWN = 1e-3  # Ratio of amplitudes; below -60 dB there is no phase to speak of
+
+
+@look.styled
+def plot_sweep(rows: Rows, varied: Sequence[str]) -> Figure:
+    """RMSE of the position against each key that varied; a run that was not completed is a cross at the top."""
+    beside = min(3, len(varied))
+    lines = -(-len(varied) // beside)
+    figure, axes = look.panels(lines, beside, 0.6 + 2.9 * lines, sharey=True)
+    done, failed = ([row for row in rows if _done(row) is wanted] for wanted in (True, False))
+    sizes = np.array([_drawn(row) for row in done] or [1.0])
+    spread = sizes.max() > 10.0 * sizes.min()
+    top = float(sizes.max()) * (2.0 if spread else 1.1)
+    for panel, key in zip(axes.flat, varied, strict=False):
+        panel.plot([row[key] for row in done], sizes[: len(done)], ".", color=look.BLUE, markersize=5.0)
+        panel.plot([row[key] for row in failed], [top] * len(failed), color=look.ORANGE, **_CROSS)
+        panel.set(xlabel=key)
+        if spread:
+            look.logarithmic(panel, "y")
+        else:
+            panel.set_ylim(0.0)
+    for panel in axes.flat[len(varied) :]:
+        panel.set_axis_off()
+    for panel in axes[:, 0]:
+        panel.set_ylabel("RMSE [mm]")
+    if failed:
+        look.legend_below(figure, [Line2D([], [], color=look.ORANGE, label="not completed", **_CROSS)])
+    return figure
+
+
+@look.styled
+def plot_map(rows: Rows, varied: Sequence[str]) -> Figure:
+    """RMSE of the position over two keys of a grid: the median of the runs of a cell, grey where none completed."""
+    across, up = (sorted({row[key] for row in rows}) for key in varied)
+    cells = np.full((len(up), len(across)), np.nan)
+    for j, high in enumerate(up):
+        for i, wide in enumerate(across):
+            own = [row for row in rows if (row[varied[0]], row[varied[1]]) == (wide, high)]
+            values = [_drawn(row) for row in own if _done(row)]
+            cells[j, i] = np.median(values) if values else np.nan
+    figure, ((panel,),) = look.panels(1, 1, 5.0, width=6.5)
+    shown = panel.imshow(cells, origin="lower", aspect="auto", cmap="viridis")
+    panel.set_facecolor(look.GREY)
+    panel.grid(visible=False)
+    for (j, i), value in np.ndenumerate(cells):
+        if cells.size <= 100 and np.isfinite(value):
+            dark = value < 0.5 * (np.nanmin(cells) + np.nanmax(cells))
+            panel.text(i, j, f"{value:.3g}", ha="center", va="center", fontsize=8, color="white" if dark else "black")
+    panel.set_xticks(range(len(across)), [f"{value:g}" for value in across], rotation=30 if len(across) > 6 else 0)
+    panel.set_yticks(range(len(up)), [f"{value:g}" for value in up])
+    panel.set(xlabel=varied[0], ylabel=varied[1])
+    figure.colorbar(shown, label="RMSE [mm]")
+    return figure
 
 
 @look.styled

@@ -97,8 +97,10 @@ def chart(
 
 @styled
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Writes a figure as a PNG of 150 dots an inch, whole or not at all."""
-    stream = io.BytesIO()
+    """Writes a figure, whole or not at all: as a PNG of 150 dots an inch, or for print as a PDF."""
+    stream, path = io.BytesIO(), Path(path)
     # Without a date or version in it, the same log gives the same file.
-    figure.savefig(stream, format="png", dpi=DPI, facecolor="white", metadata={"Software": None})
-    write_atomically(Path(path), stream.getvalue())
+    unsaid = ("Creator", "Producer", "CreationDate") if path.suffix == ".pdf" else ("Software",)
+    metadata: Any = dict.fromkeys(unsaid)
+    figure.savefig(stream, format=path.suffix[1:], dpi=DPI, facecolor="white", metadata=metadata)
+    write_atomically(path, stream.getvalue())

@@ -198,7 +198,9 @@ def write_pictures(comparison: Comparison, result: Result) -> None:
         figures["bands"] = partial(plot_bands, bands)
     with locked_folder(result.folder):
         for name, draw in figures.items():
-            save_figure(draw(), result.folder / f"{name}.png")
+            figure = draw()
+            for suffix in ("png", "pdf"):
+                save_figure(figure, result.folder / f"{name}.{suffix}")
 
 
 # --- runs ---

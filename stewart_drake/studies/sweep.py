@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.base.atomic_files import locked_folder
 from stewart_drake.base.code import TRUST
 from stewart_drake.base.config import Count, Flag, Positive, Real, Section, Seed, Text, check_plain, shorten
 from stewart_drake.base.errors import ConfigurationError
@@ -25,6 +26,7 @@ from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.experiment import (
     INCIDENTAL,
     Experiment,
+    Result,
     StudyFile,
     StudyName,
     error_prefix,
@@ -261,6 +263,26 @@ def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Experimen
         work={"scenario": scenario, "seed": file.seed, "distributions": distributions},
         variants=(base,),
     )
+
+
+def write_picture(sweep: Experiment, result: Result) -> None:
+    """sweep.png and .pdf: the error against each key that was varied, or a map where two run through a grid."""
+    # matplotlib takes a second to load.
+    from stewart_drake.plotting import save_figure
+    from stewart_drake.plotting.study_plots import plot_map, plot_sweep
+
+    rows, given = result.rows["sweep"], {**sweep.work["distributions"]}
+    # Of a factor the factor is shown; what is no number has no axis.
+    names = {key: f"{key}.factor" if each["factor"] else key for key, each in given.items()}
+    kinds = {column.name: column.kind for column in sweep.columns}
+    varied = {key: name for key, name in names.items() if kinds[name] in ("number", "integer")}
+    if not varied:
+        return
+    are_grids = len(given) == len(varied) == 2 and all(each["kind"] == "grid" for each in given.values())
+    figure = (plot_map if are_grids else plot_sweep)(rows, list(varied.values()))
+    with locked_folder(result.folder):
+        for suffix in ("png", "pdf"):
+            save_figure(figure, result.folder / f"sweep.{suffix}")
 
 
 def load_sweep(path: str | Path, runs: int | None = None) -> Experiment:

@@ -9,6 +9,9 @@ import pytest
 
 from stewart_drake.base.yaml_files import shipped_folder
 from stewart_drake.scenario.scenario import load_scenario
+from stewart_drake.studies.comparison import load_comparison
+from stewart_drake.studies.sweep import load_sweep
+from stewart_drake.studies.tune import load_tuning
 
 
 def test_what_there_is_to_choose_from_is_listed(call):
@@ -31,6 +34,8 @@ def test_what_there_is_to_choose_from_is_listed(call):
         ("payload_mass", {"key": "plant.payload_mass", "unit": "kg", "default": 0.0}),
         ("link.faults.kind", {"allowed": "nan, inf, offset or chatter"}),
         ("tuner.kappa", {"of kind": "policy", "allowed": "a number at least -1 and at most 1"}),
+        ("mismatch", {"key": "sweep.mismatch", "default": "false"}),
+        ("compare.bands.axes", {"allowed": "a list, each roll, pitch, yaw, X, Y or Z"}),
     ],
 )
 def test_a_key_is_explained(call, key, expected):
@@ -53,6 +58,36 @@ def test_a_scenario_to_begin_with_has_a_comment_on_each_key_and_runs(call, tmp_p
     assert call("check", "mine.yaml")[0] == 0
     status, _, err = call("init", "mine.yaml")
     assert (status, err.count("\n")) == (2, 1)
+
+
+@pytest.mark.parametrize(("study", "key"), [("sweep", "distributions"), ("compare", "controllers")])
+def test_the_keys_of_a_studys_file_are_explained(call, study, key):
+    assert key in [row["key"] for row in json.loads(call("explain", study, "--json")[1])]
+
+
+@pytest.mark.parametrize("study", ["sweep", "compare", "tune"])
+def test_a_study_to_begin_with_is_one_that_its_command_takes(call, tmp_path, study):
+    path = tmp_path / "mine.yaml"
+    assert call("init", "mine.yaml", "--for", study)[0] == 0
+    loaded = {"sweep": load_sweep, "compare": load_comparison, "tune": load_tuning}[study](path)
+    assert loaded.runs > 1
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        ("run reachy_mini", "the robot reachy_mini'; try: stewart-drake run sway --set robot=reachy_mini"),
+        ("run desk.yaml", "the robot desk.yaml'; try: stewart-drake run sway --set robot=desk.yaml"),
+        ("robots show mine.yaml", "the scenario mine.yaml'; try: stewart-drake run mine.yaml"),
+        ("sweep exact_heart", "the scenario exact_heart'; try: stewart-drake run exact_heart"),
+    ],
+)
+def test_of_a_file_of_another_kind_a_line_says_what_takes_it(call, tmp_path, words, meant):
+    (tmp_path / "desk.yaml").write_text("crank_length: 0.05\n")
+    (tmp_path / "mine.yaml").write_text("duration: 1.0\n")
+    status, _, err = call(*words.split())
+    assert (status, err.count("\n")) == (2, 1)
+    assert err.endswith(f"got '{meant}\n")
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from stewart_drake.runs.checks import motion_report
@@ -60,7 +61,7 @@ def test_what_cannot_be_done_is_named_and_the_scenario_written_can_be(call):
 
 def test_margins_are_printed_and_written(call, tmp_path):
     status, out, err = call("margins", "--poses", 10, "--set", "estimator.kind=observer")
-    assert (status, err) == (0, "")
+    assert status == 0, err
     for words in ("disk margin [-]", "delay [ticks]", "all at once: least", "10 of 10 poses", "worst pose"):
         assert words in out
     folder = tmp_path / "runs" / "margins"
@@ -81,3 +82,18 @@ def test_a_load_that_the_controller_does_not_know_is_checked_too(call):
     status, out, err = call("check", "exact_fig7", "--set", "plant.payload_mass=1")
     assert (status, err) == (0, "")
     assert "payload 1 kg" in " ".join(out.split())
+
+
+@pytest.mark.slow
+def test_bode_and_step_leave_a_picture_and_print_their_figures(call, tmp_path):
+    status, out, err = call("bode", "--set", "estimator.kind=observer")
+    assert status == 0, err
+    assert "gains of the loop fall below 1 at" in out
+    assert (tmp_path / "runs" / "bode" / "bode.png").read_bytes().startswith(b"\x89PNG")
+    gains = np.genfromtxt(tmp_path / "runs" / "bode" / "bode.csv", delimiter=",", names=True)
+    assert gains["sensitivity_0"][0] < 1e-2 < gains["loop_0"][0]
+    status, out, err = call("step", "--size", "1 mm", "--set", "plant.kind=closed_form", "--set", "duration=0.5")
+    assert status == 0, err
+    assert "settling time, 2 %" in out
+    assert (tmp_path / "runs" / "step" / "step.png").exists()
+    assert call("step", "--size", "3 deg")[2].startswith("stewart-drake: --size: expected a number [m]")

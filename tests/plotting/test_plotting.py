@@ -8,7 +8,7 @@ from made_logs import made_log
 
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plotting import plot_states, plot_torques, save_figure
-from stewart_drake.plotting.study_plots import plot_rmse
+from stewart_drake.plotting.study_plots import plot_map, plot_rmse, plot_sweep
 from stewart_drake.scenario.scenario import Scenario
 
 AXES = ("φ", "θ", "ψ", "X", "Y", "Z")
@@ -151,3 +151,24 @@ def test_a_comparison_draws_the_error_that_its_table_has():
     drawn = [line.get_xdata()[0] for line in figure.axes[0].lines if line.get_marker() not in ("None", "", None)]
     assert drawn == [0.25]
     assert figure.axes[-1].get_xlabel() == "RMSE [mm]"
+
+
+def test_a_sweep_shows_runs_that_were_lost_at_the_edge_and_two_grids_as_a_map():
+    rows = [
+        {"status": status, "rmse_norm_mm": error, "mass": mass, "friction": friction}
+        for (mass, friction, error, status) in [
+            (0.0, 0.1, 1.0, "completed"),
+            (0.0, 0.2, 2.0, "completed"),
+            (0.5, 0.1, 3.0, "completed"),
+            (0.5, 0.2, None, "failed"),
+        ]
+    ]
+    panels = plot_sweep(rows, ["mass", "friction"]).axes[:2]
+    assert [panel.get_xlabel() for panel in panels] == ["mass", "friction"]
+    kept, lost = panels[0].lines
+    assert kept.get_ydata().tolist() == [1.0, 2.0, 3.0]
+    assert (lost.get_xdata().tolist(), lost.get_ydata()[0] > 3.0) == ([0.5], True)
+    (cells,) = plot_map(rows, ["mass", "friction"]).axes[0].images
+    assert cells.get_array().filled(np.nan).tolist()[0] == [1.0, 3.0]
+    assert cells.get_array().filled(np.nan)[1, 0] == 2.0
+    assert cells.get_array().mask[1, 1]

@@ -143,7 +143,7 @@ def test_a_sweep_leaves_its_table_prints_its_summary_and_goes_on(call, tmp_path)
     status, out, err = call("sweep", "tiny.yaml", "--runs", 4, "--workers", 2)
     assert status == 0, err
     files = {path.name for path in (tmp_path / "runs" / "tiny").iterdir()}
-    assert files == {"sweep.parquet", "sweep.csv", "study.json", "rows.jsonl"}
+    assert files == {"sweep.parquet", "sweep.csv", "study.json", "rows.jsonl", "sweep.png", "sweep.pdf"}
     table = pq.read_table(tmp_path / "runs" / "tiny" / "sweep.parquet")
     rejected = table.column("status").to_pylist().count("rejected")
     assert table.num_rows == 4
@@ -151,7 +151,7 @@ def test_a_sweep_leaves_its_table_prints_its_summary_and_goes_on(call, tmp_path)
     lines = {line.split("│")[1].strip(): line.split("│")[2].strip() for line in out.splitlines() if "│" in line}
     assert lines["completed"] == str(4 - rejected)
     assert lines["rejected, configuration"] == str(rejected)
-    assert "table in runs/tiny/sweep.parquet" in out
+    assert "table and picture in runs/tiny" in out
     # Two more: the first four are not run again.
     assert call("sweep", "tiny.yaml", "--runs", 6, "--quiet", "--workers", 1) == (0, "", "")
     more = pq.read_table(tmp_path / "runs" / "tiny" / "sweep.parquet")

@@ -1,0 +1,94 @@
+"""Responses of a loop, for a course and a first look: of the linear one over frequency, and figures of a step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stewart_drake.analysis.linear_loop import StateSpace, linearize
+from stewart_drake.scenario.scenario import Scenario
+
+
+class FrequencyResponse(NamedTuple):
+    """A loop, opened at the torques of the six motors, at f frequencies.
+
+    Attributes:
+        frequency: (f,) [Hz].
+        loop: (f, 6, 6) L [-], from torques to the torques that the controller asks for, with negative feedback.
+        sensitivity: (f, 6, 6) S = (I + L)^-1: what is left of a torque that disturbs.
+        complementary: (f, 6, 6) T = I - S.
+    """
+
+    frequency: np.ndarray
+    loop: np.ndarray
+    sensitivity: np.ndarray
+    complementary: np.ndarray
+
+    def gains(self, name: str) -> np.ndarray:
+        """Singular values (f, 6) [-] of `loop`, `sensitivity` or `complementary`, the largest first."""
+        return np.asarray(np.linalg.svd(getattr(self, name), compute_uv=False))
+
+    @property
+    def crossover(self) -> tuple[float, float]:
+        """Lowest and highest frequency [Hz] at which a gain of the loop falls below 1; NaN where none does."""
+        gains = self.gains("loop")
+        falls = (gains[:-1] >= 1.0) & (gains[1:] < 1.0)
+        at = self.frequency[1:][falls.any(axis=1)]
+        return (float(at[0]), float(at[-1])) if len(at) else (np.nan, np.nan)
+
+
+def frequency_response(system: StateSpace, frequency: ArrayLike) -> np.ndarray:
+    """C (z I - A)^-1 B + D (f, p, m) at z = exp(i 2 pi f T), of frequencies (f,) [Hz]."""
+    points = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * system.period)
+    resolvent = np.linalg.solve(points[:, None, None] * np.eye(len(system.a)) - system.a, system.b.astype(complex))
+    return np.asarray(system.c @ resolvent + system.d)
+
+
+def bode(
+    scenario: Scenario | str | Path, pose: ArrayLike | None = None, frequency: Sequence[float] | None = None
+) -> FrequencyResponse:
+    """The frequency response of a scenario's loop near a pose, see `linearize`.
+
+    Args:
+        scenario: A scenario, its file or its name.
+        pose: (6,) [rad, m]; None takes that of the start.
+        frequency: (f,) [Hz]; None takes 400 from 0.1 Hz to Nyquist's.
+    """
+    loop = linearize(scenario, pose).loop
+    at = np.geomspace(0.1, 0.5 / loop.period, 400) if frequency is None else np.asarray(frequency, dtype=float)
+    # The loop is closed by u = y: L has the sign of negative feedback.
+    gain = -frequency_response(loop, at)
+    sensitivity = np.linalg.inv(np.eye(6) + gain)
+    return FrequencyResponse(at, gain, sensitivity, np.eye(6) - sensitivity)
+
+
+class StepResponse(NamedTuple):
+    """How a coordinate of the platform goes to a wanted value.
+
+    Attributes:
+        time: (n,) [s].
+        value: (n,) [-] 0 at the start, 1 at the wanted value.
+        rise_time: [s] from 0.1 to 0.9 of the step; NaN where it is not reached.
+        overshoot: [-] what is highest, less 1; at least 0.
+        settling_time: [s] from when on it stays within 0.02; NaN where it does not.
+    """
+
+    time: np.ndarray
+    value: np.ndarray
+    rise_time: float
+    overshoot: float
+    settling_time: float
+
+
+def step_figures(time: np.ndarray, value: np.ndarray) -> StepResponse:
+    """Rise time, overshoot and settling time of values (n,) that go from 0 to 1 over times (n,) [s]."""
+    above_low, above_high = value >= 0.1, value >= 0.9
+    rise = time[above_high.argmax()] - time[above_low.argmax()] if above_high.any() else np.nan
+    outside = np.flatnonzero(np.abs(value - 1.0) > 0.02)
+    last = outside[-1] + 1 if len(outside) else 0
+    settling = time[last] - time[0] if last < len(time) else np.nan
+    return StepResponse(time, value, float(rise), float(max(0.0, value.max() - 1.0)), float(settling))

@@ -1,0 +1,40 @@
+"""The step response of the whole loop: a run that starts beside the pose that it is to hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from stewart_drake.analysis.response import StepResponse, step_figures
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.runs.simulation import run
+from stewart_drake.scenario.scenario import Scenario, load_scenario
+
+AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
+_SIZE = 0.01  # [rad], or times the characteristic length.
+
+
+def step(scenario: Scenario | str | Path, axis: str = "Z", size: float | None = None) -> StepResponse:
+    """The response of a scenario's nonlinear loop to a step of the wanted pose.
+
+    Args:
+        scenario: A scenario, its file or its name; its motion gives the pose at t = 0, its duration counts.
+        axis: roll, pitch, yaw, X, Y or Z.
+        size: [rad] or [m] of the step; None takes 0.01 rad, or a hundredth of the characteristic length.
+
+    Raises:
+        ConfigurationError: No such axis, a size of 0, or a pose that cannot be reached.
+    """
+    if axis not in AXES:
+        raise ConfigurationError("axis", axis, f"one of {', '.join(AXES)}")
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario)
+    number, offset = AXES.index(axis), [0.0] * 6
+    if size is None:
+        size = _SIZE * (1.0 if number < 3 else scenario.robot.characteristic_length)
+    if size == 0.0:
+        raise ConfigurationError("size", size, "a number other than 0")
+    offset[number] = -size
+    pose = [float(each) for each in scenario.start()[0]]
+    changed = scenario.replace({"reference": {"kind": "hold", "pose": pose}, "initial_offset": offset})
+    log = run(changed)
+    return step_figures(log.time, 1.0 + (log["pose"][:, number] - log["reference"][:, number]) / size)
