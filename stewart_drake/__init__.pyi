@@ -2,6 +2,7 @@
 
 from stewart_drake.analysis.feasibility import check_reference as check_reference
 from stewart_drake.analysis.linear_loop import linearize as linearize
+from stewart_drake.analysis.response import bode as bode
 from stewart_drake.base.code import trusting_code as trusting_code
 from stewart_drake.base.errors import ConfigurationError as ConfigurationError
 from stewart_drake.base.errors import StewartDrakeError as StewartDrakeError
@@ -49,6 +50,7 @@ from stewart_drake.robot.robot_files import load_robot as load_robot
 from stewart_drake.robot.robot_files import save_robot as save_robot
 from stewart_drake.runs.pictures import write_film as write_film
 from stewart_drake.runs.simulation import run as run
+from stewart_drake.runs.step_response import step as step
 from stewart_drake.scenario.control_options import ControlOptions as ControlOptions
 from stewart_drake.scenario.controller import Controller as Controller
 from stewart_drake.scenario.limits import ReferenceLimits as ReferenceLimits

@@ -53,6 +53,16 @@ def test_commands_exist():
     assert named == {name for name in COMMANDS if " " not in name}
 
 
+def test_the_page_for_assistants_names_commands_and_pages_that_there_are():
+    from stewart_drake.cli.options import COMMANDS
+
+    text = (ROOT / "docs" / "llms.txt").read_text(encoding="utf-8")
+    named = set(re.findall(r"`stewart-drake ([a-z-]+)", text))
+    assert named <= set(COMMANDS)
+    assert {"run", "sweep", "drive", "explain"} <= named
+    assert all((ROOT / "docs" / page).is_file() for page in re.findall(r"\]\(([^)]+)\)", text))
+
+
 def test_shipped_scenarios_are_described():
     shipped = {path.stem for path in (ROOT / "diagrams" / "scenarios").glob("*.yaml")}
     assert all(f"`{name}`" in USING for name in shipped)

@@ -1,0 +1,29 @@
+"""The answers of docs/course.md."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+PAGE = (Path(__file__).parents[1] / "docs" / "course.md").read_text()
+ANSWERS = re.findall(r"^## (\d+)\. .*?```python\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE)
+
+
+def test_there_are_twelve_exercises():
+    assert [number for number, _ in ANSWERS] == [str(number) for number in range(1, 13)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "code"), ANSWERS)
+def test_an_answer_is_what_its_code_prints(number, code, capsys):
+    exec(compile(code, f"exercise {number}", "exec"), {})
+    printed = capsys.readouterr().out.split("\n")[:-1]
+    said = [line for answer in re.findall(r"# -> (.*)", code) for line in answer.split("; ")]
+    assert len(printed) == len(said) > 0
+    for found, stated in zip(printed, said, strict=True):
+        for word, wanted in zip(found.split(), stated.split(), strict=True):
+            try:
+                last_digit = 10.0 ** -len(wanted.partition(".")[2])
+                assert float(word) == pytest.approx(float(wanted), rel=0.1, abs=last_digit)
+            except ValueError:
+                assert word == wanted
