@@ -1,0 +1,247 @@
+"""What makes a live loop an instrument: sliders of keys, a spring to pull with, tests, and a record of what was done."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stewart_drake.analysis.response import step_figures
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.kinematics import pose_jacobian, rotation_matrix
+from stewart_drake.robot import RobotParameters
+from stewart_drake.scenario.keys import value_at
+from stewart_drake.scenario.scenario import Scenario
+
+AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
+_PULL = 0.05  # [-] of the characteristic length that the spring is stretched by at the largest force.
+_WATCHED = 2.0  # [s] of a step.
+_PERIODS = 3  # Of a sine, after one that is left out.
+_MOST = 120.0  # [s] that the record keeps.
+
+
+# --- sliders of keys ---
+
+
+class Knob(NamedTuple):
+    """A key that a slider sets: where it stands, what the panel calls it, and its range."""
+
+    group: str
+    key: str
+    label: str
+    unit: str
+    low: float
+    high: float
+    logarithmic: bool = False
+    whole: bool = False
+
+
+def _around(scenario: Scenario, key: str) -> float:
+    return float(value_at(scenario.in_full(), key))
+
+
+_GAINS: Mapping[str, Sequence[tuple[str, str, str]]] = {
+    "pid": (("kp", "proportional", "N m/rad"), ("ki", "integral", "N m/(rad s)"), ("kd", "derivative", "N m s/rad")),
+    "computed_torque": (
+        ("natural_frequency", "natural frequency", "rad/s"),
+        ("damping", "damping", "-"),
+        ("integral_frequency", "integral", "rad/s"),
+    ),
+}
+_WEIGHTS = {
+    "block": (("q_pose", "weight of the pose", ""), ("q_rate", "weight of the rate", ""), ("q_integral", "of the integral", "")),
+    "fixed": (("omega_q", "weight Q", ""), ("omega_r", "weight R", "")),
+}
+_DECADES = 1.5
+
+
+def knobs_of(scenario: Scenario, begun: Scenario) -> list[Knob]:
+    """The sliders of a scenario as it is now; their ranges are those around where it began, or of what it chose since."""
+    found: list[Knob] = []
+    sections = [("controller", _GAINS.get(scenario.controller.kind, ()))]
+    if scenario.controller.kind == "lqi":
+        sections.append(("tuner", _WEIGHTS.get(scenario.tuner.kind, ())))
+    if scenario.estimator.kind == "observer":
+        sections.append(("estimator", (("disturbance", "observer: disturbance", ""),)))
+    for section, keys in sections:
+        own = begun if getattr(begun, section).kind == getattr(scenario, section).kind else scenario
+        for key, label, unit in keys:
+            centre = _around(own, f"{section}.{key}")
+            if centre > 0.0:
+                low, high = centre * 10.0**-_DECADES, centre * 10.0**_DECADES
+                found.append(Knob("Gains", f"{section}.{key}", label, unit, low, high, logarithmic=True))
+    most = 0.2 * float(scenario.robot.effort_limits.min())
+    found.append(Knob("Machine", "plant.motor_friction", "friction", "N m", 0.0, most))
+    found.append(Knob("Machine", "command_delay", "delay", "ticks", 0, 8, whole=True))
+    if scenario.model.friction is not None:
+        found.append(Knob("Belief", "model.friction.coulomb", "friction", "N m", 0.0, most))
+    found.append(Knob("Belief", "model.delay", "delay", "ticks", 0, 8, whole=True))
+    for group, prefix, motors in (("Machine", "motors", scenario.motors), ("Belief", "model.motors", scenario.model.motors)):
+        stiffness = getattr(motors, "stiffness", None)
+        if stiffness is not None:
+            centre = float(np.max(getattr(begun.motors, "stiffness", stiffness)))
+            found.append(Knob(group, f"{prefix}.stiffness", "servo stiffness", "N m/rad", 0.3 * centre, 3.0 * centre, logarithmic=True))
+    return found
+
+
+def knob_value(scenario: Scenario, knob: Knob) -> float:
+    """Where a slider stands; of six motors the largest, and what the belief leaves out is the machine's."""
+    value: Any = scenario
+    for name in knob.key.split("."):
+        value = getattr(value, name)
+    if value is None:
+        value = scenario.command_delay
+    return float(np.max(value))
+
+
+# --- a spring ---
+
+
+class Spring(NamedTuple):
+    """Pulls a point of the platform, (3,) [m] in P, towards a place (3,) [m] in B; the force has a largest size [N]."""
+
+    point: np.ndarray
+    place: np.ndarray
+    most: float
+    length: float  # [m] at which it has its largest force.
+
+    def force(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Place (3,) [m] of the point, and the force (3,) [N] there, in B."""
+        at = pose[3:] + rotation_matrix(pose[:3]) @ self.point
+        way = self.place - at
+        size = float(np.linalg.norm(way))
+        return at, way * (self.most / self.length) * min(1.0, self.length / size if size else 1.0)
+
+    def wrench(self, pose: np.ndarray) -> np.ndarray:
+        """(6,) [N m, N] about P, in B."""
+        at, force = self.force(pose)
+        return np.concatenate([np.cross(at - pose[3:], force), force])
+
+
+def spring(robot: RobotParameters, gravity: float, point: np.ndarray, place: np.ndarray) -> Spring:
+    """A spring whose largest force is `largest_force` of a robot."""
+    return Spring(point, place, largest_force(robot, gravity), _PULL * robot.characteristic_length)
+
+
+def largest_force(robot: RobotParameters, gravity: float) -> float:
+    """[N] sideways or along z at home for which the motors have room, with half of it left; in two digits."""
+    holds = static_torque(robot, robot.home_pose, gravity)
+    per_newton = np.linalg.inv(pose_jacobian(robot, robot.home_pose)).T[:, 3:]
+    room = (robot.effort_limits - np.abs(holds))[:, None] / np.maximum(np.abs(per_newton), 1e-12)
+    force = 0.5 * float(room.min(axis=0).max())
+    return float(f"{max(force, 1e-3):.2g}")
+
+
+# --- tests: a step, a sine ---
+
+
+class Test:
+    """A step or a sine that is added to the reference of one coordinate, and what the loop made of it.
+
+    `result` is a sentence once it is over.
+    """
+
+    def __init__(self, kind: str, axis: int, size: float, frequency: float, start: float) -> None:
+        self.kind, self.axis, self.size, self.start = kind, axis, size, start
+        self.frequency = 2.0 * math.pi * frequency
+        self.duration = _WATCHED if kind == "step" else (_PERIODS + 1) / frequency
+        self.times: list[float] = []
+        self.values: list[float] = []
+        self.result = ""
+
+    def added(self, time: float) -> np.ndarray:
+        """Pose, rate and acceleration (18,) that it adds at a time [s]; of a step only the pose."""
+        out, t = np.zeros(18), time - self.start
+        if not 0.0 <= t <= self.duration:
+            return out
+        if self.kind == "step":
+            out[self.axis] = self.size
+            return out
+        w = self.frequency
+        # Over the first quarter of a period it grows, with a rate and an acceleration of its own left out.
+        share = min(1.0, 4.0 * t * w / (2.0 * math.pi))
+        out[self.axis] = share * self.size * math.sin(w * t)
+        out[6 + self.axis] = share * self.size * w * math.cos(w * t)
+        out[12 + self.axis] = -share * self.size * w * w * math.sin(w * t)
+        return out
+
+    def watch(self, time: float, pose: np.ndarray, rest: float) -> None:
+        """Notes a pose (6,); `rest` is what is wanted of the coordinate without the test. At the end `result` is there."""
+        if self.result or time < self.start:
+            return
+        self.times.append(time - self.start)
+        self.values.append((float(pose[self.axis]) - rest) / self.size)
+        if time - self.start >= self.duration:
+            self.result = self._sentence()
+
+    def _sentence(self) -> str:
+        t, y = np.array(self.times), np.array(self.values)
+        scale, unit = ((180.0 / math.pi, "deg") if self.axis < 3 else (1e3, "mm"))
+        what = f"{self.kind} of {AXES[self.axis]}, {self.size * scale:.2g} {unit}"
+        if self.kind == "step":
+            found = step_figures(t, y)
+            rise, settling = (f"{1e3 * each:.0f} ms" if np.isfinite(each) else "-" for each in (found.rise_time, found.settling_time))
+            return f"{what}: rise {rise}, overshoot {100.0 * found.overshoot:.0f} %, settled after {settling}"
+        last = t >= t[-1] - _PERIODS * 2.0 * math.pi / self.frequency
+        waves = np.stack([np.sin(self.frequency * t[last]), np.cos(self.frequency * t[last]), np.ones(last.sum())], axis=-1)
+        sine, cosine, _ = np.linalg.lstsq(waves, y[last], rcond=None)[0]
+        gain, phase = math.hypot(sine, cosine), math.degrees(math.atan2(cosine, sine))
+        return f"{what}, {self.frequency / (2.0 * math.pi):.3g} Hz: gain {gain:.3f}, phase {phase:.1f} deg"
+
+
+# --- a record ---
+
+
+class Record:
+    """What was wanted and what came, at every tick of the last `_MOST` seconds, and the pushes and changes meanwhile."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        self.rows: list[np.ndarray] = []
+        self.pushes: list[dict[str, Any]] = []
+        self.changes: list[tuple[float, Mapping[str, Any]]] = []
+
+    def add(self, time: float, reference: np.ndarray, pose: np.ndarray, angles: np.ndarray, torque: np.ndarray) -> None:
+        """A tick."""
+        self.rows.append(np.concatenate([[time], reference[:6], pose, angles, torque]))
+        if len(self.rows) > 1000 and self.rows[-1][0] - self.rows[0][0] > 1.1 * _MOST:
+            self.rows = [row for row in self.rows if row[0] >= time - _MOST]
+
+    def save(self, folder: Path, scenario: Scenario) -> None:
+        """log.csv, motion.csv and a scenario.yaml that repeats it: reference and pushes, with the keys as they are now."""
+        from stewart_drake.base.atomic_files import write_atomically
+
+        rows = np.array(self.rows)
+        begin = rows[0, 0]
+        rows[:, 0] -= begin
+        pose = [f"pose_{name}" for name in ("roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m")]
+        names = ["time_s", *(f"reference_{name[5:]}" for name in pose), *pose]
+        names += [f"crank_angle_{leg}_rad" for leg in range(6)] + [f"torque_{leg}_nm" for leg in range(6)]
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(folder / "log.csv", _csv(names, rows))
+        # The motion at a hundred rows a second: a spline goes through them.
+        every = max(1, round(0.01 / max(1e-6, float(np.median(np.diff(rows[:, 0]))))))
+        write_atomically(folder / "motion.csv", _csv(["time_s", *pose], rows[::every, :7]))
+        pushes = [
+            {"kind": "step", "wrench": push["wrench"], "time": push["time"] - begin, "until": push["until"] - begin}
+            for push in self.pushes
+            if push["time"] >= begin
+        ]
+        changed = scenario.replace({"duration": float(max(rows[-1, 0], 0.1)), "disturbances": pushes})
+        data = {**changed.to_dict(), "name": f"{scenario.name} by hand"}
+        data["reference"] = {"kind": "recorded", "motion_file": "motion.csv"}
+        from stewart_drake.base.yaml_files import to_yaml
+
+        lines = [f"# At {time - begin:.2f} s: {dict(change)}" for time, change in self.changes if time >= begin]
+        text = "\n".join(["# What was done by hand; keys are as they were at the end.", *lines, to_yaml(data)])
+        write_atomically(folder / "scenario.yaml", text.encode())
+
+
+def _csv(names: Sequence[str], rows: np.ndarray) -> bytes:
+    lines = [",".join(names), *(",".join(f"{value:.10g}" for value in row) for row in rows)]
+    return ("\n".join(lines) + "\n").encode()
