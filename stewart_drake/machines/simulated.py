@@ -37,7 +37,7 @@ from stewart_drake.machines.machine import LOCALHOST, MachineError, command_limi
 from stewart_drake.machines.udp import UdpMachine
 from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES, POSE, RATE
 from stewart_drake.scenario.assembly import context_of, sensor_parts
-from stewart_drake.scenario.scenario import Scenario, load_scenario
+from stewart_drake.scenario.scenario import Scenario, load_driven
 
 STARTS_WITHIN = 300.0  # [s] for a process to compile what it needs, the first time.
 HOLD_TICKS = 20  # Without an active command after which the robot holds: no fast loop is stable for 0.1 s without one.
@@ -58,7 +58,7 @@ class SimulatedMachine(UdpMachine):
 
     def __init__(self, scenario: Scenario, other: str = "") -> None:
         super().__init__(scenario, LOCALHOST, 0)
-        self._simulated, self.name = load_scenario(other) if other else scenario, f"sim:{other}".rstrip(":")
+        self._simulated, self.name = load_driven(other) if other else scenario, f"sim:{other}".rstrip(":")
         self._process: subprocess.Popen[bytes] | None = None
         self.counts: dict[str, int] = {}
 
@@ -231,7 +231,7 @@ def main() -> None:
     parser.add_argument("--port", type=int, required=True)
     arguments = parser.parse_args()
     child = arguments.scenario == "-"
-    scenario = pickle.load(sys.stdin.buffer) if child else load_scenario(arguments.scenario)
+    scenario = pickle.load(sys.stdin.buffer) if child else load_driven(arguments.scenario)
     hold_after = min(wire.HOLD_AFTER, HOLD_TICKS * scenario.reading_period)
     side = RobotSide(scenario.motors.takes, command_limits(scenario), hold_after)
 
