@@ -95,7 +95,7 @@ def test_a_study_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here):
 
 
 def driver(out, port):
-    arguments = ["drive", "reachy_servos", "--machine", f"udp://127.0.0.1:{port}", "--for", "4", "--out", str(out)]
+    arguments = ["drive", "reachy_servos", "--machine", f"udp://127.0.0.1:{port}", "--for", "30", "--out", str(out)]
     return subprocess.Popen(
         [sys.executable, "-c", COMMAND, *arguments, "--quiet"], env=environment(), stderr=subprocess.PIPE, text=True
     )
@@ -116,7 +116,7 @@ def drives_that_are_killed(folder, kills):
             driving = driver(out, port)
             while not (out / JOURNAL).exists() and driving.poll() is None:
                 time.sleep(0.02)
-            time.sleep(chance.uniform(0.2, 4.0))
+            time.sleep(chance.uniform(0.5, 5.0))
             if number % 2:
                 side.kill()
                 side.communicate()

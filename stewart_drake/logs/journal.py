@@ -72,6 +72,7 @@ class Journal:
         assert self._path is not None
         with suppress(OSError), self._path.open("wb") as stream:
             stream.write(json.dumps(seal(json.loads(json.dumps(head)))).encode() + b"\n")
+            stream.flush()
             written, synced, over = 0, -np.inf, False
             while not over:
                 over = self._over.wait(WRITTEN_EVERY)
