@@ -24,7 +24,9 @@ def main() -> None:
     print(f"{log.status} {log.message or ''}: {log.end_time:.1f} s, {len(log.time)} ticks, {commands} commands")
     shares = {name: counts.get(name, 0) / commands for name in ("late", "missing", "old", "range", "garbage")}
     print("of the commands: " + ", ".join(f"{name} {share:.3%}" for name, share in shares.items()))
-    print("lateness of a tick [ms]: " + ", ".join(f"{q:.1%} {np.quantile(late, q):.3f}" for q in (0.5, 0.99, 0.999, 1.0)))
+    print(
+        "lateness of a tick [ms]: " + ", ".join(f"{q:.1%} {np.quantile(late, q):.3f}" for q in (0.5, 0.99, 0.999, 1.0))
+    )
 
 
 if __name__ == "__main__":

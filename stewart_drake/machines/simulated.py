@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.base.errors import StewartDrakeError
+from stewart_drake.base.real_time import real_time
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.control.friction_compensation import standing_torque
 from stewart_drake.hardware.disturbances import total_wrench
@@ -196,31 +197,32 @@ def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
     compiled.reading()
     compiled.advance(False)
     robot, brakes = SimulatedRobot(scenario), side.takes != "angle"
-    print(line.getsockname()[1], flush=True)
-    line.setblocking(False)
-    begun = time.monotonic()
-    while True:
-        # A step is simulated when it is over, with the commands that have come until then.
-        due = begun + robot.now * robot.step
-        if packet := side.reading(robot.reading(), robot.now * robot.step, time.monotonic()):
-            with suppress(OSError):
-                line.sendto(packet, side.peer)
-        arrived: deque[tuple[float, Any]] = deque()
-        looked = 0
-        while (left := due + robot.period - time.monotonic()) > 0.0 or looked < MOST_LATE:
-            if not select.select([line], [], [], max(left, 0.0))[0]:
-                break
-            looked += 1
-            with suppress(OSError):
-                data, peer = line.recvfrom(wire.SIZE + 1)
-                if side.take(data, peer, now := time.monotonic()):
-                    arrived.append((now, side.values))
-        for k in range(robot.steps):
-            while arrived and arrived[0][0] < due + (k + 1) * robot.step:
-                robot.command[:] = arrived.popleft()[1]
-            robot.advance(brakes and side.holds(due + k * robot.step))
-        if time.monotonic() - (begun + robot.now * robot.step) > LATEST:
-            begun = time.monotonic() - robot.now * robot.step
+    with real_time():
+        print(line.getsockname()[1], flush=True)
+        line.setblocking(False)
+        begun = time.monotonic()
+        while True:
+            # A step is simulated when it is over, with the commands that have come until then.
+            due = begun + robot.now * robot.step
+            if packet := side.reading(robot.reading(), robot.now * robot.step, time.monotonic()):
+                with suppress(OSError):
+                    line.sendto(packet, side.peer)
+            arrived: deque[tuple[float, Any]] = deque()
+            looked = 0
+            while (left := due + robot.period - time.monotonic()) > 0.0 or looked < MOST_LATE:
+                if not select.select([line], [], [], max(left, 0.0))[0]:
+                    break
+                looked += 1
+                with suppress(OSError):
+                    data, peer = line.recvfrom(wire.SIZE + 1)
+                    if side.take(data, peer, now := time.monotonic()):
+                        arrived.append((now, side.values))
+            for k in range(robot.steps):
+                while arrived and arrived[0][0] < due + (k + 1) * robot.step:
+                    robot.command[:] = arrived.popleft()[1]
+                robot.advance(brakes and side.holds(due + k * robot.step))
+            if time.monotonic() - (begun + robot.now * robot.step) > LATEST:
+                begun = time.monotonic() - robot.now * robot.step
 
 
 def main() -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from stewart_drake.analysis.feasibility import check_reference
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError, RunFailure, StewartDrakeError
+from stewart_drake.base.real_time import real_time
 from stewart_drake.logs.journal import Journal
 from stewart_drake.logs.log import MAX_ROWS, SimulationLog
 from stewart_drake.machines.machine import Machine, Reading
@@ -146,6 +147,12 @@ class Drive:
         The log says how it ended, as that of a run does.
         """
         began = time.monotonic()
+        with real_time():
+            self._run(progress)
+        trip, wall = self._controller.first_trip, time.monotonic() - began
+        return SimulationLog(**self._rows.log_fields(self._stopped_by, safety=trip, wall_time=wall))
+
+    def _run(self, progress: Callable[[float], None] | None) -> None:
         try:
             # What came while something was compiled is old.
             for _ in range(_FRESH):
@@ -168,8 +175,6 @@ class Drive:
         finally:
             self._machine.disconnect()
             self._rows.close()
-        trip, wall = self._controller.first_trip, time.monotonic() - began
-        return SimulationLog(**self._rows.log_fields(self._stopped_by, safety=trip, wall_time=wall))
 
     def _done(self) -> bool:
         # Where nothing comes from a machine, its clock stands.
