@@ -15,6 +15,7 @@ SCENARIO = ["plant.kind=closed_form", "sensors=encoders", "controller.period=0.0
 
 
 def main() -> None:
+    """Drives, and prints what was late."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 600.0
     scenario = load_scenario("exact_fig7", SCENARIO)
     machine = SimulatedMachine(scenario)
@@ -24,9 +25,8 @@ def main() -> None:
     print(f"{log.status} {log.message or ''}: {log.end_time:.1f} s, {len(log.time)} ticks, {commands} commands")
     shares = {name: counts.get(name, 0) / commands for name in ("late", "missing", "old", "range", "garbage")}
     print("of the commands: " + ", ".join(f"{name} {share:.3%}" for name, share in shares.items()))
-    print(
-        "lateness of a tick [ms]: " + ", ".join(f"{q:.1%} {np.quantile(late, q):.3f}" for q in (0.5, 0.99, 0.999, 1.0))
-    )
+    quantiles = ", ".join(f"{share:.1%} {np.quantile(late, share):.3f}" for share in (0.5, 0.99, 0.999, 1.0))
+    print(f"lateness of a tick [ms]: {quantiles}")
 
 
 if __name__ == "__main__":
