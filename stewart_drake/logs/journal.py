@@ -36,11 +36,12 @@ class Journal:
     Args:
         scenario: As run.
         path: The file; None for memory alone.
+        most: Rows that memory keeps, the latest; None for all.
     """
 
-    def __init__(self, scenario: Scenario, path: Path | None = None) -> None:
+    def __init__(self, scenario: Scenario, path: Path | None = None, most: int | None = None) -> None:
         self._about = {"versions": collect_versions(), "files": file_digests(scenario.to_dict())}
-        self.scenario, self._path = scenario, path
+        self.scenario, self._path, self._most = scenario, path, most
         self._shapes: dict[str, tuple[int, ...]] = {}
         # Arrays, which the garbage collector need not look into.
         self._rows: list[np.ndarray] = []
@@ -52,6 +53,8 @@ class Journal:
     def append(self, row: Mapping[str, Any]) -> None:
         """Adds a row: `time` [s] first, then numbers or arrays of the names and shapes of the first row."""
         self._rows.append(np.concatenate([np.ravel(value) for value in row.values()]).astype(float))
+        if self._most is not None and len(self._rows) > 2 * self._most:
+            del self._rows[: -self._most]
         if not self._shapes:
             self._shapes = {name: np.shape(value) for name, value in row.items()}
             if self._path is not None:

@@ -106,14 +106,30 @@ def _standing(robot: RobotParameters, angles: np.ndarray) -> np.ndarray:
         raise ConfigurationError("angles", np.round(angles, 4).tolist(), allowed) from None
 
 
+class Tick(NamedTuple):
+    """What a tick has read, wanted and sent."""
+
+    time: float  # [s].
+    angles: np.ndarray  # (6,) [rad] read.
+    reference: np.ndarray  # (6,) [rad, m] pose.
+    sent: np.ndarray  # (6,) commands.
+
+
 class Drive:
     """The loop of a controller on a connected machine.
 
     With a paced machine a tick is one of its own; else ticks have absolute deadlines on the monotonic clock. Rows go to
-    the file `journal` as they come, if it is given: what a killed process leaves.
+    the file `journal` as they come, if it is given: what a killed process leaves. `most` limits those in the log.
+
+    Attributes:
+        latest: The latest tick for whoever shows it, from any thread.
     """
 
-    def __init__(self, scenario: Scenario, machine: Machine, start: Start, journal: Path | None = None) -> None:
+    latest: Tick | None = None
+
+    def __init__(
+        self, scenario: Scenario, machine: Machine, start: Start, journal: Path | None = None, most: int | None = None
+    ) -> None:
         self._machine, self._start, self._motion = machine, start, start.motion
         # What it believes begins where the robot stands, and it reads angles, whatever a simulation would.
         here = {"reference": {"kind": "hold", "pose": start.pose.tolist()}, "initial_offset": [0.0] * 6}
@@ -128,12 +144,13 @@ class Drive:
         # What is compiled or loaded in the first call must not come in the first tick.
         self._controller.step(start.angles, 0.0, self._command)
         self._controller.reset()
-        self._rows, self._last = Journal(self.scenario, journal), -1
+        self._rows, self._last = Journal(self.scenario, journal, most), -1
         self._gives_up = np.inf  # [s] on the monotonic clock.
         self._holding = 0  # Ticks in a row in which the machine said that it follows nothing.
         self._behind = 0  # Ticks by which the motion's clock is behind that of the machine.
         self._origin = 0.0  # [s], or a machine's number of its reading, at the beginning.
         self._stopped_by: RunFailure | KeyboardInterrupt | None = None
+        self._asked = False
         motion.stop(start.duration - RAMP)
 
     @property
@@ -160,6 +177,8 @@ class Drive:
                     break
             while not self._done():
                 try:
+                    if self._asked:
+                        self._stop(KeyboardInterrupt())
                     self._tick()
                     if progress is not None:
                         progress(self.time)
@@ -175,6 +194,10 @@ class Drive:
         finally:
             self._machine.disconnect()
             self._rows.close()
+
+    def stop(self) -> None:
+        """Slows down on its path, and ends; from any thread."""
+        self._asked = True
 
     def _done(self) -> bool:
         # Where nothing comes from a machine, its clock stands.
@@ -215,9 +238,9 @@ class Drive:
         }
         told = np.full(6, np.nan) if reading.pose is None else reading.pose
         own = {"angles": reading.angles, "told_pose": told, "reading_age": age, "lateness": late}
-        sent = {"sent": self._command, "reference": self._motion.row(now)}
-        self._rows.append({"time": now, **logged, **own, **sent})
-        self._last = tick
+        wanted = self._motion.row(now)
+        self._rows.append({"time": now, **logged, **own, "sent": self._command, "reference": wanted})
+        self._last, self.latest = tick, Tick(now, reading.angles, wanted[:6], self._command.copy())
         self._look(reading)
 
     def _miss(self, tick: int) -> None:
