@@ -1,4 +1,4 @@
-"""kill -9 at any instant of a study costs what was under way."""
+"""kill -9 at any instant costs what was under way: of a study, and of a motion on a machine."""
 
 import os
 import random
@@ -9,10 +9,17 @@ import uuid
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from conftest import COMMAND, environment
 
+from stewart_drake import run_metrics
+from stewart_drake.logs.journal import JOURNAL
+from stewart_drake.logs.log import load_log
+from stewart_drake.machines.machine import open_machine
+from stewart_drake.runs.replay import write_replay
+from stewart_drake.scenario.scenario import load_driven
 from stewart_drake.studies.experiment import INCIDENTAL
 
 KILLS = int(os.environ.get("STEWART_DRAKE_KILLS", "1"))
@@ -82,3 +89,68 @@ def test_a_study_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here):
         assert alive(mark) == [], f"killed after {wait:.3f} s"
     finish(here / "killed")
     assert results(here / "killed") == results(here / "whole")
+
+
+# --- a motion on a machine ---
+
+
+def driver(out, port):
+    arguments = ["drive", "reachy_servos", "--machine", f"udp://127.0.0.1:{port}", "--for", "30", "--out", str(out)]
+    return subprocess.Popen(
+        [sys.executable, "-c", COMMAND, *arguments, "--quiet"], env=environment(), stderr=subprocess.PIPE, text=True
+    )
+
+
+def robot():
+    command = [sys.executable, "-m", "stewart_drake.machines.simulated", "reachy_servos", "--port", "0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment())
+    return process, int(process.stdout.readline())
+
+
+def drives_that_are_killed(folder, kills):
+    """Either side is killed at a random time; the driver's log opens, and the robot's side holds."""
+    chance, (side, port) = random.Random(), robot()
+    try:
+        for number in range(kills):
+            out = folder / str(number)
+            driving = driver(out, port)
+            while not (out / JOURNAL).exists() and driving.poll() is None:
+                time.sleep(0.02)
+            time.sleep(chance.uniform(0.5, 5.0))
+            if number % 2:
+                side.kill()
+                side.communicate()
+                driving.communicate(timeout=60)
+                assert driving.returncode != 0
+                assert load_log(out).reason == "machine"
+                assert not (out / JOURNAL).exists()
+                side, port = robot()
+            else:
+                driving.kill()
+                driving.communicate()
+                log = load_log(out)
+                assert (log.status, log.reason) == ("failed", "cut_off")
+                assert f"cut off after {log.end_time:.1f} s" in log.message
+                assert run_metrics(log)["reason"] == "cut_off"
+                write_replay(log, out / "replay.html")
+                time.sleep(1.2)  # Then the robot listens to anybody.
+                machine = open_machine(f"udp://127.0.0.1:{port}", load_driven("reachy_servos"))
+                machine.connect()
+                first = machine.read()
+                time.sleep(0.2)
+                assert first.holding
+                np.testing.assert_allclose(machine.read().angles, first.angles, atol=0.005)
+                machine.disconnect()
+    finally:
+        side.kill()
+        side.communicate()
+
+
+@pytest.mark.slow
+def test_a_drive_that_is_killed_leaves_its_log_and_a_robot_that_holds(tmp_path):
+    drives_that_are_killed(tmp_path, 2)
+
+
+@pytest.mark.long
+def test_20_drives_that_are_killed(tmp_path):
+    drives_that_are_killed(tmp_path, 20)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import click
-
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.run_commands import end, leave
 from stewart_drake.cli.terminal import print_table, progress_bar, shown_compiling, tell
 from stewart_drake.logs.signals import SCALES
-from stewart_drake.runs.outputs import check_place, claimed_place
+from stewart_drake.runs.outputs import begin_journal, check_place, claimed_place
 from stewart_drake.scenario.scenario import load_driven
 
 
@@ -20,7 +18,7 @@ from stewart_drake.scenario.scenario import load_driven
     machine=opt.option(
         "What to drive: reachy://HOST:PORT, udp://HOST:PORT, serial:DEVICE, sim: or mine.py:MyMachine.", required=True
     ),
-    seconds=opt.option("Seconds of the motion [default: the scenario's duration].", click.FloatRange(0.1), "--for"),
+    seconds=opt.option("Seconds of the motion [default: the scenario's duration].", float, "--for"),
     mcap=opt.switch("Also write run.mcap, for Foxglove."),
     dry=opt.switch("Connect, read and plan; move nothing."),
     out=opt.option("Folder for the results [default: runs/NAME, or runs/NAME-2, ...].", opt.PATH),
@@ -38,15 +36,15 @@ def drive(
     """SCENARIO, or a file of a controller alone, drives a machine: to the motion, along it, and to rest.
 
     It stops on its path, and holds, after Ctrl-C, when a reading is too old or a crank is far from where it should be;
-    a second Ctrl-C lets go at once. The results are those of a run.
+    a second Ctrl-C lets go at once. The results are those of a run; a process that is killed leaves them until then.
     """
     from stewart_drake.machines.machine import open_machine
     from stewart_drake.runs.checks import check_scenario
-    from stewart_drake.runs.drive import Drive, connected
+    from stewart_drake.runs.drive import Drive, as_logged, connected
 
     loaded = load_driven(scenario, overrides)
     if out is not None:
-        check_place(loaded, out, force)
+        check_place(as_logged(loaded), out, force, duration=False)
     opened = open_machine(machine, loaded)
     with shown_compiling():
         check_scenario(loaded)
@@ -63,9 +61,10 @@ def drive(
         if dry:
             tell("nothing was moved")
             return
-        with claimed_place(loaded, out, force) as claimed:
+        with claimed_place(as_logged(loaded), out, force, duration=False) as claimed:
+            journal = begin_journal(as_logged(loaded), claimed)
             with progress_bar(loaded.name, start.duration) as advance:
-                log = Drive(loaded, opened, start).run(advance)
+                log = Drive(loaded, opened, start, journal).run(advance)
             place = leave(log, claimed, machine=machine)
             if mcap:
                 log.save(place / "run.mcap")

@@ -7,19 +7,32 @@ from pathlib import Path
 
 import click
 
+from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
+from stewart_drake.cli.run_commands import end
 from stewart_drake.cli.terminal import shown_compiling, tell
 from stewart_drake.logs.log import load_log
-from stewart_drake.scenario.scenario import load_scenario
+from stewart_drake.scenario.scenario import load_driven, load_scenario
 
 
-@command("live", scenario="exact_fig7", example="plant.payload_mass=0.2")
-def live(scenario: str, overrides: tuple[str, ...], browser: bool) -> None:
+@command(
+    "live",
+    scenario="exact_fig7",
+    machine=opt.option("Steer a machine, as `drive` names it, in place of the simulation; it moves."),
+    example="plant.payload_mass=0.2",
+)
+def live(scenario: str, machine: str | None, overrides: tuple[str, ...], browser: bool) -> None:
     """SCENARIO is a file or a shipped name [default: exact_fig7].
 
     The page has sliders for the pose, pushes, a payload, a dead motor, a frozen encoder, other controllers, and plots
     of errors and torques. Only this machine can open it. Ctrl-C ends it.
+
+    With --machine the sliders steer a real robot, with the guards of `drive`, and the page shows it beside the wanted
+    one, which is pale.
     """
+    if machine is not None:
+        _steer(scenario, machine, overrides, browser)
+        return
     from stewart_drake.live.start import start_live
 
     loaded = load_scenario(scenario, overrides)
@@ -36,6 +49,30 @@ def live(scenario: str, overrides: tuple[str, ...], browser: bool) -> None:
         server.close()
 
 
+def _steer(scenario: str, url: str, overrides: tuple[str, ...], browser: bool) -> None:
+    from stewart_drake.live.start import start_machine
+    from stewart_drake.machines.machine import open_machine
+    from stewart_drake.runs.checks import check_scenario
+    from stewart_drake.runs.drive import connected
+
+    loaded = load_driven(scenario, overrides)
+    machine = open_machine(url, loaded)
+    try:
+        with shown_compiling():
+            check_scenario(loaded)
+            session, server = start_machine(loaded, machine, connected(loaded, machine), url)
+        try:
+            click.echo(f"{loaded.name} on {url} is live at {server.url} (Ctrl-C stops it)")
+            if browser:
+                webbrowser.open(server.url)
+            log = session.run()
+        finally:
+            server.close()
+    finally:
+        machine.disconnect()
+    end(log, True)
+
+
 @command("replay", logs={"required": True}, out="runs/replay.html")
 def replay(logs: tuple[Path, ...], out: Path, browser: bool) -> None:
     """LOGS are results folders of `run`, or log files."""
@@ -43,6 +80,9 @@ def replay(logs: tuple[Path, ...], out: Path, browser: bool) -> None:
     from stewart_drake.runs.replay import write_replay
 
     shown = [load_log(log) for log in logs]
+    for path, log in zip(logs, shown, strict=True):
+        if log.reason == "cut_off":
+            tell(f"{path}: {log.message}")
     prepare_file(out)
     write_replay(shown, out)
     tell(f"page in {out}")

@@ -14,7 +14,7 @@ from importlib.resources import files
 from typing import Any
 
 from stewart_drake.base.errors import StewartDrakeError
-from stewart_drake.live.session import LiveSession
+from stewart_drake.live.session import PageSession
 
 PORTS = range(8000, 8100)
 PATIENCE = 10.0
@@ -32,7 +32,7 @@ class LiveServer:
     `about` is what the page has to know before the first row.
     """
 
-    def __init__(self, session: LiveSession, about: Mapping[str, Any]) -> None:
+    def __init__(self, session: PageSession, about: Mapping[str, Any]) -> None:
         handler = type("Handler", (_Handler,), {"session": session, "about": about})
         self._server = _first_free(handler)
         self.url = f"http://localhost:{self._server.server_port}/"
@@ -68,7 +68,7 @@ def _first_free(handler: type[BaseHTTPRequestHandler]) -> _Server:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    session: LiveSession
+    session: PageSession
     about: Mapping[str, Any]
     server: _Server
     timeout = PATIENCE

@@ -8,7 +8,7 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -37,30 +37,17 @@ ROWS_KEPT, COMMANDS_KEPT = 50, 200
 """Rows that a page may be late, one that reads more slowly misses some; commands that may wait for the loop."""
 
 
-class LiveSession:
-    """Paces a `LiveLoop` by the clock, answers commands, and tells in rows, some 50 a second, how things are."""
+class PageSession:
+    """What pages and a loop say to each other, from any thread: commands in, rows out."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.loop, self.name = LiveLoop(scenario), secrets.token_hex(4)
-        self._own = {key: value for key, value in scenario.to_dict().items() if key in ("controller", "tuner")}
+    def __init__(self) -> None:
+        self.name, self.message = secrets.token_hex(4), ""
         self._commands: queue.Queue[tuple[int, Any]] = queue.Queue(COMMANDS_KEPT)
         self._received = self._obeyed = 0
-        self.paused, self.factor, self.message, self._controller = False, 1.0, "", next(iter(CONTROLLERS))
         self._rows: deque[str] = deque(maxlen=ROWS_KEPT)
         self._published, self._news, self._receiving = 0, threading.Condition(), threading.Lock()
         # What asks can name no key of the scenario, and so no code, file or other robot.
-        self._do = {
-            "aim": self._aim,
-            "move": lambda command: self.loop.move(bool(command["on"])),
-            "push": lambda command: self.loop.push(_six(command["wrench"]), float(command["duration"])),
-            "payload": lambda command: self.loop.change({"plant.payload_mass": float(command["mass"])}),
-            "dead": lambda command: self.loop.change({"motors.dead": _of_leg(command["leg"])}),
-            "freeze": self._freeze,
-            "kappa": lambda command: self.loop.change({"tuner.kappa": float(command["value"])}),
-            "controller": self._choose,
-            "pause": self._pause,
-            "reset": self._reset,
-        }
+        self._do: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {}
 
     def tell(self, command: Any) -> int:
         """Hands over a command from any thread; its number, which rows have once obeyed; queue.Full if many wait."""
@@ -76,28 +63,10 @@ class LiveSession:
             late = min(self._published - count, len(self._rows))
             return self._published, list(self._rows)[len(self._rows) - late :]
 
-    def run(self, until: float = np.inf) -> None:
-        """Runs for some seconds of the clock [s]; by default until KeyboardInterrupt."""
-        loop, began = self.loop, time.monotonic()
-        steps = max(1, round(SLICE / loop.scenario.plant.time_step))
-        due = time.monotonic()
-        window = (due, loop.time)
-        while time.monotonic() - began < until:
-            while not self._commands.empty():
-                self._obey(*self._commands.get())
-            if not self.paused:
-                loop.advance(steps)
-            due += SLICE
-            late = time.monotonic() - due
-            if late > LATEST:
-                due = time.monotonic()
-            now = time.monotonic()
-            if now - window[0] >= 1.0:
-                self.factor = (loop.time - window[1]) / (now - window[0])
-                window = (now, loop.time)
-            self._publish()
-            if (rest := due - time.monotonic()) > 0.0:
-                time.sleep(rest)
+    def obey(self) -> None:
+        """Does what has been asked for."""
+        while not self._commands.empty():
+            self._obey(*self._commands.get())
 
     def _obey(self, number: int, command: Any) -> None:
         self.message, self._obeyed = "", number
@@ -108,8 +77,61 @@ class LiveSession:
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             self.message = f"not understood: {error}"
 
+    def publish(self, row: Mapping[str, Any]) -> None:
+        """Tells pages how things are."""
+        # A number that is not finite is null: JSON has none, and a page that cannot read a row stands still.
+        text = json.dumps(plain_json(row))
+        with self._news:
+            self._rows.append(text)
+            self._published += 1
+            self._news.notify_all()
+
+
+class LiveSession(PageSession):
+    """Paces a `LiveLoop` by the clock, answers commands, and tells in rows, some 50 a second, how things are."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        super().__init__()
+        self.loop = LiveLoop(scenario)
+        self._own = {key: value for key, value in scenario.to_dict().items() if key in ("controller", "tuner")}
+        self.paused, self.factor, self._controller = False, 1.0, next(iter(CONTROLLERS))
+        self._do = {
+            "aim": self._aim,
+            "move": lambda command: self.loop.move(bool(command["on"])),
+            "push": lambda command: self.loop.push(six_of(command["wrench"]), float(command["duration"])),
+            "payload": lambda command: self.loop.change({"plant.payload_mass": float(command["mass"])}),
+            "dead": lambda command: self.loop.change({"motors.dead": _of_leg(command["leg"])}),
+            "freeze": self._freeze,
+            "kappa": lambda command: self.loop.change({"tuner.kappa": float(command["value"])}),
+            "controller": self._choose,
+            "pause": self._pause,
+            "reset": self._reset,
+        }
+
+    def run(self, until: float = np.inf) -> None:
+        """Runs for some seconds of the clock [s]; by default until KeyboardInterrupt."""
+        loop, began = self.loop, time.monotonic()
+        steps = max(1, round(SLICE / loop.scenario.plant.time_step))
+        due = time.monotonic()
+        window = (due, loop.time)
+        while time.monotonic() - began < until:
+            self.obey()
+            if not self.paused:
+                loop.advance(steps)
+            due += SLICE
+            late = time.monotonic() - due
+            if late > LATEST:
+                due = time.monotonic()
+            now = time.monotonic()
+            if now - window[0] >= 1.0:
+                self.factor = (loop.time - window[1]) / (now - window[0])
+                window = (now, loop.time)
+            self.publish(self.row())
+            if (rest := due - time.monotonic()) > 0.0:
+                time.sleep(rest)
+
     def _aim(self, command: Mapping[str, Any]) -> None:
-        reached = self.loop.aim(_six(command["pose"]))
+        reached = self.loop.aim(six_of(command["pose"]))
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
@@ -127,14 +149,6 @@ class LiveSession:
     def _reset(self, _: Mapping[str, Any]) -> None:
         self.loop.reset()
         self._controller = next(iter(CONTROLLERS))
-
-    def _publish(self) -> None:
-        # A number that is not finite is null: JSON has none, and a page that cannot read a row stands still.
-        row = json.dumps(plain_json(self.row()))
-        with self._news:
-            self._rows.append(row)
-            self._published += 1
-            self._news.notify_all()
 
     def row(self) -> dict[str, Any]:
         """What the browser shows of this instant: robot, loop, and everything that a panel can set."""
@@ -176,7 +190,8 @@ def _of_leg(leg: Any) -> dict[str, int] | None:
     return None if leg is None else {"leg": int(leg)}
 
 
-def _six(values: Any) -> np.ndarray:
+def six_of(values: Any) -> np.ndarray:
+    """Six finite numbers; else a ValueError."""
     six = np.array(values, dtype=float).reshape(6)
     if not np.isfinite(six).all():
         raise ValueError(f"{six} is not finite")

@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from stewart_drake.live.loop import LiveLoop
+from stewart_drake.live.machine_session import MachineSession
 from stewart_drake.live.server import LiveServer
 from stewart_drake.live.session import CONTROLLERS, LiveSession
 from stewart_drake.live.steering import nearest_allowed
+from stewart_drake.machines.machine import Machine
+from stewart_drake.runs.drive import Start
 from stewart_drake.runs.scene import robot_scene
 from stewart_drake.scenario.scenario import Scenario
 
@@ -33,6 +36,22 @@ def start_live(scenario: Scenario) -> tuple[LiveSession, LiveServer]:
         "payload_most": max(float(f"{0.5 * robot.platform_mass:.1g}"), scenario.plant.payload_mass),
         "encoders": scenario.sensors.reading == "angles",
         "controllers": list(CONTROLLERS),
+    }
+    return session, LiveServer(session, about)
+
+
+def start_machine(scenario: Scenario, machine: Machine, start: Start, url: str) -> tuple[MachineSession, LiveServer]:
+    """The same for a connected machine, which the page steers."""
+    session = MachineSession(scenario, machine, start)
+    about = {
+        "name": scenario.name,
+        "session": session.name,
+        "scene": robot_scene(session.scenario.robot, ghost=True),
+        "home": session.home.tolist(),
+        "room": _room(session.scenario, session.home).tolist(),
+        "machine": url,
+        "payload_most": 1.0,
+        "controllers": [],
     }
     return session, LiveServer(session, about)
 

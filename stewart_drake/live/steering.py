@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
 
 from stewart_drake.references.motions import Reference
 from stewart_drake.robot import RobotParameters
@@ -21,13 +20,15 @@ class SmoothValue:
     """A value (n,) that follows a target through a filter with three equal poles; it never overshoots.
 
     Its rate is continuous and its acceleration too, so that a controller with feedforward can follow it. At first it
-    rests; `step` [s] is the time between two calls of `advance`.
+    rests; `step` [s] is the time between two calls of `advance`, `bandwidth` [rad/s] that of the filter.
     """
 
-    def __init__(self, value: np.ndarray, step: float) -> None:
-        w = BANDWIDTH
+    def __init__(self, value: np.ndarray, step: float, bandwidth: float = BANDWIDTH) -> None:
+        w, self._step, self._bandwidth = bandwidth, step, bandwidth
         chain = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-(w**3), -3.0 * w**2, -3.0 * w]])
-        self._chain, self._transitions = chain * step, {1.0: expm(chain * step)}
+        # exp(t chain) is exp(-w t) times three terms: the cube of chain + w I is zero.
+        rest = chain + w * np.eye(3)
+        self._terms = np.stack([np.eye(3), rest, 0.5 * rest @ rest])
         self.target = np.array(value, dtype=float)
         self.state = np.zeros((3, len(self.target)))
         self.state[0] = self.target
@@ -38,11 +39,9 @@ class SmoothValue:
 
     def after(self, steps: float) -> np.ndarray:
         """Value, rate and acceleration (3, n) after some steps, whole or not, if the target stays."""
-        ahead = self._transitions.get(steps)
-        if ahead is None:
-            ahead = self._transitions[steps] = expm(self._chain * steps)
-        rest = np.zeros_like(self.state)
+        rest, time = np.zeros_like(self.state), steps * self._step
         rest[0] = self.target
+        ahead = np.exp(-self._bandwidth * time) * np.tensordot([1.0, time, time**2], self._terms, 1)
         return rest + ahead @ (self.state - rest)
 
 
@@ -52,10 +51,10 @@ class HandReference:
     reference(t) = hand(t) + share(t) (motion(t) - motion(0)), hand and share each a `SmoothValue`.
     """
 
-    def __init__(self, motion: Reference, step: float) -> None:
+    def __init__(self, motion: Reference, step: float, bandwidth: float = BANDWIDTH) -> None:
         self._motion, self._step = motion, step
         self.home = motion.evaluate(0.0)[0]
-        self.hand, self.share = SmoothValue(self.home, step), SmoothValue(np.ones(1), step)
+        self.hand, self.share = (SmoothValue(value, step, bandwidth) for value in (self.home, np.ones(1)))
 
     def advance(self) -> None:
         """One step."""
@@ -76,11 +75,30 @@ class HandReference:
             ]
         )
 
-    def excursions(self, duration: float) -> np.ndarray:
-        """Samples (n, 6) of what the motion adds to the pose set by hand; zeros (1, 6) once it is off."""
-        if self.share.target[0] == 0.0:
+    def excursions(self, duration: float, on: bool = False) -> np.ndarray:
+        """Samples (n, 6) of what the motion adds to the pose set by hand; zeros (1, 6) once it is off, and not `on`."""
+        if self.share.target[0] == 0.0 and not on:
             return np.zeros((1, 6))
         return self._motion.evaluate(np.linspace(0.0, duration, SAMPLES))[0] - self.home
+
+
+class HandMotion:
+    """A `HandReference` as a motion, which goes on from its latest time; a hand on the page sets its targets."""
+
+    def __init__(self, motion: Reference, bandwidth: float) -> None:
+        self.reference, self._now = HandReference(motion, 1.0, bandwidth), 0.0
+
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pose, rate and acceleration (..., 6) at times [s] near the latest one, if the targets stay."""
+        rows = np.array([self.reference.at(self._now, each - self._now) for each in np.ravel(time)])
+        pose, rate, acceleration = np.moveaxis(rows.reshape(*np.shape(time), 3, 6), -2, 0)
+        return pose, rate, acceleration
+
+    def advance(self, time: float) -> None:
+        """Its latest time [s]."""
+        for each in (self.reference.hand, self.reference.share):
+            each.state = each.after(time - self._now)
+        self._now = time
 
 
 class Reached(NamedTuple):

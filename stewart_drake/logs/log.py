@@ -16,6 +16,7 @@ from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.config import did_you_mean
 from stewart_drake.base.errors import ConfigurationError, installed_with
 from stewart_drake.base.keys import join_or
+from stewart_drake.logs.journal import JOURNAL, cut_off
 from stewart_drake.logs.outcomes import Status, describe_outcome, second_half
 from stewart_drake.logs.signals import SCALES, SIGNALS
 from stewart_drake.scenario.scenario import Scenario
@@ -236,7 +237,9 @@ def distinct_names(logs: Sequence[SimulationLog]) -> list[str]:
 
 
 def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLog:
-    """Reads a log, or results folder, written by `SimulationLog.save` or by the command `run`.
+    """Reads a log, or results folder, written by `SimulationLog.save` or by the commands `run` and `drive`.
+
+    Of a `drive` that was killed it is the log until then, with the reason `cut_off`.
 
     Raises:
         ConfigurationError: Missing file, not a log of this package, or not as it was written; a CSV file says nothing
@@ -244,7 +247,11 @@ def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLo
             its `scenario`, the default one where None is given.
     """
     # Unlike `Path.is_dir` this never raises.
-    path = Path(path) / "log.parquet" if os.path.isdir(path) else Path(path)  # noqa: PTH112
+    if os.path.isdir(path):  # noqa: PTH112
+        place, path = Path(path), Path(path) / "log.parquet"
+        if not path.exists() and (place / JOURNAL).exists():
+            return SimulationLog(**cut_off(place / JOURNAL))
+    path = Path(path)
     key = f"log {path}"
     if path.suffix == ".csv":
         signals, state_names = _read_signals(path, key)

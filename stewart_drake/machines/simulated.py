@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.base.errors import StewartDrakeError
+from stewart_drake.base.real_time import real_time
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.control.friction_compensation import standing_torque
 from stewart_drake.hardware.disturbances import total_wrench
@@ -37,7 +38,7 @@ from stewart_drake.machines.machine import LOCALHOST, MachineError, command_limi
 from stewart_drake.machines.udp import UdpMachine
 from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES, POSE, RATE
 from stewart_drake.scenario.assembly import context_of, sensor_parts
-from stewart_drake.scenario.scenario import Scenario, load_scenario
+from stewart_drake.scenario.scenario import Scenario, load_driven
 
 STARTS_WITHIN = 300.0  # [s] for a process to compile what it needs, the first time.
 HOLD_TICKS = 20  # Without an active command after which the robot holds: no fast loop is stable for 0.1 s without one.
@@ -58,7 +59,7 @@ class SimulatedMachine(UdpMachine):
 
     def __init__(self, scenario: Scenario, other: str = "") -> None:
         super().__init__(scenario, LOCALHOST, 0)
-        self._simulated, self.name = load_scenario(other) if other else scenario, f"sim:{other}".rstrip(":")
+        self._simulated, self.name = load_driven(other) if other else scenario, f"sim:{other}".rstrip(":")
         self._process: subprocess.Popen[bytes] | None = None
         self.counts: dict[str, int] = {}
 
@@ -196,31 +197,32 @@ def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
     compiled.reading()
     compiled.advance(False)
     robot, brakes = SimulatedRobot(scenario), side.takes != "angle"
-    print(line.getsockname()[1], flush=True)
-    line.setblocking(False)
-    begun = time.monotonic()
-    while True:
-        # A step is simulated when it is over, with the commands that have come until then.
-        due = begun + robot.now * robot.step
-        if packet := side.reading(robot.reading(), robot.now * robot.step, time.monotonic()):
-            with suppress(OSError):
-                line.sendto(packet, side.peer)
-        arrived: deque[tuple[float, Any]] = deque()
-        looked = 0
-        while (left := due + robot.period - time.monotonic()) > 0.0 or looked < MOST_LATE:
-            if not select.select([line], [], [], max(left, 0.0))[0]:
-                break
-            looked += 1
-            with suppress(OSError):
-                data, peer = line.recvfrom(wire.SIZE + 1)
-                if side.take(data, peer, now := time.monotonic()):
-                    arrived.append((now, side.values))
-        for k in range(robot.steps):
-            while arrived and arrived[0][0] < due + (k + 1) * robot.step:
-                robot.command[:] = arrived.popleft()[1]
-            robot.advance(brakes and side.holds(due + k * robot.step))
-        if time.monotonic() - (begun + robot.now * robot.step) > LATEST:
-            begun = time.monotonic() - robot.now * robot.step
+    with real_time():
+        print(line.getsockname()[1], flush=True)
+        line.setblocking(False)
+        begun = time.monotonic()
+        while True:
+            # A step is simulated when it is over, with the commands that have come until then.
+            due = begun + robot.now * robot.step
+            if packet := side.reading(robot.reading(), robot.now * robot.step, time.monotonic()):
+                with suppress(OSError):
+                    line.sendto(packet, side.peer)
+            arrived: deque[tuple[float, Any]] = deque()
+            looked = 0
+            while (left := due + robot.period - time.monotonic()) > 0.0 or looked < MOST_LATE:
+                if not select.select([line], [], [], max(left, 0.0))[0]:
+                    break
+                looked += 1
+                with suppress(OSError):
+                    data, peer = line.recvfrom(wire.SIZE + 1)
+                    if side.take(data, peer, now := time.monotonic()):
+                        arrived.append((now, side.values))
+            for k in range(robot.steps):
+                while arrived and arrived[0][0] < due + (k + 1) * robot.step:
+                    robot.command[:] = arrived.popleft()[1]
+                robot.advance(brakes and side.holds(due + k * robot.step))
+            if time.monotonic() - (begun + robot.now * robot.step) > LATEST:
+                begun = time.monotonic() - robot.now * robot.step
 
 
 def main() -> None:
@@ -231,7 +233,7 @@ def main() -> None:
     parser.add_argument("--port", type=int, required=True)
     arguments = parser.parse_args()
     child = arguments.scenario == "-"
-    scenario = pickle.load(sys.stdin.buffer) if child else load_scenario(arguments.scenario)
+    scenario = pickle.load(sys.stdin.buffer) if child else load_driven(arguments.scenario)
     hold_after = min(wire.HOLD_AFTER, HOLD_TICKS * scenario.reading_period)
     side = RobotSide(scenario.motors.takes, command_limits(scenario), hold_after)
 

@@ -88,7 +88,8 @@ async function begin() {
     return gone(LOST);
   }
   document.title = `${about.name} - stewart-drake live`;
-  at("name").textContent = about.name;
+  at("name").textContent = about.machine ? `${about.name} on ${about.machine}` : about.name;
+  document.body.classList.toggle("steers", Boolean(about.machine));
   view = new RobotScene(at("robot"), about.scene);
   home = about.home;
   const sliders = AXES.map(([name, unit, scale], k) =>
@@ -128,6 +129,7 @@ async function begin() {
   at("frozen").addEventListener("change", (event) => tell({ do: "freeze", leg: legOf(event) }));
   at("controller").addEventListener("change", (event) => tell({ do: "controller", name: event.target.value }));
   at("pause").addEventListener("click", () => tell({ do: "pause", on: !(last && last.paused) }));
+  at("stop").addEventListener("click", () => tell({ do: "stop" }));
   at("reset").addEventListener("click", () => tell({ do: "reset" }));
 
   traces = {
@@ -170,14 +172,18 @@ async function begin() {
     at("clock").textContent = `${last.time.toFixed(1)} s`;
     at("factor").textContent = last.paused ? "paused" : `× ${last.factor.toFixed(2)}`;
     at("pause").textContent = last.paused ? "Go on" : "Pause";
-    at("message").textContent = last.ended ? `ended: ${last.ended} (Reset begins anew)` : last.message;
+    at("message").textContent = last.ended ? `ended: ${last.ended}${about.machine ? "" : " (Reset begins anew)"}` : last.message;
     at("message").className = last.ended ? "ended" : "";
     // Not before what was asked for here is done: the control would jump back for a moment.
     if (!asking && last.obeyed >= told) write(last);
-    if (last.links) view.place(last.links);
-    traces.error.add(last.time, [last.position_m]);
-    traces.angle.add(last.time, [last.rotation_deg]);
-    traces.torque.add(last.time, last.torque);
+    if (last.links) {
+      view.place(last.links);
+      traces.error.add(last.time, [last.position_m]);
+      traces.angle.add(last.time, [last.rotation_deg]);
+    }
+    // Servos tell no torque.
+    traces.torque.box.hidden = !last.torque;
+    if (last.torque) traces.torque.add(last.time, last.torque);
     // Not every controller has a tuner.
     at("kappa-label").hidden = last.kappa === null || !last.setting;
     traces.setting.box.hidden = !last.setting;

@@ -54,6 +54,11 @@ class PacedMotion:
         pose, rate, acceleration = (each.reshape(*shape, 6) for each in made)
         return pose, rate, acceleration
 
+    def own_time(self, time: float) -> float:
+        """[s] of the motion at a time; 0 on the way to it."""
+        (way,), _, _ = self._way(np.array([time]))
+        return max(float(_risen(way - self.approach)[0]), 0.0)
+
     def row(self, time: float) -> np.ndarray:
         """(18,) pose, rate and acceleration."""
         return np.concatenate(self.evaluate(time))

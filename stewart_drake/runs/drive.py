@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from stewart_drake.analysis.feasibility import check_reference
-from stewart_drake.base.atomic_files import plain_json
-from stewart_drake.base.code import file_digests
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError, RunFailure, StewartDrakeError
-from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metrics import figures_of
-from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
-from stewart_drake.logs.signals import signals_of
-from stewart_drake.logs.versions import collect_versions
+from stewart_drake.base.real_time import real_time
+from stewart_drake.logs.journal import Journal
+from stewart_drake.logs.log import MAX_ROWS, SimulationLog
 from stewart_drake.machines.machine import Machine, Reading
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.references.paced import RAMP, PacedMotion
@@ -31,14 +27,18 @@ STALE = {"angle": 0.5, "torque": 0.1, "current": 0.1}
 """[s] age of a reading from which on the robot slows down and stops, by what motors take; angles they hold alone."""
 AT_STOP = 0.02
 """[rad] beyond a stop that may be read of a crank that rests on it."""
-FOLLOWING = 0.35
-"""[rad] of a crank from where it should be, from which on the robot slows down and stops."""
 CLOCKS_APART = 0.05
 """Share by which the period of a machine that sets the pace may differ from the controller's. Its ticks count as the
 controller's: where they are longer, the motion takes longer."""
 _FRESH = 5  # Readings at most until the first that is used.
+SHORTEST = 0.1  # [s] of a motion.
 HOLD = 0.3
 """[s] for which it is held at the end before it is let go."""
+
+
+def as_logged(scenario: Scenario) -> Scenario:
+    """The scenario of a log of `drive`, but for its duration: its robot is the believed one."""
+    return scenario if scenario.model.robot is None else scenario.replace(robot=scenario.belief.robot)
 
 
 class Start(NamedTuple):
@@ -54,11 +54,14 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
     """Connects a machine, and plans the way from where it stands, the motion for some seconds, and the end.
 
     Raises:
-        ConfigurationError: The machine takes something else than the model's motors, has another rate, or stands where
-            the believed robot cannot; the way to the motion leaves the limits.
+        ConfigurationError: So many seconds give no log; the machine takes something else than the model's motors, has
+            another rate, or stands where the believed robot cannot; the way to the motion leaves the limits.
         MachineError: It cannot be reached.
     """
-    motors, reference = scenario.belief.motors, scenario.reference
+    motors, reference, longest = scenario.belief.motors, scenario.reference, MAX_ROWS * scenario.reading_period
+    seconds = scenario.duration if seconds is None else seconds
+    if not SHORTEST <= seconds <= longest:
+        raise ConfigurationError("--for", seconds, f"from {SHORTEST} to {longest:g} s of the motion, {MAX_ROWS} ticks")
     if machine.takes != motors.takes:
         allowed = f"motors that take {machine.takes}, as the machine does"
         raise ConfigurationError("model.motors", motors.kind, allowed)
@@ -78,7 +81,7 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
     far = float(np.abs(inverse_kinematics(robot, begin) - inverse_kinematics(robot, pose)).max())
     # The fastest instant of the way is 1.875 times as fast as its mean.
     motion = PacedMotion(reference, pose, max(RAMP, 1.875 * far / APPROACH_SPEED))
-    duration = motion.duration(scenario.duration if seconds is None else seconds)
+    duration = motion.duration(seconds)
     for until in (motion.approach, duration):
         try:
             check_reference(robot, scenario.limits, motion, until, scenario.gravity).raise_if_infeasible()
@@ -103,40 +106,57 @@ def _standing(robot: RobotParameters, angles: np.ndarray) -> np.ndarray:
         raise ConfigurationError("angles", np.round(angles, 4).tolist(), allowed) from None
 
 
+class Tick(NamedTuple):
+    """What a tick has read, wanted and sent."""
+
+    time: float  # [s].
+    angles: np.ndarray  # (6,) [rad] read.
+    reference: np.ndarray  # (6,) [rad, m] pose.
+    sent: np.ndarray  # (6,) commands.
+
+
 class Drive:
     """The loop of a controller on a connected machine.
 
-    With a paced machine a tick is one of its own; else ticks have absolute deadlines on the monotonic clock.
+    With a paced machine a tick is one of its own; else ticks have absolute deadlines on the monotonic clock. Rows go to
+    the file `journal` as they come, if it is given: what a killed process leaves. `most` limits those in the log.
+
+    Attributes:
+        latest: The latest tick for whoever shows it, from any thread.
     """
 
-    def __init__(self, scenario: Scenario, machine: Machine, start: Start) -> None:
+    latest: Tick | None = None
+
+    def __init__(
+        self, scenario: Scenario, machine: Machine, start: Start, journal: Path | None = None, most: int | None = None
+    ) -> None:
         self._machine, self._start, self._motion = machine, start, start.motion
         # What it believes begins where the robot stands, and it reads angles, whatever a simulation would.
         here = {"reference": {"kind": "hold", "pose": start.pose.tolist()}, "initial_offset": [0.0] * 6}
         held = scenario.control().replace({**here, "model.reading": "angles"})
         motion, ahead = self._motion, scenario.preview
         sources = {"reference": motion.row, "reference_ahead": lambda now: motion.row(now + ahead)}
-        # What is told of the robot is told of the believed one.
-        own = {} if scenario.model.robot is None else {"robot": scenario.belief.robot}
-        self.scenario, self._robot = scenario.replace({"duration": start.duration, **own}), scenario.belief.robot
+        self.scenario = as_logged(scenario).replace(duration=start.duration)
+        self._robot, self._following = scenario.belief.robot, scenario.bounds.crank_angle or np.inf
         self._controller, self._ahead = Controller(held, sources), ahead
         self._period, self._command = self._controller.period, np.empty(6)
         self._stale = STALE[machine.takes]
         # What is compiled or loaded in the first call must not come in the first tick.
         self._controller.step(start.angles, 0.0, self._command)
         self._controller.reset()
-        self._rows: list[dict[str, Any]] = []
+        self._rows, self._last = Journal(self.scenario, journal, most), -1
         self._gives_up = np.inf  # [s] on the monotonic clock.
         self._holding = 0  # Ticks in a row in which the machine said that it follows nothing.
         self._behind = 0  # Ticks by which the motion's clock is behind that of the machine.
         self._origin = 0.0  # [s], or a machine's number of its reading, at the beginning.
         self._stopped_by: RunFailure | KeyboardInterrupt | None = None
+        self._asked = False
         motion.stop(start.duration - RAMP)
 
     @property
     def time(self) -> float:
         """[s] that the log has reached."""
-        return float(self._rows[-1]["time"]) if self._rows else 0.0
+        return max(self._last, 0) * self._period
 
     def run(self, progress: Callable[[float], None] | None = None) -> SimulationLog:
         """To the end, or to rest before it: after Ctrl-C, an old reading, an error that grows; a lost machine ends it.
@@ -144,6 +164,12 @@ class Drive:
         The log says how it ended, as that of a run does.
         """
         began = time.monotonic()
+        with real_time():
+            self._run(progress)
+        trip, wall = self._controller.first_trip, time.monotonic() - began
+        return SimulationLog(**self._rows.log_fields(self._stopped_by, safety=trip, wall_time=wall))
+
+    def _run(self, progress: Callable[[float], None] | None) -> None:
         try:
             # What came while something was compiled is old.
             for _ in range(_FRESH):
@@ -151,6 +177,8 @@ class Drive:
                     break
             while not self._done():
                 try:
+                    if self._asked:
+                        self._stop(KeyboardInterrupt())
                     self._tick()
                     if progress is not None:
                         progress(self.time)
@@ -165,7 +193,11 @@ class Drive:
             self._stopped_by = self._stopped_by or RunFailure(str(error))
         finally:
             self._machine.disconnect()
-        return self._log(time.monotonic() - began)
+            self._rows.close()
+
+    def stop(self) -> None:
+        """Slows down on its path, and ends; from any thread."""
+        self._asked = True
 
     def _done(self) -> bool:
         # Where nothing comes from a machine, its clock stands.
@@ -182,14 +214,14 @@ class Drive:
 
     def _tick(self) -> None:
         reading, tick, late = self._next()
-        if self._rows and tick <= self._rows[-1]["tick"]:
+        if tick <= self._last:
             # A paced machine that has nothing new: only time passes.
             self._look(reading)
             return
-        if self._rows and (gone := (tick - self._rows[-1]["tick"]) * self._period) > self._stale:
+        if self._rows and (gone := (tick - self._last) * self._period) > self._stale:
             # The motion waits, or its next pose would be far away.
-            self._behind += tick - self._rows[-1]["tick"] - 1
-            tick = self._rows[-1]["tick"] + 1
+            self._behind += tick - self._last - 1
+            tick = self._last + 1
             text = f"nothing came from the machine, or nothing ran here, for {gone:.3g} s"
             self._stop(RunFailure(text, reason="late"))
         now = tick * self._period
@@ -201,18 +233,20 @@ class Drive:
         self._machine.command(self._command)
         late += time.monotonic() - arrived
         logged = {
-            name: self._controller.signal(of).copy() if isinstance(of, str) else of
+            name: self._controller.signal(of) if isinstance(of, str) else of
             for name, of in self._controller.logged.items()
         }
-        own = {"angles": reading.angles.copy(), "pose": reading.pose, "reading_age": age, "lateness": late}
-        sent = {"sent": self._command.copy(), "reference": self._motion.row(now)}
-        self._rows.append({"time": now, "tick": tick, **logged, **own, **sent})
+        told = np.full(6, np.nan) if reading.pose is None else reading.pose
+        own = {"angles": reading.angles, "told_pose": told, "reading_age": age, "lateness": late}
+        wanted = self._motion.row(now)
+        self._rows.append({"time": now, **logged, **own, "sent": self._command, "reference": wanted})
+        self._last, self.latest = tick, Tick(now, reading.angles, wanted[:6], self._command.copy())
         self._look(reading)
 
     def _miss(self, tick: int) -> None:
         """Ticks that were lost before this one are ticks without a reading, or its rate would come out too large."""
         if self._rows and self.scenario.controller.feedback:
-            first, most = self._rows[-1]["tick"] + 1, getattr(self.scenario.estimator, "hold_ticks", 0)
+            first, most = self._last + 1, getattr(self.scenario.estimator, "hold_ticks", 0)
             for missed in range(max(first, tick - most), tick):
                 self._controller.step(np.full(6, np.nan), missed * self._period, self._command)
 
@@ -226,7 +260,7 @@ class Drive:
         self._origin = time.monotonic() if first else self._origin
         # Ticks that have gone by are left out, not made up for.
         passed = int((time.monotonic() - self._origin) / self._period)
-        due = 0 if first else max(self._rows[-1]["tick"] + self._behind + 1, passed)
+        due = 0 if first else max(self._last + self._behind + 1, passed)
         if (rest := self._origin + due * self._period - time.monotonic()) > 0.0:
             time.sleep(rest)
         late = time.monotonic() - self._origin - due * self._period
@@ -244,52 +278,7 @@ class Drive:
         elif self._machine.reads:
             wanted = inverse_kinematics(self._robot, self._motion.evaluate(self.time)[0])
             apart = np.abs(reading.angles - wanted)
-            if apart.max() > FOLLOWING:
+            if apart.max() > self._following:
                 leg = int(apart.argmax())
-                text = f"leg {leg} is {apart[leg]:.3g} rad from where it should be, at most {FOLLOWING} rad"
+                text = f"leg {leg} is {apart[leg]:.3g} rad from where it should be, at most {self._following:.3g} rad"
                 self._stop(RunFailure(text, leg, "not_following"))
-
-    def _log(self, wall: float) -> SimulationLog:
-        scenario = self.scenario
-        with np.errstate(all="ignore"):
-            rows = RunRows(scenario, self._signals())
-            trip = self._controller.first_trip
-            figures, outcome = figures_of(rows), assess(rows, trip, self.time, self._stopped_by)
-            warnings = tuple(plain_json(each) for each in find_warnings(outcome.status, rows, trip))
-        return SimulationLog(
-            scenario=scenario,
-            signals=rows.signals,
-            **outcome._asdict(),
-            end_time=self.time,
-            warnings=warnings,
-            safety=trip,
-            wall_time=wall,
-            versions=collect_versions(),
-            files=file_digests(scenario.to_dict()),
-            figures=figures,
-        )
-
-    def _signals(self) -> dict[str, np.ndarray]:
-        """As of a run: the pose is that which the machine tells, or else that of the angles that it reads."""
-        if not self._rows:
-            return {}
-        values = {
-            name: np.array([row[name] for row in self._rows]) for name in self._rows[0] if name not in ("pose", "tick")
-        }
-        angles, poses = values.pop("angles"), [row["pose"] for row in self._rows]
-        of_angles, guess = [], self._start.pose
-        for row in angles:
-            # Angles that no pose has are no reason to lose a log.
-            with suppress(StewartDrakeError):
-                guess = forward_kinematics(self._robot, row, guess)
-            of_angles.append(guess)
-        told = all(pose is not None for pose in poses)
-        pose = np.array(poses if told else of_angles, dtype=float)
-        rate = np.gradient(pose, values["time"], axis=0) if len(pose) > 1 else np.zeros_like(pose)
-        values |= {"measured": np.concatenate([pose, rate, angles], axis=1), "loop_gap": np.zeros((len(pose), 6))}
-        sent = values.pop("sent")
-        if self._machine.takes == "torque":
-            values["torque_applied"] = sent
-        if told and "measurement" not in values:
-            values["measured_pose"] = np.array(of_angles)
-        return signals_of(values)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 import shutil
 import subprocess
 import tempfile
@@ -19,6 +20,7 @@ from stewart_drake.base.code import read_code, with_texts
 from stewart_drake.base.errors import ConfigurationError, DiskError, StewartDrakeError
 from stewart_drake.base.families import user_parts
 from stewart_drake.base.yaml_files import to_yaml
+from stewart_drake.logs.journal import JOURNAL
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.scenario.scenario import Scenario
@@ -26,6 +28,7 @@ from stewart_drake.scenario.scenario import Scenario
 _AS_RUN = "# As run by stewart-drake: every key, defaults included.\n"
 _ROOM = 10_000  # [byte] that a disk has at least
 _CODE = "code"  # Folder with the files of the user's classes.
+_RESULTS = ("log.parquet", "metrics.json", "run.mcap")
 _PICTURES = ("diagram.dot", "diagram.svg", "states.png", "torques.png", "replay.html")
 """What a run may leave or not; else what is in a results folder is the user's own, and stays."""
 
@@ -57,8 +60,11 @@ def write_text(path: Path, text: str) -> None:
     write_atomically(path, text.encode())
 
 
-def check_place(scenario: Scenario, out: str | Path, force: bool = False) -> Path:
-    """The folder `out`, which has no content but results of the same scenario, or of any with `force`."""
+def check_place(scenario: Scenario, out: str | Path, force: bool = False, duration: bool = True) -> Path:
+    """The folder `out`, which has no content but results of the same scenario, or of any with `force`.
+
+    Without `duration` that may differ: on a machine it depends on where that stands.
+    """
     place = Path(os.path.realpath(out))
     try:
         # A killed run leaves no more than these.
@@ -69,14 +75,19 @@ def check_place(scenario: Scenario, out: str | Path, force: bool = False) -> Pat
         raise ConfigurationError("--out", str(out), f"a folder that can be written to ({error.strerror})") from None
     if not before.startswith(_AS_RUN.encode()):
         raise ConfigurationError("--out", str(out), "a new or empty folder, or one with the results of a run")
-    if before != _own_files(scenario)["scenario.yaml"] and not force:
+    own = _own_files(scenario)["scenario.yaml"]
+    if not duration:
+        before, own = (re.sub(rb"(?m)^duration: .*$", b"", text) for text in (before, own))
+    if before != own and not force:
         allowed = "a folder without the results of another scenario, or --force to replace them"
         raise ConfigurationError("--out", str(out), allowed)
     return place
 
 
 @contextmanager
-def claimed_place(scenario: Scenario, out: str | Path | None = None, force: bool = False) -> Iterator[Path]:
+def claimed_place(
+    scenario: Scenario, out: str | Path | None = None, force: bool = False, duration: bool = True
+) -> Iterator[Path]:
     """A folder that is this process's alone within: `out`, or the first of runs/NAME, runs/NAME-2 and so on.
 
     A folder that was made for it and is empty at the end is removed.
@@ -96,7 +107,7 @@ def claimed_place(scenario: Scenario, out: str | Path | None = None, force: bool
         prepare_folder(place, out)
         with locked_folder(place):
             if out is not None:
-                check_place(scenario, out, force)
+                check_place(scenario, out, force, duration)
             yield place
     finally:
         if made:
@@ -122,15 +133,27 @@ def save_run(log: SimulationLog, place: Path) -> tuple[Path, str | None]:
             except DiskError:
                 shutil.rmtree(other)
                 raise error from None
+            (place / JOURNAL).unlink(missing_ok=True)
             return other, f"{error}; the results are in {other}"
+        (place / JOURNAL).unlink(missing_ok=True)
     return place, None
 
 
-def _put(files: Mapping[str, bytes], place: Path) -> None:
+def begin_journal(scenario: Scenario, place: Path) -> Path:
+    """Where the rows of a run on a machine are to go; what the folder has of an earlier run is removed.
+
+    A killed run leaves them with its scenario, and `load_log` opens the folder.
+    """
+    with signals_held():
+        _put(_own_files(scenario), place, (*_RESULTS, JOURNAL))
+    return place / JOURNAL
+
+
+def _put(files: Mapping[str, bytes], place: Path, old: tuple[str, ...] = ()) -> None:
     paths = {place / name: content for name, content in files.items()}
     for path in paths:
         path.parent.mkdir(exist_ok=True)
-    before = {*(place / _CODE).glob("*.py"), *(place / name for name in _PICTURES)}
+    before = {*(place / _CODE).glob("*.py"), *(place / name for name in (*_PICTURES, *old))}
     write_together(paths, before - set(paths))
     with suppress(OSError):
         (place / _CODE).rmdir()

@@ -18,6 +18,10 @@ REFERENCE_COLOUR = (0.0, 0.62, 0.45, 0.4)
 """Red, green, blue and opacity of the disc that shows where the reference wants the platform."""
 
 
+GHOST_COLOUR = (0.0, 0.62, 0.45, 0.25)
+"""Of a robot where the reference wants it."""
+
+
 def viewpoint(robot: RobotParameters) -> tuple[np.ndarray, np.ndarray]:
     """Where a camera should stand and look, both (3,) [m] in B, for the whole robot to be seen."""
     height = robot.home_height - robot.base_height
@@ -34,14 +38,19 @@ def reference_disc(robot: RobotParameters) -> tuple[float, float]:
     return 1.15 * robot.platform_radius, 0.4 * robot.link_radius
 
 
-def robot_scene(robot: RobotParameters) -> dict[str, Any]:
-    """Camera, shapes of what never moves, and shapes of each link, in the order of `link_poses`; for JSON."""
+def robot_scene(robot: RobotParameters, ghost: bool = False) -> dict[str, Any]:
+    """Camera, shapes of what never moves, and shapes of each link, in the order of `link_poses`; for JSON.
+
+    With a `ghost` cranks, rods and platform come once more, pale.
+    """
     camera, target = viewpoint(robot)
     model = ElementTree.fromstring(sdf_text(robot, collision=False)).iter("link")
     links = {str(link.get("name")): [_shape(visual) for visual in link.iter("visual")] for link in model}
     disc = {"kind": "cylinder", "size": reference_disc(robot), "at": [0.0] * 6, "colour": REFERENCE_COLOUR}
     base = links.pop("base")
+    pale = {f"ghost of {name}": [shape | {"colour": GHOST_COLOUR} for shape in links[name]] for name in links}
     links["reference"] = [disc]
+    links |= pale if ghost else {}
     return {"camera": camera.tolist(), "target": target.tolist(), "lens": LENS, "fixed": base, "links": links}
 
 

@@ -78,6 +78,9 @@ class SuccessCriteria(Section, key="bounds"):
     """[m] largest position error, the distance between platform and reference."""
     loop_gap: Annotated[Positive | None, LENGTH] = 0.001
     """[m] largest gap between a rod's end and its platform joint; a larger one opens the simulated closed chain."""
+    crank_angle: Positive | None = 0.35
+    """[rad] largest distance of a crank from where it should be on a machine; beyond it `drive` slows down and
+    stops."""
     motion_ratio: Positive | None = 0.25
     """[-] smallest size of the platform's motion over its reference's, see docs/promises.md. Friction that holds the
     robot makes it 0."""

@@ -1,0 +1,134 @@
+"""A page that steers a machine: `Drive` moves it, with its guards; the page shows it, and the wanted robot pale."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.base.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.live.session import SLICE, PageSession, six_of
+from stewart_drake.live.steering import HandMotion, nearest_allowed
+from stewart_drake.logs.log import MAX_ROWS, SimulationLog
+from stewart_drake.machines.machine import Machine
+from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
+from stewart_drake.references.paced import RAMP, PacedMotion
+from stewart_drake.runs.drive import Drive, Start, as_logged
+from stewart_drake.runs.scene import link_poses
+from stewart_drake.scenario.scenario import Scenario
+
+BANDWIDTH = 3.0
+"""[rad/s] of the filter behind the sliders: a move is over after about three seconds."""
+KEPT = 1000  # Rows that memory keeps.
+LAST_ROW = 0.5  # [s] for pages to read how it ended.
+
+
+class MachineSession(PageSession):
+    """Drives a connected machine until it is stopped, and tells in rows how things are, from a thread of its own.
+
+    The motion of the scenario, about a pose that a hand sets, ends after the scenario's duration: no more was checked.
+    """
+
+    def __init__(self, scenario: Scenario, machine: Machine, start: Start) -> None:
+        super().__init__()
+        self.scenario = as_logged(scenario)
+        self._hand = HandMotion(scenario.reference, BANDWIDTH)
+        self._motion = PacedMotion(self._hand, start.pose, start.motion.approach)
+        own = start._replace(motion=self._motion, duration=min(MAX_ROWS * scenario.reading_period, 1e6))
+        self._drive, self._torques = Drive(scenario, machine, own, most=KEPT), machine.takes == "torque"
+        self._pose, self._ended = start.pose, ""
+        self._do = {"aim": self._aim, "move": self._move, "stop": lambda _: self._drive.stop()}
+
+    @property
+    def home(self) -> np.ndarray:
+        """(6,) [rad, m] where the motion begins."""
+        return self._hand.reference.home
+
+    def run(self) -> SimulationLog:
+        """Until Ctrl-C, a stop on the page, or what ends a `Drive`; the log has the latest rows."""
+        over = threading.Event()
+        shown = threading.Thread(target=self._show, args=(over,), daemon=True)
+        shown.start()
+        try:
+            log = self._drive.run(self._go_on)
+        finally:
+            over.set()
+            shown.join()
+        self._ended = "" if log.message is None else log.message.splitlines()[0]
+        self.publish(self.row())
+        time.sleep(LAST_ROW)
+        return log
+
+    def _go_on(self, now: float) -> None:
+        own = self._motion.own_time(now)
+        self._hand.advance(own)
+        if own > self.scenario.duration - RAMP:
+            self._hand.reference.share.target = np.zeros(1)
+
+    def _show(self, over: threading.Event) -> None:
+        while not over.wait(SLICE):
+            self.obey()
+            if self._drive.latest is not None:
+                self.publish(self.row())
+
+    def _aim(self, command: Mapping[str, Any]) -> None:
+        scenario, reference = self.scenario, self._hand.reference
+        around = reference.excursions(scenario.duration)
+        of = scenario.robot, scenario.limits, reference.hand.state[0], six_of(command["pose"])
+        reached = nearest_allowed(*of, scenario.gravity, around)
+        # Whole, for the thread that drives.
+        reference.hand.target = reached.pose
+        if reached.limit:
+            self.message = f"as far as it goes: {reached.limit}"
+
+    def _move(self, command: Mapping[str, Any]) -> None:
+        on, reference, scenario = bool(command["on"]), self._hand.reference, self.scenario
+        if on and self._motion.own_time(self._drive.time) > scenario.duration - 2.0 * RAMP:
+            raise ConfigurationError("motion", "on", f"off after the scenario's duration, {scenario.duration:g} s")
+        if on:
+            # Where the hand has gone meanwhile, the motion may not be possible.
+            of = scenario.robot, scenario.limits, self.home, reference.hand.target, scenario.gravity
+            if limit := nearest_allowed(*of, reference.excursions(scenario.duration, on=True)).limit:
+                raise ConfigurationError("motion", "on", f"off here: {limit}")
+        reference.share.target = np.array([float(on)])
+
+    def row(self) -> dict[str, Any]:
+        """What the page shows of the latest tick."""
+        drive, robot, target = self._drive, self.scenario.robot, self._hand.reference.hand.target
+        row = {
+            "session": self.name,
+            "obeyed": self._obeyed,
+            "time": drive.time,
+            "factor": 1.0,
+            "paused": False,
+            "motion": bool(self._hand.reference.share.target[0]),
+            "target": target.tolist(),
+            "message": self.message,
+            "ended": self._ended,
+            **dict.fromkeys(("setting", "kappa", "payload", "dead", "frozen", "controller", "links", "torque")),
+        }
+        if (tick := drive.latest) is None:
+            return row
+        try:
+            self._pose = forward_kinematics(robot, tick.angles, self._pose)
+            wanted = inverse_kinematics(robot, tick.reference)
+        except StewartDrakeError as error:
+            return row | {"message": f"no picture: {' '.join(str(error).split())}"}
+        off = self._pose - tick.reference
+        real, ghost = link_poses(
+            robot,
+            np.stack([self._pose, tick.reference]),
+            np.stack([tick.angles, wanted]),
+            np.stack([tick.reference] * 2),
+        )
+        return row | {
+            "pose": self._pose.tolist(),
+            "rotation_deg": float(np.degrees(np.linalg.norm(off[:3]))),
+            "position_m": float(np.linalg.norm(off[3:])),
+            "torque": tick.sent.tolist() if self._torques else None,
+            # The disc of the reference is the ghost's platform.
+            "links": np.concatenate([real, ghost[:-1]]).round(6).ravel().tolist(),
+        }

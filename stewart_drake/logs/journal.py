@@ -1,0 +1,157 @@
+"""Rows of a run on a machine, in a file as they come, and the log that they give, whole or cut off."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.base.atomic_files import check_file, plain_json, seal, unseal
+from stewart_drake.base.code import file_digests
+from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError
+from stewart_drake.logs.metrics import figures_of
+from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
+from stewart_drake.logs.signals import signals_of
+from stewart_drake.logs.versions import collect_versions
+from stewart_drake.mechanics.kinematics import forward_kinematics
+from stewart_drake.scenario.scenario import Scenario
+
+JOURNAL = "rows.journal"  # In the results folder, until the log is there.
+WRITTEN_EVERY, SYNCED_EVERY = 0.05, 1.0  # [s] that a killed process loses, and a computer without power.
+_MAX_BYTES, _LONGEST_HEAD = 10**10, 10**8
+
+
+class Journal:
+    """Rows of named numbers, in memory and in a file. A thread writes them: no tick waits for a disk.
+
+    Where the disk is full, memory still has them.
+
+    Args:
+        scenario: As run.
+        path: The file; None for memory alone.
+        most: Rows that memory keeps, the latest; None for all.
+    """
+
+    def __init__(self, scenario: Scenario, path: Path | None = None, most: int | None = None) -> None:
+        self._about = {"versions": collect_versions(), "files": file_digests(scenario.to_dict())}
+        self.scenario, self._path, self._most = scenario, path, most
+        self._shapes: dict[str, tuple[int, ...]] = {}
+        # Arrays, which the garbage collector need not look into.
+        self._rows: list[np.ndarray] = []
+        self._over, self._thread = threading.Event(), threading.Thread(target=self._write, daemon=True)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Adds a row: `time` [s] first, then numbers or arrays of the names and shapes of the first row."""
+        self._rows.append(np.concatenate([np.ravel(value) for value in row.values()]).astype(float))
+        if self._most is not None and len(self._rows) > 2 * self._most:
+            del self._rows[: -self._most]
+        if not self._shapes:
+            self._shapes = {name: np.shape(value) for name, value in row.items()}
+            if self._path is not None:
+                self._thread.start()
+
+    def close(self) -> None:
+        """Writes what is left; may be called twice."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def log_fields(self, ended_by: RunFailure | KeyboardInterrupt | None, **known: Any) -> dict[str, Any]:
+        """The fields of a `SimulationLog` of the rows, see `fields_of`."""
+        return fields_of(self.scenario, _columns(self._rows, self._shapes), ended_by, **self._about, **known)
+
+    def _write(self) -> None:
+        head = {"scenario": self.scenario.to_dict(), "shapes": self._shapes, **self._about}
+        assert self._path is not None
+        with suppress(OSError), self._path.open("wb") as stream:
+            stream.write(json.dumps(seal(json.loads(json.dumps(head)))).encode() + b"\n")
+            stream.flush()
+            written, synced, over = 0, -np.inf, False
+            while not over:
+                over = self._over.wait(WRITTEN_EVERY)
+                rows = self._rows[written:]
+                written += len(rows)
+                stream.write(b"".join(row.tobytes() for row in rows))
+                stream.flush()
+                if over or time.monotonic() - synced > SYNCED_EVERY:
+                    os.fsync(stream.fileno())
+                    synced = time.monotonic()
+
+
+def cut_off(path: Path) -> dict[str, Any]:
+    """The fields of a `SimulationLog` of a journal whose process was killed, without a row that is not whole."""
+    what = f"log {path}"
+    with check_file(path, what, _MAX_BYTES).open("rb") as stream:
+        about = unseal(stream.readline(_LONGEST_HEAD), what, "drive")
+        shapes = {name: tuple(shape) for name, shape in about.pop("shapes").items()}
+        width = sum(int(np.prod(shape)) for shape in shapes.values())
+        numbers = np.fromfile(stream)
+    rows = numbers[: len(numbers) // width * width].reshape(-1, width)
+    # A disk that lost power may have zeros, or old content, where rows should be; their time does not go on.
+    goes_on = np.isfinite(rows[:, 0]) & (np.diff(rows[:, 0], prepend=-1.0) > 0.0)
+    rows = rows[: len(rows) if goes_on.all() else int(goes_on.argmin())]
+    if not len(rows):
+        raise ConfigurationError(what, "no row", "a run that has begun")
+    end = float(rows[-1, 0])
+    why = RunFailure(f"the run was cut off after {end:.1f} s: its process was killed", reason="cut_off")
+    scenario = Scenario.from_dict(about.pop("scenario"))
+    return fields_of(scenario, _columns(rows, shapes), why, wall_time=end, **about)
+
+
+def _columns(rows: Any, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
+    """The rows (n, k) by name, (n, ...) each."""
+    if not len(rows):
+        return {}
+    ends = np.cumsum([int(np.prod(shape)) for shape in shapes.values()])
+    parts = np.split(np.asarray(rows), ends[:-1], axis=1)
+    return {name: part.reshape(-1, *shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
+
+
+def fields_of(
+    scenario: Scenario,
+    columns: Mapping[str, np.ndarray],
+    ended_by: RunFailure | KeyboardInterrupt | None,
+    safety: Mapping[str, Any] | None = None,
+    **known: Any,
+) -> dict[str, Any]:
+    """The fields of a `SimulationLog` of what was logged on a machine; `safety`: the first trip of that layer."""
+    with np.errstate(all="ignore"):
+        rows = RunRows(scenario, _signals(scenario, dict(columns)) if columns else {})
+        end = float(rows.time[-1]) if len(rows.time) else 0.0
+        outcome = assess(rows, safety, end, ended_by)
+        told = {
+            "figures": figures_of(rows),
+            "warnings": tuple(plain_json(each) for each in find_warnings(outcome.status, rows, safety)),
+        }
+    more = {"end_time": end, "safety": safety, **outcome._asdict(), **told, **known}
+    return {"scenario": scenario, "signals": rows.signals, **more}
+
+
+def _signals(scenario: Scenario, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """As of a run: the pose is that which the machine tells, or else that of the angles that it reads."""
+    angles, poses, sent = values.pop("angles"), values.pop("told_pose"), values.pop("sent")
+    of_angles, guess = [], values["reference"][0, :6]
+    for row in angles:
+        # Angles that no pose has are no reason to lose a log.
+        with suppress(StewartDrakeError):
+            guess = forward_kinematics(scenario.robot, row, guess)
+        of_angles.append(guess)
+    told = bool(np.isfinite(poses).all())
+    pose = poses if told else np.array(of_angles)
+    rate = np.gradient(pose, values["time"], axis=0) if len(pose) > 1 else np.zeros_like(pose)
+    values |= {"measured": np.concatenate([pose, rate, angles], axis=1), "loop_gap": np.zeros((len(pose), 6))}
+    if scenario.belief.motors.takes == "torque":
+        values["torque_applied"] = sent
+    if told and "measurement" not in values:
+        values["measured_pose"] = np.array(of_angles)
+    return signals_of(values)
