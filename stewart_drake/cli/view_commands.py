@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import webbrowser
+from contextlib import suppress
 from pathlib import Path
 
 import click
 
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.run_commands import end
@@ -17,29 +19,37 @@ from stewart_drake.scenario.scenario import load_driven, load_scenario
 
 @command(
     "live",
-    scenario="exact_fig7",
+    scenario="sway",
+    port=opt.option("Port of the page [default: the first free one from 8000 on].", click.IntRange(1, 65535)),
     machine=opt.option("Steer a machine, as `drive` names it, in place of the simulation; it moves."),
     example="plant.payload_mass=0.2",
 )
-def live(scenario: str, machine: str | None, overrides: tuple[str, ...], browser: bool) -> None:
-    """SCENARIO is a file or a shipped name [default: exact_fig7].
+def live(scenario: str, machine: str | None, port: int | None, overrides: tuple[str, ...], browser: bool) -> None:
+    """SCENARIO is a file or a shipped name [default: sway].
 
-    The page has sliders for the pose, pushes, a payload, a dead motor, a frozen encoder, other controllers, and plots
-    of errors and torques. Only this machine can open it. Ctrl-C ends it.
+    Pull the platform with the mouse, move it with sliders, change gains, beliefs and the machine, break a motor, ask
+    for a step, see another controller beside the first. Only this machine can open the page. Ctrl-C ends it.
 
     With --machine the sliders steer a real robot, with the guards of `drive`, and the page shows it beside the wanted
     one, which is pale.
     """
     if machine is not None:
-        _steer(scenario, machine, overrides, browser)
+        _steer(scenario, machine, port, overrides, browser)
         return
     from stewart_drake.live.start import start_live
 
-    loaded = load_scenario(scenario, overrides)
+    loaded, engine = load_scenario(scenario, overrides), ""
+    if loaded.plant.kind == "drake" and not any(each.startswith("plant") for each in overrides):
+        # What only Drake's plant has stays there.
+        with suppress(ConfigurationError):
+            loaded, engine = (
+                loaded.replace({"plant.kind": "closed_form"}),
+                "the closed form moves it, --set plant=drake Drake; ",
+            )
     with shown_compiling():
-        session, server = start_live(loaded)
+        session, server = start_live(loaded, port)
     try:
-        click.echo(f"{loaded.name} is live at {server.url} (Ctrl-C ends it)")
+        click.echo(f"{loaded.name} is live at {server.url} ({engine}Ctrl-C ends it)")
         if browser:
             webbrowser.open(server.url)
         session.run()
@@ -49,7 +59,7 @@ def live(scenario: str, machine: str | None, overrides: tuple[str, ...], browser
         server.close()
 
 
-def _steer(scenario: str, url: str, overrides: tuple[str, ...], browser: bool) -> None:
+def _steer(scenario: str, url: str, port: int | None, overrides: tuple[str, ...], browser: bool) -> None:
     from stewart_drake.live.start import start_machine
     from stewart_drake.machines.machine import open_machine
     from stewart_drake.runs.checks import check_scenario
@@ -60,7 +70,7 @@ def _steer(scenario: str, url: str, overrides: tuple[str, ...], browser: bool) -
     try:
         with shown_compiling():
             check_scenario(loaded)
-            session, server = start_machine(loaded, machine, connected(loaded, machine), url)
+            session, server = start_machine(loaded, machine, connected(loaded, machine), url, port)
         try:
             click.echo(f"{loaded.name} on {url} is live at {server.url} (Ctrl-C stops it)")
             if browser:

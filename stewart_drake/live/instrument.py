@@ -1,4 +1,4 @@
-"""What makes a live loop an instrument: sliders of keys, a spring to pull with, tests, and a record of what was done."""
+"""What makes a live loop an instrument: sliders of keys, a spring to pull with, tests, a record of what was done."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stewart_drake.analysis.response import step_figures
+from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.yaml_files import to_yaml
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_jacobian, rotation_matrix
 from stewart_drake.robot import RobotParameters
@@ -17,7 +19,7 @@ from stewart_drake.scenario.keys import value_at
 from stewart_drake.scenario.scenario import Scenario
 
 AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
-_PULL = 0.05  # [-] of the characteristic length that the spring is stretched by at the largest force.
+_PULL = 0.15, 0.2  # [-] of the characteristic length, at which the spring has its largest force, of `largest_force`.
 _WATCHED = 2.0  # [s] of a step.
 _PERIODS = 3  # Of a sine, after one that is left out.
 _MOST = 120.0  # [s] that the record keeps.
@@ -39,6 +41,15 @@ class Knob(NamedTuple):
     whole: bool = False
 
 
+def as_instrument(scenario: Scenario) -> Scenario:
+    """The scenario with its gains and beliefs said: else they would follow where a slider changes the machine."""
+    said = {name: getattr(scenario, name).to_dict() for name in ("controller", "tuner", "estimator")}
+    said["model.delay"] = scenario.belief.delay
+    if scenario.motors.takes != "torque" and scenario.model.motors is None:
+        said["model.motors"] = scenario.belief.motors.to_dict()
+    return scenario.replace(said)
+
+
 def _around(scenario: Scenario, key: str) -> float:
     return float(value_at(scenario.in_full(), key))
 
@@ -52,14 +63,18 @@ _GAINS: Mapping[str, Sequence[tuple[str, str, str]]] = {
     ),
 }
 _WEIGHTS = {
-    "block": (("q_pose", "weight of the pose", ""), ("q_rate", "weight of the rate", ""), ("q_integral", "of the integral", "")),
+    "block": (
+        ("q_pose", "weight: pose", ""),
+        ("q_rate", "weight: rate", ""),
+        ("q_integral", "weight: integral", ""),
+    ),
     "fixed": (("omega_q", "weight Q", ""), ("omega_r", "weight R", "")),
 }
 _DECADES = 1.5
 
 
 def knobs_of(scenario: Scenario, begun: Scenario) -> list[Knob]:
-    """The sliders of a scenario as it is now; their ranges are those around where it began, or of what it chose since."""
+    """The sliders of a scenario as it is now; gains go around where they began."""
     found: list[Knob] = []
     sections = [("controller", _GAINS.get(scenario.controller.kind, ()))]
     if scenario.controller.kind == "lqi":
@@ -76,25 +91,31 @@ def knobs_of(scenario: Scenario, begun: Scenario) -> list[Knob]:
     most = 0.2 * float(scenario.robot.effort_limits.min())
     found.append(Knob("Machine", "plant.motor_friction", "friction", "N m", 0.0, most))
     found.append(Knob("Machine", "command_delay", "delay", "ticks", 0, 8, whole=True))
-    if scenario.model.friction is not None:
-        found.append(Knob("Belief", "model.friction.coulomb", "friction", "N m", 0.0, most))
+    found.append(Knob("Belief", "model.friction.coulomb", "friction", "N m", 0.0, most))
     found.append(Knob("Belief", "model.delay", "delay", "ticks", 0, 8, whole=True))
-    for group, prefix, motors in (("Machine", "motors", scenario.motors), ("Belief", "model.motors", scenario.model.motors)):
-        stiffness = getattr(motors, "stiffness", None)
-        if stiffness is not None:
+    for group, prefix in (("Machine", "motors"), ("Belief", "model.motors")):
+        motors = scenario.motors if group == "Machine" else scenario.model.motors
+        if (stiffness := getattr(motors, "stiffness", None)) is not None:
             centre = float(np.max(getattr(begun.motors, "stiffness", stiffness)))
-            found.append(Knob(group, f"{prefix}.stiffness", "servo stiffness", "N m/rad", 0.3 * centre, 3.0 * centre, logarithmic=True))
+            ends = 0.3 * centre, 3.0 * centre
+            found.append(Knob(group, f"{prefix}.stiffness", "servo stiffness", "N m/rad", *ends, logarithmic=True))
     return found
 
 
 def knob_value(scenario: Scenario, knob: Knob) -> float:
-    """Where a slider stands; of six motors the largest, and what the belief leaves out is the machine's."""
+    """Where a slider stands; of six motors the largest, and 0 where the section is not there."""
     value: Any = scenario
     for name in knob.key.split("."):
-        value = getattr(value, name)
-    if value is None:
-        value = scenario.command_delay
+        value = getattr(value, name, 0.0)
     return float(np.max(value))
+
+
+def turned(scenario: Scenario, knob: Knob, value: float) -> dict[str, Any]:
+    """What to change in the scenario where a slider goes to a value, which its range bounds."""
+    value = min(max(value, knob.low), knob.high)
+    if knob.key.startswith("model.friction.") and scenario.model.friction is None:
+        return {"model.friction": {"coulomb": value}}
+    return {knob.key: round(value) if knob.whole else value}
 
 
 # --- a spring ---
@@ -122,8 +143,9 @@ class Spring(NamedTuple):
 
 
 def spring(robot: RobotParameters, gravity: float, point: np.ndarray, place: np.ndarray) -> Spring:
-    """A spring whose largest force is `largest_force` of a robot."""
-    return Spring(point, place, largest_force(robot, gravity), _PULL * robot.characteristic_length)
+    """A spring with which a hand can play without tripping the safety layer."""
+    stretch, share = _PULL
+    return Spring(point, place, share * largest_force(robot, gravity), stretch * robot.characteristic_length)
 
 
 def largest_force(robot: RobotParameters, gravity: float) -> float:
@@ -138,7 +160,7 @@ def largest_force(robot: RobotParameters, gravity: float) -> float:
 # --- tests: a step, a sine ---
 
 
-class Test:
+class Probe:
     """A step or a sine that is added to the reference of one coordinate, and what the loop made of it.
 
     `result` is a sentence once it is over.
@@ -169,7 +191,7 @@ class Test:
         return out
 
     def watch(self, time: float, pose: np.ndarray, rest: float) -> None:
-        """Notes a pose (6,); `rest` is what is wanted of the coordinate without the test. At the end `result` is there."""
+        """Notes a pose (6,); `rest` is what is wanted of the coordinate without the test."""
         if self.result or time < self.start:
             return
         self.times.append(time - self.start)
@@ -179,14 +201,18 @@ class Test:
 
     def _sentence(self) -> str:
         t, y = np.array(self.times), np.array(self.values)
-        scale, unit = ((180.0 / math.pi, "deg") if self.axis < 3 else (1e3, "mm"))
+        scale, unit = (180.0 / math.pi, "deg") if self.axis < 3 else (1e3, "mm")
         what = f"{self.kind} of {AXES[self.axis]}, {self.size * scale:.2g} {unit}"
         if self.kind == "step":
             found = step_figures(t, y)
-            rise, settling = (f"{1e3 * each:.0f} ms" if np.isfinite(each) else "-" for each in (found.rise_time, found.settling_time))
+            rise, settling = (
+                f"{1e3 * each:.0f} ms" if np.isfinite(each) else "-" for each in (found.rise_time, found.settling_time)
+            )
             return f"{what}: rise {rise}, overshoot {100.0 * found.overshoot:.0f} %, settled after {settling}"
         last = t >= t[-1] - _PERIODS * 2.0 * math.pi / self.frequency
-        waves = np.stack([np.sin(self.frequency * t[last]), np.cos(self.frequency * t[last]), np.ones(last.sum())], axis=-1)
+        waves = np.stack(
+            [np.sin(self.frequency * t[last]), np.cos(self.frequency * t[last]), np.ones(last.sum())], axis=-1
+        )
         sine, cosine, _ = np.linalg.lstsq(waves, y[last], rcond=None)[0]
         gain, phase = math.hypot(sine, cosine), math.degrees(math.atan2(cosine, sine))
         return f"{what}, {self.frequency / (2.0 * math.pi):.3g} Hz: gain {gain:.3f}, phase {phase:.1f} deg"
@@ -196,12 +222,9 @@ class Test:
 
 
 class Record:
-    """What was wanted and what came, at every tick of the last `_MOST` seconds, and the pushes and changes meanwhile."""
+    """What was wanted and what came in the last `_MOST` seconds, and the pushes and changes meanwhile."""
 
     def __init__(self) -> None:
-        self.clear()
-
-    def clear(self) -> None:
         self.rows: list[np.ndarray] = []
         self.pushes: list[dict[str, Any]] = []
         self.changes: list[tuple[float, Mapping[str, Any]]] = []
@@ -213,11 +236,9 @@ class Record:
             self.rows = [row for row in self.rows if row[0] >= time - _MOST]
 
     def save(self, folder: Path, scenario: Scenario) -> None:
-        """log.csv, motion.csv and a scenario.yaml that repeats it: reference and pushes, with the keys as they are now."""
-        from stewart_drake.base.atomic_files import write_atomically
-
+        """log.csv, motion.csv, and a scenario.yaml that repeats reference and pushes, with the keys as they are now."""
         rows = np.array(self.rows)
-        begin = rows[0, 0]
+        begin, end = rows[0, 0], rows[-1, 0]
         rows[:, 0] -= begin
         pose = [f"pose_{name}" for name in ("roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m")]
         names = ["time_s", *(f"reference_{name[5:]}" for name in pose), *pose]
@@ -228,15 +249,13 @@ class Record:
         every = max(1, round(0.01 / max(1e-6, float(np.median(np.diff(rows[:, 0]))))))
         write_atomically(folder / "motion.csv", _csv(["time_s", *pose], rows[::every, :7]))
         pushes = [
-            {"kind": "step", "wrench": push["wrench"], "time": push["time"] - begin, "until": push["until"] - begin}
-            for push in self.pushes
-            if push["time"] >= begin
+            {"kind": "step", "wrench": each["wrench"], "time": each["time"] - begin, "until": until - begin}
+            for each in self.pushes
+            if each["time"] >= begin and (until := min(each["until"], end)) > each["time"]
         ]
         changed = scenario.replace({"duration": float(max(rows[-1, 0], 0.1)), "disturbances": pushes})
-        data = {**changed.to_dict(), "name": f"{scenario.name} by hand"}
+        data = changed.to_dict()
         data["reference"] = {"kind": "recorded", "motion_file": "motion.csv"}
-        from stewart_drake.base.yaml_files import to_yaml
-
         lines = [f"# At {time - begin:.2f} s: {dict(change)}" for time, change in self.changes if time >= begin]
         text = "\n".join(["# What was done by hand; keys are as they were at the end.", *lines, to_yaml(data)])
         write_atomically(folder / "scenario.yaml", text.encode())

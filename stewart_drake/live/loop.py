@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -10,10 +12,14 @@ import numpy as np
 from stewart_drake.base.errors import RunFailure
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.hardware.disturbances import total_wrench
+from stewart_drake.live.instrument import Probe, Record, Spring
 from stewart_drake.live.steering import HandReference, Reached, nearest_allowed
 from stewart_drake.plant.plant_options import ANGLES
 from stewart_drake.runs.stepped_loop import SteppedLoop
 from stewart_drake.scenario.scenario import Scenario
+
+RECORDED, PULLED = 0.001, 0.02
+"""[s] between two rows of the record; share of the largest force by which a pull is followed in it."""
 
 
 class LiveLoop:
@@ -21,7 +27,8 @@ class LiveLoop:
 
     Every change but a new target and a push is a change of the scenario: its loop is built again, and each part that
     is still there keeps its state, as the robot does. `reference` is the pose set by hand with the motion about it, and
-    `ended` says why the loop cannot go on; it is empty while it can.
+    `ended` says why the loop cannot go on; it is empty while it can. `spring` pulls where there is one, `test` is added
+    to the reference, and `record` keeps what was done.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -32,7 +39,12 @@ class LiveLoop:
         """As at first."""
         scenario = self._begun
         self.ended, self._push, self._push_ends = "", np.zeros(6), -1
+        self.spring: Spring | None = None
+        self.test: Probe | None = None
+        self.record = Record()
+        self._pulled: dict[str, Any] | None = None
         self._step = on_grid(scenario.plant.time_step)
+        self._every = max(1, round(RECORDED / self._step))
         self.reference = HandReference(scenario.reference, self._step)
         self._loop = self._loop_of(scenario)
         self._loop.begin()
@@ -42,6 +54,15 @@ class LiveLoop:
         loop = self._loop_of(self.scenario.replace(changes))
         loop.take_over(self._loop)
         self._loop = loop
+        self.record.changes.append((self.time, changes))
+
+    def beside(self, changes: Mapping[str, Any]) -> LiveLoop:
+        """Another loop that goes on from here, with other keys of the scenario, on a plant of its own."""
+        other = LiveLoop(self.scenario)
+        other._loop.take_over(self._loop)
+        other._begun, other.reference = self._begun, deepcopy(self.reference)
+        other.change(changes)
+        return other
 
     def aim(self, pose: np.ndarray) -> Reached:
         """Sends the hand to a pose (6,) [rad, m], or as far towards it as the robot can go."""
@@ -59,6 +80,7 @@ class LiveLoop:
     def push(self, wrench: np.ndarray, duration: float) -> None:
         """Pushes the platform from now on, for a duration [s]: wrench (6,) [N m, N], moment about P and force, in B."""
         self._push[:], self._push_ends = wrench, self.steps + round(duration / self._step)
+        self._note(wrench, duration)
 
     def advance(self, steps: int) -> None:
         """Some steps of the plant; none once the loop has ended."""
@@ -69,9 +91,14 @@ class LiveLoop:
             self.ended = " ".join(str(failure).split())
 
     def _advance_one(self) -> None:
+        self._note_pull()
         self._loop.run_parts()
         self._loop.move()
         self.reference.advance()
+        if self.test is not None:
+            self.test.watch(self.time, self._loop.pose, float(self.reference.at(self.time)[self.test.axis]))
+        if self.steps % self._every == 0:
+            self.record.add(self.time, self.wanted, self._loop.pose, self._loop.measured[ANGLES], self._loop.torque)
 
     @property
     def scenario(self) -> Scenario:
@@ -101,7 +128,7 @@ class LiveLoop:
     @property
     def wanted(self) -> np.ndarray:
         """(6,) [rad, m] of the reference, at the instant of `pose`."""
-        return self.reference.at(self.time)[:6]
+        return self._wanted(self.steps)[:6]
 
     @property
     def torque(self) -> np.ndarray:
@@ -118,6 +145,27 @@ class LiveLoop:
         signal = self._loop.parts.logged.get(name)
         return self._loop.runner.signal(signal).copy() if isinstance(signal, str) else signal
 
+    def _note(self, wrench: np.ndarray, duration: float) -> dict[str, Any]:
+        self.record.pushes.append({"wrench": wrench.tolist(), "time": self.time, "until": self.time + duration})
+        return self.record.pushes[-1]
+
+    def _note_pull(self) -> None:
+        """A pull as steps, a new one where the force has changed by `PULLED` of its largest."""
+        wrench = np.zeros(6) if self.spring is None else self.spring.wrench(self._loop.pose)
+        if (before := self._pulled) is not None:
+            if self.spring is not None:
+                changed = float(np.linalg.norm(wrench - before["wrench"]))
+                if changed <= PULLED * self.spring.most:
+                    return
+            before["until"] = self.time
+        self._pulled = None if self.spring is None else self._note(wrench, math.inf)
+
+    def _wanted(self, step: int, ahead: float = 0.0) -> np.ndarray:
+        """(18,) pose, rate and acceleration at a step of the plant, `ahead` steps from it."""
+        time = step * self._step
+        wanted = self.reference.at(time, ahead)
+        return wanted if self.test is None else wanted + self.test.added(time + ahead * self._step)
+
     def _loop_of(self, scenario: Scenario) -> SteppedLoop:
         """The loop of a scenario, on the plant that there is where it would be the same."""
         plant = self._loop.plant if _plant_keys(scenario) == _plant_keys(self.scenario) else None
@@ -126,11 +174,13 @@ class LiveLoop:
 
         def wrench(step: int) -> np.ndarray:
             push = self._push if self.pushed else np.zeros(6)
+            if self.spring is not None:
+                push = push + self.spring.wrench(self._loop.pose)
             return push + total_wrench(pushes, step * self._step) if pushes else push
 
-        sources = {"reference": lambda step: self.reference.at(step * self._step), "wrench": wrench}
+        sources = {"reference": self._wanted, "wrench": wrench}
         if ahead > 0.0:
-            sources["reference_ahead"] = lambda step: self.reference.at(step * self._step, ahead)
+            sources["reference_ahead"] = lambda step: self._wanted(step, ahead)
         return SteppedLoop(scenario, plant, sources)
 
 

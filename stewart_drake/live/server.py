@@ -32,9 +32,9 @@ class LiveServer:
     `about` is what the page has to know before the first row.
     """
 
-    def __init__(self, session: PageSession, about: Mapping[str, Any]) -> None:
+    def __init__(self, session: PageSession, about: Mapping[str, Any], port: int | None = None) -> None:
         handler = type("Handler", (_Handler,), {"session": session, "about": about})
-        self._server = _first_free(handler)
+        self._server = _first_free(handler, PORTS if port is None else range(port, port + 1))
         self.url = f"http://localhost:{self._server.server_port}/"
         threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
 
@@ -58,13 +58,14 @@ class _Server(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
 
-def _first_free(handler: type[BaseHTTPRequestHandler]) -> _Server:
-    for port in PORTS:
+def _first_free(handler: type[BaseHTTPRequestHandler], ports: range) -> _Server:
+    for port in ports:
         try:
             return _Server(("127.0.0.1", port), handler)
         except OSError:
             continue
-    raise StewartDrakeError(f"no port from {PORTS[0]} to {PORTS[-1]} is free: close another live session")
+    which = f"port {ports[0]} is not" if len(ports) == 1 else f"no port from {ports[0]} to {ports[-1]} is"
+    raise StewartDrakeError(f"{which} free: close another live session")
 
 
 class _Handler(BaseHTTPRequestHandler):

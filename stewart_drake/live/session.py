@@ -15,7 +15,9 @@ import numpy as np
 
 from stewart_drake.base.atomic_files import plain_json
 from stewart_drake.base.errors import StewartDrakeError
+from stewart_drake.live.instrument import AXES, Probe, as_instrument, knob_value, knobs_of, spring, turned
 from stewart_drake.live.loop import LiveLoop
+from stewart_drake.runs.outputs import claimed_place
 from stewart_drake.runs.scene import link_poses
 from stewart_drake.scenario.scenario import Scenario
 
@@ -92,19 +94,31 @@ class LiveSession(PageSession):
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__()
+        scenario = as_instrument(scenario)
         self.loop = LiveLoop(scenario)
+        self.ghost: LiveLoop | None = None
+        self._ghosts, self.speed, self._test, self._begun = "", 1.0, "", scenario
+        self._knobs: tuple[Scenario | None, list[dict[str, Any]]] = (None, [])
         self._own = {key: value for key, value in scenario.to_dict().items() if key in ("controller", "tuner")}
         self.paused, self.factor, self._controller = False, 1.0, next(iter(CONTROLLERS))
         self._do = {
             "aim": self._aim,
-            "move": lambda command: self.loop.move(bool(command["on"])),
-            "push": lambda command: self.loop.push(six_of(command["wrench"]), float(command["duration"])),
-            "payload": lambda command: self.loop.change({"plant.payload_mass": float(command["mass"])}),
-            "dead": lambda command: self.loop.change({"motors.dead": _of_leg(command["leg"])}),
+            "move": lambda command: self._each(lambda loop: loop.move(bool(command["on"]))),
+            "push": self._push,
+            "pull": self._pull,
+            "release": self._release,
+            "payload": lambda command: self._change({"plant.payload_mass": float(command["mass"])}),
+            "dead": lambda command: self._change({"motors.dead": _of_leg(command["leg"])}),
             "freeze": self._freeze,
             "kappa": lambda command: self.loop.change({"tuner.kappa": float(command["value"])}),
+            "knob": self._turn,
             "controller": self._choose,
+            "ghost": self._haunt,
+            "test": self._begin_test,
             "pause": self._pause,
+            "step": self._one_tick,
+            "speed": self._set_speed,
+            "save": self._save,
             "reset": self._reset,
         }
 
@@ -117,7 +131,7 @@ class LiveSession(PageSession):
         while time.monotonic() - began < until:
             self.obey()
             if not self.paused:
-                loop.advance(steps)
+                self._each(lambda loop: loop.advance(max(1, round(steps * self.speed))))
             due += SLICE
             late = time.monotonic() - due
             if late > LATEST:
@@ -132,12 +146,74 @@ class LiveSession(PageSession):
 
     def _aim(self, command: Mapping[str, Any]) -> None:
         reached = self.loop.aim(six_of(command["pose"]))
+        if self.ghost is not None:
+            self.ghost.reference.hand.target[:] = reached.pose
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
+    def _each(self, do: Callable[[LiveLoop], Any]) -> None:
+        """For the robot and for its ghost."""
+        for loop in filter(None, (self.loop, self.ghost)):
+            do(loop)
+
+    def _change(self, changes: Mapping[str, Any]) -> None:
+        self._each(lambda loop: loop.change(changes))
+
+    def _push(self, command: Mapping[str, Any]) -> None:
+        wrench, duration = six_of(command["wrench"]), float(command["duration"])
+        self._each(lambda loop: loop.push(wrench, duration))
+
+    def _pull(self, command: Mapping[str, Any]) -> None:
+        """`point` (3,) [m] of the platform, in P, towards `place` (3,) [m] in B.
+
+        A hand at the rim loads one motor as a wrong one does, so the safety layer no longer looks for those.
+        """
+        scenario = self.loop.scenario
+        if scenario.safety is not None and scenario.safety.unexplained_torque is not None:
+            self._change({"safety.unexplained_torque": None})
+            self.message = "a hand pulls: safety.unexplained_torque is off until Reset"
+        pulled = spring(scenario.robot, scenario.gravity, *(_numbers(command[name], 3) for name in ("point", "place")))
+        self._each(lambda loop: setattr(loop, "spring", pulled))
+
+    def _release(self, _: Mapping[str, Any]) -> None:
+        self._each(lambda loop: setattr(loop, "spring", None))
+
+    def _turn(self, command: Mapping[str, Any]) -> None:
+        """A slider: only keys that the panel has, within their range; of the controller's side not the ghost's."""
+        knob = next(each for each in knobs_of(self.loop.scenario, self._begun) if each.key == command["key"])
+        change = turned(self.loop.scenario, knob, float(command["value"]))
+        (self._change if knob.group == "Machine" else self.loop.change)(change)
+
+    def _haunt(self, command: Mapping[str, Any]) -> None:
+        """A second robot beside the first, with another controller; from where the first is."""
+        name = command["controller"]
+        self.ghost, self._ghosts = None, ""
+        if name is not None:
+            self.ghost, self._ghosts = self.loop.beside({**self._own, **CONTROLLERS[name]}), name
+
+    def _begin_test(self, command: Mapping[str, Any]) -> None:
+        axis, robot = AXES.index(command["axis"]), self.loop.scenario.robot
+        size = 0.01 * (1.0 if axis < 3 else robot.characteristic_length)
+        frequency = min(max(float(command.get("frequency", 1.0)), 0.2), 20.0)
+        kind = "step" if command["kind"] == "step" else "sine"
+        self._each(lambda loop: setattr(loop, "test", Probe(kind, axis, size, frequency, loop.time)))
+
+    def _one_tick(self, _: Mapping[str, Any]) -> None:
+        self.paused = True
+        self._each(lambda loop: loop.advance(round(loop.scenario.controller.period / loop.scenario.plant.time_step)))
+
+    def _set_speed(self, command: Mapping[str, Any]) -> None:
+        self.speed = min(max(float(command["value"]), 0.1), 2.0)
+
+    def _save(self, _: Mapping[str, Any]) -> None:
+        scenario = self.loop.scenario.replace({"name": f"{self.loop.scenario.name} by hand"})
+        with claimed_place(scenario) as folder:
+            self.loop.record.save(folder, scenario)
+        self.message = f"saved in {folder}: log.csv, and scenario.yaml, which repeats it"
+
     def _freeze(self, command: Mapping[str, Any]) -> None:
         leg = _of_leg(command["leg"])
-        self.loop.change({"sensors.faults": [] if leg is None else [{"kind": "freeze", **leg}]})
+        self._change({"sensors.faults": [] if leg is None else [{"kind": "freeze", **leg}]})
 
     def _choose(self, command: Mapping[str, Any]) -> None:
         self.loop.change({**self._own, **CONTROLLERS[command["name"]]})
@@ -148,7 +224,15 @@ class LiveSession(PageSession):
 
     def _reset(self, _: Mapping[str, Any]) -> None:
         self.loop.reset()
+        self.ghost, self._ghosts, self._test = None, "", ""
         self._controller = next(iter(CONTROLLERS))
+
+    def _knob_rows(self) -> list[dict[str, Any]]:
+        scenario = self.loop.scenario
+        if self._knobs[0] is not scenario:
+            knobs = knobs_of(scenario, self._begun)
+            self._knobs = scenario, [{**each._asdict(), "value": knob_value(scenario, each)} for each in knobs]
+        return self._knobs[1]
 
     def row(self) -> dict[str, Any]:
         """What the browser shows of this instant: robot, loop, and everything that a panel can set."""
@@ -158,6 +242,18 @@ class LiveSession(PageSession):
         links = None
         if np.isfinite(pose).all() and np.isfinite(angles).all():
             links = link_poses(scenario.robot, pose, angles, wanted).round(6).ravel().tolist()
+            if (ghost := self.ghost) is not None and np.isfinite(ghost.pose).all():
+                # Without its own reference, which is the same.
+                beside = link_poses(scenario.robot, ghost.pose, ghost.crank_angles, wanted)[:-1]
+                links += beside.round(6).ravel().tolist()
+        pull = None
+        if loop.spring is not None:
+            at, force = loop.spring.force(pose)
+            pull = {"at": at.tolist(), "place": loop.spring.place.tolist(), "force": float(np.linalg.norm(force))}
+        if loop.test is not None and loop.test.result:
+            self._test = loop.test.result
+            if self.ghost is not None and self.ghost.test is not None and self.ghost.test.result:
+                self._test += f"; pale, {self._ghosts}: {self.ghost.test.result.partition(': ')[2]}"
         setting, safety = loop.logged("setting"), loop.logged("safety")
         frozen = [fault.leg for fault in scenario.sensors.faults if fault.kind == "freeze"]
         return {
@@ -181,6 +277,11 @@ class LiveSession(PageSession):
             "controller": self._controller,
             "kappa": getattr(scenario.tuner, "kappa", None),
             "paused": self.paused,
+            "speed": self.speed,
+            "ghost": self._ghosts,
+            "pull": pull,
+            "test": self._test,
+            "knobs": self._knob_rows(),
             "ended": loop.ended,
             "message": self.message,
         }
@@ -192,7 +293,11 @@ def _of_leg(leg: Any) -> dict[str, int] | None:
 
 def six_of(values: Any) -> np.ndarray:
     """Six finite numbers; else a ValueError."""
-    six = np.array(values, dtype=float).reshape(6)
-    if not np.isfinite(six).all():
-        raise ValueError(f"{six} is not finite")
-    return six
+    return _numbers(values, 6)
+
+
+def _numbers(values: Any, count: int) -> np.ndarray:
+    numbers = np.array(values, dtype=float).reshape(count)
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"{numbers} is not finite")
+    return numbers

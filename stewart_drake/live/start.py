@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stewart_drake.live.instrument import largest_force
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.machine_session import MachineSession
 from stewart_drake.live.server import LiveServer
@@ -17,8 +18,8 @@ from stewart_drake.scenario.scenario import Scenario
 _FARTHEST = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
 
 
-def start_live(scenario: Scenario) -> tuple[LiveSession, LiveServer]:
-    """A session to `run`, and its server to `close`."""
+def start_live(scenario: Scenario, port: int | None = None) -> tuple[LiveSession, LiveServer]:
+    """A session to `run`, and its server to `close`; `port` of this machine, None for the first that is free."""
     # Compiled here, none of the panel's controllers makes the robot wait.
     warm = LiveLoop(scenario)
     for changes in CONTROLLERS.values():
@@ -30,17 +31,20 @@ def start_live(scenario: Scenario) -> tuple[LiveSession, LiveServer]:
     about = {
         "name": scenario.name,
         "session": session.name,
-        "scene": robot_scene(robot),
+        "scene": robot_scene(robot, ghost=True),
         "home": session.loop.reference.home.tolist(),
         "room": _room(scenario, session.loop.reference.home).tolist(),
         "payload_most": max(float(f"{0.5 * robot.platform_mass:.1g}"), scenario.plant.payload_mass),
+        "force_most": largest_force(robot, scenario.gravity),
         "encoders": scenario.sensors.reading == "angles",
         "controllers": list(CONTROLLERS),
     }
-    return session, LiveServer(session, about)
+    return session, LiveServer(session, about, port)
 
 
-def start_machine(scenario: Scenario, machine: Machine, start: Start, url: str) -> tuple[MachineSession, LiveServer]:
+def start_machine(
+    scenario: Scenario, machine: Machine, start: Start, url: str, port: int | None = None
+) -> tuple[MachineSession, LiveServer]:
     """The same for a connected machine, which the page steers."""
     session = MachineSession(scenario, machine, start)
     about = {
@@ -53,7 +57,7 @@ def start_machine(scenario: Scenario, machine: Machine, start: Start, url: str) 
         "payload_most": 1.0,
         "controllers": [],
     }
-    return session, LiveServer(session, about)
+    return session, LiveServer(session, about, port)
 
 
 def _room(scenario: Scenario, home: np.ndarray) -> np.ndarray:

@@ -91,6 +91,8 @@ async function begin() {
   at("name").textContent = about.machine ? `${about.name} on ${about.machine}` : about.name;
   document.body.classList.toggle("steers", Boolean(about.machine));
   view = new RobotScene(at("robot"), about.scene);
+  const pull = about.machine ? null : new Pull(view, view.links.find(({ name }) => name === "platform"), tell);
+  const knobs = new Knobs(tell, hold);
   home = about.home;
   const sliders = AXES.map(([name, unit, scale], k) =>
     slider(at("pose"), name, unit, (home[k] - about.room[k]) * scale, (home[k] + about.room[k]) * scale, home[k] * scale));
@@ -101,7 +103,7 @@ async function begin() {
   at("home").addEventListener("click", () => tell({ do: "aim", pose: home }));
   at("move").addEventListener("change", (event) => tell({ do: "move", on: event.target.checked }));
 
-  at("push-force").addEventListener("input", (event) => { at("push-force-text").textContent = `${event.target.value} N`; });
+  at("push-force").addEventListener("input", (event) => { at("push-force-text").textContent = `${Number(Number(event.target.value).toPrecision(2))} N`; });
   for (const [axis, name] of [[3, "X"], [4, "Y"], [5, "Z"]]) for (const sign of [1, -1]) {
     const button = document.createElement("button");
     button.textContent = `${sign > 0 ? "+" : "−"}${name}`;
@@ -120,7 +122,20 @@ async function begin() {
   options(at("dead"), legs);
   options(at("frozen"), legs);
   options(at("controller"), about.controllers.map((name) => [name, name]));
-  at("frozen-label").hidden = !about.encoders;
+  options(at("ghost"), [["", "none"], ...about.controllers.map((name) => [name, name])]);
+  options(at("test-axis"), AXES.map(([name]) => [name, name]));
+  at("test-axis").value = "Z";
+  if (!about.encoders) {
+    at("frozen").disabled = true;
+    at("frozen-label").classList.add("off");
+    at("frozen-label").title = "this scenario reads poses: --set sensors=encoders";
+  }
+  for (const id of ["push-force"]) {
+    at(id).max = about.force_most ?? 20;
+    at(id).min = at(id).step = at(id).max / 40;
+    at(id).value = at(id).max / 4;
+    at("push-force-text").textContent = `${Number(Number(at(id).value).toPrecision(2))} N`;
+  }
   const writePayload = () => { at("payload-text").textContent = `${Number(at("payload").value).toPrecision(2)} kg`; };
   const writeKappa = () => { at("kappa-text").textContent = Number(at("kappa").value).toFixed(1); };
   hold(at("payload"), writePayload, (event) => tell({ do: "payload", mass: Number(event.target.value) }));
@@ -130,6 +145,12 @@ async function begin() {
   at("controller").addEventListener("change", (event) => tell({ do: "controller", name: event.target.value }));
   at("pause").addEventListener("click", () => tell({ do: "pause", on: !(last && last.paused) }));
   at("stop").addEventListener("click", () => tell({ do: "stop" }));
+  at("tick").addEventListener("click", () => tell({ do: "step" }));
+  at("save").addEventListener("click", () => tell({ do: "save" }));
+  at("speed").addEventListener("input", ({ target }) => tell({ do: "speed", value: Number(target.value) }));
+  at("ghost").addEventListener("change", ({ target }) => tell({ do: "ghost", controller: target.value || null }));
+  for (const kind of ["step", "sine"]) at(`test-${kind}`).addEventListener("click", () =>
+    tell({ do: "test", kind, axis: at("test-axis").value, frequency: Number(at("test-frequency").value) }));
   at("reset").addEventListener("click", () => tell({ do: "reset" }));
 
   traces = {
@@ -176,6 +197,15 @@ async function begin() {
     at("message").className = last.ended ? "ended" : "";
     // Not before what was asked for here is done: the control would jump back for a moment.
     if (!asking && last.obeyed >= told) write(last);
+    if (!about.machine) {
+      knobs.show(last.knobs, held);
+      pull.show(last.pull);
+      at("ghost").value = last.ghost;
+      at("speed").value = last.speed;
+      at("speed-text").textContent = `× ${last.speed}`;
+      at("test-result").textContent = last.test;
+      if (last.pull) at("message").textContent = `pulled with ${Number(last.pull.force.toPrecision(2))} N. ${last.message}`;
+    }
     if (last.links) {
       view.place(last.links);
       traces.error.add(last.time, [last.position_m]);

@@ -51,7 +51,11 @@ class RobotScene {
   /** Puts the links where seven numbers each say, position [m] and quaternion x, y, z, w; or a share of the way on. */
   place(now, next = now, share = 0) {
     const [from, to] = [new THREE.Quaternion(), new THREE.Quaternion()];
-    this.links.forEach(({ position, quaternion }, k) => {
+    this.links.forEach((link, k) => {
+      const { position, quaternion } = link;
+      // A ghost is there only while its places are told.
+      link.visible = now.length >= 7 * (k + 1);
+      if (!link.visible) return;
       const [a, b] = [now, next].map((values) => values.slice(7 * k, 7 * k + 7));
       position.set(...[0, 1, 2].map((axis) => a[axis] + share * (b[axis] - a[axis])));
       quaternion.slerpQuaternions(from.fromArray(a, 3), to.fromArray(b, 3), share);

@@ -138,7 +138,7 @@ def test_a_row_has_all_that_a_panel_can_set():
 def test_a_robot_that_is_nowhere_leaves_a_row_that_json_can_hold():
     session = LiveSession(load_scenario("exact_fig7").replace(STILL))
     session.loop._loop.pose[:] = np.nan
-    session._publish()
+    session.publish(session.row())
     _, (row,) = session.rows_after(0, 0.0)
     assert json.loads(row, parse_constant=pytest.fail)["links"] is None
 

@@ -223,7 +223,7 @@ def test_the_page_draws_and_steers_under_its_own_policy_of_what_it_loads(browser
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(live.url)
     deadline = time.monotonic() + 60.0
-    while not page.evaluate("last !== null && view.links.length === 14 && view.renderer.info.render.frame > 1"):
+    while not page.evaluate("last !== null && view.links.length === 27 && view.renderer.info.render.frame > 1"):
         assert time.monotonic() < deadline
         time.sleep(0.2)
     page.close()
@@ -256,3 +256,41 @@ def test_the_replay_plays_and_seeks(browser, tmp_path):
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     assert errors == []
     page.close()
+
+
+def test_the_platform_is_pulled_where_the_mouse_grabs_it(page):
+    page.click("#reset")
+    place = page.evaluate(
+        """() => {
+          const at = view.links.find(({ name }) => name === "platform").getWorldPosition(new THREE.Vector3());
+          const { left, top, width, height } = view.renderer.domElement.getBoundingClientRect();
+          const { x, y } = at.project(view.camera);
+          return [left + (x + 1) / 2 * width, top + (1 - y) / 2 * height];
+        }"""
+    )
+    page.mouse.move(*place)
+    page.mouse.down()
+    page.mouse.move(place[0] + 60, place[1], steps=5)
+    wait(page, "last.pull !== null && last.pull.force > 1")
+    assert page.evaluate("view.controls.enabled") is False
+    page.mouse.up()
+    wait(page, "last.pull === null")
+    page.click("#reset")
+
+
+def test_a_step_is_asked_for_and_its_figures_are_shown(page):
+    page.click("#test-step")
+    wait(page, "document.getElementById('test-result').textContent.startsWith('step of Z')", 60_000)
+
+
+def test_a_slider_of_the_machine_and_one_of_the_belief_stand_apart(page):
+    page.evaluate(
+        """() => {
+          const slider = document.getElementById("knob-command_delay");
+          slider.value = 1;
+          slider.dispatchEvent(new Event("change"));
+        }"""
+    )
+    wait(page, "last.knobs.find(({ key }) => key === 'command_delay').value === 1")
+    assert page.evaluate("last.knobs.find(({ key }) => key === 'model.delay').value") == 0
+    page.click("#reset")

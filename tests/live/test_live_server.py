@@ -181,7 +181,7 @@ def test_one_who_reads_slowly_misses_rows_and_nobody_keeps_them():
     session = new_session()
     count, _ = session.rows_after(0, 0.0)
     for _ in range(3 * ROWS_KEPT):
-        session._publish()
+        session.publish(session.row())
     later, rows = session.rows_after(count, 0.0)
     assert (later, len(rows)) == (count + 3 * ROWS_KEPT, ROWS_KEPT)
     assert session.rows_after(later, 0.01) == (later, [])

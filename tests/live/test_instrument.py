@@ -1,0 +1,163 @@
+"""A live loop as an instrument: sliders of keys, a spring, tests, a ghost, and what is saved."""
+
+import numpy as np
+import pytest
+
+from stewart_drake.live.instrument import Probe, Spring, as_instrument, knob_value, knobs_of, largest_force, turned
+from stewart_drake.live.loop import LiveLoop
+from stewart_drake.live.session import LiveSession
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.kinematics import pose_jacobian, rotation_matrix
+from stewart_drake.robot.robot_files import load_robot
+from stewart_drake.runs.simulation import run
+from stewart_drake.scenario.scenario import load_scenario
+
+SWAY = {"plant.kind": "closed_form"}
+STILL = {**SWAY, "reference": {"kind": "hold"}}
+
+
+def session(**changes):
+    return LiveSession(load_scenario("sway").replace({**STILL, **changes}))
+
+
+def do(live, **command):
+    live.tell(command)
+    live.obey()
+    assert not live.message.startswith("not understood")
+
+
+def test_a_spring_pulls_its_point_towards_its_place_with_at_most_its_largest_force():
+    pose = np.array([0.1, -0.2, 0.3, 0.01, 0.02, 0.3])
+    near, far = (Spring(np.array([0.05, 0, 0]), np.array([0.05, 0.02, z]), 20.0, 0.02) for z in (0.301, 0.5))
+    for spring in (near, far):
+        at, force = spring.force(pose)
+        assert np.allclose(at, pose[3:] + rotation_matrix(pose[:3]) @ spring.point)
+        assert np.allclose(np.cross(force, spring.place - at), 0.0)
+        assert np.allclose(spring.wrench(pose), [*np.cross(at - pose[3:], force), *force])
+    way = np.linalg.norm(near.place - near.force(pose)[0])
+    assert np.linalg.norm(near.force(pose)[1]) == pytest.approx(20.0 * min(1.0, way / 0.02))
+    assert np.linalg.norm(far.force(pose)[1]) == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize("name", ["paper", "reachy_mini", "servo_hexapod"])
+def test_the_motors_have_room_for_the_largest_force_along_some_axis(name):
+    robot = load_robot(name)
+    force = largest_force(robot, 9.81)
+    map_of_poses = np.linalg.inv(pose_jacobian(robot, robot.home_pose)).T
+    left = [
+        robot.effort_limits - abs(static_torque(robot, robot.home_pose)) - force * abs(map_of_poses[:, axis])
+        for axis in (3, 4, 5)
+    ]
+    assert max(each.min() for each in left) > 0.3 * robot.effort_limits.min()
+
+
+def test_a_pulled_platform_gives_way_and_comes_back():
+    live = session()
+    live.loop.advance(200)
+    do(live, do="pull", point=[0.03, 0, 0], place=[0.03, 0.02, 0.31])
+    live.loop.advance(20)
+    row = live.row()
+    assert row["pull"]["force"] == pytest.approx(0.2 * largest_force(live.loop.scenario.robot, 9.81), rel=0.01)
+    assert live.loop.pose[1 + 3] > 1e-4
+    do(live, do="release")
+    live.loop.advance(1500)
+    assert live.row()["pull"] is None
+    assert live.row()["position_m"] < 1e-5
+    assert not live.loop.ended
+
+
+def test_sliders_stand_where_the_scenario_does_and_go_no_farther_than_their_ends():
+    scenario = as_instrument(load_scenario("exact_breathing").replace({**SWAY, "tuner": "block"}))
+    knobs = {knob.key: knob for knob in knobs_of(scenario, scenario)}
+    assert {"tuner.q_pose", "estimator.disturbance", "plant.motor_friction", "model.friction.coulomb"} <= set(knobs)
+    for knob in knobs.values():
+        assert knob.low <= knob_value(scenario, knob) <= knob.high
+        for value in (knob.low - 1.0, knob.high + 1.0):
+            changed = scenario.replace(turned(scenario, knob, value))
+            assert knob_value(changed, knob) == pytest.approx(min(max(value, knob.low), knob.high))
+
+
+def test_a_delay_of_the_machine_alone_leaves_gains_and_belief_and_upsets_the_loop():
+    live, calm = session(safety=None), session(safety=None)
+    live.loop.advance(200)
+    before = {row["key"]: row["value"] for row in live.row()["knobs"]}
+    do(live, do="knob", key="command_delay", value=8)
+    after = {row["key"]: row["value"] for row in live.row()["knobs"]}
+    assert after == {**before, "command_delay": 8.0}
+    do(live, do="push", wrench=[0, 0, 0, 5, 0, 0], duration=0.05)
+    live.loop.advance(1500)
+    assert live.loop.ended or live.row()["position_m"] > 1e-3
+    do(calm, do="push", wrench=[0, 0, 0, 5, 0, 0], duration=0.05)
+    calm.loop.advance(1700)
+    assert calm.row()["position_m"] < 1e-5
+
+
+def test_a_step_and_a_sine_give_their_figures_of_both_robots():
+    live = session()
+    live.loop.advance(200)
+    do(live, do="ghost", controller="PID of each motor")
+    do(live, do="test", kind="step", axis="Z")
+    live._each(lambda loop: loop.advance(2100))
+    assert live.row()["test"].startswith("step of Z, 1.1 mm: rise ")
+    assert "; pale, PID of each motor: rise " in live.row()["test"]
+    do(live, do="test", kind="sine", axis="roll", frequency=2.0)
+    live._each(lambda loop: loop.advance(2100))
+    assert "sine of roll, 0.57 deg, 2 Hz: gain 1.0" in live.row()["test"].replace("gain 0.99", "gain 1.0")
+    assert len(live.row()["links"]) == 7 * (14 + 13)
+    do(live, do="ghost", controller=None)
+    assert len(live.row()["links"]) == 7 * 14
+
+
+def test_a_sine_of_a_loop_of_first_order_has_its_gain_and_phase():
+    probe, tau = Probe("sine", 5, 0.001, 2.0, 0.0), 0.05
+    times, value = np.arange(0.0, 2.2, 1e-4), 0.0
+    for time in times:
+        value += 1e-4 / tau * (probe.added(time)[5] - value)
+        probe.watch(time, np.array([0, 0, 0, 0, 0, value]), 0.0)
+    turn = 2.0 * np.pi * 2.0 * tau
+    gain, phase = 1.0 / np.hypot(1.0, turn), -np.degrees(np.arctan(turn))
+    assert probe.result.endswith(f"2 Hz: gain {gain:.3f}, phase {phase:.1f} deg")
+
+
+def test_pausing_and_a_tick_move_the_clock_by_a_period():
+    live = session()
+    do(live, do="step")
+    assert live.paused
+    assert live.loop.time == pytest.approx(live.loop.scenario.controller.period)
+    do(live, do="speed", value=7.0)
+    assert live.speed == 2.0
+
+
+def test_what_was_done_is_saved_and_runs_again(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    live = LiveSession(load_scenario("sway").replace(SWAY))
+    live.loop.advance(100)
+    do(live, do="aim", pose=[0.05, 0, 0, 0, 0, 0.305])
+    live.loop.advance(300)
+    do(live, do="pull", point=[0.05, 0, 0], place=[0.06, 0.01, 0.315])
+    live.loop.advance(200)
+    do(live, do="push", wrench=[0, 0, 0, 5, 0, 0], duration=0.05)
+    live.loop.advance(100)
+    do(live, do="release")
+    live.loop.advance(300)
+    do(live, do="save")
+    folder = tmp_path / "runs" / "sway by hand"
+    assert {path.name for path in folder.iterdir()} == {"log.csv", "motion.csv", "scenario.yaml"}
+    done = np.genfromtxt(folder / "log.csv", delimiter=",", names=True)
+    log = run(load_scenario(folder / "scenario.yaml"))
+    assert log.status == "completed"
+    rows = np.searchsorted(log.time, done["time_s"] - 1e-9)
+    rows = rows[rows < len(log.time)]
+    moved = np.ptp(done["pose_x_m"])
+    assert abs(log["pose"][rows, 3] - done["pose_x_m"][: len(rows)]).max() < 0.1 * moved
+    assert abs(log["reference"][rows, 5] - done["reference_z_m"][: len(rows)]).max() < 1e-6
+
+
+def test_a_loop_beside_begins_where_the_first_one_is():
+    loop = LiveLoop(load_scenario("sway").replace(SWAY))
+    loop.advance(500)
+    other = loop.beside({"controller": "pid"})
+    assert np.array_equal(other.pose, loop.pose)
+    other.advance(300)
+    assert np.linalg.norm(other.pose - loop.pose) > 1e-3
+    assert not other.ended
