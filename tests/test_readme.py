@@ -34,7 +34,7 @@ def test_python_blocks_and_misspelt_names_under_a_strict_type_checker(tmp_path):
 
 
 def test_it_is_a_landing_page():
-    assert README.count("\n") <= 150
+    assert README.count("\n") <= 90
 
 
 def test_make_targets_exist():
