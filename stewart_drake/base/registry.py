@@ -73,8 +73,7 @@ ESTIMATORS = Family(
     {"difference": "control.estimator:DifferenceOptions", "observer": "control.observer:ObserverOptions"},
     default="difference",
 )
-ADAPTATIONS = Family({})
-"""Laws that learn while a robot runs; none comes with the package."""
+ADAPTATIONS = Family({"regression": "control.adaptation:RegressionOptions"}, default="regression")
 OWN_MONITORS = Family({}, own="safety.limits:UserMonitor", methods=("look",))
 """Those of the user's own, under `safety.monitors`; the others stand in `safety.limits`."""
 OWN_METRICS = Family({}, own="logs.metrics:UserMetric", methods=("of",))

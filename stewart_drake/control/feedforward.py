@@ -34,6 +34,20 @@ class FeedforwardOptions(ControllerOptions):
         return (controller_part(feedforward_tick, context.robot, params, fields(torque=6, health=2), LEGS),)
 
 
+@njit
+def lead_tick(lead: Any, reference: Any, state: Any) -> None:
+    """A reference (18,) a little later, `lead` (1,) [s], as if its acceleration stayed."""
+    aimed, h = record(state).aimed, lead[0]
+    for k in range(6):
+        pose, rate, acceleration = reference[k], reference[6 + k], reference[12 + k]
+        aimed[k], aimed[6 + k] = pose + h * (rate + 0.5 * h * acceleration), rate + h * acceleration
+        aimed[12 + k] = acceleration
+
+
+LEAD = Part("lead", lead_tick, {"lead": np.zeros(1)}, {"reference": 18}, ("aimed",), new_record(fields(aimed=18)))
+"""What a delay that is learnt changes of the reference that is looked at."""
+
+
 _PARAMS = fields(gravity=(), level=())  # [m/s^2]; 0 for no torque, 1 for that at rest, 2 for that of the motion.
 
 

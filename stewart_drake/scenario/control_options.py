@@ -160,7 +160,11 @@ class ControlOptions(Section):
     def belief(self) -> Belief:
         """What the controller's side believes of the machine."""
         said = {name: getattr(self.model, name) for name in Belief._fields}
-        return self.nominal._replace(**{name: value for name, value in said.items() if value is not None})
+        belief = self.nominal._replace(**{name: value for name, value in said.items() if value is not None})
+        if belief.friction is None and self.adaptation is not None:
+            # What learns begins with none, and needs its place.
+            belief = belief._replace(friction=FrictionCompensation())
+        return belief
 
     @property
     def lqi(self) -> LqiOptions:
