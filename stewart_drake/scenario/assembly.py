@@ -16,7 +16,7 @@ from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.base.keys import join_or
 from stewart_drake.control.base import TRACKING_ERROR
-from stewart_drake.control.feedforward import LEAD
+from stewart_drake.control.feedforward import lead_part
 from stewart_drake.control.friction_compensation import standing_torque
 from stewart_drake.control.observer import SMALLEST_NOISE
 from stewart_drake.hardware.disturbances import total_wrench
@@ -245,7 +245,7 @@ class _Builder:
         if not self.options.controller.feedback:
             now, self.sees["measurement"] = {"measurement": self.measurement}, np.zeros(12)
             if self.options.adaptation is not None:
-                self.parts.append(LEAD.connected(reference=self.sees["reference"]))
+                self.parts.append(lead_part(context.period).connected(reference=self.sees["reference"]))
                 self.sees["reference"] = "aimed"
         # Without feedback what an observer finds stays in the log.
         self.corrects = self.observes and self.options.controller.feedback
