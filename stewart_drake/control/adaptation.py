@@ -51,8 +51,10 @@ SIZE_HEAD, SIZE_DRIVE, SIZE_OWN_DRIVE = 0.25, 0.35, 0.06
 """[-] standard deviations of logarithms, before anything is learnt; own: how far apart motors of a robot are."""
 SIZE_DAMPING, SIZE_COULOMB, SHARE_OWN, SIZE_DELAY = 0.03, 0.1, 0.2, 0.012
 """Likewise, [s/rad] and [-] of the torque limit; how far apart motors are, of that; [s] of a servo's delay."""
-ALIKE = 30.0
-"""Samples in a row that err alike, by what the model does not have: together they count as one."""
+ALIKE = 0.6
+"""[s] for which samples err alike, by what the model does not have: together they count as one."""
+FINEST = 0.008
+"""[s] smallest standard deviation of the kernel: finer, noise of the readings makes much of the acceleration."""
 MOST, LEAST_DAMPING, MOST_DAMPING, MOST_COULOMB, MOST_DELAY = np.log(3.0), -0.1, 0.4, 0.4, 0.05
 """Bounds: of the logarithms; as above of the torque limit; and [s]. A delay believed too long may be a damping < 0."""
 SATURATED, BLEND, OUTLIER = 0.9, 0.5, 3.0
@@ -73,7 +75,7 @@ class RegressionOptions(AdaptationOptions):
     reading_age: NotNegative = 0.0
     """[s] of the readings, as believed: commands and angles alone cannot tell it from the motors' delay."""
     smoothing: Positive | None = None
-    """[s] standard deviation of the kernel; null for 1.5 periods, at least 0.02 s."""
+    """[s] standard deviation of the kernel; null for 1.5 periods, at least 0.008 s."""
     slowest: Positive = 0.03
     """[rad/s] of a crank below which its samples are left out."""
     noise: Positive = 0.003
@@ -87,12 +89,12 @@ class RegressionOptions(AdaptationOptions):
 
 _PARAMS = fields(
     gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(), damping=6,
-    servo_damping=(), noise=(), slowest=(), width=(), keep=(), blend=(), own=OWN, common=COMMON, frozen=(),
+    servo_damping=(), noise=(), alike=(), slowest=(), width=(), keep=(), blend=(), own=OWN, common=COMMON, frozen=(),
 )  # fmt: skip
 """stride: ticks of a block. kernel: weights of smoothed value, rate and acceleration. late: those of commands, and of their first two
 derivatives. gain:
 torque for a command as believed. by_gain: whether a motor's gain is what its drive changes, else all bodies are.
-by_angle: whether commands are angles. damping: believed at first, servo included. keep: share that a block leaves of
+by_angle: whether commands are angles. damping: believed at first, servo included. alike: samples that count as one. keep: share that a block leaves of
 what was known. own, common: standard deviations at first."""
 _FRICTION = {"coulomb": slice(0, 6), "break_away": slice(6, 12), "viscous": slice(18, 24)}
 _PLACES = {name: int(ROBOT.fields[name][1]) // 8 for name in ROBOT.names or ()}  # type: ignore[index]
@@ -358,7 +360,7 @@ def _take(params: Any, state: Any, rows: Any) -> None:
             taken[i] = 1.0
     for i in range(6):
         if taken[i] == 1.0:
-            rows[i] /= np.sqrt(ALIKE)
+            rows[i] /= np.sqrt(params.alike)
             add_row(state.information[i], state.shared, rows[i])
     solve_arrow(state.information, state.shared, state.own, state.common)
     for k in range(2):
@@ -433,7 +435,7 @@ def late_weights(width: float, late: float) -> np.ndarray:
 
 def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     """`reading` (6,) or (12,), `command` (6,) -> numbers in the place of constants `friction`, `gain`, `lead` and `robot`."""
-    smoothing = max(0.02, 1.5 * context.period) if options.smoothing is None else options.smoothing
+    smoothing = max(FINEST, 1.5 * context.period) if options.smoothing is None else options.smoothing
     stride = max(1, round(smoothing / (1.5 * context.period)))
     block = stride * context.period
     width, late = smoothing / block, (context.latency - 0.5 * context.period + options.reading_age) / block
@@ -454,7 +456,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         _PARAMS, gravity=context.gravity, stride=stride, kernel=weights / per, late=late_weights(width, late) / per,
         gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
         damping=friction[_FRICTION["viscous"]] + servo_damping, servo_damping=servo_damping, noise=options.noise,
-        slowest=options.slowest, width=believed.width, keep=np.exp(-block / options.forgetting),
+        alike=max(1.0, ALIKE / block), slowest=options.slowest, width=believed.width, keep=np.exp(-block / options.forgetting),
         blend=min(1.0, block / BLEND), frozen=options.frozen,
         own=[SIZE_OWN_DRIVE, *(SHARE_OWN * limit.mean() * np.array([SIZE_DAMPING, SIZE_COULOMB]))],
         common=[SIZE_HEAD, SIZE_DRIVE, SIZE_DAMPING * limit.mean(), SIZE_COULOMB * limit.mean(), SIZE_DELAY],
