@@ -38,6 +38,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     twist_of,
 )
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
+from stewart_drake.robot import RobotParameters
 
 HALF = 6  # [blocks] to each side of the kernel's middle, at least 2.6 of its standard deviations.
 LATE = 16  # [blocks] that a command and a reading may be late together.
@@ -45,8 +46,8 @@ ROWS = 3 * HALF + LATE + 1  # [blocks] that are remembered.
 NEWEST, MIDDLE, SIGNS = ROWS - 1, ROWS - 1 - 2 * HALF, 2 * HALF + 1
 OWN, COMMON = 3, 5
 """Numbers of each motor: log of its drive, damping, Coulomb; and of all: log of the head, these three, delay."""
-SHOWN = 19
-"""Numbers that are shown: the head's mass, and of each motor drive, damping and Coulomb."""
+SHOWN = 20
+"""Numbers that are shown: the head's mass, delay, and of each motor drive, viscous and Coulomb friction; see `Learnt`."""
 SIZE_HEAD, SIZE_DRIVE, SIZE_OWN_DRIVE = 0.25, 0.35, 0.06
 """[-] standard deviations of logarithms, before anything is learnt; own: how far apart motors of a robot are."""
 SIZE_DAMPING, SIZE_COULOMB, SHARE_OWN, SIZE_DELAY = 0.03, 0.1, 0.2, 0.012
@@ -115,16 +116,54 @@ they are good, signs of the rates. Sums of the block under way, its ticks, wheth
 
 
 class Learnt(NamedTuple):
-    """What was learnt, from a row (19,) of the signal `learnt`."""
+    """What was learnt, or half the widths of its intervals, as a row (20,) of the signal of that name has it."""
 
     mass: float  # [kg] of the head.
+    delay: float  # [s] by which a servo is later than was believed.
     drive: np.ndarray  # (6,) [-] torque of a motor for its command, over what was believed.
     viscous: np.ndarray  # (6,) [N m s/rad].
     coulomb: np.ndarray  # (6,) [N m].
 
     @classmethod
     def of(cls, row: np.ndarray) -> Learnt:
-        return cls(float(row[0]), row[1:7], row[7:13], row[13:19])
+        return cls(float(row[0]), float(row[1]), row[2:8], row[8:14], row[14:20])
+
+
+def rows_of(learnt: np.ndarray, half_width: np.ndarray) -> list[tuple[str, str]]:
+    """What was learnt, with 95 % intervals, in lines to be read: of six motors the lowest and the highest."""
+    value, width = Learnt.of(learnt), Learnt.of(half_width)
+    lines = [("learnt: head", f"{value.mass:.4g} ± {width.mass:.2g} kg")]
+    if width.delay > 0.0:
+        lines.append(("learnt: delay, more than believed", f"{1e3 * value.delay:.3g} ± {1e3 * width.delay:.2g} ms"))
+    units = {"drive": ("torque for a command, of what was believed", "1"), "viscous": ("viscous friction", "N m s/rad")}
+    for name, (words, unit) in (units | {"coulomb": ("Coulomb friction", "N m")}).items():
+        of, wide = getattr(value, name), getattr(width, name)
+        shown = f"{of.min():.4g} to {of.max():.4g} ± {wide.max():.2g}"
+        lines.append((f"learnt: {words}", shown if unit == "1" else f"{shown} {unit}"))
+    return lines
+
+
+def model_of(learnt: np.ndarray, robot: RobotParameters, motors: Any, friction: Any) -> dict[str, Any]:
+    """Robot, motors and friction as keys of `model` with what was learnt of them (20,), from those that were believed."""
+    value, weaker = Learnt.of(learnt), 1.0
+    keys: dict[str, Any] = {}
+    viscous = value.viscous
+    if motors.takes == "torque":
+        weaker = 1.0 / float(value.drive.mean())
+    else:
+        gain = motors.gains * value.drive
+        keys["motors"] = motors.with_gains(gain)
+    if motors.takes == "angle":
+        least = min(0.0, float(viscous.min()))
+        damping = max(0.0, motors.damping + least)
+        viscous = viscous + motors.damping - damping
+        keys["motors"] |= {"damping": damping, "delay": max(0.0, motors.delay + value.delay)}
+    more = np.subtract(friction.levels[1], friction.levels[0])
+    rubs = {"coulomb": value.coulomb.tolist(), "viscous": np.maximum(viscous, 0.0).tolist()}
+    if more.any():
+        rubs["break_away"] = (value.coulomb + more).tolist()
+    keys["friction"] = {**friction.given(), **rubs}
+    return keys | {"robot": {**robot.given(), **robot.heavier(value.mass / robot.platform_mass, weaker)}}
 
 
 @njit
@@ -388,6 +427,10 @@ def _stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
         state.friction[18 + i] = drive * damping - params.servo_damping
     common, own, row = state.common, state.own, np.zeros(OWN + COMMON)
     mass = bodies[_MASS, 2] * np.exp(common[0] + (common[1] if params.by_gain == 0.0 else 0.0))
+    state.learnt[1], row[OWN + 4] = common[4], 1.0
+    wide = 1.96 * np.sqrt(spread_along(state.information[0], state.shared, row))
+    state.learnt_half_width[1] = wide if params.by_angle == 1.0 else 0.0
+    row[:] = 0.0
     row[OWN] = 1.0
     row[OWN + 1] = 1.0 - params.by_gain
     state.learnt[0] = mass
@@ -396,14 +439,14 @@ def _stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
         damping, coulomb = _friction_of(params, own[i], common, i)
         drive = np.exp(-(common[1] + own[i, 0]))
         size = drive if params.by_gain == 1.0 else 1.0
-        state.learnt[1 + i] = drive
-        state.learnt[7 + i] = size * damping - params.servo_damping
-        state.learnt[13 + i] = size * coulomb
+        state.learnt[2 + i] = drive
+        state.learnt[8 + i] = size * damping - params.servo_damping
+        state.learnt[14 + i] = size * coulomb
         for k in range(OWN):
             row[:] = 0.0
             row[k] = row[OWN + 1 + k] = 1.0
             width = 1.96 * np.sqrt(spread_along(state.information[i], state.shared, row))
-            state.learnt_half_width[1 + 6 * k + i] = width * (drive if k == 0 else size)
+            state.learnt_half_width[2 + 6 * k + i] = width * (drive if k == 0 else size)
 
 
 @njit
@@ -478,7 +521,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     )  # fmt: skip
     first["common"][0, 3] = first["used_common"][0, 3] = coulomb.mean()
     first["own"][0, :, 2] = first["used_own"][0, :, 2] = coulomb - coulomb.mean()
-    first["learnt"] = np.concatenate([[robot.platform_mass], np.ones(6), friction[_FRICTION["viscous"]], coulomb])
+    first["learnt"] = np.concatenate([[robot.platform_mass, 0.0], np.ones(6), friction[_FRICTION["viscous"]], coulomb])
     for k in range(OWN):
         first["information"][0, :, k, k] = 1.0 / params["own"][0, k]
     for k in range(COMMON):
@@ -487,6 +530,13 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         "robot": whole, "rest": rest, "joints": joints_record(believed.joints), "bodies": bodies, "friction": friction,
         "params": params,
     }  # fmt: skip
-    outputs = ("friction", "robot", "learnt", "learnt_half_width", *(["gain"] if by_gain else []), *(["lead"] if by_angle else []))
+    outputs = (
+        "friction",
+        "robot",
+        "learnt",
+        "learnt_half_width",
+        *(["gain"] if by_gain else []),
+        *(["lead"] if by_angle else []),
+    )
     inputs = {"reading": context.reading, "command": 6}
     return Part("adaptation", regression_tick, constants, inputs, outputs, first, (LEGS,))

@@ -120,6 +120,11 @@ class PositionServos(_SoldMotors):
     def gains(self) -> np.ndarray:
         return self.supply * self.stiffness * np.array(self.ratios)
 
+    def with_gains(self, gains: np.ndarray) -> dict[str, Any]:
+        """The keys that were given, and those of other gains (6,)."""
+        mean = float(gains.mean())
+        return {**self.given(), "stiffness": mean / self.supply, "ratios": (gains / mean).tolist()}
+
     def part(self, robot: RobotParameters, time_step: float) -> Part:
         stride = steps_per("motors.period", self.period, time_step)
         stiffest = STIFFEST * robot.crank_axis_inertias.min() / self.period**2
@@ -186,6 +191,10 @@ class CurrentMotors(_SoldMotors):
     @property
     def gains(self) -> np.ndarray:
         return np.full(6, self.torque_constant)
+
+    def with_gains(self, gains: np.ndarray) -> dict[str, Any]:
+        """The keys that were given, and the constant of other gains (6,)."""
+        return {**self.given(), "torque_constant": float(gains.mean())}
 
     def part(self, robot: RobotParameters, time_step: float) -> Part:
         most = np.inf if self.current_limit is None else self.torque_constant * self.current_limit

@@ -50,8 +50,8 @@ def _numbers(components: tuple[str, ...], text: str, **more: Any) -> Signal:
 
 _DENSITY = (*(f"error_{axis}" for axis in AXES), *(f"torque_{leg}" for leg in LEG_NAMES))
 _OUTSIDE = "decades of a tuner's setting above the base, and how far what it hears lies outside of its training"
-_LEARNT = ("mass", *(f"{what}_{leg}" for what in ("drive", "viscous", "coulomb") for leg in LEG_NAMES))
-_LEARNT_UNITS = ("kg", *("1",) * 6, *("N m s/rad",) * 6, *("N m",) * 6)
+_LEARNT = ("mass", "delay", *(f"{what}_{leg}" for what in ("drive", "viscous", "coulomb") for leg in LEG_NAMES))
+_LEARNT_UNITS = ("kg", "s", *("1",) * 6, *("N m s/rad",) * 6, *("N m",) * 6)
 SIGNALS: Mapping[str, Signal] = {
     "time": Signal((), ("s",), "simulated time"),
     "pose": _axes("rad", "m", "pose of the platform, P in B", source="measured", part=POSE),
