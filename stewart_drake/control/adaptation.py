@@ -6,9 +6,10 @@ times (command - angle). With Y the exact inverse dynamics of the motion that wa
     command_i(t - delay) = exp(drive + own_i) (exp(head) Y_head_i + Y_rest_i) + damping_i rate_i
                            + coulomb_i tanh(rate_i / width)
 
-in torques that the motors are believed to give for it. All terms pass one Gaussian kernel, the sign of the rate too. What is common to the six motors and what is each one's own
-are estimated together, a triangular factor of the information in the form of arrows: own numbers do not meet each
-other's. Square-root information filter: G. J. Bierman, Factorization Methods for Discrete Sequential Estimation (1977).
+in torques that the motors are believed to give for it. All terms pass one Gaussian kernel, the sign of the rate too.
+What is common to the six motors and what is each one's own are estimated together, by a triangular factor of the
+information in the form of arrows: own numbers do not meet those of other motors. Square-root information filter: G. J.
+Bierman, Factorization Methods for Discrete Sequential Estimation (1977).
 Forgetting goes towards the information that there was at first, and leaves the estimate: R. Kulhavy, Restricted
 exponential forgetting in real-time identification (Automatica 23, 1987). So what nothing excites is kept.
 """
@@ -31,11 +32,9 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import (
     LEGS,
     ROBOT,
-    crank_rates,
     forward_kinematics,
     legs_at,
     robot_record,
-    twist_of,
 )
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
 from stewart_drake.robot import RobotParameters
@@ -47,7 +46,7 @@ NEWEST, MIDDLE, SIGNS = ROWS - 1, ROWS - 1 - 2 * HALF, 2 * HALF + 1
 OWN, COMMON = 3, 5
 """Numbers of each motor: log of its drive, damping, Coulomb; and of all: log of the head, these three, delay."""
 SHOWN = 20
-"""Numbers that are shown: the head's mass, delay, and of each motor drive, viscous and Coulomb friction; see `Learnt`."""
+"""Numbers that are shown, see `Learnt`."""
 SIZE_HEAD, SIZE_DRIVE, SIZE_OWN_DRIVE = 0.25, 0.35, 0.06
 """[-] standard deviations of logarithms, before anything is learnt; own: how far apart motors of a robot are."""
 SIZE_DAMPING, SIZE_COULOMB, SHARE_OWN, SIZE_DELAY = 0.03, 0.1, 0.2, 0.012
@@ -89,14 +88,15 @@ class RegressionOptions(AdaptationOptions):
 
 
 _PARAMS = fields(
-    gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(), damping=6,
-    servo_damping=(), noise=(), alike=(), slowest=(), width=(), keep=(), blend=(), own=OWN, common=COMMON, frozen=(),
+    gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(),
+    damping=6, servo_damping=(), noise=(), alike=(), slowest=(), width=(), keep=(), blend=(), own=OWN, common=COMMON,
+    frozen=(),
 )  # fmt: skip
-"""stride: ticks of a block. kernel: weights of smoothed value, rate and acceleration. late: those of commands, and of their first two
-derivatives. gain:
-torque for a command as believed. by_gain: whether a motor's gain is what its drive changes, else all bodies are.
-by_angle: whether commands are angles. damping: believed at first, servo included. alike: samples that count as one. keep: share that a block leaves of
-what was known. own, common: standard deviations at first."""
+"""stride: ticks of a block. kernel: weights of smoothed value, rate and acceleration. late: those of commands, and of
+their first two derivatives. gain: torque for a command as believed. by_gain: whether a motor's gain is what its drive
+changes, else all bodies are. by_angle: whether commands are angles. damping: believed at first, servo included. alike:
+samples that count as one. keep: share that a block leaves of what was known. own, common: standard deviations at
+first."""
 _FRICTION = {"coulomb": slice(0, 6), "break_away": slice(6, 12), "viscous": slice(18, 24)}
 _PLACES = {name: int(ROBOT.fields[name][1]) // 8 for name in ROBOT.names or ()}  # type: ignore[index]
 _ROBOT = ROBOT.itemsize // 8
@@ -107,10 +107,10 @@ _STATE = fields(
     friction=25, robot=_ROBOT, learnt=SHOWN, learnt_half_width=SHOWN, gain=6, lead=(1,),
     information=(6, OWN, OWN + COMMON + 1), shared=(COMMON, COMMON + 1), own=(6, OWN), common=COMMON,
     used_own=(6, OWN), used_common=COMMON, pose=(ROWS, 6), angles=(ROWS, 6), commands=(ROWS, 6), good=ROWS,
-    signs=(SIGNS, 6), sum_pose=6, sum_angles=6, sum_command=6, ticks=(), bad=(), blocks=(),
+    signs=(SIGNS, 6), sum_angles=6, sum_command=6, ticks=(), bad=(), blocks=(),
 )  # fmt: skip
-"""friction, robot, gain, lead: stand in for constants. learnt: the estimate, see `SHOWN`, and half the width of its 95 %
-intervals. information: rows of the factor of each motor, own columns, common ones, right-hand side; shared: those
+"""friction, robot, gain, lead: stand in for constants. learnt: the estimate, see `Learnt`, and half the width of its
+95 % intervals. information: rows of the factor of each motor, own columns, common ones, right-hand side; shared: those
 below. own, common: estimate; used: what it has gone over into. Blocks, newest last: pose, angles, commands, whether
 they are good, signs of the rates. Sums of the block under way, its ticks, whether it is bad; blocks so far."""
 
@@ -144,7 +144,7 @@ def rows_of(learnt: np.ndarray, half_width: np.ndarray) -> list[tuple[str, str]]
 
 
 def model_of(learnt: np.ndarray, robot: RobotParameters, motors: Any, friction: Any) -> dict[str, Any]:
-    """Robot, motors and friction as keys of `model` with what was learnt of them (20,), from those that were believed."""
+    """Robot, motors and friction as keys of `model`: those that were believed, with what was learnt (20,)."""
     value, weaker = Learnt.of(learnt), 1.0
     keys: dict[str, Any] = {}
     viscous = value.viscous
@@ -255,7 +255,7 @@ def regression_tick(
     _gather(robot, params, reading, command, legs, state)
     if state.ticks < params.stride:
         return
-    _close_block(robot, params, legs, state)
+    _close_block(robot, params, state)
     if state.blocks < ROWS:
         return
     rows = np.zeros((6, OWN + COMMON + 1))
@@ -296,7 +296,7 @@ def _within_turn(angle: float) -> float:
 
 
 @njit
-def _close_block(robot: Any, params: Any, legs: Any, state: Any) -> None:
+def _close_block(robot: Any, params: Any, state: Any) -> None:
     """The means of a block become the newest rows; where it is bad, or no pose has its angles, they repeat the last."""
     for row in range(ROWS - 1):
         state.good[row] = state.good[row + 1]
@@ -477,7 +477,7 @@ def late_weights(width: float, late: float) -> np.ndarray:
 
 
 def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
-    """`reading` (6,) or (12,), `command` (6,) -> numbers in the place of constants `friction`, `gain`, `lead` and `robot`."""
+    """`reading` (6,) or (12,), `command` (6,) -> numbers that stand in for `friction`, `gain`, `lead` and `robot`."""
     smoothing = max(FINEST, 1.5 * context.period) if options.smoothing is None else options.smoothing
     stride = max(1, round(smoothing / (1.5 * context.period)))
     block = stride * context.period
@@ -499,7 +499,8 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         _PARAMS, gravity=context.gravity, stride=stride, kernel=weights / per, late=late_weights(width, late) / per,
         gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
         damping=friction[_FRICTION["viscous"]] + servo_damping, servo_damping=servo_damping, noise=options.noise,
-        alike=max(1.0, ALIKE / block), slowest=options.slowest, width=believed.width, keep=np.exp(-block / options.forgetting),
+        alike=max(1.0, ALIKE / block), slowest=options.slowest, width=believed.width,
+        keep=np.exp(-block / options.forgetting),
         blend=min(1.0, block / BLEND), frozen=options.frozen,
         own=[SIZE_OWN_DRIVE, *(SHARE_OWN * limit.mean() * np.array([SIZE_DAMPING, SIZE_COULOMB]))],
         common=[SIZE_HEAD, SIZE_DRIVE, SIZE_DAMPING * limit.mean(), SIZE_COULOMB * limit.mean(), SIZE_DELAY],
@@ -530,13 +531,8 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         "robot": whole, "rest": rest, "joints": joints_record(believed.joints), "bodies": bodies, "friction": friction,
         "params": params,
     }  # fmt: skip
-    outputs = (
-        "friction",
-        "robot",
-        "learnt",
-        "learnt_half_width",
-        *(["gain"] if by_gain else []),
-        *(["lead"] if by_angle else []),
-    )
+    outputs = ["friction", "robot", "learnt", "learnt_half_width"]
+    outputs += ["gain"] if by_gain else []
+    outputs += ["lead"] if by_angle else []
     inputs = {"reading": context.reading, "command": 6}
-    return Part("adaptation", regression_tick, constants, inputs, outputs, first, (LEGS,))
+    return Part("adaptation", regression_tick, constants, inputs, tuple(outputs), first, (LEGS,))
