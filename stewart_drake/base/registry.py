@@ -31,6 +31,7 @@ CONTROLLERS = Family(
         "pid": "control.classical:PidOptions",
         "computed_torque": "control.classical:ComputedTorqueOptions",
         "feedforward": "control.feedforward:FeedforwardOptions",
+        "decoupled_pid": "control.decoupled:DecoupledPidOptions",
     },
     default="lqi",
     own="control.user_controller:PythonOptions",

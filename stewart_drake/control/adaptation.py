@@ -49,13 +49,13 @@ SHOWN = 20
 """Numbers that are shown, see `Learnt`."""
 SIZE_HEAD, SIZE_DRIVE, SIZE_OWN_DRIVE = 0.25, 0.35, 0.06
 """[-] standard deviations of logarithms, before anything is learnt; own: how far apart motors of a robot are."""
-SIZE_DAMPING, SIZE_COULOMB, SHARE_OWN, SIZE_DELAY = 0.03, 0.1, 0.2, 0.012
+SIZE_DAMPING, SIZE_SERVO_DAMPING, SIZE_COULOMB, SHARE_OWN, SIZE_DELAY = 0.25, 0.03, 0.1, 0.2, 0.012
 """Likewise, [s/rad] and [-] of the torque limit; how far apart motors are, of that; [s] of a servo's delay."""
 ALIKE = 0.6
 """[s] for which samples err alike, by what the model does not have: together they count as one."""
 FINEST = 0.008
 """[s] smallest standard deviation of the kernel: finer, noise of the readings makes much of the acceleration."""
-MOST, LEAST_DAMPING, MOST_DAMPING, MOST_COULOMB, MOST_DELAY = np.log(3.0), -0.1, 0.4, 0.4, 0.05
+MOST, LEAST_DAMPING, MOST_DAMPING, MOST_COULOMB, MOST_DELAY = np.log(3.0), -0.1, 0.6, 0.4, 0.05
 """Bounds: of the logarithms; as above of the torque limit; and [s]. A delay believed too long may be a damping < 0."""
 SATURATED, BLEND, OUTLIER = 0.9, 0.5, 3.0
 """[-] of the torque limit from which on a motor counts as saturated; [s] in which numbers go over into new ones;
@@ -104,12 +104,12 @@ _LINKS = ("rod_mass", "rod_inertia", "crank_mass", "crank_inertia")
 _HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inertia")
 _MASS = _PLACES["platform_mass"]
 _STATE = fields(
-    friction=25, robot=_ROBOT, learnt=SHOWN, learnt_half_width=SHOWN, gain=6, lead=(1,),
+    friction=25, robot=_ROBOT, learnt=SHOWN, learnt_half_width=SHOWN, doubt=6, gain=6, lead=(1,),
     information=(6, OWN, OWN + COMMON + 1), shared=(COMMON, COMMON + 1), own=(6, OWN), common=COMMON,
     used_own=(6, OWN), used_common=COMMON, pose=(ROWS, 6), angles=(ROWS, 6), commands=(ROWS, 6), good=ROWS,
     signs=(SIGNS, 6), sum_angles=6, sum_command=6, ticks=(), bad=(), blocks=(),
 )  # fmt: skip
-"""friction, robot, gain, lead: stand in for constants. learnt: the estimate, see `Learnt`, and half the width of its
+"""friction, robot, doubt, gain, lead: stand in for constants; doubt of the Coulomb friction, 1 for that at first. learnt: the estimate, see `Learnt`, and half the width of its
 95 % intervals. information: rows of the factor of each motor, own columns, common ones, right-hand side; shared: those
 below. own, common: estimate; used: what it has gone over into. Blocks, newest last: pose, angles, commands, whether
 they are good, signs of the rates. Sums of the block under way, its ticks, whether it is bad; blocks so far."""
@@ -447,6 +447,8 @@ def _stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
             row[k] = row[OWN + 1 + k] = 1.0
             width = 1.96 * np.sqrt(spread_along(state.information[i], state.shared, row))
             state.learnt_half_width[2 + 6 * k + i] = width * (drive if k == 0 else size)
+        at_first = np.hypot(params.common[3], params.own[2])
+        state.doubt[i] = min(1.0, width / (1.96 * at_first))
 
 
 @njit
@@ -477,7 +479,7 @@ def late_weights(width: float, late: float) -> np.ndarray:
 
 
 def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
-    """`reading` (6,) or (12,), `command` (6,) -> numbers that stand in for `friction`, `gain`, `lead` and `robot`."""
+    """`reading` (6,) or (12,), `command` (6,) -> numbers that stand in for constants of other parts."""
     smoothing = max(FINEST, 1.5 * context.period) if options.smoothing is None else options.smoothing
     stride = max(1, round(smoothing / (1.5 * context.period)))
     block = stride * context.period
@@ -495,6 +497,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     weights = kernel_weights(width)
     per = np.array([1.0, block, block**2])[:, None]
     by_gain, by_angle = motors.takes != "torque", motors.takes == "angle"
+    damping = SIZE_SERVO_DAMPING if by_angle else SIZE_DAMPING
     params = new_record(
         _PARAMS, gravity=context.gravity, stride=stride, kernel=weights / per, late=late_weights(width, late) / per,
         gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
@@ -502,8 +505,8 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         alike=max(1.0, ALIKE / block), slowest=options.slowest, width=believed.width,
         keep=np.exp(-block / options.forgetting),
         blend=min(1.0, block / BLEND), frozen=options.frozen,
-        own=[SIZE_OWN_DRIVE, *(SHARE_OWN * limit.mean() * np.array([SIZE_DAMPING, SIZE_COULOMB]))],
-        common=[SIZE_HEAD, SIZE_DRIVE, SIZE_DAMPING * limit.mean(), SIZE_COULOMB * limit.mean(), SIZE_DELAY],
+        own=[SIZE_OWN_DRIVE, *(SHARE_OWN * limit.mean() * np.array([damping, SIZE_COULOMB]))],
+        common=[SIZE_HEAD, SIZE_DRIVE, damping * limit.mean(), SIZE_COULOMB * limit.mean(), SIZE_DELAY],
     )  # fmt: skip
     whole = robot_record(robot)
     rest, bodies = whole.copy(), np.zeros((_ROBOT, 3))
@@ -518,7 +521,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     coulomb = friction[_FRICTION["coulomb"]]
     first = new_record(
         _STATE, friction=friction, gain=motors.gains, robot=whole.view(np.float64), pose=context.pose, angles=angles,
-        commands=motors.initial_command(context), good=1.0,
+        commands=motors.initial_command(context), good=1.0, doubt=1.0,
     )  # fmt: skip
     first["common"][0, 3] = first["used_common"][0, 3] = coulomb.mean()
     first["own"][0, :, 2] = first["used_own"][0, :, 2] = coulomb - coulomb.mean()
@@ -531,7 +534,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         "robot": whole, "rest": rest, "joints": joints_record(believed.joints), "bodies": bodies, "friction": friction,
         "params": params,
     }  # fmt: skip
-    outputs = ["friction", "robot", "learnt", "learnt_half_width"]
+    outputs = ["friction", "robot", "learnt", "learnt_half_width", "doubt"]
     outputs += ["gain"] if by_gain else []
     outputs += ["lead"] if by_angle else []
     inputs = {"reading": context.reading, "command": 6}

@@ -242,6 +242,8 @@ class _Builder:
             "weights": "weights" if self.tuning else np.array(context.tuner.weights),
         }
         now = self.sees.copy()
+        if self.options.controller.looks_ahead:
+            now = {"measurement": self.sees["measurement"]}
         if not self.options.controller.feedback:
             now, self.sees["measurement"] = {"measurement": self.measurement}, np.zeros(12)
             if self.options.adaptation is not None:
@@ -251,7 +253,7 @@ class _Builder:
         self.corrects = self.observes and self.options.controller.feedback
         self.compensated = self.corrects or self.friction is not None
         (part,) = self.options.controller.parts(context)
-        part = part.connected(**self.sees)
+        part = part.connected(**self.sees, reference_now="reference")
         if self.compensated:
             part = part.named(torque="control_torque")
         self.weighted = "weights" in part.inputs

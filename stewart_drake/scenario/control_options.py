@@ -182,11 +182,11 @@ class ControlOptions(Section):
     def preview(self) -> float:
         """[s] by which the controller sees the reference ahead of time.
 
-        With an observer, and the state too: the delay of commands. Without feedback that of the motors as well, and
-        half of the period for which a command holds. Else none.
+        With an observer, and the state too: the delay of commands. Without feedback, or for a controller that looks
+        ahead, that of the motors as well, and half of the period for which a command holds. Else none.
         """
         period = on_grid(self.controller.period)
-        if not self.controller.feedback:
+        if self.controller.looks_ahead or not self.controller.feedback:
             return self.belief.delay * period + self.belief.motors.dead_time + 0.5 * period
         return self.belief.delay * period if self.estimator.disturbance_density else 0.0
 

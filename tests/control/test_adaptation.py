@@ -1,4 +1,4 @@
-"""What a robot learns of itself: the estimator against dense least squares, and the law against robots of known truth."""
+"""What a robot learns of itself: the estimator against dense least squares, the law against robots of known truth."""
 
 import numpy as np
 import pytest
@@ -122,7 +122,7 @@ def test_a_robot_with_servos_learns_its_constants_and_follows():
     assert abs(value.delay - 0.01) < 2.0 * width.delay
     # Weight over stiffness is what a slow motion tells; of each alone the interval says how little.
     head = learns.scenario.robot.platform_mass
-    np.testing.assert_allclose(value.mass / value.drive, head / truth, rtol=0.03)
+    np.testing.assert_allclose(value.mass / value.drive, head / truth, rtol=0.05)
     assert (np.abs(value.drive - truth) < width.drive).all()
     assert (np.abs(value.coulomb - DRY) < width.coulomb).all()
 
