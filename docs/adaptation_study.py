@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import servo_identification_study as servos
-from servo_identification_study import NOMINAL, PLAIN, SERVO, Hidden, spread
+from servo_identification_study import GUESS, NOMINAL, PLAIN, SERVO, Hidden, spread
 
 from stewart_drake import Scenario, load_scenario, run, run_metrics
 from stewart_drake.base.atomic_files import write_atomically
@@ -22,7 +22,7 @@ from stewart_drake.control.adaptation import model_of
 from stewart_drake.logs.log import SimulationLog
 
 OUT = Path(__file__).parent / "results" / "adaptation.md"
-STEP = 0.0005  # [s] of the plant.
+STEP = 0.001  # [s] of the plant.
 AGE = servos.NOMINAL_AGE
 MOTIONS = {"nod": (20.0, "rmse_norm_deg"), "look": (24.0, "rmse_norm_deg"), "breathing": (20.0, "rmse_norm_mm")}
 """Duration [s], of which the second half counts, and metric."""
@@ -42,7 +42,17 @@ STRANGE: dict[str, dict[str, Any]] = {
     "one message in fifty is lost": {"link": {"drop_probability": 0.02, "seed": 1}},
     "noise of 1 mrad in each reading": {"sensors.noise": 0.001},
 }
+ROBOTS = 24
 FEW = 8  # Robots of the table above.
+NOMINAL_DRY, NOMINAL_VISCOUS = 0.058, 0.095  # [N m], [N m s/rad] of `reachy_nod`.
+CORNERS, FALLEN = 8, 10.0  # The first robots are the corners; [deg] of an error from which on a robot is lost.
+AT_100_HZ = {
+    "shipped": "`reachy_nod` as it is shipped: LQI, observer, policy",
+    "nominal": "decoupled PID, nominal constants",
+    "learning": "decoupled PID, learning",
+    "truth": "decoupled PID, truth known",
+}
+SLOW_FIGURES = ("nod [deg]", "its ripple [mm/s]", "breathing [mm]", "its ripple [mm/s]", "ripple at rest [mm/s]")
 DRY = 0.08  # [N m] of the motors at 1 kHz, believed 0.01.
 AT_1_KHZ = {
     "believed 0.01 N m": {},
@@ -124,15 +134,71 @@ def at_1_khz(plant: str, motion: str, scheme: str) -> list[float]:
     return [measured["rmse_norm_mm"], measured["rmse_norm_deg"]]
 
 
+def slow_bus(seed: int, scheme: str, motion: str, changes: dict[str, Any] | None = None) -> Scenario:
+    """A motion at 100 Hz by current, one tick late, of a robot whose friction, motors and head are drawn."""
+    dry, viscous, constant, head = constants(seed)
+    friction = {"coulomb": dry, "viscous": viscous, "width": 0.004}
+    robot, motors = GUESS.replace(**GUESS.heavier(head)), {"kind": "current", "torque_constant": constant}
+    nominal = {"robot": GUESS, "motors": {"kind": "current"}}
+    nominal["friction"] = {"coulomb": NOMINAL_DRY, "viscous": NOMINAL_VISCOUS, "width": 0.004}
+    truth = {"robot": robot, "motors": motors, "friction": friction}
+    keys: dict[str, Any] = {
+        "robot": robot,
+        "plant": {"kind": "closed_form", "integrator": "rk4", "time_step": 0.0005}
+        | {"friction": {"coulomb": dry, "viscous": viscous}},
+        "motors": motors,
+        "model": truth if scheme == "truth" else nominal,
+        "duration": 20.0,
+        "bounds": dict.fromkeys(("rotation", "position", "motion_ratio", "error_ratio")),
+        "safety": None,
+        "adaptation": "regression" if scheme == "learning" else None,
+    }
+    if motion == "breathing":
+        keys["reference"] = servos.references()["breathing"]
+    elif motion == "rest":
+        keys["reference"] = {"kind": "hold", "pose": GUESS.home_pose.tolist()}
+    if scheme != "shipped":
+        keys |= {"controller": {"kind": "decoupled_pid", "period": 0.01}, "estimator": "difference", "tuner": "block"}
+    return load_scenario("reachy_nod").replace(keys | (changes or {}))
+
+
+def constants(seed: int) -> tuple[float, float, float, float]:
+    """Coulomb [N m] and viscous friction [N m s/rad], torque constant [-], share of the head; first the corners."""
+    rng = np.random.default_rng([seed, 2])
+    if seed < CORNERS:
+        rubs = 2.0 * (seed & 1)
+        return rubs * NOMINAL_DRY, rubs * NOMINAL_VISCOUS, (0.7, 1.3)[seed >> 1 & 1], (0.8, 1.2)[seed >> 2 & 1]
+    dry, viscous = rng.uniform(0.0, 2.0, 2) * (NOMINAL_DRY, NOMINAL_VISCOUS)
+    return float(dry), float(viscous), float(rng.uniform(0.7, 1.3)), float(rng.uniform(0.8, 1.2))
+
+
+def slow_figures(seed: int, scheme: str) -> list[float]:
+    """Nod [deg], breathing [mm] and ripples [mm/s] of both and at rest; infinite where the robot is lost."""
+    found = []
+    for motion, metric in (("nod", "rmse_norm_deg"), ("breathing", "rmse_norm_mm"), ("rest", "")):
+        log = run(slow_bus(seed, scheme, motion), check=False)
+        measured = run_metrics(log)
+        lost = log.status != "completed" or measured["peak_norm_deg"] > FALLEN
+        found += [np.inf if lost else measured[name] for name in (metric, "ripple_mm_s") if name]
+    return found
+
+
+def slow_trial(seed: int) -> list[list[float]]:
+    """`slow_figures` of a robot under every scheme."""
+    rows = [slow_figures(seed, scheme) for scheme in AT_100_HZ]
+    print(seed, np.round(rows, 3).tolist(), flush=True)
+    return rows
+
+
 def table(rows: np.ndarray) -> list[str]:
-    """Cells of figures (robots, 4) of a scheme, and how many robots were lost."""
-    return [*(spread(rows[:, at]) for at in range(4)), str(int(np.isinf(rows).any(axis=1).sum()))]
+    """Cells of figures (robots, n) of a scheme, and how many robots were lost."""
+    return [*(spread(column) for column in rows.T), str(int(np.isinf(rows).any(axis=1).sum()))]
 
 
 TEXT = """# Robots that learn their motors
 
 `make adaptation` simulates {robots} Reachy Minis whose servos take angles (XL330-M288, P gain 300), on the closed form
-with steps of 0.5 ms. Each has constants that nobody tells: stiffness 0.7 to 1.3 times (each motor 5 % apart) and
+with steps of 1 ms. Each has constants that nobody tells: stiffness 0.7 to 1.3 times (each motor 5 % apart) and
 damping 0.8 to 1.2 times the nominal, Coulomb and viscous friction 0 to 3 times (each motor 15 % apart), a delay of the
 commands of 10 to 50 ms (believed: 30), readings 0 to 20 ms old (believed: 10), a head of 0.8 to 1.2 times the mass.
 Commands go out at 50 Hz, encoders and servos have 12 bits. A robot's seed is its number; gains and thresholds were
@@ -149,6 +215,10 @@ run starts with the `model` that `--keep-model` left after a first one that look
   is what is left of the third row.
 - With it told, nothing but the 12 bits, the 50 Hz and dry friction are left.
 
+## The first robot
+
+{first}
+
 ## What is not in the model
 
 {few} of these robots, learning, with something that the model does not have.
@@ -164,6 +234,18 @@ The plants have no friction that grows with the load, and a bus delays by whole 
 
 {torque}
 
+## By torque at 100 Hz
+
+The same robot with motors that take currents, one tick late, and a controller for slow buses, `controller: {{kind:
+decoupled_pid}}`. Coulomb friction 0 to 2 times 0.058 N m, viscous friction 0 to 2 times 0.095 N m s/rad, torque
+constant 0.7 to 1.3 times what is believed, a head of 0.8 to 1.2 times the mass; the first 8 of {robots} robots are the
+corners. Errors after the first half of 20 s. Lost: the run ends, or the head is more than 10 deg off after 10 s.
+
+{slow}
+
+- By torque at 100 Hz it is exact and noisy: a motor with a fast loop of its own is quieter.
+- A robot without any friction hunts about the steps of its encoders at rest; one with friction is at rest.
+
 `make results` recomputes some of these numbers.
 """
 
@@ -171,12 +253,13 @@ The plants have no friction that grows with the load, and a bus delays by whole 
 def main() -> None:
     """Runs the trials and writes the page."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--robots", type=int, default=40)
+    parser.add_argument("--robots", type=int, default=ROBOTS)
     parser.add_argument("--workers", type=int, default=None)
     given = parser.parse_args()
     with ProcessPoolExecutor(given.workers) as workers:
         trials = np.array(list(workers.map(trial, range(given.robots))))
         others = {name: np.array(list(workers.map(partial(strange, name), range(FEW)))) for name in STRANGE}
+        slow = np.array(list(workers.map(slow_trial, range(given.robots))))
         torque = {
             scheme: [list(workers.map(partial(at_1_khz, "drake", scheme=scheme), ("breathing", "heart")))]
             for scheme in AT_1_KHZ
@@ -188,6 +271,13 @@ def main() -> None:
         few=FEW,
         table=markdown_table(header, [[name, *table(trials[:, k])] for k, name in enumerate(SCHEMES.values())]),
         strange=markdown_table(header, [[name, *table(rows)] for name, rows in others.items()]),
+        first=markdown_table(
+            ["", *FIGURES], [[name, *(f"{x:.3g}" for x in trials[0, k])] for k, name in enumerate(SCHEMES.values())]
+        ),
+        slow=markdown_table(
+            ["", *SLOW_FIGURES, "lost"],
+            [[name, *table(slow[:, k])] for k, name in enumerate(AT_100_HZ.values())],
+        ),
         torque=markdown_table(
             ["", *words], [[name, *(f"{x:.3g}" for x in np.ravel(rows))] for name, rows in torque.items()]
         ),

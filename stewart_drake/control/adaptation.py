@@ -39,7 +39,8 @@ from stewart_drake.mechanics.kinematics_laws import (
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
 from stewart_drake.robot import RobotParameters
 
-HALF = 6  # [blocks] to each side of the kernel's middle, at least 2.6 of its standard deviations.
+HALF = 6  # [blocks] to each side of the kernel's middle, at least two of its standard deviations.
+WIDTH = 2.2  # [blocks] of its standard deviation, as near as whole ticks allow; the fewer, the later a sample.
 LATE = 16  # [blocks] that a command and a reading may be late together.
 ROWS = 3 * HALF + LATE + 1  # [blocks] that are remembered.
 NEWEST, MIDDLE, SIGNS = ROWS - 1, ROWS - 1 - 2 * HALF, 2 * HALF + 1
@@ -57,9 +58,9 @@ FINEST = 0.008
 """[s] smallest standard deviation of the kernel: finer, noise of the readings makes much of the acceleration."""
 MOST, LEAST_DAMPING, MOST_DAMPING, MOST_COULOMB, MOST_DELAY = np.log(3.0), -0.1, 0.6, 0.4, 0.05
 """Bounds: of the logarithms; as above of the torque limit; and [s]. A delay believed too long may be a damping < 0."""
-SATURATED, BLEND, OUTLIER = 0.9, 0.5, 3.0
-"""[-] of the torque limit from which on a motor counts as saturated; [s] in which numbers go over into new ones;
-standard deviations from which on a sample is somebody's push."""
+SATURATED, BLEND, BLEND_TORQUE, OUTLIER = 0.9, 0.5, 0.1, 3.0
+"""[-] of the torque limit from which on a motor counts as saturated; [s] in which numbers go over into new ones, and
+where a motor's torque depends on them at once; standard deviations from which on a sample is somebody's push."""
 
 
 class RegressionOptions(AdaptationOptions):
@@ -75,7 +76,7 @@ class RegressionOptions(AdaptationOptions):
     reading_age: NotNegative = 0.0
     """[s] of the readings, as believed: commands and angles alone cannot tell it from the motors' delay."""
     smoothing: Positive | None = None
-    """[s] standard deviation of the kernel; null for 1.5 periods, at least 0.008 s."""
+    """[s] standard deviation of the kernel; null for 1.5 periods, or more where the noise of the readings needs it."""
     slowest: Positive = 0.03
     """[rad/s] of a crank below which its samples are left out."""
     noise: Positive = 0.003
@@ -89,14 +90,14 @@ class RegressionOptions(AdaptationOptions):
 
 _PARAMS = fields(
     gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(),
-    damping=6, servo_damping=(), noise=(), alike=(), slowest=(), width=(), keep=(), blend=(), own=OWN, common=COMMON,
-    frozen=(),
+    damping=6, servo_damping=(), noise=(), alike=(), slowest=(), width=(), keep=(), blend=(), first=(), own=OWN,
+    common=COMMON, frozen=(),
 )  # fmt: skip
 """stride: ticks of a block. kernel: weights of smoothed value, rate and acceleration. late: those of commands, and of
 their first two derivatives. gain: torque for a command as believed. by_gain: whether a motor's gain is what its drive
 changes, else all bodies are. by_angle: whether commands are angles. damping: believed at first, servo included. alike:
-samples that count as one. keep: share that a block leaves of what was known. own, common: standard deviations at
-first."""
+samples that count as one. first: blocks that a sample needs. keep: share that a block leaves of what was known. own,
+common: standard deviations at first."""
 _FRICTION = {"coulomb": slice(0, 6), "break_away": slice(6, 12), "viscous": slice(18, 24)}
 _PLACES = {name: int(ROBOT.fields[name][1]) // 8 for name in ROBOT.names or ()}  # type: ignore[index]
 _ROBOT = ROBOT.itemsize // 8
@@ -109,10 +110,11 @@ _STATE = fields(
     used_own=(6, OWN), used_common=COMMON, pose=(ROWS, 6), angles=(ROWS, 6), commands=(ROWS, 6), good=ROWS,
     signs=(SIGNS, 6), sum_angles=6, sum_command=6, ticks=(), bad=(), blocks=(),
 )  # fmt: skip
-"""friction, robot, doubt, gain, lead: stand in for constants; doubt of the Coulomb friction, 1 for that at first. learnt: the estimate, see `Learnt`, and half the width of its
-95 % intervals. information: rows of the factor of each motor, own columns, common ones, right-hand side; shared: those
-below. own, common: estimate; used: what it has gone over into. Blocks, newest last: pose, angles, commands, whether
-they are good, signs of the rates. Sums of the block under way, its ticks, whether it is bad; blocks so far."""
+"""friction, robot, doubt, gain, lead: stand in for constants; doubt of the Coulomb friction, 1 for that at first.
+learnt: the estimate, see `Learnt`, and half the width of its 95 % intervals. information: rows of the factor of each
+motor, own columns, common ones, right-hand side; shared: those below. own, common: estimate; used: what it has gone
+over into. Blocks, newest last: pose, angles, commands, whether they are good, signs of the rates. Sums of the block
+under way, its ticks, whether it is bad; blocks so far."""
 
 
 class Learnt(NamedTuple):
@@ -256,7 +258,7 @@ def regression_tick(
     if state.ticks < params.stride:
         return
     _close_block(robot, params, state)
-    if state.blocks < ROWS:
+    if state.blocks < params.first:
         return
     rows = np.zeros((6, OWN + COMMON + 1))
     moving = _rows(robot, record(rest), record(joints), params, legs, state, rows)
@@ -439,6 +441,7 @@ def _stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
         damping, coulomb = _friction_of(params, own[i], common, i)
         drive = np.exp(-(common[1] + own[i, 0]))
         size = drive if params.by_gain == 1.0 else 1.0
+        of_drive = 0.0
         state.learnt[2 + i] = drive
         state.learnt[8 + i] = size * damping - params.servo_damping
         state.learnt[14 + i] = size * coulomb
@@ -446,7 +449,13 @@ def _stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
             row[:] = 0.0
             row[k] = row[OWN + 1 + k] = 1.0
             width = 1.96 * np.sqrt(spread_along(state.information[i], state.shared, row))
-            state.learnt_half_width[2 + 6 * k + i] = width * (drive if k == 0 else size)
+            if k == 0:
+                of_drive = width if params.by_gain == 1.0 else 0.0
+                state.learnt_half_width[2 + i] = width * drive
+            else:
+                # That of the drive is in it too.
+                of_all = of_drive * (damping if k == 1 else coulomb)
+                state.learnt_half_width[2 + 6 * k + i] = size * np.hypot(width, of_all)
         at_first = np.hypot(params.common[3], params.own[2])
         state.doubt[i] = min(1.0, width / (1.96 * at_first))
 
@@ -475,22 +484,29 @@ def late_weights(width: float, late: float) -> np.ndarray:
     at = np.arange(ROWS) - MIDDLE + late
     bell = np.where(np.abs(at) <= HALF + 0.5, np.exp(-0.5 * (at / width) ** 2), 0.0)
     bell /= bell.sum()
+    # What the window cuts off must not make it later.
+    bell *= 1.0 - at * (bell @ at) / (bell @ at**2)
+    bell /= bell.sum()
     return np.stack([bell, at * bell / width**2, (at**2 - width**2) * bell / width**4])
 
 
 def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     """`reading` (6,) or (12,), `command` (6,) -> numbers that stand in for constants of other parts."""
-    smoothing = max(FINEST, 1.5 * context.period) if options.smoothing is None else options.smoothing
-    stride = max(1, round(smoothing / (1.5 * context.period)))
+    motors, robot, believed = context.motors, context.robot, context.compensation
+    smoothing = options.smoothing
+    if smoothing is None:
+        # At which noise of the readings leaves a rate that is known to the width of friction's reversal.
+        coarse = context.noise**2 * context.period / (4.0 * np.sqrt(np.pi) * believed.width**2)
+        smoothing = max(FINEST, 1.5 * context.period, float(np.cbrt(coarse)))
+    stride = max(1, round(smoothing / (WIDTH * context.period)))
     block = stride * context.period
     width, late = smoothing / block, (context.latency - 0.5 * context.period + options.reading_age) / block
-    if not 1.0 <= width <= 2.3:
+    if not 1.0 <= width <= HALF / 2.0:
         raise ConfigurationError("adaptation.smoothing", smoothing, f"at least {context.period:g} s, a period")
     if late > LATE - 0.5:
         most = (LATE - 0.5) * block
         got = context.latency - 0.5 * context.period + options.reading_age
         raise ConfigurationError("adaptation.reading_age", got, f"with the delay of commands at most {most:g} s")
-    motors, robot, believed = context.motors, context.robot, context.compensation
     limit = np.asarray(motors.available(robot, np.zeros(6)), dtype=float)
     friction = np.frombuffer(believed.part(context).constants["friction"].tobytes())
     servo_damping = getattr(motors, "damping", 0.0)
@@ -504,7 +520,8 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         damping=friction[_FRICTION["viscous"]] + servo_damping, servo_damping=servo_damping, noise=options.noise,
         alike=max(1.0, ALIKE / block), slowest=options.slowest, width=believed.width,
         keep=np.exp(-block / options.forgetting),
-        blend=min(1.0, block / BLEND), frozen=options.frozen,
+        blend=min(1.0, block / (BLEND if by_angle else BLEND_TORQUE)), first=3 * HALF + 1 + np.ceil(late),
+        frozen=options.frozen,
         own=[SIZE_OWN_DRIVE, *(SHARE_OWN * limit.mean() * np.array([damping, SIZE_COULOMB]))],
         common=[SIZE_HEAD, SIZE_DRIVE, damping * limit.mean(), SIZE_COULOMB * limit.mean(), SIZE_DELAY],
     )  # fmt: skip

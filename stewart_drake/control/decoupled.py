@@ -2,9 +2,9 @@
 
     T = Y(reference ahead) + M (omega^2 (e + integral_frequency z) + 2 damping omega e') + stuck sign(rate)
 
-with e = theta(reference) - theta(reading) now, z its integral, and M = (J M^-1 J')^-1 the inertia as the cranks feel it,
-at the reference. Nothing but the reading itself is fed back, neither a model's rate nor its disturbance: at 100 Hz with
-a tick of delay what a wrong model says comes too late to be mended.
+with e = theta(reference) - theta(reading) now, z its integral, and M = (J M^-1 J')^-1 the inertia as the cranks feel
+it, at the reference. Nothing but the reading itself is fed back, neither a model's rate nor its disturbance: at 100 Hz
+with a tick of delay what a wrong model says comes too late to be mended.
 
 A crank that sticks tells nobody how much friction holds it. Its torque then grows with the way that the reference has
 gone on without it, until it breaks away; the less so, the better its friction is known by an adaptive law.
@@ -49,7 +49,7 @@ FADES = 0.3  # [s] in which a torque against sticking goes back once the crank h
 
 
 class DecoupledPidOptions(ControllerOptions):
-    """PID of each motor through the robot's inertia, with inverse dynamics along the reference, for buses of 50 to 200 Hz.
+    """PID of each motor through the robot's inertia, and inverse dynamics along the reference; for slow buses.
 
     The reference of the feedforward is that of the time at which the command acts.
     """
@@ -76,9 +76,8 @@ class DecoupledPidOptions(ControllerOptions):
             gain=np.eye(6), **saturation_params(self, context.robot),
         )  # fmt: skip
         constants = {"robot": robot_record(context.robot), "doubt": np.ones(6), "params": params}
-        inputs = {"measurement": 12, "reference": 18, "reference_now": 18}
-        scratch = (LEGS, LEGS, LEGS)
-        return (Part("controller", decoupled_tick, constants, inputs, ("torque",), new_record(_STATE), scratch, failure),)
+        inputs, legs = {"measurement": 12, "reference": 18, "reference_now": 18}, (LEGS, LEGS, LEGS)
+        return (Part("controller", decoupled_tick, constants, inputs, ("torque",), new_record(_STATE), legs, failure),)
 
 
 _PARAMS = fields(
@@ -95,8 +94,8 @@ angle at the tick before [rad]. ticks: done."""
 
 @njit
 def decoupled_tick(
-    robot: Any, doubt: Any, params: Any, measurement: Any, reference: Any, reference_now: Any, legs: Any, target_legs: Any,
-    ahead_legs: Any, state: Any,
+    robot: Any, doubt: Any, params: Any, measurement: Any, reference: Any, reference_now: Any, legs: Any,
+    target_legs: Any, ahead_legs: Any, state: Any,
 ) -> Any:  # fmt: skip
     """A tick; status, leg or -1, margin as of `pid_tick`."""
     robot, params, state = record(robot), record(params), record(state)
@@ -108,7 +107,7 @@ def decoupled_tick(
         bad = legs_at(robot, at[:6], goal)
         if bad >= 0:
             return AT_REFERENCE + UNREACHABLE, bad, goal.reach_margin[bad]
-    feedforward, inertia, mobility = np.zeros(6), np.empty((6, 6)), np.empty((6, 6))
+    feedforward, inertia = np.zeros(6), np.empty((6, 6))
     if not motion_torque(robot, ahead, reference[:12], reference[12:], params.gravity, feedforward):
         return AT_REFERENCE + PARALLEL, -1, 0.0
     jacobian, twist, rates = np.empty((6, 6)), np.empty(6), np.empty(6)
