@@ -42,7 +42,7 @@ STRANGE: dict[str, dict[str, Any]] = {
     "one message in fifty is lost": {"link": {"drop_probability": 0.02, "seed": 1}},
     "noise of 1 mrad in each reading": {"sensors.noise": 0.001},
 }
-ROBOTS = 24
+ROBOTS, SLOW_ROBOTS = 24, 60
 FEW = 8  # Robots of the table above.
 NOMINAL_DRY, NOMINAL_VISCOUS = 0.058, 0.095  # [N m], [N m s/rad] of `reachy_nod`.
 CORNERS, FALLEN = 8, 10.0  # The first robots are the corners; [deg] of an error from which on a robot is lost.
@@ -238,7 +238,7 @@ The plants have no friction that grows with the load, and a bus delays by whole 
 
 The same robot with motors that take currents, one tick late, and a controller for slow buses, `controller: {{kind:
 decoupled_pid}}`. Coulomb friction 0 to 2 times 0.058 N m, viscous friction 0 to 2 times 0.095 N m s/rad, torque
-constant 0.7 to 1.3 times what is believed, a head of 0.8 to 1.2 times the mass; the first 8 of {robots} robots are the
+constant 0.7 to 1.3 times what is believed, a head of 0.8 to 1.2 times the mass; the first 8 of {slow_robots} robots are the
 corners. Errors after the first half of 20 s. Lost: the run ends, or the head is more than 10 deg off after 10 s.
 
 {slow}
@@ -259,7 +259,7 @@ def main() -> None:
     with ProcessPoolExecutor(given.workers) as workers:
         trials = np.array(list(workers.map(trial, range(given.robots))))
         others = {name: np.array(list(workers.map(partial(strange, name), range(FEW)))) for name in STRANGE}
-        slow = np.array(list(workers.map(slow_trial, range(given.robots))))
+        slow = np.array(list(workers.map(slow_trial, range(max(given.robots, SLOW_ROBOTS)))))
         torque = {
             scheme: [list(workers.map(partial(at_1_khz, "drake", scheme=scheme), ("breathing", "heart")))]
             for scheme in AT_1_KHZ
@@ -268,6 +268,7 @@ def main() -> None:
     words = [f"{motion} [{unit}]" for motion in ("breathing", "heart") for unit in ("mm", "deg")]
     text = TEXT.format(
         robots=given.robots,
+        slow_robots=len(slow),
         few=FEW,
         table=markdown_table(header, [[name, *table(trials[:, k])] for k, name in enumerate(SCHEMES.values())]),
         strange=markdown_table(header, [[name, *table(rows)] for name, rows in others.items()]),
