@@ -48,7 +48,8 @@ def test_the_torque_of_a_crank_that_sticks_grows_and_no_other_does():
     against = state["against"][0]
     assert np.flatnonzero(against).tolist() == [2]
     way = abs(inverse_kinematics(ROBOT, goal) - angles)[2]
-    assert 0.0 < against[2] <= OPTIONS.sticking * (way - 3.0 * count) + 1e-12
+    # From the tick on in which its reference is three counts ahead.
+    assert OPTIONS.sticking * (way - 3.0 * count) == pytest.approx(against[2], abs=OPTIONS.sticking * way / 19.0)
 
 
 def slow(dry, viscous, constant, head, **changes):
