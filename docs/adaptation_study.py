@@ -239,7 +239,8 @@ The plants have no friction that grows with the load, and a bus delays by whole 
 The same robot with motors that take currents, one tick late, and a controller for slow buses, `controller: {{kind:
 decoupled_pid}}`. Coulomb friction 0 to 2 times 0.058 N m, viscous friction 0 to 2 times 0.095 N m s/rad, torque
 constant 0.7 to 1.3 times what is believed, a head of 0.8 to 1.2 times the mass; the first 8 of {slow_robots} robots
-are the corners. Errors after the first half of 20 s. Lost: the run ends, or the head is more than 10 deg off after 10 s.
+are the corners. Errors after the first half of 20 s. Lost: the run ends, or the head is more than 10 deg off after
+10 s.
 
 {slow}
 

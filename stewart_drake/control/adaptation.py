@@ -81,6 +81,8 @@ class RegressionOptions(AdaptationOptions):
     """[rad/s] of a crank below which its samples are left out."""
     noise: Positive = 0.003
     """[-] standard deviation of a sample, of the motors' torque limit."""
+    cautious: Flag = False
+    """Whether friction is compensated only as far as it is known by now: too much of it would lose a slow loop."""
     frozen: Flag = False
     """Whether nothing is learnt: the numbers stay as they are in `model`."""
 
@@ -91,7 +93,7 @@ class RegressionOptions(AdaptationOptions):
 _PARAMS = fields(
     gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(),
     damping=6, servo_damping=(), noise=(), alike=(), slowest=(), width=(), keep=(), blend=(), first=(), own=OWN,
-    common=COMMON, frozen=(),
+    common=COMMON, cautious=(), frozen=(),
 )  # fmt: skip
 """stride: ticks of a block. kernel: weights of smoothed value, rate and acceleration. late: those of commands, and of
 their first two derivatives. gain: torque for a command as believed. by_gain: whether a motor's gain is what its drive
@@ -422,6 +424,9 @@ def _stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
     state.lead[0] = common[4]
     for i in range(6):
         damping, coulomb = _friction_of(params, own[i], common, i)
+        if params.cautious == 1.0:
+            damping *= 1.0 - _doubt(params, state, i, 1) ** 2 if damping > 0.0 else 1.0
+            coulomb *= 1.0 - _doubt(params, state, i, 2) ** 2
         drive = np.exp(-(common[1] + own[i, 0])) if params.by_gain == 1.0 else 1.0
         state.gain[i] = drive * params.gain[i]
         state.friction[i] = drive * coulomb
@@ -456,8 +461,16 @@ def _stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
                 # That of the drive is in it too.
                 of_all = of_drive * (damping if k == 1 else coulomb)
                 state.learnt_half_width[2 + 6 * k + i] = size * np.hypot(width, of_all)
-        at_first = np.hypot(params.common[3], params.own[2])
-        state.doubt[i] = min(1.0, width / (1.96 * at_first))
+        state.doubt[i] = _doubt(params, state, i, 2)
+
+
+@njit
+def _doubt(params: Any, state: Any, leg: int, which: int) -> float:
+    """Standard deviation of a number of a motor, over that at first."""
+    row = np.zeros(OWN + COMMON)
+    row[which] = row[OWN + 1 + which] = 1.0
+    first = np.hypot(params.common[1 + which], params.own[which])
+    return min(1.0, np.sqrt(spread_along(state.information[leg], state.shared, row)) / first)
 
 
 @njit
@@ -521,7 +534,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         alike=max(1.0, ALIKE / block), slowest=options.slowest, width=believed.width,
         keep=np.exp(-block / options.forgetting),
         blend=min(1.0, block / (BLEND if by_angle else BLEND_TORQUE)), first=3 * HALF + 1 + np.ceil(late),
-        frozen=options.frozen,
+        cautious=options.cautious, frozen=options.frozen,
         own=[SIZE_OWN_DRIVE, *(SHARE_OWN * limit.mean() * np.array([damping, SIZE_COULOMB]))],
         common=[SIZE_HEAD, SIZE_DRIVE, damping * limit.mean(), SIZE_COULOMB * limit.mean(), SIZE_DELAY],
     )  # fmt: skip
@@ -540,6 +553,9 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         _STATE, friction=friction, gain=motors.gains, robot=whole.view(np.float64), pose=context.pose, angles=angles,
         commands=motors.initial_command(context), good=1.0, doubt=1.0,
     )  # fmt: skip
+    if options.cautious:
+        for place in _FRICTION.values():
+            first["friction"][0, place] = 0.0
     first["common"][0, 3] = first["used_common"][0, 3] = coulomb.mean()
     first["own"][0, :, 2] = first["used_own"][0, :, 2] = coulomb - coulomb.mean()
     first["learnt"] = np.concatenate([[robot.platform_mass, 0.0], np.ones(6), friction[_FRICTION["viscous"]], coulomb])
