@@ -48,8 +48,9 @@ OWN, COMMON = 3, 5
 """Numbers of each motor: log of its drive, damping, Coulomb; and of all: log of the head, these three, delay."""
 SHOWN = 20
 """Numbers that are shown, see `Learnt`."""
-SIZE_HEAD, SIZE_DRIVE, SIZE_OWN_DRIVE = 0.25, 0.35, 0.06
-"""[-] standard deviations of logarithms, before anything is learnt; own: how far apart motors of a robot are."""
+SIZE_HEAD, SIZE_DRIVE, SIZE_TORQUE, SIZE_OWN_DRIVE = 0.25, 0.35, 0.03, 0.06
+"""[-] standard deviations of logarithms, before anything is learnt; torque: of motors that take one; own: how far apart
+motors of a robot are."""
 SIZE_DAMPING, SIZE_SERVO_DAMPING, SIZE_COULOMB, SHARE_OWN, SIZE_DELAY = 0.25, 0.03, 0.1, 0.2, 0.012
 """Likewise, [s/rad] and [-] of the torque limit; how far apart motors are, of that; [s] of a servo's delay."""
 ALIKE = 0.6
@@ -77,6 +78,9 @@ class RegressionOptions(AdaptationOptions):
     """[s] of the readings, as believed: commands and angles alone cannot tell it from the motors' delay."""
     smoothing: Positive | None = None
     """[s] standard deviation of the kernel; null for 1.5 periods, or more where the noise of the readings needs it."""
+    drive: Positive | None = None
+    """[-] how far stiffness or torque constants may be off, as a standard deviation; null for 0.35, and for motors that
+    take torques 0.03."""
     slowest: Positive = 0.03
     """[rad/s] of a crank below which its samples are left out."""
     noise: Positive = 0.003
@@ -527,6 +531,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     per = np.array([1.0, block, block**2])[:, None]
     by_gain, by_angle = motors.takes != "torque", motors.takes == "angle"
     damping = SIZE_SERVO_DAMPING if by_angle else SIZE_DAMPING
+    drive = options.drive or (SIZE_DRIVE if by_gain else SIZE_TORQUE)
     params = new_record(
         _PARAMS, gravity=context.gravity, stride=stride, kernel=weights / per, late=late_weights(width, late) / per,
         gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
@@ -536,7 +541,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         blend=min(1.0, block / (BLEND if by_angle else BLEND_TORQUE)), first=3 * HALF + 1 + np.ceil(late),
         cautious=options.cautious, frozen=options.frozen,
         own=[SIZE_OWN_DRIVE, *(SHARE_OWN * limit.mean() * np.array([damping, SIZE_COULOMB]))],
-        common=[SIZE_HEAD, SIZE_DRIVE, damping * limit.mean(), SIZE_COULOMB * limit.mean(), SIZE_DELAY],
+        common=[SIZE_HEAD, drive, damping * limit.mean(), SIZE_COULOMB * limit.mean(), SIZE_DELAY],
     )  # fmt: skip
     whole = robot_record(robot)
     rest, bodies = whole.copy(), np.zeros((_ROBOT, 3))

@@ -182,6 +182,12 @@ def test_by_torque_at_1_khz_unknown_friction_costs_nothing(motion):
     assert np.linalg.norm(log.error[late]) < 1.5 * np.linalg.norm(told.error[late])
 
 
+def test_an_unknown_payload_is_weighed():
+    scenario = load_scenario("exact_breathing").replace({"plant.kind": "closed_form", "plant.payload_mass": 0.3})
+    learnt = Learnt.of(run(scenario.replace({"adaptation": "regression"}), check=False)["learnt"][-1])
+    assert learnt.mass == pytest.approx(1.3, abs=0.02)
+
+
 @pytest.mark.slow
 def test_all_three_engines_learn_alike():
     changes = {"duration": 3.0, "adaptation": "regression", "plant.motor_friction": 0.05}
