@@ -143,7 +143,7 @@ def rows_of(learnt: np.ndarray, half_width: np.ndarray) -> list[tuple[str, str]]
     lines = [("learnt: head", f"{value.mass:.4g} ± {width.mass:.2g} kg")]
     if width.delay > 0.0:
         lines.append(("learnt: delay, more than believed", f"{1e3 * value.delay:.3g} ± {1e3 * width.delay:.2g} ms"))
-    units = {"drive": ("torque for a command, of what was believed", "1"), "viscous": ("viscous friction", "N m s/rad")}
+    units = {"drive": ("torque over what was believed", "1"), "viscous": ("viscous friction", "N m s/rad")}
     for name, (words, unit) in (units | {"coulomb": ("Coulomb friction", "N m")}).items():
         of, wide = getattr(value, name), getattr(width, name)
         shown = f"{of.min():.4g} to {of.max():.4g} ± {wide.max():.2g}"
