@@ -300,7 +300,7 @@ def test_adaptation(page):
         log = run(adaptation.scenario(0, scheme, "nod"), check=False)
         shown = page.cell(adaptation.SCHEMES[scheme], column="nod [deg]", under=first)
         assert_says(shown, run_metrics(log)["rmse_norm_deg"], within=2.0 * NOISY)
-    error, _ = adaptation.at_1_khz("drive", "heart", "believed 0.01 N m, learning")
+    error, _ = adaptation.at_1_khz("drake", "heart", "believed 0.01 N m, learning")
     shown = page.cell("believed 0.01 N m, learning", column="heart [mm]", under="## By torque at 1 kHz")
     assert_says(shown, error, within=2.0 * NOISY)
     # The corner that most loops lose.
