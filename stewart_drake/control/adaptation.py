@@ -168,15 +168,15 @@ def model_of(learnt: np.ndarray, robot: RobotParameters, motors: Any, friction: 
         keys["motors"] |= {"damping": damping, "delay": max(0.0, motors.delay + value.delay)}
     more = np.subtract(friction.levels[1], friction.levels[0])
     rubs = {"coulomb": value.coulomb.tolist(), "viscous": np.maximum(viscous, 0.0).tolist()}
-    if more.any():
-        rubs["break_away"] = (value.coulomb + more).tolist()
-    keys["friction"] = {**friction.given(), **rubs}
+    keys["friction"] = {**friction.to_dict(), **rubs, "break_away": (value.coulomb + more).tolist()}
+    if not more.any():
+        keys["friction"]["break_away"] = None
     return keys | {"robot": {**robot.given(), **robot.heavier(value.mass / robot.platform_mass, weaker)}}
 
 
 @njit
 def add_row(information: Any, shared: Any, row: Any) -> None:
-    """Brings a row [own | common | right-hand side] (8,), which is destroyed, into a motor's factor, by rotations."""
+    """Brings a row [own | common | right-hand side] (9,), which is destroyed, into a motor's factor, by rotations."""
     size = OWN + COMMON
     for k in range(size):
         if row[k] == 0.0:
@@ -196,7 +196,7 @@ def add_row(information: Any, shared: Any, row: Any) -> None:
 
 @njit
 def spread_along(information: Any, shared: Any, row: Any) -> float:
-    """Variance of row (7,) times a motor's numbers: |R^-T row|^2."""
+    """Variance of row (8,) times a motor's numbers: |R^-T row|^2."""
     size, total = OWN + COMMON, 0.0
     solution = np.empty(size)
     for k in range(size):
@@ -210,7 +210,7 @@ def spread_along(information: Any, shared: Any, row: Any) -> float:
 
 @njit
 def solve_arrow(information: Any, shared: Any, own: Any, common: Any) -> None:
-    """Adds the least-squares solution to own (6, 3) and common (4,) numbers; right-hand sides become zero."""
+    """Adds the least-squares solution to own (6, 3) and common (5,) numbers; right-hand sides become zero."""
     change = np.empty(COMMON)
     for k in range(COMMON - 1, -1, -1):
         value = shared[k, COMMON]
@@ -341,7 +341,7 @@ def _close_block(robot: Any, params: Any, state: Any) -> None:
 
 @njit
 def _rows(robot: Any, rest: Any, joints: Any, params: Any, legs: Any, state: Any, rows: Any) -> bool:
-    """Fills the rows (6, 8) of a sample, those left out with zeros; whether any crank moves."""
+    """Fills the rows (6, 9) of a sample, those left out with zeros; whether any crank moves."""
     for row in range(ROWS):
         if state.good[row] == 0.0:
             return False

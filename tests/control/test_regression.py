@@ -137,6 +137,7 @@ def test_what_was_kept_is_what_the_next_run_believes():
     np.testing.assert_allclose(second.scenario.belief.motors.gains, value.drive, rtol=1e-12)
     np.testing.assert_allclose(second.scenario.belief.friction.coulomb, value.coulomb, rtol=1e-12)
     assert second.scenario.belief.robot.platform_mass == pytest.approx(value.mass)
+    assert second.scenario.belief.friction.width == belief.friction.width
     assert second.scenario.belief.motors.dead_time == pytest.approx(0.03 + value.delay)
 
 
