@@ -13,7 +13,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PINS)
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test test-all test-torch check newest golden processors results lint bench docs docs-quick picture gallery robots calibration calibration-example identification integrators margins plan reproduction montecarlo random_faults reachy drive fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three format clean servo_identification
+.PHONY: demo install test test-all test-torch check newest golden processors results lint bench docs docs-quick picture gallery robots calibration calibration-example identification integrators margins plan reproduction montecarlo random_faults reachy drive fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three format clean servo_identification adaptation
 
 demo: $(BASE)
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -152,6 +152,10 @@ identification: install
 # docs/results/servo_identification.md: a quarter of an hour on two cores.
 servo_identification: install
 	$(ONE_THREAD) $(BIN)/python docs/servo_identification_study.py
+
+# docs/results/adaptation.md: half an hour on two cores.
+adaptation: install
+	$(ONE_THREAD) $(BIN)/python docs/adaptation_study.py
 
 # The robots that are shipped, and that of docs/your_robot.md.
 robots: install

@@ -10,6 +10,7 @@ import re
 from functools import lru_cache
 from pathlib import Path
 
+import adaptation_study as adaptation
 import drive_reachy
 import integrators
 import numpy as np
@@ -291,6 +292,21 @@ def test_servo_identification(page):
         assert_says(page.cell(servos.SCHEMES[scheme], column="nod [deg]", under=first), error, within=2.0 * NOISY)
     head, *_ = servos.in_mujoco()
     assert_says(page.cell("head [kg]", column="identified"), *(value for value, _ in numbers(head[-1])), within=NOISY)
+
+
+def test_adaptation(page):
+    first = "## The first robot"
+    for scheme in ("nominal", "learning"):
+        log = run(adaptation.scenario(0, scheme, "nod"), check=False)
+        shown = page.cell(adaptation.SCHEMES[scheme], column="nod [deg]", under=first)
+        assert_says(shown, run_metrics(log)["rmse_norm_deg"], within=2.0 * NOISY)
+    error, _ = adaptation.at_1_khz("drake", "heart", "believed 0.01 N m, learning")
+    shown = page.cell("believed 0.01 N m, learning", column="heart [mm]", under="## By torque at 1 kHz")
+    assert_says(shown, error, within=2.0 * NOISY)
+    # The corner that most loops lose.
+    log = run(adaptation.slow_bus(0, "learning", "nod"), check=False)
+    assert log.status == "completed"
+    assert run_metrics(log)["rmse_norm_deg"] < 0.1
 
 
 def test_reproduction(page, tmp_path):

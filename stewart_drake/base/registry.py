@@ -31,6 +31,7 @@ CONTROLLERS = Family(
         "pid": "control.classical:PidOptions",
         "computed_torque": "control.classical:ComputedTorqueOptions",
         "feedforward": "control.feedforward:FeedforwardOptions",
+        "decoupled_pid": "control.decoupled:DecoupledPidOptions",
     },
     default="lqi",
     own="control.user_controller:PythonOptions",
@@ -73,8 +74,7 @@ ESTIMATORS = Family(
     {"difference": "control.estimator:DifferenceOptions", "observer": "control.observer:ObserverOptions"},
     default="difference",
 )
-ADAPTATIONS = Family({})
-"""Laws that learn while a robot runs; none comes with the package."""
+ADAPTATIONS = Family({"regression": "control.adaptation:RegressionOptions"}, default="regression")
 OWN_MONITORS = Family({}, own="safety.limits:UserMonitor", methods=("look",))
 """Those of the user's own, under `safety.monitors`; the others stand in `safety.limits`."""
 OWN_METRICS = Family({}, own="logs.metrics:UserMetric", methods=("of",))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
-from stewart_drake.cli.run_commands import end, leave
+from stewart_drake.cli.run_commands import end, keep, kept_model, leave, refuse_without_learning
 from stewart_drake.cli.terminal import print_table, progress_bar, shown_compiling, tell
 from stewart_drake.logs.signals import SCALES
 from stewart_drake.runs.outputs import begin_journal, check_place, claimed_place
@@ -32,6 +32,7 @@ def drive(
     dry: bool,
     out: Path | None,
     force: bool,
+    keep_model: Path | None,
 ) -> None:
     """SCENARIO, or a file of a controller alone, drives a machine: to the motion, along it, and to rest.
 
@@ -42,7 +43,8 @@ def drive(
     from stewart_drake.runs.checks import check_scenario
     from stewart_drake.runs.drive import Drive, as_logged, connected
 
-    loaded = load_driven(scenario, overrides)
+    loaded = load_driven(scenario, (*kept_model(keep_model), *overrides))
+    refuse_without_learning(loaded, keep_model)
     if out is not None:
         check_place(as_logged(loaded), out, force, duration=False)
     opened = open_machine(machine, loaded)
@@ -66,6 +68,7 @@ def drive(
             with progress_bar(loaded.name, start.duration) as advance:
                 log = Drive(loaded, opened, start, journal).run(advance)
             place = leave(log, claimed, machine=machine)
+            keep(log, keep_model)
             if mcap:
                 log.save(place / "run.mcap")
     finally:

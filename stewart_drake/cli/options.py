@@ -185,6 +185,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "encoder_bits": option("Encoder resolution, bits per turn.", click.IntRange(4, 40), default=17),
     "force": switch("Replace the results of another scenario in the folder."),
     "hold": option("Do not estimate these parameters.", multiple=True),
+    "keep_model": option("Begin with the `model` in FILE, if there, and leave what was learnt in it.", OUT_FILE),
     "lag": option("Delay of the torques in a CSV file [s].", float, "--torque-lag", default=0.0),
     "out": option("Folder for results [default: runs/NAME].", PATH),
     "overrides": option("Change a key, e.g. --set {example}.", flag="--set", multiple=True, metavar="KEY=VALUE"),

@@ -13,17 +13,28 @@ import click
 import numpy as np
 
 from stewart_drake.base.atomic_files import write_atomically
-from stewart_drake.base.config import number_in
+from stewart_drake.base.config import number_in, to_plain
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.base.families import user_parts
-from stewart_drake.base.yaml_files import to_yaml
+from stewart_drake.base.keys import join_or
+from stewart_drake.base.yaml_files import read_mapping, to_yaml
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling, tell, working
+from stewart_drake.control.adaptation import RegressionOptions, model_of, rows_of
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import metrics_of, run_metrics
 from stewart_drake.logs.outcomes import describe_outcome
-from stewart_drake.runs.outputs import check_place, claimed_place, draw_run, prepare_file, prepare_folder, save_run
+from stewart_drake.runs.outputs import (
+    check_place,
+    claimed_place,
+    draw_run,
+    prepare_file,
+    prepare_folder,
+    save_run,
+    write_text,
+)
+from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import load_driven, load_scenario
 
 
@@ -31,13 +42,21 @@ from stewart_drake.scenario.scenario import load_driven, load_scenario
     "run",
     out=opt.option("Folder for the results [default: runs/NAME, or runs/NAME-2, ...].", opt.PATH),
 )
-def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool, video: Path | None) -> None:
+def run(
+    scenario: str,
+    out: Path | None,
+    overrides: tuple[str, ...],
+    force: bool,
+    keep_model: Path | None,
+    video: Path | None,
+) -> None:
     """SCENARIO is a YAML file, or the name of a shipped one such as paper_fig7."""
     from stewart_drake.runs.checks import check_scenario, refuse_unrunnable
     from stewart_drake.runs.simulation import run as simulate
     from stewart_drake.runs.simulation import run_of
 
-    loaded = load_scenario(scenario, overrides)
+    loaded = load_scenario(scenario, (*kept_model(keep_model), *overrides))
+    refuse_without_learning(loaded, keep_model)
     if out is not None:
         check_place(loaded, out, force)
     if video is not None:
@@ -56,6 +75,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
         with shown_compiling(), progress_bar(loaded.name, loaded.duration) as advance:
             log = simulate(loaded, progress=advance, check=False, prepared=prepared)
         place = leave(log, claimed, graph)
+    keep(log, keep_model)
     if (place / "replay.html").exists():
         other = "run exact_fig7" if loaded.name == "paper_fig7" else "live"
         tell(f"open {place / 'replay.html'}; try: stewart-drake {other}")
@@ -80,6 +100,35 @@ def leave(log: SimulationLog, claimed: Path, graph: str | None = None, machine: 
     if problem:
         say(problem)
     return place
+
+
+def kept_model(file: Path | None) -> list[str]:
+    """As after `--set`: the `model` that an earlier run has left in a file; nothing where there is none."""
+    if file is None or not file.exists():
+        return []
+    data = read_mapping("model", file, 100)
+    if set(data) - {"name"} != {"model"}:
+        raise ConfigurationError(f"--keep-model {file}", join_or(sorted(map(str, data))), "a file with `model` alone")
+    return [f"model={json.dumps(data['model'])}"]
+
+
+def refuse_without_learning(scenario: ControlOptions, file: Path | None) -> None:
+    """Refuses to keep what nothing learns."""
+    if file is not None and not isinstance(scenario.adaptation, RegressionOptions):
+        kind = None if scenario.adaptation is None else scenario.adaptation.kind
+        raise ConfigurationError(
+            "adaptation.kind", kind, "regression, for --keep-model; try --set adaptation=regression"
+        )
+
+
+def keep(log: SimulationLog, file: Path | None) -> None:
+    """Leaves what was learnt in a file, for the next run."""
+    if file is None or not len(log.time):
+        return
+    belief = log.scenario.belief
+    model = log.scenario.model.given() | model_of(log["learnt"][-1], belief.robot, belief.motors, belief.friction)
+    write_text(file, to_yaml({"model": to_plain(model)}))
+    tell(f"what was learnt in {file}; the next run with --keep-model {file} starts with it")
 
 
 def end(log: SimulationLog, in_place: bool) -> None:
@@ -107,6 +156,8 @@ def _print_run(log: SimulationLog, place: Path, machine: str) -> None:
         # A second half that was not reached is shown as a dash; weights that a run does not have are left out.
         if metric.label and (value is not None or metric.over.startswith("second_half")):
             rows.append((metric.label, metric.shown(value)))
+    if "learnt" in log and len(log.time):
+        rows += rows_of(log["learnt"][-1], log["learnt_half_width"][-1])
     rows += [(f"warning: {each['name']}", f"{each['text']}, t = {each['time']:.3f} s") for each in log.warnings]
     factor = metrics["real_time_factor"]
     rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(place))]

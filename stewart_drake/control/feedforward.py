@@ -34,6 +34,31 @@ class FeedforwardOptions(ControllerOptions):
         return (controller_part(feedforward_tick, context.robot, params, fields(torque=6, health=2), LEGS),)
 
 
+def lead_part(period: float) -> Part:
+    """`reference` (18,) -> `aimed` (18,), a little later, by what a delay turns out to be more than it was believed."""
+    constants = {"lead": np.zeros(1), "params": new_record(fields(period=()), period=period)}
+    return Part("lead", lead_tick, constants, {"reference": 18}, ("aimed",), new_record(_LEAD))
+
+
+_LEAD = fields(aimed=18, acceleration=6, ticks=())
+"""aimed: reference. acceleration: that of the tick before [rad/s^2, m/s^2]. ticks: done."""
+
+
+@njit
+def lead_tick(lead: Any, params: Any, reference: Any, state: Any) -> None:
+    """A reference (18,) later by `lead` (1,) [s]: its Taylor series, the jerk by the difference of two ticks."""
+    state, h = record(state), lead[0]
+    for k in range(6):
+        pose, rate, acceleration, jerk = reference[k], reference[6 + k], reference[12 + k], 0.0
+        if state.ticks > 0.0:
+            jerk = (acceleration - state.acceleration[k]) / record(params).period
+        state.aimed[k] = pose + h * (rate + h * (acceleration / 2.0 + h * jerk / 6.0))
+        state.aimed[6 + k] = rate + h * (acceleration + h * jerk / 2.0)
+        state.aimed[12 + k] = acceleration + h * jerk
+        state.acceleration[k] = acceleration
+    state.ticks += 1.0
+
+
 _PARAMS = fields(gravity=(), level=())  # [m/s^2]; 0 for no torque, 1 for that at rest, 2 for that of the motion.
 
 

@@ -357,10 +357,8 @@ def replayed(guess: RobotParameters, recording: ServoRecording, values: np.ndarr
 
 def with_head(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
     """The guess with the head's mass of parameters (17,), its inertia in proportion, and the rotors' inertia."""
-    share = float(values[MASS]) / guess.platform_mass
-    names = ("platform_mass", "platform_inertia", "platform_products")
-    head = {name: (share * np.asarray(getattr(guess, name))).tolist() for name in names}
-    return guess.replace(**head, rotor_inertia=float(values[ROTOR]))
+    heavier = guess.heavier(float(values[MASS]) / guess.platform_mass)
+    return guess.replace(**heavier | {"rotor_inertia": float(values[ROTOR])})
 
 
 def possible(values: np.ndarray) -> np.ndarray:

@@ -155,6 +155,11 @@ class MotorOptions(Section, ABC, key="motors"):
         return np.broadcast_to(robot.effort_limits, rates.shape)
 
     @property
+    def gains(self) -> np.ndarray:
+        """(6,) torque [N m] for a unit of each motor's command."""
+        return np.ones(6)
+
+    @property
     def dead_time(self) -> float:
         """[s] from a command's arrival to its effect."""
         return 0.0

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.config import Natural, NotNegative, Positive, Text
+from stewart_drake.base.config import Natural, NotNegative, Positive, Text, one_for_six
 from stewart_drake.base.errors import ConfigurationError, UnreachablePoseError
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.base.sampling import steps_per
@@ -88,6 +88,10 @@ class PositionServos(_SoldMotors):
     `model`; null for none."""
     stiffness: Annotated[Positive, Field(ge=1e-6)] = 1.0
     """[N m/rad] torque for an angle's error."""
+    ratios: Annotated[tuple[Positive, Positive, Positive, Positive, Positive, Positive], one_for_six(Positive)] = (
+        *(1.0,) * 6,
+    )
+    """[-] stiffness of each motor over `stiffness`."""
     damping: NotNegative = 0.04
     """[N m s/rad] torque that a turning servo loses: back-EMF, and what its loop adds."""
     supply: Positive = 1.0
@@ -112,10 +116,19 @@ class PositionServos(_SoldMotors):
         """[rad] to which angles are rounded, 0 for none."""
         return 0.0 if self.resolution_bits is None else 2.0 * math.pi / 2**self.resolution_bits
 
+    @property
+    def gains(self) -> np.ndarray:
+        return self.supply * self.stiffness * np.array(self.ratios)
+
+    def with_gains(self, gains: np.ndarray) -> dict[str, Any]:
+        """The keys that were given, and those of other gains (6,)."""
+        mean = float(gains.mean())
+        return {**self.given(), "stiffness": mean / self.supply, "ratios": (gains / mean).tolist()}
+
     def part(self, robot: RobotParameters, time_step: float) -> Part:
         stride = steps_per("motors.period", self.period, time_step)
         stiffest = STIFFEST * robot.crank_axis_inertias.min() / self.period**2
-        if self.supply * self.stiffness > stiffest:
+        if self.gains.max() > stiffest:
             allowed = f"at most {stiffest:.3g} N m/rad, with motors.period {self.period:g} s"
             raise ConfigurationError("motors.stiffness", self.stiffness, allowed)
         most = np.linalg.eigvalsh(crank_inertia(robot, robot.home_pose))[0] / time_step
@@ -123,7 +136,7 @@ class PositionServos(_SoldMotors):
             allowed = f"at most {most:.3g} N m s/rad, with plant.time_step {time_step:g} s"
             raise ConfigurationError("motors.damping", self.damping, allowed)
         params = new_record(
-            _PARAMS, self, stiffness=self.supply * self.stiffness, limit=self.supply * self.limits(robot),
+            _PARAMS, self, stiffness=self.gains, limit=self.supply * self.limits(robot),
             slope=self.slope / self.supply, count=self.count, stride=stride, play=0.5 * self.backlash,
             most=robot.effort_limits,
         )  # fmt: skip
@@ -131,23 +144,20 @@ class PositionServos(_SoldMotors):
         return Part("motors", servo_tick, {"params": params}, inputs, ("torque",), first, period=time_step)
 
     def inverse_parts(self, context: LoopContext) -> tuple[Part, ...]:
-        params = new_record(
-            _BELIEVED, self, stiffness=self.supply * self.stiffness, play=0.5 * self.backlash,
-            feedback=float(context.feedback),
-        )  # fmt: skip
-        constants = {"robot": robot_record(context.robot), "params": params}
+        params = new_record(_BELIEVED, self, play=0.5 * self.backlash, feedback=float(context.feedback))
+        constants = {"robot": robot_record(context.robot), "gain": self.gains, "params": params}
         first = new_record(fields(command=6), command=self.initial_command(context))
         inputs = {"torque": 6, "measurement": 12, "reference": 18}
         outputs, scratch = ("command",), (LEGS,)
         angles = Part("servo_command", servo_command, constants, inputs, outputs, first, scratch, _unreachable)
         if context.feedback or self.count == 0.0:
             return (angles,)
-        rounding = rounding_part(context, self.supply * self.stiffness, self.damping, self.count)
+        rounding = rounding_part(context, float(self.gains.mean()), self.damping, self.count)
         return angles.named(command="angles"), rounding.connected(command="angles")
 
     def initial_command(self, context: LoopContext) -> np.ndarray:
         angles: np.ndarray = inverse_kinematics(context.robot, context.pose)
-        twist = context.initial_torque / (self.supply * self.stiffness)
+        twist = context.initial_torque / self.gains
         return angles + twist + 0.5 * self.backlash * np.sign(twist)
 
 
@@ -178,6 +188,14 @@ class CurrentMotors(_SoldMotors):
     def dead_time(self) -> float:
         return self.delay
 
+    @property
+    def gains(self) -> np.ndarray:
+        return np.full(6, self.torque_constant)
+
+    def with_gains(self, gains: np.ndarray) -> dict[str, Any]:
+        """The keys that were given, and the constant of other gains (6,)."""
+        return {**self.given(), "torque_constant": float(gains.mean())}
+
     def part(self, robot: RobotParameters, time_step: float) -> Part:
         most = np.inf if self.current_limit is None else self.torque_constant * self.current_limit
         limit = np.minimum(self.limits(robot), most)
@@ -186,7 +204,7 @@ class CurrentMotors(_SoldMotors):
         return Part("motors", current_tick, {"params": params}, inputs, ("torque",), first, period=time_step)
 
     def inverse_parts(self, context: LoopContext) -> tuple[Part, ...]:
-        constants = {"params": new_record(fields(torque_constant=()), self)}
+        constants = {"gain": self.gains}
         first = new_record(fields(command=6), command=self.initial_command(context))
         return (Part("motor_current", current_command, constants, {"torque": 6}, ("command",), first),)
 
@@ -194,10 +212,10 @@ class CurrentMotors(_SoldMotors):
         return context.initial_torque / self.torque_constant
 
 
-_PARAMS = fields(stiffness=(), damping=(), dead_band=(), play=(), count=(), stride=(), slope=(), limit=6, most=6)
+_PARAMS = fields(stiffness=6, damping=(), dead_band=(), play=(), count=(), stride=(), slope=(), limit=6, most=6)
 """`PositionServos` as numbers. play: half of the backlash [rad]. count: [rad] to which angles are rounded, 0 for none.
 stride: [steps] of its period. slope: of the limit over the speed [s/rad]. most: the robot's effort limits [N m]."""
-_BELIEVED = fields(stiffness=(), damping=(), play=(), feedback=())
+_BELIEVED = fields(damping=(), play=(), feedback=())
 """feedback: whether the torque is one for the measured pose, rather than for the reference's."""
 _CURRENT = fields(torque_constant=(), resolution=(), slope=(), limit=6)
 _STATE = fields(torque=6, drive=6, steps=())
@@ -219,7 +237,7 @@ def servo_tick(params: Any, command: Any, crank_state: Any, state: Any) -> None:
             if abs(error) <= params.dead_band:
                 error = 0.0
             error -= min(max(error, -params.play), params.play)
-            state.drive[i] = min(max(params.stiffness * error, -params.limit[i]), params.limit[i])
+            state.drive[i] = min(max(params.stiffness[i] * error, -params.limit[i]), params.limit[i])
     for i in range(6):
         torque = state.drive[i] - params.damping * crank_state[6 + i]
         torque = within_line(torque, params.limit[i], params.slope, crank_state[6 + i])
@@ -249,15 +267,17 @@ def within_line(torque: Any, limit: Any, slope: Any, rate: Any) -> Any:
 
 
 @njit
-def current_command(params: Any, torque: Any, state: Any) -> None:
-    """Currents (6,) [A] at which motors give torques (6,) [N m]."""
+def current_command(gain: Any, torque: Any, state: Any) -> None:
+    """Currents (6,) [A] at which motors of gains (6,) [N m/A] give torques (6,) [N m]."""
     state = record(state)
     for i in range(6):
-        state.command[i] = torque[i] / record(params).torque_constant
+        state.command[i] = torque[i] / gain[i]
 
 
 @njit
-def servo_command(robot: Any, params: Any, torque: Any, measurement: Any, reference: Any, legs: Any, state: Any) -> Any:
+def servo_command(
+    robot: Any, gain: Any, params: Any, torque: Any, measurement: Any, reference: Any, legs: Any, state: Any
+) -> Any:
     """Angles (6,) [rad] at which servos give torques (6,) [N m] at the measurement (12,) or the reference (18,)."""
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     aim = measurement[:12] if params.feedback == 1.0 else reference[:12]
@@ -269,7 +289,7 @@ def servo_command(robot: Any, params: Any, torque: Any, measurement: Any, refere
     crank_rates(legs, twist, rates)
     for i in range(6):
         angle = np.arctan2(legs.sine[i], legs.cosine[i])
-        wound = (torque[i] + params.damping * rates[i]) / params.stiffness
+        wound = (torque[i] + params.damping * rates[i]) / gain[i]
         if params.play > 0.0:
             wound += params.play * np.tanh(wound / (PLAY_WIDTH * params.play))
         state.command[i] = angle + wound

@@ -118,6 +118,8 @@ class LoopContext(NamedTuple):
     noise: float  # [rad] of a reading, as an observer believes it.
     friction: float  # [N m] largest break-away torque that the motors are believed to have.
     viscous: tuple[float, ...]  # (6,) [N m s/rad] likewise.
+    motors: Any  # Options of the motors, as believed.
+    compensation: Any  # Options of the friction that is compensated; None for none.
     tuner: Any  # Options of the tuner, with its file read.
     disturbance: float  # [rad/s^2 per sqrt(s)] that an observer expects; 0 without one.
     feedback: bool  # Whether the controller uses what is measured.

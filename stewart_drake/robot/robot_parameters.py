@@ -199,6 +199,12 @@ class RobotParameters(Section, key="robot"):
         """(6,) [-] `effort_limits` over `effort_limit`."""
         return _frozen(self.effort_limits / self.effort_limit)
 
+    def heavier(self, head: float, links: float = 1.0) -> dict[str, Any]:
+        """Keys of all masses and inertias: the platform's times `head`, those of rods, cranks and rotors `links`."""
+        shares = {"rod_mass": links, "rod_inertia": links, "crank_mass": links, "crank_inertia": links}
+        shares |= {"rotor_inertia": links, "platform_mass": head, "platform_inertia": head, "platform_products": head}
+        return {name: (share * np.asarray(getattr(self, name))).tolist() for name, share in shares.items()}
+
     @cached_property
     def crank_axis_inertias(self) -> np.ndarray:
         """(6,) [kg m^2] inertia of each crank about its motor axis, rotor included."""

@@ -87,7 +87,10 @@ class SteppedRun(Run):
         super().__init__(scenario)
         self._loop = SteppedLoop(scenario)
         steps = int(scenario.duration / scenario.plant.time_step + 1e-6)
-        self._rows = np.empty((steps + 1, len(self._loop.runner.values)))
+        # What a log takes stands in front of most of what a law that learns remembers.
+        places, logged = self._loop.runner.places, ("measured", *self._loop.parts.logged.values())
+        self._kept = self._loop.runner.values[: max(places[name].stop for name in logged if isinstance(name, str))]
+        self._rows = np.empty((steps + 1, len(self._kept)))
 
     def begin(self) -> None:
         self._count = 0
@@ -102,7 +105,7 @@ class SteppedRun(Run):
 
     def _row(self) -> None:
         self._loop.run_parts()
-        self._rows[self._count] = self._loop.runner.values
+        self._rows[self._count] = self._kept
         self._count += 1
 
     @property

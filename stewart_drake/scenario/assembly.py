@@ -16,6 +16,7 @@ from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.base.keys import join_or
 from stewart_drake.control.base import TRACKING_ERROR
+from stewart_drake.control.feedforward import lead_part
 from stewart_drake.control.friction_compensation import standing_torque
 from stewart_drake.control.observer import SMALLEST_NOISE
 from stewart_drake.hardware.disturbances import total_wrench
@@ -176,6 +177,8 @@ def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
         noise=max(belief.noise, SMALLEST_NOISE),
         friction=0.0 if friction is None else max(friction.levels[1]),
         viscous=(0.0,) * 6 if friction is None else friction.levels[3],
+        motors=belief.motors,
+        compensation=friction,
         tuner=tuner,
         disturbance=expected,
         feedback=options.controller.feedback,
@@ -208,8 +211,8 @@ class _Builder:
         self.add_command()
         command = self.add_inverse()
         self.add_tuner()
-        self.add_adaptation()
-        safety = None if options.safety is None else self.safety(options.safety)
+        learnt = self.add_adaptation(command)
+        safety = None if options.safety is None else self.safety(options.safety).connected(**learnt)
         parts, at_end, initial = tuple(self.parts), tuple(self.at_end), options.belief.motors.initial_command(context)
         names = self.reading, "torque", command, options.belief.motors.unit
         return ControlSide(context, parts, at_end, tuple(sources), *names, initial, safety, self.logged)
@@ -238,14 +241,19 @@ class _Builder:
             "reference": "reference_ahead" if self.options.preview > 0.0 else "reference",
             "weights": "weights" if self.tuning else np.array(context.tuner.weights),
         }
-        now = self.sees
+        now = self.sees.copy()
+        if self.options.controller.looks_ahead:
+            now = {"measurement": self.sees["measurement"]}
         if not self.options.controller.feedback:
             now, self.sees["measurement"] = {"measurement": self.measurement}, np.zeros(12)
+            if self.options.adaptation is not None:
+                self.parts.append(lead_part(context.period).connected(reference=self.sees["reference"]))
+                self.sees["reference"] = "aimed"
         # Without feedback what an observer finds stays in the log.
         self.corrects = self.observes and self.options.controller.feedback
         self.compensated = self.corrects or self.friction is not None
         (part,) = self.options.controller.parts(context)
-        part = part.connected(**self.sees)
+        part = part.connected(**self.sees, reference_now="reference")
         if self.compensated:
             part = part.named(torque="control_torque")
         self.weighted = "weights" in part.inputs
@@ -295,12 +303,13 @@ class _Builder:
                 # The tuner says what the observer is to expect.
                 self.parts = [each.connected(disturbance=part.signal("disturbance")) for each in self.parts]
 
-    def add_adaptation(self) -> None:
-        """What learns while it runs; its outputs take the places of constants that have their names."""
+    def add_adaptation(self, command: str) -> dict[str, str]:
+        """What learns while it runs; its outputs, which take the places of constants that have their names."""
         options = self.options.adaptation
         if options is None:
-            return
-        parts = [part.connected(**self.sees) for part in options.parts(self.context)]
+            return {}
+        at = self.sees | {"reading": self.reading, "command": command}
+        parts = [part.connected(**at) for part in options.parts(self.context)]
         learnt = {output: part.signal(output) for part in parts for output in part.outputs}
         places = {name for part in (*self.parts, *self.at_end) for name in part.constants}
         if not learnt.keys() & places:
@@ -310,6 +319,8 @@ class _Builder:
             part.connected(**{name: learnt[name] for name in part.constants if name in learnt}) for part in self.parts
         ]
         self.at_end.extend(part._replace(end_of_tick=True) for part in parts)
+        self.logged |= {name: learnt[name] for name in ("learnt", "learnt_half_width") if name in learnt}
+        return learnt
 
     def safety(self, options: SafetyOptions) -> Part:
         """The safety layer, which gets the command that arrives at the motors."""

@@ -160,7 +160,11 @@ class ControlOptions(Section):
     def belief(self) -> Belief:
         """What the controller's side believes of the machine."""
         said = {name: getattr(self.model, name) for name in Belief._fields}
-        return self.nominal._replace(**{name: value for name, value in said.items() if value is not None})
+        belief = self.nominal._replace(**{name: value for name, value in said.items() if value is not None})
+        if belief.friction is None and self.adaptation is not None:
+            # What learns begins with none, and needs its place.
+            belief = belief._replace(friction=FrictionCompensation())
+        return belief
 
     @property
     def lqi(self) -> LqiOptions:
@@ -178,11 +182,11 @@ class ControlOptions(Section):
     def preview(self) -> float:
         """[s] by which the controller sees the reference ahead of time.
 
-        With an observer, and the state too: the delay of commands. Without feedback that of the motors as well, and
-        half of the period for which a command holds. Else none.
+        With an observer, and the state too: the delay of commands. Without feedback, or for a controller that looks
+        ahead, that of the motors as well, and half of the period for which a command holds. Else none.
         """
         period = on_grid(self.controller.period)
-        if not self.controller.feedback:
+        if self.controller.looks_ahead or not self.controller.feedback:
             return self.belief.delay * period + self.belief.motors.dead_time + 0.5 * period
         return self.belief.delay * period if self.estimator.disturbance_density else 0.0
 

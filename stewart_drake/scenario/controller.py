@@ -52,7 +52,8 @@ class Controller:
         if side.safety is not None:
             parts.append(side.safety.connected(command=side.torque, age=self._age))
         elif not options.controller.feedback:
-            parts = _without(parts, {side.reading})
+            # What learns reads, and does not end what needs no reading.
+            parts = [*_without([*side.parts], {side.reading}), *side.at_end]
         self.period, self._tick, self.reading = options.reading_period, side.context.period, side.context.reading
         outside = {side.reading: self.reading, **{source.signal: source.size for source in side.sources}}
         self._running = LoopRunner(parts, outside, period=side.context.period, step=self.period)

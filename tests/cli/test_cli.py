@@ -70,6 +70,25 @@ def test_the_scenario_as_run_runs_again_the_same_elsewhere_and_in_its_place(call
     assert load_scenario(own).duration == 0.01
 
 
+@pytest.mark.usefixtures("without_pictures")
+def test_what_a_run_learns_is_printed_kept_and_where_the_next_one_begins(call):
+    learning = ("--set", "adaptation=regression", "--set", "plant.motor_friction=0.05", "--set", "duration=2", *FAST)
+    first = call("run", "exact_breathing", *learning, "--keep-model", "kept.yaml", "--out", "first")
+    assert first[0] == 0
+    assert "learnt: Coulomb friction" in first[1]
+    second = call("run", "exact_breathing", *learning, "--keep-model", "kept.yaml", "--out", "second")
+    assert second[0] == 0
+    believed = load_log("second").scenario.belief
+    np.testing.assert_allclose(believed.friction.coulomb, 0.05, atol=0.005)
+    assert believed.robot.platform_mass == load_log("first")["learnt"][-1, 0]
+    status, _, said = call("run", "exact_breathing", *FAST, "--keep-model", "kept.yaml")
+    assert status == 2
+    assert "adaptation.kind: expected regression, for --keep-model" in said
+    status, _, said = call("run", "exact_breathing", *learning, "--keep-model", "first/scenario.yaml")
+    assert status == 2
+    assert "expected a file with `model` alone" in said
+
+
 def test_every_help_begins_with_an_example_and_ends_no_summary_in_dots(call):
     status, out, err = call("--help")
     assert (status, err) == (0, "")

@@ -59,7 +59,10 @@ def test_between_its_own_ticks_a_servo_holds_its_drive():
 
 @given(vectors(6, 2.0))
 def test_what_a_servo_is_told_gives_the_torque_that_is_wanted(wanted):
-    servos, context = PositionServos(stiffness=20.0, damping=0.3, resolution_bits=None), setup_for()
+    apart = [1.1, 0.9, 1.0, 1.2, 0.8, 1.0]
+    servos = PositionServos(stiffness=20.0, ratios=apart, damping=0.3, resolution_bits=None)
+    np.testing.assert_allclose(torque(servos, np.full(6, 0.01), np.zeros(6), np.zeros(6)), 0.2 * np.array(apart))
+    context = setup_for()
     (inverse,) = servos.inverse_parts(context)
     pose, rate = ROBOT.home_pose + [0.1, 0.0, 0.05, 0.0, 0.01, 0.0], np.zeros(6)
     state = inverse.initial.copy()

@@ -1,0 +1,318 @@
+"""Robots of unknown motors that learn them, docs/results/adaptation.md: `make adaptation`, half an hour on two cores.
+
+`python docs/adaptation_study.py --robots 500` draws more.
+"""
+
+from __future__ import annotations
+
+import argparse
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import servo_identification_study as servos
+from servo_identification_study import GUESS, NOMINAL, PLAIN, SERVO, Hidden, spread
+from write_reachy import MAKERS
+
+from stewart_drake import Scenario, load_scenario, run, run_metrics
+from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.markdown import markdown_table
+from stewart_drake.control.adaptation import model_of
+from stewart_drake.logs.log import SimulationLog
+from stewart_drake.studies.comparison import load_comparison
+
+OUT = Path(__file__).parent / "results" / "adaptation.md"
+STEP = 0.001  # [s] of the plant.
+AGE = servos.NOMINAL_AGE
+MOTIONS = {"nod": (20.0, "rmse_norm_deg"), "look": (24.0, "rmse_norm_deg"), "breathing": (20.0, "rmse_norm_mm")}
+"""Duration [s], of which the second half counts, and metric."""
+FIGURES = ("nod [deg]", "look around [deg]", "breathing [mm]", "its ripple [mm/s]")
+SCHEMES = {
+    "plain": "angles of the inverse kinematics",
+    "nominal": "exact model, nominal constants",
+    "learning": "the same, learning",
+    "told": "the same, learning, age of the readings told",
+    "second": "a second run with what was kept of a first one, age told",
+    "truth": "exact model, truth known",
+}
+STRANGE: dict[str, dict[str, Any]] = {
+    "as above": {},
+    "stiction of 1.5 times the Coulomb friction": {"break_away": 1.5},
+    "play of 0.2 deg in each gear": {"motors.backlash": np.radians(0.2).item()},
+    "one message in fifty is lost": {"link": {"drop_probability": 0.02, "seed": 1}},
+    "noise of 1 mrad in each reading": {"sensors.noise": 0.001},
+}
+ROBOTS, SLOW_ROBOTS = 24, 60
+FEW = 8  # Robots of the table above.
+NOMINAL_DRY, NOMINAL_VISCOUS = 0.058, 0.095  # [N m], [N m s/rad] of `reachy_nod`.
+CORNERS, FALLEN = 8, 10.0  # The first robots are the corners; [deg] of an error from which on a robot is lost.
+AT_100_HZ = {
+    "shipped": "`reachy_nod` as it is shipped: LQI, observer, policy",
+    "nominal": "decoupled PID, nominal constants",
+    "learning": "decoupled PID, learning",
+    "truth": "decoupled PID, truth known",
+}
+SLOW_FIGURES = ("nod [deg]", "its ripple [mm/s]", "breathing [mm]", "its ripple [mm/s]", "ripple at rest [mm/s]")
+BELIEFS = ("exact model, 50 Hz", "stiffness believed 1.3 times", "friction believed twice", "delay not believed")
+DRY = 0.08  # [N m] of the motors at 1 kHz, believed 0.01.
+AT_1_KHZ = {
+    "believed 0.01 N m": {},
+    "believed 0.01 N m, learning": {"adaptation": "regression"},
+    "truth known": {"model.friction.coulomb": DRY},
+}
+
+
+def hidden(seed: int) -> tuple[Hidden, np.ndarray]:
+    """Constants at random, and the stiffness of each motor over its mean."""
+    return servos.hidden(seed), np.random.default_rng([seed, 1]).uniform(0.95, 1.05, 6)
+
+
+def references() -> dict[str, Any]:
+    """The motions of `compare reachy`, as plain values; looking around goes on and on."""
+    found = servos.references()
+    look, times = found["look"], int(MOTIONS["look"][0] / 6.0)
+    poses = [look["poses"][0], *(look["poses"][1:] * times)]
+    found["look"] = {**look, "poses": poses, "durations": look["durations"] * times, "dwell": look["dwell"] * times}
+    return found
+
+
+def scenario(seed: int, scheme: str, motion: str, belief: dict[str, Any] | None = None) -> Scenario:
+    """A motion of a robot under a scheme; `belief` is what a first run has kept."""
+    real, ratios = hidden(seed)
+    truth = {
+        "robot": real.robot,
+        "motors": {**SERVO, "stiffness": real.stiffness, "damping": real.damping, "delay": real.delay}
+        | {"ratios": ratios.tolist()},
+        "friction": {"coulomb": real.coulomb.tolist(), "viscous": real.viscous.tolist(), "width": 0.004},
+    }
+    believed = {"plain": PLAIN, "truth": truth}.get(scheme, NOMINAL) if belief is None else belief
+    changes: dict[str, Any] = {"motors.ratios": ratios.tolist(), "plant.time_step": STEP}
+    if scheme in ("learning", "told", "second"):
+        age = AGE if scheme == "learning" else real.age
+        changes["adaptation"] = {"kind": "regression", "reading_age": age}
+    made = servos.scenario(real, believed, references()[motion], MOTIONS[motion][0], scheme == "plain")
+    return made.replace(changes)
+
+
+def kept(log: SimulationLog) -> dict[str, Any]:
+    """`model` with what a run has learnt, as `run --keep-model` leaves it."""
+    belief = log.scenario.belief
+    return model_of(log["learnt"][-1], belief.robot, belief.motors, belief.friction)
+
+
+def figures(seed: int, scheme: str, changes: dict[str, Any] | None = None) -> list[float]:
+    """A robot's `FIGURES`, perhaps with some changes of it; infinite where it is lost."""
+    found = []
+    belief = kept(run(scenario(seed, "told", "look"), check=False)) if scheme == "second" else None
+    for motion, (_, metric) in MOTIONS.items():
+        log = run(scenario(seed, scheme, motion, belief).replace(changes or {}), check=False)
+        measured = run_metrics(log) if log.status == "completed" else {}
+        found.append(measured.get(metric, np.inf))
+        if motion == "breathing":
+            found.append(measured.get("ripple_mm_s", np.inf))
+    return found
+
+
+def trial(seed: int) -> list[list[float]]:
+    """Figures of a robot under every scheme."""
+    rows = [figures(seed, scheme) for scheme in SCHEMES]
+    print(seed, np.round(rows, 3).tolist(), flush=True)
+    return rows
+
+
+def strange(name: str, seed: int) -> list[float]:
+    """Figures of a robot that learns with something that the model does not have."""
+    changes = dict(STRANGE[name])
+    if (above := changes.pop("break_away", None)) is not None:
+        changes["plant.friction.break_away"] = (above * servos.hidden(seed).coulomb).tolist()
+    return figures(seed, "learning", changes)
+
+
+def at_1_khz(plant: str, motion: str, scheme: str) -> list[float]:
+    """RMS error [mm] and [deg] over the second half of 20 s, of a motion of the paper's robot with motors that rub."""
+    changes = {"plant.kind": plant, "plant.motor_friction": DRY, "duration": 20.0, **AT_1_KHZ[scheme]}
+    measured = run_metrics(run(load_scenario(f"exact_{motion}").replace(changes), check=False))
+    return [measured["rmse_norm_mm"], measured["rmse_norm_deg"]]
+
+
+def slow_bus(seed: int, scheme: str, motion: str, changes: dict[str, Any] | None = None) -> Scenario:
+    """A motion at 100 Hz by current, one tick late, of a robot whose friction, motors and head are drawn."""
+    dry, viscous, constant, head = constants(seed)
+    friction = {"coulomb": dry, "viscous": viscous, "width": 0.004}
+    robot, motors = GUESS.replace(**GUESS.heavier(head)), {"kind": "current", "torque_constant": constant}
+    nominal = {"robot": GUESS, "motors": {"kind": "current"}}
+    nominal["friction"] = {"coulomb": NOMINAL_DRY, "viscous": NOMINAL_VISCOUS, "width": 0.004}
+    truth = {"robot": robot, "motors": motors, "friction": friction}
+    keys: dict[str, Any] = {
+        "robot": robot,
+        "plant": {"kind": "closed_form", "integrator": "rk4", "time_step": 0.0005}
+        | {"friction": {"coulomb": dry, "viscous": viscous}},
+        "motors": motors,
+        "model": truth if scheme == "truth" else nominal,
+        "duration": 20.0,
+        "bounds": dict.fromkeys(("rotation", "position", "motion_ratio", "error_ratio")),
+        "safety": None,
+        "adaptation": "regression" if scheme == "learning" else None,
+    }
+    if motion == "breathing":
+        keys["reference"] = servos.references()["breathing"]
+    elif motion == "rest":
+        keys["reference"] = {"kind": "hold", "pose": GUESS.home_pose.tolist()}
+    if scheme != "shipped":
+        keys |= {"controller": {"kind": "decoupled_pid", "period": 0.01}, "estimator": "difference", "tuner": "block"}
+    return load_scenario("reachy_nod").replace(keys | (changes or {}))
+
+
+def constants(seed: int) -> tuple[float, float, float, float]:
+    """Coulomb [N m] and viscous friction [N m s/rad], torque constant [-], share of the head; first the corners."""
+    rng = np.random.default_rng([seed, 2])
+    if seed < CORNERS:
+        rubs = 2.0 * (seed & 1)
+        return rubs * NOMINAL_DRY, rubs * NOMINAL_VISCOUS, (0.7, 1.3)[seed >> 1 & 1], (0.8, 1.2)[seed >> 2 & 1]
+    dry, viscous = rng.uniform(0.0, 2.0, 2) * (NOMINAL_DRY, NOMINAL_VISCOUS)
+    return float(dry), float(viscous), float(rng.uniform(0.7, 1.3)), float(rng.uniform(0.8, 1.2))
+
+
+def slow_figures(seed: int, scheme: str) -> list[float]:
+    """Nod [deg], breathing [mm] and ripples [mm/s] of both and at rest; infinite where the robot is lost."""
+    found = []
+    for motion, metric in (("nod", "rmse_norm_deg"), ("breathing", "rmse_norm_mm"), ("rest", "")):
+        log = run(slow_bus(seed, scheme, motion), check=False)
+        measured = run_metrics(log)
+        lost = log.status != "completed" or measured["peak_norm_deg"] > FALLEN
+        found += [np.inf if lost else measured[name] for name in (metric, "ripple_mm_s") if name]
+    return found
+
+
+def slow_trial(seed: int) -> list[list[float]]:
+    """`slow_figures` of a robot under every scheme."""
+    rows = [slow_figures(seed, scheme) for scheme in AT_100_HZ]
+    print(seed, np.round(rows, 3).tolist(), flush=True)
+    return rows
+
+
+def on_makers_model(belief: str) -> list[float]:
+    """Nod [deg] and breathing [mm] on the maker's model, without and with learning."""
+    found = []
+    for motion, (duration, metric) in (("nod", MOTIONS["nod"]), ("breathing", MOTIONS["breathing"])):
+        labels = {"controller": belief, "reference": motion, "condition": MAKERS}
+        (trial,) = (each for each in load_comparison("reachy").trials if labels.items() <= each.labels.items())
+        for adaptation in (None, "regression"):
+            changes = {"duration": duration, "adaptation": adaptation}
+            found.append(run_metrics(run(trial.scenario().replace(changes), check=False))[metric])
+    return found
+
+
+def table(rows: np.ndarray) -> list[str]:
+    """Cells of figures (robots, n) of a scheme, and how many robots were lost."""
+    return [*(spread(column) for column in rows.T), str(int(np.isinf(rows).any(axis=1).sum()))]
+
+
+TEXT = """# Robots that learn their motors
+
+`make adaptation` simulates {robots} Reachy Minis whose servos take angles (XL330-M288, P gain 300), on the closed form
+with steps of 1 ms. Each has constants that nobody tells: stiffness 0.7 to 1.3 times (each motor 5 % apart) and
+damping 0.8 to 1.2 times the nominal, Coulomb and viscous friction 0 to 3 times (each motor 15 % apart), a delay of the
+commands of 10 to 50 ms (believed: 30), readings 0 to 20 ms old (believed: 10), a head of 0.8 to 1.2 times the mass.
+Commands go out at 50 Hz, encoders and servos have 12 bits. A robot's seed is its number; gains and thresholds were
+chosen on seeds from 100 on, and on the corners of the last table.
+
+The robot nods (15 deg at 1 Hz), looks around again and again, and breathes (5 mm at 0.1 Hz), each from a cold start.
+Figures are RMS errors after the first half of 20 s (look around: 24 s): median / 95th percentile / largest of the
+robots. Ripple is the RMS error of the velocity above 2 Hz. Lost is a robot that does not complete a motion. The second
+run starts with the `model` that `--keep-model` left after a first one that looked around.
+
+{table}
+
+- The age of the readings cannot be told from the delay by commands and angles: 10 ms of it are 0.66 deg of a nod. That
+  is what is left of the third row.
+- With it told, nothing but the 12 bits, the 50 Hz and dry friction are left.
+
+## The first robot
+
+{first}
+
+## What is not in the model
+
+{few} of these robots, learning, with something that the model does not have.
+
+{strange}
+
+The plants have no friction that grows with the load, and a bus delays by whole steps: these are not in the table.
+
+## On the maker's model
+
+Reachy Mini in the MuJoCo model of `reachy_mini` 1.13.0, with ball joints that turn freely, as `stewart-drake compare
+reachy` has it, from a cold start: RMS errors after the first half of 20 s.
+
+{maker}
+
+## By torque at 1 kHz
+
+`exact_breathing` and `exact_heart` on Drake's plant with 17 bits, an observer and one tick of delay, and a friction of
+0.08 N m in each motor: RMS errors after the first half of 20 s.
+
+{torque}
+
+## By torque at 100 Hz
+
+The same robot with motors that take currents, one tick late, and a controller for slow buses, `controller: {{kind:
+decoupled_pid}}`. Coulomb friction 0 to 2 times 0.058 N m, viscous friction 0 to 2 times 0.095 N m s/rad, torque
+constant 0.7 to 1.3 times what is believed, a head of 0.8 to 1.2 times the mass; the first 8 of {slow_robots} robots
+are the corners. Errors after the first half of 20 s. Lost: the run ends, or the head is more than 10 deg off after
+10 s.
+
+{slow}
+
+- By torque at 100 Hz it is exact and noisy: a motor with a fast loop of its own is quieter.
+- A robot without any friction hunts about the steps of its encoders at rest; one with friction is at rest.
+
+`make results` recomputes some of these numbers.
+"""
+
+
+def main() -> None:
+    """Runs the trials and writes the page."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--robots", type=int, default=ROBOTS)
+    parser.add_argument("--workers", type=int, default=None)
+    given = parser.parse_args()
+    with ProcessPoolExecutor(given.workers) as workers:
+        trials = np.array(list(workers.map(trial, range(given.robots))))
+        others = {name: np.array(list(workers.map(partial(strange, name), range(FEW)))) for name in STRANGE}
+        slow = np.array(list(workers.map(slow_trial, range(max(given.robots, SLOW_ROBOTS)))))
+        maker = list(workers.map(on_makers_model, BELIEFS))
+        torque = {
+            scheme: [list(workers.map(partial(at_1_khz, "drake", scheme=scheme), ("breathing", "heart")))]
+            for scheme in AT_1_KHZ
+        }
+    header = ["", *FIGURES, "lost"]
+    words = [f"{motion} [{unit}]" for motion in ("breathing", "heart") for unit in ("mm", "deg")]
+    text = TEXT.format(
+        robots=given.robots,
+        slow_robots=len(slow),
+        few=FEW,
+        table=markdown_table(header, [[name, *table(trials[:, k])] for k, name in enumerate(SCHEMES.values())]),
+        strange=markdown_table(header, [[name, *table(rows)] for name, rows in others.items()]),
+        first=markdown_table(
+            ["", *FIGURES], [[name, *(f"{x:.3g}" for x in trials[0, k])] for k, name in enumerate(SCHEMES.values())]
+        ),
+        maker=markdown_table(
+            ["", "nod [deg]", "learning", "breathing [mm]", "learning"],
+            [[name, *(f"{x:.3g}" for x in row)] for name, row in zip(BELIEFS, maker, strict=True)],
+        ),
+        slow=markdown_table(
+            ["", *SLOW_FIGURES, "lost"],
+            [[name, *table(slow[:, k])] for k, name in enumerate(AT_100_HZ.values())],
+        ),
+        torque=markdown_table(
+            ["", *words], [[name, *(f"{x:.3g}" for x in np.ravel(rows))] for name, rows in torque.items()]
+        ),
+    )
+    write_atomically(OUT, text.encode())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,207 @@
+"""What a robot learns of itself: the estimator against dense least squares, the law against robots of known truth."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stewart_drake import Controller, load_scenario, run
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.control import adaptation as law
+from stewart_drake.control.adaptation import COMMON, OWN, Learnt, RegressionOptions, kernel_weights, late_weights
+from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.scenario.assembly import context_of
+
+SIZE = 6 * OWN + COMMON
+REAL = {"stiffness": 0.85, "ratios": [1.04, 0.97, 1.0, 0.96, 1.03, 1.0], "delay": 0.04, "damping": 0.044}
+DRY = [0.02, 0.022, 0.018, 0.021, 0.019, 0.02]
+SERVOS = {
+    "robot": "reachy_mini",
+    "plant": {"kind": "closed_form", "integrator": "rk4", "friction": {"coulomb": DRY, "viscous": 0.006}},
+    "motors": {"kind": "position", "preset": "xl330_m288", **REAL},
+    "sensors": {"kind": "encoders", "resolution_bits": 12, "delay": 0.01},
+    "bounds": {"rotation": None, "position": None, "motion_ratio": None, "error_ratio": None},
+    "model": {
+        "motors": {"kind": "position", "preset": "xl330_m288", "delay": 0.03},
+        "friction": {"coulomb": 0.0128, "viscous": 0.0037, "width": 0.004},
+    },
+    "reference": {"kind": "sine", "amplitude": [0.0, 0.26, 0.0, 0.0, 0.0, 0.0], "angular_frequency": "1 Hz"},
+    "controller": {"kind": "feedforward", "period": 0.02},
+    "adaptation": {"kind": "regression", "reading_age": 0.01},
+    "estimator": "difference",
+    "tuner": "block",
+    "command_delay": 0,
+    "safety": None,
+}
+
+
+def servos(duration=8.0, **changes):
+    return load_scenario("reachy_nod").replace({**SERVOS, "duration": duration, "plant.time_step": 0.0005, **changes})
+
+
+def late_error(log):
+    return float(np.sqrt(np.mean(np.sum(log.error[log.time > 0.6 * log.scenario.duration, :3] ** 2, axis=1))))
+
+
+# --- the estimator ---
+
+
+def arrows(rng, rows=40):
+    """A factor with a prior, and the dense rows (n, SIZE), with right-hand sides, that it stands for."""
+    information, shared = np.zeros((6, OWN, OWN + COMMON + 1)), np.zeros((COMMON, COMMON + 1))
+    prior = rng.uniform(0.5, 2.0, SIZE)
+    for k in range(OWN):
+        information[:, k, k] = prior[k : 6 * OWN : OWN]
+    shared[range(COMMON), range(COMMON)] = prior[6 * OWN :]
+    dense, right = [np.diag(prior)], [np.zeros(SIZE)]
+    for leg in rng.integers(0, 6, rows):
+        row = rng.normal(size=OWN + COMMON + 1)
+        whole = np.zeros(SIZE)
+        whole[OWN * leg : OWN * (leg + 1)], whole[6 * OWN :] = row[:OWN], row[OWN:-1]
+        dense.append(whole[None])
+        right.append(row[-1:].copy())
+        law.add_row(information[leg], shared, row)
+    return information, shared, np.concatenate(dense), np.concatenate(right), prior
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6))
+def test_arrows_are_dense_least_squares(seed):
+    information, shared, dense, right, _ = arrows(np.random.default_rng(seed))
+    expected = np.linalg.lstsq(dense, right, rcond=None)[0]
+    covariance, row = np.linalg.inv(dense.T @ dense), np.arange(1.0, OWN + COMMON + 1.0)
+    whole = np.zeros(SIZE)
+    whole[2 * OWN : 3 * OWN], whole[6 * OWN :] = row[:OWN], row[OWN:]
+    assert law.spread_along(information[2], shared, row) == pytest.approx(whole @ covariance @ whole, rel=1e-8)
+    own, common = np.zeros((6, OWN)), np.zeros(COMMON)
+    law.solve_arrow(information, shared, own, common)
+    np.testing.assert_allclose(np.concatenate([own.ravel(), common]), expected, atol=1e-9)
+    assert not information[:, :, -1].any()
+    assert not shared[:, -1].any()
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6), st.floats(0.01, 1.0))
+def test_forgetting_goes_back_to_the_first_information_alone(seed, keep):
+    rng = np.random.default_rng(seed)
+    information, shared, dense, _, _ = arrows(rng)
+    law.solve_arrow(information, shared, np.zeros((6, OWN)), np.zeros(COMMON))
+    sizes_own, sizes_common = rng.uniform(0.1, 1.0, OWN), rng.uniform(0.1, 1.0, COMMON)
+    first = np.diag(np.concatenate([np.tile(sizes_own, 6), sizes_common]) ** -2.0)
+    law.forget(information, shared, keep, sizes_own, sizes_common)
+    covariance = np.linalg.inv(keep * dense.T @ dense + (1.0 - keep) * first)
+    for k in range(OWN + COMMON):
+        row = np.eye(OWN + COMMON)[k]
+        at = k if k < OWN else 5 * OWN + k
+        assert law.spread_along(information[0], shared, row) == pytest.approx(covariance[at, at], rel=1e-8)
+    assert not shared[:, -1].any()  # The estimate stays.
+
+
+def test_kernels_are_exact_for_parabolas_and_agree_on_a_late_signal():
+    at, width, late = np.arange(-law.HALF, law.HALF + 1.0), 1.5, 2.7
+    weights = kernel_weights(width)
+    # Value, rate and acceleration of 1 + 2 t + 3 t^2, smoothed.
+    spread = weights[0] @ at**2
+    np.testing.assert_allclose(weights @ (1.0 + 2.0 * at + 3.0 * at**2), [1.0 + 3.0 * spread, 2.0, 6.0], atol=1e-12)
+    rows = np.arange(law.ROWS) - law.MIDDLE
+    for frequency in (0.05, 0.3):
+        signal, sent = np.sin(frequency * at), np.sin(frequency * (rows + late))
+        value, rate, _ = late_weights(width, late) @ sent
+        assert value == pytest.approx(weights[0] @ signal, abs=3e-3)
+        assert rate == pytest.approx(weights[1] @ signal, rel=0.02)
+
+
+# --- the law ---
+
+
+def test_a_robot_with_servos_learns_its_constants_and_follows():
+    unaware, learns = run(servos(adaptation=None), check=False), run(servos(), check=False)
+    assert late_error(learns) < 0.2 * late_error(unaware)
+    value, width = Learnt.of(learns["learnt"][-1]), Learnt.of(learns["learnt_half_width"][-1])
+    truth = 0.85 * np.array(REAL["ratios"])
+    assert abs(value.delay - 0.01) < 2.0 * width.delay
+    # Weight over stiffness is what a slow motion tells; of each alone the interval says how little.
+    head = learns.scenario.robot.platform_mass
+    np.testing.assert_allclose(value.mass / value.drive, head / truth, rtol=0.05)
+    assert (np.abs(value.drive - truth) < width.drive).all()
+    assert (np.abs(value.coulomb - DRY) < width.coulomb).all()
+
+
+def test_what_was_kept_is_what_the_next_run_believes():
+    first = run(servos(), check=False)
+    belief, row = first.scenario.belief, first["learnt"][-1]
+    model = law.model_of(row, belief.robot, belief.motors, belief.friction)
+    second = run(servos(duration=3.0, model=model), check=False)
+    assert late_error(second) < 0.1 * late_error(run(servos(duration=3.0, adaptation=None), check=False))
+    value = Learnt.of(row)
+    np.testing.assert_allclose(second.scenario.belief.motors.gains, value.drive, rtol=1e-12)
+    np.testing.assert_allclose(second.scenario.belief.friction.coulomb, value.coulomb, rtol=1e-12)
+    assert second.scenario.belief.robot.platform_mass == pytest.approx(value.mass)
+    assert second.scenario.belief.friction.width == belief.friction.width
+    assert second.scenario.belief.motors.dead_time == pytest.approx(0.03 + value.delay)
+
+
+def test_a_robot_that_rests_learns_nothing_and_a_frozen_one_keeps_its_model():
+    for changes in ({"reference": {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.177]}}, {"adaptation.frozen": True}):
+        learnt = run(servos(3.0, **changes), check=False)["learnt"]
+        np.testing.assert_allclose(learnt, np.tile(learnt[0], (len(learnt), 1)), rtol=1e-12)
+        assert learnt[0, 0] == servos().robot.platform_mass
+
+
+def test_a_push_is_not_taken_for_the_robot():
+    push = {"kind": "step", "wrench": [0.0, 0.0, 0.0, 0.0, 0.0, 3.0], "time": 6.0, "until": 7.0}
+    quiet, pushed = (run(servos(8.0, disturbances=each), check=False)["learnt"][-1] for each in ([], [push]))
+    np.testing.assert_allclose(Learnt.of(pushed).coulomb, Learnt.of(quiet).coulomb, atol=0.004)
+    assert Learnt.of(pushed).mass / Learnt.of(pushed).drive.mean() == pytest.approx(
+        Learnt.of(quiet).mass / Learnt.of(quiet).drive.mean(), rel=0.05
+    )
+
+
+def test_beside_a_machine_it_is_the_same_and_readings_that_are_missing_do_no_harm():
+    log = run(servos(3.0), check=False)
+    readings = inverse_kinematics(log.scenario.robot, log["measured_pose"])
+    beside, broken, out = Controller(log.scenario.control()), Controller(log.scenario.control()), np.empty(6)
+    for tick, reading in enumerate(readings):
+        beside.step(reading, log.time[tick], out)
+        np.testing.assert_allclose(out, log["commanded_angle"][tick], atol=1e-9)
+        broken.step(np.full(6, np.nan) if tick > 100 else reading, log.time[tick], out)
+    np.testing.assert_allclose(beside.signal("learnt"), log["learnt"][-1], rtol=1e-6)
+    assert np.isfinite(out).all()
+    assert np.isfinite(broken.signal("learnt")).all()
+
+
+@pytest.mark.parametrize("motion", ["breathing", "heart"])
+def test_by_torque_at_1_khz_unknown_friction_costs_nothing(motion):
+    rubs = {"plant": {"kind": "closed_form", "motor_friction": 0.08}, "duration": 6.0}
+    scenario = load_scenario(f"exact_{motion}").replace(rubs)
+    log = run(scenario.replace({"adaptation": "regression"}), check=False)
+    value = Learnt.of(log["learnt"][-1])
+    np.testing.assert_allclose(value.coulomb, 0.08, atol=0.002)
+    np.testing.assert_allclose(value.drive, 1.0, atol=0.03)
+    told = run(scenario.replace({"model.friction.coulomb": 0.08}), check=False)
+    late = log.time > 3.0
+    assert np.linalg.norm(log.error[late]) < 1.5 * np.linalg.norm(told.error[late])
+
+
+def test_an_unknown_payload_is_weighed():
+    scenario = load_scenario("exact_breathing").replace({"plant.kind": "closed_form", "plant.payload_mass": 0.3})
+    learnt = Learnt.of(run(scenario.replace({"adaptation": "regression"}), check=False)["learnt"][-1])
+    assert learnt.mass == pytest.approx(1.3, abs=0.02)
+
+
+@pytest.mark.slow
+def test_all_three_engines_learn_alike():
+    changes = {"duration": 3.0, "adaptation": "regression", "plant.motor_friction": 0.05}
+    learnt = []
+    for kind in ("closed_form", "drake", "mujoco"):
+        log = run(load_scenario("exact_breathing").replace({**changes, "plant.kind": kind}), check=False)
+        learnt.append(Learnt.of(log["learnt"][-1]).coulomb)
+    np.testing.assert_allclose(learnt, 0.05, atol=0.004)
+
+
+def test_delays_beyond_what_is_remembered_and_a_kernel_below_a_period_are_refused():
+    context = context_of(servos().control())
+    with pytest.raises(ConfigurationError, match=r"^adaptation\.reading_age: expected with the delay .* at most"):
+        RegressionOptions(reading_age=1.0).parts(context)
+    with pytest.raises(ConfigurationError, match=r"^adaptation\.smoothing: expected at least 0\.02 s"):
+        RegressionOptions(smoothing=0.001).parts(context)
