@@ -1,0 +1,1 @@
+"""A scenario's controller as C99: the compiled laws, printed."""
