@@ -72,3 +72,22 @@ def drive(
     finally:
         opened.disconnect()
     end(log, place == claimed)
+
+
+@command(
+    "export",
+    c=opt.option("Folder for the controller as C99.", opt.OUT_FOLDER, "--c", required=True),
+)
+def export(scenario: str, c: Path, overrides: tuple[str, ...]) -> None:
+    """SCENARIO, or a file of a controller alone, becomes a header and a source of C99 that needs math.h alone.
+
+    The folder has its reference as a table, a replay with which `make check` compares commands, and an example for a
+    microcontroller. What cannot be printed, such as your own controller in Python, is refused with file and line.
+    """
+    from stewart_drake.export.controller_c import export_controller
+
+    loaded = load_driven(scenario, overrides)
+    with shown_compiling():
+        written = export_controller(loaded, loaded.name, c)
+    print_table(loaded.name, [(path.name, f"{path.stat().st_size / 1024.0:.0f} KB") for path in written])
+    tell(f"controller in {c}; try: make -C {c} check")

@@ -1,1 +1,1 @@
-"""A scenario's controller as C99: the compiled laws, printed."""
+"""Controllers as C99: the compiled laws, printed as source that people can read."""

@@ -41,7 +41,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
     """
     own, side, age = c_name(name), control_side(options, split=True), np.zeros(1)
     parts = controller_parts(options, side, age)
-    outside = {side.reading: side.context.reading, **{source.signal: source.size for source in side.sources}}
+    outside = {"time": 1, side.reading: side.context.reading, **{source.signal: source.size for source in side.sources}}
     loop = LoopSource(parts, outside, {}, side.context.period, options.reading_period, {"age": age})
     command = "safe_torque" if side.safety is not None else side.command
     limit = side.context.robot.effort_limits if side.command == side.torque else np.full(6, np.inf)
@@ -60,6 +60,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
         "SCENARIO": name,
         "VERSION": __version__,
         "PERIOD": number(options.reading_period).text,
+        "GRID": number(on_grid(options.reading_period)).text,
         "TICK": number(side.context.period).text,
         "READING": str(side.context.reading),
         "READS": side.reading,

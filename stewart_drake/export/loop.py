@@ -10,8 +10,8 @@ import numpy as np
 
 from stewart_drake.base.errors import StewartDrakeError, failure_code
 from stewart_drake.base.sampling import steps_per
-from stewart_drake.export.printer import Program, filled
-from stewart_drake.export.values import Array, Axis, Record, Scalar, number
+from stewart_drake.export.printer import Program, filled, refusal, source_of
+from stewart_drake.export.values import Array, Axis, Record, Scalar, Unknown, number
 from stewart_drake.loop.part import HEALTHY, Part
 from stewart_drake.mechanics.kinematics_laws import NO_CONVERGENCE
 
@@ -89,7 +89,11 @@ class LoopSource:
             self._members.append(f"struct {self.program.record(scratch, member, part.kernel)} {member};")
             arguments.append(Record(scratch, f"&loop->{member}"))
         arguments.append(Record(part.initial.dtype, f"&loop->{part.name}"))
-        signature = self.program.function(part.kernel, arguments)
+        try:
+            signature = self.program.function(part.kernel, arguments)
+        except Unknown as error:
+            source = source_of(part.kernel)
+            raise refusal(f"{source.file}:{source.tree.lineno}", source.tree.name, str(error)) from None
         texts = [
             each.text if isinstance(each, Scalar) else each.pointer if isinstance(each, Record)
             else each.pointer(n not in signature.written)

@@ -134,6 +134,11 @@ def source_of(function: Any) -> Source:
     raise Unknown(f"{function.__name__}, whose source is not there")
 
 
+def refusal(place: str, given: str, reason: str) -> ConfigurationError:
+    """What is not known here, with file and line."""
+    return ConfigurationError(place, given, f"what can be printed as C, see docs/export.md; this is {reason}")
+
+
 def _short(path: str) -> str:
     place = Path(path)
     return str(place.relative_to(_PACKAGE.parent)) if place.is_relative_to(_PACKAGE.parent) else path
@@ -154,7 +159,7 @@ class Program:
         self.tables: dict[str, str] = {}
         self._comments: dict[str, str] = {}
         self._signatures: dict[Any, Signature] = {}
-        self._names: set[str] = set()
+        self._names = {"initial", "signals", "signal_at", "run_parts", "end_parts", "has_room"}
         self._owners: dict[str, Any] = {}
         self._constants: dict[str, Any] = {}
         self._helpers: set[str] = set()
@@ -418,8 +423,7 @@ class _Translation:
 
     def refused(self, node: ast.AST, reason: str) -> ConfigurationError:
         place = f"{self.source.file}:{getattr(node, 'lineno', self.line)}"
-        what = f"what can be printed as C, see docs/export.md; {reason}" if reason else "what can be printed as C"
-        return ConfigurationError(place, ast.unparse(node).splitlines()[0], what)
+        return refusal(place, ast.unparse(node).splitlines()[0], reason)
 
     # --- statements ---
 

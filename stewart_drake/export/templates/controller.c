@@ -6,12 +6,12 @@
 
 @LOOP@
 
-void @NAME@_init(struct @NAME@ *controller)
+void @NAME@_init(struct @NAME@_controller *controller)
 {
     *(struct loop *)controller = initial;
 }
 
-void @NAME@_reset(struct @NAME@ *controller)
+void @NAME@_reset(struct @NAME@_controller *controller)
 {
     @NAME@_init(controller);
 }
@@ -19,7 +19,7 @@ void @NAME@_reset(struct @NAME@ *controller)
 const char *const @NAME@_parts[] = {@PARTS@};
 
 int @NAME@_step(
-    struct @NAME@ *controller, const double *reading, const double *reference, double age, double *command)
+    struct @NAME@_controller *controller, const double *reading, const double *reference, double age, double *command)
 {
     struct loop *loop = (struct loop *)controller;
     const double *given = @COMMAND@;
@@ -27,6 +27,7 @@ int @NAME@_step(
         loop->@READS@[k] = reading[k];
     }
 @GIVEN@
+    loop->time[0] = loop->steps * @GRID@;
     loop->age[0] = age / @TICK@;
     int status = run_parts(loop);
     if (status != 0) {
@@ -45,7 +46,7 @@ int @NAME@_step(
     return status;
 }
 
-const double *@NAME@_signal(const struct @NAME@ *controller, const char *name, int *size)
+const double *@NAME@_signal(const struct @NAME@_controller *controller, const char *name, int *size)
 {
     for (int k = 0; k < (int)(sizeof signals / sizeof signals[0]); k++) {
         int n = 0;
@@ -61,4 +62,4 @@ const double *@NAME@_signal(const struct @NAME@ *controller, const char *name, i
 }
 
 /* The record fits into what the header has for it. */
-typedef char has_room[sizeof(struct loop) == sizeof(struct @NAME@) ? 1 : -1];
+typedef char has_room[sizeof(struct loop) == sizeof(struct @NAME@_controller) ? 1 : -1];

@@ -9,13 +9,13 @@
 #define @UPPER@_ROWS @ROWS@ /* samples of the scenario's reference in @NAME@_reference.c */
 
 /* All signals and states. */
-struct @NAME@ {
+struct @NAME@_controller {
     double memory[@NUMBERS@];
 };
 
 /* The state before the first step; `reset` is the same once more. */
-void @NAME@_init(struct @NAME@ *controller);
-void @NAME@_reset(struct @NAME@ *controller);
+void @NAME@_init(struct @NAME@_controller *controller);
+void @NAME@_reset(struct @NAME@_controller *controller);
 
 /* One step.
 
@@ -27,13 +27,13 @@ void @NAME@_reset(struct @NAME@ *controller);
    Returns 0. Any other number says that the controller has given up: `command` is not set, and the motors are to be
    brought to rest. 1 and more count the parts of @NAME@_parts; -1 is a command that is no number. */
 int @NAME@_step(
-    struct @NAME@ *controller, const double *reading, const double *reference, double age, double *command);
+    struct @NAME@_controller *controller, const double *reading, const double *reference, double age, double *command);
 
 /* Names of the parts, in their order. */
 extern const char *const @NAME@_parts[];
 
 /* A signal of the last step by its name, such as `torque`, `error` or `measurement`; null where there is none. */
-const double *@NAME@_signal(const struct @NAME@ *controller, const char *name, int *size);
+const double *@NAME@_signal(const struct @NAME@_controller *controller, const char *name, int *size);
 
 /* The scenario's reference at a step; after its end the last sample. In a file of its own, for who wants it. */
 void @NAME@_reference(long step, double *reference);

@@ -8,7 +8,7 @@
 
 enum { GIVEN = @UPPER@_READING + @UPPER@_REFERENCE + 1, COLUMNS = GIVEN + 6 };
 
-static struct @NAME@ controller;
+static struct @NAME@_controller controller;
 
 static int read_row(double *row)
 {
