@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from stewart_drake.base.errors import StewartDrakeError, failure_code
 from stewart_drake.base.sampling import steps_per
-from stewart_drake.export.printer import Program, filled, refusal, source_of
+from stewart_drake.export.printer import Program, braced, filled, refusal, source_of
 from stewart_drake.export.values import Array, Axis, Record, Scalar, Unknown, number
 from stewart_drake.loop.part import HEALTHY, Part
 from stewart_drake.mechanics.kinematics_laws import NO_CONVERGENCE
@@ -37,11 +36,13 @@ class Signal(NamedTuple):
 class LoopSource:
     """The parts of a loop in C; arguments are those of `LoopRunner`.
 
-    `given` are arrays that stand at ports, by the names of members of the record that take their places.
+    `given` are arrays that stand at ports, by the names of members of the record that take their places; `variable`
+    names constants that are to be members too, as `part.constant`.
 
     Attributes:
         program: The laws that have been printed.
         signals: All signals by name.
+        places: Members of the record by name: the double with which each begins, and how many it has.
     """
 
     def __init__(
@@ -52,17 +53,18 @@ class LoopSource:
         period: float,
         step: float,
         given: Mapping[str, np.ndarray],
+        variable: Collection[str] = (),
     ) -> None:
-        self.program, self.parts, self._given = Program(), tuple(parts), given
-        self._members = [f"double {name}[{size}];" for name, size in outside.items()]
-        self._members += [f"double {name}[{array.size}];" for name, array in given.items() if name not in outside]
+        self.program, self.parts, self._given, self._variable = Program(), tuple(parts), given, variable
+        self._members, self._initial, self.places = ["double steps;"], [], {"steps": (0, 1)}
+        for name, size in {**outside, **{name: array.size for name, array in given.items()}}.items():
+            self._member(name, f"double {name}[{size}]", size)
         self.signals = {name: Signal(f"loop->{name}", 0, size) for name, size in outside.items()}
         self.signals |= inside
         self._runs: list[str] = []
         self._calls: dict[bool, list[str]] = {False: [], True: []}
         for part in parts:
-            kind = self.program.record(part.initial.dtype, f"{part.name}_state", part.kernel)
-            self._members.append(f"struct {kind} {part.name};")
+            self._state(part)
             for name in part.outputs:
                 shape = part.initial.dtype[name].shape
                 base = f"loop->{part.name}.{name}" if shape else f"(&loop->{part.name}.{name})"
@@ -76,6 +78,31 @@ class LoopSource:
                 call = f"    if (fmod(loop->steps, {float(steps)}) == 0.0) {{\n{inner}    }}\n"
             self._calls[part.end_of_tick].append(call)
 
+    def _member(self, name: str, declaration: str, size: int | np.ndarray, initial: str = "") -> None:
+        """A member of the record: so many doubles, or those of an array, with which it begins."""
+        numbers = np.zeros(size) if isinstance(size, int) else _numbers(size)
+        self._members.append(f"{declaration};")
+        self.places[name] = self.numbers, numbers.size
+        if np.any(numbers):
+            self._initial.append(f"    .{name} = {_nested(initial)},")
+
+    def _state(self, part: Part) -> None:
+        kind = self.program.record(part.initial.dtype, f"{part.name}_state", part.kernel)
+        self._member(part.name, f"struct {kind} {part.name}", part.initial, filled(part.initial))
+
+    def add_apart(self, part: Part) -> None:
+        """A part that is called by its own name alone, `run_` before it."""
+        self._state(part)
+        self._add(len(self.parts), part)
+
+    def place(self, signal: str) -> tuple[int, int]:
+        """The double of the record with which a signal begins, and how many it has."""
+        for part in self.parts:
+            for name in part.outputs:
+                if part.signal(name) == signal:
+                    return self.places[part.name][0] + part.initial.dtype.fields[name][1] // 8, part.size(name)  # type: ignore[index]
+        return self.places[signal]
+
     # --- one part ---
 
     def _add(self, k: int, part: Part) -> None:
@@ -86,7 +113,8 @@ class LoopSource:
             arguments.append(self._input(part, name, size))
         for n, scratch in enumerate(part.scratch):
             member = f"{part.name}_scratch_{n}" if n else f"{part.name}_scratch"
-            self._members.append(f"struct {self.program.record(scratch, member, part.kernel)} {member};")
+            kind = self.program.record(scratch, member, part.kernel)
+            self._member(member, f"struct {kind} {member}", scratch.itemsize // 8)
             arguments.append(Record(scratch, f"&loop->{member}"))
         arguments.append(Record(part.initial.dtype, f"&loop->{part.name}"))
         try:
@@ -132,6 +160,14 @@ class LoopSource:
             signal = self.signals[str(part.connections[name])]
             kind = self.program.record(value.dtype, f"{part.name}_{name}", part.kernel)
             return Record(value.dtype, f"((const struct {kind} *){signal.text})", None)
+        if f"{part.name}.{name}" in self._variable:
+            member = f"{part.name}_{name}"
+            if not value.dtype.names:
+                self._member(member, f"double {member}[{value.size}]", value, braced(value))
+                return Signal(f"loop->{member}", 0, value.size).array
+            kind = self.program.record(value.dtype, member, part.kernel)
+            self._member(member, f"struct {kind} {member}", value, filled(value))
+            return Record(value.dtype, f"&loop->{member}")
         if isinstance(value, np.ndarray) and value.dtype.names:
             return self.program.constants_of(f"{part.name}_{name}", value, part.kernel)
         if isinstance(value, np.ndarray):
@@ -172,16 +208,13 @@ class LoopSource:
 
     def text(self) -> str:
         """All but the functions that are called from outside."""
-        initial = [
-            f"    .{part.name} = {_nested(filled(part.initial))}," for part in self.parts if np.any(_numbers(part.initial))
-        ]
-        members = "".join(f"    {member}\n" for member in ("double steps;", *self._members))
+        members = "".join(f"    {member}\n" for member in self._members)
         return "\n".join(
             [
                 self.program.text(),
                 "/* All signals and states. */",
                 f"struct loop {{\n{members}}};\n",
-                "static const struct loop initial = {\n" + "\n".join(initial or ["    .steps = 0.0,"]) + "\n};\n",
+                "static const struct loop initial = {\n" + "\n".join(self._initial or ["    .steps = 0.0,"]) + "\n};\n",
                 "\n\n".join(self._runs) + "\n",
                 self._chain("run_parts", "The parts that are due, but those of the end of a tick.", False),
                 self._chain("end_parts", "What acts from the next tick on.", True),
@@ -207,9 +240,8 @@ class LoopSource:
     @property
     def numbers(self) -> int:
         """Doubles in the record."""
-        kinds: Iterable[np.dtype] = [k for part in self.parts for k in (part.initial.dtype, *part.scratch)]
-        signals = sum(int(member.split("[")[1].split("]")[0]) for member in self._members if "[" in member)
-        return 1 + signals + sum(kind.itemsize // 8 for kind in kinds)
+        start, size = list(self.places.values())[-1]
+        return start + size
 
 
 def _numbers(record: np.ndarray) -> np.ndarray:
@@ -223,7 +255,3 @@ def _nested(text: str) -> str:
 def table_of(rows: np.ndarray) -> str:
     """Rows of numbers (n, k) as C initialises an array with them."""
     return ",\n".join("    {" + ", ".join(number(value).text for value in row) + "}" for row in rows)
-
-
-def cycle_of(periods: Sequence[int]) -> int:
-    return math.lcm(*periods)

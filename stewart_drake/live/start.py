@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from stewart_drake.live.loop import LiveLoop
@@ -23,18 +25,22 @@ def start_live(scenario: Scenario) -> tuple[LiveSession, LiveServer]:
         warm.advance(2)
 
     session = LiveSession(scenario)
+    about = about_robot(scenario, session.loop.reference.home) | {"session": session.name}
+    return session, LiveServer(session, about)
+
+
+def about_robot(scenario: Scenario, home: np.ndarray) -> dict[str, Any]:
+    """What the page has to know of a robot before its first row, but the session; `home` (6,) is where sliders begin."""
     robot = scenario.robot
-    about = {
+    return {
         "name": scenario.name,
-        "session": session.name,
         "scene": robot_scene(robot),
-        "home": session.loop.reference.home.tolist(),
-        "room": _room(scenario, session.loop.reference.home).tolist(),
+        "home": home.tolist(),
+        "room": _room(scenario, home).tolist(),
         "payload_most": max(float(f"{0.5 * robot.platform_mass:.1g}"), scenario.plant.payload_mass),
         "encoders": scenario.sensors.reading == "angles",
         "controllers": list(CONTROLLERS),
     }
-    return session, LiveServer(session, about)
 
 
 def _room(scenario: Scenario, home: np.ndarray) -> np.ndarray:
