@@ -6,18 +6,7 @@
 
 static struct loop the_loop;
 
-/* Clang calls it where a record is copied. */
-void *memcpy(void *to, const void *from, unsigned long size)
-{
-    char *out = to;
-    const char *in = from;
-    while (size--) {
-        *out++ = *in++;
-    }
-    return to;
-}
-
-double *memory_at(void) { return (double *)&the_loop; }
+double *tab_memory(void) { return (double *)&the_loop; }
 
 static void measure(struct loop *loop)
 {
@@ -29,14 +18,14 @@ static void measure(struct loop *loop)
     }
 }
 
-void begin(void)
+void tab_begin(void)
 {
     the_loop = initial;
     measure(&the_loop);
 }
 
 /* A step of the plant; 0, or which part failed, counted from 1. */
-int step(void)
+int tab_step(void)
 {
     struct loop *loop = &the_loop;
     loop->time[0] = loop->steps * @STEP@;
@@ -50,7 +39,7 @@ int step(void)
 }
 
 /* Whether a hand may ask for the pose at `asked`. */
-int allowed(void)
+int tab_allowed(void)
 {
     (void)signals;
     (void)signal_at;
