@@ -16,7 +16,16 @@ HERE = Path(__file__).parent
 PAGE = HERE / "export.md"
 BEGIN, END = "<!-- export_bench.py -->\n", "<!-- end -->\n"
 SCENARIOS = ("reachy_nod", "reachy_look_around", "exact_breathing", "hold", "exact_fig7", "paper_fig7")
-FLAGS = "-std=gnu99 -O2 -mcpu=cortex-m7 -mthumb -mfloat-abi=hard -mfpu=fpv5-d16 -ffp-contract=off -ffunction-sections".split()
+FLAGS = [
+    "-std=gnu99",
+    "-O2",
+    "-mcpu=cortex-m7",
+    "-mthumb",
+    "-mfloat-abi=hard",
+    "-mfpu=fpv5-d16",
+    "-ffp-contract=off",
+    "-ffunction-sections",
+]
 CLOCK = 480e6  # [Hz] of an STM32H7.
 
 
@@ -28,7 +37,9 @@ def measure(name: str) -> tuple[float, int, int, int, int]:
         export_controller(options, name, folder)
         rows = (folder / "replay.csv").read_text().split()
         sizes = dict(
-            line.split()[1:3] for line in (folder / f"{own}.h").read_text().splitlines() if line.startswith("#define") and len(line.split()) > 2
+            line.split()[1:3]
+            for line in (folder / f"{own}.h").read_text().splitlines()
+            if line.startswith("#define") and len(line.split()) > 2
         )
         reading, reference = (int(sizes[f"{own.upper()}_{each}"]) for each in ("READING", "REFERENCE"))
         table = ",\n".join(f"{{{row}}}" for row in rows)
@@ -36,16 +47,38 @@ def measure(name: str) -> tuple[float, int, int, int, int]:
             f"enum {{ ROWS = {len(rows)}, READING = {reading}, REFERENCE = {reference} }};\n"
             f"static const double rows[][{reading + reference + 7}] = {{\n{table}}};\n"
         )
-        run = lambda *command: subprocess.run(
-            command, cwd=folder, check=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-        ).stdout
+        run = lambda *command: (
+            subprocess.run(
+                command, cwd=folder, check=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            ).stdout
+        )
         run("arm-none-eabi-gcc", *FLAGS, "-Wall", "-Wextra", "-Werror", "-c", f"{own}.c")
         text, data, bss = map(int, run("arm-none-eabi-size", f"{own}.o").splitlines()[1].split()[:3])
         defined = f"-DNAME={own}", f"-DHEADER={own}.h", "-I."
         linked = "-nostartfiles", "-Wl,--gc-sections", "-T", str(HERE / "export_bench.ld")
-        run("arm-none-eabi-gcc", *FLAGS, *defined, *linked, "-o", "bench.elf", str(HERE / "export_bench.c"), f"{own}.o", "-lm", "-lc", "-lgcc")
+        run(
+            "arm-none-eabi-gcc",
+            *FLAGS,
+            *defined,
+            *linked,
+            "-o",
+            "bench.elf",
+            str(HERE / "export_bench.c"),
+            f"{own}.o",
+            "-lm",
+            "-lc",
+            "-lgcc",
+        )
         printed = run(
-            "qemu-system-arm", "-M", "mps2-an500", "-nographic", "-icount", "shift=0", "-semihosting", "-kernel", "bench.elf"
+            "qemu-system-arm",
+            "-M",
+            "mps2-an500",
+            "-nographic",
+            "-icount",
+            "shift=0",
+            "-semihosting",
+            "-kernel",
+            "bench.elf",
         )
         mean, most = map(int, printed.split())
         memory = 8 * int((folder / f"{own}.h").read_text().split("memory[")[1].split("]")[0])
@@ -53,7 +86,10 @@ def measure(name: str) -> tuple[float, int, int, int, int]:
 
 
 def main() -> None:
-    lines = ["| scenario | ticks a second | code and constants | memory | instructions a tick, mean | largest | at 480 MHz |\n", "|---|---|---|---|---|---|---|\n"]
+    lines = [
+        "| scenario | ticks a second | code and constants | memory | instructions a tick, mean | largest | at 480 MHz |\n",
+        "|---|---|---|---|---|---|---|\n",
+    ]
     for name in SCENARIOS:
         period, text, data, mean, most = measure(name)
         share = most / CLOCK

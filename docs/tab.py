@@ -34,7 +34,6 @@ from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.singularities import PLANNED
 from stewart_drake.plant.closed_form import ClosedForm, _semi_implicit
-from stewart_drake.plant.model_files import home_frames
 from stewart_drake.scenario.assembly import loop_of
 
 HERE = Path(__file__).parent
@@ -64,7 +63,10 @@ class FrictionLearner(AdaptationOptions):
         part = FrictionCompensation(coulomb=self.coulomb, viscous=self.viscous).part(context)
         state = new_record(fields(friction=25), friction=part.constants["friction"].view(np.float64))
         params = new_record(_LEARNS, gain=self.gain, period=context.period)
-        inputs, constants = {"disturbance_torque": 6, "reference": 18}, {"robot": laws.robot_record(context.robot), "params": params}
+        inputs, constants = (
+            {"disturbance_torque": 6, "reference": 18},
+            {"robot": laws.robot_record(context.robot), "params": params},
+        )
         return (Part("learner", learn, constants, inputs, ("friction",), state, (laws.LEGS,)),)
 
 
@@ -115,7 +117,11 @@ def scene_tick(robot: Any, measured: Any, reference: Any, legs: Any, state: Any)
             x[k] /= np.sqrt(size)
         laws.cross(legs.e_l[i], x, y)
         for k in range(3):
-            state.frames[i, k], state.frames[i, 3 + k], state.frames[i, 6 + k] = legs.crank[i, k], lateral[k], legs.e_n[i, k]
+            state.frames[i, k], state.frames[i, 3 + k], state.frames[i, 6 + k] = (
+                legs.crank[i, k],
+                lateral[k],
+                legs.e_n[i, k],
+            )
             state.frames[6 + i, k], state.frames[6 + i, 3 + k], state.frames[6 + i, 6 + k] = x[k], y[k], legs.e_l[i, k]
             state.frames[i, 9 + k] = robot.shaft[i, k]
             state.frames[6 + i, 9 + k] = robot.shaft[i, k] + robot.crank_length[i] * legs.crank[i, k]
@@ -137,7 +143,9 @@ def allowed_tick(robot: Any, params: Any, asked: Any, legs: Any, state: Any) -> 
         away -= 2.0 * np.pi * np.rint(away / (2.0 * np.pi))
         if abs(legs.transmission[i]) < PLANNED.transmission or abs(away) > params.half[i]:
             return
-    shift = np.sqrt((asked[3] - params.home[3]) ** 2 + (asked[4] - params.home[4]) ** 2 + (asked[5] - params.home[5]) ** 2)
+    shift = np.sqrt(
+        (asked[3] - params.home[3]) ** 2 + (asked[4] - params.home[4]) ** 2 + (asked[5] - params.home[5]) ** 2
+    )
     turn = np.arccos(min(1.0, 0.5 * (legs.rotation[0, 0] + legs.rotation[1, 1] + legs.rotation[2, 2] - 1.0)))
     if turn > params.workspace[0] or shift > params.workspace[1]:
         return
@@ -173,10 +181,24 @@ def loop_source(scenario: Scenario) -> LoopSource:
         Part("plant", plant_tick, {"robot": loaded, "friction": friction, "params": params}, {"motor_torque": 6, "wrench": 6}, (),
              plant.save(), (laws.LEGS,), error=lambda *_: None, period=step, end_of_tick=True),
     ]  # fmt: skip
-    outside = {"time": 1, "measured": 24, "wrench": 6, "asked": 6, **{source.signal: source.size for source in loop.sources}}
+    outside = {
+        "time": 1,
+        "measured": 24,
+        "wrench": 6,
+        "asked": 6,
+        **{source.signal: source.size for source in loop.sources},
+    }
     inside = {"plant_pose": Signal("loop->measured", 0, 12), "crank_state": Signal("loop->measured", 12, 12)}
     source = LoopSource(parts, outside, inside, scenario.controller.period, step, {}, VARIABLE)
-    check = Part("check", allowed_tick, {"robot": numbers, "params": stops}, {"asked": 6}, (), new_record(fields(allowed=())), (laws.LEGS,))
+    check = Part(
+        "check",
+        allowed_tick,
+        {"robot": numbers, "params": stops},
+        {"asked": 6},
+        (),
+        new_record(fields(allowed=())),
+        (laws.LEGS,),
+    )
     source.add_apart(check)
     return source
 
@@ -187,7 +209,18 @@ def module_text(scenario: Scenario, source: LoopSource) -> str:
     return re.sub(r"@(\w+)@", lambda m: {"LOOP": source.text(), "STEP": repr(step)}[m[1]], (HERE / "tab.c").read_text())
 
 
-FLAGS = "--target=wasm32 -std=c99 -O2 -Wall -Wextra -Werror -ffp-contract=off -fno-math-errno -mbulk-memory -nostdlib".split()
+FLAGS = [
+    "--target=wasm32",
+    "-std=c99",
+    "-O2",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-mbulk-memory",
+    "-nostdlib",
+]
 EXPORTS = ("tab_memory", "tab_begin", "tab_step", "tab_allowed")
 
 
@@ -197,7 +230,12 @@ def compiled(text: str) -> bytes:
         folder = Path(place)
         (folder / "tab.c").write_text(text)
         (folder / "math.h").write_text((HERE / "tab_math.h").read_text())
-        link = ["-Wl,--no-entry", "-Wl,--strip-all", "-Wl,--allow-undefined", *(f"-Wl,--export={name}" for name in EXPORTS)]
+        link = [
+            "-Wl,--no-entry",
+            "-Wl,--strip-all",
+            "-Wl,--allow-undefined",
+            *(f"-Wl,--export={name}" for name in EXPORTS),
+        ]
         subprocess.run(["clang", *FLAGS, f"-I{folder}", *link, "-o", "tab.wasm", "tab.c"], cwd=folder, check=True)
         return (folder / "tab.wasm").read_bytes()
 
@@ -239,7 +277,9 @@ def choices(scenario: Scenario) -> dict[str, Scenario]:
 
 def _change(scenario: Scenario, key: str) -> list[float]:
     """What one more unit of a key of the plant adds to the constants of the plant: robot, then friction."""
-    now, more = (_fixed(scenario.replace({key: getattr(scenario.plant, key.partition(".")[2]) + extra})) for extra in (0.0, 0.01))
+    now, more = (
+        _fixed(scenario.replace({key: getattr(scenario.plant, key.partition(".")[2]) + extra})) for extra in (0.0, 0.01)
+    )
     return ((more - now) / 0.01).tolist()
 
 
@@ -269,7 +309,8 @@ def robot_data(name: str, scenario: Scenario) -> dict[str, Any]:
         }
     motion = scenario.reference
     return {
-        "about": about_robot(scenario, home=motion.evaluate(0.0)[0]) | {"name": name, "encoders": False, "controllers": list(modules)},
+        "about": about_robot(scenario, home=motion.evaluate(0.0)[0])
+        | {"name": name, "encoders": False, "controllers": list(modules)},
         "modules": modules,
         "step": step,
         "stride": round(SCENE_PERIOD / scenario.plant.time_step),
@@ -290,7 +331,9 @@ def robot_data(name: str, scenario: Scenario) -> dict[str, Any]:
 def page(data: dict[str, Any]) -> str:
     """The page of `live` with its files in it, and what stands in for its server."""
     text = (PAGES / "live.html").read_text()
-    text = re.sub(r'<link rel="stylesheet" href="(.+?)">', lambda m: f"<style>{(PAGES / m[1]).read_text()}</style>", text)
+    text = re.sub(
+        r'<link rel="stylesheet" href="(.+?)">', lambda m: f"<style>{(PAGES / m[1]).read_text()}</style>", text
+    )
     own = f'<script type="application/json" id="tab-data">{json.dumps(data).replace("<", chr(92) + "u003c")}</script>\n'
     own += f"<script>{(HERE / 'tab.js').read_text()}</script>\n"
 
@@ -304,7 +347,10 @@ def main() -> None:
     data = {name: robot_data(name, scenario) for name, scenario in robots().items()}
     target = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "tab.html"
     target.write_text(page(data))
-    sizes = {name: {choice: len(m["code"]) * 3 // 4 for choice, m in robot["modules"].items()} for name, robot in data.items()}
+    sizes = {
+        name: {choice: len(m["code"]) * 3 // 4 for choice, m in robot["modules"].items()}
+        for name, robot in data.items()
+    }
     print(f"{target}: {target.stat().st_size / 1e6:.2f} MB; modules {sizes}")
 
 

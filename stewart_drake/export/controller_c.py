@@ -12,13 +12,13 @@ from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import RunFailure
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.export.loop import LoopSource, table_of
+from stewart_drake.export.printer import TEMPLATES
 from stewart_drake.export.values import number
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.scenario.assembly import ControlSide, control_side
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.controller import Controller, controller_parts
 
-TEMPLATES = Path(__file__).parent / "templates"
 REPLAYED = 1.0
 """[s] of readings in `replay.csv`, or the whole motion where it is shorter."""
 SWING = 1e-4
@@ -49,10 +49,9 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
     for helper in ("minimum", "maximum"):
         loop.program.helper(helper)
     ticks = min(round(getattr(options, "duration", 10.0) / options.reading_period) + 1, MOST_ROWS)
-    shift = {"reference": 0, "reference_ahead": 18}
     given = "".join(
-        f"    for (int k = 0; k < 18; k++) {{\n        loop->{source.signal}[k] = reference[{shift[source.signal]} + k];\n    }}\n"
-        for source in side.sources
+        f"    for (int k = 0; k < 18; k++) {{\n        loop->{name}[k] = reference[{start} + k];\n    }}\n"
+        for start, name in ((18 * n, source.signal) for n, source in enumerate(side.sources))
     )
     words = {
         "NAME": own,

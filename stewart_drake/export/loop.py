@@ -1,4 +1,4 @@
-"""A list of parts as C99: one record of all signals and states, and the kernels called in order, as `LoopRunner` does."""
+"""A list of parts as C99: one record of signals and states, and the kernels called in order, as `LoopRunner` does."""
 
 from __future__ import annotations
 
@@ -26,10 +26,12 @@ class Signal(NamedTuple):
 
     @property
     def array(self) -> Array:
+        """As an argument of a kernel."""
         return Array("double", self.base, (), (Axis(str(self.start), self.size),))
 
     @property
     def text(self) -> str:
+        """A pointer to it."""
         return self.array.pointer(False)
 
 
@@ -56,7 +58,8 @@ class LoopSource:
         variable: Collection[str] = (),
     ) -> None:
         self.program, self.parts, self._given, self._variable = Program(), tuple(parts), given, variable
-        self._members, self._initial, self.places = ["double steps;"], [], {"steps": (0, 1)}
+        self._members, self.places = ["double steps;"], {"steps": (0, 1)}
+        self._initial: list[str] = []
         for name, size in {**outside, **{name: array.size for name, array in given.items()}}.items():
             self._member(name, f"double {name}[{size}]", size)
         self.signals = {name: Signal(f"loop->{name}", 0, size) for name, size in outside.items()}
@@ -211,7 +214,7 @@ class LoopSource:
         members = "".join(f"    {member}\n" for member in self._members)
         return "\n".join(
             [
-                self.program.text(),
+                self.program.text("\n".join(self._runs)),
                 "/* All signals and states. */",
                 f"struct loop {{\n{members}}};\n",
                 "static const struct loop initial = {\n" + "\n".join(self._initial or ["    .steps = 0.0,"]) + "\n};\n",
@@ -225,7 +228,8 @@ class LoopSource:
     def _chain(self, name: str, said: str, end: bool) -> str:
         calls = self._calls[end]
         body = "    int status;\n" + "".join(calls) if calls else "    (void)loop;\n"
-        return f"/* {said} Returns 0, or which part failed, counted from 1. */\nstatic int {name}(struct loop *loop)\n{{\n{body}    return 0;\n}}\n"
+        said = f"/* {said} Returns 0, or which part failed, counted from 1. */"
+        return f"{said}\nstatic int {name}(struct loop *loop)\n{{\n{body}    return 0;\n}}\n"
 
     def _signal_table(self) -> str:
         names = sorted(self.signals)
@@ -233,8 +237,8 @@ class LoopSource:
         cases = "".join(f"    case {k}: return {self.signals[name].text};\n" for k, name in enumerate(names))
         return (
             f"static const struct {{\n    const char *name;\n    int size;\n}} signals[] = {{\n{rows}}};\n\n"
-            f"static const double *signal_at(const struct loop *loop, int k)\n{{\n    switch (k) {{\n{cases}    default: return 0;\n"
-            f"    }}\n}}\n"
+            "static const double *signal_at(const struct loop *loop, int k)\n{\n    switch (k) {\n"
+            f"{cases}    default: return 0;\n    }}\n}}\n"
         )
 
     @property

@@ -11,11 +11,14 @@ from __future__ import annotations
 import ast
 import inspect
 import io
+import math
 import re
 import textwrap
 import tokenize
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -39,23 +42,25 @@ from stewart_drake.export.values import (
     Axis,
     Constant,
     Entrywise,
+    Made,
     Record,
     Scalar,
     Several,
     Unknown,
     Value,
-    cast_of,
     declared,
     number,
 )
 
 WIDTH = 110
 _PACKAGE = Path(__file__).parents[1]
-_RESERVED = frozenset(
-    "auto break case char const continue default do double else enum extern float for goto if inline int long register "
-    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while bool true "
-    "false main loop y0 y1 yn j0 j1 jn gamma exp log pow sqrt fabs".split()
-)
+_RESERVED = frozenset([
+    "auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern",
+    "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed",
+    "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while", "bool",
+    "true", "false", "main", "loop", "y0", "y1", "yn", "j0", "j1", "jn", "gamma", "exp", "log", "pow", "sqrt",
+    "fabs",
+])  # fmt: skip
 _LETTERS = {"double": "d", "int": "i", "bool": "b"}
 _FIELDS = ("first", "second", "third", "fourth")
 _BINARY = {ast.Add: ("+", SUM), ast.Sub: ("-", SUM), ast.Mult: ("*", PRODUCT), ast.Div: ("/", PRODUCT)}
@@ -68,25 +73,12 @@ _MATH: dict[Any, str] = {
     np.log10: "log10", np.arcsin: "asin", np.arccos: "acos", np.arctan2: "atan2", np.minimum: "minimum",
     np.maximum: "maximum", np.sign: "sign_of", np.isfinite: "isfinite", np.isnan: "isnan", abs: "fabs",
 }  # fmt: skip
+TEMPLATES = Path(__file__).parent / "templates"
 _HELPERS = {
-    "lesser": "/* Python's min: the first unless the second is smaller. */\n"
-    "static double lesser(double a, double b) { return b < a ? b : a; }",
-    "greater": "/* Python's max: the first unless the second is larger. */\n"
-    "static double greater(double a, double b) { return b > a ? b : a; }",
-    "lesser_int": "static int lesser_int(int a, int b) { return b < a ? b : a; }",
-    "greater_int": "static int greater_int(int a, int b) { return b > a ? b : a; }",
-    "minimum": "/* numpy's: NaN where one is. */\n"
-    "static double minimum(double a, double b) { return isnan(a) || a < b ? a : b; }",
-    "maximum": "/* numpy's: NaN where one is. */\n"
-    "static double maximum(double a, double b) { return isnan(a) || a > b ? a : b; }",
-    "sign_of": "static double sign_of(double x) { return x > 0.0 ? 1.0 : x < 0.0 ? -1.0 : x; }",
-    "power": "/* By squares, as numba has it. */\n"
-    "static double power(double x, int n)\n{\n    double result = 1.0;\n    for (; n > 0; n >>= 1) {\n"
-    "        if (n & 1) {\n            result *= x;\n        }\n        x *= x;\n    }\n    return result;\n}",
-    "modulo": "/* With the sign of the divisor. */\n"
-    "static double modulo(double a, double b)\n{\n    const double rest = fmod(a, b);\n"
-    "    return rest != 0.0 && (rest < 0.0) != (b < 0.0) ? rest + b : rest;\n}",
+    re.findall(r"^static \w+ (\w+)", text, re.MULTILINE)[0]: text
+    for text in (TEMPLATES / "helpers.c").read_text().strip().split("\n\n")
 }
+"""What C does not have: texts by name."""
 
 
 class Signature(NamedTuple):
@@ -148,13 +140,13 @@ class Program:
     """The laws that have been printed so far, and what they need.
 
     Attributes:
-        functions: Their texts, callees first.
+        functions: Their texts by name, callees first.
         records: Types of records by their names in C.
         tables: Names and texts of constant arrays and records.
     """
 
     def __init__(self) -> None:
-        self.functions: list[str] = []
+        self.functions: dict[str, str] = {}
         self.records: dict[str, np.dtype] = {}
         self.tables: dict[str, str] = {}
         self._comments: dict[str, str] = {}
@@ -173,7 +165,7 @@ class Program:
             if known == kind:
                 return name
         name = hint
-        module = inspect.getmodule(getattr(function, "py_func", function))
+        module: Any = inspect.getmodule(getattr(function, "py_func", function))
         for given, value in vars(module).items() if module else ():
             if isinstance(value, np.dtype) and value == kind:
                 owner = next((m for m in _modules() if vars(m).get(given) is value), module)
@@ -223,6 +215,7 @@ class Program:
         return Record(record.dtype, f"&{name}", None)
 
     def helper(self, name: str) -> str:
+        """A function that C may not have, to be printed."""
         if name in _HELPERS:
             self._helpers.add(name)
         return name
@@ -247,14 +240,20 @@ class Program:
                 name, n = f"{base}_{n}", n + 1
             self._names.add(name)
             signature, text = _Translation(self, function, source, name, key[1]).text()
-            self.functions.append(text)
+            self.functions[name] = text
             self._signatures[key] = signature
         return self._signatures[key]
 
     # --- text ---
 
-    def text(self) -> str:
-        """All of it, in an order that C takes."""
+    def text(self, calls: str) -> str:
+        """All that some calls need, in an order that C takes."""
+        functions: list[str] = []
+        # While kinds of variables are found out, functions may be printed that nothing calls in the end.
+        for name, text in reversed(self.functions.items()):
+            if re.search(rf"\b{name}\(", calls):
+                functions.insert(0, text)
+                calls += text
         names = [f"#define {name} {number(value).text}" for name, value in self._constants.items()]
         letters = {letter: kind for kind, letter in _LETTERS.items()}
         results = [
@@ -265,7 +264,7 @@ class Program:
         ]
         records = [self._struct(name, kind) for name, kind in self.records.items()]
         helpers = [text for name, text in _HELPERS.items() if name in self._helpers]
-        blocks = ["\n".join(names), *results, *records, *self.tables.values(), *helpers, *self.functions]
+        blocks = ["\n".join(names), *results, *records, *self.tables.values(), *helpers, *functions]
         return "\n\n".join(filter(None, blocks)) + "\n"
 
     def _struct(self, name: str, kind: np.dtype) -> str:
@@ -282,7 +281,7 @@ def _modules() -> list[ModuleType]:
 def _note(module: Any, name: str) -> str:
     """The docstring below a constant of a module."""
     body = _parsed(module.__file__)[0].body
-    for node, following in zip(body, body[1:], strict=False):
+    for node, following in pairwise(body):
         is_it = isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == name for t in node.targets)
         if is_it and isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant):
             return str(following.value.value)
@@ -336,6 +335,7 @@ class _Translation:
         self.written: set[str] = set()
         self.result: Any = None
         self.homes = _homes(source.tree)
+        self.loops = _loop_variables(source.tree)
         called = {_last_name(node.func) for node in ast.walk(source.tree) if isinstance(node, ast.Call)}
         used = {node.id for node in ast.walk(source.tree) if isinstance(node, ast.Name)}
         used |= {each.arg for each in source.tree.args.args}
@@ -381,9 +381,10 @@ class _Translation:
     def _walk(self) -> list[str]:
         self.lines: list[str] = []
         self.taken = set(self.used)
-        self.indent, self.top, self.line = "    ", [], self.source.tree.lineno
+        self.indent, self.line = "    ", self.source.tree.lineno
+        self.top: list[str] = []
         self.declared: set[str] = set()
-        self.count = 0
+        self.temporaries: set[str] = set()
         self.values: dict[str, Value] = {}
         for argument, kind in zip(self.source.tree.args.args, self.kinds, strict=True):
             self.values[argument.arg] = self._argument(argument.arg, kind)
@@ -452,13 +453,8 @@ class _Translation:
         if isinstance(node.value, ast.Constant):
             return
         value = self.value(node.value)
-        if isinstance(value, Scalar):
+        if isinstance(value, Scalar) or (isinstance(value, Several) and isinstance(value, _Call)):
             self.emit(f"{value.text};")
-        elif isinstance(value, Several) and isinstance(value, _Call):
-            self.emit(f"{value.text};")
-
-    def _pass(self, node: ast.Pass) -> None:
-        pass
 
     def _if(self, node: ast.If) -> None:
         test = self.scalar(node.test)
@@ -481,10 +477,10 @@ class _Translation:
         inner, deeper = self.lines[start + 1 :], self.indent + "    "
         opens = inner[0].startswith(f"{deeper}if (") if inner else False
         whole = [line for line in inner if line.startswith(deeper) and not line.startswith(deeper + " ")]
-        if opens and all(re.match(r"\s*(if \(|\} else (if \(.*\) )?\{|\})", line) for line in whole):
-            if sum(line.startswith(f"{deeper}if (") for line in whole) == 1:
-                moved = [line[4:] for line in inner[:-1]]
-                self.lines[start:] = [f"{self.indent}}} else {moved[0].lstrip()}", *moved[1:]]
+        alone = all(re.match(r"\s*(if \(|\} else (if \(.*\) )?\{|\})", line) for line in whole)
+        if opens and alone and sum(line.startswith(f"{deeper}if (") for line in whole) == 1:
+            moved = [line[4:] for line in inner[:-1]]
+            self.lines[start:] = [f"{self.indent}}} else {moved[0].lstrip()}", *moved[1:]]
 
     def _while(self, node: ast.While) -> None:
         if not (isinstance(node.test, ast.Constant) and node.test.value is True) or node.orelse:
@@ -496,6 +492,8 @@ class _Translation:
     def _for(self, node: ast.For) -> None:
         if not isinstance(node.target, ast.Name) or node.orelse:
             raise Unknown("a loop of more than one variable")
+        if node.target.id not in self.loops:
+            raise Unknown("a loop whose variable is used or set outside of loops")
         name = self.c_name(node.target.id)
         if isinstance(node.iter, ast.Call) and getattr(node.iter.func, "id", "") == "range":
             limits = [self.scalar(each) for each in node.iter.args]
@@ -534,10 +532,10 @@ class _Translation:
         self.block(node.body)
         self.emit("}")
 
-    def _continue(self, node: ast.Continue) -> None:
+    def _continue(self, _: ast.Continue) -> None:
         self.emit("continue;")
 
-    def _break(self, node: ast.Break) -> None:
+    def _break(self, _: ast.Break) -> None:
         self.emit("break;")
 
     def _return(self, node: ast.Return) -> None:
@@ -559,9 +557,8 @@ class _Translation:
             self.emit(f"return ({self.program.result(self.result)}){{{items}}};")
         elif isinstance(value, (Array, Entrywise)):
             self.result = list(value.shape)
-            sizes = value.shape[1:]
-            out = Array("double", "result", sizes, tuple(Axis("0", n) for n in value.shape))
-            self._fill(out, value)
+            sizes = tuple(size for size in value.shape if isinstance(size, int))
+            self._fill(Array("double", "result", sizes[1:], tuple(Axis("0", size) for size in sizes)), value)
             self.emit("return;")
         else:
             raise Unknown("a result of this kind")
@@ -589,11 +586,12 @@ class _Translation:
         places = any(not isinstance(each, ast.Name) for each in targets.elts)
         # All of the right side comes first: what of it may change on the way is kept.
         for k, item in enumerate(items):
-            if k > 0 and isinstance(given, ast.Tuple) and isinstance(item, Scalar):
-                if names.intersection(re.findall(r"\w+", item.text)) or (places and re.search(r"[\[>]", item.text)):
-                    kept = self.fresh("kept")
-                    self.emit(f"const {C_TYPES[item.kind]} {kept} = {item.text};")
-                    items[k] = Scalar(item.kind, kept)
+            if k == 0 or not isinstance(given, ast.Tuple) or not isinstance(item, Scalar):
+                continue
+            if names.intersection(re.findall(r"\w+", item.text)) or (places and re.search(r"[\[>]", item.text)):
+                kept = self.fresh("kept")
+                self.emit(f"const {C_TYPES[item.kind]} {kept} = {item.text};")
+                items[k] = Scalar(item.kind, kept)
         for target, item in zip(targets.elts, items, strict=True):
             self._store(target, item, target)
 
@@ -657,63 +655,40 @@ class _Translation:
             if isinstance(value, _Call):
                 self.values[name] = self._several(value, own)
             elif kinds == {"double"}:
-                items = ", ".join(each.text for each in value.items)
-                self.emit(f"const double {own}[{len(value.items)}] = {{{items}}};")
-                self.values[name] = Array("double", own, (), (Axis("0", len(value.items)),), None)
+                self.values[name] = self.stored(value, own)
             else:
                 self.values[name] = value
         elif isinstance(value, Array):
-            if value.base == own or isinstance(value, Constant):
+            if value.base == own or value.base in self.temporaries:
                 self.values[name] = value
                 return
             sizes, pattern = value.layout
-            constant = value.root is None or (value.root in self._arguments() and value.root not in self.written)
+            constant = value.root is None or (value.root != "" and value.root not in self.written)
             lengths = iter(value.shape)
             view = tuple(Axis("0", next(lengths) if runs else None) for runs in pattern)
-            if value.base in self._temporaries:
-                self.values[name] = value
-                return
             self.emit(f"{declared(value.kind, own, sizes, constant)} = {value.pointer(constant)};")
             self.values[name] = Array(value.kind, own, sizes, view, value.root)
         elif isinstance(value, Entrywise):
             before = self.values.get(name)
-            if isinstance(before, Array) and before.shape == value.shape and before.root == "":
-                self._fill(before, value)
-                return
-            sizes = "".join(f"[{n}]" for n in value.shape)
-            self.emit(f"{C_TYPES[value.kind]} {own}{sizes};")
-            stored = Array(value.kind, own, value.shape[1:], tuple(Axis("0", n) for n in value.shape))
-            if value.at is not _nothing:
-                self._fill(stored, value)
-            self.values[name] = stored
-        elif isinstance(value, _Made):
+            if not (isinstance(before, Array) and before.shape == value.shape and before.root == ""):
+                before = self.values[name] = self._local(value.kind, own, value.shape)
+            self._fill(before, value)
+        elif isinstance(value, Made):
             self.emit(f"struct {self._struct(value.kind, name)} {own};")
             self.values[name] = Record(value.kind, f"&{own}")
         else:
             self.values[name] = value
 
-    def _arguments(self) -> set[str]:
-        return {each.arg for each in self.source.tree.args.args}
-
-    @property
-    def _temporaries(self) -> set[str]:
-        return self.__dict__.setdefault("_kept", set())
-
     def _augassign(self, node: ast.AugAssign) -> None:
         sign = _BINARY.get(type(node.op), ("",))[0]
         target, value = self.value(node.target), self.value(node.value)
-        if isinstance(node.target, ast.Attribute):
-            self._mark(self.value(node.target.value))
         self._mark(target)
-        if isinstance(node.target, ast.Subscript):
+        if isinstance(node.target, (ast.Attribute, ast.Subscript)):
             self._mark(self.value(node.target.value))
         if isinstance(target, Scalar) and sign:
             if isinstance(node.target, ast.Name):
                 self.known[node.target.id] = _wider(self.known.get(node.target.id), self._as_scalar(value).kind)
-            if sign in "+-" and value.value == 1 and value.kind == target.kind == "int":
-                self.emit(f"{target.text}{sign}{sign};")
-            else:
-                self.emit(f"{target.text} {sign}= {self._as_scalar(value).text};")
+            self.emit(f"{target.text} {sign}= {self._as_scalar(value).text};")
         elif isinstance(target, Array) and sign:
             self._fill(target, value, f"{sign}=")
         else:
@@ -729,26 +704,36 @@ class _Translation:
 
     # --- arrays ---
 
-    def _fill(self, place: Array, value: Value, sign: str = "=") -> None:
-        self._mark(place)
-        indices = []
-        before = self.indent
-        if isinstance(value, Several):
-            for k, each in enumerate(value.items):
-                self.emit(f"{place.at([str(k)]).text} {sign} {self._as_scalar(each).text};")
-            return
-        taken = set(self.taken)
-        for size in place.shape:
-            index = self.fresh("kmnp"[len(indices)])
-            indices.append(index)
-            self.emit(f"for (int {index} = 0; {index} < {size}; {index}++) {{")
+    @contextmanager
+    def _loops(self, sizes: Sequence[int | str]) -> Iterator[list[str]]:
+        """Nested loops over indices of an array; what is emitted within stands in the innermost."""
+        before, taken, indices = self.indent, set(self.taken), list[str]()
+        for size in sizes:
+            indices.append(self.fresh("kmnp"[len(indices)]))
+            self.emit(f"for (int {indices[-1]} = 0; {indices[-1]} < {size}; {indices[-1]}++) {{")
             self.indent += "    "
-        entry = value if isinstance(value, Scalar) else self._entry(value, indices, place.shape)
-        self.emit(f"{place.at(indices).text} {sign} {entry.text};")
+        yield indices
         while self.indent != before:
             self.indent = self.indent[:-4]
             self.emit("}")
         self.taken = taken
+
+    def _local(self, kind: str, name: str, shape: Sequence[int | str]) -> Array:
+        """A new array."""
+        if not all(isinstance(size, int) for size in shape):
+            raise Unknown("an array whose size is computed")
+        sizes = tuple(int(size) for size in shape)
+        self.emit(f"{C_TYPES[kind]} {name}{''.join(f'[{size}]' for size in sizes)};")
+        return Array(kind, name, sizes[1:], tuple(Axis("0", size) for size in sizes))
+
+    def _fill(self, place: Array, value: Value, sign: str = "=") -> None:
+        self._mark(place)
+        if isinstance(value, Several):
+            for k, each in enumerate(value.items):
+                self.emit(f"{place.at([str(k)]).text} {sign} {self._as_scalar(each).text};")
+        elif not (isinstance(value, Entrywise) and value.at is _nothing):
+            with self._loops(place.shape) as indices:
+                self.emit(f"{place.at(indices).text} {sign} {self._entry(value, indices, place.shape).text};")
 
     def _entry(self, value: Value, indices: Sequence[str], shape: Sequence[int | str]) -> Scalar:
         if isinstance(value, Scalar):
@@ -763,18 +748,15 @@ class _Translation:
             return value
         if isinstance(value, Several):
             items = [self._as_scalar(each) for each in value.items]
-            name = self.fresh(hint)
+            name = hint if hint not in self.taken or hint in self.used else self.fresh(hint)
             text = ", ".join(each.text for each in items)
             self.emit(f"const double {name}[{len(items)}] = {{{text}}};")
             return Array("double", name, (), (Axis("0", len(items)),), None)
         if not isinstance(value, (Array, Entrywise)):
             raise Unknown("no array")
-        name = self.fresh(hint)
-        self.emit(f"{C_TYPES[value.kind]} {name}{''.join(f'[{n}]' for n in value.shape)};")
-        result = Array(value.kind, name, value.shape[1:], tuple(Axis("0", n) for n in value.shape))
-        if not isinstance(value, Entrywise) or value.at is not _nothing:
-            self._fill(result, value)
-        self._temporaries.add(name)
+        result = self._local(value.kind, self.fresh(hint), value.shape)
+        self._fill(result, value)
+        self.temporaries.add(result.base)
         return result
 
     def _indices(self, node: ast.expr, owner: Value) -> list[Axis | None]:
@@ -797,7 +779,9 @@ class _Translation:
                 continue
             start = number(0) if part.lower is None else self.scalar(part.lower)
             stop = number(size) if part.upper is None else self.scalar(part.upper)
-            ends = [each if each.value is None or each.value >= 0 else number(size + each.value) for each in (start, stop)]
+            ends = [
+                each if each.value is None or each.value >= 0 else number(size + each.value) for each in (start, stop)
+            ]
             if all(each.value is not None for each in ends):
                 length: int | str = min(ends[1].value, size) - ends[0].value
             elif ends[1].value == size and not places:
@@ -885,7 +869,7 @@ class _Translation:
             if node.attr == "shape":
                 return Several(tuple(number(n) if isinstance(n, int) else Scalar("int", n) for n in owner.shape))
             if node.attr == "size" and all(isinstance(n, int) for n in owner.shape):
-                return number(int(np.prod(owner.shape)))
+                return number(math.prod(int(n) for n in owner.shape))
             if node.attr == "T" and isinstance(owner, Array) and len(owner.shape) == 2:
                 return owner._replace(flipped=not owner.flipped)
         raise Unknown(f"the attribute {node.attr}")
@@ -963,25 +947,15 @@ class _Translation:
         if not isinstance(left, Array) or len(left.shape) != 2 or left.shape[1] != right.shape[0]:
             raise Unknown("a product of this kind")
         shape = (left.shape[0], *right.shape[1:])
-        name = self.fresh("product")
-        self.emit(f"double {name}{''.join(f'[{n}]' for n in shape)};")
-        result = Array("double", name, shape[1:], tuple(Axis("0", n) for n in shape))
-        before, taken, indices = self.indent, set(self.taken), [self.fresh("k"), self.fresh("m"), self.fresh("n")]
-        rows = indices[: len(shape)]
-        for index, size in zip(rows, shape, strict=True):
-            self.emit(f"for (int {index} = 0; {index} < {size}; {index}++) {{")
-            self.indent += "    "
-        entry, inner = result.at(rows).text, indices[2]
-        self.emit(f"{entry} = 0.0;")
-        self.emit(f"for (int {inner} = 0; {inner} < {left.shape[1]}; {inner}++) {{")
-        factor = left.at([rows[0], inner]).text, right.at([inner, *rows[1:]]).text
-        self.emit(f"    {entry} += {factor[0]} * {factor[1]};")
-        self.emit("}")
-        while self.indent != before:
-            self.indent = self.indent[:-4]
+        result = self._local("double", self.fresh("product"), shape)
+        inner = self.fresh("n")
+        with self._loops(shape) as rows:
+            entry = result.at(rows).text
+            self.emit(f"{entry} = 0.0;")
+            self.emit(f"for (int {inner} = 0; {inner} < {left.shape[1]}; {inner}++) {{")
+            self.emit(f"    {entry} += {left.at([rows[0], inner]).text} * {right.at([inner, *rows[1:]]).text};")
             self.emit("}")
-        self.taken = taken | {name}
-        self._temporaries.add(name)
+        self.temporaries.add(result.base)
         return result
 
     def _boolop_value(self, node: ast.BoolOp) -> Value:
@@ -1030,7 +1004,6 @@ class _Translation:
             lengths = iter(yes.shape)
             view = tuple(Axis("0", next(lengths) if runs else None) for runs in pattern)
             text = f"({test.within(CHOICE + 1)} ? {yes.pointer(False)} : {no.pointer(False)})"
-            self._mark_both(yes, no)
             return Array(yes.kind, text, sizes, view, yes.root if yes.root else no.root)
 
         def choice(a: Scalar, b: Scalar) -> Scalar:
@@ -1039,9 +1012,6 @@ class _Translation:
             return Scalar(kind, text, CHOICE)
 
         return self._mapped(choice, yes, no)
-
-    def _mark_both(self, *values: Array) -> None:
-        """Of a choice between two arrays that may be read only, neither is written."""
 
     def _mapped(self, law: Callable[..., Scalar], *values: Value) -> Value:
         """A law of numbers, entry by entry where one of its arguments is an array."""
@@ -1111,7 +1081,7 @@ class _Translation:
         parts = shape_node.elts if isinstance(shape_node, ast.Tuple) else [shape_node]
         kind: Any = self.value(node.args[1]) if len(node.args) > 1 else None
         if isinstance(kind, Constant) and isinstance(kind.value, np.dtype):
-            return _Made(kind.value)
+            return Made(kind.value)
         shape = []
         for part in parts:
             size = self.scalar(part).value
@@ -1134,53 +1104,41 @@ class _Translation:
                 return self._copied(owner)
         if not isinstance(owner, (Array, Entrywise)):
             raise Unknown(f"the method {name}")
-        result = self.fresh({"any": "is_any", "all": "are_all", "sum": "sum"}.get(name, name))
-        indices: list[str] = []
-        before, taken = self.indent, set(self.taken)
+        result = self.fresh({"any": "is_any", "all": "are_all"}.get(name, name))
         if name in ("any", "all", "sum"):
             kind = "bool" if name != "sum" else "int" if owner.kind == "bool" else "double"
             start = {"any": "false", "all": "true"}.get(name, "0" if kind == "int" else "0.0")
-            self.emit(f"{C_TYPES[kind]} {result} = {start};")
         elif name in ("min", "max", "argmax") and len(owner.shape) == 1:
-            kind = "int" if name == "argmax" else "double"
             owner = self.stored(owner, "kept")
-            taken |= self.taken
-            self.emit(f"{C_TYPES[kind]} {result} = {'0' if kind == 'int' else owner.at(['0']).text};")
+            kind, start = ("int", "0") if name == "argmax" else ("double", owner.at(["0"]).text)
         else:
             raise Unknown(f"the method {name}")
-        for size in owner.shape:
-            index = self.fresh("kmnp"[len(indices)])
-            indices.append(index)
-            self.emit(f"for (int {index} = 0; {index} < {size}; {index}++) {{")
-            self.indent += "    "
-        entry = owner.at(indices)
-        if name == "sum":
-            self.emit(f"{result} += {entry.text};")
-        elif name in ("any", "all"):
-            sign = "||" if name == "any" else "&&"
-            self.emit(f"{result} = {result} {sign} {entry.within(EQUALITY)};")
-        else:
-            best = owner.at([result]).text if name == "argmax" else result
-            sign = "<" if name == "min" else ">"
-            now = indices[0] if name == "argmax" else entry.text
-            # NaN counts as the largest and as the smallest, and the first of them stays.
-            self.emit(f"if (!isnan({best}) && !({entry.text} {'>=' if sign == '<' else '<='} {best})) {{")
-            self.emit(f"    {result} = {now};")
-            self.emit("}")
-        while self.indent != before:
-            self.indent = self.indent[:-4]
-            self.emit("}")
-        self.taken = taken | {result}
+        self.emit(f"{C_TYPES[kind]} {result} = {start};")
+        with self._loops(owner.shape) as indices:
+            entry = owner.at(indices)
+            if name == "sum":
+                self.emit(f"{result} += {entry.text};")
+            elif name in ("any", "all"):
+                sign = "||" if name == "any" else "&&"
+                self.emit(f"{result} = {result} {sign} {entry.within(EQUALITY)};")
+            else:
+                # The first NaN stays, as with numpy.
+                best = owner.at([result]).text if name == "argmax" else result
+                self.emit(f"if (!isnan({best}) && !({entry.text} {'>=' if name == 'min' else '<='} {best})) {{")
+                self.emit(f"    {result} = {indices[0] if name == 'argmax' else entry.text};")
+                self.emit("}")
         return Scalar(kind, result)
 
     def _user_call(self, called: Any, values: Sequence[Value]) -> Value:
         ready: list[Any] = []
         for value in values:
-            if isinstance(value, _Made):
+            if isinstance(value, Made):
                 name = self.fresh("made")
                 self.emit(f"struct {self._struct(value.kind, name)} {name};")
                 value = Record(value.kind, f"&{name}")
-            elif isinstance(value, (Entrywise, Several)) or (isinstance(value, Array) and (value.hidden or value.flipped)):
+            elif isinstance(value, (Entrywise, Several)) or (
+                isinstance(value, Array) and (value.hidden or value.flipped)
+            ):
                 value = self.stored(value, "given")
             elif isinstance(value, Constant):
                 value = self._as_scalar(value)
@@ -1205,22 +1163,14 @@ class _Translation:
             if not isinstance(value.shape[0], int):
                 texts.append(value.shape[0])
         if isinstance(signature.result, list):
-            name = self.fresh(called.__name__.strip("_") + "_result" if called.__name__.strip("_") in self.avoided else called.__name__)
-            shape = signature.result
-            self.emit(f"double {name}{''.join(f'[{n}]' for n in shape)};")
-            self.emit(f"{signature.name}({', '.join([*texts, name])});")
-            self._temporaries.add(name)
-            return Array("double", name, tuple(shape[1:]), tuple(Axis("0", n) for n in shape))
+            result = self._local("double", self.fresh(f"{called.__name__.strip('_')}_result"), signature.result)
+            self.emit(f"{signature.name}({', '.join([*texts, result.base])});")
+            self.temporaries.add(result.base)
+            return result
         text = f"{signature.name}({', '.join(texts)})"
         if isinstance(signature.result, tuple):
             return _Call(tuple(Scalar(kind, "") for kind in signature.result), text)
         return Scalar(signature.result or "void", text)
-
-
-class _Made(NamedTuple):
-    """A new record of a kind."""
-
-    kind: np.dtype
 
 
 class _Call(Several):
@@ -1264,6 +1214,26 @@ def _call(head: str, parameters: Sequence[str]) -> str:
         return text
     wrapped = textwrap.wrap(", ".join(each.replace(" ", "~") for each in parameters), WIDTH - 4)
     return f"{head}(\n" + "\n".join(f"    {line}".replace("~", " ") for line in wrapped) + ")"
+
+
+def _loop_variables(tree: ast.FunctionDef) -> set[str]:
+    """Variables of loops that mean something in loops over them alone, as in C."""
+    elsewhere: set[str] = set()
+
+    def visit(node: ast.AST, inside: frozenset[str]) -> None:
+        if isinstance(node, ast.For) and isinstance(node.target, ast.Name):
+            visit(node.iter, inside)
+            for statement in node.body:
+                visit(statement, inside | {node.target.id})
+            return
+        if isinstance(node, ast.Name) and (node.id not in inside or isinstance(node.ctx, ast.Store)):
+            elsewhere.add(node.id)
+        for child in ast.iter_child_nodes(node):
+            visit(child, inside)
+
+    visit(tree, frozenset())
+    loops = {n.target.id for n in ast.walk(tree) if isinstance(n, ast.For) and isinstance(n.target, ast.Name)}
+    return loops - elsewhere
 
 
 def _homes(tree: ast.FunctionDef) -> dict[str, int]:

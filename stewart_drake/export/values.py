@@ -77,6 +77,7 @@ class Array(NamedTuple):
 
     @property
     def shape(self) -> tuple[int | str, ...]:
+        """Lengths of the axes that run."""
         running = tuple(axis.length for axis in self.axes if axis.length is not None)
         return running[::-1] if self.flipped else running
 
@@ -126,6 +127,7 @@ class Array(NamedTuple):
 
 
 def cast_of(kind: str, sizes: Sequence[int], constant: bool = True) -> str:
+    """A cast to a pointer to an array."""
     return f"({'const ' if constant else ''}{C_TYPES[kind]} (*){''.join(f'[{size}]' for size in sizes)})"
 
 
@@ -151,6 +153,7 @@ class Record(NamedTuple):
     root: str | None = ""
 
     def field(self, name: str) -> str:
+        """Text of a field."""
         return f"{self.pointer[1:]}.{name}" if self.pointer.startswith("&") else f"{self.pointer}->{name}"
 
     def attribute(self, name: str) -> Scalar | Array:
@@ -165,11 +168,10 @@ class Record(NamedTuple):
         shape = self.shape(name)
         if not shape:
             return Array("double", f"(&{self.field(name)})", (), (Axis("0", 1),), self.root)
-        return Array(
-            "double", self.field(name), shape[1:], tuple(Axis("0", n) for n in shape), self.root, hidden=True
-        )
+        return Array("double", self.field(name), shape[1:], tuple(Axis("0", n) for n in shape), self.root, hidden=True)
 
     def shape(self, name: str) -> tuple[int, ...]:
+        """Shape of a field, () of a single number."""
         if name not in (self.kind.names or ()):
             raise Unknown(f"no field {name}")
         return self.kind[name].shape
@@ -187,7 +189,13 @@ class Constant(NamedTuple):
     value: Any
 
 
-Value = Scalar | Array | Entrywise | Record | Several | Constant
+class Made(NamedTuple):
+    """A new record of a kind."""
+
+    kind: np.dtype
+
+
+Value = Scalar | Array | Entrywise | Record | Several | Constant | Made
 
 
 def added(start: str, index: str) -> str:

@@ -30,7 +30,7 @@ def start_live(scenario: Scenario) -> tuple[LiveSession, LiveServer]:
 
 
 def about_robot(scenario: Scenario, home: np.ndarray) -> dict[str, Any]:
-    """What the page has to know of a robot before its first row, but the session; `home` (6,) is where sliders begin."""
+    """What the page has to know of a robot before its first row; sliders begin at `home` (6,)."""
     robot = scenario.robot
     return {
         "name": scenario.name,

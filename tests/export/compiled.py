@@ -7,8 +7,8 @@ import subprocess
 import numpy as np
 import pytest
 
-STRICT = "-std=c99 -Wall -Wextra -Werror -ffp-contract=off".split()
-CHECKED = "-g -O1 -fsanitize=address,undefined -fno-sanitize-recover=all".split()
+STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
+CHECKED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 
 def compiler(name="gcc"):
@@ -35,7 +35,10 @@ class InC:
     def __init__(self, folder, name, flags=("-O2",)):
         header = (folder / f"{name}.h").read_text()
         self.memory = np.zeros(int(header.split("memory[")[1].split("]")[0]))
-        self.library, self.name = ctypes.CDLL(str(compiled(folder, f"{name}.c", f"{name}_reference.c", flags=flags))), name
+        self.library, self.name = (
+            ctypes.CDLL(str(compiled(folder, f"{name}.c", f"{name}_reference.c", flags=flags))),
+            name,
+        )
         self._step = self._function("step", ctypes.c_int)
         self._signal = self._function("signal", ctypes.POINTER(ctypes.c_double))
         self.reset()

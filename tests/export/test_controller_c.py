@@ -21,7 +21,10 @@ SAME = 1e-12
 
 
 def on_closed_form(scenario):
-    plant = {"kind": "closed_form", **{key: getattr(scenario.plant, key) for key in ("motor_damping", "motor_friction")}}
+    plant = {
+        "kind": "closed_form",
+        **{key: getattr(scenario.plant, key) for key in ("motor_damping", "motor_friction")},
+    }
     return scenario.replace({"plant": plant})
 
 
@@ -69,7 +72,10 @@ def assert_same(commands):
     assert np.abs(commands[:, 0] - commands[:, 1]).max() <= SAME * scale
 
 
-@pytest.mark.parametrize("name", [pytest.param(each, marks=[] if each in ("exact_fig7", "reachy_nod") else pytest.mark.slow) for each in SHIPPED])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(each, marks=[] if each in ("exact_fig7", "reachy_nod") else pytest.mark.slow) for each in SHIPPED],
+)
 def test_commands_are_those_of_the_controller(name, tmp_path):
     scenario = load_scenario(name)
     export_controller(scenario, name, tmp_path)
@@ -157,7 +163,9 @@ def test_signals_and_the_reference(tmp_path):
 
 
 @pytest.mark.parametrize("cc", ["gcc", "clang"])
-@pytest.mark.parametrize("name", [pytest.param(each, marks=[] if each == "reachy_nod" else pytest.mark.long) for each in SHIPPED])
+@pytest.mark.parametrize(
+    "name", [pytest.param(each, marks=[] if each == "reachy_nod" else pytest.mark.long) for each in SHIPPED]
+)
 def test_clean_under_sanitizers(name, cc, tmp_path):
     compiler(cc)
     export_controller(load_scenario(name), name, tmp_path)
