@@ -596,7 +596,7 @@ class _Translation:
             self._store(target, item, target)
 
     def _several(self, value: Several, hint: str) -> Several:
-        """Several results, kept under a name."""
+        """Several values; those of a call are kept under a name."""
         if not isinstance(value, _Call):
             return value
         name = self.fresh(hint)
@@ -803,7 +803,7 @@ class _Translation:
             place = places[0]
             if place is None or not place.start.isdigit():
                 raise Unknown("an index of several values that is not known")
-            return owner.items[int(place.start)]
+            return self._several(owner, "result").items[int(place.start)]
         if isinstance(owner, Entrywise):
             owner = self.stored(owner, "kept")
         if not isinstance(owner, Array):
