@@ -26,6 +26,7 @@ html_theme = "furo"
 html_title = project
 html_static_path = ["site.css"]
 html_css_files = ["site.css"]
+html_extra_path = ["tab.html"] if (DOCS / "tab.html").exists() else []  # made by `make tab`
 html_show_sourcelink = False
 html_math_renderer = "mathml"
 

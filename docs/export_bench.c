@@ -13,7 +13,7 @@
 
 #define REGISTER(address) (*(volatile uint32_t *)(address))
 
-static struct NAME controller;
+static struct JOIN(NAME, _controller) controller;
 extern uint32_t stack_top, data_start, data_end, data_from, bss_start, bss_end;
 void start(void);
 

@@ -1,7 +1,7 @@
-"""Builds docs/tab.html: robots with their controllers in a browser's tab, one file that needs neither server nor network.
+"""Builds docs/tab.html: robots with their controllers in a browser's tab, one file without server and network.
 
-Plant, motors, sensors and controller are printed as C, see docs/export.md, and compiled to WebAssembly by Debian's clang
-and lld. The page is that of `live`; docs/tab.js stands in for its server. `python docs/tab.py [FILE]`
+Plant, motors, sensors and controller are printed as C, see docs/export.md, and compiled to WebAssembly by Debian's
+clang and lld. The page is that of `live`; docs/tab.js stands in for its server. `python docs/tab.py [FILE]`
 """
 
 from __future__ import annotations
@@ -60,6 +60,7 @@ class FrictionLearner(AdaptationOptions):
     """[N m s/rad] that is believed."""
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
+        """The law; its output takes the place of the friction that is compensated."""
         part = FrictionCompensation(coulomb=self.coulomb, viscous=self.viscous).part(context)
         state = new_record(fields(friction=25), friction=part.constants["friction"].view(np.float64))
         params = new_record(_LEARNS, gain=self.gain, period=context.period)
@@ -143,11 +144,13 @@ def allowed_tick(robot: Any, params: Any, asked: Any, legs: Any, state: Any) -> 
         away -= 2.0 * np.pi * np.rint(away / (2.0 * np.pi))
         if abs(legs.transmission[i]) < PLANNED.transmission or abs(away) > params.half[i]:
             return
-    shift = np.sqrt(
+    shift = 0.0
+    for k in range(3, 6):
+        shift += (asked[k] - params.home[k]) ** 2
         (asked[3] - params.home[3]) ** 2 + (asked[4] - params.home[4]) ** 2 + (asked[5] - params.home[5]) ** 2
     )
     turn = np.arccos(min(1.0, 0.5 * (legs.rotation[0, 0] + legs.rotation[1, 1] + legs.rotation[2, 2] - 1.0)))
-    if turn > params.workspace[0] or shift > params.workspace[1]:
+    if turn > params.workspace[0] or shift > params.workspace[1] ** 2:
         return
     if laws.conditioning(robot, legs, laws.QUICK) >= PLANNED.conditioning:
         state.allowed = 1.0
@@ -344,6 +347,7 @@ def page(data: dict[str, Any]) -> str:
 
 
 def main() -> None:
+    """Writes the page."""
     data = {name: robot_data(name, scenario) for name, scenario in robots().items()}
     target = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "tab.html"
     target.write_text(page(data))

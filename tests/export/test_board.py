@@ -9,8 +9,17 @@ from compiled import compiled
 from stewart_drake import Controller, load_scenario
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.export.controller_c import export_controller
-from stewart_drake.machines.packet import ACTIVE, MEASURED, READING, Packet, decode, encode, flags_of
-from stewart_drake.machines.packet import from_frame, to_frame
+from stewart_drake.machines.packet import (
+    ACTIVE,
+    MEASURED,
+    READING,
+    Packet,
+    decode,
+    encode,
+    flags_of,
+    from_frame,
+    to_frame,
+)
 
 
 @pytest.fixture

@@ -98,16 +98,20 @@ OTHERS = {
     "pid_back": ("exact_fig7", {"controller": {"kind": "pid", "saturation": "back_calculation"}}),
     "computed_torque": ("exact_fig7", {"controller": {"kind": "computed_torque"}}),
     "servos": ("reachy_nod", {
-        "controller": {"kind": "feedforward", "period": 0.02}, "estimator": "difference", "tuner": "fixed", "safety": None,
-        "motors": {"kind": "position"}, "command_delay": 0,
+        "controller": {"kind": "feedforward", "period": 0.02}, "estimator": "difference", "tuner": "fixed",
+        "motors": {"kind": "position"}, "command_delay": 0, "safety": None,
     }),
     "currents": ("exact_breathing", {"motors": {"kind": "current", "torque_constant": 0.5}, "safety": None}),
     "schedule": ("reachy_nod", {"tuner": {"kind": "schedule", "calm": [0, 0, 0, 0], "alert": [0.2, 0, 0, 0.5]}}),
     "joints": ("reachy_nod", {"model.friction.joints": {"viscous": 0.001, "coulomb": 0.001}}),
     "bumpless": ("reachy_nod", {"controller.bumpless": True}),
     "observer_of_poses": ("exact_fig7", {"estimator": "observer", "command_delay": 2, "safety": {}}),
-    "fast_readings": ("exact_breathing", {"estimator.period": 0.0005, "controller.period": 0.002, "plant.time_step": 0.0005}),
-    "euler": ("paper_fig7", {"controller.discretization": "euler", "controller.force_map": "printed", "tuner": "fixed"}),
+    "fast_readings": ("exact_breathing", {
+        "estimator.period": 0.0005, "controller.period": 0.002, "plant.time_step": 0.0005,
+    }),
+    "euler": ("paper_fig7", {
+        "controller.discretization": "euler", "controller.force_map": "printed", "tuner": "fixed",
+    }),
 }  # fmt: skip
 
 
@@ -176,8 +180,8 @@ def test_clean_under_sanitizers(name, cc, tmp_path):
 
 
 def test_what_runs_in_python_is_refused_with_file_and_line(tmp_path):
-    def torques(measurement, setpoint, time):
-        return np.zeros(6)
+    def torques(measurement, _, __):
+        return 0.0 * measurement.pose
 
     scenario = load_scenario("exact_fig7").replace({"controller": torques})
     with pytest.raises(ConfigurationError, match=r"\.py:\d+: expected what can be printed as C"):

@@ -55,7 +55,7 @@ def test_a_law_in_c_is_that_of_numba(law, wild, data):
 
 @pytest.mark.parametrize("law", [laws.comprehension, laws.kept], ids=lambda law: law.__name__)
 def test_what_is_not_known_is_refused_with_file_and_line(law):
-    with pytest.raises(ConfigurationError, match=rf"laws\.py:\d+: expected what can be printed as C"):
+    with pytest.raises(ConfigurationError, match=r"laws\.py:\d+: expected what can be printed as C"):
         printed(law)
 
 
