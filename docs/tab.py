@@ -147,8 +147,6 @@ def allowed_tick(robot: Any, params: Any, asked: Any, legs: Any, state: Any) -> 
     shift = 0.0
     for k in range(3, 6):
         shift += (asked[k] - params.home[k]) ** 2
-        (asked[3] - params.home[3]) ** 2 + (asked[4] - params.home[4]) ** 2 + (asked[5] - params.home[5]) ** 2
-    )
     turn = np.arccos(min(1.0, 0.5 * (legs.rotation[0, 0] + legs.rotation[1, 1] + legs.rotation[2, 2] - 1.0)))
     if turn > params.workspace[0] or shift > params.workspace[1] ** 2:
         return
@@ -181,8 +179,9 @@ def loop_source(scenario: Scenario) -> LoopSource:
         *loop.parts,
         Part("scene", scene_tick, {"robot": numbers}, {"measured": 24, "reference": 18}, (),
              new_record(fields(frames=(14, 12))), (laws.LEGS,), period=SCENE_PERIOD),
-        Part("plant", plant_tick, {"robot": loaded, "friction": friction, "params": params}, {"motor_torque": 6, "wrench": 6}, (),
-             plant.save(), (laws.LEGS,), error=lambda *_: None, period=step, end_of_tick=True),
+        Part("plant", plant_tick, {"robot": loaded, "friction": friction, "params": params},
+             {"motor_torque": 6, "wrench": 6}, (), plant.save(), (laws.LEGS,),
+             error=lambda *_: None, period=step, end_of_tick=True),
     ]  # fmt: skip
     outside = {
         "time": 1,
