@@ -26,6 +26,7 @@ from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.base import AdaptationOptions
 from stewart_drake.control.features import TUNER_PARAMS
 from stewart_drake.control.friction_compensation import FrictionCompensation
+from stewart_drake.export.fmu import plant_part
 from stewart_drake.export.loop import LoopSource, Signal
 from stewart_drake.live.session import CONTROLLERS
 from stewart_drake.live.start import about_robot
@@ -33,7 +34,7 @@ from stewart_drake.live.steering import SmoothValue
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.singularities import PLANNED
-from stewart_drake.plant.closed_form import ClosedForm, _semi_implicit
+from stewart_drake.plant.closed_form import ClosedForm
 from stewart_drake.scenario.assembly import loop_of
 
 HERE = Path(__file__).parent
@@ -87,13 +88,6 @@ def learn(robot: Any, params: Any, disturbance_torque: Any, reference: Any, legs
         more = params.gain * params.period * disturbance_torque[i] * np.tanh(rates[i] / friction[24])
         friction[i] = max(friction[i] + more, 0.0)
         friction[6 + i] = friction[i]
-
-
-@njit
-def plant_tick(robot: Any, friction: Any, params: Any, torque: Any, wrench: Any, legs: Any, state: Any) -> Any:
-    """A step of the closed form."""
-    leg, margin = _semi_implicit(robot, friction, params, legs, torque, wrench, state)
-    return 0 if leg < 0 else laws.SERIAL, leg, margin
 
 
 @njit
@@ -163,9 +157,6 @@ VARIABLE = ("plant.robot", "plant.friction", "motors.limit", "learner.params", "
 def loop_source(scenario: Scenario) -> LoopSource:
     """All of a scenario in C: its loop, the closed form and the picture."""
     loop, step, robot = loop_of(scenario, split=True), scenario.plant.time_step, scenario.robot
-    plant = ClosedForm(robot, scenario.plant, scenario.gravity)
-    plant.initial(*scenario.start())
-    loaded, friction, params, _ = plant._fixed
     ranges = np.clip(robot.crank_angle_ranges, -np.pi, np.pi)
     stops = new_record(
         fields(middle=6, half=6, home=6, workspace=2),
@@ -179,9 +170,7 @@ def loop_source(scenario: Scenario) -> LoopSource:
         *loop.parts,
         Part("scene", scene_tick, {"robot": numbers}, {"measured": 24, "reference": 18}, (),
              new_record(fields(frames=(14, 12))), (laws.LEGS,), period=SCENE_PERIOD),
-        Part("plant", plant_tick, {"robot": loaded, "friction": friction, "params": params},
-             {"motor_torque": 6, "wrench": 6}, (), plant.save(), (laws.LEGS,),
-             error=lambda *_: None, period=step, end_of_tick=True),
+        plant_part(scenario),
     ]  # fmt: skip
     outside = {
         "time": 1,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,11 @@ def c_name(name: str) -> str:
     """A name of a scenario as one of C."""
     name = re.sub(r"\W", "_", name, flags=re.ASCII)
     return name if name[:1].isalpha() else f"robot_{name}"
+
+
+def from_template(file: str, words: Mapping[str, str]) -> str:
+    """A template with words in the places of their names."""
+    return re.sub(r"@(\w+)@", lambda match: words[match[1]], (TEMPLATES / file).read_text())
 
 
 def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
@@ -81,8 +87,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
         wanted["board.c"] = "board.c"
     files = {}
     for template, file in wanted.items():
-        text = (TEMPLATES / template).read_text()
-        files[file] = re.sub(r"@(\w+)@", lambda match: words[match[1]], text)
+        files[file] = from_template(template, words)
     return {**files, "replay.csv": _replay(options, side)}
 
 
