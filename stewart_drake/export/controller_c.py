@@ -51,7 +51,6 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
     loop = LoopSource(parts, outside, {}, side.context.period, options.reading_period, {"age": age})
     command = "safe_torque" if side.safety is not None else side.command
     limit = side.context.robot.effort_limits if side.command == side.torque else np.full(6, np.inf)
-    loop.program.table("command_limit", limit)
     for helper in ("minimum", "maximum"):
         loop.program.helper(helper)
     ticks = min(round(getattr(options, "duration", 10.0) / options.reading_period) + 1, MOST_ROWS)
@@ -74,6 +73,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
         "UNIT": side.unit,
         "TAKES": str({"rad": 0, "N m": 1, "A": 2}[side.unit]),
         "MEANS": "angles of the cranks [rad]" if side.context.reading == 6 else "pose [rad, m] and its rate",
+        "LIMIT": loop.program.table("command_limit", limit).base,
         "COMMAND": loop.signals[command].text,
         "PARTS": ", ".join(f'"{part.name}"' for part in parts),
         "GIVEN": given.rstrip(),

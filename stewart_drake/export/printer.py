@@ -164,15 +164,17 @@ class Program:
         for name, known in self.records.items():
             if known == kind:
                 return name
-        name = hint
-        module: Any = inspect.getmodule(getattr(function, "py_func", function))
-        for given, value in vars(module).items() if module else ():
-            if isinstance(value, np.dtype) and value == kind:
-                owner = next((m for m in _modules() if vars(m).get(given) is value), module)
-                own = given.strip("_").lower()
-                plain = not given.startswith("_") and own not in ("state", "params")
-                name = own if plain else f"{owner.__name__.rsplit('.')[-1]}_{own}"
-                self._comments[name] = _note(owner, given)
+        name, own = hint, inspect.getmodule(getattr(function, "py_func", function))
+        for module in [*([own] if own else []), *_modules()]:
+            for given, value in vars(module).items():
+                if isinstance(value, np.dtype) and (value is kind or (module is own and value == kind)):
+                    owner: Any = next((m for m in _modules() if vars(m).get(given) is value), module)
+                    plain = given.lower() not in ("state", "params") and not given.startswith("_")
+                    name = given.strip("_").lower()
+                    name = name if plain else f"{owner.__name__.rsplit('.')[-1]}_{name}"
+                    self._comments[name] = _note(owner, given)
+                    break
+            if name != hint:
                 break
         while name in self.records:
             name += "_"
@@ -194,25 +196,24 @@ class Program:
         """A constant array."""
         kind = "double" if values.dtype.kind == "f" else "int"
         sizes = "".join(f"[{size}]" for size in values.shape)
-        name = hint
-        for n in range(2, 1000):
-            text = f"static const {C_TYPES[kind]} {name}{sizes} = {braced(values)};"
-            if self.tables.setdefault(name, text) == text:
-                break
-            name = f"{hint}_{n}"
+        name = self._kept(C_TYPES[kind], hint, sizes, braced(values))
         return Array(kind, name, values.shape[1:], tuple(Axis("0", size) for size in values.shape), None)
 
     def constants_of(self, hint: str, record: np.ndarray, function: Any) -> Record:
         """A constant record."""
         kind = self.record(record.dtype, hint, function)
-        taken = hint if hint != kind else f"the_{hint}"
-        name = taken
-        for n in range(2, 1000):
-            text = f"static const struct {kind} {name} = {filled(record)};"
-            if self.tables.setdefault(name, text) == text:
-                break
-            name = f"{taken}_{n}"
-        return Record(record.dtype, f"&{name}", None)
+        return Record(record.dtype, f"&{self._kept(f'struct {kind}', hint, '', filled(record))}", None)
+
+    def _kept(self, kind: str, hint: str, sizes: str, value: str) -> str:
+        """Name of a constant with a value: of one that there is, or of a new one."""
+        for name, text in self.tables.items():
+            if text == f"static const {kind} {name}{sizes} = {value};":
+                return name
+        name, n = hint, 2
+        while name in self.tables or name in self._names:
+            name, n = f"{hint}_{n}", n + 1
+        self.tables[name] = f"static const {kind} {name}{sizes} = {value};"
+        return name
 
     def helper(self, name: str) -> str:
         """A function that C may not have, to be printed."""
@@ -303,14 +304,16 @@ def braced(values: Any) -> str:
     rows = list(values)
     while len(rows) > 1 and not np.any(rows[-1]):
         rows.pop()
-    text = ", ".join(braced(row) for row in rows)
-    return "{" + "\n    ".join(textwrap.wrap(text, WIDTH - 8, break_on_hyphens=False)) + "}"
+    if np.ndim(rows[0]):
+        return "{\n" + "".join(f"    {braced(row)},\n".replace("\n    ", "\n        ") for row in rows) + "}"
+    lines = textwrap.wrap(", ".join(number(value).text for value in rows), WIDTH - 8, break_on_hyphens=False)
+    return "{" + "\n    ".join(lines) + "}"
 
 
 def filled(record: np.ndarray) -> str:
     """A record as C initialises one; fields of zeros are left out, as C adds them."""
     values = [(name, record[name][0]) for name in record.dtype.names or ()]
-    parts = [f"    .{name} = {braced(value)}," for name, value in values if np.any(value)]
+    parts = [f"    .{name} = {braced(value)},".replace("\n", "\n    ") for name, value in values if np.any(value)]
     return "{\n" + "\n".join(parts or [f"    .{values[0][0]} = {braced(values[0][1])},"]) + "\n}"
 
 

@@ -115,6 +115,7 @@ OTHERS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", OTHERS)
 def test_other_kinds(case, tmp_path):
     name, changes = OTHERS[case]
@@ -131,6 +132,7 @@ def replayed_rows(folder, size):
     return np.loadtxt(folder / "replay.csv", delimiter=",")[:, :size]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_bad_readings_are_taken_alike(seed, tmp_path):
     """Jumps, missing readings, late ones: bridged, held, stopped at the same steps and with the same torques."""
@@ -166,6 +168,7 @@ def test_signals_and_the_reference(tmp_path):
     np.testing.assert_array_equal(in_c.reference(10**6, 36), in_c.reference(500, 36))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cc", ["gcc", "clang"])
 @pytest.mark.parametrize(
     "name", [pytest.param(each, marks=[] if each == "reachy_nod" else pytest.mark.long) for each in SHIPPED]

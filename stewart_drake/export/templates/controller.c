@@ -39,7 +39,7 @@ int @NAME@_step(
         }
     }
     for (int k = 0; k < 6; k++) {
-        command[k] = minimum(maximum(given[k], -command_limit[k]), command_limit[k]);
+        command[k] = minimum(maximum(given[k], -@LIMIT@[k]), @LIMIT@[k]);
     }
     status = end_parts(loop);
     loop->steps += 1.0;

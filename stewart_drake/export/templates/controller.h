@@ -8,6 +8,10 @@
 #define @UPPER@_REFERENCE @REFERENCE@ /* numbers of a sample of the reference: pose, rate and acceleration, and what is ahead */
 #define @UPPER@_ROWS @ROWS@ /* samples of the scenario's reference in @NAME@_reference.c */
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* All signals and states. */
 struct @NAME@_controller {
     double memory[@NUMBERS@];
@@ -37,5 +41,9 @@ const double *@NAME@_signal(const struct @NAME@_controller *controller, const ch
 
 /* The scenario's reference at a step; after its end the last sample. In a file of its own, for who wants it. */
 void @NAME@_reference(long step, double *reference);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif
