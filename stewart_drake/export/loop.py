@@ -9,7 +9,8 @@ import numpy as np
 
 from stewart_drake.base.errors import StewartDrakeError, failure_code
 from stewart_drake.base.sampling import steps_per
-from stewart_drake.export.printer import Program, braced, filled, refusal, source_of
+from stewart_drake.export.printer import Program, braced, filled
+from stewart_drake.export.source import refusal, source_of
 from stewart_drake.export.values import Array, Axis, Record, Scalar, Unknown, number
 from stewart_drake.loop.part import HEALTHY, Part
 from stewart_drake.mechanics.kinematics_laws import NO_CONVERGENCE

@@ -205,3 +205,44 @@ def added(start: str, index: str) -> str:
     if index == "0":
         return start
     return str(int(start) + int(index)) if start.isdigit() and index.isdigit() else f"{start} + {index}"
+
+
+class Signature(NamedTuple):
+    """A printed function: its name, its result, which arguments it writes, and whether each array has a free length.
+
+    The result is None, the kind of a number, a tuple of kinds, or the shape of an array, in a list.
+    """
+
+    name: str
+    result: Any
+    written: frozenset[int]
+
+
+def kind_of(value: Value) -> Any:
+    """What of an argument decides how a function is printed."""
+    if isinstance(value, Scalar):
+        return value.kind
+    if isinstance(value, Array):
+        shape = tuple(size if isinstance(size, int) else None for size in value.shape)
+        return (value.kind, shape, *value.layout)
+    if isinstance(value, Record):
+        return value.kind
+    raise Unknown("an argument that is neither a number nor an array nor a record")
+
+
+class Call(Several):
+    """Several results of a call."""
+
+    text: str
+
+    def __new__(cls, items: tuple[Any, ...], text: str = "") -> Call:
+        """With the text of the call."""
+        made = super().__new__(cls, items)
+        made.text = text
+        return made
+
+
+def wider(one: str | None, other: str) -> str:
+    """The kind of number that takes both."""
+    order = ("bool", "int", "double")
+    return other if one is None else order[max(order.index(one), order.index(other))]
