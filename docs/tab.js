@@ -171,10 +171,14 @@ class TabSession {
   /** Sends the hand to a pose, or as far towards it as the robot can go. */
   aim(pose) {
     const here = this.hand.state[0], asked = this.doubles(this.place("asked"));
-    const reaches = (share) => {
-      asked.set(here.map((value, k) => value + share * (pose[k] - value)));
+    // What the motion adds to the pose, over its slowest period.
+    const period = 2 * Math.PI / Math.min(...this.robot.motion.angular_frequency);
+    const around = Array.from({ length: this.share.target[0] > 0 ? 24 : 1 }, (_, n) =>
+      this.moved(n * period / 24)[0].map((value, k) => (this.share.target[0] > 0 ? value - this.home[k] : 0)));
+    const reaches = (share) => around.every((own) => {
+      asked.set(here.map((value, k) => value + share * (pose[k] - value) + own[k]));
       return this.module.tab_allowed() !== 0;
-    };
+    });
     let low = 0, high = 1;
     for (let round = 0; round < 4; round += 1) {
       const shares = Array.from({ length: 24 }, (_, k) => low + (high - low) * (k + 1) / 24);
