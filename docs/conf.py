@@ -26,7 +26,7 @@ html_theme = "furo"
 html_title = project
 html_static_path = ["site.css"]
 html_css_files = ["site.css"]
-html_extra_path = ["llms.txt"]
+html_extra_path = ["llms.txt", *(["tab.html"] if (DOCS / "tab.html").exists() else [])]  # the tab: `make tab`
 html_show_sourcelink = False
 html_math_renderer = "mathml"
 

@@ -74,3 +74,29 @@ def drive(
     finally:
         opened.disconnect()
     end(log, place == claimed)
+
+
+@command(
+    "export",
+    c=opt.option("Folder for the controller as C99.", opt.OUT_FOLDER, "--c"),
+    fmu=opt.option("Folder for controller and robot as FMI 3.0 units.", opt.OUT_FOLDER, "--fmu"),
+)
+def export(scenario: str, c: Path | None, fmu: Path | None, overrides: tuple[str, ...]) -> None:
+    """SCENARIO, or a file of a controller alone, becomes a header and a source of C99 that needs math.h alone.
+
+    The folder has its reference as a table, a replay with which `make check` compares commands, and an example for a
+    microcontroller. What cannot be printed, such as your own controller in Python, is refused with file and line. Units
+    for co-simulation have the same source, and the closed form of the robot; they are compiled here if there is a cc.
+    """
+    from stewart_drake.export.controller_c import export_controller
+    from stewart_drake.export.fmu import write_units
+
+    if c is None and fmu is None:
+        raise click.UsageError("export needs --c or --fmu, a folder each")
+    loaded = load_driven(scenario, overrides)
+    with shown_compiling():
+        written = [] if c is None else export_controller(loaded, loaded.name, c)
+        written += [] if fmu is None else write_units(loaded, loaded.name, fmu)
+    print_table(loaded.name, [(str(path), f"{path.stat().st_size / 1024.0:.0f} KB") for path in written])
+    if c is not None:
+        tell(f"try: make -C {c} check")

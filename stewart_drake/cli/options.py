@@ -29,6 +29,7 @@ COMMANDS = {
     "drive": About(
         "machine", "reachy_nod --machine sim: --for 5", "Drive a real robot, or one that is simulated apart"
     ),
+    "export": About("machine", "reachy_nod --c nod", "Write a controller as C99, for a microcontroller or C++"),
     "replay": About("view", "runs/exact_fig7 runs/exact_fig7-2", "Show runs side by side as one page"),
     "check": About("run", "paper_fig7 --retime", "Check a motion against every limit, without a run"),
     "moves": About("move", "check dances", "Moves and dances of Reachy Mini: check them, make them possible"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from stewart_drake.live.instrument import largest_force
@@ -27,19 +29,24 @@ def start_live(scenario: Scenario, port: int | None = None) -> tuple[LiveSession
         warm.advance(2)
 
     session = LiveSession(scenario)
+    about = about_robot(scenario, session.loop.reference.home, ghost=True)
+    about |= {"session": session.name, "instrument": True}
+    return session, LiveServer(session, about, port)
+
+
+def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> dict[str, Any]:
+    """What the page has to know of a robot before its first row; sliders begin at `home` (6,)."""
     robot = scenario.robot
-    about = {
+    return {
         "name": scenario.name,
-        "session": session.name,
-        "scene": robot_scene(robot, ghost=True),
-        "home": session.loop.reference.home.tolist(),
-        "room": _room(scenario, session.loop.reference.home).tolist(),
+        "scene": robot_scene(robot, ghost=ghost),
+        "home": home.tolist(),
+        "room": _room(scenario, home).tolist(),
         "payload_most": max(float(f"{0.5 * robot.platform_mass:.1g}"), scenario.plant.payload_mass),
         "force_most": largest_force(robot, scenario.gravity),
         "encoders": scenario.sensors.reading == "angles",
         "controllers": list(CONTROLLERS),
     }
-    return session, LiveServer(session, about, port)
 
 
 def start_machine(

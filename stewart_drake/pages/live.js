@@ -90,8 +90,9 @@ async function begin() {
   document.title = `${about.name} - stewart-drake live`;
   at("name").textContent = about.machine ? `${about.name} on ${about.machine}` : about.name;
   document.body.classList.toggle("steers", Boolean(about.machine));
+  document.body.classList.toggle("instrument", Boolean(about.instrument));
   view = new RobotScene(at("robot"), about.scene);
-  const pull = about.machine ? null : new Pull(view, view.links.find(({ name }) => name === "platform"), tell);
+  const pull = !about.instrument ? null : new Pull(view, view.links.find(({ name }) => name === "platform"), tell);
   const knobs = new Knobs(tell, hold);
   home = about.home;
   const sliders = AXES.map(([name, unit, scale], k) =>
@@ -197,7 +198,7 @@ async function begin() {
     at("message").className = last.ended ? "ended" : "";
     // Not before what was asked for here is done: the control would jump back for a moment.
     if (!asking && last.obeyed >= told) write(last);
-    if (!about.machine) {
+    if (about.instrument) {
       knobs.show(last.knobs, held);
       pull.show(last.pull);
       at("ghost").value = last.ghost;

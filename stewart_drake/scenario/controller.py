@@ -12,7 +12,7 @@ from stewart_drake.base.sampling import InBlocks
 from stewart_drake.hardware.motors import within_limit
 from stewart_drake.loop.part import LoopRunner, Part
 from stewart_drake.safety import LEVELS, first_trip
-from stewart_drake.scenario.assembly import control_side
+from stewart_drake.scenario.assembly import ControlSide, control_side
 from stewart_drake.scenario.control_options import ControlOptions
 
 
@@ -44,16 +44,7 @@ class Controller:
         self, options: ControlOptions, sources: Mapping[str, Callable[[float], np.ndarray]] | None = None
     ) -> None:
         side, self._age = control_side(options, split=True), np.zeros(1)
-        parts, self._safe = list(side.every_part), side.safety is not None
-        if any(part.system is not None for part in parts):
-            raise ConfigurationError(
-                "controller", options.controller.kind, "a controller that is no LeafSystem, to run without a plant"
-            )
-        if side.safety is not None:
-            parts.append(side.safety.connected(command=side.torque, age=self._age))
-        elif not options.controller.feedback:
-            # What learns reads, and does not end what needs no reading.
-            parts = [*_without([*side.parts], {side.reading}), *side.at_end]
+        parts, self._safe = controller_parts(options, side, self._age), side.safety is not None
         self.period, self._tick, self.reading = options.reading_period, side.context.period, side.context.reading
         outside = {side.reading: self.reading, **{source.signal: source.size for source in side.sources}}
         self._running = LoopRunner(parts, outside, period=side.context.period, step=self.period)
@@ -130,6 +121,21 @@ class Controller:
     def status(self) -> str:
         """Level of the safety layer: `none` where all is well, then `hold`, `ramp`, `safe_hold`, `end`."""
         return LEVELS[int(self._running.signal("safety")[0])] if self._safe else LEVELS[0]
+
+
+def controller_parts(options: ControlOptions, side: ControlSide, age: np.ndarray) -> list[Part]:
+    """The parts of a controller in their order; `age` (1,) [ticks] of its readings, for the safety layer."""
+    parts = list(side.every_part)
+    if any(part.system is not None for part in parts):
+        raise ConfigurationError(
+            "controller", options.controller.kind, "a controller that is no LeafSystem, to run without a plant"
+        )
+    if side.safety is not None:
+        parts.append(side.safety.connected(command=side.torque, age=age))
+    elif not options.controller.feedback:
+        # What learns reads, and does not end what needs no reading.
+        parts = [*_without([*side.parts], {side.reading}), *side.at_end]
+    return parts
 
 
 def _without(parts: list[Part], signals: set[str]) -> list[Part]:

@@ -1,0 +1,133 @@
+"""The controller of a scenario as a folder of C99: header, source, reference, a replay, and an example for a board."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from stewart_drake import __version__
+from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.errors import RunFailure
+from stewart_drake.base.sampling import on_grid
+from stewart_drake.export.loop import LoopSource, table_of
+from stewart_drake.export.printer import TEMPLATES
+from stewart_drake.export.values import number
+from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.scenario.assembly import ControlSide, control_side
+from stewart_drake.scenario.control_options import ControlOptions
+from stewart_drake.scenario.controller import Controller, controller_parts
+
+REPLAYED = 1.0
+"""[s] of readings in `replay.csv`, or the whole motion where it is shorter."""
+SWING = 1e-4
+"""[rad, m] by which those readings are off the reference, so that there is something to control."""
+MOST_ROWS = 100_000
+"""Of a reference's table."""
+
+
+def c_name(name: str) -> str:
+    """A name of a scenario as one of C."""
+    name = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return name if name[:1].isalpha() else f"robot_{name}"
+
+
+def from_template(file: str, words: Mapping[str, str]) -> str:
+    """A template with words in the places of their names."""
+    return re.sub(r"@(\w+)@", lambda match: words[match[1]], (TEMPLATES / file).read_text())
+
+
+def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
+    """The files of a folder by their names; `name` is that of the controller.
+
+    Raises:
+        ConfigurationError: A part that cannot be printed, with file and line; as `Controller`.
+    """
+    own, side, age = c_name(name), control_side(options, split=True), np.zeros(1)
+    parts = controller_parts(options, side, age)
+    outside = {"time": 1, side.reading: side.context.reading, **{source.signal: source.size for source in side.sources}}
+    loop = LoopSource(parts, outside, {}, side.context.period, options.reading_period, {"age": age})
+    command = "safe_torque" if side.safety is not None else side.command
+    limit = side.context.robot.effort_limits if side.command == side.torque else np.full(6, np.inf)
+    for helper in ("minimum", "maximum"):
+        loop.program.helper(helper)
+    ticks = min(round(getattr(options, "duration", 10.0) / options.reading_period) + 1, MOST_ROWS)
+    given = "".join(
+        f"    for (int k = 0; k < 18; k++) {{\n        loop->{name}[k] = reference[{start} + k];\n    }}\n"
+        for start, name in ((18 * n, source.signal) for n, source in enumerate(side.sources))
+    )
+    words = {
+        "NAME": own,
+        "UPPER": own.upper(),
+        "SCENARIO": name,
+        "VERSION": __version__,
+        "PERIOD": number(options.reading_period).text,
+        "GRID": number(on_grid(options.reading_period)).text,
+        "TICK": number(side.context.period).text,
+        "READING": str(side.context.reading),
+        "READS": side.reading,
+        "REFERENCE": str(18 * len(side.sources)),
+        "NUMBERS": str(loop.numbers),
+        "UNIT": side.unit,
+        "TAKES": str({"rad": 0, "N m": 1, "A": 2}[side.unit]),
+        "MEANS": "angles of the cranks [rad]" if side.context.reading == 6 else "pose [rad, m] and its rate",
+        "LIMIT": loop.program.table("command_limit", limit).base,
+        "COMMAND": loop.signals[command].text,
+        "PARTS": ", ".join(f'"{part.name}"' for part in parts),
+        "GIVEN": given.rstrip(),
+        "LOOP": loop.text().rstrip(),
+        "ROWS": str(ticks),
+        "TABLE": table_of(_reference(side, options.reading_period, ticks)),
+    }
+    wanted = {"controller.h": f"{own}.h", "controller.c": f"{own}.c", "reference.c": f"{own}_reference.c"}
+    wanted |= {"main.c": "main.c", "Makefile": "Makefile"}
+    if side.context.reading == 6:
+        wanted["board.c"] = "board.c"
+    files = {}
+    for template, file in wanted.items():
+        files[file] = from_template(template, words)
+    return {**files, "replay.csv": _replay(options, side)}
+
+
+def export_controller(options: ControlOptions, name: str, folder: Path) -> list[Path]:
+    """Writes `controller_files` into a folder; their paths."""
+    files = controller_files(options, name)
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, text in files.items():
+        write_atomically(folder / file, text.encode())
+    return [folder / file for file in files]
+
+
+def _reference(side: ControlSide, period: float, ticks: int) -> np.ndarray:
+    """Reference (ticks, 18), and what is ahead beside it, at each step."""
+    times = np.arange(ticks) * on_grid(period)
+    return np.concatenate([source.evaluate(times) for source in side.sources], axis=1)
+
+
+def readings_along(options: ControlOptions, side: ControlSide, ticks: int) -> np.ndarray:
+    """Readings (ticks, n) near the reference, as a robot gives them that follows it."""
+    times = np.arange(ticks) * on_grid(options.reading_period)
+    motion = side.sources[0].evaluate(times)[:, :12]
+    rows = motion
+    if side.context.reading == 6:
+        rows = np.unwrap(inverse_kinematics(side.context.robot, motion[:, :6]), axis=0)
+    swing: np.ndarray = rows + SWING * np.sin(7.0 * times[:, None] + np.arange(rows.shape[1]))
+    return swing
+
+
+def _replay(options: ControlOptions, side: ControlSide) -> str:
+    """Rows of reading, reference, age and the command that `Controller` gives for them."""
+    controller, out = Controller(options), np.empty(6)
+    ticks = round(min(getattr(options, "duration", REPLAYED), REPLAYED) / options.reading_period) + 1
+    names = [source.signal for source in side.sources]
+    rows = []
+    for k, reading in enumerate(readings_along(options, side, ticks)):
+        try:
+            controller.step(reading, k * on_grid(options.reading_period), out)
+        except RunFailure:
+            break
+        wanted = [controller.signal(name) for name in names]
+        rows.append(np.concatenate([reading, *wanted, [0.0], out]))
+    return "".join(",".join(repr(float(value)) for value in row) + "\n" for row in rows)

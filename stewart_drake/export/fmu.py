@@ -1,0 +1,189 @@
+"""Units of co-simulation, FMI 3.0, with the printed source in them: a controller, and a robot with its motors."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import shutil
+import subprocess
+import tempfile
+import zipfile
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from stewart_drake import __version__
+from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.jit import njit
+from stewart_drake.base.sampling import on_grid
+from stewart_drake.export.controller_c import c_name, controller_files, from_template, readings_along
+from stewart_drake.export.loop import LoopSource
+from stewart_drake.export.values import number
+from stewart_drake.hardware.motors import delay_part
+from stewart_drake.loop.part import Part
+from stewart_drake.mechanics.kinematics_laws import LEGS, OK, SERIAL
+from stewart_drake.plant.closed_form import ClosedForm, _semi_implicit
+from stewart_drake.scenario.assembly import control_side
+from stewart_drake.scenario.control_options import ControlOptions
+from stewart_drake.scenario.scenario import Scenario
+
+
+class Variable(NamedTuple):
+    """An input or output of a unit: its name, and its numbers at the start."""
+
+    name: str
+    start: np.ndarray
+    is_input: bool
+
+
+@njit
+def plant_tick(robot: Any, friction: Any, params: Any, torque: Any, wrench: Any, legs: Any, state: Any) -> Any:
+    """A step of the closed form as the kernel of a part; status, leg, margin."""
+    leg, margin = _semi_implicit(robot, friction, params, legs, torque, wrench, state)
+    return OK if leg < 0 else SERIAL, leg, margin
+
+
+def plant_part(scenario: Scenario) -> Part:
+    """The closed form of a scenario's robot as a part at the end of a tick, from the start of the scenario on."""
+    plant = ClosedForm(scenario.robot, scenario.plant, scenario.gravity)  # type: ignore[arg-type]
+    plant.initial(*scenario.start())
+    loaded, friction, params, _ = plant._fixed
+    constants, inputs = {"robot": loaded, "friction": friction, "params": params}, {"motor_torque": 6, "wrench": 6}
+    part = Part("plant", plant_tick, constants, inputs, (), plant.save(), (LEGS,), error=lambda *_: None)  # type: ignore[arg-type]
+    return part._replace(period=scenario.plant.time_step, end_of_tick=True)
+
+
+def robot_files(scenario: Scenario, name: str) -> dict[str, str]:
+    """Header and source of the robot with its motors, by name."""
+    step, parts, command = scenario.plant.time_step, [], "command"
+    first = scenario.motors.initial_command(control_side(scenario, split=True).context)
+    if (ticks := round(scenario.motors.dead_time / step)) > 0:
+        parts.append(delay_part(ticks, first, "motor_delay").connected(value=command).named(value="delayed"))
+        command = "delayed"
+    parts.append(scenario.motors.part(scenario.robot, step).connected(command=command).named(torque="motor_torque"))
+    outside = {"time": 1, "command": 6, "wrench": 6, "crank_state": 12}
+    loop = LoopSource([*parts, plant_part(scenario)], outside, {}, step, step, {})
+    words = {"NAME": name, "UPPER": name.upper(), "SCENARIO": scenario.name, "VERSION": __version__}
+    words |= {"LOOP": loop.text().rstrip(), "NUMBERS": str(loop.numbers), "UNIT": scenario.motors.unit}
+    words |= {"PERIOD": number(step).text, "GRID": number(on_grid(step)).text}
+    return {f"{name}.{ending}": from_template(f"robot.{ending}", words) for ending in ("h", "c")}
+
+
+def controller_unit(options: ControlOptions, name: str) -> bytes:
+    """The controller as an FMU: inputs `reading`, `reference`, `age`, output `command`; ConfigurationError as in C."""
+    own, side = c_name(name), control_side(options, split=True)
+    files = {file: text for file, text in controller_files(options, name).items() if file in (f"{own}.h", f"{own}.c")}
+    wanted = np.concatenate([source.evaluate(np.zeros(1))[0] for source in side.sources])
+    variables = [
+        Variable("reading", readings_along(options, side, 1)[0], True),
+        Variable("reference", wanted, True),
+        Variable("age", np.zeros(1), True),
+        Variable("command", np.zeros(6), False),
+    ]
+    step = f"return {own}_step(&u->inner, u->reading, u->reference, u->age[0], u->command) == 0 && ++u->steps > 0.0;"
+    return _unit(f"{own}_controller", own, "a controller", files, variables, options.reading_period, step)
+
+
+def robot_unit(scenario: Scenario, name: str) -> bytes:
+    """The robot with its motors as an FMU: inputs `command`, `wrench`, output `measured`."""
+    own = f"{c_name(name)}_robot"
+    pose, rate = scenario.start()
+    variables = [
+        Variable("command", scenario.motors.initial_command(control_side(scenario, split=True).context), True),
+        Variable("wrench", np.zeros(6), True),
+        Variable("measured", ClosedForm(scenario.robot, scenario.plant, scenario.gravity).initial(pose, rate), False),  # type: ignore[arg-type]
+    ]
+    step = f"return {own}_step(&u->inner, u->command, u->wrench, u->measured) == 0 && ++u->steps > 0.0;"
+    files = robot_files(scenario, own)
+    return _unit(f"{own}_robot", own, "a robot", files, variables, scenario.plant.time_step, step)
+
+
+def write_units(options: ControlOptions, name: str, folder: Path) -> list[Path]:
+    """Writes the FMU of a controller and, of a scenario, that of its robot into a folder; their paths."""
+    units = {f"{c_name(name)}.fmu": controller_unit(options, name)}
+    if isinstance(options, Scenario):
+        units[f"{c_name(name)}_robot.fmu"] = robot_unit(options, name)
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, content in units.items():
+        write_atomically(folder / file, content)
+    return [folder / file for file in units]
+
+
+def _unit(
+    struct: str, own: str, what: str, files: dict[str, str], variables: list[Variable], period: float, step: str
+) -> bytes:
+    """The archive of a unit, with a library for this machine where there is a C compiler."""
+    words = {"WHAT": what, "HEADER": f"{own}.h", "STRUCT": struct, "PERIOD": number(on_grid(period)).text, "STEP": step}
+    words["FIELDS"] = "\n".join(f"    double {each.name}[{each.start.size}];" for each in variables)
+    words["INIT"] = f"{own}_init(&u->inner);"
+    rows = [
+        f"    {{offsetof(unit, {each.name}), {each.start.size}, {'true' if each.is_input else 'false'}}},"
+        for each in variables
+    ]
+    starts = [f"    u->{each.name}[{k}] = {number(x).text};" for each in variables for k, x in enumerate(each.start)]
+    words |= {"TABLE": "\n".join(rows), "START": "\n".join(starts)}
+    sources = {**files, "fmu.c": from_template("fmu.c", words)}
+    content = {"modelDescription.xml": _description(own, sources, variables, period)}
+    content |= {f"sources/{file}": text for file, text in sources.items()}
+    compiled = "".join(f'<SourceFile name="{file}"/>' for file in sources if file.endswith(".c"))
+    content["sources/buildDescription.xml"] = (
+        f'<?xml version="1.0" encoding="UTF-8"?>\n<fmiBuildDescription fmiVersion="3.0"><BuildConfiguration '
+        f'modelIdentifier="{own}"><SourceFileSet language="C99">{compiled}</SourceFileSet></BuildConfiguration>'
+        "</fmiBuildDescription>\n"
+    )
+    archive = BytesIO()
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as unit:
+        for file, text in content.items():
+            unit.writestr(zipfile.ZipInfo(file), text)
+        if (library := _library(own, sources)) is not None:
+            unit.writestr(zipfile.ZipInfo(library[0]), library[1])
+    return archive.getvalue()
+
+
+def _library(own: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
+    """Its place in the archive and the library; None without a compiler, for who runs it to compile the sources."""
+    compiler, system = shutil.which("cc") or shutil.which("gcc"), platform.system().lower()
+    if compiler is None or system not in ("linux", "darwin"):
+        return None
+    machine, ending = platform.machine().replace("arm64", "aarch64"), "so" if system == "linux" else "dylib"
+    with tempfile.TemporaryDirectory() as place:
+        folder, library = Path(place), Path(place) / f"{own}.{ending}"
+        for file, text in sources.items():
+            (folder / file).write_text(text)
+        flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-shared", "-fPIC"]
+        names = [file for file in sources if file.endswith(".c")]
+        done = subprocess.run(
+            [compiler, *flags, "-o", library, *names, "-lm"], cwd=folder, capture_output=True, text=True
+        )
+        if done.returncode != 0:
+            raise ConfigurationError("C compiler", compiler, f"one that compiles C99; {done.stderr[:500]}")
+        return f"binaries/{machine}-{system}/{library.name}", library.read_bytes()
+
+
+def _description(own: str, sources: dict[str, str], variables: list[Variable], period: float) -> str:
+    token = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:32]
+    rows = ['<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>']
+    outputs = []
+    for k, each in enumerate(variables, start=1):
+        start = f" start={quoteattr(' '.join(repr(float(x)) for x in each.start))}" if each.is_input else ""
+        kind = "input" if each.is_input else "output"
+        rows.append(
+            f'<Float64 name="{each.name}" valueReference="{k}" causality="{kind}" variability="discrete"{start}>'
+            f'<Dimension start="{each.start.size}"/></Float64>'
+        )
+        outputs += [] if each.is_input else [k]
+    structure = "".join(f'<{tag} valueReference="{k}"/>' for tag in ("Output", "InitialUnknown") for k in outputs)
+    step = number(on_grid(period)).text
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        f'<fmiModelDescription fmiVersion="3.0" modelName="{own}" instantiationToken="{token}" '
+        f'generationTool="stewart-drake {__version__}">\n'
+        f'<CoSimulation modelIdentifier="{own}" canHandleVariableCommunicationStepSize="true" '
+        f'fixedInternalStepSize="{step}"/>\n<DefaultExperiment startTime="0" stepSize="{step}"/>\n'
+        f"<ModelVariables>\n{chr(10).join(rows)}\n</ModelVariables>\n<ModelStructure>{structure}</ModelStructure>\n"
+        "</fmiModelDescription>\n"
+    )

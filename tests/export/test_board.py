@@ -1,0 +1,64 @@
+"""The example for a microcontroller speaks the packets of docs/wire.md, and answers as `Controller` does."""
+
+import ctypes
+
+import numpy as np
+import pytest
+from compiled import compiled
+
+from stewart_drake import Controller, load_scenario
+from stewart_drake.base.sampling import on_grid
+from stewart_drake.export.controller_c import export_controller
+from stewart_drake.machines.packet import (
+    ACTIVE,
+    MEASURED,
+    READING,
+    Packet,
+    decode,
+    encode,
+    flags_of,
+    from_frame,
+    to_frame,
+)
+
+
+@pytest.fixture
+def board(tmp_path):
+    export_controller(load_scenario("reachy_nod"), "reachy_nod", tmp_path)
+    sources = "board.c", "reachy_nod.c", "reachy_nod_reference.c"
+    return ctypes.CDLL(str(compiled(tmp_path, *sources, flags=("-O1",))))
+
+
+def answered(board, data):
+    out = ctypes.create_string_buffer(48)
+    return out.raw if board.board_answer(data, len(data), ctypes.c_uint64(5), out) else None
+
+
+def test_it_answers_each_reading_with_the_command_of_the_controller(board, tmp_path):
+    asked = ctypes.create_string_buffer(48)
+    board.board_ask(ctypes.c_uint64(1), asked)
+    assert decode(asked.raw).flags == flags_of("torque")
+    controller, out = Controller(load_scenario("reachy_nod")), np.empty(6)
+    rows = np.loadtxt(tmp_path / "replay.csv", delimiter=",")[:50, :6].astype(np.float32)
+    for k, row in enumerate(rows):
+        reading = encode(Packet(flags_of("torque", READING, ACTIVE, MEASURED), k + 7, k, 10_000 * k, row))
+        controller.step(row.astype(float), k * on_grid(0.01), out)
+        said = decode(answered(board, reading))
+        assert (said.flags, said.answers, said.number) == (flags_of("torque", ACTIVE), k + 7, k + 2)
+        np.testing.assert_array_equal(said.values, out.astype(np.float32))
+        assert answered(board, reading) is None  # once only
+    for wrong in (reading[:-1], b"X" + reading[1:], reading[:20] + b"\x01" + reading[21:], asked.raw):
+        assert answered(board, wrong) is None
+
+
+def test_frames_of_a_serial_line(board):
+    data, frame, back = (
+        encode(Packet(flags_of("torque"), 258, 257, 10**6, np.zeros(6))),
+        *(ctypes.create_string_buffer(50) for _ in "ab"),
+    )
+    size = board.board_to_frame(data, frame)
+    assert frame.raw[:size] == to_frame(data)
+    assert from_frame(frame.raw[: size - 1]) == data
+    assert board.board_from_frame(frame, size - 1, back) == 48
+    assert back.raw[:48] == data
+    assert board.board_from_frame(b"\x09\x01", 2, back) == 0

@@ -1,0 +1,192 @@
+"""The exported controller gives the commands of `Controller`, whatever the readings are."""
+
+import subprocess
+from functools import cache
+
+import numpy as np
+import pytest
+from compiled import CHECKED, InC, compiled, compiler
+
+from stewart_drake import Controller, load_scenario
+from stewart_drake.base.errors import ConfigurationError, RunFailure
+from stewart_drake.base.sampling import on_grid
+from stewart_drake.base.yaml_files import shipped_folder
+from stewart_drake.export.controller_c import export_controller
+from stewart_drake.runs.stepped_loop import SteppedLoop
+from stewart_drake.scenario.assembly import control_side
+
+SHIPPED = sorted(path.stem for path in shipped_folder("scenarios").glob("*.yaml"))
+SAME = 1e-12
+"""Of the largest command; what another libm may do."""
+
+
+def on_closed_form(scenario):
+    plant = {
+        "kind": "closed_form",
+        **{key: getattr(scenario.plant, key) for key in ("motor_damping", "motor_friction")},
+    }
+    return scenario.replace({"plant": plant})
+
+
+@cache
+def readings(scenario, seconds):
+    """Readings of a run in the closed form, at the controller's ticks."""
+    loop = SteppedLoop(on_closed_form(scenario))
+    name = control_side(scenario, True, "reading" if "reading" in loop.runner.places else "plant_pose").reading
+    stride = round(scenario.reading_period / loop.scenario.plant.time_step)
+    rows = []
+    loop.begin()
+    try:
+        for step in range(round(seconds / loop.scenario.plant.time_step) + 1):
+            loop.run_parts()
+            if step % stride == 0:
+                rows.append(loop.runner.signal(name).copy())
+            loop.move()
+    except RunFailure:  # as without compensation of the weight
+        pass
+    return np.array(rows)
+
+
+def both(controller, in_c, rows, period, ages=None):
+    """Commands of both, up to where they give up, which they do at the same step."""
+    names = [name for name in ("reference", "reference_ahead") if name in controller._running.places]
+    commands, out, mine = [], np.empty(6), np.empty(6)
+    for k, row in enumerate(rows):
+        age = 0.0 if ages is None else ages[k]
+        try:
+            controller.step(row, k * on_grid(period), out, age)
+            given_up = False
+        except RunFailure:
+            given_up = True
+        wanted = np.concatenate([controller.signal(name) for name in names])
+        status = in_c.step(row, wanted, mine, age)
+        assert (status != 0) == given_up, (k, status)
+        if given_up:
+            break
+        commands.append((out.copy(), mine.copy()))
+    return np.array(commands).reshape(-1, 2, 6)
+
+
+def assert_same(commands):
+    scale = max(np.abs(commands[:, 0]).max(), 1e-9)
+    assert np.abs(commands[:, 0] - commands[:, 1]).max() <= SAME * scale
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(each, marks=[] if each in ("exact_fig7", "reachy_nod") else pytest.mark.slow) for each in SHIPPED],
+)
+def test_commands_are_those_of_the_controller(name, tmp_path):
+    scenario = load_scenario(name)
+    export_controller(scenario, name, tmp_path)
+    rows = readings(scenario, 1.0)
+    commands = both(Controller(scenario), InC(tmp_path, name), rows, scenario.reading_period)
+    assert len(commands) > 10
+    assert_same(commands)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", SHIPPED)
+def test_commands_of_ten_seconds(name, tmp_path):
+    scenario = load_scenario(name, ["duration=10"])
+    export_controller(scenario, name, tmp_path)
+    assert_same(both(Controller(scenario), InC(tmp_path, name), readings(scenario, 10.0), scenario.reading_period))
+
+
+OTHERS = {
+    "pid": ("exact_fig7", {"controller": {"kind": "pid"}}),
+    "pid_back": ("exact_fig7", {"controller": {"kind": "pid", "saturation": "back_calculation"}}),
+    "computed_torque": ("exact_fig7", {"controller": {"kind": "computed_torque"}}),
+    "servos": ("reachy_nod", {
+        "controller": {"kind": "feedforward", "period": 0.02}, "estimator": "difference", "tuner": "fixed",
+        "motors": {"kind": "position"}, "command_delay": 0, "safety": None,
+    }),
+    "currents": ("exact_breathing", {"motors": {"kind": "current", "torque_constant": 0.5}, "safety": None}),
+    "schedule": ("reachy_nod", {"tuner": {"kind": "schedule", "calm": [0, 0, 0, 0], "alert": [0.2, 0, 0, 0.5]}}),
+    "joints": ("reachy_nod", {"model.friction.joints": {"viscous": 0.001, "coulomb": 0.001}}),
+    "bumpless": ("reachy_nod", {"controller.bumpless": True}),
+    "observer_of_poses": ("exact_fig7", {"estimator": "observer", "command_delay": 2, "safety": {}}),
+    "fast_readings": ("exact_breathing", {
+        "estimator.period": 0.0005, "controller.period": 0.002, "plant.time_step": 0.0005,
+    }),
+    "euler": ("paper_fig7", {
+        "controller.discretization": "euler", "controller.force_map": "printed", "tuner": "fixed",
+    }),
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", OTHERS)
+def test_other_kinds(case, tmp_path):
+    name, changes = OTHERS[case]
+    scenario = load_scenario(name).replace(changes)
+    export_controller(scenario, case, tmp_path)
+    controller = Controller(scenario)
+    rows = replayed_rows(tmp_path, controller.reading)
+    commands = both(controller, InC(tmp_path, case), rows, scenario.reading_period)
+    assert len(commands) == len(rows)
+    assert_same(commands)
+
+
+def replayed_rows(folder, size):
+    return np.loadtxt(folder / "replay.csv", delimiter=",")[:, :size]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_bad_readings_are_taken_alike(seed, tmp_path):
+    """Jumps, missing readings, late ones: bridged, held, stopped at the same steps and with the same torques."""
+    scenario, rng = load_scenario("reachy_nod"), np.random.default_rng(seed)
+    export_controller(scenario, "nod", tmp_path)
+    rows = readings(scenario, 2.0).copy()
+    rows += rng.normal(0.0, 1e-3, rows.shape) * (rng.random((len(rows), 1)) < 0.2)
+    rows[rng.random(rows.shape) < 0.02] = np.nan
+    begin = rng.integers(60, 150)
+    rows[begin:, rng.integers(6)] += (0.3, np.nan, -0.05, np.inf)[seed]
+    ages = np.where(rng.random(len(rows)) < 0.05, 0.1, 0.0)
+    controller, in_c = Controller(scenario), InC(tmp_path, "nod")
+    commands = both(controller, in_c, rows, scenario.reading_period, ages)
+    assert len(commands) > 50
+    assert_same(commands)
+    assert controller.status != "none"
+    np.testing.assert_array_equal(in_c.signal("safety"), controller.signal("safety"))
+    in_c.reset()
+    again = both(Controller(scenario), in_c, rows, scenario.reading_period, ages)
+    np.testing.assert_array_equal(again[:, 1], commands[:, 1])
+
+
+def test_signals_and_the_reference(tmp_path):
+    scenario = load_scenario("reachy_nod")
+    export_controller(scenario, "nod", tmp_path)
+    controller, in_c = Controller(scenario), InC(tmp_path, "nod")
+    both(controller, in_c, readings(scenario, 0.3), scenario.reading_period)
+    for name in ("error", "measurement", "weights", "friction_torque", "density", "expected_disturbance"):
+        np.testing.assert_allclose(in_c.signal(name), controller.signal(name), rtol=1e-11, atol=1e-12)
+    assert in_c.signal("no such") is None
+    wanted = [controller.signal(name) for name in ("reference", "reference_ahead")]
+    np.testing.assert_array_equal(in_c.reference(30, 36), np.concatenate(wanted))
+    np.testing.assert_array_equal(in_c.reference(10**6, 36), in_c.reference(500, 36))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cc", ["gcc", "clang"])
+@pytest.mark.parametrize(
+    "name", [pytest.param(each, marks=[] if each == "reachy_nod" else pytest.mark.long) for each in SHIPPED]
+)
+def test_clean_under_sanitizers(name, cc, tmp_path):
+    compiler(cc)
+    export_controller(load_scenario(name), name, tmp_path)
+    program = compiled(tmp_path, "main.c", f"{name}.c", f"{name}_reference.c", flags=CHECKED, output="it", cc=cc)
+    with (tmp_path / "replay.csv").open() as rows:
+        done = subprocess.run([program], stdin=rows, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_what_runs_in_python_is_refused_with_file_and_line(tmp_path):
+    def torques(measurement, _, __):
+        return 0.0 * measurement.pose
+
+    scenario = load_scenario("exact_fig7").replace({"controller": torques})
+    with pytest.raises(ConfigurationError, match=r"\.py:\d+: expected what can be printed as C"):
+        export_controller(scenario, "mine", tmp_path / "mine")
+    assert not (tmp_path / "mine").exists()
