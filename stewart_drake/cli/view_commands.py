@@ -8,10 +8,9 @@ from pathlib import Path
 
 import click
 
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
-from stewart_drake.cli.run_commands import end
 from stewart_drake.cli.terminal import shown_compiling, tell
 from stewart_drake.logs.log import load_log
 from stewart_drake.scenario.scenario import load_driven, load_scenario
@@ -75,12 +74,14 @@ def _steer(scenario: str, url: str, port: int | None, overrides: tuple[str, ...]
             click.echo(f"{loaded.name} on {url} is live at {server.url} (Ctrl-C stops it)")
             if browser:
                 webbrowser.open(server.url)
-            log = session.run()
+            why = session.run()
         finally:
             server.close()
     finally:
         machine.disconnect()
-    end(log, True)
+    if isinstance(why, RunFailure):
+        raise why
+    click.echo()
 
 
 @command("replay", logs={"required": True}, out="runs/replay.html")

@@ -36,7 +36,7 @@ def mass_diagonal(robot: RobotParameters) -> np.ndarray:
     Deviation, kept from the paper: legs, gravity and gyroscopic terms are left out, and moments in B act on inertia in
     P.
     """
-    return np.array([*robot.platform_inertia, *(robot.platform_mass,) * 3])
+    return np.array([*np.diag(robot.central_inertia), *(robot.platform_mass,) * 3])
 
 
 def acceleration_map(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind = "statics") -> np.ndarray:

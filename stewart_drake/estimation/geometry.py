@@ -127,7 +127,7 @@ def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
     legs: list[dict[str, Any]] = [
         {
             "shaft_position": record["shaft"][leg],
-            "platform_joint": record["joint"][leg],
+            "platform_joint": guess.tool_rotation @ record["joint"][leg] + guess.tool_position,
             "crank_length": record["crank_length"][leg],
             "rod_length": record["rod_length"][leg],
             "crank_zero_direction": record["crank_x"][leg],

@@ -74,9 +74,11 @@ def as_robot(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
     mass = float(values[MASS])
     centre = values[MOMENT] / mass
     central = inertia_matrix(values) - mass * ((centre @ centre) * np.eye(3) - np.outer(centre, centre))
+    # A robot's keys are in P.
+    central = guess.tool_rotation @ central @ guess.tool_rotation.T
     return guess.replace(
         platform_mass=mass,
-        platform_center_of_mass=centre,
+        platform_center_of_mass=guess.tool_rotation @ centre + guess.tool_position,
         platform_inertia=np.diag(central),
         platform_products=[central[at] for at in ENTRIES[3:]],
         rod_mass=values[ROD_MASS],

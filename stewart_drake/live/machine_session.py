@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError
 from stewart_drake.live.session import SLICE, PageSession, six_of
 from stewart_drake.live.steering import HandMotion, nearest_allowed
-from stewart_drake.logs.log import MAX_ROWS, SimulationLog
+from stewart_drake.logs.log import MAX_ROWS
 from stewart_drake.machines.machine import Machine
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.references.paced import RAMP, PacedMotion
@@ -41,26 +41,27 @@ class MachineSession(PageSession):
         self._drive, self._torques = Drive(scenario, machine, own, most=KEPT), machine.takes == "torque"
         self._pose, self._ended = start.pose, ""
         self._do = {"aim": self._aim, "move": self._move, "stop": lambda _: self._drive.stop()}
+        self.row()  # Compiles.
 
     @property
     def home(self) -> np.ndarray:
         """(6,) [rad, m] where the motion begins."""
         return self._hand.reference.home
 
-    def run(self) -> SimulationLog:
-        """Until Ctrl-C, a stop on the page, or what ends a `Drive`; the log has the latest rows."""
+    def run(self) -> RunFailure | KeyboardInterrupt | None:
+        """Until Ctrl-C, a stop on the page, or what ends a `Drive`; why."""
         over = threading.Event()
         shown = threading.Thread(target=self._show, args=(over,), daemon=True)
         shown.start()
         try:
-            log = self._drive.run(self._go_on)
+            why = self._drive.go(self._go_on)
         finally:
             over.set()
             shown.join()
-        self._ended = "" if log.message is None else log.message.splitlines()[0]
+        self._ended = " ".join(str(why).split()) if isinstance(why, RunFailure) else "stopped"
         self.publish(self.row())
         time.sleep(LAST_ROW)
-        return log
+        return why
 
     def _go_on(self, now: float) -> None:
         own = self._motion.own_time(now)
@@ -71,8 +72,7 @@ class MachineSession(PageSession):
     def _show(self, over: threading.Event) -> None:
         while not over.wait(SLICE):
             self.obey()
-            if self._drive.latest is not None:
-                self.publish(self.row())
+            self.publish(self.row())
 
     def _aim(self, command: Mapping[str, Any]) -> None:
         scenario, reference = self.scenario, self._hand.reference
@@ -110,8 +110,7 @@ class MachineSession(PageSession):
             "ended": self._ended,
             **dict.fromkeys(("setting", "kappa", "payload", "dead", "frozen", "controller", "links", "torque")),
         }
-        if (tick := drive.latest) is None:
-            return row
+        tick = drive.latest
         try:
             self._pose = forward_kinematics(robot, tick.angles, self._pose)
             wanted = inverse_kinematics(robot, tick.reference)

@@ -61,7 +61,7 @@ def robot_record(robot: RobotParameters) -> np.ndarray:
         platform_mass=robot.platform_mass,
         platform_moment=robot.platform_moment,
         platform_tensor=robot.platform_inertia_about_origin,
-        platform_inertia=robot.platform_inertia,
+        platform_inertia=np.diag(robot.central_inertia),
     )
     numbers.flags.writeable = False
     return numbers

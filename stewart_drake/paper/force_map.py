@@ -83,7 +83,7 @@ def predicted(robot: RobotParameters, poses: np.ndarray, model: str) -> np.ndarr
         return np.asarray(wrench / mass_diagonal(robot)[:, None])
     rate = wrench / robot.platform_mass
     rotation = rotation_matrix(poses[:, :3])
-    inertia = (rotation * np.array(robot.platform_inertia)) @ np.swapaxes(rotation, -1, -2)
+    inertia = (rotation * np.diag(robot.central_inertia)) @ np.swapaxes(rotation, -1, -2)
     rate[:, :3] = np.linalg.solve(inertia, wrench[:, :3])
     return to_euler(poses, rate) if model == "massless legs" else rate
 

@@ -6,8 +6,9 @@ All joint angles are zero at home, Drake's motor angle too; theta of a crank is 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ import numpy as np
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.config import check_value
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.mechanics.kinematics import cross, leg_geometry, roll_pitch_yaw
+from stewart_drake.mechanics.kinematics import cross, leg_geometry, roll_pitch_yaw, rotation_matrix
 from stewart_drake.plant.plant_options import DrakeOptions, PlantOptions, RodJoint
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST_SIZE, LEG_COUNT
@@ -96,6 +97,11 @@ def sdf_text(robot: RobotParameters, *, rod_joint: RodJoint = "universal", colli
     """
     check_value("rod_joint", rod_joint, RodJoint)
     frames, radius = home_frames(robot), robot.link_radius
+
+    def sides(z: float, place: Callable[..., Any] = lambda at, turn: (at, turn)) -> list[Any]:
+        """Where the six boxes of a disc stand."""
+        return [place((0.0, 0.0, z), (0.0, 0.0, side * math.pi / 6.0)) for side in range(6)]
+
     # Of an upright crank R_BC = Rz(yaw) Ry(-theta): no rounding of a matrix on the way.
     crank_turns = [
         (0.0, -frames.crank_angles[leg], robot.crank_yaws[leg])
@@ -111,12 +117,28 @@ def sdf_text(robot: RobotParameters, *, rod_joint: RodJoint = "universal", colli
         collision=collision,
         frames=frames,
         crank_turns=crank_turns,
+        platform_inertia=_moments_and_products(robot),
+        on_platform=partial(on_platform, robot),
+        sides=sides,
         rod_turns=roll_pitch_yaw(frames.rod_rotation),
         housing_radius=_HOUSING_RADIUS * radius,
         housings=[_housing(robot, frames, leg) for leg in range(LEG_COUNT)],
         # All of a link but two radii at either joint may collide.
         free_length=lambda span: max(span - 4.0 * radius, radius),
     )
+
+
+def on_platform(robot: RobotParameters, at: Any, turn: Any = (0.0, 0.0, 0.0)) -> tuple[Any, Any]:
+    """Position (3,) [m] and roll, pitch, yaw (3,) [rad] in the frame that poses tell of, of what has these in P."""
+    if robot.tool is None:
+        return at, turn
+    back = robot.tool_rotation.T
+    return back @ (np.array(at) - robot.tool_position), roll_pitch_yaw(back @ rotation_matrix(np.array(turn)))
+
+
+def _moments_and_products(robot: RobotParameters) -> tuple[np.ndarray, np.ndarray]:
+    inertia = robot.central_inertia
+    return np.diag(inertia), inertia[np.triu_indices(3, 1)]
 
 
 def write_sdf(
@@ -150,6 +172,9 @@ def mjcf_text(robot: RobotParameters, gravity: float = STANDARD_GRAVITY, options
         "robot.mjcf.j2",
         robot=robot,
         frames=frames,
+        home_rotation=robot.tool_rotation,
+        platform_inertia=_moments_and_products(robot),
+        disc=on_platform(robot, (0.0, 0.0, 0.0)),
         gravity=gravity,
         step=options.time_step,
         linear=not any(friction.coulomb) and not np.isfinite(frames.stops).any(),

@@ -40,7 +40,7 @@ def check_geometry(robot: RobotParameters) -> None:
         if abs(np.dot(robot.crank_zero_directions[leg], quarter)) > DIRECTION_TOLERANCE:
             allowed = "a direction perpendicular to crank_zero_direction"
             raise ConfigurationError(f"robot.legs.{leg}.crank_quarter_direction", quarter, allowed)
-    check_order(robot.shaft_positions, robot.platform_joints)
+    check_order(robot.shaft_positions, robot.joints_in_platform)
     _check_home(robot)
 
 
@@ -63,7 +63,7 @@ def check_order(shafts: np.ndarray, joints: np.ndarray) -> None:
 
 def _check_home(robot: RobotParameters) -> None:
     """Refuses a robot whose legs do not close at home, or only beyond their stops: it has no SDF."""
-    span = robot.platform_joints + robot.home_pose[3:] - robot.shaft_positions
+    span = robot.joints_in_platform + [0.0, 0.0, robot.home_height] - robot.shaft_positions
     directions = robot.crank_zero_directions, robot.crank_quarter_directions
     along, up, constant = crank_equation(span, *directions, robot.crank_lengths, robot.rod_lengths)
     size = np.hypot(along, up)

@@ -18,6 +18,7 @@ from stewart_drake.robot.leg import (
     HalfAngle,
     Length,
     Moderate,
+    Position,
     Signed,
     Signed3,
     SixLegs,
@@ -50,11 +51,27 @@ def _of_legs(name: str, symmetric: Callable[[Any], np.ndarray]) -> cached_proper
     return cached_property(values)
 
 
+class Tool(Section, key="robot.tool"):
+    """A point of the platform, and axes, which poses, motions, errors and pushes are told of in place of P's."""
+
+    position: Position = (0.0, 0.0, 0.0)
+    """[m] of the point in P."""
+    orientation: Signed3 = (0.0, 0.0, 0.0)
+    """[rad] roll, pitch, yaw of the axes in P."""
+
+    def rules(self) -> None:
+        """At home the Euler angles of a pose are regular."""
+        if not abs(self.orientation[1]) < math.radians(85.0):
+            allowed = "a pitch below 85 deg, near which the Euler angles of a pose are singular"
+            raise ConfigurationError("orientation", self.orientation, allowed)
+
+
 class RobotParameters(Section, key="robot"):
     """One robot: six motors in three pairs 120 deg apart, six cranks, six rods, one platform.
 
     Leg i = 0..5 belongs to pair k = i // 2 and is on side s = -1 (even i) or +1 (odd i) of the pair's direction
-    c_k = 120 deg * k. Frames: B at the base, z up; P at the centre of the platform's joint circle. Lengths, radii,
+    c_k = 120 deg * k. Frames: B at the base, z up; P at the centre of the platform's joint circle. Poses tell of P, or
+    of a `tool`. Lengths, radii,
     masses and inertias are those of Table I; the joint positions are our own, because the paper gives none.
 
     The parameters describe a symmetric robot; `legs` gives single legs values of their own. Mechanics, plant and
@@ -86,7 +103,9 @@ class RobotParameters(Section, key="robot"):
     rod_length: Length = 0.404
     """[m] length of a rod, crank tip to platform joint."""
     home_height: Length = 0.30
-    """[m] Z of P in B at home, the pose with roll, pitch, yaw, X, Y zero."""
+    """[m] Z of P in B at home, the pose of P with roll, pitch, yaw, X, Y zero."""
+    tool: Tool | None = None
+    """What poses tell of the platform: a tool's point and axes; null for P. Keys of the robot are in P all the same."""
     branch: Branch = -1
     """Sign of the acos in the inverse kinematics: -1 (default) or +1; it selects one of the two crank angles."""
     legs: SixLegs | None = None
@@ -129,7 +148,7 @@ class RobotParameters(Section, key="robot"):
             if 2.0 * max(inertia) > sum(inertia) * (1.0 + 1e-12):
                 allowed = f"three moments [kg m^2], none above the sum of the other two; {max(inertia):g} is"
                 raise ConfigurationError(f"robot.{name}", inertia, allowed)
-        principal = np.linalg.eigvalsh(self._central_inertia)
+        principal = np.linalg.eigvalsh(self.central_inertia)
         if principal[0] <= 0.0 or 2.0 * principal[2] > principal.sum() * (1.0 + 1e-9):
             allowed = "products that leave principal moments positive, and none above the sum of the others"
             raise ConfigurationError("robot.platform_products", self.platform_products, allowed)
@@ -157,8 +176,26 @@ class RobotParameters(Section, key="robot"):
 
     @cached_property
     def home_pose(self) -> np.ndarray:
-        """(6,) [rad, rad, rad, m, m, m] pose of P in B at which the SDF is written."""
-        return _frozen([0.0, 0.0, 0.0, 0.0, 0.0, self.home_height])
+        """(6,) [rad, rad, rad, m, m, m] pose in B, of the tool or of P, at which the SDF is written."""
+        tool = self.tool or Tool()
+        return _frozen([*tool.orientation, *tool.position[:2], tool.position[2] + self.home_height])
+
+    @cached_property
+    def tool_rotation(self) -> np.ndarray:
+        """(3, 3) [-] R_PT of the tool's axes; the identity without one."""
+        (cr, cp, cy), (sr, sp, sy) = (of((self.tool or Tool()).orientation) for of in (np.cos, np.sin))
+        return _frozen(
+            [
+                [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+                [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+                [-sp, cp * sr, cp * cr],
+            ]
+        )
+
+    @property
+    def tool_position(self) -> np.ndarray:
+        """(3,) [m] of the tool's point in P; zeros without one."""
+        return np.array((self.tool or Tool()).position)
 
     @cached_property
     def crank_yaws(self) -> np.ndarray:
@@ -171,8 +208,8 @@ class RobotParameters(Section, key="robot"):
         "shaft_position", lambda r: r._around(r.shaft_half_angle, r.shaft_circle_radius, r.shaft_height)
     )
     """(6, 3) [m] motor shaft centres P_i in B."""
-    platform_joints = _of_legs("platform_joint", lambda r: r._around(r.platform_half_angle, r.platform_joint_radius))
-    """(6, 3) [m] joint centres p_i in P."""
+    joints_in_platform = _of_legs("platform_joint", lambda r: r._around(r.platform_half_angle, r.platform_joint_radius))
+    """(6, 3) [m] joint centres in P."""
     crank_zero_directions = _of_legs("crank_zero_direction", lambda r: r._around(r.crank_plane_angle, 1.0))
     """(6, 3) [-] unit vectors h_i in B along which the cranks point at theta = 0."""
     crank_lengths = _of_legs("crank_length", lambda r: np.full(LEG_COUNT, r.crank_length))
@@ -186,6 +223,16 @@ class RobotParameters(Section, key="robot"):
     _crank_ups = _of_legs("crank_quarter_direction", lambda _: np.tile([0.0, 0.0, 1.0], (LEG_COUNT, 1)))
     effort_limits = _of_legs("effort_limit", lambda r: np.full(LEG_COUNT, r.effort_limit))
     """(6,) [N m] largest torque of each motor."""
+
+    @cached_property
+    def platform_joints(self) -> np.ndarray:
+        """(6, 3) [m] joint centres p_i in the tool's frame, or P."""
+        return self._told(self.joints_in_platform)
+
+    @cached_property
+    def platform_center(self) -> np.ndarray:
+        """(3,) [m] centre of mass of the platform in the tool's frame, or P."""
+        return self._told(np.array(self.platform_center_of_mass))
 
     @cached_property
     def crank_quarter_directions(self) -> np.ndarray:
@@ -213,19 +260,19 @@ class RobotParameters(Section, key="robot"):
 
     @cached_property
     def platform_moment(self) -> np.ndarray:
-        """(3,) [kg m] mass times centre of mass of the platform, in P."""
-        return _frozen(self.platform_mass * np.array(self.platform_center_of_mass))
+        """(3,) [kg m] mass times centre of mass of the platform, in the tool's frame, or P."""
+        return _frozen(self.platform_mass * self.platform_center)
 
     @cached_property
     def platform_inertia_about_origin(self) -> np.ndarray:
-        """(3, 3) [kg m^2] inertia of the platform about the origin of P, along its axes."""
-        c = np.array(self.platform_center_of_mass)
-        return _frozen(self._central_inertia + self.platform_mass * ((c @ c) * np.eye(3) - np.outer(c, c)))
+        """(3, 3) [kg m^2] inertia of the platform about the tool's point, or P, along its axes."""
+        c = self.platform_center
+        return _frozen(self.central_inertia + self.platform_mass * ((c @ c) * np.eye(3) - np.outer(c, c)))
 
     @cached_property
     def smallest_platform_inertia(self) -> float:
         """[kg m^2] smallest principal moment of the platform about its centre of mass."""
-        return float(np.linalg.eigvalsh(self._central_inertia)[0])
+        return float(np.linalg.eigvalsh(self.central_inertia)[0])
 
     @cached_property
     def base_radius(self) -> float:
@@ -240,7 +287,7 @@ class RobotParameters(Section, key="robot"):
     @cached_property
     def platform_radius(self) -> float:
         """[m] of the circle about z of P that holds all platform joints."""
-        return float(np.hypot(self.platform_joints[:, 0], self.platform_joints[:, 1]).max())
+        return float(np.hypot(self.joints_in_platform[:, 0], self.joints_in_platform[:, 1]).max())
 
     def __repr__(self) -> str:
         """What it is like, in five lines; `to_dict` has every number."""
@@ -249,7 +296,7 @@ class RobotParameters(Section, key="robot"):
             ends = dict.fromkeys(f"{value:.4g}" for value in (values.min(), values.max()))
             return " to ".join(ends)
 
-        shafts, joints = (np.hypot(*places.T[:2]) for places in (self.shaft_positions, self.platform_joints))
+        shafts, joints = (np.hypot(*places.T[:2]) for places in (self.shaft_positions, self.joints_in_platform))
         lengths = f"cranks {spread(self.crank_lengths)} m, rods {spread(self.rod_lengths)} m"
         masses = f"platform {self.platform_mass:.4g} kg, rod {self.rod_mass:.4g} kg, crank {self.crank_mass:.4g} kg"
         return (
@@ -262,9 +309,12 @@ class RobotParameters(Section, key="robot"):
 
     def each_leg(self) -> list[dict[str, Any]]:
         """What each leg has, its own or that of the symmetric robot, in plain values as `legs` takes them."""
-        positions = ("shaft_position", "platform_joint", "crank_zero_direction", "crank_quarter_direction")
-        names = (*positions, "crank_length", "rod_length")
-        legs = [{name: getattr(self, f"{name}s")[leg].tolist() for name in names} for leg in range(LEG_COUNT)]
+        names = ("shaft_position", "crank_zero_direction", "crank_quarter_direction", "crank_length", "rod_length")
+        legs: list[dict[str, Any]] = [
+            {name: getattr(self, f"{name}s")[leg].tolist() for name in names} for leg in range(LEG_COUNT)
+        ]
+        for leg, joint in zip(legs, self.joints_in_platform, strict=True):
+            leg["platform_joint"] = joint.tolist()
         for leg, branch, angles in zip(legs, self.branches, self.crank_angle_ranges, strict=True):
             leg["branch"] = int(branch)
             leg["crank_angle_range"] = angles.tolist() if np.isfinite(angles[0]) else None
@@ -274,10 +324,16 @@ class RobotParameters(Section, key="robot"):
         """A robot with some parameters changed, validated again."""
         return RobotParameters(**{name: getattr(self, name) for name in self.__pydantic_fields__} | changes)
 
-    @property
-    def _central_inertia(self) -> np.ndarray:
+    @cached_property
+    def central_inertia(self) -> np.ndarray:
+        """(3, 3) [kg m^2] inertia of the platform about its centre of mass, along the tool's axes, or P's."""
         xy, xz, yz = self.platform_products
-        return np.diag(self.platform_inertia) + np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
+        inertia = np.diag(self.platform_inertia) + np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
+        return _frozen(inertia if self.tool is None else self.tool_rotation.T @ inertia @ self.tool_rotation)
+
+    def _told(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) [m] of P in the tool's frame; without one as they are."""
+        return _frozen(points if self.tool is None else (points - self.tool_position) @ self.tool_rotation)
 
     def _around(self, half_angle: float, radius: float, height: float = 0.0) -> np.ndarray:
         """(6, 3) points beside the pairs' directions, even legs clockwise."""

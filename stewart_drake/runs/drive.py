@@ -25,6 +25,8 @@ APPROACH_SPEED = 0.5
 """[rad/s] of the fastest crank on the way to the motion."""
 STALE = {"angle": 0.5, "torque": 0.1, "current": 0.1}
 """[s] age of a reading from which on the robot slows down and stops, by what motors take; angles they hold alone."""
+WAITS = 0.1
+"""[s] without a tick from which on the motion waits, and goes on from where it was."""
 AT_STOP = 0.02
 """[rad] beyond a stop that may be read of a crank that rests on it."""
 CLOCKS_APART = 0.05
@@ -125,8 +127,6 @@ class Drive:
         latest: The latest tick for whoever shows it, from any thread.
     """
 
-    latest: Tick | None = None
-
     def __init__(
         self, scenario: Scenario, machine: Machine, start: Start, journal: Path | None = None, most: int | None = None
     ) -> None:
@@ -144,6 +144,7 @@ class Drive:
         # What is compiled or loaded in the first call must not come in the first tick.
         self._controller.step(start.angles, 0.0, self._command)
         self._controller.reset()
+        self.latest = Tick(0.0, start.angles, start.pose, np.zeros(6))
         self._rows, self._last = Journal(self.scenario, journal, most), -1
         self._gives_up = np.inf  # [s] on the monotonic clock.
         self._holding = 0  # Ticks in a row in which the machine said that it follows nothing.
@@ -164,12 +165,17 @@ class Drive:
         The log says how it ended, as that of a run does.
         """
         began = time.monotonic()
-        with real_time():
-            self._run(progress)
+        ended_by = self.go(progress)
         trip, wall = self._controller.first_trip, time.monotonic() - began
-        return SimulationLog(**self._rows.log_fields(self._stopped_by, safety=trip, wall_time=wall))
+        return SimulationLog(**self._rows.log_fields(ended_by, safety=trip, wall_time=wall))
 
-    def _run(self, progress: Callable[[float], None] | None) -> None:
+    def go(self, progress: Callable[[float], None] | None = None) -> RunFailure | KeyboardInterrupt | None:
+        """As `run`, without a log: why it ended before its end."""
+        with real_time():
+            self._go(progress)
+        return self._stopped_by
+
+    def _go(self, progress: Callable[[float], None] | None) -> None:
         try:
             # What came while something was compiled is old.
             for _ in range(_FRESH):
@@ -218,12 +224,13 @@ class Drive:
             # A paced machine that has nothing new: only time passes.
             self._look(reading)
             return
-        if self._rows and (gone := (tick - self._last) * self._period) > self._stale:
+        if self._rows and (gone := (tick - self._last) * self._period) > WAITS:
             # The motion waits, or its next pose would be far away.
             self._behind += tick - self._last - 1
             tick = self._last + 1
-            text = f"nothing came from the machine, or nothing ran here, for {gone:.3g} s"
-            self._stop(RunFailure(text, reason="late"))
+            if gone > self._stale:
+                text = f"nothing came from the machine, or nothing ran here, for {gone:.3g} s"
+                self._stop(RunFailure(text, reason="late"))
         now = tick * self._period
         # A command is on its way for two ticks, and before the first one none was.
         age = max(reading.age, min(reading.command_age, now) - 2.0 * self._period)

@@ -22,6 +22,7 @@ from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import ConfigurationError, drake_guard
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.mechanics.kinematics import leg_geometry
+from stewart_drake.plant.model_files import on_platform
 from stewart_drake.plant.multibody_plant import add_plant
 from stewart_drake.plant.plant_options import DrakeOptions, RodJoint
 from stewart_drake.robot import RobotParameters
@@ -59,7 +60,9 @@ class Studio:
         if film:
             self._disc = self._scene_graph.RegisterFrame(source, geometry.GeometryFrame("reference"))
             shape = geometry.Cylinder(*reference_disc(robot))
-            disc = geometry.GeometryInstance(RigidTransform(), shape, "reference")
+            at, turn = on_platform(robot, np.zeros(3), np.zeros(3))
+            place = RigidTransform(RollPitchYaw(turn), at)
+            disc = geometry.GeometryInstance(place, shape, "reference")
             disc.set_perception_properties(_painted(geometry.Rgba(*REFERENCE_COLOUR)))
             self._scene_graph.RegisterGeometry(source, self._disc, disc)
         self._reference_port = self._scene_graph.get_source_pose_port(source)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stewart_drake.mechanics.kinematics import rotation_matrix
-from stewart_drake.plant.model_files import crank_rotations, rod_rotations, sdf_text
+from stewart_drake.plant.model_files import crank_rotations, on_platform, rod_rotations, sdf_text
 from stewart_drake.robot import RobotParameters
 
 LENS = 36.0
@@ -46,7 +46,12 @@ def robot_scene(robot: RobotParameters, ghost: bool = False) -> dict[str, Any]:
     camera, target = viewpoint(robot)
     model = ElementTree.fromstring(sdf_text(robot, collision=False)).iter("link")
     links = {str(link.get("name")): [_shape(visual) for visual in link.iter("visual")] for link in model}
-    disc = {"kind": "cylinder", "size": reference_disc(robot), "at": [0.0] * 6, "colour": REFERENCE_COLOUR}
+    disc = {
+        "kind": "cylinder",
+        "size": reference_disc(robot),
+        "at": np.ravel(on_platform(robot, np.zeros(3), np.zeros(3))).tolist(),
+        "colour": REFERENCE_COLOUR,
+    }
     base = links.pop("base")
     pale = {f"ghost of {name}": [shape | {"colour": GHOST_COLOUR} for shape in links[name]] for name in links}
     links["reference"] = [disc]

@@ -294,3 +294,27 @@ def test_a_slider_of_the_machine_and_one_of_the_belief_stand_apart(page):
     wait(page, "last.knobs.find(({ key }) => key === 'command_delay').value === 1")
     assert page.evaluate("last.knobs.find(({ key }) => key === 'model.delay').value") == 0
     page.click("#reset")
+
+
+def test_a_page_that_steers_a_machine(browser):
+    session = Live("reachy_servos", "--machine", "sim:")
+    page, errors = opened(browser, session.url, width=390)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert page.inner_text("#name") == "reachy_servos on sim:"
+    assert page.is_visible("#stop")
+    assert not page.is_visible("#pause")
+    assert not page.is_visible("#payload")
+    page.evaluate(
+        "(input) => { input.value = 5; input.dispatchEvent(new Event('input')); }", page.query_selector("#pose-yaw")
+    )
+    page.evaluate("(input) => input.dispatchEvent(new Event('change'))", page.query_selector("#pose-yaw"))
+    wait(page, "Math.abs(last.pose[2] - 5 * Math.PI / 180) < 0.01")
+    # The wanted robot stands where the real one is, but for its errors.
+    apart = "view.links[26].position.distanceTo(view.links[12].position)"
+    wait(page, f"{apart} > 0 && {apart} < 0.005")
+    page.click("#stop")
+    wait(page, "last.ended === 'stopped'")
+    assert session.process.wait(20) == 0
+    wait(page, "!document.getElementById('gone').hidden")
+    assert errors == []
+    page.close()

@@ -78,7 +78,7 @@ def test_a_journal_that_is_none_is_one_line(journal, tmp_path, content):
     journal.close()
     path = tmp_path / JOURNAL
     path.write_bytes(path.read_bytes().split(b"\n", 1)[0] + b"\n" if content is None else content)
-    with pytest.raises(ConfigurationError, match="log .*rows.journal"):
+    with pytest.raises(ConfigurationError, match=r"log .*rows\.journal"):
         load_log(tmp_path)
 
 

@@ -1,0 +1,136 @@
+"""`live --machine`: the page steers a robot, here one in the same process with servos that lag."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+from stewart_drake import forward_kinematics, inverse_kinematics, load_scenario
+from stewart_drake.base.errors import RunFailure
+from stewart_drake.live.machine_session import MachineSession
+from stewart_drake.live.start import start_machine
+from stewart_drake.live.steering import HandMotion
+from stewart_drake.machines.machine import MachineError, Reading
+from stewart_drake.runs.drive import connected
+
+SCENARIO = load_scenario(
+    "reachy_nod",
+    [
+        "motors={kind: position, preset: xl330_m288}",
+        "controller={kind: feedforward, feedforward: none, period: 0.02}",
+        "model={friction: null}",
+        "safety=null",
+        "duration=4",
+    ],
+)
+ROBOT, HOME = SCENARIO.robot, SCENARIO.reference.evaluate(0.0)[0]
+
+
+class Servos:
+    """A paced machine at 50 Hz, twenty times as fast as the clock; `at` ticks does what is asked for then."""
+
+    period, takes, reads, paced = 0.02, "angle", True, True
+
+    def __init__(self, at):
+        self.angles, self.count, self.at, self.commands = inverse_kinematics(ROBOT, HOME), 0, at, []
+
+    def connect(self):
+        pass
+
+    def read(self):
+        time.sleep(0.001)
+        self.count += 1
+        self.at.get(self.count, lambda: None)()
+        return Reading(self.angles.copy(), 0.02 * self.count, 0.0, self.count)
+
+    def command(self, values):
+        self.commands.append(values.copy())
+        self.angles += 0.6 * (values - self.angles)
+
+    def disconnect(self):
+        pass
+
+
+def steered(**at):
+    """A session, its machine, and why it ended; `at`: tick -> what the page asks for, or raises."""
+    asked = {}
+    machine = Servos(asked)
+    session = MachineSession(SCENARIO, machine, connected(SCENARIO, machine))
+    for tick, command in at.items():
+        asked[int(tick[1:])] = command if callable(command) else lambda command=command: session.tell(command)
+    why = session.run()
+    return session, machine, why
+
+
+def test_a_slider_moves_the_robot_slowly_and_the_motion_ends_with_what_was_checked():
+    wanted = HOME + [0.0, 0.0, 0.1, 0.003, 0.0, 0.005]
+    session, machine, why = steered(_10={"do": "aim", "pose": wanted.tolist()}, _700={"do": "stop"})
+    assert isinstance(why, KeyboardInterrupt)
+    np.testing.assert_allclose(forward_kinematics(ROBOT, machine.angles), wanted, atol=2e-3)
+    speeds = np.abs(np.diff(machine.commands, axis=0)) / 0.02
+    assert speeds.max() < 5.0
+    assert speeds[-5:].max() < 1e-3
+    row = json.loads(session.rows_after(0, 0.0)[1][-1])
+    assert (row["ended"], row["motion"], len(row["links"])) == ("stopped", False, 7 * (14 + 13))
+    # The ghost stands where the robot should be.
+    np.testing.assert_allclose(row["links"][7 * 12 : 7 * 12 + 3], row["links"][7 * 26 : 7 * 26 + 3], atol=2e-3)
+
+
+def test_it_goes_as_far_as_the_robot_can_and_names_the_limit():
+    session, machine, _ = steered(
+        _10={"do": "aim", "pose": (HOME + [0, 0, 0, 0, 0, 0.2]).tolist()}, _500={"do": "stop"}
+    )
+    rows = [json.loads(row) for row in session.rows_after(0, 0.0)[1]]
+    assert any(row["message"].startswith("as far as it goes: ") for row in rows)
+    low, high = ROBOT.crank_angle_ranges.T
+    assert (np.array(machine.commands) >= low - 1e-9).all()
+    assert (np.array(machine.commands) <= high + 1e-9).all()
+
+
+def test_a_lost_machine_ends_it_and_is_told():
+    def lost():
+        raise MachineError("robot", "lost")
+
+    session, _, why = steered(_100=lost)
+    assert isinstance(why, RunFailure)
+    assert json.loads(session.rows_after(0, 0.0)[1][-1])["ended"] == "robot: lost"
+
+
+def test_the_motion_goes_and_comes_and_what_the_page_may_not_ask_does_nothing():
+    session, _, _ = steered(
+        _60={"do": "move", "on": False},
+        _120={"do": "push", "wrench": [0] * 6},
+        _500={"do": "move", "on": True},
+        _600={"do": "stop"},
+    )
+    messages = {json.loads(row)["message"] for row in session.rows_after(0, 0.0)[1]}
+    assert any("off after the scenario's duration, 4 s" in message for message in messages)
+
+
+def test_the_page_is_told_of_the_machine():
+    machine = Servos({})
+    session, server = start_machine(SCENARIO, machine, connected(SCENARIO, machine), "mine.py:Servos")
+    server.close()
+    about = server._server.RequestHandlerClass.about
+    assert about["machine"] == "mine.py:Servos"
+    assert list(about["scene"]["links"])[14] == "ghost of crank_0"
+    assert len(about["scene"]["links"]) == len(session.row()["links"]) // 7
+
+
+@pytest.mark.parametrize("change", ["hand", "share"])
+def test_a_hand_s_motion_goes_on_where_a_target_changes(change):
+    motion, step, rows = HandMotion(SCENARIO.reference, 3.0), 0.002, []
+    for k in range(1000):
+        if k == 300:
+            value = getattr(motion.reference, change)
+            value.target = value.target + 0.01
+        motion.advance(k * step)
+        ahead = np.array([k * step, (k + 1) * step])
+        (pose, _), (rate, _), (acceleration, _) = motion.evaluate(ahead)
+        np.testing.assert_allclose(motion.evaluate(k * step)[0], pose, atol=1e-12)
+        rows.append(np.concatenate([pose, rate, acceleration]))
+    rows = np.array(rows)
+    for low in (0, 6):
+        slope = np.gradient(rows[:, low : low + 6], step, axis=0)
+        np.testing.assert_allclose(slope[2:-2], rows[2:-2, low + 6 : low + 12], atol=2e-2)
