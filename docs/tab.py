@@ -283,7 +283,6 @@ def robot_data(name: str, scenario: Scenario) -> dict[str, Any]:
     """What the page has of a robot."""
     step = on_grid(scenario.plant.time_step)
     ahead, smooth = scenario.preview / step, SmoothValue(np.zeros(1), step)
-    smooth.after(ahead or 1.0)
     modules = {}
     for choice, changed in choices(scenario).items():
         source = loop_source(changed)
@@ -306,7 +305,7 @@ def robot_data(name: str, scenario: Scenario) -> dict[str, Any]:
         "step": step,
         "stride": round(SCENE_PERIOD / scenario.plant.time_step),
         "ahead": ahead,
-        "transitions": [matrix.tolist() for matrix in (smooth._transitions[1.0], smooth._transitions[ahead or 1.0])],
+        "transitions": [smooth.transition(steps).tolist() for steps in (1.0, ahead or 1.0)],
         "motion": {key: list(getattr(motion, key)) for key in ("center", "amplitude", "angular_frequency", "phase")},
         "payload": _change(scenario, "plant.payload_mass"),
         "friction": _change(scenario, "plant.motor_friction"),

@@ -39,10 +39,15 @@ class SmoothValue:
 
     def after(self, steps: float) -> np.ndarray:
         """Value, rate and acceleration (3, n) after some steps, whole or not, if the target stays."""
-        rest, time = np.zeros_like(self.state), steps * self._step
+        rest = np.zeros_like(self.state)
         rest[0] = self.target
-        ahead = np.exp(-self._bandwidth * time) * np.tensordot([1.0, time, time**2], self._terms, 1)
-        return rest + ahead @ (self.state - rest)
+        return rest + self.transition(steps) @ (self.state - rest)
+
+    def transition(self, steps: float) -> np.ndarray:
+        """(3, 3): what some steps make of the distance from the target and its rates."""
+        time = steps * self._step
+        ahead = np.tensordot([1.0, time, time**2], self._terms, 1)
+        return np.asarray(np.exp(-self._bandwidth * time) * ahead)
 
 
 class HandReference:
