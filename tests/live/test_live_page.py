@@ -315,6 +315,7 @@ def test_a_page_that_steers_a_machine(browser):
     page.click("#stop")
     wait(page, "last.ended === 'stopped'")
     assert session.process.wait(20) == 0
+    session.process.stdout.close()
     wait(page, "!document.getElementById('gone').hidden")
     assert errors == []
     page.close()
