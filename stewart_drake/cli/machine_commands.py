@@ -43,7 +43,7 @@ def drive(
     """
     from stewart_drake.machines.machine import open_machine
     from stewart_drake.runs.checks import check_scenario
-    from stewart_drake.runs.drive import Drive, as_logged, connected
+    from stewart_drake.runs.drive import Drive, as_logged, connected, measured_home
 
     loaded = load_driven(scenario, (*kept_model(keep_model), *overrides))
     refuse_without_learning(loaded, keep_model)
@@ -54,9 +54,14 @@ def drive(
         check_scenario(loaded)
     try:
         start = connected(loaded, opened, seconds)
+        belief = loaded.belief
         planned = [
             ("angles now [rad]", "  ".join(f"{angle:.4f}" for angle in start.angles)),
             ("pose now [deg, mm]", "  ".join(f"{value:.2f}" for value in SCALES * start.pose)),
+            (
+                "model.home, if this is its home pose",
+                str(measured_home(belief.robot, start.angles, belief.home).tolist()),
+            ),
             ("its tick", "-" if opened.period is None else f"{1e3 * opened.period:.2f} ms"),
             ("way to the motion", f"{start.motion.approach:.1f} s"),
             ("until it rests again", f"{start.duration:.1f} s"),

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -121,7 +121,26 @@ def open_machine(url: str, scenario: Scenario) -> Machine:
         machine = imported("machines.user_machine:UserMachine")(scenario, url)
     else:
         raise ConfigurationError("machine", url, _URLS)
-    return machine
+    return Homed(machine, scenario.belief.home) if any(scenario.belief.home) else machine
+
+
+class Homed:
+    """A machine that reads zero at angles `home` (6,) [rad] of the cranks; it is told and tells the model's angles."""
+
+    def __init__(self, machine: Machine, home: Sequence[float]) -> None:
+        self._machine, self._home = machine, np.array(home)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._machine, name)
+
+    def read(self) -> Reading:
+        """The next or the latest reading."""
+        reading = self._machine.read()
+        return reading._replace(angles=reading.angles + self._home)
+
+    def command(self, values: np.ndarray) -> None:
+        """Sends six commands (6,)."""
+        self._machine.command(values - self._home if self._machine.takes == "angle" else values)
 
 
 def _address(url: str, default_port: int | None) -> tuple[str, int]:
@@ -145,10 +164,13 @@ def check_takes(scenario: Scenario, takes: str, who: str) -> None:
 
 
 def command_limits(scenario: Scenario) -> np.ndarray:
-    """(2, 6) lowest and highest commands in the motors' unit; for angles the stops, without stops a turn both ways."""
+    """(2, 6) lowest and highest commands in the motors' unit; for angles the stops, without stops a turn both ways.
+
+    Angles are the machine's own, see `Homed`.
+    """
     robot, motors = scenario.belief.robot, scenario.belief.motors
     if motors.takes == "angle":
-        return np.clip(robot.crank_angle_ranges, -2.0 * np.pi, 2.0 * np.pi).T
+        return np.clip(robot.crank_angle_ranges, -2.0 * np.pi, 2.0 * np.pi).T - np.array(scenario.belief.home)
     most = robot.effort_limits / (getattr(motors, "torque_constant", 1.0) if motors.takes == "current" else 1.0)
     return np.stack([-most, most])
 

@@ -115,15 +115,21 @@ class SimulatedRobot:
         self._plant, self._measured = scenario.plant.make(robot, scenario.gravity), self._motors.signal("measured")
         self.command, self._torque = self._motors.signal("command"), self._motors.signal("torque")
         self._reads_angles = scenario.sensors.reading == "angles"
+        self._home, self._takes_angles = np.array(scenario.belief.home), scenario.motors.takes == "angle"
         self._measured[:] = self._plant.initial(home, rest)
         self.command[:], self.now, self._pushes = first, 0, scenario.disturbances
 
     def reading(self) -> np.ndarray:
-        """(6,) [rad] what the sensors say now; once in a tick."""
+        """(6,) [rad] what the sensors say now, with the machine's own zero; once in a tick."""
         self._sensors.signal("measured")[:] = self._measured
         self._sensors.time[0] = self.now * self.step
         self._sensors.run(self.now)
-        return self._sensors.signal("reading") if self._reads_angles else self._measured[ANGLES]
+        angles = self._sensors.signal("reading") if self._reads_angles else self._measured[ANGLES]
+        return angles - self._home
+
+    def follow(self, values: np.ndarray) -> None:
+        """Takes commands (6,), angles with the machine's own zero."""
+        self.command[:] = values + self._home if self._takes_angles else values
 
     def advance(self, braked: bool) -> None:
         """One step of the plant; with closed brakes the robot stands."""
@@ -219,7 +225,7 @@ def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
                         arrived.append((now, side.values))
             for k in range(robot.steps):
                 while arrived and arrived[0][0] < due + (k + 1) * robot.step:
-                    robot.command[:] = arrived.popleft()[1]
+                    robot.follow(arrived.popleft()[1])
                 robot.advance(brakes and side.holds(due + k * robot.step))
             if time.monotonic() - (begun + robot.now * robot.step) > LATEST:
                 begun = time.monotonic() - robot.now * robot.step

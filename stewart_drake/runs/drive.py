@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -74,7 +74,7 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
         raise ConfigurationError("controller.period", period, allowed)
     robot, angles, begin = scenario.belief.robot, machine.read().angles, reference.evaluate(0.0)[0]
     try:
-        pose = _standing(robot, angles)
+        pose = _standing(robot, angles, scenario.belief.home)
     except ConfigurationError:
         if machine.reads:
             raise
@@ -95,16 +95,24 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
     return Start(angles, pose, motion, duration)
 
 
-def _standing(robot: RobotParameters, angles: np.ndarray) -> np.ndarray:
+def measured_home(robot: RobotParameters, angles: np.ndarray, home: Sequence[float]) -> np.ndarray:
+    """`model.home` (6,) [rad] of a robot that stands in its home pose and reads crank angles (6,) [rad] with a home."""
+    off = inverse_kinematics(robot, robot.home_pose) - angles + np.array(home)
+    return np.round(np.remainder(off + np.pi, 2.0 * np.pi) - np.pi, 4)
+
+
+def _standing(robot: RobotParameters, angles: np.ndarray, home: Sequence[float]) -> np.ndarray:
     """Pose (6,) of a robot that stands at crank angles (6,) [rad]."""
+    measured = f"in its home pose its model.home is {measured_home(robot, angles, home).tolist()}"
     for leg, (angle, (low, high)) in enumerate(zip(angles, robot.crank_angle_ranges, strict=True)):
         if not low - AT_STOP <= angle <= high + AT_STOP:
-            allowed = f"within {low:.4g} to {high:.4g} rad, its stops: is its zero that of the model?"
+            allowed = f"within {low:.4g} to {high:.4g} rad, its stops: is its zero that of the model? {measured}"
             raise ConfigurationError(f"angle of leg {leg}", f"{angle:.4g} rad", allowed)
     try:
         return forward_kinematics(robot, angles)
     except StewartDrakeError as error:
-        allowed = f"angles that the believed robot can stand at ({error}): are leg order, signs and zeros its own?"
+        allowed = f"angles that the believed robot can stand at ({error}): are leg order, signs and zeros its own? "
+        allowed += measured
         raise ConfigurationError("angles", np.round(angles, 4).tolist(), allowed) from None
 
 

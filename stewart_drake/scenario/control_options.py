@@ -61,6 +61,9 @@ class ModelOptions(Section, key="model"):
     reference at the time when its command acts."""
     motors: Annotated[MotorOptions, MOTORS] | None = None
     """The motors that it commands; null for the simulated ones without their faults."""
+    home: Vector6 | None = None
+    """[rad] angles of the cranks at which a real machine reads zero; null for zeros. `drive --dry` measures them of a
+    robot that stands in its home pose."""
 
 
 class Belief(NamedTuple):
@@ -73,6 +76,7 @@ class Belief(NamedTuple):
     noise: float  # [rad] of a crank's angle.
     delay: int  # [ticks] of the commands.
     motors: MotorOptions
+    home: tuple[float, ...] = (0.0,) * 6  # [rad] of the cranks where a machine reads zero.
 
     @property
     def reading_size(self) -> int:

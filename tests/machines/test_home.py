@@ -1,0 +1,74 @@
+"""A machine whose zeros are not the model's, `model.home`."""
+
+import re
+
+import numpy as np
+import pytest
+
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.machines.machine import Homed, Reading, command_limits, open_machine
+from stewart_drake.machines.simulated import SimulatedRobot
+from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.runs.drive import connected, measured_home
+from stewart_drake.scenario.scenario import load_driven
+
+HOME = [0.3, -0.2, 0.1, 0.05, -0.4, 0.6]
+PLAIN = load_driven("reachy_servos")
+SCENARIO = PLAIN.replace({"model.home": HOME})
+ROBOT = SCENARIO.belief.robot
+ANGLES = inverse_kinematics(ROBOT, ROBOT.home_pose)
+
+
+class Own:
+    period, takes, reads, paced = 0.02, "angle", True, True
+
+    def __init__(self):
+        self.own, self.told = ANGLES - HOME, []
+
+    def connect(self):
+        pass
+
+    def read(self):
+        return Reading(self.own.copy(), 0.0, 0.0, 1)
+
+    def command(self, values):
+        self.told.append(values)
+
+
+def test_angles_are_the_models_and_commands_the_machines():
+    own = Own()
+    machine = Homed(own, HOME)
+    np.testing.assert_allclose(machine.read().angles, ANGLES)
+    machine.command(ANGLES)
+    np.testing.assert_allclose(own.told, [ANGLES - HOME])
+    assert (machine.period, machine.takes) == (0.02, "angle")
+    np.testing.assert_allclose(connected(SCENARIO, machine, 1.0).pose, ROBOT.home_pose, atol=1e-9)
+    own.takes = "torque"
+    machine.command(ANGLES)
+    np.testing.assert_array_equal(own.told[-1], ANGLES)
+
+
+def test_stops_move_with_the_zero():
+    np.testing.assert_allclose(command_limits(SCENARIO), command_limits(PLAIN) - HOME)
+
+
+def test_it_is_measured_in_the_home_pose():
+    np.testing.assert_allclose(measured_home(ROBOT, ANGLES - HOME, np.zeros(6)), HOME, atol=1e-4)
+    np.testing.assert_allclose(measured_home(ROBOT, ANGLES, HOME), HOME, atol=1e-4)
+    wrong = Own()
+    wrong.own = wrong.own + [2.0, 0, 0, 0, 0, 0]
+    with pytest.raises(ConfigurationError) as raised:
+        connected(PLAIN, wrong, 1.0)
+    given = re.search(r"in its home pose its model\.home is \[(.*)\]", str(raised.value))[1]
+    np.testing.assert_allclose(
+        [float(each) for each in given.split(",")], np.array(HOME) - [2.0, 0, 0, 0, 0, 0], atol=1e-4
+    )
+
+
+def test_a_simulated_machine_has_the_same_zero():
+    robot = SimulatedRobot(SCENARIO)
+    np.testing.assert_allclose(robot.reading(), ANGLES - HOME, atol=2e-3)
+    robot.follow(ANGLES - HOME)
+    np.testing.assert_allclose(robot.command, ANGLES)
+    assert isinstance(open_machine("sim:", SCENARIO), Homed)
+    assert not isinstance(open_machine("sim:", PLAIN), Homed)
