@@ -113,11 +113,12 @@ _MASS = _PLACES["platform_mass"]
 _STATE = fields(
     friction=25, robot=_ROBOT, learnt=SHOWN, learnt_half_width=SHOWN, doubt=6, gain=6, lead=(1,),
     information=(6, OWN, OWN + COMMON + 1), shared=(COMMON, COMMON + 1), own=(6, OWN), common=COMMON,
-    used_own=(6, OWN), used_common=COMMON, pose=(ROWS, 6), angles=(ROWS, 6), commands=(ROWS, 6), good=ROWS,
-    signs=(SIGNS, 6), sum_angles=6, sum_command=6, ticks=(), bad=(), blocks=(),
+    friction_unknown=12, used_own=(6, OWN), used_common=COMMON, pose=(ROWS, 6), angles=(ROWS, 6),
+    commands=(ROWS, 6), good=ROWS, signs=(SIGNS, 6), sum_angles=6, sum_command=6, ticks=(), bad=(), blocks=(),
 )  # fmt: skip
 """friction, robot, doubt, gain, lead: stand in for constants; doubt of the Coulomb friction, 1 for that at first.
-learnt: the estimate, see `Learnt`, and half the width of its 95 % intervals. information: rows of the factor of each
+learnt: the estimate, see `Learnt`, and half the width of its 95 % intervals; friction_unknown:
+how far Coulomb and viscous friction may be from `friction`. information: rows of the factor of each
 motor, own columns, common ones, right-hand side; shared: those below. own, common: estimate; used: what it has gone
 over into. Blocks, newest last: pose, angles, commands, whether they are good, signs of the rates. Sums of the block
 under way, its ticks, whether it is bad; blocks so far."""
@@ -466,6 +467,9 @@ def _stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
                 of_all = of_drive * (damping if k == 1 else coulomb)
                 state.learnt_half_width[2 + 6 * k + i] = size * np.hypot(width, of_all)
         state.doubt[i] = _doubt(params, state, i, 2)
+        state.friction_unknown[i] = state.learnt_half_width[14 + i] + abs(state.learnt[14 + i] - state.friction[i])
+        of_used = state.learnt[8 + i] - state.friction[18 + i]
+        state.friction_unknown[6 + i] = state.learnt_half_width[8 + i] + abs(of_used)
 
 
 @njit
@@ -572,7 +576,12 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         "robot": whole, "rest": rest, "joints": joints_record(believed.joints), "bodies": bodies, "friction": friction,
         "params": params,
     }  # fmt: skip
-    outputs = ["friction", "robot", "learnt", "learnt_half_width", "doubt"]
+    if not options.frozen:
+        for k, level in enumerate(("coulomb", "viscous")):
+            size = 1.96 * np.hypot(params["common"][0, 3 - k], params["own"][0, 2 - k])
+            off = np.abs(friction[_FRICTION[level]] - first["friction"][0, _FRICTION[level]])
+            first["friction_unknown"][0, 6 * k : 6 * k + 6] = size + off
+    outputs = ["friction", "robot", "learnt", "learnt_half_width", "friction_unknown", "doubt"]
     outputs += ["gain"] if by_gain else []
     outputs += ["lead"] if by_angle else []
     inputs = {"reading": context.reading, "command": 6}

@@ -13,7 +13,7 @@ from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.control.ball_joints import BallJoints, ball_joint_torques, joints_record
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.friction import dry_level
+from stewart_drake.mechanics.friction import BELIEVED, dry_level
 from stewart_drake.mechanics.kinematics_laws import LEGS, crank_rates, legs_at, robot_record, twist_of
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import FrictionOptions
@@ -39,17 +39,17 @@ class FrictionCompensation(FrictionOptions, key="model.friction"):
     joints: BallJoints | None = None
     """Ball joints of the rods that rub too; null for free ones."""
 
+    def record(self) -> np.ndarray:
+        """`BELIEVED` record."""
+        levels = dict(zip(("coulomb", "break_away", "stribeck_rate", "viscous"), self.levels, strict=True))
+        return new_record(BELIEVED, **levels, width=self.width)
+
     def part(self, context: LoopContext) -> Part:
         """`reference` (18,) -> `friction_torque` (6,) [N m]."""
-        levels = dict(zip(("coulomb", "break_away", "stribeck_rate", "viscous"), self.levels, strict=True))
-        believed = new_record(_BELIEVED, **levels, width=self.width)
-        constants = {"robot": robot_record(context.robot), "friction": believed, "joints": joints_record(self.joints)}
+        robot, joints = robot_record(context.robot), joints_record(self.joints)
+        constants = {"robot": robot, "friction": self.record(), "joints": joints}
         outputs, first = ("friction_torque",), new_record(fields(friction_torque=6))
         return Part("friction_compensation", friction_tick, constants, {"reference": 18}, outputs, first, (LEGS,))
-
-
-_BELIEVED = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, width=())
-"""[N m], [N m], [rad/s], [N m s/rad], [rad/s]."""
 
 
 @njit

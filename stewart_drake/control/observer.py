@@ -297,14 +297,15 @@ def observer_part(options: ObserverOptions, context: LoopContext) -> Part:
         raise ConfigurationError("model.delay", delay, f"at most {most}, {reason}")
     # [1/(kg m^2)] acceleration of a crank for its own torque, at home.
     mobility = np.diag(pose_jacobian(robot, robot.home_pose) @ pose_acceleration_map(robot, robot.home_pose))
+    break_away = float(context.friction["break_away"].max())
     params = new_record(
         _PARAMS,
         options,
         period=period,
         gravity=context.gravity,
         noise=context.noise,
-        arrived=ARRIVED * context.noise if context.friction > 0.0 else -1.0,
-        slip=SLIP * context.friction * float(mobility.max()),
+        arrived=ARRIVED * context.noise if break_away > 0.0 else -1.0,
+        slip=SLIP * break_away * float(mobility.max()),
         delay=delay,
     )
     start = np.concatenate([context.pose, context.pose_rate])

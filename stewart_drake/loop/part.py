@@ -116,8 +116,7 @@ class LoopContext(NamedTuple):
     latency: float  # [s] from a reading to its torque, as believed.
     reading: int  # Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
     noise: float  # [rad] of a reading, as an observer believes it.
-    friction: float  # [N m] largest break-away torque that the motors are believed to have.
-    viscous: tuple[float, ...]  # (6,) [N m s/rad] likewise.
+    friction: np.ndarray  # `mechanics.friction.BELIEVED` record of the motors; zeros for none.
     motors: Any  # Options of the motors, as believed.
     compensation: Any  # Options of the friction that is compensated; None for none.
     tuner: Any  # Options of the tuner, with its file read.

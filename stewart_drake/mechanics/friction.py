@@ -28,6 +28,9 @@ FRICTION = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, stiffness
 least `coulomb`. stribeck_rate: of the anchor, at which 37 % of their difference are left [rad/s]. viscous: beside the
 bristle [N m s/rad]. stiffness: k [N m/rad]. damping: d [N m s/rad]."""
 
+BELIEVED = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, width=())
+"""Friction of six motors as a controller knows it: as above, and width: of a crank's reversal [rad/s]."""
+
 STIFFNESS_NUMBER = 1000.0
 """k h^2 / I of a bristle, for a crank's inertia I and a step h. Taken implicitly a bristle is stable whatever this is:
 a load of inertia I' swings on it and decays by (1 + (k + d / h) h^2 / I')^-1/2 a step or faster. It is bounded by SAP,

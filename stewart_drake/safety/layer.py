@@ -99,19 +99,22 @@ def _pose_stuck(params: Any, pose: Any, reference: Any, state: Any) -> bool:
 
 @njit
 def _tick(
-    robot: Any, params: Any, user_trip: Any, command: Any, measurement: Any, reference: Any, age: Any, sensor: Any,
-    controller: Any, angles: Any, pose_reading: Any, legs: Any, observed: Any, state: Any,
+    robot: Any, friction: Any, friction_unknown: Any, params: Any, user_trip: Any, command: Any, measurement: Any,
+    reference: Any, age: Any, sensor: Any, controller: Any, angles: Any, pose_reading: Any, legs: Any,
+    observed: Any, state: Any,
 ) -> Any:  # fmt: skip
     """One tick; `user_trip` (2,): a user's monitor that trips, and its leg.
 
     Returns GOES_ON, BLIND, RUNAWAY or HOLD_OVER, and the speed of the fastest crank.
     """
-    robot, params, legs, observed, state = (
-        record(robot), record(params), record(legs), record(observed), record(state),
+    robot, friction, params, legs, observed, state = (
+        record(robot), record(friction), record(params), record(legs), record(observed), record(state),
     )  # fmt: skip
     pose, rate, wanted, health = measurement[:6], measurement[6:], reference[:6], sensor.copy()
     read = pose_reading[:6] if pose_reading[0] == pose_reading[0] else pose
-    update_residual(robot, params, angles, read, state.torque, state.ticks == 0.0, state, legs)
+    update_residual(
+        robot, friction, friction_unknown, params, angles, read, state.torque, state.ticks == 0.0, state, legs
+    )
     unexplained = is_unexplained(params, state)
     state.unexplained_ticks = _counted(state.unexplained_ticks, unexplained)
     if state.encoders == 0.0 and _pose_stuck(params, read, wanted, state):
@@ -252,12 +255,16 @@ def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
     Where the very first command is bad, `context.initial_torque` is held.
     """
     robot, period = context.robot, context.period
-    params = limits.params_of(robot, options, context.gravity, period, context.noise, context.friction, context.viscous)
+    break_away = float(context.friction["break_away"].max())
+    params = limits.params_of(robot, options, context.gravity, period, context.noise, break_away)
     torques = dict.fromkeys(("torque", "good", "weight", "command", "sent"), context.initial_torque)
     unread = dict.fromkeys(("last_pose", "reference_then", "angles", "poses"), np.nan)
     first = new_record(_STATE, **torques, **unread, safety=(NONE, NO_TRIP, -1.0))
     kernel: Any = _tick
-    constants: dict[str, Any] = {"robot": laws.robot_record(robot), "params": params, "user_trip": np.zeros(2)}
+    constants: dict[str, Any] = {
+        "robot": laws.robot_record(robot), "friction": context.friction, "friction_unknown": np.zeros(12),
+        "params": params, "user_trip": np.zeros(2),
+    }  # fmt: skip
     if options.monitors:
         kernel, constants = _tick_with_monitors, {**constants, "options": options}
     inputs = {"command": 6, "measurement": 12, "reference": 18}
@@ -268,8 +275,9 @@ def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
 
 
 def _tick_with_monitors(
-    robot: np.ndarray, params: np.ndarray, user_trip: np.ndarray, options: SafetyOptions, *arguments: np.ndarray
-) -> Any:
+    robot: np.ndarray, friction: np.ndarray, friction_unknown: np.ndarray, params: np.ndarray,
+    user_trip: np.ndarray, options: SafetyOptions, *arguments: np.ndarray,
+) -> Any:  # fmt: skip
     """`_tick` with the first of a user's monitors that trips, if any."""
     command, measured, wanted, age, sensor, controller, *_ = arguments
     user_trip[:] = 0.0
@@ -278,7 +286,7 @@ def _tick_with_monitors(
         inputs = SafetyInputs(command, measured[:6], measured[6:], wanted[:6], float(age[0]), *health)
         trip = options.first_user_trip(inputs)
         user_trip[:] = user_trip if trip is None else trip
-    return cast(Any, _tick)(robot, params, user_trip, *arguments)
+    return cast(Any, _tick)(robot, friction, friction_unknown, params, user_trip, *arguments)
 
 
 def _stopped(options: SafetyOptions, period: float, result: Any, arguments: Mapping[str, Any]) -> SafetyStop:

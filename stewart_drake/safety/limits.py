@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -52,7 +51,8 @@ class SafetyOptions(Section, key="safety"):
     unexplained_torque: Fraction | None = 0.2
     """[-] share of each motor's limit by which torques may differ from inverse dynamics of the readings: what payload,
     pushes and friction that is not compensated take. A fifth of it counts where the difference is that of one
-    leg alone, two fifths where it is that of two; a blow of 5 ms passes. It detects wrong readings and motors."""
+    leg alone, two fifths where it is that of two; a blow of 5 ms passes. It detects wrong readings and motors.
+    Friction that is believed comes on top, and with `adaptation` what is not known of it yet."""
     frozen_pose: Annotated[PositivePair | None, LENGTH] = (0.01, 0.001)
     """[rad, m] change of the reference on an axis after which a measured pose that repeats to the last bit is frozen;
     for sensors other than encoders."""
@@ -163,17 +163,17 @@ PARAMS = fields(
     period=(), gravity=(), horizon=(), home=6,
     deadline=(), frozen_pose=6,
     torque_limit=6, torque_change=(), workspace=2, transmission=(), conditioning=(), crank_speed=(),
-    following_error=2, half=(), blow=(), unexplained=6, unexplained_alone=(), viscous=6, lasting=(), inertia=(),
+    following_error=2, half=(), blow=(), unexplained=6, unexplained_alone=(), lasting=(), inertia=(),
     follow=2, most_correction=2, impossible=(), remembered=(), budget=(), ramp_time=(), safe_hold_time=(),
     suspect_hold_time=(), slow_error=(), stopping=(), most_torque=6, most_speed=(),
 )  # fmt: skip
 """`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], torque_change: in a
 tick [N m]. Of the residual half: of its window [ticks], blow: ticks for which one shows, unexplained, also of a leg or
-two alone [N m], viscous: friction that is compensated [N m s/rad], lasting: share of a tick, inertia: of a crank [kg
-m^2]. For `residual._follow` follow: bandwidth, most_correction and impossible: change of a crank's speed in a tick
-[rad/s], remembered: ticks for which that counts. budget: ticks that may be held, suspect_hold_time: of a stop with a
-suspect leg [s], slow_error: of its speed, by dry friction [rad/s], stopping: time constant of a stop [s], most_torque
-of it [N m], most_speed: at which it is given up [rad/s]."""
+two alone, beside friction [N m], lasting: share of a tick, inertia: of a crank [kg m^2]. For `residual._follow` follow:
+bandwidth, most_correction and impossible: change of a crank's speed in a tick [rad/s], remembered: ticks for which that
+counts. budget: ticks that may be held, suspect_hold_time: of a stop with a suspect leg [s], slow_error: of its speed,
+by dry friction [rad/s], stopping: time constant of a stop [s], most_torque of it [N m], most_speed: at which it is
+given up [rad/s]."""
 AT_LIMIT_TIME, TOO_FAST_TIME = 0.1, 0.01
 """[s] for which, in sum, commands may be at the torque limit, or jump. Good ticks take away from the sum."""
 RUNAWAY_TIME = 0.005
@@ -198,8 +198,7 @@ def params_of(
     gravity: float,
     period: float,
     noise: float = 1e-5,
-    friction: float = 0.0,
-    viscous: Sequence[float] = (0.0,) * 6,
+    break_away: float = 0.0,
 ) -> np.ndarray:
     """`PARAMS` record, see `safety_part`."""
     bound = (math.inf if options.unexplained_torque is None else options.unexplained_torque) * robot.effort_limits
@@ -223,15 +222,13 @@ def params_of(
         conditioning=-math.inf if options.conditioning is None else options.conditioning,
         half=half,
         blow=BLOW / period + 2.0 * half + 1e-6,
-        unexplained=bound + friction,
-        # Of friction a single motor may have all.
-        unexplained_alone=ONE_LEG_SHARE * bound.min() + friction,
-        viscous=viscous,
+        unexplained=bound,
+        unexplained_alone=ONE_LEG_SHARE * bound.min(),
         inertia=inertia.diagonal().min(),
         lasting=min(0.5, period / LASTING),
         follow=follow,
         # Where a crank turns back its friction changes by twice its size.
-        slow_error=friction / (inertia.diagonal().min() * follow[1]),
+        slow_error=break_away / (inertia.diagonal().min() * follow[1]),
         most_correction=(math.inf, CORRECTION),
         impossible=FASTEST + 12.0 * noise / period,
         remembered=REMEMBERED / period,

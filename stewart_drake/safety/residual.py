@@ -29,22 +29,26 @@ READING_WRONG, MOTOR_WEAK, MOTOR_REVERSED, MOTOR_SWAPPED = range(1, 5)
 
 _ROWS = 2 * LONGEST_HALF + 1
 RESIDUAL = fields(
-    encoders=(), angles=6, poses=(_ROWS, 6), sent=(_ROWS, 6), given=6, residual=6, push=6, lasting=6, missing=6, lost=6,
-    still=6, mobility=(6, 6), speed=(2, 6), bias=(2, 6), suspect=6,
+    encoders=(), rubs=(), angles=6, poses=(_ROWS, 6), sent=(_ROWS, 6), given=6, residual=6, push=6, lasting=6,
+    missing=6, lost=6, still=6, mobility=(6, 6), speed=(2, 6), bias=(2, 6), suspect=6,
 )  # fmt: skip
-"""encoders: whether there are any. angles: read last [rad]. poses, sent: read and sent in the last ticks, newest first
-[rad, m] and [N m]. given: mean of what was sent [N m]. residual: that less inverse dynamics [N m]. push: acceleration
-of the cranks that it would make, lasting: change of it that lasts [rad/s^2], missing: the torques of that [N m]. lost:
-ticks for which a crank counts as not read. still, mobility: torque at rest, and d(acceleration) / d(torque), of the
-cranks [N m, 1/(kg m^2)]. speed: of the cranks [rad/s], bias: acceleration that the model does not explain [rad/s^2], a
-fast and a slow estimate. suspect: 0, or what is wrong with a leg."""
+"""encoders: whether there are any. rubs: friction that a motor may have [N m]. angles: read last [rad]. poses, sent:
+read and sent in the last ticks, newest first [rad, m] and [N m]. given: mean of what was sent [N m]. residual: that
+less inverse dynamics [N m]. push: acceleration of the cranks that it would make, lasting: change of it that lasts
+[rad/s^2], missing: the torques of that [N m]. lost: ticks for which a crank counts as not read. still, mobility: torque
+at rest, and d(acceleration) / d(torque), of the cranks [N m, 1/(kg m^2)]. speed: of the cranks [rad/s], bias:
+acceleration that the model does not explain [rad/s^2], a fast and a slow estimate. suspect: 0, or what is wrong with a
+leg."""
 
 
 @njit
 def update_residual(
-    robot: Any, params: Any, angles: Any, pose: Any, torque: Any, is_first: bool, state: Any, legs: Any
-) -> None:
+    robot: Any, friction: Any, unknown: Any, params: Any, angles: Any, pose: Any, torque: Any, is_first: bool,
+    state: Any, legs: Any,
+) -> None:  # fmt: skip
     """One tick: readings, angles (6,) [rad] or else a pose (6,), beside the torques (6,) [N m] sent in the one before.
+
+    `unknown` (12,) is how far `friction` may be off, Coulomb [N m] and viscous [N m s/rad].
 
     Both count in the middle of a window: rates and accelerations are differences of poses, and torques have the weights
     that accelerations have in a second difference. The residual is zero while readings are missing.
@@ -67,6 +71,7 @@ def update_residual(
     for i in range(6):
         state.given[i], state.push[i], state.residual[i] = 0.0, 0.0, 0.0
     whole = all_finite(now) and all_finite(centre) and all_finite(old)
+    state.rubs = 0.0
     motion, acceleration, twist, speeds = np.zeros(12), np.zeros(6), np.empty(6), np.empty(6)
     still, need, mobility = np.empty(6), np.empty(6), np.zeros((6, 6))
     copy_to(motion[:6], centre if whole else pose)
@@ -86,7 +91,10 @@ def update_residual(
             for row in range(2 * half):
                 share = (min(row, 2 * half - 1 - row) + 0.5) / (half * half)
                 state.given[i] += share * state.sent[row + 1, i]
-            state.residual[i] = state.given[i] - need[i] - params.viscous[i] * speeds[i]
+            state.residual[i] = state.given[i] - need[i] - friction.viscous[i] * speeds[i]
+    for i in range(6):
+        speed = abs(speeds[i]) if whole else 0.0
+        state.rubs = max(state.rubs, friction.break_away[i] + unknown[i] + unknown[6 + i] * speed)
     if state.encoders == 0.0:
         laws.twist_of(now, (now - state.poses[1]) / h, twist)
         laws.crank_rates(legs, twist, speeds)
@@ -196,7 +204,11 @@ def is_unexplained(params: Any, state: Any) -> bool:
     motor, another, one_motor, two_motors = _dominant(state.missing)
     alike = 1.0 if _are_swapped(state, motor, another) else TWO_LEGS_SHARE
     alone = max(params.inertia * max(one, TWO_LEGS_SHARE * two), one_motor, alike * two_motors)
-    return alone > params.unexplained_alone or (np.abs(state.residual) > params.unexplained).any()
+    # Of friction a single motor may have all.
+    return (
+        alone > params.unexplained_alone + state.rubs
+        or (np.abs(state.residual) > params.unexplained + state.rubs).any()
+    )
 
 
 @njit

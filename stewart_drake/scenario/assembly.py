@@ -22,6 +22,7 @@ from stewart_drake.control.observer import SMALLEST_NOISE
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.motors import delay_part, within_limit
 from stewart_drake.loop.part import LoopContext, Part
+from stewart_drake.mechanics.friction import BELIEVED
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.safety import SafetyOptions, safety_part
 from stewart_drake.scenario.control_options import ControlOptions
@@ -175,8 +176,7 @@ def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
         latency=period * (1 + belief.delay) + belief.motors.dead_time,
         reading=belief.reading_size,
         noise=max(belief.noise, SMALLEST_NOISE),
-        friction=0.0 if friction is None else max(friction.levels[1]),
-        viscous=(0.0,) * 6 if friction is None else friction.levels[3],
+        friction=np.zeros(1, BELIEVED) if friction is None else friction.record(),
         motors=belief.motors,
         compensation=friction,
         tuner=tuner,

@@ -8,6 +8,7 @@ from setups import setup_for
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake.base.errors import RunFailure
+from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.control.observer import WHITE_SHARE, ObserverOptions, bandwidth, kalman_gains
 from stewart_drake.mechanics.dynamics import forward_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
@@ -15,7 +16,7 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 GRAVITY, PERIOD, NOISE = 9.81, 0.001, 2.5e-5
 HOME, STILL = ROBOT.home_pose, np.zeros(6)
 OPTIONS = ObserverOptions(disturbance=20.0)
-ENCODERS = {"reading": 6, "friction": 0.0}
+ENCODERS = {"reading": 6}
 EXPECTED = np.array([ObserverOptions().disturbance])
 AWAY = np.concatenate([HOME + 0.01, np.zeros(12)])
 
@@ -96,7 +97,7 @@ def test_a_load_that_nobody_knows_is_found_and_made_up_for():
     (0.05, 0.0, 0.0, False), (0.05, 0.1, 0.0, True), (0.05, 0.0, 0.1, True), (0.0, 0.0, 0.0, True),
 ])  # fmt: skip
 def test_the_disturbance_stays_while_a_robot_with_friction_rests_where_it_is_wanted(friction, off, turning, grows):
-    tick, _ = begun(friction=friction)
+    tick, _ = begun(friction=FrictionCompensation(coulomb=friction).record())
     reference = np.concatenate([HOME + off, np.full(6, turning), STILL])
     seen = tick(inverse_kinematics(ROBOT, HOME) + 1e-5, reference=reference)
     assert (seen["disturbance"] != 0.0).all() == grows

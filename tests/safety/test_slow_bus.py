@@ -1,0 +1,50 @@
+"""Stops of a loop at 100 Hz whose friction is not what it believes, and cold starts of one that learns it."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stewart_drake import load_scenario, run
+
+NOWHERE = dict.fromkeys(("rotation", "position", "motion_ratio", "error_ratio"))
+
+
+def nod(coulomb, viscous, **changes):
+    """Reachy Mini nods by torque; its motors have this friction, and 0.058, 0.095 are believed."""
+    plant = {"kind": "closed_form", "friction": {"coulomb": coulomb, "viscous": viscous}}
+    return load_scenario("reachy_nod").replace({"plant": plant, "bounds": NOWHERE, "duration": 5.0, **changes})
+
+
+def apart(pose, other):
+    """[deg] between orientations."""
+    turns = Rotation.from_euler("xyz", pose[:3]), Rotation.from_euler("xyz", other[:3])
+    return np.degrees((turns[0] * turns[1].inv()).magnitude())
+
+
+@pytest.mark.parametrize(("coulomb", "viscous"), [(0.0, 0.0), (0.0128, 0.0037), (0.02, 0.03), (0.1, 0.15)])
+def test_a_stop_moves_the_head_less_than_letting_go(coulomb, viscous):
+    log = run(nod(coulomb, viscous), check=False)
+    assert log.status == "stopped"
+    begin = np.searchsorted(log.time, log.safety["stopped"]["time"])
+    poses, rates = log["pose"][begin:], log["pose_rate"][begin:]
+    moved = apart(poses[-1], poses[0])
+    assert np.linalg.norm(rates[-1, :3]) < 0.2
+    scenario = nod(coulomb, viscous)
+    plant = scenario.plant.make(scenario.robot, scenario.gravity)
+    plant.initial(poses[0], rates[0])
+    for _ in range(round((log.time[-1] - log.time[begin]) / scenario.plant.time_step)):
+        state = plant.step(np.zeros(6), np.zeros(6))
+        if abs(state[0]) + abs(state[1]) > 0.6:
+            break  # It lies on its side by then, and out of reach soon.
+    assert moved < max(1.0, apart(state[:6], poses[0]))
+
+
+@pytest.mark.parametrize("times", [0.0, 1.0, 2.0])
+def test_a_cold_start_is_no_fault(times):
+    loop = {"controller": {"kind": "decoupled_pid", "period": 0.01}, "estimator": "difference", "tuner": "block"}
+    learning = {"adaptation": {"kind": "regression", "cautious": True}, "model.friction.width": 0.004}
+    log = run(nod(0.058 * times, 0.095 * times, **loop, **learning), check=False)
+    assert log.status == "completed", log.message
+    assert log.error_norms[0][log.time > 4.0].max() < 0.5
+    if times == 2.0:
+        assert run(nod(0.116, 0.19, **loop), check=False).status == "stopped"
