@@ -27,7 +27,7 @@ T = TypeVar("T")
 Work = tuple[Callable[..., Any], tuple[Any, ...]]
 
 CONNECT_TIMEOUT = 20.0  # [s] that a Dask scheduler has to answer, and its first worker to come
-IDLE_TIMEOUT = 300.0  # [s] after which a process without work ends
+IDLE_TIMEOUT = 3600.0  # [s] after which a process without work ends; loky may lose work that comes just then
 WORN = 200  # Runs after which a process is replaced: each leaves some tenths of a megabyte behind in Drake
 WORKER_GONE = (
     "a worker process ended by itself: it was killed, or ran out of memory, or could not import the script that called,"
