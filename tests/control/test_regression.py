@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from stewart_drake import Controller, load_scenario, run
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.control import adaptation as law
-from stewart_drake.control.adaptation import COMMON, OWN, Learnt, RegressionOptions, kernel_weights, late_weights
+from stewart_drake.control import adaptation_laws as law
+from stewart_drake.control.adaptation import Learnt, RegressionOptions, kernel_weights, late_weights, model_of
+from stewart_drake.control.adaptation_laws import COMMON, OWN
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.scenario.assembly import context_of
 
@@ -130,7 +131,7 @@ def test_a_robot_with_servos_learns_its_constants_and_follows():
 def test_what_was_kept_is_what_the_next_run_believes():
     first = run(servos(), check=False)
     belief, row = first.scenario.belief, first["learnt"][-1]
-    model = law.model_of(row, belief.robot, belief.motors, belief.friction)
+    model = model_of(row, belief.robot, belief.motors, belief.friction)
     second = run(servos(duration=3.0, model=model), check=False)
     assert late_error(second) < 0.1 * late_error(run(servos(duration=3.0, adaptation=None), check=False))
     value = Learnt.of(row)
