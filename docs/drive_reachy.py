@@ -6,6 +6,7 @@ The daemon is the maker's own, unchanged, in its simulation; docs/reachy_daemon.
 import math
 import os
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -178,17 +179,18 @@ class ByWallClock(ReachyMachine):
     period = 0.01
     paced = False
 
-    def disconnect(self) -> None:
-        """What has arrived stays."""
-        super().disconnect()
-        self._seen = -1
-        self.arrived: list[tuple[float, np.ndarray]] = getattr(self, "arrived", [])
-        self.sent: list[float] = getattr(self, "sent", [])
+    def connect(self) -> None:
+        """And listens from then on: a pose that waits to be read would look late."""
+        self.arrived: list[tuple[float, np.ndarray]] = []
+        self.sent: list[float] = []
+        self._listener = threading.Thread(target=self._listen, daemon=True)
+        super().connect()
+        self._listener.start()
 
     def read(self) -> Reading:
         """The newest, at once."""
-        while self._take(0.0):
-            pass
+        if not self._listener.is_alive():
+            return super().read()
         return Reading(self._joints[1:].copy(), self._number * 0.02, time.monotonic() - self._arrived, self._number)
 
     def command(self, values: np.ndarray) -> None:
@@ -196,12 +198,13 @@ class ByWallClock(ReachyMachine):
         super().command(values)
         self.sent.append(time.monotonic())
 
-    def _take(self, timeout: float) -> bool:
-        took = super()._take(timeout)
-        if self._pose_number > self._seen:
-            self._seen = self._pose_number
-            self.arrived.append((time.monotonic(), self._pose.copy()))
-        return took
+    def _listen(self) -> None:
+        seen = self._pose_number
+        with suppress(MachineError):
+            while self._take(1.0):
+                if self._pose_number > seen:
+                    seen = self._pose_number
+                    self.arrived.append((time.monotonic(), self._pose.copy()))
 
 
 def by_wall_clock(url: str, scheme: str, motion: str) -> tuple[float, float, float]:
@@ -358,7 +361,7 @@ and in ball joints. What the numbers have in common hardly shows in commands and
 {others}
 
 - By wall clock commands go out 100 times a second, whenever the daemon's ticks come. Its clock runs {slow:.1f} % slow
-  here. All that turns on time, damping first, is then another number; learning finds it.
+  here, and all that turns on time, damping first, is then another number.
 - The shaped moves are those of `moves export --shaped reachy_daemon`. The player sends the angles of the inverse
   kinematics of their poses, one row a tick, as any player does.
 
