@@ -24,7 +24,7 @@ from stewart_drake.control.adaptation import model_of, rows_of
 from stewart_drake.logs.outcomes import RunRows
 from stewart_drake.machines.machine import MachineError, Reading, open_machine
 from stewart_drake.machines.reachy import ReachyMachine
-from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.plotting.style import save_figure, styled
 from stewart_drake.references.moves import Move
 from stewart_drake.runs.drive import Drive, connected
@@ -156,7 +156,13 @@ class Figures(NamedTuple):
 
 
 def figures(log: SimulationLog, age: float = POSE_AGE) -> Figures:
-    """Errors of a log against its reference at the time of the poses, which are older than their rows by an age [s]."""
+    """Errors of a log against its reference at the time of the poses, which are older than their rows by an age [s].
+
+    Where a pose has not come in time `drive` has taken all poses from the angles, which have none.
+    """
+    middle = len(log.time) // 2
+    of_angles = forward_kinematics(log.scenario.robot, log["crank_angle"][middle], log["pose"][middle])
+    age = 0.0 if np.abs(of_angles - log["pose"][middle]).max() < 1e-9 else age
     pose, rate, gain = (log[f"reference{name}"] for name in ("", "_rate", "_acceleration"))
     then = {"reference": pose - age * (rate - 0.5 * age * gain), "reference_rate": rate - age * gain}
     rows = RunRows(log.scenario, {**log.signals, **then})
@@ -375,8 +381,8 @@ model without learning.
 - **Axes of dry friction.** MuJoCo's ball joints have dry friction about three axes of the body that hangs in them.
   `model.friction.joints` has these axes from the file; with those of the rods errors are larger.
 - **Its reversal.** MuJoCo's friction loss is proportional to the rate at low speeds, of a slope that depends on the
-  body, and turns some ms before the motion does. The model has one width for all joints, and no lead. That is what
-  learning cannot take out: a motion at low speed tells of it as if it were damping or delay.
+  body, and turns some ms before the motion does. The model has one width for all joints, and no lead. Learning takes
+  that for damping or delay: it fits the motion that it sees, and with the file's numbers at hand it is no gain.
 - Without any friction the rest is that of 50 Hz and of the simulation's steps.
 
 The daemon's clock stalls, here for {age:.0f} ms at most. `drive` counts its ticks and stays in step.
