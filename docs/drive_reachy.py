@@ -155,14 +155,16 @@ class Figures(NamedTuple):
     ripple: float  # [mm/s]
 
 
-def figures(log: SimulationLog, age: float = POSE_AGE) -> Figures:
-    """Errors of a log against its reference at the time of the poses, which are older than their rows by an age [s].
-
-    Where a pose has not come in time `drive` has taken all poses from the angles, which have none.
-    """
+def pose_age(log: SimulationLog) -> float:
+    """[s] of the poses in a log: where one came too late `drive` has taken all from the angles, which have no age."""
     middle = len(log.time) // 2
     of_angles = forward_kinematics(log.scenario.robot, log["crank_angle"][middle], log["pose"][middle])
-    age = 0.0 if np.abs(of_angles - log["pose"][middle]).max() < 1e-9 else age
+    return 0.0 if np.abs(of_angles - log["pose"][middle]).max() < 1e-9 else POSE_AGE
+
+
+def figures(log: SimulationLog, age: float | None = None) -> Figures:
+    """Errors of a log against its reference at the time of the poses, which are older than their rows by an age [s]."""
+    age = pose_age(log) if age is None else age
     pose, rate, gain = (log[f"reference{name}"] for name in ("", "_rate", "_acceleration"))
     then = {"reference": pose - age * (rate - 0.5 * age * gain), "reference_rate": rate - age * gain}
     rows = RunRows(log.scenario, {**log.signals, **then})
@@ -310,7 +312,7 @@ def draw(logs: Mapping[tuple[str, str], SimulationLog]) -> Figure:
     )
     for name, color, label in rows:
         log = logs[name, "nod"]
-        wanted = log["reference"][:, 1] - POSE_AGE * log["reference_rate"][:, 1]
+        wanted = log["reference"][:, 1] - pose_age(log) * log["reference_rate"][:, 1]
         # Of the last whole seconds of a nod, from one zero of it.
         last = math.floor(log.time[-1]) - 4.0
         zeros = np.flatnonzero((wanted[:-1] < 0.0) & (wanted[1:] >= 0.0) & (log.time[:-1] > last))
