@@ -141,7 +141,7 @@ tuner_safety: install
 integrators: install
 	$(ONE_THREAD) $(BIN)/python docs/integrators.py
 
-# docs/results/drive.md and its picture: three minutes, after half a minute that installs the daemon.
+# docs/results/drive.md and its picture: ten minutes, after half a minute that installs the daemon.
 drive: install
 	$(BIN)/python docs/drive_reachy.py
 

@@ -207,11 +207,23 @@ def test_reachy(page):
 @pytest.mark.skipif("REACHY_DAEMON" not in os.environ, reason="needs REACHY_DAEMON, a folder for the maker's daemon")
 def test_drive(page):
     with drive_reachy.daemon(Path(os.environ["REACHY_DAEMON"]).absolute()) as url:
-        plain, exact = (run_metrics(drive_reachy.driven(url, scheme, "nod")) for scheme in drive_reachy.ENDS)
+        logs = [drive_reachy.driven(url, scheme, "nod") for scheme in drive_reachy.ENDS]
+        plain, exact = (drive_reachy.figures(log) for log in logs)
         cell = page.cell(drive_reachy.ENDS[0], column="nod [deg], [mm]")
-        assert_says(cell, plain["rmse_norm_deg"], plain["rmse_norm_mm"], within=0.2)
+        assert_says(cell, plain.rotation, plain.position, within=0.2)
         # On a busy machine the daemon stalls, and a command acts at another time than the model believes.
-        assert exact["rmse_norm_deg"] < 0.4 * plain["rmse_norm_deg"]
+        assert exact.rotation < 0.4 * plain.rotation
+
+
+def test_drive_without_the_daemon():
+    absent = [name for name in ("reachy_mini", "mujoco") if importlib.util.find_spec(name) is None]
+    if absent:
+        pytest.skip(f"pip install --no-deps {' '.join(absent)}")
+    page = Page("drive")
+    for name in drive_reachy.LIMITS:
+        found = drive_reachy.simulated(drive_reachy.LIMITS[name], "nod")
+        cell = page.cell(name, column="nod [deg], [mm]", under="## What is left")
+        assert_says(cell, found.rotation, found.position, within=NOISY)
 
 
 def log_costs(folder, plant, candidates, cases):

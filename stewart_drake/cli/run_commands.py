@@ -126,7 +126,9 @@ def keep(log: SimulationLog, file: Path | None) -> None:
     if file is None or not len(log.time):
         return
     belief = log.scenario.belief
-    model = log.scenario.model.given() | model_of(log["learnt"][-1], belief.robot, belief.motors, belief.friction)
+    joints = log["learnt_joints"][-1] if "learnt_joints" in log else None
+    known = model_of(log["learnt"][-1], belief.robot, belief.motors, belief.friction, joints)
+    model = log.scenario.model.given() | known
     write_text(file, to_yaml({"model": to_plain(model)}))
     tell(f"what was learnt in {file}; the next run with --keep-model {file} starts with it")
 
@@ -157,7 +159,8 @@ def _print_run(log: SimulationLog, place: Path, machine: str) -> None:
         if metric.label and (value is not None or metric.over.startswith("second_half")):
             rows.append((metric.label, metric.shown(value)))
     if "learnt" in log and len(log.time):
-        rows += rows_of(log["learnt"][-1], log["learnt_half_width"][-1])
+        joints = log["learnt_joints"][-1] if "learnt_joints" in log else None
+        rows += rows_of(log["learnt"][-1], log["learnt_half_width"][-1], joints)
     rows += [(f"warning: {each['name']}", f"{each['text']}, t = {each['time']:.3f} s") for each in log.warnings]
     factor = metrics["real_time_factor"]
     rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(place))]

@@ -1,17 +1,6 @@
 """Learns the motors and the head that a robot has while it moves, from commands and readings of the cranks alone.
 
-A motor's command is itself the sensor of its torque: that of a motor which takes torques, and of a servo its stiffness
-times (command - angle). With Y the exact inverse dynamics of the motion that was read, of head and of all else,
-
-    command_i(t - delay) = exp(drive + own_i) (exp(head) Y_head_i + Y_rest_i) + damping_i rate_i
-                           + coulomb_i tanh(rate_i / width)
-
-in torques that the motors are believed to give for it. All terms pass one Gaussian kernel, the sign of the rate too.
-What is common to the six motors and what is each one's own are estimated together, by a triangular factor of the
-information in the form of arrows: own numbers do not meet those of other motors. Square-root information filter: G. J.
-Bierman, Factorization Methods for Discrete Sequential Estimation (1977).
-Forgetting goes towards the information that there was at first, and leaves the estimate: R. Kulhavy, Restricted
-exponential forgetting in real-time identification (Automatica 23, 1987). So what nothing excites is kept.
+The law is in `adaptation_laws`; here are its options, the part that it is in a loop, and what it has learnt as a model.
 """
 
 from __future__ import annotations
@@ -22,32 +11,16 @@ import numpy as np
 
 from stewart_drake.base.config import Flag, NotNegative, Positive
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.base.jit import fields, new_record, njit, record
-from stewart_drake.control.ball_joints import ball_joint_torques, joints_record
+from stewart_drake.base.jit import new_record
+from stewart_drake.control import adaptation_laws as law
+from stewart_drake.control.adaptation_laws import COMMON, HALF, JOINT, LATE, MIDDLE, OWN, ROWS
+from stewart_drake.control.ball_joints import BallJoints, joints_record
 from stewart_drake.control.base import AdaptationOptions
-from stewart_drake.control.estimator import ITERATIONS, TOLERANCE
 from stewart_drake.loop.part import LoopContext, Part
-from stewart_drake.mechanics.dynamics_laws import motion_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.mechanics.kinematics_laws import (
-    LEGS,
-    ROBOT,
-    forward_kinematics,
-    legs_at,
-    robot_record,
-)
-from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
+from stewart_drake.mechanics.kinematics_laws import LEGS, ROBOT, robot_record
 from stewart_drake.robot import RobotParameters
 
-HALF = 6  # [blocks] to each side of the kernel's middle, at least two of its standard deviations.
-WIDTH = 2.2  # [blocks] of its standard deviation, as near as whole ticks allow; the fewer, the later a sample.
-LATE = 16  # [blocks] that a command and a reading may be late together.
-ROWS = 3 * HALF + LATE + 1  # [blocks] that are remembered.
-NEWEST, MIDDLE, SIGNS = ROWS - 1, ROWS - 1 - 2 * HALF, 2 * HALF + 1
-OWN, COMMON = 3, 5
-"""Numbers of each motor: log of its drive, damping, Coulomb; and of all: log of the head, these three, delay."""
-SHOWN = 20
-"""Numbers that are shown, see `Learnt`."""
 SIZE_HEAD, SIZE_DRIVE, SIZE_TORQUE, SIZE_OWN_DRIVE = 0.25, 0.35, 0.03, 0.06
 """[-] standard deviations of logarithms, before anything is learnt; torque: of motors that take one; own: how far apart
 motors of a robot are."""
@@ -57,11 +30,14 @@ ALIKE = 0.6
 """[s] for which samples err alike, by what the model does not have: together they count as one."""
 FINEST = 0.008
 """[s] smallest standard deviation of the kernel: finer, noise of the readings makes much of the acceleration."""
-MOST, LEAST_DAMPING, MOST_DAMPING, MOST_COULOMB, MOST_DELAY = np.log(3.0), -0.1, 0.6, 0.4, 0.05
-"""Bounds: of the logarithms; as above of the torque limit; and [s]. A delay believed too long may be a damping < 0."""
-SATURATED, BLEND, BLEND_TORQUE, OUTLIER = 0.9, 0.5, 0.1, 3.0
-"""[-] of the torque limit from which on a motor counts as saturated; [s] in which numbers go over into new ones, and
-where a motor's torque depends on them at once; standard deviations from which on a sample is somebody's push."""
+BLEND, BLEND_TORQUE = 0.5, 0.1
+"""[s] in which numbers go over into new ones, and where a motor's torque depends on them at once."""
+_WIDTH = (
+    2.2  # [blocks] of the kernel's standard deviation, as near as whole ticks allow; the fewer, the later a sample.
+)
+_FRICTION = {"coulomb": slice(0, 6), "break_away": slice(6, 12), "viscous": slice(18, 24)}
+_LINKS = ("rod_mass", "rod_inertia", "crank_mass", "crank_inertia")
+_HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inertia")
 
 
 class RegressionOptions(AdaptationOptions):
@@ -87,41 +63,13 @@ class RegressionOptions(AdaptationOptions):
     """[-] standard deviation of a sample, of the motors' torque limit."""
     cautious: Flag = False
     """Whether friction is compensated only as far as it is known by now: too much of it would lose a slow loop."""
+    ball_joints: Flag = False
+    """Whether friction of the rods' ball joints is learnt too: one viscous and one dry number for all of them."""
     frozen: Flag = False
     """Whether nothing is learnt: the numbers stay as they are in `model`."""
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         return (regression_part(self, context),)
-
-
-_PARAMS = fields(
-    gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(),
-    damping=6, servo_damping=(), noise=(), alike=(), slowest=(), width=(), keep=(), blend=(), first=(), own=OWN,
-    common=COMMON, cautious=(), frozen=(),
-)  # fmt: skip
-"""stride: ticks of a block. kernel: weights of smoothed value, rate and acceleration. late: those of commands, and of
-their first two derivatives. gain: torque for a command as believed. by_gain: whether a motor's gain is what its drive
-changes, else all bodies are. by_angle: whether commands are angles. damping: believed at first, servo included. alike:
-samples that count as one. first: blocks that a sample needs. keep: share that a block leaves of what was known. own,
-common: standard deviations at first."""
-_FRICTION = {"coulomb": slice(0, 6), "break_away": slice(6, 12), "viscous": slice(18, 24)}
-_PLACES = {name: int(ROBOT.fields[name][1]) // 8 for name in ROBOT.names or ()}  # type: ignore[index]
-_ROBOT = ROBOT.itemsize // 8
-_LINKS = ("rod_mass", "rod_inertia", "crank_mass", "crank_inertia")
-_HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inertia")
-_MASS = _PLACES["platform_mass"]
-_STATE = fields(
-    friction=25, robot=_ROBOT, learnt=SHOWN, learnt_half_width=SHOWN, doubt=6, gain=6, lead=(1,),
-    information=(6, OWN, OWN + COMMON + 1), shared=(COMMON, COMMON + 1), own=(6, OWN), common=COMMON,
-    friction_unknown=12, used_own=(6, OWN), used_common=COMMON, pose=(ROWS, 6), angles=(ROWS, 6),
-    commands=(ROWS, 6), good=ROWS, signs=(SIGNS, 6), sum_angles=6, sum_command=6, ticks=(), bad=(), blocks=(),
-)  # fmt: skip
-"""friction, robot, doubt, gain, lead: stand in for constants; doubt of the Coulomb friction, 1 for that at first.
-learnt: the estimate, see `Learnt`, and half the width of its 95 % intervals; friction_unknown:
-how far Coulomb and viscous friction may be from `friction`. information: rows of the factor of each
-motor, own columns, common ones, right-hand side; shared: those below. own, common: estimate; used: what it has gone
-over into. Blocks, newest last: pose, angles, commands, whether they are good, signs of the rates. Sums of the block
-under way, its ticks, whether it is bad; blocks so far."""
 
 
 class Learnt(NamedTuple):
@@ -138,8 +86,11 @@ class Learnt(NamedTuple):
         return cls(float(row[0]), float(row[1]), row[2:8], row[8:14], row[14:20])
 
 
-def rows_of(learnt: np.ndarray, half_width: np.ndarray) -> list[tuple[str, str]]:
-    """What was learnt, with 95 % intervals, in lines to be read: of six motors the lowest and the highest."""
+def rows_of(learnt: np.ndarray, half_width: np.ndarray, joints: np.ndarray | None = None) -> list[tuple[str, str]]:
+    """What was learnt, with 95 % intervals, in lines to be read: of six motors the lowest and the highest.
+
+    `joints` (4,) is a row of `learnt_joints`, where ball joints were learnt.
+    """
     value, width = Learnt.of(learnt), Learnt.of(half_width)
     lines = [("learnt: head", f"{value.mass:.4g} ± {width.mass:.2g} kg")]
     if width.delay > 0.0:
@@ -149,11 +100,21 @@ def rows_of(learnt: np.ndarray, half_width: np.ndarray) -> list[tuple[str, str]]
         of, wide = getattr(value, name), getattr(width, name)
         shown = f"{of.min():.4g} to {of.max():.4g} ± {wide.max():.2g}"
         lines.append((f"learnt: {words}", shown if unit == "1" else f"{shown} {unit}"))
+    if joints is not None:
+        for n, (words, unit) in enumerate((("viscous", "N m s/rad"), ("dry", "N m"))):
+            lines.append(
+                (f"learnt: {words} friction of ball joints", f"{joints[n]:.4g} ± {joints[JOINT + n]:.2g} {unit}")
+            )
     return lines
 
 
-def model_of(learnt: np.ndarray, robot: RobotParameters, motors: Any, friction: Any) -> dict[str, Any]:
-    """Robot, motors and friction as keys of `model`: those that were believed, with what was learnt (20,)."""
+def model_of(
+    learnt: np.ndarray, robot: RobotParameters, motors: Any, friction: Any, joints: np.ndarray | None = None
+) -> dict[str, Any]:
+    """Robot, motors and friction as keys of `model`: those that were believed, with what was learnt (20,).
+
+    `joints` (4,) is a row of `learnt_joints`, where ball joints were learnt.
+    """
     value, weaker = Learnt.of(learnt), 1.0
     keys: dict[str, Any] = {}
     viscous = value.viscous
@@ -172,322 +133,10 @@ def model_of(learnt: np.ndarray, robot: RobotParameters, motors: Any, friction: 
     keys["friction"] = {**friction.to_dict(), **rubs, "break_away": (value.coulomb + more).tolist()}
     if not more.any():
         keys["friction"]["break_away"] = None
+    if joints is not None:
+        rub = {"viscous": float(joints[0]), "coulomb": float(joints[1])}
+        keys["friction"]["joints"] = {**(friction.joints or BallJoints()).to_dict(), **rub}
     return keys | {"robot": {**robot.given(), **robot.heavier(value.mass / robot.platform_mass, weaker)}}
-
-
-@njit
-def add_row(information: Any, shared: Any, row: Any) -> None:
-    """Brings a row [own | common | right-hand side] (9,), which is destroyed, into a motor's factor, by rotations."""
-    size = OWN + COMMON
-    for k in range(size):
-        if row[k] == 0.0:
-            continue
-        pivot = information[k, k] if k < OWN else shared[k - OWN, k - OWN]
-        length = np.hypot(pivot, row[k])
-        c, s = pivot / length, row[k] / length
-        for j in range(k, size + 1):
-            above = information[k, j] if k < OWN else shared[k - OWN, j - OWN]
-            turned = c * above + s * row[j]
-            row[j] = c * row[j] - s * above
-            if k < OWN:
-                information[k, j] = turned
-            else:
-                shared[k - OWN, j - OWN] = turned
-
-
-@njit
-def spread_along(information: Any, shared: Any, row: Any) -> float:
-    """Variance of row (8,) times a motor's numbers: |R^-T row|^2."""
-    size, total = OWN + COMMON, 0.0
-    solution = np.empty(size)
-    for k in range(size):
-        value = row[k]
-        for j in range(k):
-            value -= solution[j] * (information[j, k] if j < OWN else shared[j - OWN, k - OWN])
-        solution[k] = value / (information[k, k] if k < OWN else shared[k - OWN, k - OWN])
-        total += solution[k] * solution[k]
-    return total
-
-
-@njit
-def solve_arrow(information: Any, shared: Any, own: Any, common: Any) -> None:
-    """Adds the least-squares solution to own (6, 3) and common (5,) numbers; right-hand sides become zero."""
-    change = np.empty(COMMON)
-    for k in range(COMMON - 1, -1, -1):
-        value = shared[k, COMMON]
-        for j in range(k + 1, COMMON):
-            value -= shared[k, j] * change[j]
-        change[k] = value / shared[k, k]
-        shared[k, COMMON] = 0.0
-    for k in range(COMMON):
-        common[k] += change[k]
-    mine = np.empty(OWN)
-    for i in range(6):
-        for k in range(OWN - 1, -1, -1):
-            value = information[i, k, OWN + COMMON]
-            for j in range(COMMON):
-                value -= information[i, k, OWN + j] * change[j]
-            for j in range(k + 1, OWN):
-                value -= information[i, k, j] * mine[j]
-            mine[k] = value / information[i, k, k]
-            information[i, k, OWN + COMMON] = 0.0
-        for k in range(OWN):
-            own[i, k] += mine[k]
-
-
-@njit
-def forget(information: Any, shared: Any, keep: float, sizes_own: Any, sizes_common: Any) -> None:
-    """Leaves a share of the information, and adds as much of that of the beginning as is missing then."""
-    root, rest, row = np.sqrt(keep), np.sqrt(1.0 - keep), np.empty(OWN + COMMON + 1)
-    information *= root
-    shared *= root
-    for i in range(6):
-        for k in range(OWN):
-            row[:] = 0.0
-            row[k] = rest / sizes_own[k]
-            add_row(information[i], shared, row)
-    for k in range(COMMON):
-        row[:] = 0.0
-        row[OWN + k] = rest / sizes_common[k]
-        add_row(information[0], shared, row)
-
-
-@njit
-def regression_tick(
-    robot: Any, rest: Any, joints: Any, bodies: Any, friction: Any, params: Any, reading: Any, command: Any, legs: Any,
-    state: Any,
-) -> None:  # fmt: skip
-    """A tick: the block under way grows; at its end all that is known of the motion in its middle is a sample."""
-    robot, params, legs, state = record(robot), record(params), record(legs), record(state)
-    if params.frozen == 1.0:
-        return
-    _gather(robot, params, reading, command, legs, state)
-    if state.ticks < params.stride:
-        return
-    _close_block(robot, params, state)
-    if state.blocks < params.first:
-        return
-    rows = np.zeros((6, OWN + COMMON + 1))
-    moving = _rows(robot, record(rest), record(joints), params, legs, state, rows)
-    if moving:
-        forget(state.information, state.shared, params.keep, params.own[:], params.common[:])
-        _take(params, state, rows)
-    for i in range(6):
-        for k in range(OWN):
-            state.used_own[i, k] += params.blend * (state.own[i, k] - state.used_own[i, k])
-    for k in range(COMMON):
-        state.used_common[k] += params.blend * (state.common[k] - state.used_common[k])
-    _stand_in(params, bodies, friction, state)
-
-
-@njit
-def _gather(robot: Any, params: Any, reading: Any, command: Any, legs: Any, state: Any) -> None:
-    """Adds a tick's reading and command to the sums of its block."""
-    angles = reading[:6].copy()
-    if reading.size == 12 and legs_at(robot, reading[:6], legs) < 0:
-        for i in range(6):
-            angles[i] = np.arctan2(legs.sine[i], legs.cosine[i])
-    if not (all_finite(angles) and all_finite(command)):
-        state.bad = 1.0
-    elif state.bad == 0.0:
-        for i in range(6):
-            # Within half a turn of the last block's.
-            near = state.angles[NEWEST, i]
-            angle = near + _within_turn(angles[i] - near)
-            state.sum_angles[i] += angle
-            state.sum_command[i] += angle + _within_turn(command[i] - angle) if params.by_angle == 1.0 else command[i]
-    state.ticks += 1.0
-
-
-@njit
-def _within_turn(angle: float) -> float:
-    return angle - 2.0 * np.pi * np.rint(angle / (2.0 * np.pi))
-
-
-@njit
-def _close_block(robot: Any, params: Any, state: Any) -> None:
-    """The means of a block become the newest rows; where it is bad, or no pose has its angles, they repeat the last."""
-    for row in range(ROWS - 1):
-        state.good[row] = state.good[row + 1]
-        for i in range(6):
-            state.pose[row, i] = state.pose[row + 1, i]
-            state.angles[row, i] = state.angles[row + 1, i]
-            state.commands[row, i] = state.commands[row + 1, i]
-    good = state.bad == 0.0
-    if good:
-        pose = state.pose[NEWEST - 1].copy()
-        angles = state.sum_angles / params.stride
-        error, _ = forward_kinematics(robot, angles, pose, TOLERANCE, ITERATIONS)
-        good = error <= TOLERANCE
-        for i in range(6):
-            good = good and abs(angles[i] - state.angles[NEWEST - 1, i]) < 0.5
-    if good:
-        for i in range(6):
-            state.pose[NEWEST, i] = pose[i]
-            state.angles[NEWEST, i] = angles[i]
-            state.commands[NEWEST, i] = state.sum_command[i] / params.stride
-    state.good[NEWEST] = 1.0 if good else 0.0
-    for row in range(SIGNS - 1):
-        for i in range(6):
-            state.signs[row, i] = state.signs[row + 1, i]
-    for i in range(6):
-        rate = 0.0
-        for k in range(2 * HALF + 1):
-            rate += params.kernel[1, k] * state.angles[NEWEST - 2 * HALF + k, i]
-        state.signs[SIGNS - 1, i] = np.tanh(rate / params.width)
-        state.sum_angles[i] = state.sum_command[i] = 0.0
-    state.ticks = state.bad = 0.0
-    state.blocks += 1.0
-
-
-@njit
-def _rows(robot: Any, rest: Any, joints: Any, params: Any, legs: Any, state: Any, rows: Any) -> bool:
-    """Fills the rows (6, 9) of a sample, those left out with zeros; whether any crank moves."""
-    for row in range(ROWS):
-        if state.good[row] == 0.0:
-            return False
-    motion, angles, rates = np.zeros((3, 6)), np.zeros(6), np.zeros(6)
-    given, faster, signs = np.zeros(6), np.zeros(6), np.zeros(6)
-    delay = state.common[4]
-    for k in range(2 * HALF + 1):
-        at = MIDDLE - HALF + k
-        for i in range(6):
-            angles[i] += params.kernel[0, k] * state.angles[at, i]
-            rates[i] += params.kernel[1, k] * state.angles[at, i]
-            signs[i] += params.kernel[0, k] * state.signs[k, i]
-            for order in range(3):
-                motion[order, i] += params.kernel[order, k] * state.pose[at, i]
-    for row in range(ROWS):
-        # Those of the delay that is known by now.
-        rate = params.late[1, row] - delay * params.late[2, row]
-        value = params.late[0, row] - delay * (params.late[1, row] - 0.5 * delay * params.late[2, row])
-        for i in range(6):
-            given[i] += value * state.commands[row, i]
-            faster[i] += rate * state.commands[row, i]
-    if legs_at(robot, motion[0], legs) >= 0:
-        return False
-    both, other, moving = np.empty(12), np.empty(6), False
-    copy_to(both[:6], motion[0])
-    copy_to(both[6:], motion[1])
-    whole = np.empty(6)
-    if not motion_torque(robot, legs, both, motion[2], params.gravity, whole):
-        return False
-    motion_torque(rest, legs, both, motion[2], params.gravity, other)
-    if joints.viscous > 0.0 or joints.coulomb > 0.0 or joints.inertia > 0.0:
-        joint = np.zeros(6)
-        ball_joint_torques(robot, joints, both, motion[2], legs, joint)
-        whole += joint
-        other += joint
-    for i in range(6):
-        if not abs(rates[i]) > params.slowest:
-            continue
-        moving = True
-        torque = params.gain[i] * (given[i] - (angles[i] if params.by_angle == 1.0 else 0.0))
-        if abs(torque) > SATURATED * params.limit[i]:
-            continue
-        own, common, unit = state.own[i], state.common, params.noise * params.limit[i]
-        drive = np.exp(common[1] + own[0])
-        head = drive * np.exp(common[0]) * (whole[i] - other[i])
-        load = head + drive * other[i]
-        damping, coulomb = params.damping[i] + common[2] + own[1], common[3] + own[2]
-        rows[i, 0] = load / unit if params.by_gain == 1.0 else 0.0
-        rows[i, 1], rows[i, 2] = rates[i] / unit, signs[i] / unit
-        rows[i, 3], rows[i, 4], rows[i, 5], rows[i, 6] = head / unit, load / unit, rows[i, 1], rows[i, 2]
-        rows[i, 7] = params.gain[i] * faster[i] / unit if params.by_angle == 1.0 else 0.0
-        rows[i, 8] = (torque - load - damping * rates[i] - coulomb * signs[i]) / unit
-    return moving
-
-
-@njit
-def _take(params: Any, state: Any, rows: Any) -> None:
-    """Brings the rows of a sample into the estimate, but those that nothing known explains."""
-    taken = np.zeros(6)
-    for i in range(6):
-        expected = 1.0 + spread_along(state.information[i], state.shared, rows[i])
-        if rows[i, 2] != 0.0 and abs(rows[i, OWN + COMMON]) <= OUTLIER * np.sqrt(expected):
-            taken[i] = 1.0
-    for i in range(6):
-        if taken[i] == 1.0:
-            rows[i] /= np.sqrt(params.alike)
-            add_row(state.information[i], state.shared, rows[i])
-    solve_arrow(state.information, state.shared, state.own, state.common)
-    for k in range(2):
-        state.common[k] = min(max(state.common[k], -MOST), MOST)
-    state.common[4] = min(max(state.common[4], -MOST_DELAY), MOST_DELAY)
-
-
-@njit
-def _stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
-    """Constants of other parts by what is used, and what is shown by the estimate."""
-    common, own = state.used_common, state.used_own
-    head, links = np.exp(common[0]), 1.0
-    if params.by_gain == 0.0:
-        links = np.exp(common[1])
-        head *= links
-    for k in range(_ROBOT):
-        state.robot[k] = bodies[k, 0] + links * bodies[k, 1] + head * bodies[k, 2]
-    state.lead[0] = common[4]
-    for i in range(6):
-        damping, coulomb = _friction_of(params, own[i], common, i)
-        if params.cautious == 1.0:
-            damping *= 1.0 - _doubt(params, state, i, 1) ** 2 if damping > 0.0 else 1.0
-            coulomb *= 1.0 - _doubt(params, state, i, 2) ** 2
-        drive = np.exp(-(common[1] + own[i, 0])) if params.by_gain == 1.0 else 1.0
-        state.gain[i] = drive * params.gain[i]
-        state.friction[i] = drive * coulomb
-        state.friction[6 + i] = drive * coulomb + friction[6 + i] - friction[i]
-        state.friction[18 + i] = drive * damping - params.servo_damping
-    common, own, row = state.common, state.own, np.zeros(OWN + COMMON)
-    mass = bodies[_MASS, 2] * np.exp(common[0] + (common[1] if params.by_gain == 0.0 else 0.0))
-    state.learnt[1], row[OWN + 4] = common[4], 1.0
-    wide = 1.96 * np.sqrt(spread_along(state.information[0], state.shared, row))
-    state.learnt_half_width[1] = wide if params.by_angle == 1.0 else 0.0
-    row[:] = 0.0
-    row[OWN] = 1.0
-    row[OWN + 1] = 1.0 - params.by_gain
-    state.learnt[0] = mass
-    state.learnt_half_width[0] = 1.96 * mass * np.sqrt(spread_along(state.information[0], state.shared, row))
-    for i in range(6):
-        damping, coulomb = _friction_of(params, own[i], common, i)
-        drive = np.exp(-(common[1] + own[i, 0]))
-        size = drive if params.by_gain == 1.0 else 1.0
-        of_drive = 0.0
-        state.learnt[2 + i] = drive
-        state.learnt[8 + i] = size * damping - params.servo_damping
-        state.learnt[14 + i] = size * coulomb
-        for k in range(OWN):
-            row[:] = 0.0
-            row[k] = row[OWN + 1 + k] = 1.0
-            width = 1.96 * np.sqrt(spread_along(state.information[i], state.shared, row))
-            if k == 0:
-                of_drive = width if params.by_gain == 1.0 else 0.0
-                state.learnt_half_width[2 + i] = width * drive
-            else:
-                # That of the drive is in it too.
-                of_all = of_drive * (damping if k == 1 else coulomb)
-                state.learnt_half_width[2 + 6 * k + i] = size * np.hypot(width, of_all)
-        state.doubt[i] = _doubt(params, state, i, 2)
-        state.friction_unknown[i] = state.learnt_half_width[14 + i] + abs(state.learnt[14 + i] - state.friction[i])
-        of_used = state.learnt[8 + i] - state.friction[18 + i]
-        state.friction_unknown[6 + i] = state.learnt_half_width[8 + i] + abs(of_used)
-
-
-@njit
-def _doubt(params: Any, state: Any, leg: int, which: int) -> float:
-    """Standard deviation of a number of a motor, over that at first."""
-    row = np.zeros(OWN + COMMON)
-    row[which] = row[OWN + 1 + which] = 1.0
-    first = np.hypot(params.common[1 + which], params.own[which])
-    return min(1.0, np.sqrt(spread_along(state.information[leg], state.shared, row)) / first)
-
-
-@njit
-def _friction_of(params: Any, own: Any, common: Any, leg: int) -> Any:
-    """Damping [N m s/rad] and Coulomb friction [N m] of a motor, within bounds, in units of its command's torque."""
-    limit = params.limit[leg]
-    damping, coulomb = params.damping[leg] + common[2] + own[1], common[3] + own[2]
-    damping = min(max(damping, LEAST_DAMPING * limit), MOST_DAMPING * limit)
-    return damping, min(max(coulomb, 0.0), MOST_COULOMB * limit)
 
 
 def kernel_weights(width: float) -> np.ndarray:
@@ -519,7 +168,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         # At which noise of the readings leaves a rate that is known to the width of friction's reversal.
         coarse = context.noise**2 * context.period / (4.0 * np.sqrt(np.pi) * believed.width**2)
         smoothing = max(FINEST, 1.5 * context.period, float(np.cbrt(coarse)))
-    stride = max(1, round(smoothing / (WIDTH * context.period)))
+    stride = max(1, round(smoothing / (_WIDTH * context.period)))
     block = stride * context.period
     width, late = smoothing / block, (context.latency - 0.5 * context.period + options.reading_age) / block
     if not 1.0 <= width <= HALF / 2.0:
@@ -534,32 +183,38 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     weights = kernel_weights(width)
     per = np.array([1.0, block, block**2])[:, None]
     by_gain, by_angle = motors.takes != "torque", motors.takes == "angle"
-    damping = SIZE_SERVO_DAMPING if by_angle else SIZE_DAMPING
+    # What ball joints rub is nearly damping of the motors: with both unknown, each may be farther off.
+    damping = SIZE_SERVO_DAMPING if by_angle and not options.ball_joints else SIZE_DAMPING
     drive = options.drive or (SIZE_DRIVE if by_gain else SIZE_TORQUE)
+    joints = believed.joints or BallJoints()
+    size = limit.mean()
+    common = [SIZE_HEAD, drive, damping * size, SIZE_COULOMB * size, SIZE_DELAY]
+    common += [SIZE_DAMPING * size, SIZE_COULOMB * size] if options.ball_joints else []
     params = new_record(
-        _PARAMS, gravity=context.gravity, stride=stride, kernel=weights / per, late=late_weights(width, late) / per,
-        gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
+        law.params_of(len(common)), gravity=context.gravity, stride=stride, kernel=weights / per,
+        late=late_weights(width, late) / per, gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
         damping=friction[_FRICTION["viscous"]] + servo_damping, servo_damping=servo_damping, noise=options.noise,
         alike=max(1.0, ALIKE / block), slowest=options.slowest, width=believed.width,
         keep=np.exp(-block / options.forgetting),
         blend=min(1.0, block / (BLEND if by_angle else BLEND_TORQUE)), first=3 * HALF + 1 + np.ceil(late),
         cautious=options.cautious, frozen=options.frozen,
-        own=[SIZE_OWN_DRIVE, *(SHARE_OWN * limit.mean() * np.array([damping, SIZE_COULOMB]))],
-        common=[SIZE_HEAD, drive, damping * limit.mean(), SIZE_COULOMB * limit.mean(), SIZE_DELAY],
+        own=[SIZE_OWN_DRIVE, *(SHARE_OWN * size * np.array([damping, SIZE_COULOMB]))], common=common,
     )  # fmt: skip
     whole = robot_record(robot)
-    rest, bodies = whole.copy(), np.zeros((_ROBOT, 3))
+    rest, bodies = whole.copy(), np.zeros((law.ROBOT_SIZE, 3))
     bodies[:, 0] = whole.view(np.float64)
     for column, names in ((1, _LINKS), (2, _HEAD)):
         for name in names:
-            place = slice(_PLACES[name], _PLACES[name] + whole[name].size)
+            at = int(ROBOT.fields[name][1]) // 8  # type: ignore[index]
+            place = slice(at, at + whole[name].size)
             bodies[place, column], bodies[place, 0] = bodies[place, 0], 0.0
     for name in _HEAD:
         rest[name] = 0.0
     angles = inverse_kinematics(robot, context.pose)
     coulomb = friction[_FRICTION["coulomb"]]
     first = new_record(
-        _STATE, friction=friction, gain=motors.gains, robot=whole.view(np.float64), pose=context.pose, angles=angles,
+        law.state_of(len(common)), friction=friction, gain=motors.gains, robot=whole.view(np.float64),
+        pose=context.pose, angles=angles,
         commands=motors.initial_command(context), good=1.0, doubt=1.0,
     )  # fmt: skip
     if options.cautious:
@@ -570,10 +225,17 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     first["learnt"] = np.concatenate([[robot.platform_mass, 0.0], np.ones(6), friction[_FRICTION["viscous"]], coulomb])
     for k in range(OWN):
         first["information"][0, :, k, k] = 1.0 / params["own"][0, k]
-    for k in range(COMMON):
+    for k in range(len(common)):
         first["shared"][0, k, k] = 1.0 / params["common"][0, k]
+    hanging = joints_record(joints if options.ball_joints else believed.joints)
+    if options.ball_joints:
+        rubs = np.array([joints.viscous, joints.coulomb])
+        first["joints"] = hanging.view(np.float64)
+        first["learnt_joints"][0, :JOINT] = first["common"][0, COMMON:] = first["used_common"][0, COMMON:] = rubs
+        if options.cautious:
+            first["joints"][0, :JOINT] = 0.0
     constants = {
-        "robot": whole, "rest": rest, "joints": joints_record(believed.joints), "bodies": bodies, "friction": friction,
+        "robot": whole, "rest": rest, "joints": hanging, "bodies": bodies, "friction": friction,
         "params": params,
     }  # fmt: skip
     if not options.frozen:
@@ -584,5 +246,6 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     outputs = ["friction", "robot", "learnt", "learnt_half_width", "friction_unknown", "doubt"]
     outputs += ["gain"] if by_gain else []
     outputs += ["lead"] if by_angle else []
+    outputs += ["joints", "learnt_joints"] if options.ball_joints else []
     inputs = {"reading": context.reading, "command": 6}
-    return Part("adaptation", regression_tick, constants, inputs, tuple(outputs), first, (LEGS,))
+    return Part("adaptation", law.regression_tick, constants, inputs, tuple(outputs), first, (LEGS,))

@@ -11,13 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.config import NotNegative, Positive, Section, SixNumbers
+from stewart_drake.base.config import NotNegative, Positive, Real, Section, SixNumbers
 from stewart_drake.base.jit import fields, new_record, njit
 from stewart_drake.mechanics.dynamics_laws import twists_of_motion
+from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.mechanics.kinematics_laws import LEGS, cross, dot, legs_at
 from stewart_drake.mechanics.linear_algebra import solve
 
 _AHEAD = 1e-4  # [s] between two instants whose joint rates tell the joints' accelerations.
+_Turn = tuple[Real, Real, Real]
+SixTurns = tuple[_Turn, _Turn, _Turn, _Turn, _Turn, _Turn]
+NO_TURNS: SixTurns = ((0.0, 0.0, 0.0),) * 6
 
 
 class BallJoints(Section, key="model.friction.joints"):
@@ -26,7 +30,7 @@ class BallJoints(Section, key="model.friction.joints"):
     viscous: NotNegative = 0.0
     """[N m s/rad] viscous friction of a joint."""
     coulomb: NotNegative = 0.0
-    """[N m] dry friction of a joint, about each of three axes: the rod, the motor's axis across it, and across both."""
+    """[N m] dry friction of a joint, about each of three axes: the motor's across the rod, across both, and the rod."""
     width: Positive = 0.01
     """[rad/s] speed about an axis from which on all of the dry friction acts; below, in proportion."""
     inertia: NotNegative = 0.0
@@ -35,15 +39,27 @@ class BallJoints(Section, key="model.friction.joints"):
     """Share of these that the joint at each crank has."""
     platform: SixNumbers = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     """Share of these that the joint at the platform has, of each leg."""
+    crank_axes: SixTurns = NO_TURNS
+    """[rad] roll, pitch, yaw by which the axes of the dry friction are turned from these in the joint at each crank."""
+    platform_axes: SixTurns | None = None
+    """[rad] those of the axes in the joint at the platform, of each leg, from the platform's; null for the rod's."""
 
 
-JOINTS = fields(viscous=(), coulomb=(), width=(), inertia=(), crank=6, platform=6)
-"""`BallJoints` as numbers."""
+JOINTS = fields(
+    viscous=(), coulomb=(), width=(), inertia=(), crank=6, platform=6, turns=(2, 6, 3, 3), on_platform=()
+)  # fmt: skip
+"""`BallJoints` as numbers. turns: rotations of the axes at cranks and at the platform; on_platform: whether the latter
+are from the platform's axes."""
 
 
 def joints_record(joints: BallJoints | None) -> np.ndarray:
     """A `JOINTS` record; zeros for none."""
-    return new_record(JOINTS, width=1.0) if joints is None else new_record(JOINTS, **joints.to_dict())
+    if joints is None:
+        return new_record(JOINTS, width=1.0)
+    turns = np.array([joints.crank_axes, joints.platform_axes or NO_TURNS])
+    return new_record(
+        JOINTS, joints, turns=rotation_matrix(turns), on_platform=joints.platform_axes is not None
+    )  # fmt: skip
 
 
 @njit
@@ -67,30 +83,51 @@ def joint_rates(robot: Any, joints: Any, legs: Any, twist: Any, at_crank: Any, a
 
 
 @njit
-def joint_axes(legs: Any, leg: int, out: Any) -> None:
-    """Axes (3, 3) in B of the dry friction in a leg's joints: the motor's axis across the rod, across both, the rod."""
-    e, axis = legs.e_l[leg], np.empty(3)
+def joint_axes(joints: Any, legs: Any, leg: int, side: int, out: Any) -> None:
+    """Axes (3, 3) in B of the dry friction in a leg's joint, at its crank or on the other side."""
+    e, axis, base = legs.e_l[leg], np.empty(3), np.empty((3, 3))
     cross(legs.crank[leg], legs.e_n[leg], axis)
     along = dot(axis, e)
     for k in range(3):
         axis[k] -= along * e[k]
     size = np.sqrt(dot(axis, axis))
     for k in range(3):
-        out[0, k], out[2, k] = axis[k] / size, e[k]
-    cross(e, out[0], out[1])
+        base[0, k], base[2, k] = axis[k] / size, e[k]
+    cross(e, base[0], base[1])
+    if side == 1 and joints.on_platform == 1.0:
+        for j in range(3):
+            for k in range(3):
+                base[j, k] = legs.rotation[k, j]
+    for j in range(3):
+        for k in range(3):
+            out[j, k] = 0.0
+            for n in range(3):
+                out[j, k] += joints.turns[side, leg, n, j] * base[n, k]
 
 
 @njit
 def ball_joint_torques(robot: Any, joints: Any, motion: Any, acceleration: Any, legs: Any, out: Any) -> None:
     """Adds to torques (6,) [N m] what the joints ask for along a motion (12,) pose and rate, acceleration (6,).
 
-    By virtual work: torques T with T . rates = sum of the joints' moments . their rates, for every twist. Nothing is
-    added where the pose is out of reach or singular.
+    Nothing is added where the pose is out of reach or singular.
+    """
+    parts = np.zeros((3, 6))
+    ball_joint_parts(robot, joints, motion, acceleration, legs, parts)
+    for i in range(6):
+        out[i] += joints.viscous * parts[0, i] + joints.coulomb * parts[1, i] + joints.inertia * parts[2, i]
+
+
+@njit
+def ball_joint_parts(robot: Any, joints: Any, motion: Any, acceleration: Any, legs: Any, out: Any) -> None:
+    """Torques (3, 6) of unit viscous friction, unit dry friction and unit inertia of the joints along a motion.
+
+    By virtual work: torques T with T . rates = sum of the joints' moments . their rates, for every twist. What the
+    joints ask for is linear in the three. `out` stays where the pose is out of reach or singular.
     """
     twist, change, later, soon = np.empty(6), np.empty(6), np.empty(12), np.empty(1, LEGS)
     twists_of_motion(motion[:6], motion[6:], acceleration, twist, change)
     basis = np.empty((3, 3))
-    now, then, moments = np.empty((2, 6, 3)), np.empty((2, 6, 3)), np.empty((2, 6, 3))
+    now, then, moments = np.empty((2, 6, 3)), np.empty((2, 6, 3)), np.zeros((3, 2, 6, 3))
     joint_rates(robot, joints, legs, twist, now[0], now[1])
     for k in range(6):
         later[k] = motion[k] + _AHEAD * (motion[6 + k] + 0.5 * _AHEAD * acceleration[k])
@@ -99,28 +136,30 @@ def ball_joint_torques(robot: Any, joints: Any, motion: Any, acceleration: Any, 
         return
     joint_rates(robot, joints, soon[0], later[6:], then[0], then[1])
     for i in range(6):
-        joint_axes(legs, i, basis)
         for side in range(2):
+            joint_axes(joints, legs, i, side, basis)
             share = joints.crank[i] if side == 0 else joints.platform[i]
             for k in range(3):
-                gained = (then[side, i, k] - now[side, i, k]) / _AHEAD
-                moments[side, i, k] = share * (joints.viscous * now[side, i, k] + joints.inertia * gained)
+                moments[0, side, i, k] = share * now[side, i, k]
+                moments[2, side, i, k] = share * (then[side, i, k] - now[side, i, k]) / _AHEAD
             for j in range(3):
                 turning = dot(now[side, i], basis[j]) / joints.width
-                dry = share * joints.coulomb * min(max(turning, -1.0), 1.0)
+                dry = share * min(max(turning, -1.0), 1.0)
                 for k in range(3):
-                    moments[side, i, k] += dry * basis[j, k]
-    matrix, work = np.empty((6, 6)), np.zeros((6, 1))
+                    moments[1, side, i, k] += dry * basis[j, k]
+    matrix, work = np.empty((6, 6)), np.zeros((6, 3))
     unit, rates = np.zeros(6), np.empty((2, 6, 3))
     for m in range(6):
         unit[:] = 0.0
         unit[m] = 1.0
         joint_rates(robot, joints, legs, unit, rates[0], rates[1])
         for i in range(6):
-            work[m, 0] += dot(moments[0, i], rates[0, i]) + dot(moments[1, i], rates[1, i])
+            for part in range(3):
+                work[m, part] += dot(moments[part, 0, i], rates[0, i]) + dot(moments[part, 1, i], rates[1, i])
             # J' T = work, J' the transposed Jacobian.
             matrix[m, i] = legs.line[i, m] / legs.lever[i]
     if solve(matrix, work) == 0.0:
         return
-    for i in range(6):
-        out[i] += work[i, 0]
+    for part in range(3):
+        for i in range(6):
+            out[part, i] = work[i, part]

@@ -319,7 +319,9 @@ class _Builder:
             part.connected(**{name: learnt[name] for name in part.constants if name in learnt}) for part in self.parts
         ]
         self.at_end.extend(part._replace(end_of_tick=True) for part in parts)
-        self.logged |= {name: learnt[name] for name in ("learnt", "learnt_half_width") if name in learnt}
+        self.logged |= {
+            name: learnt[name] for name in ("learnt", "learnt_half_width", "learnt_joints") if name in learnt
+        }
         return learnt
 
     def safety(self, options: SafetyOptions) -> Part:

@@ -1,11 +1,19 @@
 """Friction and inertia of the rods' ball joints, against virtual work by numerical differentiation."""
 
+import importlib.util
+
 import numpy as np
 import pytest
 
-from stewart_drake import RobotParameters, load_robot
-from stewart_drake.control.ball_joints import BallJoints, ball_joint_torques, joint_rates, joints_record
-from stewart_drake.mechanics.kinematics import leg_geometry, pose_jacobian, pose_rate_to_twist
+from stewart_drake import RobotParameters, load_controller, load_robot, load_scenario
+from stewart_drake.control.ball_joints import (
+    BallJoints,
+    ball_joint_parts,
+    ball_joint_torques,
+    joint_rates,
+    joints_record,
+)
+from stewart_drake.mechanics.kinematics import leg_geometry, pose_jacobian, pose_rate_to_twist, rotation_matrix
 from stewart_drake.mechanics.kinematics_laws import LEGS, legs_at, robot_record
 
 ROBOTS = [RobotParameters(), load_robot("reachy_mini")]
@@ -66,6 +74,60 @@ def test_power_of_the_motors_is_what_the_joints_take(robot):
     lost = lost[0].sum() + lost[1, 5]
     made = torques(robot, joints, pose, RATE, np.zeros(6)) @ (pose_jacobian(robot, pose) @ RATE)
     assert made == pytest.approx(lost, rel=1e-9)
+
+
+def test_dry_friction_acts_about_the_axes_that_are_told():
+    robot, pose = ROBOTS[1], ROBOTS[1].home_pose + [0.05, 0.02, -0.03, 0.002, 0.001, 0.003]
+    turned = ((0.0, 0.0, 0.0),) * 5 + ((0.4, -0.2, 0.7),)
+    joints = BallJoints(coulomb=0.1, width=1e-6, platform=(0, 0, 0, 0, 0, 1), crank_axes=turned, platform_axes=turned)
+    rates, legs = rates_at(robot, joints, pose, RATE), leg_geometry(robot, pose)
+    across = np.cross(np.cross(legs.crank, legs.e_n), legs.e_l)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    axes = np.stack([np.cross(legs.e_l, across), -across, legs.e_l], axis=2)  # Leg, component, axis.
+    axes[5] = axes[5] @ rotation_matrix(turned[5])
+    of_cranks = np.abs(np.einsum("ik,ika->ia", rates[0], axes)).sum()
+    of_platform = np.abs(rates[1, 5] @ rotation_matrix(pose[:3]) @ rotation_matrix(turned[5])).sum()
+    made = torques(robot, joints, pose, RATE, np.zeros(6)) @ (pose_jacobian(robot, pose) @ RATE)
+    assert made == pytest.approx(0.1 * (of_cranks + of_platform), rel=1e-9)
+
+
+def test_torques_are_linear_in_friction_and_inertia():
+    robot, pose = ROBOTS[1], ROBOTS[1].home_pose
+    legs, parts, motion = record_of(robot, pose), np.zeros((3, 6)), np.concatenate([pose, RATE])
+    joints, acceleration = BallJoints(viscous=0.15, coulomb=0.1, inertia=0.001), 5.0 * RATE[::-1]
+    ball_joint_parts(robot_record(robot)[0], joints_record(joints)[0], motion, acceleration, legs, parts)
+    for k, one in enumerate(({"viscous": 1.0}, {"coulomb": 1.0}, {"inertia": 1.0})):
+        np.testing.assert_allclose(parts[k], torques(robot, BallJoints(**one), pose, RATE, acceleration), rtol=1e-9)
+
+
+def test_the_axes_of_reachy_daemon_are_those_of_the_makers_file():
+    pytest.importorskip("mujoco")
+    if importlib.util.find_spec("reachy_mini") is None:
+        pytest.skip("pip install --no-deps reachy_mini")
+    robot, joints = ROBOTS[1], load_controller("reachy_daemon").belief.friction.joints
+    options = {"kind": "mujoco", "model_file": "reachy_mini", "motor_class": "perfect_actuator"}
+    plant = load_scenario("reachy_nod").replace({"plant": options}).plant.make(robot, 9.81)
+    plant.initial(robot.home_pose, np.zeros(6))
+
+    def axes_of(joint):
+        body = plant._model.jnt_bodyid[plant._model.joint(joint).id]
+        return plant._base.T @ plant._data.xmat[body].reshape(3, 3)
+
+    def apart(some, others):
+        """[rad] between axes, whatever their order and signs."""
+        return np.arccos(np.clip(np.abs(some.T @ others).max(axis=0), 0.0, 1.0)).max()
+
+    legs = leg_geometry(robot, robot.home_pose)
+    across = np.cross(np.cross(legs.crank, legs.e_n), legs.e_l)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    rods = np.stack([np.cross(legs.e_l, across), -across, legs.e_l], axis=2)
+    for leg in range(6):
+        # The rods may turn about themselves: here they are as they come, and in the daemon as they rose from sleep.
+        told, there = rotation_matrix(np.array(joints.crank_axes[leg])), axes_of(f"passive_{leg + 1}")
+        assert apart(rods[leg] @ told, there) < 0.15
+        along = (np.sort(np.abs(row)) for row in (told[2], (rods[leg].T @ there)[2]))
+        np.testing.assert_allclose(*along, atol=0.01)
+    assert apart(rotation_matrix(np.array(joints.platform_axes[5])), axes_of("passive_7")) < 0.01
 
 
 @pytest.mark.parametrize("robot", ROBOTS, ids=["paper", "reachy"])

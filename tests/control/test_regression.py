@@ -7,8 +7,18 @@ from hypothesis import strategies as st
 
 from stewart_drake import Controller, load_scenario, run
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.control import adaptation as law
-from stewart_drake.control.adaptation import COMMON, OWN, Learnt, RegressionOptions, kernel_weights, late_weights
+from stewart_drake.control import adaptation_laws as law
+from stewart_drake.control.adaptation import (
+    Learnt,
+    RegressionOptions,
+    kernel_weights,
+    late_weights,
+    model_of,
+    rows_of,
+)
+from stewart_drake.control.adaptation_laws import COMMON, OWN
+from stewart_drake.control.ball_joints import JOINTS as JOINTS_RECORD
+from stewart_drake.control.ball_joints import BallJoints
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.scenario.assembly import context_of
 
@@ -130,7 +140,7 @@ def test_a_robot_with_servos_learns_its_constants_and_follows():
 def test_what_was_kept_is_what_the_next_run_believes():
     first = run(servos(), check=False)
     belief, row = first.scenario.belief, first["learnt"][-1]
-    model = law.model_of(row, belief.robot, belief.motors, belief.friction)
+    model = model_of(row, belief.robot, belief.motors, belief.friction)
     second = run(servos(duration=3.0, model=model), check=False)
     assert late_error(second) < 0.1 * late_error(run(servos(duration=3.0, adaptation=None), check=False))
     value = Learnt.of(row)
@@ -187,6 +197,61 @@ def test_an_unknown_payload_is_weighed():
     scenario = load_scenario("exact_breathing").replace({"plant.kind": "closed_form", "plant.payload_mass": 0.3})
     learnt = Learnt.of(run(scenario.replace({"adaptation": "regression"}), check=False)["learnt"][-1])
     assert learnt.mass == pytest.approx(1.3, abs=0.02)
+
+
+# --- friction of ball joints ---
+
+JOINTS = BallJoints(viscous=0.004, coulomb=0.003, width=0.02, platform=(0, 0, 0, 0, 0, 1))
+LOOKS = {
+    "kind": "sine",
+    "amplitude": [0.2, 0.26, 0.3, 0.0, 0.0, 0.004],
+    "angular_frequency": [5.0, 6.3, 3.9, 0, 0, 7.1],
+}
+
+
+def learnt_of_a_model(joints, **options):
+    """What the law learns where readings are the reference, and commands those of a model with these ball joints."""
+    known = servos(reference=LOOKS, **{"model.friction.joints": joints.to_dict(), "adaptation": None})
+    unknown = joints.to_dict() | {"viscous": 0.0, "coulomb": 0.0}
+    believed = servos(reference=LOOKS, **{"model.friction.joints": unknown})
+    (part,) = RegressionOptions(noise=0.001, **options).parts(context_of(believed.control()))
+    exact, state, command = Controller(known.control()), part.initial.copy(), np.empty(6)
+    for tick in range(1000):
+        time = 0.02 * tick
+        exact.step(np.zeros(6), time, command)
+        reading = inverse_kinematics(known.robot, LOOK.evaluate(time)[0])
+        part.tick(reading, command, state)
+    return part, state
+
+
+LOOK = load_scenario("reachy_nod").replace({"reference": LOOKS}).reference
+
+
+def test_hidden_friction_of_ball_joints_is_found():
+    part, state = learnt_of_a_model(JOINTS, ball_joints=True)
+    viscous, dry, *half_widths = state["learnt_joints"][0]
+    assert viscous == pytest.approx(0.004, rel=0.1)
+    assert dry == pytest.approx(0.003, rel=0.1)
+    assert abs(viscous - 0.004) < half_widths[0]
+    assert abs(dry - 0.003) < half_widths[1]
+    # What stands in for the constant is the believed joints with these two numbers.
+    (stands,) = state["joints"].view(JOINTS_RECORD)[0]
+    assert stands["viscous"] == pytest.approx(viscous, rel=0.05)
+    np.testing.assert_array_equal(stands["platform"], [0, 0, 0, 0, 0, 1])
+    assert set(part.outputs) - set(learnt_of_a_model(JOINTS)[0].outputs) == {"joints", "learnt_joints"}
+
+
+def test_what_was_learnt_of_ball_joints_is_kept():
+    _, state = learnt_of_a_model(JOINTS, ball_joints=True)
+    scenario = servos(**{"model.friction.joints": JOINTS.to_dict() | {"viscous": 0.0, "coulomb": 0.0}})
+    belief, joints = scenario.belief, state["learnt_joints"][0]
+    model = model_of(state["learnt"][0], belief.robot, belief.motors, belief.friction, joints)
+    kept = scenario.replace({"model": model}).belief.friction.joints
+    assert (kept.viscous, kept.coulomb) == tuple(joints[:2])
+    assert kept.platform == JOINTS.platform
+    half_width = np.zeros(20)
+    lines = dict(rows_of(state["learnt"][0], half_width, joints))
+    assert lines["learnt: dry friction of ball joints"].startswith(f"{joints[1]:.4g} ± ")
 
 
 @pytest.mark.slow
