@@ -152,10 +152,8 @@ def judge(file: Path | None, out: Path, seeds: int, **options: Any) -> None:
     from stewart_drake.training.benchmark import Baselines, candidates, evaluation, write_picture
 
     Policy.load(file)
-    baselines = Baselines.load()
     policy = {"kind": "policy", **({} if file is None else {"weights_file": str(file)})}
-    named = candidates(baselines, {"policy": {"tuner": policy}, "schedule": {"tuner": baselines.schedule}})
-    loaded = evaluation(named, seeds)
+    loaded = evaluation(candidates(Baselines.load(), policy), seeds)
     with _under_way(loaded.name, loaded.runs, out, **options) as way:
         write_picture(run_experiment(loaded, *way).rows["verdict"], way[0])
     tell((way[0] / "verdict.md").read_text())

@@ -20,7 +20,7 @@ from stewart_drake.base.registry import TUNERS
 from stewart_drake.base.yaml_files import read_mapping
 from stewart_drake.control.features import CostScales
 from stewart_drake.control.observer import ObserverOptions
-from stewart_drake.control.policy import disturbance_of, weights_of
+from stewart_drake.control.policy import NAMES, disturbance_of, weights_of
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import METRICS, OUTCOME, Column, run_cost, run_metrics
 from stewart_drake.scenario.scenario import Scenario
@@ -33,8 +33,12 @@ MEASURED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
 """Figures of a run that its cost is made of, whatever the scales."""
 MIN_COST = 1e-3
 """A smaller cost counts as this: encoders that never change make a cost of nothing, and a ratio to it means nothing."""
+LOWEST, HIGHEST = np.array([-0.05, -0.8, -2.2, -2.2]), np.array([0.5, 0.7, 0.1, 1.0])
+"""Box of settings (4,) for policies and for searches; docs/results/tuner_safety.md has tried it."""
+ROUGH = ("load jump", "pushes", "blows", "saturation", "stiction")
+"""Kinds in which a stiff loop is worth most."""
 DIGITS = 3  # Of a setting: what is run is what is written down
-BEST_FIXED = "best fixed"
+BEST_FIXED, ORACLE = "best fixed", "oracle of each kind"
 
 PlantKind = Literal["drake", "closed_form"]
 Numbers = tuple[Real, Real, Real, Real]
@@ -49,10 +53,12 @@ GROUPS: Mapping[str, Callable[[Cell], bool]] = {
 
 
 class Baselines(Section, key=""):
-    """Settings (4,) to beat, in decades above the default: over both robots, by robot, by kind."""
+    """Settings (4,) to beat, in decades above the default: over all robots, by robot, by kind."""
 
     name: Text = "baselines"
     best: Numbers
+    stiff: Numbers
+    """The best over `ROUGH` kinds alone."""
     best_of_robot: dict[Text, Numbers]
     best_of_kind: dict[Text, dict[Text, Numbers]]
     """Robot -> kind -> the best for it, also of kinds that nothing is trained on: what knowing the kind is worth."""
@@ -60,7 +66,7 @@ class Baselines(Section, key=""):
     """Robot -> the best of the paper's nine pairs."""
     schedule: dict[Text, Any]
     costs: dict[Text, dict[Text, dict[Text, Real]]]
-    """Robot -> kind -> geometric mean of J over the seeds: default, and the above."""
+    """Robot -> kind -> geometric mean of J over the seeds: each row of the verdict that nothing is trained for."""
     evaluations: dict[Text, Real]
     """Points in each search, and seeds of each kind."""
 
@@ -93,15 +99,35 @@ def with_pair(pair: Sequence[float], setting: Sequence[float] | np.ndarray) -> C
     return lambda case, scenario: {**with_setting(setting)(case, scenario), "tuner": tuner}
 
 
-def candidates(baselines: Baselines, more: Mapping[str, Changes]) -> dict[str, Candidate]:
-    """Those of a verdict by name: fixed ones, those of the paper, an oracle, and more as changes of the scenario."""
-    fixed, of_kind = with_setting(baselines.best), baselines.best_of_kind
+def fixed_rows(baselines: Baselines) -> dict[str, Candidate]:
+    """What stays as it is in all kinds, by name: a policy is not to be worse than any of them in any kind."""
+    of_robot, pair = baselines.best_of_robot, baselines.pair
     return {
-        BEST_FIXED: fixed,
-        **{name: always(changes) for name, changes in more.items()},
-        "best of the nine pairs": lambda case, base: with_pair(baselines.pair[case.robot], baselines.best)(case, base),
-        "the paper's tuner": lambda case, base: {**fixed(case, base), "tuner": {"kind": "paper"}},
-        "oracle of each kind": lambda case, base: with_setting(of_kind[case.robot][case.kind])(case, base),
+        BEST_FIXED: with_setting(baselines.best),
+        "best of each robot": lambda case, base: with_setting(of_robot[case.robot])(case, base),
+        "stiff": with_setting(baselines.stiff),
+        "default": with_setting(np.zeros(len(NAMES))),
+        "best of the nine pairs": lambda case, base: with_pair(pair[case.robot], baselines.best)(case, base),
+    }
+
+
+def oracle(baselines: Baselines) -> Candidate:
+    """What knowing the kind is worth."""
+    of_kind = baselines.best_of_kind
+    return lambda case, base: with_setting(of_kind[case.robot][case.kind])(case, base)
+
+
+def candidates(baselines: Baselines, policy: Changes) -> dict[str, Candidate]:
+    """Those of a verdict by name: best fixed, the policy, the schedule, what else stays, the paper's, an oracle."""
+    fixed = fixed_rows(baselines)
+    best = fixed.pop(BEST_FIXED)
+    return {
+        BEST_FIXED: best,
+        "policy": always({"tuner": policy}),
+        "schedule": always({"tuner": baselines.schedule}),
+        **fixed,
+        "the paper's tuner": lambda case, base: {**best(case, base), "tuner": {"kind": "paper"}},
+        ORACLE: oracle(baselines),
     }
 
 
