@@ -115,7 +115,9 @@ def costs_of(benchmark, found, seeds):
     entered = {**fixed_rows(found), "schedule": always({"tuner": found.schedule}), ORACLE: oracle(found)}
     for kind, robot in cells_for():
         means = benchmark.log_costs(list(entered.values()), cases_of([(kind, robot)], seeds)).mean(axis=1)
-        costs[robot][kind] = {name: float(f"{np.exp(mean):.4g}") for name, mean in zip(entered, means, strict=True)}
+        # YAML does not read a key that a line's end divides.
+        names = [name.replace(" ", "_") for name in entered]
+        costs[robot][kind] = {name: float(f"{np.exp(mean):.4g}") for name, mean in zip(names, means, strict=True)}
     return costs
 
 

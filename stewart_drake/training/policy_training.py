@@ -23,7 +23,7 @@ from stewart_drake.base.atomic_files import MAX_FILE_BYTES, checksum, read_check
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import record
 from stewart_drake.control.features import FEATURES, CostScales, compute_features
-from stewart_drake.control.policy import SIZE, Policy, SettingSource, policy_setting, slew
+from stewart_drake.control.policy import LARGEST_FEATURE, SIZE, Policy, SettingSource, policy_setting, slew
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario.scenario import Scenario
@@ -140,7 +140,10 @@ class FunctionSource:
 
 @dataclass(frozen=True)
 class PolicyOptions:
-    """How to train: a generation has `situations` of each kind and robot, times `MORE`, of a `pool` of them."""
+    """How to train: a generation has `situations` of each kind and robot, times `MORE`, of a `pool` of them.
+
+    `start` is the file of a policy to begin with; else it is random, at the centre.
+    """
 
     seed: int = 0
     generations: int = 150
@@ -148,13 +151,14 @@ class PolicyOptions:
     pool: int = 24
     validation: int = 6
     robots: tuple[str, ...] = tuple(ROBOTS)
+    start: str | None = None
 
 
 @dataclass
 class State:
-    """Log J of the rows that stay (m, n) in the pool and in validation; features (13,); the network, flat, and Adam's.
+    """Log J of the rows that stay (m, n) in the pool and in validation, the centre first; features (13,); the network.
 
-    The first row is the centre. `least` is the objective on validation of the weights `best`; `history` (g, 3) has the mean of log J over that at
+    `least` is the objective on validation of the weights `best`; `history` (g, 3) has the mean of log J over that at
     the centre, and the objective.
     """
 
@@ -197,7 +201,9 @@ class Training:
         kappas = np.where(rng.random(len(pool)) < 0.5, rng.uniform(-1.0, 1.0, len(pool)), 0.0)
         self.pool = [case._replace(kappa=float(kappa)) for case, kappa in zip(pool, kappas, strict=True)]
         self.validation = cases_of(cells, VALIDATION[: options.validation])
-        self.identity = checksum({"options": dataclasses.asdict(options), "baselines": baselines.to_dict()})
+        self._start = Policy.load(Path(options.start)) if options.start else None
+        subject = {"options": dataclasses.asdict(options), "baselines": baselines.to_dict()}
+        self.identity = checksum({**subject, "start": self._start and self._start.content()})
 
     def begin(self) -> State:
         """Costs of what stays, and the statistics of the features at the centre and at settings about it."""
@@ -211,10 +217,26 @@ class Training:
                 weights[-SIZE:] = rng.uniform(-1.5, 1.5, SIZE)
                 runs += [(stays, self.pool[place]), (policy_of(weights, self.centre), self.pool[place])]
         found = np.concatenate(run_all(episode_features, runs, self._workers))
+        if (start := self._start) is not None:
+            weights = self._like(start, found)
+            return State(
+                fixed, validated, start.input_mean, start.input_scale, weights, np.zeros((2, WEIGHTS)), best=weights
+            )
         hidden = rng.standard_normal(HIDDEN * len(FEATURES)) / math.sqrt(len(FEATURES))
         weights = np.concatenate([hidden, np.zeros(WEIGHTS - len(hidden))])
         scale = np.maximum(found.std(axis=0), 1e-3)
         return State(fixed, validated, found.mean(axis=0), scale, weights, np.zeros((2, WEIGHTS)), best=weights)
+
+    def _like(self, start: Policy, features: np.ndarray) -> np.ndarray:
+        """Weights that choose nearly the settings of another policy, in this box, for features (n, 13)."""
+        inside = (np.clip(features, -LARGEST_FEATURE, LARGEST_FEATURE) - start.input_mean) / start.input_scale
+        hidden = np.tanh(inside @ start.hidden_weights.T + start.hidden_bias)
+        output = np.tanh(hidden @ start.output_weights.T + start.output_bias)
+        away = start.centre + output * np.where(output < 0.0, start.below, start.above) - self.centre
+        share = away / np.where(away < 0.0, self.centre - LOWEST, HIGHEST - self.centre)
+        rows = np.column_stack([hidden, np.ones(len(hidden))])
+        layer = np.linalg.lstsq(rows, np.arctanh(np.clip(share, -0.95, 0.95)))[0].T
+        return np.concatenate([start.hidden_weights.ravel(), start.hidden_bias, layer[:, :-1].ravel(), layer[:, -1]])
 
     def step(self, state: State) -> State:
         """One more generation: each situation twice, with weights on opposite sides of the present ones."""
