@@ -169,7 +169,7 @@ class State:
     weights: np.ndarray
     moments: np.ndarray
     best: np.ndarray
-    least: float = 0.0
+    least: float = 1e9
     generation: int = 0
     seconds: float = 0.0
     history: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
