@@ -33,7 +33,7 @@ from stewart_drake.training.situations import HELD_OUT
 
 DOCS = Path(__file__).parent
 KAPPAS = (-1.0, -0.5, 0.0, 0.5, 1.0)
-SETTINGS = 64
+SETTINGS = 16
 """Fixed ones, of a Sobol sequence in the box of the searches; beside them those that the searches found."""
 SEEDS = 3
 LEAST = 1e-6

@@ -222,7 +222,7 @@ def log_costs(folder, plant, candidates, cases):
 def test_tuner(page, tmp_path):
     found = Baselines.load()
     candidates = with_setting(found.best), POLICY, always({"tuner": found.schedule})
-    best, policy, schedule = log_costs(tmp_path, "drake", candidates, [Case("hold", "paper", HELD_OUT[0])])
+    best, policy, schedule = log_costs(tmp_path, "closed_form", candidates, [Case("hold", "paper", HELD_OUT[0])])
     under = "By kind"
     assert_says(page.cell("hold", "paper", column="best fixed", under=under), *np.exp(best), within=0.05)
     for column, cost in (("policy", policy), ("schedule", schedule)):

@@ -145,19 +145,22 @@ def show(file: Path | None) -> None:
     "tuner judge",
     out="runs/tuner-verdict",
     plant=opt.option("Engine of the runs.", click.Choice(["drake", "closed_form"]), default="drake"),
+    only=opt.option("A candidate beside the policy and the best fixed setting [default: all].", multiple=True),
 )
-def judge(file: Path | None, out: Path, seeds: int, plant: Any, **options: Any) -> None:
+def judge(file: Path | None, out: Path, seeds: int, plant: Any, only: tuple[str, ...], **options: Any) -> None:
     """FILE is a policy's weights file [default: the shipped one].
 
     The situations are new to all of them. Writes verdict.md, .parquet, .csv and .png.
     """
     from stewart_drake.control.policy import Policy
     from stewart_drake.studies.experiment import run_experiment
-    from stewart_drake.training.benchmark import Baselines, candidates, evaluation, write_picture
+    from stewart_drake.training.benchmark import BEST_FIXED, Baselines, candidates, evaluation, write_picture
 
     Policy.load(file)
     policy = {"kind": "policy", **({} if file is None else {"weights_file": str(file)})}
-    loaded = evaluation(candidates(Baselines.load(), policy), seeds, plant)
+    named = candidates(Baselines.load(), policy)
+    kept = [name for name in named if not only or name in (BEST_FIXED, "policy", *only)]
+    loaded = evaluation({name: named[name] for name in kept}, seeds, plant)
     with _under_way(loaded.name, loaded.runs, out, **options) as way:
         write_picture(run_experiment(loaded, *way).rows["verdict"], way[0])
     tell((way[0] / "verdict.md").read_text())

@@ -34,7 +34,8 @@ MEASURED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
 MIN_COST = 1e-3
 """A smaller cost counts as this: encoders that never change make a cost of nothing, and a ratio to it means nothing."""
 LOWEST, HIGHEST = np.array([-0.05, -0.8, -2.2, -2.2]), np.array([0.5, 0.7, 0.1, 1.0])
-"""Box of settings (4,) for policies and for searches; docs/results/tuner_safety.md has tried it."""
+"""Box of settings (4,) for searches and for policies that are trained. The shipped policy has a smaller one, which
+docs/results/tuner_safety.md has tried."""
 ROUGH = ("load jump", "pushes", "blows", "saturation", "stiction")
 """Kinds in which a stiff loop is worth most."""
 DIGITS = 3  # Of a setting: what is run is what is written down

@@ -138,4 +138,5 @@ def test_the_shipped_policy_is_one_and_names_the_revision_that_trained_it():
     assert policy.to_bytes() == Policy.shipped.read_bytes()
     assert len(policy.provenance["versions"]["git_revision"]) == 40
     np.testing.assert_allclose(PolicyTuner().source().centre, policy.centre)
-    np.testing.assert_allclose([policy.lowest, policy.lowest + policy.width], [LOWEST, HIGHEST])
+    assert (policy.lowest >= LOWEST).all()
+    assert (policy.lowest + policy.width <= HIGHEST).all()
