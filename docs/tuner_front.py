@@ -33,9 +33,9 @@ from stewart_drake.training.situations import HELD_OUT
 
 DOCS = Path(__file__).parent
 KAPPAS = (-1.0, -0.5, 0.0, 0.5, 1.0)
-SETTINGS = 16
+SETTINGS = 8
 """Fixed ones, of a Sobol sequence in the box of the searches; beside them those that the searches found."""
-SEEDS = 3
+SEEDS = 2
 LEAST = 1e-6
 """[mm], [N m] smaller ones count as this."""
 TEXT = """# From stiff to quiet: one policy, one number

@@ -239,7 +239,7 @@ def test_tuner_training(page, tmp_path):
 
 @pytest.mark.long
 def test_tuner_front(page, tmp_path):
-    cases = cases_of(cells_for("paper"), HELD_OUT[:3])
+    cases = cases_of(cells_for("paper"), HELD_OUT[:2])
     with Benchmark(tmp_path, "closed_form", Workers(0)) as benchmark:
         found = benchmark.run([always({"tuner": {"kind": "policy", "kappa": 0.0}})], cases)
     for column, key in (("error [mm]", "rmse_norm_mm"), ("torque [N m]", "torque_change_rms")):
