@@ -234,7 +234,7 @@ def log_costs(folder, plant, candidates, cases):
 def test_tuner(page, tmp_path):
     found = Baselines.load()
     candidates = with_setting(found.best), POLICY, always({"tuner": found.schedule})
-    best, policy, schedule = log_costs(tmp_path, "drake", candidates, [Case("hold", "paper", HELD_OUT[0])])
+    best, policy, schedule = log_costs(tmp_path, "closed_form", candidates, [Case("hold", "paper", HELD_OUT[0])])
     under = "By kind"
     assert_says(page.cell("hold", "paper", column="best fixed", under=under), *np.exp(best), within=0.05)
     for column, cost in (("policy", policy), ("schedule", schedule)):
@@ -243,7 +243,7 @@ def test_tuner(page, tmp_path):
 
 
 def test_tuner_training(page, tmp_path):
-    cases = cases_of([("payload", "reachy_mini")], VALIDATION[100:120])
+    cases = cases_of([("saturation", "paper")], VALIDATION[100:120])
     fixed, policy = log_costs(tmp_path, "closed_form", [with_setting(Baselines.load().best), POLICY], cases)
     shipped = "the file of c4e693f, stewart_drake/weights/policy.json"
     assert_says(page.cell(shipped, column="worst kind"), np.exp((policy - fixed).mean()))
@@ -251,7 +251,7 @@ def test_tuner_training(page, tmp_path):
 
 @pytest.mark.long
 def test_tuner_front(page, tmp_path):
-    cases = cases_of(cells_for("paper"), HELD_OUT[:3])
+    cases = cases_of(cells_for("paper"), HELD_OUT[:2])
     with Benchmark(tmp_path, "closed_form", Workers(0)) as benchmark:
         found = benchmark.run([always({"tuner": {"kind": "policy", "kappa": 0.0}})], cases)
     for column, key in (("error [mm]", "rmse_norm_mm"), ("torque [N m]", "torque_change_rms")):

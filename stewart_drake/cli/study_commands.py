@@ -141,21 +141,26 @@ def show(file: Path | None) -> None:
     print_table(path.name, policy.facts(), numbers=())
 
 
-@command("tuner judge", out="runs/tuner-verdict")
-def judge(file: Path | None, out: Path, seeds: int, **options: Any) -> None:
+@command(
+    "tuner judge",
+    out="runs/tuner-verdict",
+    plant=opt.option("Engine of the runs.", click.Choice(["drake", "closed_form"]), default="drake"),
+    only=opt.option("A candidate beside the policy and the best fixed setting [default: all].", multiple=True),
+)
+def judge(file: Path | None, out: Path, seeds: int, plant: Any, only: tuple[str, ...], **options: Any) -> None:
     """FILE is a policy's weights file [default: the shipped one].
 
-    The situations are new to all of them, on Drake's plant. Writes verdict.md, .parquet, .csv and .png.
+    The situations are new to all of them. Writes verdict.md, .parquet, .csv and .png.
     """
     from stewart_drake.control.policy import Policy
     from stewart_drake.studies.experiment import run_experiment
-    from stewart_drake.training.benchmark import Baselines, candidates, evaluation, write_picture
+    from stewart_drake.training.benchmark import BEST_FIXED, Baselines, candidates, evaluation, write_picture
 
     Policy.load(file)
-    baselines = Baselines.load()
     policy = {"kind": "policy", **({} if file is None else {"weights_file": str(file)})}
-    named = candidates(baselines, {"policy": {"tuner": policy}, "schedule": {"tuner": baselines.schedule}})
-    loaded = evaluation(named, seeds)
+    named = candidates(Baselines.load(), policy)
+    kept = [name for name in named if not only or name in (BEST_FIXED, "policy", *only)]
+    loaded = evaluation({name: named[name] for name in kept}, seeds, plant)
     with _under_way(loaded.name, loaded.runs, out, **options) as way:
         write_picture(run_experiment(loaded, *way).rows["verdict"], way[0])
     tell((way[0] / "verdict.md").read_text())
@@ -182,22 +187,27 @@ def collect(out: Path) -> None:
         click.Choice(["paper", "policy"]),
         default="paper",
     ),
+    start=opt.option("A policy to begin with [default: a random one].", opt.PATH),
+    generations=opt.option("Of the policy's training.", click.IntRange(1), default=150),
 )
-def train(dataset: Path, out: Path, tuner: str, seed: int) -> None:
+def train(dataset: Path, out: Path, tuner: str, seed: int, start: Path | None, generations: int) -> None:
     """The paper's tuner is the 12-10-2 network, trained on DATASET by back-propagation.
 
-    The policy is trained in the loop, on situations of two robots, on all cores. After an interruption the same command
-    continues from the last generation.
+    The policy is trained in the loop, on situations of three robots, on all cores. After an interruption the same
+    command continues from the last generation.
     """
-    title, rows = _train_policy(out, seed) if tuner == "policy" else _train_paper(dataset, out, seed)
+    title, rows = (
+        _train_policy(out, seed, start, generations) if tuner == "policy" else _train_paper(dataset, out, seed)
+    )
     print_table(title, rows)
 
 
-def _train_policy(out: Path, seed: int) -> tuple[str, list[tuple[str, str]]]:
+def _train_policy(out: Path, seed: int, start: Path | None, generations: int) -> tuple[str, list[tuple[str, str]]]:
     from stewart_drake.training.policy_training import PolicyOptions, train_policy
 
     prepare_file(out)
-    options, state = PolicyOptions(seed=seed), out.with_name(f"{out.name}.state")
+    options = PolicyOptions(seed=seed, generations=generations, start=None if start is None else str(start))
+    state = out.with_name(f"{out.name}.state")
     with progress_bar("policy", float(options.generations), unit="generations") as advance:
         policy = train_policy(options, state, lambda done, word: advance(done, f"policy: {word}"))
     policy.save(out)

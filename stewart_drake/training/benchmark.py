@@ -20,7 +20,7 @@ from stewart_drake.base.registry import TUNERS
 from stewart_drake.base.yaml_files import read_mapping
 from stewart_drake.control.features import CostScales
 from stewart_drake.control.observer import ObserverOptions
-from stewart_drake.control.policy import disturbance_of, weights_of
+from stewart_drake.control.policy import NAMES, disturbance_of, weights_of
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import METRICS, OUTCOME, Column, run_cost, run_metrics
 from stewart_drake.scenario.scenario import Scenario
@@ -33,8 +33,17 @@ MEASURED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
 """Figures of a run that its cost is made of, whatever the scales."""
 MIN_COST = 1e-3
 """A smaller cost counts as this: encoders that never change make a cost of nothing, and a ratio to it means nothing."""
+LOWEST, HIGHEST = np.array([-0.05, -0.8, -2.2, -2.2]), np.array([0.5, 0.7, 0.1, 1.0])
+"""Box of settings (4,) for searches and for policies that are trained. The shipped policy has a smaller one, which
+docs/results/tuner_safety.md has tried."""
+ROUGH = ("load jump", "pushes", "blows", "saturation", "stiction")
+"""Kinds in which a stiff loop is worth most."""
 DIGITS = 3  # Of a setting: what is run is what is written down
-BEST_FIXED = "best fixed"
+BEST_FIXED, ORACLE = "best fixed", "oracle of each kind"
+STAYS = ("best of each robot", "stiff", "default", "best of the nine pairs")
+"""What else stays as it is in all kinds, or for a robot."""
+NEVER_WORSE = 1.05
+"""[-] upper end that a policy's J over that of each of these should not exceed in any kind."""
 
 PlantKind = Literal["drake", "closed_form"]
 Numbers = tuple[Real, Real, Real, Real]
@@ -49,10 +58,12 @@ GROUPS: Mapping[str, Callable[[Cell], bool]] = {
 
 
 class Baselines(Section, key=""):
-    """Settings (4,) to beat, in decades above the default: over both robots, by robot, by kind."""
+    """Settings (4,) to beat, in decades above the default: over all robots, by robot, by kind."""
 
     name: Text = "baselines"
     best: Numbers
+    stiff: Numbers
+    """The best over `ROUGH` kinds alone."""
     best_of_robot: dict[Text, Numbers]
     best_of_kind: dict[Text, dict[Text, Numbers]]
     """Robot -> kind -> the best for it, also of kinds that nothing is trained on: what knowing the kind is worth."""
@@ -60,7 +71,7 @@ class Baselines(Section, key=""):
     """Robot -> the best of the paper's nine pairs."""
     schedule: dict[Text, Any]
     costs: dict[Text, dict[Text, dict[Text, Real]]]
-    """Robot -> kind -> geometric mean of J over the seeds: default, and the above."""
+    """Robot -> kind -> geometric mean of J over the seeds: each row of the verdict that nothing is trained for."""
     evaluations: dict[Text, Real]
     """Points in each search, and seeds of each kind."""
 
@@ -93,15 +104,36 @@ def with_pair(pair: Sequence[float], setting: Sequence[float] | np.ndarray) -> C
     return lambda case, scenario: {**with_setting(setting)(case, scenario), "tuner": tuner}
 
 
-def candidates(baselines: Baselines, more: Mapping[str, Changes]) -> dict[str, Candidate]:
-    """Those of a verdict by name: fixed ones, those of the paper, an oracle, and more as changes of the scenario."""
-    fixed, of_kind = with_setting(baselines.best), baselines.best_of_kind
+def fixed_rows(baselines: Baselines) -> dict[str, Candidate]:
+    """What stays as it is in all kinds, by name: a policy is not to be worse than any of them in any kind."""
+    of_robot, pair = baselines.best_of_robot, baselines.pair
+    rows: list[Candidate] = [
+        with_setting(baselines.best),
+        lambda case, base: with_setting(of_robot[case.robot])(case, base),
+        with_setting(baselines.stiff),
+        with_setting(np.zeros(len(NAMES))),
+        lambda case, base: with_pair(pair[case.robot], baselines.best)(case, base),
+    ]
+    return dict(zip((BEST_FIXED, *STAYS), rows, strict=True))
+
+
+def oracle(baselines: Baselines) -> Candidate:
+    """What knowing the kind is worth."""
+    of_kind = baselines.best_of_kind
+    return lambda case, base: with_setting(of_kind[case.robot][case.kind])(case, base)
+
+
+def candidates(baselines: Baselines, policy: Changes) -> dict[str, Candidate]:
+    """Those of a verdict by name: best fixed, the policy, the schedule, what else stays, the paper's, an oracle."""
+    fixed = fixed_rows(baselines)
+    best = fixed.pop(BEST_FIXED)
     return {
-        BEST_FIXED: fixed,
-        **{name: always(changes) for name, changes in more.items()},
-        "best of the nine pairs": lambda case, base: with_pair(baselines.pair[case.robot], baselines.best)(case, base),
-        "the paper's tuner": lambda case, base: {**fixed(case, base), "tuner": {"kind": "paper"}},
-        "oracle of each kind": lambda case, base: with_setting(of_kind[case.robot][case.kind])(case, base),
+        BEST_FIXED: best,
+        "policy": always({"tuner": policy}),
+        "schedule": always({"tuner": baselines.schedule}),
+        **fixed,
+        "the paper's tuner": lambda case, base: {**best(case, base), "tuner": {"kind": "paper"}},
+        ORACLE: oracle(baselines),
     }
 
 
@@ -197,16 +229,25 @@ COLUMNS = (
     Column("seed", "", "seed of the situation", "integer"),
     *OUTCOME[:2],
     Column("cost", "1", "J of the run's second half"),
+    Column("error", "1", "J of its errors alone"),
+    Column("change", "1", "J of its changes of torque alone"),
     Column("ratio", "1", f"J over that of `{BEST_FIXED}` in the same situation"),
     *(column for metric in METRICS if metric.name in MEASURED for column in metric.columns()),
 )
+
+
+def costs_apart(row: Row) -> dict[str, float]:
+    """J of a run, that of its errors and that of its changes of torque."""
+    changes, errors = {"torque_change_rms": 0.0}, {"rmse_norm_deg": 0.0, "rmse_norm_mm": 0.0}
+    left_out: dict[str, Row] = {"cost": {}, "error": changes, "change": errors}
+    return {name: math.exp(log_cost({**row, **without}, CostScales())) for name, without in left_out.items()}
 
 
 class Evaluation(Experiment):
     """Candidates in cases; `BEST_FIXED` is among them, and the one after it is set against all others."""
 
     def rows(self, run: RunTrials) -> list[Row]:
-        rows = [{**row, "cost": math.exp(log_cost(row, CostScales()))} for row in run(self.trials)]
+        rows = [{**row, **costs_apart(row)} for row in run(self.trials)]
         fixed = [row["cost"] for row in rows if row["candidate"] == BEST_FIXED]
         return [{**row, "ratio": row["cost"] / base} for row, base in zip(rows, itertools.cycle(fixed), strict=False)]
 
@@ -226,8 +267,8 @@ class Evaluation(Experiment):
         of_others = [ratios(table, name) for name in others]
         for at, ((kind, robot), group) in enumerate(cells.items()):
             of_cell = [cells_of_other[at : at + 1] for cells_of_other in of_others]
-            shown = [f"{estimate(cell)}; {estimate(cell, 'median').value:.2f}" for cell in of_cell]
             title = kind if KINDS[kind].trained else f"{kind} (never trained on)"
+            shown = [str(estimate(cell)) for cell in of_cell]
             by_kind.append([title, robot, f"{np.exp(np.log([row['cost'] for row in group]).mean()):.3g}", *shown])
         pairwise = [
             [name, *(estimate(ratios(table, first, within, over=other)) for other in rest)]
@@ -239,11 +280,33 @@ class Evaluation(Experiment):
             "95 % (bootstrap).",
             markdown_table(["candidate", *groups, "median of runs", "worst kind", "failed"], whole),
             *([f"J of `{first}` over that of", markdown_table(["", *rest], pairwise)] if rest else []),
-            "By kind: J of the best fixed setting (geometric mean), then ratios (geometric mean with interval; "
-            "median).",
+            "By kind: J of the best fixed setting (geometric mean), then ratios (geometric mean with interval).",
             markdown_table(["kind", "robot", BEST_FIXED, *others], by_kind),
+            *_never_worse(table, first, [name for name in STAYS if name in others]),
         ]
         return "\n\n".join(lines) + "\n"
+
+
+def _never_worse(table: Sequence[Row], first: str, stay: Sequence[str]) -> list[str]:
+    """A table of errors and changes of torque apart, and of the first candidate over each that stays, by kind."""
+    if not stay:
+        return []
+    cells = list(grouped([row for row in table if row["candidate"] == BEST_FIXED], "kind", "robot"))
+    apart = [ratios(table, first, key=key) for key in ("error", "change")]
+    over = {name: ratios(table, first, over=name) for name in (BEST_FIXED, *stay)}
+    lines, kept = [], 0
+    for at, (kind, robot) in enumerate(cells):
+        found = {name: estimate(logs[at : at + 1]) for name, logs in over.items()}
+        worst = max(found, key=lambda name: found[name].high)
+        kept += found[worst].high <= NEVER_WORSE
+        shown = [estimate(logs[at : at + 1]) for logs in apart]
+        lines.append([kind, robot, *shown, *(found[name] for name in stay), f"{found[worst].high:.2f}, {worst}"])
+    return [
+        f"`{first}` by kind: errors and changes of torque apart, over those of `{BEST_FIXED}`; then its J over that of "
+        f"what stays, and the highest upper end of these and of `{BEST_FIXED}`. It is at most {NEVER_WORSE:g} in "
+        f"{kept} of {len(cells)}.",
+        markdown_table(["kind", "robot", "error", "change of torque", *stay, "highest upper end"], lines),
+    ]
 
 
 def ratios(
@@ -251,10 +314,11 @@ def ratios(
     name: str,
     within: Callable[[Cell], bool] = GROUPS["all kinds"],
     over: str = BEST_FIXED,
+    key: str = "cost",
 ) -> list[np.ndarray]:
-    """Logarithms of J of a candidate over that of another, an array for each cell that counts."""
+    """Logarithms of J, or of a part, of a candidate over that of another, an array for each cell that counts."""
     costs = grouped(rows, "candidate", "kind", "robot")
-    logs = {key: np.log([row["cost"] for row in group]) for key, group in costs.items()}
+    logs = {names: np.log([row[key] for row in group]) for names, group in costs.items()}
     cells = [cell for candidate, *cell in costs if candidate == name]
     return [logs[name, *cell] - logs[over, *cell] for cell in cells if within((cell[0], cell[1]))]
 

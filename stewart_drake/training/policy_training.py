@@ -23,17 +23,21 @@ from stewart_drake.base.atomic_files import MAX_FILE_BYTES, checksum, read_check
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import record
 from stewart_drake.control.features import FEATURES, CostScales, compute_features
-from stewart_drake.control.policy import SIZE, Policy, SettingSource, policy_setting, slew
+from stewart_drake.control.policy import LARGEST_FEATURE, SIZE, Policy, SettingSource, policy_setting, slew
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.runs import simulate_unchecked
 from stewart_drake.studies.workers import Workers, run_all
 from stewart_drake.training.benchmark import (
+    HIGHEST,
+    LOWEST,
     Baselines,
+    Candidate,
     cases_of,
     cells_for,
     cells_of,
+    fixed_rows,
     log_cost,
     mean_over_cells,
     measure_parts,
@@ -43,13 +47,11 @@ from stewart_drake.training.situations import ROBOTS, TRAINING, VALIDATION, Case
 HIDDEN = 16
 WEIGHTS = HIDDEN * len(FEATURES) + HIDDEN + SIZE * HIDDEN + SIZE
 """Numbers of a network, flat: hidden layer and its biases, output layer and its biases."""
-LOWEST, HIGHEST = np.array([-0.05, -0.6, -1.2, -1.9]), np.array([0.4, 0.1, 0.1, 0.5])
-"""Box of settings that a policy can choose; docs/results/tuner_safety.md has tried it."""
 FAR = 1e5  # Ends of the features' range while nothing is known of it
 SPREAD = 0.1
 LEARNING_RATE = 0.03  # Of Adam at first; it falls to a tenth along half a cosine
-FAIRNESS = 4.0
-"""What a kind counts for more in which the policy is worse than the centre, times the logarithm of how much."""
+FAIRNESS = 10.0
+"""What a kind counts for more in which the policy is worse than a row that stays, times the logarithm of how much."""
 MORE = {"reachy_mini": 2}  # Times as many situations in a generation, of a robot whose runs are short
 VALIDATED = 5  # [generations] between two looks at the validation situations
 _SKIPPED, _SAMPLED = 30, 10  # [ticks] before the first features that are kept, and between them
@@ -79,6 +81,13 @@ def policy_of(
 def episode_cost(source: SettingSource, case: Case) -> float:
     """Logarithm of what a run of a policy on the fast engine costs, at the kappa of the case."""
     log = simulate_unchecked(tuned_by(source, _fast(case), case.kappa))
+    return log_cost({"status": log.status, **measure_parts(log)}, CostScales().at(case.kappa))
+
+
+def fixed_cost(candidate: Candidate, case: Case) -> float:
+    """Likewise, of something that stays as it is."""
+    scenario = _fast(case)
+    log = simulate_unchecked(scenario.replace(candidate(case, scenario)))
     return log_cost({"status": log.status, **measure_parts(log)}, CostScales().at(case.kappa))
 
 
@@ -131,21 +140,26 @@ class FunctionSource:
 
 @dataclass(frozen=True)
 class PolicyOptions:
-    """How to train: a generation has `situations` of each kind and robot, times `MORE`, of a `pool` of them."""
+    """How to train: a generation has `situations` of each kind and robot, times `MORE`, of a `pool` of them.
+
+    `start` is the file of a policy to begin with; else it is random, at the centre.
+    """
 
     seed: int = 0
     generations: int = 150
-    situations: int = 8
-    pool: int = 32
+    situations: int = 6
+    pool: int = 24
     validation: int = 6
     robots: tuple[str, ...] = tuple(ROBOTS)
+    start: str | None = None
 
 
 @dataclass
 class State:
-    """Log J at the centre in the cases of the pool and of validation; features (13,); the network, flat, and Adam's.
+    """Log J of the rows that stay (m, n) in the pool and in validation, the centre first; features (13,); the network.
 
-    `least` is the mean of log J over that at the centre on validation of the weights `best`; `history` (g, 2) has it.
+    `least` is the objective on validation of the weights `best`; `history` (g, 3) has the mean of log J over that at
+    the centre, and the objective.
     """
 
     fixed: np.ndarray
@@ -155,10 +169,10 @@ class State:
     weights: np.ndarray
     moments: np.ndarray
     best: np.ndarray
-    least: float = 0.0
+    least: float = 1e9
     generation: int = 0
     seconds: float = 0.0
-    history: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    history: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def save(self, file: Path, identity: str) -> None:
         values = {name: np.asarray(value).tolist() for name, value in vars(self).items()}
@@ -172,13 +186,14 @@ class State:
             allowed = "the state of a training with the same options; remove the file to start anew"
             raise ConfigurationError(f"state {file}", "of other options", allowed)
         values |= {name: np.array(value) for name, value in values.items() if isinstance(value, list)}
-        return cls(**values | {"history": values["history"].reshape(-1, 2)})
+        return cls(**values | {"history": values["history"].reshape(-1, 3)})
 
 
 class Training:
     def __init__(self, options: PolicyOptions, workers: Workers) -> None:
         self.options, self._workers = options, workers
-        self.centre = np.array(Baselines.load().best)
+        baselines = Baselines.load()
+        self.centre, self._rows = np.array(baselines.best), list(fixed_rows(baselines).values())
         cells = [cell for robot in options.robots for cell in cells_for(robot, trained=True)]
         pool = cases_of(cells, TRAINING[: options.pool])
         rng = np.random.default_rng(options.seed)
@@ -186,24 +201,42 @@ class Training:
         kappas = np.where(rng.random(len(pool)) < 0.5, rng.uniform(-1.0, 1.0, len(pool)), 0.0)
         self.pool = [case._replace(kappa=float(kappa)) for case, kappa in zip(pool, kappas, strict=True)]
         self.validation = cases_of(cells, VALIDATION[: options.validation])
-        self.identity = checksum({"options": dataclasses.asdict(options), "centre": self.centre.tolist()})
+        self._start = Policy.load(Path(options.start)) if options.start else None
+        subject = {"options": dataclasses.asdict(options), "baselines": baselines.to_dict()}
+        self.identity = checksum({**subject, "start": self._start and self._start.content()})
 
     def begin(self) -> State:
-        """Costs at the centre, and the statistics of the features there and at settings about it."""
+        """Costs of what stays, and the statistics of the features at the centre and at settings about it."""
         rng = np.random.default_rng([self.options.seed, 1])
         weights = np.zeros(WEIGHTS)
         stays = policy_of(weights, self.centre)
-        fixed, validated = (self.costs([stays] * len(cases), cases) for cases in (self.pool, self.validation))
+        fixed, validated = (self._fixed(cases) for cases in (self.pool, self.validation))
         runs = []
         for places in cells_of(self.pool).values():
             for place in places[:4]:
                 weights[-SIZE:] = rng.uniform(-1.5, 1.5, SIZE)
                 runs += [(stays, self.pool[place]), (policy_of(weights, self.centre), self.pool[place])]
         found = np.concatenate(run_all(episode_features, runs, self._workers))
+        if (start := self._start) is not None:
+            weights = self._like(start, found)
+            return State(
+                fixed, validated, start.input_mean, start.input_scale, weights, np.zeros((2, WEIGHTS)), best=weights
+            )
         hidden = rng.standard_normal(HIDDEN * len(FEATURES)) / math.sqrt(len(FEATURES))
         weights = np.concatenate([hidden, np.zeros(WEIGHTS - len(hidden))])
         scale = np.maximum(found.std(axis=0), 1e-3)
         return State(fixed, validated, found.mean(axis=0), scale, weights, np.zeros((2, WEIGHTS)), best=weights)
+
+    def _like(self, start: Policy, features: np.ndarray) -> np.ndarray:
+        """Weights that choose nearly the settings of another policy, in this box, for features (n, 13)."""
+        inside = (np.clip(features, -LARGEST_FEATURE, LARGEST_FEATURE) - start.input_mean) / start.input_scale
+        hidden = np.tanh(inside @ start.hidden_weights.T + start.hidden_bias)
+        output = np.tanh(hidden @ start.output_weights.T + start.output_bias)
+        away = start.centre + output * np.where(output < 0.0, start.below, start.above) - self.centre
+        share = away / np.where(away < 0.0, self.centre - LOWEST, HIGHEST - self.centre)
+        rows = np.column_stack([hidden, np.ones(len(hidden))])
+        layer = np.linalg.lstsq(rows, np.arctanh(np.clip(share, -0.95, 0.95)))[0].T
+        return np.concatenate([start.hidden_weights.ravel(), start.hidden_bias, layer[:, :-1].ravel(), layer[:, -1]])
 
     def step(self, state: State) -> State:
         """One more generation: each situation twice, with weights on opposite sides of the present ones."""
@@ -213,12 +246,13 @@ class Training:
         directions = rng.standard_normal((len(chosen), WEIGHTS))
         policies = [self.policy(at, at.weights + side * SPREAD * way) for side in (1.0, -1.0) for way in directions]
         plus, minus = self.costs(policies, [self.pool[place] for place in chosen] * 2).reshape(2, -1)
-        share = self._shares(chosen, 0.5 * (plus + minus) - at.fixed[chosen])
+        share = self._shares(chosen, 0.5 * (plus + minus) - at.fixed[:, chosen])
         _adam(at, (share * (plus - minus) / (2.0 * SPREAD)) @ directions, self.options.generations)
         at.generation += 1
         if at.generation % VALIDATED == 0 or at.generation == self.options.generations:
-            value = float(mean_over_cells(self.validate(at, self.policy(at, at.weights)), self.validation))
-            at.history = np.vstack([at.history, [at.generation, value]])
+            ratio = self.validate(at, self.policy(at, at.weights))
+            value = _objective(ratio, self.validation)
+            at.history = np.vstack([at.history, [at.generation, mean_over_cells(ratio[0], self.validation), value]])
             if value < at.least:
                 at.best, at.least = at.weights, value
         at.seconds += time.perf_counter() - began
@@ -241,6 +275,10 @@ class Training:
     def validate(self, state: State, policy: Policy) -> np.ndarray:
         return self.costs([policy] * len(self.validation), self.validation) - state.validated
 
+    def _fixed(self, cases: Sequence[Case]) -> np.ndarray:
+        runs = [(row, case) for row in self._rows for case in cases]
+        return np.reshape(run_all(fixed_cost, runs, self._workers), (len(self._rows), -1))
+
     def costs(self, policies: Sequence[Policy], cases: Sequence[Case]) -> np.ndarray:
         return np.array(run_all(episode_cost, list(zip(policies, cases, strict=True)), self._workers))
 
@@ -252,19 +290,21 @@ class Training:
         return np.concatenate(chosen)
 
     def _shares(self, chosen: np.ndarray, ratio: np.ndarray) -> np.ndarray:
-        """What each case counts: each kind alike, but more where the policy is worse than the centre."""
+        """What each case counts: each kind alike, but more where the policy is worse than a row that stays.
+
+        `ratio` (m, n): log J over that of each row. So the gradient is that of `_objective`.
+        """
         share = np.zeros(len(chosen))
         cells = cells_of([self.pool[place] for place in chosen])
         for places in cells.values():
-            behind = max(0.0, float(ratio[places].mean()))
-            share[places] = (1.0 + FAIRNESS * behind) / (len(places) * len(cells))
+            share[places] = (1.0 + FAIRNESS * _behind(ratio[:, places])) / (len(places) * len(cells))
         return share
 
     def _card(self, state: State, ratio: np.ndarray) -> dict[str, Any]:
         """Where a policy comes from; `ratio` as `validate` gives it."""
-        kinds = {
-            f"{robot}: {kind}": ratio[places].mean() for (kind, robot), places in cells_of(self.validation).items()
-        }
+        cells = {f"{robot}: {kind}": places for (kind, robot), places in cells_of(self.validation).items()}
+        kinds = {name: ratio[0, places].mean() for name, places in cells.items()}
+        behind = {name: ratio[:, places].mean(axis=1).max() for name, places in cells.items()}
         return {
             "made_by": "stewart-drake train --tuner policy",
             "date": date.today().isoformat(),
@@ -273,13 +313,25 @@ class Training:
             f"{VALIDATION[0]} on",
             "cost": "J of control/features.py at kappa 0; other kappa in half of the situations",
             "options": {**dataclasses.asdict(self.options), "robots": list(self.options.robots)},
-            "J_over_best_fixed_by_generation": [[int(at), round(math.exp(value), 3)] for at, value in state.history],
-            "J_over_best_fixed": round(math.exp(mean_over_cells(ratio, self.validation)), 3),
+            "J_over_best_fixed_by_generation": [[int(at), round(math.exp(value), 3)] for at, value, _ in state.history],
+            "J_over_best_fixed": round(math.exp(mean_over_cells(ratio[0], self.validation)), 3),
             "J_over_best_fixed_by_kind": {name: round(math.exp(value), 3) for name, value in kinds.items()},
+            "J_over_best_row_by_kind": {name: round(math.exp(value), 3) for name, value in behind.items()},
             "seconds": round(state.seconds),
             "limits": "robots, sensors and motions of training/situations.py; see docs/results/tuner.md",
             "versions": {name: version for name, version in collect_versions().items() if version is not None},
         }
+
+
+def _behind(ratio: np.ndarray) -> float:
+    """How far a kind is above the best of the rows that stay, by log J over those of each (m, n); 0 where below."""
+    return max(0.0, float(ratio.mean(axis=1).max()))
+
+
+def _objective(ratio: np.ndarray, cases: Sequence[Case]) -> float:
+    """Mean over the kinds of log J over that at the centre, and of the square of how far behind it is."""
+    behind = [_behind(ratio[:, places]) for places in cells_of(cases).values()]
+    return float(mean_over_cells(ratio[0], cases) + 0.5 * FAIRNESS * np.mean(np.square(behind)))
 
 
 def _adam(at: State, gradient: np.ndarray, generations: int) -> None:
@@ -313,8 +365,11 @@ def train_policy(
         state = training.step(state)
         if file is not None:
             state.save(file, training.identity)
-        last = f", J {math.exp(state.history[-1, 1]):.3f} of best fixed" if len(state.history) else ""
-        tell(float(state.generation), f"generation {state.generation}{last}")
+        last = f"generation {state.generation}"
+        if len(state.history):
+            _, value, objective = state.history[-1]
+            last += f", J {math.exp(value):.3f} of best fixed, objective {objective:.3f}"
+        tell(float(state.generation), last)
     policy = training.finish(state)
     if file is not None:
         file.unlink(missing_ok=True)

@@ -17,7 +17,7 @@ import numpy as np
 from stewart_drake.analysis.feasibility import NEAR
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.robot.robot_scale import PAPER
-from stewart_drake.runs.checks import check_scenario
+from stewart_drake.runs.checks import check_scenario, plant_report
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 TRAINING, VALIDATION, HELD_OUT = (range(first, first + 10**6) for first in (0, 10**6, 3 * 10**6))
@@ -54,14 +54,16 @@ class Template:
     def base(self) -> Scenario:
         """The scenario before anything is drawn, with the default setting of the loop."""
         # How large an error is beside its motion, the cost of a run says here.
-        common = {"duration": self.duration, "tuner": {"kind": "block"}, "safety": None, "bounds.error_ratio": None}
-        return load_scenario(self.scenario).replace({**common, **self.changes})
+        common = {"duration": self.duration, "tuner": "block", "safety": None, "bounds.error_ratio": None}
+        return load_scenario(self.scenario).replace({**common, "adaptation": "regression", **self.changes})
 
 
+# Its counts alone would not change at rest.
+_REACHY: Changes = {"sensors.noise": 3e-4}
 ROBOTS = {
     "paper": Template("exact_breathing", {}, 1.8, 0.0, (0.04, 0.1), 1.0),
-    # Its counts alone would not change at rest.
-    "reachy_mini": Template("reachy_nod", {"sensors.noise": 3e-4}, 3.0, 0.095, (0.062, 0.08), 0.7),
+    "reachy_mini": Template("reachy_nod", _REACHY, 3.0, 0.095, (0.062, 0.08), 0.7),
+    "reachy_200hz": Template("reachy_nod", {**_REACHY, "controller.period": 0.005}, 3.0, 0.095, (0.062, 0.08), 0.7),
 }
 
 
@@ -121,6 +123,7 @@ def _wave(
 _breathing = _wave((0.02, 0.06), (0.004, 0.012), (0.2, 0.6))
 _fast = _wave((0.008, 0.03), (0.001, 0.004), (2.5, 5.0), phases=6)
 _nod = _wave((0.06, 0.2), (0.002, 0.012), (0.4, 1.2), share=0.15)
+_strong = _wave((0.03, 0.06), (0.006, 0.012), (8.0, 12.0), share=0.1, phases=6)
 
 
 def _hold(draw: Draw) -> Changes:
@@ -182,7 +185,16 @@ def _blow(draw: Draw) -> Changes:
 
 
 def _pushed(draw: Draw) -> Changes:
-    return {"disturbances": [_any_of(_push, _blow)(draw)]}
+    return {"disturbances": [_push(draw)]}
+
+
+def _struck(draw: Draw) -> Changes:
+    return {"disturbances": [_blow(draw)]}
+
+
+def _shaken(draw: Draw) -> Changes:
+    shaking = {"kind": "sine", "wrench": draw.wrench((0.005, 0.05), (0.2, 1.5)), "frequency": draw.between(3.0, 30.0)}
+    return {"disturbances": [{**shaking, "phase": float(draw.rng.uniform(0.0, 2.0 * math.pi))}]}
 
 
 def _loaded(draw: Draw) -> Changes:
@@ -219,7 +231,22 @@ def _bursts(draw: Draw, before: bool, after: bool) -> Changes:
 def _load_comes(draw: Draw) -> Changes:
     weight = draw.wrench((0.02, 0.1), (1.0, 4.0))
     step = {"kind": "step", "wrench": [*weight[:3], 0.0, 0.0, -float(np.linalg.norm(weight[3:]))]}
-    return {**_moves_or_rests(draw), "disturbances": [{**step, "time": draw.time(0.6, 0.75)}]}
+    return {"disturbances": [{**step, "time": draw.time(0.6, 0.75)}]}
+
+
+def _saturating(draw: Draw) -> Changes:
+    """Sines for which the motors need from 80 to 105 % of their torque, friction included."""
+    changes, share = _strong(draw), draw.between(0.8, 1.05)
+    amplitude = np.array(changes["reference"]["amplitude"])
+    for _ in range(4):
+        torque = plant_report(draw.template.base.replace(changes)).smallest.get("plant_torque")
+        if torque is None:
+            # Out of reach, and so refused.
+            break
+        # Nearly in proportion: inertia and viscous friction are most of it.
+        amplitude *= share / (1.0 - torque.margin / torque.bound)
+        changes = {"reference": {**changes["reference"], "amplitude": amplitude.tolist()}}
+    return changes
 
 
 def _noisy(draw: Draw) -> Changes:
@@ -233,8 +260,7 @@ def _delayed(draw: Draw) -> Changes:
 _mixture = _any_of(
     partial(_bursts, before=False, after=True),
     partial(_bursts, before=True, after=False),
-    _both(_moves, _pushed),
-    _load_comes,
+    _both(_moves, _any_of(_pushed, _struck)),
 )
 
 
@@ -253,17 +279,22 @@ KINDS = {
     "breathing": Kind(_breathing),
     "heart": Kind(_heart),
     "fast": Kind(_fast),
-    "nod": Kind(_nod, ("reachy_mini",)),
-    "payload": Kind(_both(_moves, _loaded), _ROBOTS),
+    "nod": Kind(_nod, _ROBOTS[1:]),
+    "payload": Kind(_both(_moves, _loaded), _ROBOTS[:2]),
+    "load jump": Kind(_both(_moves_or_rests, _load_comes), _ROBOTS[:2]),
     "pushes": Kind(_both(_moves_or_rests, _pushed), _ROBOTS),
+    "blows": Kind(_both(_moves_or_rests, _struck), _ROBOTS),
+    "vibration": Kind(_both(_moves_or_rests, _shaken), _ROBOTS[:2]),
+    "saturation": Kind(_saturating, _ROBOTS[:2]),
     "noise": Kind(_both(_moves_or_rests, _noisy)),
     "coarse encoders": Kind(_both(_moves, _coarse)),
     "stiction": Kind(_both(_moves, _sticking), _ROBOTS),
     "delay": Kind(_both(_moves, _delayed)),
-    "mixture": Kind(_mixture, _ROBOTS),
+    "mixture": Kind(_mixture, _ROBOTS[:2]),
     "tool path": Kind(_tool_path, _ROBOTS, trained=False),
     "coarse encoders with stiction": Kind(_both(_moves, _coarse, _sticking), trained=False),
-    "payload with pushes": Kind(_both(_moves_or_rests, _loaded, _pushed), _ROBOTS, trained=False),
+    "payload with pushes": Kind(_both(_moves_or_rests, _loaded, _pushed), _ROBOTS[:2], trained=False),
+    "delay with blows": Kind(_both(_moves_or_rests, _delayed, _struck), trained=False),
 }
 
 
