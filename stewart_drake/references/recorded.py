@@ -45,6 +45,11 @@ class RecordedReference(Section, key="reference"):
     """[s] time from the last row to rest."""
 
     @property
+    def of_head(self) -> bool:
+        """Whether it is a move of Reachy Mini, which tells of the platform, whatever tool there is."""
+        return _is_move(self.motion_file)
+
+    @property
     def end(self) -> float:
         """[s] from when on it is at rest."""
         return float(self._splines[0].x[-1])
@@ -76,11 +81,15 @@ class RecordedReference(Section, key="reference"):
         return motion, motion.derivative(1), motion.derivative(2)
 
 
+def _is_move(path: str | Path) -> bool:
+    return Path(path).suffix.lower() == ".json"
+
+
 def load_recording(path: str | Path) -> np.ndarray:
     """A recorded motion (n, 7) [s, rad, m] of a file with `QUANTITIES`, checked; wrapped angles without jumps."""
     path = Path(path)
     key = f"recorded motion {path}"
-    if path.suffix.lower() == ".json":
+    if _is_move(path):
         move = read_move(path)
         return np.column_stack([move.time, move.pose])
     if path.suffix.lower() not in (".csv", ".parquet"):
