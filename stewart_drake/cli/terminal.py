@@ -151,8 +151,14 @@ def print_table(
         widths.append(longest[-1] if place in right and any(header) else min(words, max(_WORD, terminal.width // 3)))
     shown = max(2, sum(end < terminal.width for end in itertools.accumulate(3 + width for width in widths)))
     for _ in range(terminal.width - 1 - sum(3 + width for width in widths[:shown])):
-        # What is left goes to the column that lacks most.
-        place = max(range(shown), key=lambda place: longest[place] - widths[place])
+        # What is left goes where it saves the most lines: to a column that folds, of those which make rows high.
+        saved = [0.0] * shown
+        for row in rows:
+            lines, at = max(
+                (len(cell) / width, at) for at, (cell, width) in enumerate(zip(row[:shown], widths, strict=False))
+            )
+            saved[at] += max(0.0, lines - 1.0) / widths[at]
+        place = max(range(shown), key=lambda at: (widths[at] < longest[at], saved[at]))
         widths[place] += longest[place] > widths[place]
     terminal.print(title, style="bold", markup=False, soft_wrap=True)
     table = Table(show_header=any(header))

@@ -174,6 +174,7 @@ class LiveSession(PageSession):
 
     def _push(self, command: Mapping[str, Any]) -> None:
         wrench, duration = six_of(command["wrench"]), float(command["duration"])
+        self._touch()
         self._each(lambda loop: loop.push(wrench, duration))
 
     def _pull(self, command: Mapping[str, Any]) -> None:
@@ -188,12 +189,15 @@ class LiveSession(PageSession):
         self._hold(turning_spring(scenario.robot, scenario.gravity, held, _numbers(command["turn"], 3)))
 
     def _hold(self, by: Spring | TurningSpring) -> None:
+        self._touch()
+        self._each(lambda loop: setattr(loop, "spring", by))
+
+    def _touch(self) -> None:
         """A hand at the rim loads one motor as a wrong one does, so the safety layer no longer looks for those."""
         safety = self.loop.scenario.safety
         if safety is not None and safety.unexplained_torque is not None:
             self._change({"safety.unexplained_torque": None})
-            self.message = "a hand pulls: safety.unexplained_torque is off until Reset"
-        self._each(lambda loop: setattr(loop, "spring", by))
+            self.message = "a hand acts on it: safety.unexplained_torque is off until Reset"
 
     def _release(self, _: Mapping[str, Any]) -> None:
         self._each(lambda loop: setattr(loop, "spring", None))
@@ -217,6 +221,7 @@ class LiveSession(PageSession):
         frequency = min(max(float(command.get("frequency", 1.0)), 0.2), 20.0)
         kind = "step" if command["kind"] == "step" else "sine"
         self._each(lambda loop: setattr(loop, "test", Probe(kind, axis, size, frequency, loop.time)))
+        self._test = f"{kind} of {AXES[axis]}: under way"
 
     def _one_tick(self, _: Mapping[str, Any]) -> None:
         self.paused = True

@@ -160,6 +160,9 @@ async function begin() {
   at("save").addEventListener("click", () => tell({ do: "save" }));
   at("speed").addEventListener("input", ({ target }) => tell({ do: "speed", value: Number(target.value) }));
   at("ghost").addEventListener("change", ({ target }) => tell({ do: "ghost", controller: target.value || null }));
+  at("test-frequency").addEventListener("change", ({ target }) => {
+    target.value = Math.min(target.max, Math.max(target.min, Number(target.value) || 1));
+  });
   for (const kind of ["step", "sine"]) at(`test-${kind}`).addEventListener("click", () =>
     tell({ do: "test", kind, axis: at("test-axis").value, frequency: Number(at("test-frequency").value) }));
   at("reset").addEventListener("click", () => tell({ do: "reset" }));
@@ -186,7 +189,6 @@ async function begin() {
   };
 
   let stale = true, ghost, events;
-  const note = (text) => { at("message").textContent = [text, at("message").textContent].filter(Boolean).join(". "); };
   const listen = () => {
     events = new EventSource("events");
     events.onmessage = show;
@@ -216,9 +218,12 @@ async function begin() {
       at("speed").value = last.speed;
       at("speed-text").textContent = `× ${last.speed}`;
       at("test-result").textContent = last.test;
-      if (last.pull) note(`pulled with ${measured(last.pull.force, "N", 2)}`);
-      if (last.moment) note(`turned with ${measured(Math.hypot(...last.moment), "N m", 2)}`);
-      if (last.beside?.ended) note(`pale: ended, ${last.beside.ended}`);
+      at("message").textContent = [
+        last.pull && `pulled with ${measured(last.pull.force, "N", 2)}`,
+        last.moment && `turned with ${measured(Math.hypot(...last.moment), "N m", 2)}`,
+        at("message").textContent,
+        last.beside?.ended && `pale: ended: ${last.beside.ended}`,
+      ].filter(Boolean).join("; ");
     }
     if (last.links) {
       view.place(last.links);
