@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
 from operator import attrgetter
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from pydantic import Field, GetJsonSchemaHandler
@@ -19,6 +19,7 @@ from stewart_drake.base.config import Section, as_problem, check_plain, choices_
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.keys import join_or
 
+_Kind = TypeVar("_Kind")
 _PACKAGE = __name__.partition(".")[0]
 USER_CLASS = "module:Class"
 """How a kind of a user's own is written, among the `choices` of a family."""
@@ -297,22 +298,23 @@ def refuse_given(section: Any) -> None:
 
 def user_parts(section: Any) -> list[UserMade]:
     """Every part of the user's own in a section, and in those inside."""
-    return [part for _, part in _placed(section)]
+    return [part for _, part in placed(section, UserMade)]
 
 
 def place_users(section: Any) -> None:
     """Tells the sections of a user's classes where they stand, for messages."""
-    for place, part in _placed(section):
+    for place, part in placed(section, UserMade):
         vars(part)["place"] = place
 
 
-def _placed(section: Any, place: str = "") -> Iterator[tuple[str, UserMade]]:
-    if isinstance(section, UserMade):
+def placed(section: Any, kind: type[_Kind], place: str = "") -> Iterator[tuple[str, _Kind]]:
+    """Every section of a kind in a section, itself too, and where it stands."""
+    if isinstance(section, kind):
         yield place, section
     if isinstance(section, (Section, tuple)):
         named = list(vars(section).items()) if isinstance(section, Section) else enumerate(section)
         for name, part in named:
-            yield from _placed(part, f"{place}.{name}" if place else str(name))
+            yield from placed(part, kind, f"{place}.{name}" if place else str(name))
 
 
 def imported(place: str) -> Any:

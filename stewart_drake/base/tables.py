@@ -1,7 +1,7 @@
 """Tables of numbers in CSV and Parquet files, whose columns say their units: `time_s`, `pose_roll_rad`, `torque_0_Nm`.
 
 One dialect for all: logs, recorded motions, recordings for identification, poses for calibration. A column is read in
-any of its units, and without one in that of SI; `pose_` may be left out.
+any of its units, and without one in that of SI; `pose_` may be left out, and capitals make no difference.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ def column_name(quantity: str, unit: str) -> str:
 
 def quantity_of(column: str) -> tuple[str, float]:
     """The quantity of a column, its name without the unit, and what one of the unit is in SI."""
-    ending = max((each for each in _FACTORS if column.endswith(each)), key=len, default="")
-    return column.removesuffix(ending), _FACTORS.get(ending, 1.0)
+    ending = max((each for each in _FACTORS if column.lower().endswith(each.lower())), key=len, default="")
+    return column[: len(column) - len(ending)], _FACTORS.get(ending, 1.0)
 
 
 def read_numbers(
@@ -144,11 +144,12 @@ def column_of(names: Sequence[str], quantity: str, unit: str, source: str) -> tu
     ways = {f"{quantity}_{ending}".removesuffix("_"): factor for ending, factor in ENDINGS[unit].items()}
     ways[quantity] = 1.0
     ways |= {name.removeprefix("pose_"): factor for name, factor in ways.items()}
-    columns = [name for name in names if name in ways]
+    folded = {name.lower(): factor for name, factor in ways.items()}
+    columns = [name for name in names if name.lower() in folded]
     if len(columns) != 1:
         have = ", ".join(columns) or f"none among {', '.join(names)[:300] or 'no columns'}"
         raise ConfigurationError(f"{source}: column of {quantity}", have, f"one of {', '.join(ways)}")
-    return columns[0], ways[columns[0]]
+    return columns[0], folded[columns[0].lower()]
 
 
 def to_csv(table: pa.Table) -> bytes:

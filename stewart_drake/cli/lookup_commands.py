@@ -51,7 +51,9 @@ def _about(path: Path) -> str:
 
 @command("explain")
 def explain(key: str) -> None:
-    """KEY is a scenario key such as controller.period, its last part such as period, or a section such as limits.
+    """KEY is a scenario key such as controller.period, its last part such as period, a section such as limits.
+
+    A kind such as reference.recorded has a line for each of its keys.
 
     Keys of the files of `sweep`, `compare` and `tune` have that name in front: sweep.distributions, compare.bands.
     """
@@ -64,6 +66,11 @@ def explain(key: str) -> None:
             f"a file of `stewart-drake {key}`", lines, ("key", "what it does", "default", "allowed"), numbers=()
         )
         return
+    section, _, kind = key.rpartition(".")
+    if not matching and (of_kind := [each for each in every if each.kind == kind]):
+        places = [each.name.rpartition(".")[0] for each in of_kind]
+        place = section or min(places, key=len)
+        matching = [each for each, at in zip(of_kind, places, strict=True) if at == place and not each.chooses_kind]
     if not matching:
         names = dict.fromkeys(name for each in every for name in (each.name, each.name.rpartition(".")[2]))
         raise ConfigurationError("KEY", key, f"a key of a scenario, sweep or comparison{did_you_mean(key, names)}")

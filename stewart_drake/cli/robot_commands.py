@@ -55,7 +55,9 @@ def show(name: str, picture: Path | None) -> None:
         from stewart_drake.runs.pictures import render_png
 
         prepare_file(picture)
-        render_png(loaded, loaded.home_pose, picture, width=800, height=600, passes=_PASSES)
+        with progress_bar("picture", float(_PASSES), unit="passes") as advance:
+            size = {"width": 800, "height": 600, "passes": _PASSES}
+            render_png(loaded, loaded.home_pose, picture, **size, progress=advance)
         tell(f"picture in {picture}")
 
 
@@ -273,7 +275,7 @@ def excite(
 ) -> None:
     """Writes a scenario for `run`, within the robot's limits. --set changes limits, encoders or controller."""
     from stewart_drake.analysis.feasibility import check_reference
-    from stewart_drake.estimation.excitation import ROOM, SERVO_ROOM
+    from stewart_drake.estimation.excitation import MOTIONS, ROOM, SERVO_ROOM
     from stewart_drake.estimation.excitation import excite as design
 
     guess = load_robot(robot)
@@ -293,9 +295,9 @@ def excite(
     duration = duration or (60.0 if motors is None else 20.0)
     own = (f"robot={json.dumps(robot)}", *differences, *(torque if motors is None else angle), f"duration={duration!r}")
     scenario = load_scenario("exact_breathing", (*own, *overrides))
-    with working("designing"):
-        room = ROOM if motors is None else SERVO_ROOM
-        result = design(guess, scenario.limits, hold, gravity=scenario.gravity, room=room)
+    room = ROOM if motors is None else SERVO_ROOM
+    with progress_bar("designing", float(MOTIONS), unit="motions") as advance:
+        result = design(guess, scenario.limits, hold, gravity=scenario.gravity, room=room, progress=advance)
     check_reference(guess, scenario.limits, result.reference, duration, scenario.gravity).raise_if_infeasible()
     designed = scenario.replace({"name": "excitation", "reference": result.reference.to_dict()})
     write_text(out, to_yaml(designed.to_dict()))

@@ -150,10 +150,7 @@ def print_table(
         words = max(len(word) for cell in column for word in (cell.split() or [""]))
         widths.append(longest[-1] if place in right and any(header) else min(words, max(_WORD, terminal.width // 3)))
     shown = max(2, sum(end < terminal.width for end in itertools.accumulate(3 + width for width in widths)))
-    for _ in range(terminal.width - 1 - sum(3 + width for width in widths[:shown])):
-        # What is left goes to the column that lacks most.
-        place = max(range(shown), key=lambda place: longest[place] - widths[place])
-        widths[place] += longest[place] > widths[place]
+    widths = _widened(widths[:shown], longest, terminal.width - 1 - 3 * shown, rows)
     terminal.print(title, style="bold", markup=False, soft_wrap=True)
     table = Table(show_header=any(header))
     for place, name in enumerate(header[:shown]):
@@ -164,6 +161,23 @@ def print_table(
     terminal.print(table)
     if shown < len(header):
         tell(f"more columns in a wider terminal or with --json: {', '.join(header[shown:])}")
+
+
+def _widened(widths: list[int], longest: list[int], room: int, rows: list[list[str]]) -> list[int]:
+    """Widths of columns that fill the room: one is as long as it wants, of the others the one that lacks most grows."""
+
+    def spread(first: int) -> list[int]:
+        wide = list(widths)
+        wide[first] += max(0, min(longest[first], wide[first] + room - sum(wide)) - wide[first])
+        for _ in range(room - sum(wide)):
+            place = max(range(len(wide)), key=lambda at: longest[at] - wide[at])
+            wide[place] += longest[place] > wide[place]
+        return wide
+
+    def lines(wide: list[int]) -> int:
+        return sum(max(-(-len(cell) // width) for cell, width in zip(row, wide, strict=False)) for row in rows)
+
+    return min(map(spread, range(len(widths))), key=lines)
 
 
 def _plain(cell: str) -> float | str:

@@ -26,8 +26,8 @@ from stewart_drake.scenario.scenario import load_driven, load_scenario
 def live(scenario: str, machine: str | None, port: int | None, overrides: tuple[str, ...], browser: bool) -> None:
     """SCENARIO is a file or a shipped name [default: sway].
 
-    Pull the platform with the mouse, move it with sliders, change gains, beliefs and the machine, break a motor, ask
-    for a step, see another controller beside the first. Only this machine can open the page. Ctrl-C ends it.
+    Pull or turn the platform with the mouse, move it with sliders, change gains, beliefs and the machine, break a
+    motor, ask for a step, see another controller beside the first. Only this machine can open the page. Ctrl-C ends it.
 
     With --machine the sliders steer a real robot, with the guards of `drive`, and the page shows it beside the wanted
     one, which is pale.

@@ -5,7 +5,7 @@ J. Swevers et al., "Optimal robot excitation and identification" (IEEE Trans. Ro
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -26,6 +26,8 @@ ROOM, SERVO_ROOM = 1.15, 1.5
 """[-] by which the motion could be larger within the limits: the robot is not quite the guess, and servos swing on."""
 _SAMPLES = 240
 _BEGINNINGS, _CHANGES = 20, 400
+MOTIONS = _BEGINNINGS + _CHANGES
+"""That are tried."""
 _FADE = 2.0
 _ROUNDING = 1e-9  # [-] of the largest singular value
 
@@ -46,6 +48,7 @@ def excite(
     seed: int = 0,
     changes: int = _CHANGES,
     room: float = ROOM,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> Excitation:
     """Designs a motion.
 
@@ -57,6 +60,7 @@ def excite(
         seed: Of the random motions.
         changes: Number of changes to try.
         room: [-] by which the motion could be larger within the limits.
+        progress: Gets the number of motions tried, of `_BEGINNINGS + changes`.
 
     Raises:
         ConfigurationError: No motion at all is within the limits.
@@ -82,17 +86,18 @@ def excite(
 
     length = np.array([1.0] * 3 + [robot.characteristic_length] * 3)
     motions: list[tuple[float, np.ndarray]] = []
-    for _ in range(_BEGINNINGS if feasible(np.zeros((2, len(HARMONICS), 6)), 0.0) else 0):
+    for beginning in range(_BEGINNINGS if feasible(np.zeros((2, len(HARMONICS), 6)), 0.0) else 0):
         waves = rng.standard_normal((2, len(HARMONICS), 6)) * length / np.sqrt(HARMONICS)[:, None]
         largest = bisect(partial(feasible, waves), 0.0, 1.0)
         if largest > 0.0:
             motions.append((condition(largest * waves), largest * waves))
+        progress(beginning + 1.0)
     if not motions:
         raise ConfigurationError("limits", "no motion within them", "limits that leave room about home")
     random_condition = float(np.median([each[0] for each in motions]))
     best, waves = min(motions, key=lambda each: each[0])
     spread = 0.3
-    for _ in range(changes):
+    for change in range(changes):
         other = waves * (1.0 + spread * rng.standard_normal(waves.shape))
         other += spread * rng.standard_normal(waves.shape) * np.abs(waves).mean(axis=(0, 1))
         other *= np.exp(0.3 * spread * rng.standard_normal())
@@ -101,6 +106,7 @@ def excite(
             best, waves = now, other
         # One success in five keeps the steps as they are.
         spread = float(np.clip(spread * (1.5 if better else 0.9), 0.01, 1.0))
+        progress(_BEGINNINGS + change + 1.0)
     faded = AdjustedReference(motion=_reference(robot, waves), fade_in=_FADE)
     return Excitation(faded, best, random_condition)
 

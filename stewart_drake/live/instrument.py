@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from stewart_drake.analysis.response import step_figures
 from stewart_drake.base.atomic_files import write_atomically
@@ -20,6 +21,7 @@ from stewart_drake.scenario.scenario import Scenario
 
 AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
 _PULL = 0.15, 0.2  # [-] of the characteristic length, at which the spring has its largest force, of `largest_force`.
+_TURN = 0.3  # [rad] at which a spring that turns has its largest moment, of `largest_moment` the same share.
 _WATCHED = 2.0  # [s] of a step.
 _PERIODS = 3  # Of a sine, after one that is left out.
 _MOST = 120.0  # [s] that the record keeps.
@@ -118,7 +120,7 @@ def turned(scenario: Scenario, knob: Knob, value: float) -> dict[str, Any]:
     return {knob.key: round(value) if knob.whole else value}
 
 
-# --- a spring ---
+# --- springs ---
 
 
 class Spring(NamedTuple):
@@ -132,14 +134,38 @@ class Spring(NamedTuple):
     def force(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Place (3,) [m] of the point, and the force (3,) [N] there, in B."""
         at = pose[3:] + rotation_matrix(pose[:3]) @ self.point
-        way = self.place - at
-        size = float(np.linalg.norm(way))
-        return at, way * (self.most / self.length) * min(1.0, self.length / size if size else 1.0)
+        return at, _stretched(self.place - at, self.length, self.most)
 
     def wrench(self, pose: np.ndarray) -> np.ndarray:
         """(6,) [N m, N] about P, in B."""
         at, force = self.force(pose)
         return np.concatenate([np.cross(at - pose[3:], force), force])
+
+
+class TurningSpring(NamedTuple):
+    """Turns the platform from how it was held, R_BP (3, 3), to another orientation, (3, 3), with a pure moment."""
+
+    held: np.ndarray
+    wanted: np.ndarray
+    most: float  # [N m] of the moment.
+
+    def moment(self, pose: np.ndarray) -> np.ndarray:
+        """(3,) [N m] in B."""
+        off = self.wanted @ rotation_matrix(pose[:3]).T
+        way = 0.5 * np.array([off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]])
+        sine = float(np.linalg.norm(way))
+        angle = math.atan2(sine, 0.5 * (off[0, 0] + off[1, 1] + off[2, 2] - 1.0))
+        return _stretched(way * (angle / sine if sine else 1.0), _TURN, self.most)
+
+    def wrench(self, pose: np.ndarray) -> np.ndarray:
+        """(6,) [N m, N] about P, in B."""
+        return np.concatenate([self.moment(pose), np.zeros(3)])
+
+
+def _stretched(way: np.ndarray, length: float, most: float) -> np.ndarray:
+    """Force (3,) of a spring along a way (3,), in proportion to it up to a length."""
+    size = float(np.linalg.norm(way))
+    return np.asarray(way * (most / length) * min(1.0, length / size if size else 1.0))
 
 
 def spring(robot: RobotParameters, gravity: float, point: np.ndarray, place: np.ndarray) -> Spring:
@@ -148,13 +174,27 @@ def spring(robot: RobotParameters, gravity: float, point: np.ndarray, place: np.
     return Spring(point, place, share * largest_force(robot, gravity), stretch * robot.characteristic_length)
 
 
+def turning_spring(robot: RobotParameters, gravity: float, held: np.ndarray, turn: np.ndarray) -> TurningSpring:
+    """The same, which turns by a rotation vector (3,) [rad] in B."""
+    wanted = Rotation.from_rotvec(turn).as_matrix() @ held
+    return TurningSpring(held, wanted, _PULL[1] * largest_moment(robot, gravity))
+
+
 def largest_force(robot: RobotParameters, gravity: float) -> float:
     """[N] sideways or along z at home for which the motors have room, with half of it left; in two digits."""
+    return _largest(robot, gravity, slice(3, 6))
+
+
+def largest_moment(robot: RobotParameters, gravity: float) -> float:
+    """[N m] about x, y or z at home, likewise."""
+    return _largest(robot, gravity, slice(0, 3))
+
+
+def _largest(robot: RobotParameters, gravity: float, axes: slice) -> float:
     holds = static_torque(robot, robot.home_pose, gravity)
-    per_newton = np.linalg.inv(pose_jacobian(robot, robot.home_pose)).T[:, 3:]
-    room = (robot.effort_limits - np.abs(holds))[:, None] / np.maximum(np.abs(per_newton), 1e-12)
-    force = 0.5 * float(room.min(axis=0).max())
-    return float(f"{max(force, 1e-3):.2g}")
+    per_unit = np.linalg.inv(pose_jacobian(robot, robot.home_pose)).T[:, axes]
+    room = (robot.effort_limits - np.abs(holds))[:, None] / np.maximum(np.abs(per_unit), 1e-12)
+    return float(f"{max(0.5 * float(room.min(axis=0).max()), 1e-3):.2g}")
 
 
 # --- tests: a step, a sine ---

@@ -12,7 +12,7 @@ import numpy as np
 from stewart_drake.base.errors import RunFailure
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.hardware.disturbances import total_wrench
-from stewart_drake.live.instrument import Probe, Record, Spring
+from stewart_drake.live.instrument import Probe, Record, Spring, TurningSpring
 from stewart_drake.live.steering import HandReference, Reached, nearest_allowed
 from stewart_drake.plant.plant_options import ANGLES
 from stewart_drake.runs.stepped_loop import SteppedLoop
@@ -27,8 +27,8 @@ class LiveLoop:
 
     Every change but a new target and a push is a change of the scenario: its loop is built again, and each part that
     is still there keeps its state, as the robot does. `reference` is the pose set by hand with the motion about it, and
-    `ended` says why the loop cannot go on; it is empty while it can. `spring` pulls where there is one, `test` is added
-    to the reference, and `record` keeps what was done.
+    `ended` says why the loop cannot go on; it is empty while it can. `spring` pulls or turns where there is one, `test`
+    is added to the reference, and `record` keeps what was done.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -39,7 +39,7 @@ class LiveLoop:
         """As at first."""
         scenario = self._begun
         self.ended, self._push, self._push_ends = "", np.zeros(6), -1
-        self.spring: Spring | None = None
+        self.spring: Spring | TurningSpring | None = None
         self.test: Probe | None = None
         self.record = Record()
         self._pulled: dict[str, Any] | None = None

@@ -15,8 +15,20 @@ import numpy as np
 
 from stewart_drake.base.atomic_files import plain_json
 from stewart_drake.base.errors import StewartDrakeError
-from stewart_drake.live.instrument import AXES, Probe, as_instrument, knob_value, knobs_of, spring, turned
+from stewart_drake.live.instrument import (
+    AXES,
+    Probe,
+    Spring,
+    TurningSpring,
+    as_instrument,
+    knob_value,
+    knobs_of,
+    spring,
+    turned,
+    turning_spring,
+)
 from stewart_drake.live.loop import LiveLoop
+from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.runs.outputs import claimed_place
 from stewart_drake.runs.scene import link_poses
 from stewart_drake.scenario.scenario import Scenario
@@ -106,12 +118,13 @@ class LiveSession(PageSession):
             "move": lambda command: self._each(lambda loop: loop.move(bool(command["on"]))),
             "push": self._push,
             "pull": self._pull,
+            "turn": self._turn,
             "release": self._release,
             "payload": lambda command: self._change({"plant.payload_mass": float(command["mass"])}),
             "dead": lambda command: self._change({"motors.dead": _of_leg(command["leg"])}),
             "freeze": self._freeze,
             "kappa": lambda command: self.loop.change({"tuner.kappa": float(command["value"])}),
-            "knob": self._turn,
+            "knob": self._set_knob,
             "controller": self._choose,
             "ghost": self._haunt,
             "test": self._begin_test,
@@ -161,24 +174,35 @@ class LiveSession(PageSession):
 
     def _push(self, command: Mapping[str, Any]) -> None:
         wrench, duration = six_of(command["wrench"]), float(command["duration"])
+        self._touch()
         self._each(lambda loop: loop.push(wrench, duration))
 
     def _pull(self, command: Mapping[str, Any]) -> None:
-        """`point` (3,) [m] of the platform, in P, towards `place` (3,) [m] in B.
+        """`point` (3,) [m] of the platform, in P, towards `place` (3,) [m] in B."""
+        point, place = (_numbers(command[name], 3) for name in ("point", "place"))
+        self._hold(spring(self.loop.scenario.robot, self.loop.scenario.gravity, point, place))
 
-        A hand at the rim loads one motor as a wrong one does, so the safety layer no longer looks for those.
-        """
-        scenario = self.loop.scenario
-        if scenario.safety is not None and scenario.safety.unexplained_torque is not None:
+    def _turn(self, command: Mapping[str, Any]) -> None:
+        """By `turn` (3,) [rad], a rotation vector in B, from how the platform stood when the hand took it."""
+        scenario, before = self.loop.scenario, self.loop.spring
+        held = before.held if isinstance(before, TurningSpring) else rotation_matrix(self.loop.pose[:3])
+        self._hold(turning_spring(scenario.robot, scenario.gravity, held, _numbers(command["turn"], 3)))
+
+    def _hold(self, by: Spring | TurningSpring) -> None:
+        self._touch()
+        self._each(lambda loop: setattr(loop, "spring", by))
+
+    def _touch(self) -> None:
+        """A hand at the rim loads one motor as a wrong one does, so the safety layer no longer looks for those."""
+        safety = self.loop.scenario.safety
+        if safety is not None and safety.unexplained_torque is not None:
             self._change({"safety.unexplained_torque": None})
-            self.message = "a hand pulls: safety.unexplained_torque is off until Reset"
-        pulled = spring(scenario.robot, scenario.gravity, *(_numbers(command[name], 3) for name in ("point", "place")))
-        self._each(lambda loop: setattr(loop, "spring", pulled))
+            self.message = "a hand acts on it: safety.unexplained_torque is off until Reset"
 
     def _release(self, _: Mapping[str, Any]) -> None:
         self._each(lambda loop: setattr(loop, "spring", None))
 
-    def _turn(self, command: Mapping[str, Any]) -> None:
+    def _set_knob(self, command: Mapping[str, Any]) -> None:
         """A slider: only keys that the panel has, within their range; of the controller's side not the ghost's."""
         knob = next(each for each in knobs_of(self.loop.scenario, self._begun) if each.key == command["key"])
         change = turned(self.loop.scenario, knob, float(command["value"]))
@@ -197,6 +221,7 @@ class LiveSession(PageSession):
         frequency = min(max(float(command.get("frequency", 1.0)), 0.2), 20.0)
         kind = "step" if command["kind"] == "step" else "sine"
         self._each(lambda loop: setattr(loop, "test", Probe(kind, axis, size, frequency, loop.time)))
+        self._test = f"{kind} of {AXES[axis]}: under way"
 
     def _one_tick(self, _: Mapping[str, Any]) -> None:
         self.paused = True
@@ -238,7 +263,6 @@ class LiveSession(PageSession):
         """What the browser shows of this instant: robot, loop, and everything that a panel can set."""
         loop, scenario = self.loop, self.loop.scenario
         pose, angles, wanted = loop.pose, loop.crank_angles, loop.wanted
-        error = pose - wanted
         links = None
         if np.isfinite(pose).all() and np.isfinite(angles).all():
             links = link_poses(scenario.robot, pose, angles, wanted).round(6).ravel().tolist()
@@ -246,8 +270,10 @@ class LiveSession(PageSession):
                 # Without its own reference, which is the same.
                 beside = link_poses(scenario.robot, ghost.pose, ghost.crank_angles, wanted)[:-1]
                 links += beside.round(6).ravel().tolist()
-        pull = None
-        if loop.spring is not None:
+        pull = moment = None
+        if isinstance(loop.spring, TurningSpring):
+            moment = loop.spring.moment(pose).tolist()
+        elif loop.spring is not None:
             at, force = loop.spring.force(pose)
             pull = {"at": at.tolist(), "place": loop.spring.place.tolist(), "force": float(np.linalg.norm(force))}
         if loop.test is not None and loop.test.result:
@@ -261,8 +287,7 @@ class LiveSession(PageSession):
             "obeyed": self._obeyed,
             "time": loop.time,
             "factor": 0.0 if self.paused else self.factor,
-            "rotation_deg": float(np.degrees(np.linalg.norm(error[:3]))),
-            "position_m": float(np.linalg.norm(error[3:])),
+            **_errors(pose, wanted),
             "torque": loop.torque.tolist(),
             "setting": None if setting is None else setting.tolist(),
             "safety": None if safety is None else int(safety[0]),
@@ -279,12 +304,22 @@ class LiveSession(PageSession):
             "paused": self.paused,
             "speed": self.speed,
             "ghost": self._ghosts,
+            "beside": None if (pale := self.ghost) is None else _errors(pale.pose, pale.wanted) | {"ended": pale.ended},
             "pull": pull,
+            "moment": moment,
             "test": self._test,
             "knobs": self._knob_rows(),
             "ended": loop.ended,
             "message": self.message,
         }
+
+
+def _errors(pose: np.ndarray, wanted: np.ndarray) -> dict[str, float]:
+    off = pose - wanted
+    return {
+        "rotation_deg": float(np.degrees(np.linalg.norm(off[:3]))),
+        "position_m": float(np.linalg.norm(off[3:])),
+    }
 
 
 def _of_leg(leg: Any) -> dict[str, int] | None:

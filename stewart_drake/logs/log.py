@@ -279,7 +279,8 @@ def _read_signals(path: Path, key: str) -> tuple[dict[str, np.ndarray], tuple[st
         there = dict.fromkeys(tables.quantity_of(name)[0] for name in names)
         states = tuple(name.removeprefix("plant_state_") for name in there if name.startswith("plant_state_"))
         known = [column for signal in SIGNALS for column in _columns(signal, states)]
-        return {name: tables.column_of(names, name, unit, key) for name, unit in known if name in there}
+        given = {name.lower() for name in there}
+        return {name: tables.column_of(names, name, unit, key) for name, unit in known if name.lower() in given}
 
     columns = tables.read_columns(path, key, choose, _MAX_BYTES, MAX_ROWS + 1)
     state_names = tuple(name.removeprefix("plant_state_") for name in columns if name.startswith("plant_state_"))

@@ -315,13 +315,15 @@ def rod_length_errors(robot: Robot, crank_angles: ArrayLike, pose: ArrayLike) ->
 def conditioning(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """sigma_min / sigma_max (...) of [e_M / length; e_l] of (14), rotations over the characteristic length.
 
-    Zero at a parallel singularity; it says nothing about dead centres (see `LegGeometry.transmission`).
+    Rotations are about the platform's centre, whatever tool poses tell of. Zero at a parallel singularity; it says
+    nothing about dead centres (see `LegGeometry.transmission`).
     """
-    length = as_record(robot)["length"][0]
+    length, center = (as_record(robot)[name][0] for name in ("length", "center"))
 
     def ratio(legs: np.ndarray, _: np.ndarray) -> np.ndarray:
+        moments = legs["line"][..., :3] - np.cross((legs["rotation"] @ center)[..., None, :], legs["e_l"])
         # At a pose out of reach, which is refused, lines may not be finite.
-        lines = np.nan_to_num(legs["line"] / ([length] * 3 + [1.0] * 3), posinf=0.0, neginf=0.0)
+        lines = np.nan_to_num(np.concatenate([moments / length, legs["e_l"]], -1), posinf=0.0, neginf=0.0)
         sigma = np.linalg.svd(lines, compute_uv=False)
         return np.asarray(sigma[:, -1] / sigma[:, 0])
 

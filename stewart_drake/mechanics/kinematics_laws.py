@@ -21,11 +21,12 @@ QUICK = 1e-7
 """Tolerance of `conditioning` that leaves seven digits."""
 
 ROBOT = fields(
-    shaft=(6, 3), joint=(6, 3), crank_x=(6, 3), crank_y=(6, 3), crank_length=6, rod_length=6, branch=6,
+    shaft=(6, 3), joint=(6, 3), center=3, crank_x=(6, 3), crank_y=(6, 3), crank_length=6, rod_length=6, branch=6,
     crank_inertia=6, effort_limit=6, rod_mass=(), rod_inertia=(), crank_mass=(), length=(),
     platform_mass=(), platform_moment=3, platform_tensor=(3, 3), platform_inertia=3,
 )  # fmt: skip
-"""Numbers of a robot. shaft: P_i in B [m]. joint: p_i in P [m]. crank_x, crank_y: where a crank points at theta 0 and
+"""Numbers of a robot; P is the tool's frame where it has a tool. shaft: P_i in B [m]. joint: p_i in P [m]. center: of
+the platform in P [m], zeros without a tool. crank_x, crank_y: where a crank points at theta 0 and
 at 90 deg, in B. crank_inertia: of crank and rotor about the motor's axis [kg m^2]. rod_inertia: across the rod
 [kg m^2]. length: characteristic length [m]. platform_moment: mass times centre of mass in P [kg m]. platform_tensor:
 about the origin of P [kg m^2]; platform_inertia: the three moments about the centre of mass, for the paper's model."""
@@ -47,6 +48,7 @@ def robot_record(robot: RobotParameters) -> np.ndarray:
         ROBOT,
         shaft=robot.shaft_positions,
         joint=robot.platform_joints,
+        center=robot.platform_origin,
         crank_x=robot.crank_zero_directions,
         crank_y=robot.crank_quarter_directions,
         crank_length=robot.crank_lengths,
@@ -239,13 +241,17 @@ def crank_jacobian(legs: Any, out: Any) -> None:
 def conditioning(robot: Any, legs: Any, tolerance: float) -> float:
     """sigma_min / sigma_max of the rods' lines (14), rotations over the characteristic length [-].
 
-    Zero at a parallel singularity; it says nothing about dead centres, see `LEGS.transmission`. `tolerance` is that of
-    `linear_algebra.singular_vectors`; `QUICK` does for a check.
+    Rotations are about the platform's centre, whatever tool poses tell of. Zero at a parallel singularity; it says
+    nothing about dead centres, see `LEGS.transmission`. `tolerance` is that of `linear_algebra.singular_vectors`;
+    `QUICK` does for a check.
     """
     scaled, s, v = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
+    center, moment = np.empty(3), np.empty(3)
+    turned(legs.rotation[:], robot.center[:], center)
     for i in range(6):
+        cross(center, legs.e_l[i], moment)
         for k in range(3):
-            scaled[i, k] = legs.line[i, k] / robot.length
+            scaled[i, k] = (legs.line[i, k] - moment[k]) / robot.length
             scaled[i, 3 + k] = legs.line[i, 3 + k]
     singular_vectors(scaled, s, v, tolerance)
     smallest, largest = s[0], s[0]

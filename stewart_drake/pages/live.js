@@ -59,10 +59,13 @@ function options(select, entries) {
   for (const [value, text] of entries) select.append(new Option(text, value));
 }
 
+/** A plot of the last seconds. Of one name its value stands in the title, with that of the robot beside it. */
 function trace(title, unit, names) {
-  const data = [[], ...names.map(() => [])];
+  const alone = names.length === 1;
+  const data = [[], ...names.map(() => []), ...(alone ? [[]] : [])];
   const { box, plot } = tracePlot(at("traces"), title, unit, names, data,
-    { legend: { show: names.length > 1 }, cursor: { drag: { x: false } } });
+    { legend: { show: !alone }, cursor: { drag: { x: false } } });
+  if (alone) plot.addSeries({ stroke: "#009e73", width: 1.5, dash: [6, 4], points: { show: false } });
   const heading = box.querySelector(".u-title");
   return {
     box,
@@ -74,9 +77,15 @@ function trace(title, unit, names) {
       values.forEach((value, k) => data[k + 1].push(value));
       while (data[0][0] < time - WINDOW) data.forEach((each) => each.shift());
     },
+    /** Another robot is beside it, or none. */
+    alone() {
+      data[2].fill(null);
+    },
     draw() {
       plot.setData(data);
-      if (names.length === 1) heading.textContent = `${title}: ${measured(data[1].at(-1), unit)}`;
+      if (!alone) return;
+      const [own, beside] = [data[1].at(-1), data[2].at(-1)];
+      heading.textContent = `${title}: ${measured(own, unit)}${beside == null ? "" : ` (pale: ${measured(beside, unit)})`}`;
     },
   };
 }
@@ -92,7 +101,8 @@ async function begin() {
   document.body.classList.toggle("steers", Boolean(about.machine));
   document.body.classList.toggle("instrument", Boolean(about.instrument));
   view = new RobotScene(at("robot"), about.scene);
-  const pull = !about.instrument ? null : new Pull(view, view.links.find(({ name }) => name === "platform"), tell);
+  const pull = !about.instrument ? null : new Pull(view, view.links.find(({ name }) => name === "platform"), tell,
+    ({ shiftKey, button }) => shiftKey || button === 2 || at("turns").checked, about.scene.links.reference[0].size[0]);
   const knobs = new Knobs(tell, hold);
   home = about.home;
   const sliders = AXES.map(([name, unit, scale], k) =>
@@ -150,6 +160,9 @@ async function begin() {
   at("save").addEventListener("click", () => tell({ do: "save" }));
   at("speed").addEventListener("input", ({ target }) => tell({ do: "speed", value: Number(target.value) }));
   at("ghost").addEventListener("change", ({ target }) => tell({ do: "ghost", controller: target.value || null }));
+  at("test-frequency").addEventListener("change", ({ target }) => {
+    target.value = Math.min(target.max, Math.max(target.min, Number(target.value) || 1));
+  });
   for (const kind of ["step", "sine"]) at(`test-${kind}`).addEventListener("click", () =>
     tell({ do: "test", kind, axis: at("test-axis").value, frequency: Number(at("test-frequency").value) }));
   at("reset").addEventListener("click", () => tell({ do: "reset" }));
@@ -175,7 +188,7 @@ async function begin() {
     });
   };
 
-  let stale = true, events;
+  let stale = true, ghost, events;
   const listen = () => {
     events = new EventSource("events");
     events.onmessage = show;
@@ -200,17 +213,24 @@ async function begin() {
     if (!asking && last.obeyed >= told) write(last);
     if (about.instrument) {
       knobs.show(last.knobs, held);
-      pull.show(last.pull);
+      pull.show(last);
       at("ghost").value = last.ghost;
       at("speed").value = last.speed;
       at("speed-text").textContent = `× ${last.speed}`;
       at("test-result").textContent = last.test;
-      if (last.pull) at("message").textContent = `pulled with ${Number(last.pull.force.toPrecision(2))} N. ${last.message}`;
+      at("message").textContent = [
+        last.pull && `pulled with ${measured(last.pull.force, "N", 2)}`,
+        last.moment && `turned with ${measured(Math.hypot(...last.moment), "N m", 2)}`,
+        at("message").textContent,
+        last.beside?.ended && `pale: ended: ${last.beside.ended}`,
+      ].filter(Boolean).join("; ");
     }
     if (last.links) {
       view.place(last.links);
-      traces.error.add(last.time, [last.position_m]);
-      traces.angle.add(last.time, [last.rotation_deg]);
+      if (last.ghost !== ghost) for (const each of [traces.error, traces.angle]) each.alone();
+      ghost = last.ghost;
+      traces.error.add(last.time, [last.position_m, last.beside?.position_m ?? null]);
+      traces.angle.add(last.time, [last.rotation_deg, last.beside?.rotation_deg ?? null]);
     }
     // Servos tell no torque.
     traces.torque.box.hidden = !last.torque;

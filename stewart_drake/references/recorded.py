@@ -29,20 +29,27 @@ DIFFERENCE = 1e-4  # [s] of differences of a pose that is given alone.
 class RecordedReference(Section, key="reference"):
     """A recorded motion: a cubic spline through the rows of a CSV or Parquet file, the first at t = 0.
 
-    The file has the columns `time_s`, `pose_roll_rad`, `pose_pitch_rad`, `pose_yaw_rad`, `pose_x_m`, `pose_y_m`,
-    `pose_z_m` as in a saved log; `_ms`, `_deg` and `_mm` are accepted too. Times ascend. Angles may wrap: jumps by a
+    Times ascend. Angles may wrap: jumps by a
     whole turn are removed. The spline (not-a-knot) passes through every row, noise included, so filter a recording
     first. A run starts with the recording's own velocity. After the last row the motion comes to rest with continuous
-    acceleration. A recorded move of Reachy Mini in its maker's JSON is read too: its head on its body.
+    acceleration.
     """
 
     kind: Literal["recorded"] = "recorded"
     motion_file: Text
-    """File of the motion, .csv, .parquet or .json, relative to the scenario file."""
+    """File of the motion, .csv, .parquet or .json, relative to the scenario file. Columns in any order, the unit in the
+    name: `time_s` (or `_ms`), `roll_rad`, `pitch_rad`, `yaw_rad` (or `_deg`), `x_m`, `y_m`, `z_m` (or `_mm`); also in
+    capitals, or with `pose_` before them as in a saved log. A .json is a recorded move of Reachy Mini in its maker's
+    format: its head on its body."""
     time_scale: Positive = 1.0
     """[s] duration of one unit of the file's time: 0.001 for a file in milliseconds, 2 for half the speed."""
     settle: Annotated[Real, Field(ge=1e-6, le=1e6)] = 0.25
     """[s] time from the last row to rest."""
+
+    @property
+    def of_head(self) -> bool:
+        """Whether it is a move of Reachy Mini, which tells of the platform, whatever tool there is."""
+        return _is_move(self.motion_file)
 
     @property
     def end(self) -> float:
@@ -76,11 +83,15 @@ class RecordedReference(Section, key="reference"):
         return motion, motion.derivative(1), motion.derivative(2)
 
 
+def _is_move(path: str | Path) -> bool:
+    return Path(path).suffix.lower() == ".json"
+
+
 def load_recording(path: str | Path) -> np.ndarray:
     """A recorded motion (n, 7) [s, rad, m] of a file with `QUANTITIES`, checked; wrapped angles without jumps."""
     path = Path(path)
     key = f"recorded motion {path}"
-    if path.suffix.lower() == ".json":
+    if _is_move(path):
         move = read_move(path)
         return np.column_stack([move.time, move.pose])
     if path.suffix.lower() not in (".csv", ".parquet"):

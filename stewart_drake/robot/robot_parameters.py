@@ -230,6 +230,11 @@ class RobotParameters(Section, key="robot"):
         return self._told(self.joints_in_platform)
 
     @cached_property
+    def platform_origin(self) -> np.ndarray:
+        """(3,) [m] centre of the platform, the origin of P, in the tool's frame; zeros without one."""
+        return self._told(np.zeros(3))
+
+    @cached_property
     def platform_center(self) -> np.ndarray:
         """(3,) [m] centre of mass of the platform in the tool's frame, or P."""
         return self._told(np.array(self.platform_center_of_mass))

@@ -25,6 +25,11 @@ SMOOTHEST = 0.035  # [s] that a move is averaged over at most, the standard devi
 _STEPS, _SHARES = 2000, 21
 
 
+def _of_head(robot: RobotParameters) -> RobotParameters:
+    """The robot without its tool: a move tells of the head."""
+    return robot if robot.tool is None else robot.replace(tool=None)
+
+
 def motion_of(move: Move) -> Any:
     """Spline through the poses of a move, from t = 0."""
     from scipy.interpolate import CubicSpline
@@ -34,6 +39,7 @@ def motion_of(move: Move) -> Any:
 
 def check_move(robot: RobotParameters, move: Move) -> tuple[feasibility.FeasibilityReport, float]:
     """All limits along a move, with the speed of the servos; and the share of its ticks [-] out of reach."""
+    robot = _of_head(robot)
     motion, limits = motion_of(move), ReferenceLimits(crank_speed=SPEED)
     times = feasibility.checked_times(float(motion.x[-1]))
     signals = motion(times), motion(times, 1), motion(times, 2)
@@ -63,6 +69,7 @@ def fix_move(robot: RobotParameters, move: Move) -> tuple[Move, dict[str, float]
         return np.asarray(gaussian_filter1d(widest, 0.5 * NEAR / STEP, mode="nearest"))
 
     given = move.at(np.arange(move.time[0], move.time[-1] + 0.5 * STEP, STEP))
+    robot = _of_head(robot)
     count, home = len(given.time), robot.home_pose
     if count < 4:
         raise ConfigurationError("move", f"{move.time[-1] - move.time[0]:.3g} s", f"at least {3.0 * STEP:g} s")
@@ -104,6 +111,9 @@ def shaped_move(scenario: Scenario, move: Move) -> tuple[Move, np.ndarray]:
     A player that solves inverse kinematics alone then sends the same angles. Six such angles need not have a pose: then
     it is that of the largest share of what they differ by from the angles of the move; these shares [-] too.
     """
+    if scenario.belief.robot.tool is not None:
+        sections = "robot", *(["model.robot"] if scenario.model.robot is not None else [])
+        scenario = scenario.replace({f"{section}.tool": None for section in sections})
     motion = motion_of(move)
     end, ahead = float(motion.x[-1]), scenario.preview
 

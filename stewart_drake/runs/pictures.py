@@ -78,7 +78,13 @@ class Studio:
         self._camera = RigidTransform(RotationMatrix(np.stack([x, np.cross(z, x), z], axis=-1)), camera)
         self._light: list[list[geometry.LightParameter]] = []
 
-    def picture(self, state: np.ndarray, reference: np.ndarray | None = None, passes: int = 1) -> Image:
+    def picture(
+        self,
+        state: np.ndarray,
+        reference: np.ndarray | None = None,
+        passes: int = 1,
+        progress: Callable[[float], None] = lambda _: None,
+    ) -> Image:
         """The robot in a state of the plant, with the pose (6,) [rad, m] of the reference.
 
         VTK knows only hard shadows and rough edges. Many pictures, each under other lights and shifted by a fraction of
@@ -105,6 +111,7 @@ class Studio:
             camera = geometry.ColorRenderCamera(core, False)
             image = query.RenderColorImage(camera, geometry.SceneGraph.world_frame_id(), self._camera)
             total += image.data[..., :3]
+            progress(number + 1.0)
         return Image.fromarray(np.rint(total / passes).astype(np.uint8))
 
     def _light_up(self, passes: int) -> None:
@@ -122,14 +129,21 @@ class Studio:
 
 
 def render_png(
-    robot: RobotParameters, pose: np.ndarray, path: Path, *, width: int = 1200, height: int = 900, passes: int = 16
+    robot: RobotParameters,
+    pose: np.ndarray,
+    path: Path,
+    *,
+    width: int = 1200,
+    height: int = 900,
+    passes: int = 16,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> None:
     """Writes a PNG of the robot at a pose (6,) [rad, m]; more `passes` give softer shadows and smoother edges.
 
-    It needs the system's libEGL.
+    `progress` gets the number of passes done. It needs the system's libEGL.
     """
     studio = Studio(robot, width, height)
-    studio.picture(studio.stewart.assemble(pose), passes=passes).save(path)
+    studio.picture(studio.stewart.assemble(pose), passes=passes, progress=progress).save(path)
 
 
 def write_film(

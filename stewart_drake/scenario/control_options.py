@@ -21,7 +21,7 @@ from stewart_drake.base.config import (
     with_message,
 )
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.base.families import place_users
+from stewart_drake.base.families import place_users, placed
 from stewart_drake.base.registry import ADAPTATIONS, CONTROLLERS, ESTIMATORS, MOTORS, TUNERS
 from stewart_drake.base.sampling import on_grid, steps_per
 from stewart_drake.base.yaml_files import to_yaml
@@ -33,7 +33,7 @@ from stewart_drake.control.tuners import PaperTuner, Tuner
 from stewart_drake.hardware.motors import MotorOptions, TorqueMotors
 from stewart_drake.hardware.presets import PRESETS, Preset
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.references import AnyReference, SineReference
+from stewart_drake.references import AnyReference, RecordedReference, SineReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST_SIZE
 from stewart_drake.robot.robot_files import AnyRobot
@@ -200,8 +200,13 @@ class ControlOptions(Section):
         return pose + np.array(self.initial_offset), rate
 
     def rules(self) -> None:
-        """Periods fit each other, and the tuner its estimator."""
+        """Periods fit each other, the tuner its estimator, and a move the robot."""
         place_users(self)
+        if self.belief.robot.tool is not None:
+            for place, motion in placed(self.reference, RecordedReference, "reference"):
+                if motion.of_head:
+                    allowed = "a motion of the tool; a move tells of the head: robot.tool null plays it"
+                    raise ConfigurationError(f"{place}.motion_file", motion.motion_file, allowed)
         period = self.controller.period
         steps_per("controller.period", period, self.reading_period, "estimator.period")
         steps_per("tuner.period", self.tuner.period or period, period, "controller.period")

@@ -89,18 +89,23 @@ def test_yaml_has_no_aliases_and_no_tags(text, words):
 
 def test_a_column_is_read_in_any_of_its_units_and_its_name_says_which(tmp_path):
     path = tmp_path / "table.csv"
-    path.write_text("note, pose_roll_deg ,torque_0_mNm,x_mm,time\na,180,1500,2,3\n\nb,,0,nan,1e1\n")
+    path.write_text("note, pose_roll_deg ,torque_0_mNm,X_mm,Time\na,180,1500,2,3\n\nb,,0,nan,1e1\n")
     quantities = (("time", "s"), ("pose_roll", "rad"), ("pose_x", "m"), ("torque_0", "N m"))
     values = read_numbers(path, "table", quantities, 1000, 9)
     np.testing.assert_allclose(values, [[3.0, np.pi, 0.002, 1.5], [10.0, np.nan, np.nan, 0.0]])
     path.write_text(numbers_to_csv(quantities, values))
     assert path.read_text().splitlines()[0] == "time_s,pose_roll_rad,pose_x_m,torque_0_Nm"
     np.testing.assert_array_equal(read_numbers(path, "table", quantities, 1000, 9), values)
+    path.write_text("time,x_mm,X_m,pose_roll,torque_0\n1,2,3,4,5\n")
+    with pytest.raises(ConfigurationError, match=r"column of pose_x: .*got 'x_mm, X_m'"):
+        read_numbers(path, "table", quantities, 1000, 9)
+    path.write_text(numbers_to_csv(quantities, values))
     for rows, size, words in ((1, 1000, "at most 1 rows"), (9, 10, "at most 10 bytes")):
         with pytest.raises(ConfigurationError, match=words):
             read_numbers(path, "table", quantities, size, rows)
     for unit in ENDINGS:
         assert quantity_of(column_name("of_something", unit)) == ("of_something", 1.0)
+    assert quantity_of("POSE_X_MM") == ("POSE_X", 1e-3)
 
 
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])

@@ -12,6 +12,7 @@ from stewart_drake.base.errors import ConfigurationError, DiskError
 from stewart_drake.base.yaml_files import shipped_folder
 from stewart_drake.cli import run_commands
 from stewart_drake.cli.options import COMMANDS
+from stewart_drake.cli.terminal import print_table
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.logs.log import load_log
 from stewart_drake.runs import outputs
@@ -281,3 +282,12 @@ def test_what_goes_wrong_is_one_line_and_on_request_a_traceback(call, monkeypatc
     assert ("Traceback" in err) == ("--debug" in arguments)
     # click ends the line that Ctrl-C is on, and does so where a file has ended too.
     assert "--debug" in arguments or len(err.strip().splitlines()) == 1
+
+
+def test_a_long_line_of_a_table_folds_and_the_others_do_not(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    facts = [("a name of some length", "1.0 mm")] * 5 + [("warning", "words and more of them " * 10)]
+    print_table("facts", facts)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) == 80
+    assert sum("a name of some length" in line for line in lines) == 5

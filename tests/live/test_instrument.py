@@ -2,8 +2,19 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from stewart_drake.live.instrument import Probe, Spring, as_instrument, knob_value, knobs_of, largest_force, turned
+from stewart_drake.live.instrument import (
+    Probe,
+    Spring,
+    as_instrument,
+    knob_value,
+    knobs_of,
+    largest_force,
+    largest_moment,
+    turned,
+    turning_spring,
+)
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.session import LiveSession
 from stewart_drake.mechanics.dynamics import static_torque
@@ -39,16 +50,32 @@ def test_a_spring_pulls_its_point_towards_its_place_with_at_most_its_largest_for
     assert np.linalg.norm(far.force(pose)[1]) == pytest.approx(20.0)
 
 
+@pytest.mark.parametrize("angle", [0.1, 0.3, 3.0])
+def test_a_spring_turns_about_the_way_that_is_left_with_at_most_its_largest_moment(angle):
+    robot, pose, axis = (
+        load_robot("paper"),
+        np.array([0.1, -0.2, 0.3, 0.01, 0.02, 0.3]),
+        np.array([2.0, -1.0, 2.0]) / 3.0,
+    )
+    held = rotation_matrix(pose[:3])
+    spring = turning_spring(robot, 9.81, held, angle * axis)
+    most = 0.2 * largest_moment(robot, 9.81)
+    np.testing.assert_allclose(spring.wrench(pose), [*most * min(1.0, angle / 0.3) * axis, 0.0, 0.0, 0.0], atol=1e-9)
+    # Where it has turned so far nothing is left.
+    there = Rotation.from_matrix(Rotation.from_rotvec(angle * axis).as_matrix() @ held).as_euler("xyz")
+    np.testing.assert_allclose(spring.wrench(np.array([*there, 0.0, 0.0, 0.3])), 0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize("name", ["paper", "reachy_mini", "servo_hexapod"])
-def test_the_motors_have_room_for_the_largest_force_along_some_axis(name):
+def test_the_motors_have_room_for_the_largest_force_and_moment_along_some_axis(name):
     robot = load_robot(name)
-    force = largest_force(robot, 9.81)
     map_of_poses = np.linalg.inv(pose_jacobian(robot, robot.home_pose)).T
-    left = [
-        robot.effort_limits - abs(static_torque(robot, robot.home_pose)) - force * abs(map_of_poses[:, axis])
-        for axis in (3, 4, 5)
-    ]
-    assert max(each.min() for each in left) > 0.3 * robot.effort_limits.min()
+    for most, axes in ((largest_moment(robot, 9.81), (0, 1, 2)), (largest_force(robot, 9.81), (3, 4, 5))):
+        left = [
+            robot.effort_limits - abs(static_torque(robot, robot.home_pose)) - most * abs(map_of_poses[:, axis])
+            for axis in axes
+        ]
+        assert max(each.min() for each in left) > 0.3 * robot.effort_limits.min()
 
 
 def test_a_pulled_platform_gives_way_and_comes_back():
@@ -64,6 +91,39 @@ def test_a_pulled_platform_gives_way_and_comes_back():
     assert live.row()["pull"] is None
     assert live.row()["position_m"] < 1e-5
     assert not live.loop.ended
+
+
+def test_a_turned_platform_gives_way_and_its_moment_stays_with_the_hand():
+    live = session()
+    live.loop.advance(200)
+    do(live, do="turn", turn=[0, 0, 0])
+    live.loop.advance(20)
+    assert np.linalg.norm(live.row()["moment"]) < 1e-3
+    do(live, do="turn", turn=[0, 0, 1.0])
+    live.loop.advance(20)
+    row = live.row()
+    most = 0.2 * largest_moment(live.loop.scenario.robot, 9.81)
+    np.testing.assert_allclose(row["moment"], [0, 0, most], atol=0.01 * most)
+    assert row["pull"] is None
+    assert live.loop.pose[2] > 1e-4
+    do(live, do="release")
+    live.loop.advance(1500)
+    assert live.row()["moment"] is None
+    assert live.row()["rotation_deg"] < 1e-3
+    assert not live.loop.ended
+
+
+def test_the_robot_beside_has_errors_of_its_own():
+    live = session()
+    assert live.row()["beside"] is None
+    do(live, do="ghost", controller="PID of each motor")
+    do(live, do="push", wrench=[0, 0, 0, 5, 0, 0], duration=0.05)
+    live._each(lambda loop: loop.advance(50))
+    row = live.row()
+    off = live.ghost.pose - live.ghost.wanted
+    assert row["beside"]["position_m"] == pytest.approx(np.linalg.norm(off[3:]))
+    assert row["beside"]["position_m"] > 2.0 * row["position_m"]
+    assert row["beside"]["ended"] == ""
 
 
 def test_sliders_stand_where_the_scenario_does_and_go_no_farther_than_their_ends():

@@ -258,9 +258,8 @@ def test_the_replay_plays_and_seeks(browser, tmp_path):
     page.close()
 
 
-def test_the_platform_is_pulled_where_the_mouse_grabs_it(page):
-    page.click("#reset")
-    place = page.evaluate(
+def middle_of_platform(page):
+    return page.evaluate(
         """() => {
           const at = view.links.find(({ name }) => name === "platform").getWorldPosition(new THREE.Vector3());
           const { left, top, width, height } = view.renderer.domElement.getBoundingClientRect();
@@ -268,6 +267,11 @@ def test_the_platform_is_pulled_where_the_mouse_grabs_it(page):
           return [left + (x + 1) / 2 * width, top + (1 - y) / 2 * height];
         }"""
     )
+
+
+def test_the_platform_is_pulled_where_the_mouse_grabs_it(page):
+    page.click("#reset")
+    place = middle_of_platform(page)
     page.mouse.move(*place)
     page.mouse.down()
     page.mouse.move(place[0] + 60, place[1], steps=5)
@@ -276,6 +280,36 @@ def test_the_platform_is_pulled_where_the_mouse_grabs_it(page):
     page.mouse.up()
     wait(page, "last.pull === null")
     page.click("#reset")
+
+
+@pytest.mark.parametrize("how", ["shift", "right button", "checkbox"])
+def test_the_platform_is_turned_by_the_mouse(page, how):
+    page.click("#reset")
+    place, button = middle_of_platform(page), "right" if how == "right button" else "left"
+    page.set_checked("#turns", how == "checkbox")
+    if how == "shift":
+        page.keyboard.down("Shift")
+    page.mouse.move(*place)
+    page.mouse.down(button=button)
+    page.mouse.move(place[0] + 60, place[1], steps=5)
+    # To the right: about the vertical of the picture.
+    wait(page, "last.moment !== null && last.moment[2] > 0.01")
+    assert page.evaluate("last.pull") is None
+    wait(page, "document.getElementById('message').textContent.startsWith('turned with ')")
+    page.mouse.up(button=button)
+    if how == "shift":
+        page.keyboard.up("Shift")
+    wait(page, "last.moment === null && view.controls.enabled")
+    page.set_checked("#turns", False)
+    page.click("#reset")
+
+
+def test_the_robot_beside_is_in_the_plots(page):
+    page.select_option("#ghost", "PID of each motor")
+    wait(page, "traces.error.data[2].at(-1) > 0 && traces.angle.data[2].at(-1) >= 0", 60_000)
+    wait(page, "document.querySelector('#traces .u-title').textContent.includes('(pale: ')")
+    page.select_option("#ghost", "")
+    wait(page, "traces.error.data[2].every((value) => value === null)")
 
 
 def test_a_step_is_asked_for_and_its_figures_are_shown(page):

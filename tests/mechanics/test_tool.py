@@ -11,11 +11,18 @@ from stewart_drake import RobotParameters, Scenario, load_robot, run
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.estimation import geometry, torques
 from stewart_drake.hardware.motors import TorqueMotors
-from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque
-from stewart_drake.mechanics.kinematics import crank_rates, forward_kinematics, inverse_kinematics, leg_geometry
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics, static_torque
+from stewart_drake.mechanics.kinematics import (
+    conditioning,
+    crank_rates,
+    forward_kinematics,
+    inverse_kinematics,
+    leg_geometry,
+)
 from stewart_drake.plant.model_files import home_frames
 from stewart_drake.runs.scene import link_poses
 from stewart_drake.scenario.controller import Controller
+from stewart_drake.scenario.limits import ReferenceLimits, limit_margins
 
 TOOLS = st.tuples(vectors(3, 0.3), vectors(3, 1.2))
 REACHY = load_robot("reachy_mini")
@@ -73,6 +80,20 @@ def test_angles_and_torques_are_those_of_the_platform(robot, tool, data):
     np.testing.assert_allclose(speeds[1], speeds[0], atol=1e-9 * max(1.0, np.abs(speeds[0]).max()))
     torque = inverse_dynamics(robot, pose, rate, acceleration)
     np.testing.assert_allclose(inverse_dynamics(other, *told), torque, atol=1e-9 * max(1.0, np.abs(torque).max()))
+
+
+@given(st.sampled_from([UNEQUAL, REACHY]), TOOLS, st.data())
+def test_conditioning_is_that_of_the_platform_wherever_the_tool_is(robot, tool, data):
+    pose, still = robot.home_pose + 0.05 * data.draw(vectors(6, 0.1)), np.zeros((1, 6))
+    told = told_of(tool, pose, *np.zeros((2, 6)))[0]
+    assume(abs(told[1]) < 1.3)
+    other = with_tool(robot, *tool)
+    np.testing.assert_allclose(conditioning(other, told), conditioning(robot, pose), rtol=1e-9)
+    margins = [
+        limit_margins(r, ReferenceLimits(), at[None], still, still, STANDARD_GRAVITY)["conditioning"]
+        for r, at in ((robot, pose), (other, told))
+    ]
+    np.testing.assert_allclose(margins[1], margins[0], atol=1e-9)
 
 
 @given(TOOLS)

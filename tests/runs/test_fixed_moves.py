@@ -123,3 +123,24 @@ def test_an_ordinary_player_of_a_shaped_move_sends_what_the_exact_model_sends(tm
 def test_a_controller_that_reads_or_sends_torques_shapes_nothing():
     with pytest.raises(ConfigurationError, match="motors that take angles"):
         shaped_move(load_scenario("reachy_nod"), moving(0, np.zeros(100)))
+
+
+TOOL = {"position": [0.02, 0.0, 0.1], "orientation": [0.2, -0.1, 0.3]}
+
+
+def test_a_tool_on_the_head_changes_nothing_of_a_move():
+    jump, robot = moving(0, np.where(np.arange(100) < 50, 0.0, 0.2)), ROBOT.replace(tool=TOOL)
+    assert check_move(robot, jump) == check_move(ROBOT, jump)
+    np.testing.assert_array_equal(fix_move(robot, jump)[0].pose, fix_move(ROBOT, jump)[0].pose)
+    nod, scenario = moving(1, 0.2 * np.sin(STEP * np.arange(50))), load_scenario("reachy_nod", SERVO)
+    plain = shaped_move(scenario, nod)[0].pose
+    np.testing.assert_array_equal(shaped_move(scenario.replace({"robot.tool": TOOL}), nod)[0].pose, plain)
+
+
+def test_a_scenario_with_a_tool_refuses_a_move_in_a_line(tmp_path):
+    (tmp_path / "nod.json").write_bytes(move_json(moving(1, 0.1 * np.sin(STEP * np.arange(50)))))
+    recorded = {"kind": "recorded", "motion_file": str(tmp_path / "nod.json")}
+    for reference, place in ((recorded, ""), ({"kind": "adjusted", "motion": recorded}, r"\.motion")):
+        with pytest.raises(ConfigurationError, match=rf"reference{place}\.motion_file.*robot\.tool null") as caught:
+            load_scenario("reachy_nod").replace({"reference": reference, "robot.tool": TOOL})
+        assert "\n" not in str(caught.value)
