@@ -163,7 +163,7 @@ def print_table(
         tell(f"more columns in a wider terminal or with --json: {', '.join(header[shown:])}")
 
 
-def _widened(widths: list[int], longest: list[int], room: int, rows: list[list[str]]) -> list[int]:
+def _widened(widths: list[int], longest: list[int], room: int, rows: Sequence[Sequence[str]]) -> list[int]:
     """Widths of columns that fill the room: one is as long as it wants, of the others the one that lacks most grows."""
 
     def spread(first: int) -> list[int]:
