@@ -179,6 +179,12 @@ async function begin() {
     const values = { payload: row.payload, kappa: row.kappa, dead: row.dead ?? "", frozen: row.frozen ?? "", controller: row.controller };
     for (const [id, value] of Object.entries(values)) if (at(id) !== held) at(id).value = value;
     at("move").checked = row.motion;
+    if (about.instrument) {
+      knobs.show(row.knobs, held);
+      at("ghost").value = row.ghost;
+      at("speed").value = row.speed;
+      at("speed-text").textContent = `× ${row.speed}`;
+    }
     writePayload();
     writeKappa();
     sliders.forEach(({ input, write: text }, k) => {
@@ -212,11 +218,7 @@ async function begin() {
     // Not before what was asked for here is done: the control would jump back for a moment.
     if (!asking && last.obeyed >= told) write(last);
     if (about.instrument) {
-      knobs.show(last.knobs, held);
       pull.show(last);
-      at("ghost").value = last.ghost;
-      at("speed").value = last.speed;
-      at("speed-text").textContent = `× ${last.speed}`;
       at("test-result").textContent = last.test;
       at("message").textContent = [
         last.pull && `pulled with ${measured(last.pull.force, "N", 2)}`,
