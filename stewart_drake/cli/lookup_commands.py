@@ -70,7 +70,8 @@ def explain(key: str) -> None:
     if not matching and (of_kind := [each for each in every if each.kind == kind]):
         places = [each.name.rpartition(".")[0] for each in of_kind]
         place = section or min(places, key=len)
-        matching = [each for each, at in zip(of_kind, places, strict=True) if at == place and not each.chooses_kind]
+        there = [each for each, at in zip(of_kind, places, strict=True) if at == place and not each.chooses_kind]
+        matching = [each._replace(kind="") for each in there]
     if not matching:
         names = dict.fromkeys(name for each in every for name in (each.name, each.name.rpartition(".")[2]))
         raise ConfigurationError("KEY", key, f"a key of a scenario, sweep or comparison{did_you_mean(key, names)}")
