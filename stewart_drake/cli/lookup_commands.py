@@ -172,7 +172,9 @@ def doctor() -> None:
     versions = collect_versions() | {
         name: package_version(name) for name in ("numba", "torch", "mujoco", "distributed")
     }
-    rows = [(name, version or "not installed") for name, version in versions.items() if name != "source"]
+    # Outside of a checkout there is no revision.
+    unsaid = {"source", "git_revision"} if versions["git_revision"] is None else {"source"}
+    rows = [(name, version or "not installed") for name, version in versions.items() if name not in unsaid]
     rows.append(("graphviz", shutil.which("dot") or "not installed: runs write diagram.dot, but no diagram.svg"))
     cache = jit._FOLDER
     kept = "not cached: set NUMBA_CACHE_DIR to a writable folder"
