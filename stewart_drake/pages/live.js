@@ -30,7 +30,7 @@ async function tell(command) {
 
 /** Says that nothing here is live, and why; an empty text says that it is again. */
 function gone(why) {
-  at("gone").textContent = why;
+  at("gone").textContent = why && last?.ended ? `Ended: ${last.ended}. ${why}` : why;
   at("gone").hidden = !why;
   document.body.classList.toggle("gone", why !== "");
 }

@@ -335,7 +335,8 @@ def test_a_page_that_steers_a_machine(browser):
     page, errors = opened(browser, session.url, width=390)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     assert page.inner_text("#name") == "reachy_servos on sim:"
-    assert page.is_visible("#stop")
+    page.evaluate("scrollTo(0, document.body.scrollHeight)")
+    assert page.locator("#stop").bounding_box()["y"] < 1000
     assert not page.is_visible("#pause")
     assert not page.is_visible("#payload")
     page.evaluate(
@@ -350,6 +351,6 @@ def test_a_page_that_steers_a_machine(browser):
     wait(page, "last.ended === 'stopped'")
     assert session.process.wait(20) == 0
     session.process.stdout.close()
-    wait(page, "!document.getElementById('gone').hidden")
+    wait(page, "document.getElementById('gone').textContent.startsWith('Ended: stopped. No connection')")
     assert errors == []
     page.close()
