@@ -136,11 +136,13 @@ async function begin() {
   options(at("ghost"), [["", "none"], ...about.controllers.map((name) => [name, name])]);
   options(at("test-axis"), AXES.map(([name]) => [name, name]));
   at("test-axis").value = "Z";
-  if (!about.encoders) {
-    at("frozen").disabled = true;
-    at("frozen-label").classList.add("off");
-    at("frozen-label").title = "this scenario reads poses: --set sensors=encoders";
-  }
+  const off = (id, why) => {
+    at(id).disabled = true;
+    at(`${id}-label`).classList.add("off");
+    at(`${id}-label`).title = why;
+  };
+  if (!about.encoders) off("frozen", "this scenario reads poses: --set sensors=encoders");
+  if (!about.may_fail) off("dead", "these motors take no torque: none of them can be off alone");
   for (const id of ["push-force"]) {
     at(id).max = about.force_most ?? 20;
     at(id).min = at(id).step = at(id).max / 40;

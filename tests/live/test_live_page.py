@@ -111,6 +111,18 @@ def test_smoothness_is_there_where_the_controller_has_a_tuner(browser):
     assert session.end() == 0
 
 
+def test_what_a_scenario_has_no_part_for_is_grey_with_the_reason(browser):
+    servos = ("motors={kind: position}", "controller={kind: feedforward, period: 0.02}", "safety=null", "sensors=ideal")
+    session = Live("sway", *(word for each in servos for word in ("--set", each)))
+    page, errors = opened(browser, session.url)
+    for name in ("dead", "frozen"):
+        assert page.is_disabled(f"#{name}")
+        assert page.get_attribute(f"#{name}-label", "title")
+    page.close()
+    assert errors == []
+    assert session.end() == 0
+
+
 def test_pausing_stops_the_clock(page):
     page.click("#pause")
     wait(page, "last.paused")
