@@ -15,7 +15,15 @@ ROOT = Path(__file__).parent.parent
 WANTED = (
     *("comparisons/fair.yaml", "paper/claims.csv", "robots/reachy_mini.yaml", "scenarios/paper_fig7.yaml"),
     *("sdf/stewart.sdf", "sweeps/monte_carlo.yaml", "weights/policy.json", "weights/tuner.json"),
-    *("pages/live.html", "pages/replay.html", "pages/scene.js", "pages/plots.js", "pages/common.css"),
+    *(
+        "cli/templates/sweep.yaml",
+        "pages/instrument.js",
+        "pages/live.html",
+        "pages/replay.html",
+        "pages/scene.js",
+        "pages/plots.js",
+        "pages/common.css",
+    ),
     *("pages/uPlot.iife.min.js", "pages/uPlot.LICENSE", "pages/three.min.js", "pages/three.LICENSE"),
 )
 

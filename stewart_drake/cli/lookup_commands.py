@@ -70,7 +70,8 @@ def explain(key: str) -> None:
     if not matching and (of_kind := [each for each in every if each.kind == kind]):
         places = [each.name.rpartition(".")[0] for each in of_kind]
         place = section or min(places, key=len)
-        matching = [each for each, at in zip(of_kind, places, strict=True) if at == place and not each.chooses_kind]
+        there = [each for each, at in zip(of_kind, places, strict=True) if at == place and not each.chooses_kind]
+        matching = [each._replace(kind="") for each in there]
     if not matching:
         names = dict.fromkeys(name for each in every for name in (each.name, each.name.rpartition(".")[2]))
         raise ConfigurationError("KEY", key, f"a key of a scenario, sweep or comparison{did_you_mean(key, names)}")
@@ -171,7 +172,9 @@ def doctor() -> None:
     versions = collect_versions() | {
         name: package_version(name) for name in ("numba", "torch", "mujoco", "distributed")
     }
-    rows = [(name, version or "not installed") for name, version in versions.items() if name != "source"]
+    # Outside of a checkout there is no revision.
+    unsaid = {"source", "git_revision"} if versions["git_revision"] is None else {"source"}
+    rows = [(name, version or "not installed") for name, version in versions.items() if name not in unsaid]
     rows.append(("graphviz", shutil.which("dot") or "not installed: runs write diagram.dot, but no diagram.svg"))
     cache = jit._FOLDER
     kept = "not cached: set NUMBA_CACHE_DIR to a writable folder"

@@ -45,9 +45,9 @@ def _cells(move: Move) -> tuple[bool, list[str], dict[str, Any]]:
         worst = report.smallest.get(name)
         size = 0.0 if worst is None else scale * (worst.margin if name == "crank_range" else worst.value)
         broken = "broken " if worst is not None and worst.margin < 0.0 else ""
-        cells.append("-" if worst is None else f"{broken}{_number(size)} at {worst.time:.2f} s")
+        cells.append("-" if worst is None else f"{broken}{_number(size)} @{worst.time:.2f}s")
     others = [each for name, each in report.smallest.items() if name not in SHOWN and each.margin < 0.0]
-    cells.append(", ".join(f"{each.limit} {_number(each.value)} at {each.time:.2f} s" for each in others))
+    cells.append(", ".join(f"{each.limit} {_number(each.value)} @{each.time:.2f}s" for each in others))
     margins = {name: asdict(each) | {"unit": each.unit} for name, each in report.smallest.items()}
     return report.feasible, cells, {"feasible": report.feasible, "no_solution": unreachable, **margins}
 

@@ -65,7 +65,9 @@ def progress_bar(title: str, total: float, unit: str = "s") -> Iterator[Callable
     try:
         yield advance
     finally:
-        bar.stop()
+        # One that has not begun would end with an empty line.
+        if bar.live.is_started:
+            bar.stop()
 
 
 def _moving(title: str) -> tuple[Any, Any]:
@@ -163,21 +165,19 @@ def print_table(
         tell(f"more columns in a wider terminal or with --json: {', '.join(header[shown:])}")
 
 
-def _widened(widths: list[int], longest: list[int], room: int, rows: Sequence[Sequence[str]]) -> list[int]:
-    """Widths of columns that fill the room: one is as long as it wants, of the others the one that lacks most grows."""
-
-    def spread(first: int) -> list[int]:
-        wide = list(widths)
-        wide[first] += max(0, min(longest[first], wide[first] + room - sum(wide)) - wide[first])
-        for _ in range(room - sum(wide)):
-            place = max(range(len(wide)), key=lambda at: longest[at] - wide[at])
-            wide[place] += longest[place] > wide[place]
-        return wide
+def _widened(widths: list[int], longest: list[int], room: int, rows: Iterable[Sequence[str]]) -> list[int]:
+    """Widths of columns that fill the room: whole columns first, or evenly, as it takes fewer lines."""
+    even, whole = list(widths), list(widths)
+    for _ in range(room - sum(widths)):
+        place = max(range(len(even)), key=lambda at: longest[at] - even[at])
+        even[place] += longest[place] > even[place]
+    for place in sorted(range(len(whole)), key=lambda at: longest[at] - whole[at]):
+        whole[place] += max(0, min(longest[place] - whole[place], room - sum(whole)))
 
     def lines(wide: list[int]) -> int:
         return sum(max(-(-len(cell) // width) for cell, width in zip(row, wide, strict=False)) for row in rows)
 
-    return min(map(spread, range(len(widths))), key=lines)
+    return min(whole, even, key=lines)
 
 
 def _plain(cell: str) -> float | str:

@@ -26,7 +26,8 @@ def start_live(scenario: Scenario, port: int | None = None) -> tuple[LiveSession
     warm = LiveLoop(scenario)
     for changes in CONTROLLERS.values():
         warm.change(changes)
-        warm.advance(2)
+        # To the controller's next tick.
+        warm.advance(round(warm.scenario.controller.period / warm.scenario.plant.time_step) + 1)
 
     session = LiveSession(scenario)
     about = about_robot(scenario, session.loop.reference.home, ghost=True)
@@ -45,6 +46,7 @@ def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> di
         "payload_most": max(float(f"{0.5 * robot.platform_mass:.1g}"), scenario.plant.payload_mass),
         "force_most": largest_force(robot, scenario.gravity),
         "encoders": scenario.sensors.reading == "angles",
+        "may_fail": "dead" in scenario.motors.to_dict(),
         "controllers": list(CONTROLLERS),
     }
 

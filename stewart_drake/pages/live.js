@@ -30,7 +30,7 @@ async function tell(command) {
 
 /** Says that nothing here is live, and why; an empty text says that it is again. */
 function gone(why) {
-  at("gone").textContent = why;
+  at("gone").textContent = why && last?.ended ? `Ended: ${last.ended}. ${why}` : why;
   at("gone").hidden = !why;
   document.body.classList.toggle("gone", why !== "");
 }
@@ -136,11 +136,13 @@ async function begin() {
   options(at("ghost"), [["", "none"], ...about.controllers.map((name) => [name, name])]);
   options(at("test-axis"), AXES.map(([name]) => [name, name]));
   at("test-axis").value = "Z";
-  if (!about.encoders) {
-    at("frozen").disabled = true;
-    at("frozen-label").classList.add("off");
-    at("frozen-label").title = "this scenario reads poses: --set sensors=encoders";
-  }
+  const off = (id, why) => {
+    at(id).disabled = true;
+    at(`${id}-label`).classList.add("off");
+    at(`${id}-label`).title = why;
+  };
+  if (!about.encoders) off("frozen", "this scenario reads poses: --set sensors=encoders");
+  if (!about.may_fail) off("dead", "these motors take no torque: none of them can be off alone");
   for (const id of ["push-force"]) {
     at(id).max = about.force_most ?? 20;
     at(id).min = at(id).step = at(id).max / 40;
@@ -179,6 +181,12 @@ async function begin() {
     const values = { payload: row.payload, kappa: row.kappa, dead: row.dead ?? "", frozen: row.frozen ?? "", controller: row.controller };
     for (const [id, value] of Object.entries(values)) if (at(id) !== held) at(id).value = value;
     at("move").checked = row.motion;
+    if (about.instrument) {
+      knobs.show(row.knobs, held);
+      at("ghost").value = row.ghost;
+      at("speed").value = row.speed;
+      at("speed-text").textContent = `× ${row.speed}`;
+    }
     writePayload();
     writeKappa();
     sliders.forEach(({ input, write: text }, k) => {
@@ -212,11 +220,7 @@ async function begin() {
     // Not before what was asked for here is done: the control would jump back for a moment.
     if (!asking && last.obeyed >= told) write(last);
     if (about.instrument) {
-      knobs.show(last.knobs, held);
       pull.show(last);
-      at("ghost").value = last.ghost;
-      at("speed").value = last.speed;
-      at("speed-text").textContent = `× ${last.speed}`;
       at("test-result").textContent = last.test;
       at("message").textContent = [
         last.pull && `pulled with ${measured(last.pull.force, "N", 2)}`,

@@ -113,7 +113,9 @@ def shaped_move(scenario: Scenario, move: Move) -> tuple[Move, np.ndarray]:
     """
     if scenario.belief.robot.tool is not None:
         sections = "robot", *(["model.robot"] if scenario.model.robot is not None else [])
-        scenario = scenario.replace({f"{section}.tool": None for section in sections})
+        # A motion of its own would still be the tool's.
+        still = {"reference": {"kind": "hold"}, "initial_offset": [0.0] * 6}
+        scenario = scenario.replace({**still, **{f"{section}.tool": None for section in sections}})
     motion = motion_of(move)
     end, ahead = float(motion.x[-1]), scenario.preview
 

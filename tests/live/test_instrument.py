@@ -113,6 +113,20 @@ def test_a_turned_platform_gives_way_and_its_moment_stays_with_the_hand():
     assert not live.loop.ended
 
 
+def test_a_hand_is_no_wrong_motor_until_reset():
+    live = session()
+    assert live.loop.scenario.safety.unexplained_torque is not None
+    push = 0.25 * largest_force(live.loop.scenario.robot, 9.81)
+    live.loop.advance(200)
+    do(live, do="push", wrench=[0, 0, 0, push, 0, 0], duration=0.1)
+    live.loop.advance(1500)
+    assert not live.loop.ended
+    assert live.row()["position_m"] < 1e-4
+    assert live.loop.scenario.safety.unexplained_torque is None
+    do(live, do="reset")
+    assert live.loop.scenario.safety.unexplained_torque is not None
+
+
 def test_the_robot_beside_has_errors_of_its_own():
     live = session()
     assert live.row()["beside"] is None
@@ -157,6 +171,7 @@ def test_a_step_and_a_sine_give_their_figures_of_both_robots():
     live.loop.advance(200)
     do(live, do="ghost", controller="PID of each motor")
     do(live, do="test", kind="step", axis="Z")
+    assert live.row()["test"] == "step of Z: under way"
     live._each(lambda loop: loop.advance(2100))
     assert live.row()["test"].startswith("step of Z, 1.1 mm: rise ")
     assert "; pale, PID of each motor: rise " in live.row()["test"]

@@ -111,6 +111,18 @@ def test_smoothness_is_there_where_the_controller_has_a_tuner(browser):
     assert session.end() == 0
 
 
+def test_what_a_scenario_has_no_part_for_is_grey_with_the_reason(browser):
+    servos = ("motors={kind: position}", "controller={kind: feedforward, period: 0.02}", "safety=null", "sensors=ideal")
+    session = Live("sway", *(word for each in servos for word in ("--set", each)))
+    page, errors = opened(browser, session.url)
+    for name in ("dead", "frozen"):
+        assert page.is_disabled(f"#{name}")
+        assert page.get_attribute(f"#{name}-label", "title")
+    page.close()
+    assert errors == []
+    assert session.end() == 0
+
+
 def test_pausing_stops_the_clock(page):
     page.click("#pause")
     wait(page, "last.paused")
@@ -335,7 +347,8 @@ def test_a_page_that_steers_a_machine(browser):
     page, errors = opened(browser, session.url, width=390)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     assert page.inner_text("#name") == "reachy_servos on sim:"
-    assert page.is_visible("#stop")
+    page.evaluate("scrollTo(0, document.body.scrollHeight)")
+    assert page.locator("#stop").bounding_box()["y"] < 1000
     assert not page.is_visible("#pause")
     assert not page.is_visible("#payload")
     page.evaluate(
@@ -350,6 +363,6 @@ def test_a_page_that_steers_a_machine(browser):
     wait(page, "last.ended === 'stopped'")
     assert session.process.wait(20) == 0
     session.process.stdout.close()
-    wait(page, "!document.getElementById('gone').hidden")
+    wait(page, "document.getElementById('gone').textContent.startsWith('Ended: stopped. No connection')")
     assert errors == []
     page.close()

@@ -10,6 +10,7 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.references.moves import HEAD_HEIGHT, STEP, Move, move_json, moves_of, read_move
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.runs.moves import SMOOTHEST, TORQUE, averaged, check_move, fix_move, motion_of, shaped_move
+from stewart_drake.scenario.scenario import load_driven
 
 ROBOT = load_robot("reachy_mini")
 SERVO = ["motors={kind: position, preset: xl330_m288, delay: 0.01}", "controller={kind: feedforward}", "safety=null"]
@@ -135,6 +136,9 @@ def test_a_tool_on_the_head_changes_nothing_of_a_move():
     nod, scenario = moving(1, 0.2 * np.sin(STEP * np.arange(50))), load_scenario("reachy_nod", SERVO)
     plain = shaped_move(scenario, nod)[0].pose
     np.testing.assert_array_equal(shaped_move(scenario.replace({"robot.tool": TOOL}), nod)[0].pose, plain)
+    driven = load_driven("reachy_daemon"), load_driven("reachy_daemon", ["model.robot.tool={position: [0, 0, 0.1]}"])
+    plain, told = (shaped_move(each, nod)[0].pose for each in driven)
+    np.testing.assert_array_equal(told, plain)
 
 
 def test_a_scenario_with_a_tool_refuses_a_move_in_a_line(tmp_path):
