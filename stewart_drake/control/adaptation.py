@@ -17,6 +17,7 @@ from stewart_drake.control.adaptation_laws import COMMON, HALF, JOINT, LATE, MID
 from stewart_drake.control.ball_joints import BallJoints, joints_record
 from stewart_drake.control.base import AdaptationOptions
 from stewart_drake.loop.part import LoopContext, Part
+from stewart_drake.mechanics.friction import BELIEVED
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import LEGS, ROBOT, robot_record
 from stewart_drake.robot import RobotParameters
@@ -32,10 +33,9 @@ FINEST = 0.008
 """[s] smallest standard deviation of the kernel: finer, noise of the readings makes much of the acceleration."""
 BLEND, BLEND_TORQUE = 0.5, 0.1
 """[s] in which numbers go over into new ones, and where a motor's torque depends on them at once."""
-_WIDTH = (
-    2.2  # [blocks] of the kernel's standard deviation, as near as whole ticks allow; the fewer, the later a sample.
-)
-_FRICTION = {"coulomb": slice(0, 6), "break_away": slice(6, 12), "viscous": slice(18, 24)}
+WIDTH = 2.2
+"""[blocks] of the kernel's standard deviation, as near as whole ticks allow; the fewer, the later a sample."""
+_LEVELS = ("coulomb", "break_away", "viscous")
 _LINKS = ("rod_mass", "rod_inertia", "crank_mass", "crank_inertia")
 _HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inertia")
 
@@ -168,7 +168,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         # At which noise of the readings leaves a rate that is known to the width of friction's reversal.
         coarse = context.noise**2 * context.period / (4.0 * np.sqrt(np.pi) * believed.width**2)
         smoothing = max(FINEST, 1.5 * context.period, float(np.cbrt(coarse)))
-    stride = max(1, round(smoothing / (_WIDTH * context.period)))
+    stride = max(1, round(smoothing / (WIDTH * context.period)))
     block = stride * context.period
     width, late = smoothing / block, (context.latency - 0.5 * context.period + options.reading_age) / block
     if not 1.0 <= width <= HALF / 2.0:
@@ -178,7 +178,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         got = context.latency - 0.5 * context.period + options.reading_age
         raise ConfigurationError("adaptation.reading_age", got, f"with the delay of commands at most {most:g} s")
     limit = np.asarray(motors.available(robot, np.zeros(6)), dtype=float)
-    friction = np.frombuffer(believed.part(context).constants["friction"].tobytes())
+    friction = context.friction[0]
     servo_damping = getattr(motors, "damping", 0.0)
     weights = kernel_weights(width)
     per = np.array([1.0, block, block**2])[:, None]
@@ -193,7 +193,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     params = new_record(
         law.params_of(len(common)), gravity=context.gravity, stride=stride, kernel=weights / per,
         late=late_weights(width, late) / per, gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
-        damping=friction[_FRICTION["viscous"]] + servo_damping, servo_damping=servo_damping, noise=options.noise,
+        damping=friction["viscous"] + servo_damping, servo_damping=servo_damping, noise=options.noise,
         alike=max(1.0, ALIKE / block), slowest=options.slowest, width=believed.width,
         keep=np.exp(-block / options.forgetting),
         blend=min(1.0, block / (BLEND if by_angle else BLEND_TORQUE)), first=3 * HALF + 1 + np.ceil(late),
@@ -211,18 +211,20 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     for name in _HEAD:
         rest[name] = 0.0
     angles = inverse_kinematics(robot, context.pose)
-    coulomb = friction[_FRICTION["coulomb"]]
+    coulomb = friction["coulomb"]
     first = new_record(
-        law.state_of(len(common)), friction=friction, gain=motors.gains, robot=whole.view(np.float64),
-        pose=context.pose, angles=angles,
-        commands=motors.initial_command(context), good=1.0, doubt=1.0,
+        law.state_of(len(common)), friction=context.friction.view(np.float64), gain=motors.gains,
+        robot=whole.view(np.float64), pose=context.pose, angles=angles, commands=motors.initial_command(context),
+        good=1.0, doubt=1.0,
     )  # fmt: skip
-    if options.cautious:
-        for place in _FRICTION.values():
-            first["friction"][0, place] = 0.0
+    cautious = options.cautious and not options.frozen
+    if cautious:
+        used = first["friction"].view(BELIEVED)
+        for level in _LEVELS:
+            used[level] = 0.0
     first["common"][0, 3] = first["used_common"][0, 3] = coulomb.mean()
     first["own"][0, :, 2] = first["used_own"][0, :, 2] = coulomb - coulomb.mean()
-    first["learnt"] = np.concatenate([[robot.platform_mass, 0.0], np.ones(6), friction[_FRICTION["viscous"]], coulomb])
+    first["learnt"] = np.concatenate([[robot.platform_mass, 0.0], np.ones(6), friction["viscous"], coulomb])
     for k in range(OWN):
         first["information"][0, :, k, k] = 1.0 / params["own"][0, k]
     for k in range(len(common)):
@@ -232,16 +234,16 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         rubs = np.array([joints.viscous, joints.coulomb])
         first["joints"] = hanging.view(np.float64)
         first["learnt_joints"][0, :JOINT] = first["common"][0, COMMON:] = first["used_common"][0, COMMON:] = rubs
-        if options.cautious:
+        if cautious:
             first["joints"][0, :JOINT] = 0.0
     constants = {
-        "robot": whole, "rest": rest, "joints": hanging, "bodies": bodies, "friction": friction,
-        "params": params,
+        "robot": whole, "rest": rest, "joints": hanging, "bodies": bodies,
+        "friction": context.friction.view(np.float64), "params": params,
     }  # fmt: skip
     if not options.frozen:
         for k, level in enumerate(("coulomb", "viscous")):
             size = 1.96 * np.hypot(params["common"][0, 3 - k], params["own"][0, 2 - k])
-            off = np.abs(friction[_FRICTION[level]] - first["friction"][0, _FRICTION[level]])
+            off = friction[level] if cautious else 0.0
             first["friction_unknown"][0, 6 * k : 6 * k + 6] = size + off
     outputs = ["friction", "robot", "learnt", "learnt_half_width", "friction_unknown", "doubt"]
     outputs += ["gain"] if by_gain else []

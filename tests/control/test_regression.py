@@ -156,6 +156,12 @@ def test_a_robot_that_rests_learns_nothing_and_a_frozen_one_keeps_its_model():
         learnt = run(servos(3.0, **changes), check=False)["learnt"]
         np.testing.assert_allclose(learnt, np.tile(learnt[0], (len(learnt), 1)), rtol=1e-12)
         assert learnt[0, 0] == servos().robot.platform_mass
+    # What never gets to be known better is compensated as it is believed.
+    frozen, cautious = (
+        run(servos(1.0, adaptation={"kind": "regression", "frozen": True, "cautious": each}), check=False)
+        for each in (False, True)
+    )
+    np.testing.assert_array_equal(frozen["commanded_angle"], cautious["commanded_angle"])
 
 
 def test_a_push_is_not_taken_for_the_robot():
