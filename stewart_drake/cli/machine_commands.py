@@ -20,7 +20,7 @@ from stewart_drake.scenario.scenario import load_driven
     machine=opt.option(
         "What to drive: reachy://HOST:PORT, udp://HOST:PORT, serial:DEVICE, sim: or mine.py:MyMachine.", required=True
     ),
-    seconds=opt.option("Seconds of the motion [default: the scenario's duration].", float, "--for"),
+    seconds=opt.option("Seconds of the motion [default: the scenario's duration].", opt.SECONDS, "--for"),
     mcap=opt.switch("Also write run.mcap, for Foxglove."),
     dry=opt.switch("Connect, read and plan; move nothing."),
     out=opt.option("Folder for the results [default: runs/NAME, or runs/NAME-2, ...].", opt.PATH),
@@ -67,6 +67,13 @@ def drive(
             ("until it rests again", f"{start.duration:.1f} s"),
         ]
         print_table(f"{loaded.name} on {machine}", planned)
+        if (
+            machine == "sim:"
+            and loaded.plant.kind != "mujoco"
+            and belief.friction is not None
+            and belief.friction.joints is not None
+        ):
+            tell("sim: has ball joints that turn freely, and the model believes that they rub: it will not follow well")
         if dry:
             tell("nothing was moved")
             return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -153,6 +154,22 @@ PATH = click.Path(path_type=Path)
 OUT_FILE, OUT_FOLDER = click.Path(dir_okay=False, path_type=Path), click.Path(file_okay=False, path_type=Path)
 
 
+class Seconds(click.ParamType):
+    """A number of seconds, or one with its unit: `20s`, `15 ms`."""
+
+    name = "seconds"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        from stewart_drake.base.units import in_unit
+
+        with suppress(ValueError):
+            return float(value)
+        return click.FLOAT.convert(in_unit(value, param.opts[0] if param else self.name, "s"), param, ctx)
+
+
+SECONDS = Seconds()
+
+
 def option(text: str, kind: Any = None, flag: str | None = None, **more: Any) -> dict[str, Any]:
     """An option: its help text, its type, and its flag where that is not its name."""
     return {"help": text, "type": kind, "flag": flag, **more}
@@ -187,7 +204,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "force": switch("Replace the results of another scenario in the folder."),
     "hold": option("Do not estimate these parameters.", multiple=True),
     "keep_model": option("Begin with the `model` in FILE, if there, and leave what was learnt in it.", OUT_FILE),
-    "lag": option("Delay of the torques in a CSV file [s].", float, "--torque-lag", default=0.0),
+    "lag": option("Delay of the torques in a CSV file [s].", SECONDS, "--torque-lag", default=0.0),
     "out": option("Folder for results [default: runs/NAME].", PATH),
     "overrides": option("Change a key, e.g. --set {example}.", flag="--set", multiple=True, metavar="KEY=VALUE"),
     "picture": option("Write a picture of it at home: FILE.png.", OUT_FILE),

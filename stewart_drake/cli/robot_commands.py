@@ -218,7 +218,7 @@ _MOTIONS: Any = {"robot": opt.GUESS, "hold": {"type": _BODIES}}
     logs={"required": True},
     out="runs/identified.yaml",
     ask=opt.option("Parameters that the logs must determine.", _BODIES, multiple=True),
-    reading_age=opt.option("Age of an angle in its row, of servos [s].", float, default=0.0),
+    reading_age=opt.option("Age of an angle in its row, of servos [s].", opt.SECONDS, default=0.0),
 )
 def identify(
     logs: tuple[Path, ...],

@@ -103,10 +103,12 @@ def decoupled_tick(
     status, leg, margin = measured_legs(robot, measurement, legs)
     if status != OK:
         return status, leg, margin
-    for at, goal in ((reference_now, target), (reference, ahead)):
-        bad = legs_at(robot, at[:6], goal)
-        if bad >= 0:
-            return AT_REFERENCE + UNREACHABLE, bad, goal.reach_margin[bad]
+    bad = legs_at(robot, reference_now[:6], target)
+    if bad >= 0:
+        return AT_REFERENCE + UNREACHABLE, bad, target.reach_margin[bad]
+    bad = legs_at(robot, reference[:6], ahead)
+    if bad >= 0:
+        return AT_REFERENCE + UNREACHABLE, bad, ahead.reach_margin[bad]
     feedforward, inertia = np.zeros(6), np.empty((6, 6))
     if not motion_torque(robot, ahead, reference[:12], reference[12:], params.gravity, feedforward):
         return AT_REFERENCE + PARALLEL, -1, 0.0

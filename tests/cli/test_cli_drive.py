@@ -41,7 +41,7 @@ def test_a_time_that_is_none_is_one_line(drive, seconds):
 
 
 def test_results_of_the_same_scenario_are_replaced_and_no_others(drive, tmp_path):
-    assert drive("--for", "0.5", "--out", "there")[0] == 0
+    assert drive("--for", "500ms", "--out", "there")[0] == 0
     first = load_log(tmp_path / "there")
     assert drive("--for", "1", "--out", "there")[0] == 0
     assert load_log(tmp_path / "there").end_time > first.end_time

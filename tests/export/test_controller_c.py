@@ -101,6 +101,7 @@ OTHERS = {
         "controller": {"kind": "feedforward", "period": 0.02}, "estimator": "difference", "tuner": "fixed",
         "motors": {"kind": "position"}, "command_delay": 0, "safety": None,
     }),
+    "decoupled_pid": ("reachy_nod", {"controller": "decoupled_pid", "estimator": "difference", "tuner": "block"}),
     "currents": ("exact_breathing", {"motors": {"kind": "current", "torque_constant": 0.5}, "safety": None}),
     "schedule": ("reachy_nod", {"tuner": {"kind": "schedule", "calm": [0, 0, 0, 0], "alert": [0.2, 0, 0, 0.5]}}),
     "joints": ("reachy_nod", {"model.friction.joints": {"viscous": 0.001, "coulomb": 0.001}}),

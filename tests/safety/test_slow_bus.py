@@ -48,3 +48,17 @@ def test_a_cold_start_is_no_fault(times):
     assert log.error_norms[0][log.time > 4.0].max() < 0.5
     if times == 2.0:
         assert run(nod(0.116, 0.19, **loop), check=False).status == "stopped"
+
+
+@pytest.mark.parametrize("fault", ["reversed", "swapped", "dead"])
+def test_a_wrong_motor_is_found_while_friction_is_learnt(fault):
+    when = {"leg": 1, "time": 0.5}
+    wrong = {"reversed": [{"kind": "reversed", **when}], "swapped": [{"kind": "swapped", "other": 3, **when}]}
+    changes = {"motors.dead": when} if fault == "dead" else {"motors.faults": wrong[fault]}
+    keys = {"plant": {"kind": "closed_form"}, "bounds": NOWHERE, "safety": {}, "adaptation": "regression", **changes}
+    log = run(load_scenario("exact_heart").replace({**keys, "duration": 1.5}), check=False)
+    assert log.status == "stopped"
+    assert log.safety["stopped"]["monitor"] == "unexplained_torque"
+    assert log.safety["stopped"]["leg"] in (1, 3)
+    assert log.safety["stopped"]["time"] - 0.5 < 0.06
+    assert log.error_norms[0].max() < 10.0
