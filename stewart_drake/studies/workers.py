@@ -97,11 +97,14 @@ def run_jobs(
         return
     waiting, suspects = deque(keys), list[K]()
     while waiting:
-        suspects += _work_off(waiting, work, keep, workers)
+        if lost := _work_off(waiting, work, keep, workers):
+            # Where not even nothing can be done, no work is to blame.
+            if _work_off(deque([None]), lambda _: (int, ()), lambda *_: None, workers):
+                raise StewartDrakeError(WORKER_GONE)
+            suspects += lost
     for key in suspects:
         if _work_off(deque([key]), work, keep, workers):
-            # Where not even nothing can be done, no work is to blame.
-            if died is None or _work_off(deque([None]), lambda _: (int, ()), lambda *_: None, workers):
+            if died is None:
                 raise StewartDrakeError(WORKER_GONE)
             keep(key, died(key))
 
