@@ -9,8 +9,9 @@ A setting is four numbers that a tuner can change in a loop with an observer: po
     disturbance  that the observer expects, see `ObserverOptions`: its bandwidth moves by the third root
 
 so that any combination within a box is a sensible loop, which four weights on their own are not. A setting stays within
-a box and moves by a small share of it in a tick; where the features lie outside of what a network was trained on, its
-output fades to the middle of the box, the best fixed setting.
+a box and moves by a small share of it in a tick. To a network a signal beyond those of its training is the largest of
+them. Of a robot with more noise or latency than all of its training it knows nothing: its output fades to the middle of
+the box, the best fixed setting.
 """
 
 from __future__ import annotations
@@ -38,9 +39,11 @@ STEP = 0.03
 """[-] share of its box by which a setting moves in a tick, at most. By shares of a second a slow robot would jump, and
 its loop can grow by that: docs/results/tuner_safety.md."""
 FADE = 0.5
-"""[-] what a feature may lie outside of the training data, in their standard deviations, until the output has faded."""
+"""[-] what `OF_THE_ROBOT` may lie outside of the training data, in their standard deviations, until the output has
+faded."""
+OF_THE_ROBOT = FEATURES.index("noise"), FEATURES.index("latency")
 LARGEST_FEATURE = 30.0
-"""[-] features are held within it."""
+"""[-] features are held within it where a policy has no ends for them."""
 BOX_HEADER = ("setting", "least", "centre", "largest")
 _COUNT = len(FEATURES)
 SCHEDULE = fields(calm=SIZE, alert=SIZE, threshold=(), hold=())
@@ -72,17 +75,18 @@ def disturbance_of(base: float, setting: Any) -> float:
 def policy_setting(policy: Any, features: Any, setting: Any) -> float:
     """The setting (4,) that a policy chooses for features (13,), of its record.
 
-    Returns its confidence: 1 within the training data, 0 far outside, where a feature that is not finite counts as
-    being. With less confidence the setting is nearer to the centre.
+    Returns its confidence: 1 for a robot like those of the training, 0 for another, and where a feature is not finite.
+    With less confidence the setting is nearer to the centre.
     """
     values, outside = features.copy(), 0.0
     for k in range(_COUNT):
         if not np.isfinite(values[k]):
             values[k], outside = policy.input_mean[k], 2.0 * FADE
             continue
-        value = min(max(values[k], -LARGEST_FEATURE), LARGEST_FEATURE)
-        beyond = max(policy.low[k] - value, value - policy.high[k])
-        outside = max(outside, beyond / policy.input_scale[k])
+        held = min(max(values[k], policy.low[k]), policy.high[k])
+        if k in OF_THE_ROBOT:
+            outside = max(outside, abs(values[k] - held) / policy.input_scale[k])
+        values[k] = held
     confidence = min(max(1.0 - outside / FADE, 0.0), 1.0)
     forward(policy, values, LARGEST_FEATURE, setting)
     for m in range(SIZE):

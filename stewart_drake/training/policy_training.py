@@ -80,13 +80,13 @@ def policy_of(
 
 def episode_cost(source: SettingSource, case: Case) -> float:
     """Logarithm of what a run of a policy on the fast engine costs, at the kappa of the case."""
-    log = simulate_unchecked(tuned_by(source, _fast(case), case.kappa))
+    log = simulate_unchecked(tuned_by(source, fast_scenario(case), case.kappa))
     return log_cost({"status": log.status, **measure_parts(log)}, CostScales().at(case.kappa))
 
 
 def fixed_cost(candidate: Candidate, case: Case) -> float:
     """Likewise, of something that stays as it is."""
-    scenario = _fast(case)
+    scenario = fast_scenario(case)
     log = simulate_unchecked(scenario.replace(candidate(case, scenario)))
     return log_cost({"status": log.status, **measure_parts(log)}, CostScales().at(case.kappa))
 
@@ -103,7 +103,7 @@ def episode_features(policy: Policy, case: Case) -> np.ndarray:
 
 
 @lru_cache(maxsize=4096)
-def _fast(case: Case) -> Scenario:
+def fast_scenario(case: Case) -> Scenario:
     """The situation on the fast engine, with at most two steps of the plant in a tick."""
     scenario = situation(*case[:3])
     step = max(scenario.plant.time_step, scenario.controller.period / 2)
@@ -263,7 +263,7 @@ class Training:
         policy = self.policy(state, state.best)
         runs = [(policy, case) for case in self.pool]
         found = np.concatenate(run_all(episode_features, runs, self._workers))
-        ends = np.quantile(found, [0.0005, 0.9995], axis=0)
+        ends = np.stack([found.min(axis=0), found.max(axis=0)])
         # All of kappa was drawn, if not to its very ends.
         ends[:, FEATURES.index("kappa")] = -1.0, 1.0
         policy = policy_of(state.best, self.centre, state.mean, state.scale, ends)

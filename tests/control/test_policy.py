@@ -110,12 +110,21 @@ def test_whatever_comes_in_a_setting_stays_in_its_box_and_moves_by_a_small_share
 
 
 @pytest.mark.parametrize(("beyond", "expected"), [(0.0, 1.0), (0.5 * FADE, 0.5), (FADE, 0.0), (np.nan, 0.0)])
-def test_outside_of_what_it_was_trained_on_a_policy_fades_to_the_centre(beyond, expected):
+def test_for_a_robot_unlike_those_of_its_training_a_policy_fades_to_the_centre(beyond, expected):
     policy, setting = made(hull=2.0), np.empty(SIZE)
     features = np.eye(len(FEATURES))[3]
-    features[5] = 2.0 + beyond
+    features[FEATURES.index("latency")] = 2.0 + beyond
     assert policy_setting(record(policy.params()), features, setting) == pytest.approx(expected)
     assert ((setting == policy.centre) == (expected == 0.0)).all()
+
+
+def test_a_signal_beyond_those_of_its_training_counts_as_the_largest_of_them():
+    policy, largest, beyond = made(hull=2.0), np.empty(SIZE), np.empty(SIZE)
+    features = 2.0 * np.eye(len(FEATURES))[0]
+    assert policy_setting(record(policy.params()), features, largest) == 1.0
+    assert policy_setting(record(policy.params()), 50.0 * features, beyond) == 1.0
+    np.testing.assert_array_equal(beyond, largest)
+    assert (largest != policy.centre).all()
 
 
 @pytest.mark.parametrize("hold", [0.0, 0.02])
