@@ -1,5 +1,6 @@
 """Margins of the linear loop over the near box, and docs/results/margins.md: `make margins`."""
 
+import itertools
 import time
 from pathlib import Path
 
@@ -8,15 +9,24 @@ import numpy as np
 from stewart_drake.analysis.feasibility import NEAR
 from stewart_drake.analysis.linear_loop import linear_loops, poses_to_stand_at
 from stewart_drake.analysis.margins import HEADER, facts, loop_margins, quantities, spread, table
+from stewart_drake.base.markdown import markdown_table
+from stewart_drake.control.adaptation import SIZE_HEAD
+from stewart_drake.control.policy import NAMES, Policy
 from stewart_drake.plotting.model_plots import plot_margins
 from stewart_drake.scenario.scenario import load_scenario
+from stewart_drake.studies.runs import simulate_unchecked
+from stewart_drake.training.benchmark import with_setting
+from stewart_drake.training.situations import Case
 
 OUT = Path(__file__).parent / "results"
-POSES = 1000
+POSES, FEW, CONFIRMED = 1000, 10, 3
+"""Poses; of them those at which the worst corner of the policy's box is looked for, and that are simulated too."""
+PUSH, END, FORGOTTEN = 0.5, 1.5, 0.1
+"""[s] of a simulated run: its push and its end; and what may be left of the error in the last 0.2 s, as a share."""
 BLOCK = "tuner={kind: block}"
 OBSERVER = "estimator.kind=observer"
 WEIGHTS = "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
-MAIN = "observer"
+MAIN, CORNER = "observer", "policy, at the worst corner of its box"
 DIFFERENCES = "estimator={kind: difference, rate_cutoff: 150}"
 ROWS = {
     "difference of readings, low pass of 150 Hz; default weights": (
@@ -32,10 +42,7 @@ ROWS = {
     "observer, platform believed 30 % too heavy": (OBSERVER, WEIGHTS, "model.robot={platform_mass: 1.3}"),
     "computed torque, observer": (OBSERVER, WEIGHTS, "controller={kind: computed_torque}"),
     "joint-space PID, observer": (OBSERVER, WEIGHTS, "controller={kind: pid}"),
-    "joint-space PID, difference of readings": (
-        DIFFERENCES,
-        "controller={kind: pid}",
-    ),
+    "joint-space PID, difference of readings": (DIFFERENCES, BLOCK, "controller={kind: pid}"),
 }
 TEXT = """# How far the loop is from instability
 
@@ -45,7 +52,12 @@ within the scenario's limits (seed 0), with the robot at rest. The loop is opene
 another estimator, delay, period or controller, with its default gains. The period is 1 ms and the delay 1 tick unless
 the row says otherwise. The loop contains the exact model under held torques, gravity's stiffness, encoders of infinite
 resolution, the estimator with its filter, the controller and the delay. It leaves out friction, saturation and the
-network's changes of weights. `stewart-drake margins` does the same for any scenario.
+changes of weights, and learning. `stewart-drake margins` does the same for any scenario.
+
+What a policy and learning may do to the loop is seen in their extremes, frozen: the middle of the shipped policy's box
+and that corner of it which has the least margin at {few} poses ({corner}), with its default weights; and a head that is
+believed {lighter:.2f} or {heavier:.2f} times as heavy as it is, which is how far learning may be off before it has seen
+anything (95 %). What it learns of friction is fed forward along the reference and is no part of this loop.
 
 Drake's plant at its usual step of 1 ms responds about half a step sooner than this linear loop. At 0.1 ms the agreement
 is at least five times better (`tests/analysis/test_linear_loop.py`). A fast loop that is unstable here, such as the
@@ -62,6 +74,18 @@ loop's own, in ticks of its period. Each number is the worst of all poses; a sec
 {rows}
 
 The bounds of mu are apart by at most {gap:.1g} %; {left_out}
+
+## Until it diverges
+
+The nonlinear loop on the closed form with steps of 0.1 ms, at {confirmed} of the poses: the worst of the observer's and
+the first two. All motors give more torque than they are asked for, by one factor, or all commands come later than the
+controller believes, by whole ticks, until more than a tenth of the
+error that a push of 5 ms causes is left after a second. *Linear*: where the spectral radius
+of the same loop is 1.
+
+{diverges}
+
+## The second row in full
 
 `stewart-drake margins --set {setting}`:
 
@@ -96,12 +120,96 @@ def row(name, loops, found):
     return f"| {name} | {stable} | {' | '.join(cells)} |"
 
 
+def corner_of(scenario):
+    """The corner of the shipped policy's box with the least disk margin, all at once, at a few poses."""
+    policy, poses = Policy.load(), poses_to_stand_at(scenario, POSES, seed=0)[:FEW]
+    corners = [policy.lowest + policy.width * ends for ends in itertools.product((0.0, 1.0), repeat=len(NAMES))]
+    found = [loop_margins(linear_loops(at_setting(scenario, each), poses), 120) for each in corners]
+    return corners[int(np.argmin([each.all_at_once.disk.min() for each in found]))]
+
+
+def at_setting(scenario, setting):
+    """A scenario with a setting (4,) of a tuner."""
+    return scenario.replace(with_setting(setting)(Case("hold", "paper", 0), scenario))
+
+
+def scenarios(corner):
+    """The loops of the table by name."""
+    found = {name: load_scenario("exact_breathing", changes) for name, changes in ROWS.items()}
+    base = load_scenario("exact_breathing", [OBSERVER, BLOCK])
+    found["policy, in the middle of its box"] = at_setting(base, Policy.load().centre)
+    found[CORNER] = at_setting(base, corner)
+    for words, sign in (("lighter", -1.0), ("heavier", 1.0)):
+        believed = base.robot.heavier(np.exp(1.96 * sign * SIZE_HEAD))
+        found[f"learning, head believed {words}"] = found[MAIN].replace({"model.robot": believed})
+    return found
+
+
+def simulated(scenario, pose, gain, late):
+    """Whether a loop forgets a push at a pose, with a gain of all motors and ticks of delay that nobody believes."""
+    as_believed, found = (_pushed(scenario, pose, *each) for each in ((1.0, 0), (gain, late)))
+    at_most = FORGOTTEN * as_believed.error_norms[1].max()
+    return found.status == "completed" and found.error_norms[1][found.time > END - 0.2].max() < at_most
+
+
+def _pushed(scenario, pose, gain, late):
+    force = 0.003 * scenario.robot.effort_limit
+    push = {"kind": "impulse", "impulse": [0.0, 0.0, 0.0, force, force, force], "time": PUSH, "duration": 0.005}
+    keys = {
+        "plant": {"kind": "closed_form", "time_step": 1e-4, "motor_friction": 0.0},
+        "motors": {"kind": "current", "torque_constant": gain},
+        "model.motors": {"kind": "current"},
+        "model.friction": None,
+        "model.noise": scenario.belief.noise,
+        "model.delay": scenario.command_delay,
+        "command_delay": scenario.command_delay + late,
+        "sensors.noise": 0.0,
+        "sensors.resolution_bits": 30,
+        "disturbances": [push],
+        "reference": {"kind": "hold", "pose": pose.tolist()},
+        "duration": END,
+        "safety": None,
+        "bounds": {"error_ratio": None},
+        "log_period": 0.001,
+    }
+    return simulate_unchecked(scenario.replace(keys))
+
+
+def is_stable(scenario, pose, gain, late):
+    """The same of the linear loop."""
+    late_one = scenario.replace({"model.delay": scenario.command_delay, "command_delay": scenario.command_delay + late})
+    loops = linear_loops(late_one, pose[None])
+    return np.abs(np.linalg.eigvals(loops.a[0] + gain * loops.b[0] @ loops.c[0])).max() < 1.0
+
+
+def limits(stable, scenario, pose):
+    """The gain at which a loop stops being stable, within 1 %, and the ticks that it bears."""
+    low, high = 1.0, 6.0
+    while high / low > 1.01:
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if stable(scenario, pose, middle, 0) else (low, middle)
+    late = next(late for late in itertools.count(1) if not stable(scenario, pose, 1.0, late)) - 1
+    return np.sqrt(low * high), late
+
+
+def until_it_diverges(loops, poses):
+    """A table of some loops at poses."""
+    rows = []
+    for name, scenario in loops.items():
+        for k, pose in enumerate(poses):
+            (gain, late), (linear, linear_late) = (limits(way, scenario, pose) for way in (simulated, is_stable))
+            rows.append([name, k + 1, f"{gain:.2f}", f"{linear:.2f}", late, linear_late])
+            print(rows[-1], flush=True)
+    return markdown_table(["loop", "pose", "gain", "linear", "ticks more that it bears", "linear"], rows)
+
+
 def main():
     """Writes the file and the picture."""
     lines, gaps, left_out = [], [], []
-    for name, changes in ROWS.items():
+    corner = corner_of(load_scenario("exact_breathing", [OBSERVER, BLOCK]))
+    of_rows = scenarios(corner)
+    for name, scenario in of_rows.items():
         start = time.process_time()
-        scenario = load_scenario("exact_breathing", changes)
         loops = linear_loops(scenario, poses_to_stand_at(scenario, POSES, seed=0))
         found = loop_margins(loops)
         lines.append(row(name, loops, found))
@@ -110,11 +218,20 @@ def main():
         left_out += [name] * bool(loops.left_out)
         print(f"{time.process_time() - start:.1f} s: {lines[-1]}", flush=True)
         if name == MAIN:
+            worst = loops.poses[int(found.all_at_once.disk.argmin())]
             plot_margins(found, Path(__file__).parent / "images" / "margins.png")
             kept = [f"| {' | '.join(cells)} |" for cells in table(found, loops.period)]
             told = "\n".join(f"- {key}: {value}" for key, value in facts(loops, found))
+    few = [worst, *poses_to_stand_at(of_rows[MAIN], POSES, seed=0)[: CONFIRMED - 1]]
+    lighter, heavier = np.exp(1.96 * SIZE_HEAD * np.array([-1.0, 1.0]))
     text = TEXT.format(
         poses=POSES,
+        few=FEW,
+        corner=", ".join(f"{name} {value:+.2g}" for name, value in zip(NAMES, corner, strict=True)),
+        lighter=lighter,
+        heavier=heavier,
+        confirmed=CONFIRMED,
+        diverges=until_it_diverges({name: of_rows[name] for name in (MAIN, CORNER)}, few),
         box=NEAR.words,
         margins="disk | gain | phase [deg] | delay [ticks]",
         rows="\n".join(lines),
