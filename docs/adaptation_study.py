@@ -46,6 +46,9 @@ STRANGE: dict[str, dict[str, Any]] = {
 }
 ROBOTS, SLOW_ROBOTS = 24, 60
 FEW = 8  # Robots of the table above.
+MANY, FIRST_OF_MANY, SHORT = 500, 1000, 10.0
+"""Further robots, that only nod, their first seed, and for how long [s]."""
+MANY_BUSES = {False: "servos at 50 Hz", True: "torque at 100 Hz"}
 NOMINAL_DRY, NOMINAL_VISCOUS = 0.058, 0.095  # [N m], [N m s/rad] of `reachy_nod`.
 CORNERS, FALLEN = 8, 10.0  # The first robots are the corners; [deg] of an error from which on a robot is lost.
 AT_100_HZ = {
@@ -193,6 +196,15 @@ def slow_trial(seed: int) -> list[list[float]]:
     return rows
 
 
+def one_of_many(slow: bool, seed: int) -> float:
+    """Nod [deg] of a robot that learns, by torque or by angle; infinite where it is lost."""
+    made = slow_bus(seed, "learning", "nod") if slow else scenario(seed, "learning", "nod")
+    log = run(made.replace({"duration": SHORT}), check=False)
+    measured = run_metrics(log)
+    lost = log.status != "completed" or measured["peak_norm_deg"] > FALLEN
+    return float(np.inf if lost else measured["rmse_norm_deg"])
+
+
 def on_makers_model(belief: str) -> list[float]:
     """Nod [deg] and breathing [mm] on the maker's model, without and with learning."""
     found = []
@@ -269,6 +281,13 @@ are the corners. Errors after the first half of 20 s. Lost: the run ends, or the
 - By torque at 100 Hz it is exact and noisy: a motor with a fast loop of its own is quieter.
 - A robot without any friction hunts about the steps of its encoders at rest; one with friction is at rest.
 
+## Many robots
+
+{many} more robots of each kind, drawn as above, that learn while they nod for {short:g} s from a cold start: RMS error
+of the second half, median / 95th percentile / largest.
+
+{of_many}
+
 `make results` recomputes some of these numbers.
 """
 
@@ -283,6 +302,11 @@ def main() -> None:
         trials = np.array(list(workers.map(trial, range(given.robots))))
         others = {name: np.array(list(workers.map(partial(strange, name), range(FEW)))) for name in STRANGE}
         slow = np.array(list(workers.map(slow_trial, range(max(given.robots, SLOW_ROBOTS)))))
+        seeds = range(FIRST_OF_MANY, FIRST_OF_MANY + MANY)
+        many = {
+            name: np.array(list(workers.map(partial(one_of_many, slow), seeds)))[:, None]
+            for slow, name in MANY_BUSES.items()
+        }
         maker = list(workers.map(on_makers_model, BELIEFS))
         torque = {
             scheme: [list(workers.map(partial(at_1_khz, "drake", scheme=scheme), ("breathing", "heart")))]
@@ -299,6 +323,9 @@ def main() -> None:
         first=markdown_table(
             ["", *FIGURES], [[name, *(f"{x:.3g}" for x in trials[0, k])] for k, name in enumerate(SCHEMES.values())]
         ),
+        many=MANY,
+        short=SHORT,
+        of_many=markdown_table(["", "nod [deg]", "lost"], [[name, *table(rows)] for name, rows in many.items()]),
         maker=markdown_table(
             ["", "nod [deg]", "learning", "breathing [mm]", "learning"],
             [[name, *(f"{x:.3g}" for x in row)] for name, row in zip(BELIEFS, maker, strict=True)],
