@@ -40,6 +40,15 @@ class FrequencyResponse(NamedTuple):
         at = self.frequency[1:][falls.any(axis=1)]
         return (float(at[0]), float(at[-1])) if len(at) else (np.nan, np.nan)
 
+    def __str__(self) -> str:
+        low, high = self.crossover
+        peaks = (self.gains(name).max() for name in ("sensitivity", "complementary"))
+        return (
+            f"{len(self.frequency)} frequencies from {self.frequency[0]:g} to {self.frequency[-1]:g} Hz\n"
+            f"gains of the loop fall below 1 at {low:.3g} to {high:.3g} Hz\n"
+            "largest sensitivity {:.3g}, largest complementary {:.3g}".format(*peaks)
+        )
+
 
 def frequency_response(system: StateSpace, frequency: ArrayLike) -> np.ndarray:
     """C (z I - A)^-1 B + D (f, p, m) at z = exp(i 2 pi f T), of frequencies (f,) [Hz]."""
@@ -82,6 +91,19 @@ class StepResponse(NamedTuple):
     rise_time: float
     overshoot: float
     settling_time: float
+
+    def __str__(self) -> str:
+        return "\n".join(f"{name}: {value}" for name, value in self.rows())
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Figures as they are told."""
+        end = self.time[-1] - self.time[0]
+        rise, settling = (
+            f"{value:.3f} s" if np.isfinite(value) else f"not reached in {end:g} s"
+            for value in (self.rise_time, self.settling_time)
+        )
+        overshoot = f"{100.0 * self.overshoot:.1f} %"
+        return [("rise time, 10 to 90 %", rise), ("overshoot", overshoot), ("settling time, 2 %", settling)]
 
 
 def step_figures(time: np.ndarray, value: np.ndarray) -> StepResponse:

@@ -319,13 +319,8 @@ def step(scenario: str, out: Path, axis: str, size: str | None, overrides: tuple
         found = step_response.step(loaded, axis, None if size is None else number_in("--size", size, unit))
     folder = prepare_folder(out)
     plot_step(found, f"{loaded.name}: step of {axis}", folder / "step.png")
-    rows = [
-        ("rise time, 10 to 90 %", f"{found.rise_time:.3f} s"),
-        ("overshoot", f"{100.0 * found.overshoot:.1f} %"),
-        ("settling time, 2 %", f"{found.settling_time:.3f} s"),
-        ("results in", str(folder)),
-    ]
-    print_table(f"{loaded.name}: step of {axis}", rows)
+    data = {name: to_plain(getattr(found, name)) for name in ("rise_time", "overshoot", "settling_time")}
+    print_table(f"{loaded.name}: step of {axis}", [*found.rows(), ("results in", str(folder))], data=data)
 
 
 @command(

@@ -68,9 +68,9 @@ def sweep(sweep: str, out: Path | None, runs: int | None, **options: Any) -> Non
     loaded = load_sweep(sweep, runs)
     with _under_way(loaded.name, loaded.runs, out, **options) as way:
         result = run_experiment(loaded, *way)
-        write_picture(loaded, result)
+        drawn = write_picture(loaded, result)
     print_table(loaded.name, summary(result.rows["sweep"]))
-    _print_sheets((), result.compared, f"table and picture in {result.folder}")
+    _print_sheets((), result.compared, f"table{' and picture' if drawn else ''} in {result.folder}")
     _exit_if_refused(result)
 
 

@@ -128,8 +128,8 @@ def print_table(
 ) -> None:
     """A table on standard output, with as many of its columns as the terminal has room for.
 
-    Columns `numbers` stand right and never fold, None for all but the first. With `--json` it is `data`, or where that
-    is None the rows by their header.
+    Columns `numbers` stand right, None for those after the first that have one; without a header all after it. With
+    `--json` it is `data`, or where that is None the rows by their header.
     """
     tables = _asked(AS_JSON)
     if _asked(QUIET) and tables is None:
@@ -144,13 +144,23 @@ def print_table(
     from rich.markup import escape
     from rich.table import Table
 
-    right = range(1, len(header)) if numbers is None else numbers
+    right = numbers
+    if right is None:
+        columns = list(enumerate(zip(*rows, strict=True)))[1:]
+        right = [k for k, cells in columns if not any(header) or any(map(_is_number, cells))]
     terminal = console()
     widths, longest = [], []
-    for place, column in enumerate(zip(header, *rows, strict=True)):
-        longest.append(max(map(len, column)))
-        words = max(len(word) for cell in column for word in (cell.split() or [""]))
-        widths.append(longest[-1] if place in right and any(header) else min(words, max(_WORD, terminal.width // 3)))
+    for place, (name, *cells) in enumerate(zip(header, *rows, strict=True)):
+        longest.append(max(map(len, (name, *cells))))
+        # Numbers stay in one line.
+        whole = any(header) and place in right
+        words = name.split() + [part for cell in cells for part in ([cell] if whole else cell.split())]
+        widths.append(min(max(map(len, words), default=0), max(_WORD, terminal.width // 3)))
+    # The first number stays in sight.
+    first = min(right, default=0)
+    if any(header) and 0 < first < len(widths):
+        room = (terminal.width - 1 - 3 * (first + 1) - widths[first]) // first
+        widths[:first] = [min(width, max(_WORD, room)) for width in widths[:first]]
     shown = max(2, sum(end < terminal.width for end in itertools.accumulate(3 + width for width in widths)))
     widths = _widened(widths[:shown], longest, terminal.width - 1 - 3 * shown, rows)
     terminal.print(title, style="bold", markup=False, soft_wrap=True)
@@ -185,6 +195,10 @@ def _plain(cell: str) -> float | str:
         return float(cell)
     except ValueError:
         return cell
+
+
+def _is_number(cell: str) -> bool:
+    return isinstance(_plain(cell.lstrip("<")), float)
 
 
 def print_json(tables: dict[str, Any]) -> None:

@@ -106,12 +106,12 @@ def plot_bode(response: FrequencyResponse, path: str | Path) -> None:
     for panel, parts in ((opened, ("loop",)), (closed, ("sensitivity", "complementary"))):
         for name, color in zip(parts, (look.BLUE, look.ORANGE), strict=False):
             gains = 20.0 * np.log10(response.gains(name))
-            panel.plot(response.frequency, gains[:, 0], color=color, label=f"{name}: largest, smallest")
-            panel.plot(response.frequency, gains[:, -1], color=color, linewidth=1.0)
+            panel.plot(response.frequency, gains[:, 0], color=color, label=f"{name}, largest")
+            panel.plot(response.frequency, gains[:, -1], color=color, linewidth=1.0, label=f"{name}, smallest")
         panel.axhline(0.0, color=look.TEXT, linewidth=0.8)
         look.logarithmic(panel, "x")
         panel.set(xlabel="frequency [Hz]", ylabel="gain [dB]")
-        panel.legend(loc="lower center")
+        panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)
     opened.set(title="Loop, opened at the motors", ylim=(-80.0, None))
     closed.set(title="Sensitivity S and complementary T", ylim=(-60.0, 15.0))
     look.save_figure(figure, path)

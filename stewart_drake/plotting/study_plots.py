@@ -25,8 +25,11 @@ _PHASE_SHOWN = 1e-3  # Ratio of amplitudes; below -60 dB there is no phase to sp
 
 
 @look.styled
-def plot_sweep(rows: Rows, varied: Sequence[str]) -> Figure:
-    """RMSE of the position against each key that varied; a run that was not completed is a cross at the top."""
+def plot_sweep(rows: Rows, varied: Mapping[str, str]) -> Figure:
+    """RMSE of the position against each key that varied; a run that was not completed is a cross at the top.
+
+    `varied`: column -> what stands at its axis.
+    """
     beside = min(3, len(varied))
     lines = -(-len(varied) // beside)
     figure, axes = look.panels(lines, beside, 0.6 + 2.9 * lines, sharey=True)
@@ -34,14 +37,15 @@ def plot_sweep(rows: Rows, varied: Sequence[str]) -> Figure:
     sizes = np.array([_drawn(row) for row in done] or [1.0])
     spread = sizes.max() > 10.0 * sizes.min()
     top = float(sizes.max()) * (2.0 if spread else 1.1)
-    for panel, key in zip(axes.flat, varied, strict=False):
-        panel.plot([row[key] for row in done], sizes[: len(done)], ".", color=look.BLUE, markersize=5.0)
-        panel.plot([row[key] for row in failed], [top] * len(failed), color=look.ORANGE, **_CROSS)
-        panel.set(xlabel=key)
+    for panel, (key, label) in zip(axes.flat, varied.items(), strict=False):
+        panel.plot([_at(row[key]) for row in done], sizes[: len(done)], ".", color=look.BLUE, markersize=5.0)
+        panel.plot([_at(row[key]) for row in failed], [top] * len(failed), color=look.ORANGE, **_CROSS)
+        panel.set(xlabel=label)
         if spread:
             look.logarithmic(panel, "y")
+            panel.set_ylim(None, 1.3 * top)
         else:
-            panel.set_ylim(0.0)
+            panel.set_ylim(0.0, 1.05 * top)
     for panel in axes.flat[len(varied) :]:
         panel.set_axis_off()
     for panel in axes[:, 0]:
@@ -52,13 +56,19 @@ def plot_sweep(rows: Rows, varied: Sequence[str]) -> Figure:
 
 
 @look.styled
-def plot_map(rows: Rows, varied: Sequence[str]) -> Figure:
-    """RMSE of the position over two keys of a grid: the median of the runs of a cell, grey where none completed."""
-    across, up = (sorted({row[key] for row in rows}) for key in varied)
+def plot_map(rows: Rows, varied: Mapping[str, str]) -> Figure:
+    """RMSE of the position over two keys of a grid: the median of the runs of a cell, grey where none completed.
+
+    `varied`: column -> what stands at its axis.
+    """
+    # Names stand as they were given.
+    keys = list(varied)
+    across, up = (list(dict.fromkeys(row[key] for row in rows)) for key in keys)
+    across, up = (each if any(isinstance(v, str) for v in each) else sorted(each) for each in (across, up))
     cells = np.full((len(up), len(across)), np.nan)
     for j, high in enumerate(up):
         for i, wide in enumerate(across):
-            own = [row for row in rows if (row[varied[0]], row[varied[1]]) == (wide, high)]
+            own = [row for row in rows if (row[keys[0]], row[keys[1]]) == (wide, high)]
             values = [_drawn(row) for row in own if _done(row)]
             cells[j, i] = np.median(values) if values else np.nan
     figure, ((panel,),) = look.panels(1, 1, 5.0, width=6.5)
@@ -69,9 +79,9 @@ def plot_map(rows: Rows, varied: Sequence[str]) -> Figure:
         if cells.size <= 100 and np.isfinite(value):
             dark = value < 0.5 * (np.nanmin(cells) + np.nanmax(cells))
             panel.text(i, j, f"{value:.3g}", ha="center", va="center", fontsize=8, color="white" if dark else "black")
-    panel.set_xticks(range(len(across)), [f"{value:g}" for value in across], rotation=30 if len(across) > 6 else 0)
-    panel.set_yticks(range(len(up)), [f"{value:g}" for value in up])
-    panel.set(xlabel=varied[0], ylabel=varied[1])
+    panel.set_xticks(range(len(across)), [_named(value) for value in across], rotation=30 if len(across) > 6 else 0)
+    panel.set_yticks(range(len(up)), [_named(value) for value in up])
+    panel.set(xlabel=varied[keys[0]], ylabel=varied[keys[1]])
     figure.colorbar(shown, label="RMSE [mm]")
     return figure
 
@@ -103,7 +113,8 @@ def plot_rmse(rows: Rows) -> Figure:
         panel.set_yticks(range(len(references)), references, fontsize=10)
         panel.grid(axis="y", visible=False)
     axes[-1, 0].set_xlabel("RMSE [mm]")
-    _legend(figure, styles, [Line2D([], [], color=look.TEXT, label="failed", **_CROSS)])
+    crosses = [] if all(map(_done, rows)) else [Line2D([], [], color=look.TEXT, label="not completed", **_CROSS)]
+    _legend(figure, styles, crosses)
     return figure
 
 
@@ -121,15 +132,18 @@ def plot_error(rows: Rows, band: float) -> Figure:
         panel.plot(row["trace"]["time"], size, color=color, linewidth=1.5)
         if row["status"] != "completed":
             panel.plot(row["trace"]["time"][-1], size[-1], color=color, **_CROSS)
+    sizes = [min(value, look.LARGEST_DRAWN) for row in rows for value in row["trace"]["pose_mm"] if value] or [band]
+    limits = max(_SMALLEST, 0.3 * float(np.percentile(sizes, 2.0))), 2.0 * max(sizes)
+    has_band = limits[0] < band < limits[1]
     for panel, condition in zip(axes.flat, conditions, strict=True):
-        panel.axhline(band, **_DASHED)
+        if has_band:
+            panel.axhline(band, **_DASHED)
         look.logarithmic(panel, "y")
         panel.set(title=condition, ylabel="pose error [mm]")
-    sizes = [min(value, look.LARGEST_DRAWN) for row in rows for value in row["trace"]["pose_mm"] if value]
-    if sizes:
-        axes[0, 0].set_ylim(max(_SMALLEST, 0.3 * float(np.percentile(sizes, 2.0))), 2.0 * max(sizes))
+    axes[0, 0].set_ylim(*limits)
     axes[-1, 0].set_xlabel("time [s]")
-    _legend(figure, styles, [Line2D([], [], label=f"settled: {band:g} mm", **_DASHED)])
+    bands = [Line2D([], [], label=f"settled: {band:g} mm", **_DASHED)] if has_band else []
+    _legend(figure, styles, bands)
     return figure
 
 
@@ -200,6 +214,15 @@ def plot_costs(kinds: Sequence[str], ratios: Mapping[str, Any], against: str) ->
     panel.set(title=f"Cost in new situations, relative to: {against}", xlabel="ratio [-], lower is better")
     panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
+
+
+def _at(value: Any) -> Any:
+    """Where a value stands on an axis; a text has a place of its own."""
+    return str(value) if isinstance(value, (str, bool)) else value
+
+
+def _named(value: Any) -> str:
+    return str(value) if isinstance(value, (str, bool)) else f"{value:g}"
 
 
 def _drawn(row: Mapping[str, Any]) -> float:

@@ -12,7 +12,7 @@ import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullLocator
+from matplotlib.ticker import LogLocator, NullLocator
 
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.logs.signals import DISPLAY_UNITS
@@ -60,10 +60,19 @@ def quiet(axes: Any) -> None:
         panel.set_axisbelow(True)
 
 
+class _Decades(LogLocator):
+    """Ticks at decades, and at 2 and 5 times those where there are few."""
+
+    def tick_values(self, vmin: float, vmax: float) -> Any:
+        self.set_params(subs=(1.0, 2.0, 5.0) if vmax < 100.0 * vmin else (1.0,))
+        return super().tick_values(vmin, vmax)
+
+
 def logarithmic(panel: Axes, which: str) -> None:
     for name in which:
         panel.set(**{f"{name}scale": "log"})
         axis = panel.xaxis if name == "x" else panel.yaxis
+        axis.set_major_locator(_Decades())
         axis.set_major_formatter("{x:g}")
         axis.set_minor_locator(NullLocator())
 

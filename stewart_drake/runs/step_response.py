@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from stewart_drake.analysis.response import StepResponse, step_figures
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.errors import ConfigurationError, RunFailure
+from stewart_drake.logs.outcomes import describe_outcome
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
@@ -23,6 +24,7 @@ def step(scenario: Scenario | str | Path, axis: str = "Z", size: float | None = 
 
     Raises:
         ConfigurationError: No such axis, a size of 0, or a pose that cannot be reached.
+        RunFailure: The run was not completed.
     """
     if axis not in AXES:
         raise ConfigurationError("axis", axis, f"one of {', '.join(AXES)}")
@@ -37,4 +39,7 @@ def step(scenario: Scenario | str | Path, axis: str = "Z", size: float | None = 
     pose = [float(each) for each in scenario.start()[0]]
     changed = scenario.replace({"reference": {"kind": "hold", "pose": pose}, "initial_offset": offset})
     log = run(changed)
+    if log.status != "completed":
+        outcome = describe_outcome(log.status, log.reason, log.outcome_time)
+        raise RunFailure(f"{outcome}: such a run has no step response", reason="step")
     return step_figures(log.time, 1.0 + (log["pose"][:, number] - log["reference"][:, number]) / size)

@@ -38,6 +38,18 @@ def value_at(data: Mapping[str, Any], key: str) -> Any:
     return here
 
 
+def unit_at(section: Any, key: str) -> str:
+    """Unit of a key of a section, such as `rad` of `initial_offset[0]`; empty where it has none."""
+    units, here = "", section
+    for part in split_key(key):
+        if isinstance(part, str):
+            units, here = here.unit_of(part) if isinstance(here, Section) else "", getattr(here, part, None)
+        else:
+            several = units.split(", ")
+            units, here = several[part * len(several) // len(here)], here[part]
+    return units
+
+
 def _refuse_part(key: str, here: Any, part: str | int, inside: str) -> None:
     """Raises a `ConfigurationError` where what a key goes into is no section, or no list that is long enough."""
     if isinstance(part, str) and not isinstance(here, dict):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import math
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -21,7 +23,7 @@ from stewart_drake.base.families import Family, given_keys
 from stewart_drake.logs.metrics import Column, ValueKind
 from stewart_drake.logs.metrics import columns as run_columns
 from stewart_drake.logs.outcomes import describe_outcome
-from stewart_drake.scenario.keys import split_key, value_at
+from stewart_drake.scenario.keys import split_key, unit_at, value_at
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.experiment import (
     INCIDENTAL,
@@ -150,8 +152,8 @@ class SweepFile(StudyFile):
     seed: Seed = 0
     """Seed of everything random."""
     mismatch: Flag = False
-    """Whether the controller goes on believing in the scenario's robot, and in its servos, while `robot.*` or
-    `motors.*` vary: they become `model.robot` and `model.motors`, where the scenario has none of its own."""
+    """Whether the controller goes on believing what it believes in the scenario, of robot, servos, gravity, noise and
+    delay, while these vary: they become keys of `model`, where the scenario has none of its own."""
     distributions: dict[Text, Annotated[Distribution, DISTRIBUTIONS]]
     """Scenario key -> distribution. A component of a list is `initial_offset[0]`, or `disturbances[0].wrench[3]`."""
 
@@ -239,11 +241,16 @@ class Draws(Sequence[Trial]):
 def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Experiment:
     """From plain values of a `SweepFile`; paths relative to `folder`."""
     file, base = SweepFile.read("sweep", data, folder)
-    if file.mismatch and base.model.robot is None:
-        base = base.replace({"model.robot": base.to_dict()["robot"]})
-    # Of motors that take torque nothing is believed.
-    if file.mismatch and base.model.motors is None and base.motors.takes != "torque":
-        base = base.replace({"model.motors": base.belief.motors.to_dict()})
+    if file.mismatch:
+        belief, model = base.belief, base.model
+        kept = {"robot": base.to_dict()["robot"], "gravity": belief.gravity, "noise": belief.noise}
+        kept |= {"delay": belief.delay, "motors": belief.motors.to_dict()}
+        if base.motors.takes == "torque":
+            # Of these nothing is believed.
+            del kept["motors"]
+        base = base.replace({f"model.{key}": value for key, value in kept.items() if getattr(model, key) is None})
+    values = {key: _without_units(base, key, each) for key, each in file.distributions.items()}
+    file = dataclasses.replace(file, distributions=values)
     runs = file.runs
     if runs is None:
         grids = [len(each.values) for each in file.distributions.values() if isinstance(each, Grid)]
@@ -265,24 +272,42 @@ def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Experimen
     )
 
 
-def write_picture(sweep: Experiment, result: Result) -> None:
-    """sweep.png and .pdf: the error against each key that was varied, or a map where two run through a grid."""
+def _without_units(base: Scenario, key: str, distribution: Distribution) -> Distribution:
+    """With numbers in place of texts such as `100 g`; what is wrong stays as it is."""
+    if not isinstance(distribution, Choice) or not any(isinstance(each, str) for each in distribution.values):
+        return distribution
+    values = []
+    for each in distribution.values:
+        values.append(each)
+        with suppress(ConfigurationError):
+            values[-1] = value_at(with_changes(base, {key: each}).in_full(), key)
+    return dataclasses.replace(distribution, values=tuple(values))
+
+
+def write_picture(sweep: Experiment, result: Result) -> bool:
+    """sweep.png and .pdf: the error against each key that was varied, or a map where two run through a grid.
+
+    Returns whether there is something to draw.
+    """
     # matplotlib takes a second to load.
     from stewart_drake.plotting import save_figure
     from stewart_drake.plotting.study_plots import plot_map, plot_sweep
 
     rows, given = result.rows["sweep"], {**sweep.work["distributions"]}
-    # Of a factor the factor is shown; what is no number has no axis.
+    # Of a factor the factor is shown; a list has no axis.
     names = {key: f"{key}.factor" if each["factor"] else key for key, each in given.items()}
     kinds = {column.name: column.kind for column in sweep.columns}
-    varied = {key: name for key, name in names.items() if kinds[name] in ("number", "integer")}
+    varied = {key: name for key, name in names.items() if kinds[name] != "json"}
     if not varied:
-        return
+        return False
     are_grids = len(given) == len(varied) == 2 and all(each["kind"] == "grid" for each in given.values())
-    figure = (plot_map if are_grids else plot_sweep)(rows, list(varied.values()))
+    units = {name: "" if given[key]["factor"] else unit_at(sweep.base, key) for key, name in varied.items()}
+    labels = {name: f"{name} [{unit}]" if unit else name for name, unit in units.items()}
+    figure = (plot_map if are_grids else plot_sweep)(rows, labels)
     with locked_folder(result.folder):
         for suffix in ("png", "pdf"):
             save_figure(figure, result.folder / f"sweep.{suffix}")
+    return True
 
 
 def load_sweep(path: str | Path, runs: int | None = None) -> Experiment:

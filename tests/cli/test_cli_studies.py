@@ -23,7 +23,7 @@ def test_a_file_is_run_and_its_tables_are_shown_and_kept(call, tmp_path):
     (tmp_path / "mine.yaml").write_text(TEXT)
     status, out, _ = call("compare", "mine.yaml", "--workers", 1)
     assert status == 0
-    assert all(word in out for word in ("weak", "strong", "change per tick", "runs/mine"))
+    assert all(word in out for word in ("weak", "strong", "RMSE", "runs/mine"))
     names = {path.name for path in (tmp_path / "runs" / "mine").iterdir()}
     assert {"comparison.parquet", "comparison.csv", "comparison.md", "rmse.png", "error.png"} <= names
     status, out, _ = call("compare", "mine.yaml", "--quiet", "--quick", "--workers", 1)

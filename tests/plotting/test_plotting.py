@@ -163,12 +163,13 @@ def test_a_sweep_shows_runs_that_were_lost_at_the_edge_and_two_grids_as_a_map():
             (0.5, 0.2, None, "failed"),
         ]
     ]
-    panels = plot_sweep(rows, ["mass", "friction"]).axes[:2]
-    assert [panel.get_xlabel() for panel in panels] == ["mass", "friction"]
+    varied = {"mass": "mass [kg]", "friction": "friction"}
+    panels = plot_sweep(rows, varied).axes[:2]
+    assert [panel.get_xlabel() for panel in panels] == ["mass [kg]", "friction"]
     kept, lost = panels[0].lines
     assert kept.get_ydata().tolist() == [1.0, 2.0, 3.0]
     assert (lost.get_xdata().tolist(), lost.get_ydata()[0] > 3.0) == ([0.5], True)
-    (cells,) = plot_map(rows, ["mass", "friction"]).axes[0].images
+    (cells,) = plot_map(rows, varied).axes[0].images
     assert cells.get_array().filled(np.nan).tolist()[0] == [1.0, 3.0]
     assert cells.get_array().filled(np.nan)[1, 0] == 2.0
     assert cells.get_array().mask[1, 1]
