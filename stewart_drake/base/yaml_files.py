@@ -47,6 +47,8 @@ def find_file(kind: str, name: str | Path) -> Path:
     for other, (_, use) in _MARKS.items():
         if (shipped_folder(f"{other}s") / f"{name}.yaml").is_file():
             raise _of_another_kind(kind, name, other, use)
+    if path.suffix in (".yaml", ".yml"):
+        raise ConfigurationError(f"{kind} file", str(name), "a file that exists")
     allowed = f"an existing file, or one of {', '.join(shipped)}{did_you_mean(str(name), shipped)}"
     raise ConfigurationError(f"{kind} file", str(name), allowed)
 

@@ -276,7 +276,10 @@ class Record:
             self.rows = [row for row in self.rows if row[0] >= time - _MOST]
 
     def save(self, folder: Path, scenario: Scenario) -> None:
-        """log.csv, motion.csv, and a scenario.yaml that repeats reference and pushes, with the keys as they are now."""
+        """log.csv, motion.csv, and a scenario.yaml that repeats reference, pushes, dead motors and frozen encoders.
+
+        Its other keys are as they are now.
+        """
         rows = np.array(self.rows)
         begin, end = rows[0, 0], rows[-1, 0]
         rows[:, 0] -= begin
@@ -296,8 +299,19 @@ class Record:
         changed = scenario.replace({"duration": float(max(rows[-1, 0], 0.1)), "disturbances": pushes})
         data = changed.to_dict()
         data["reference"] = {"kind": "recorded", "motion_file": "motion.csv"}
+        began = {key: max(time - begin, 0.0) for time, change in self.changes for key in change}
+        dead, frozen = data["motors"].get("dead"), data["sensors"].get("faults", [])
+        for key, switched in (("motors.dead", [dead] if dead else []), ("sensors.faults", frozen)):
+            for each in switched:
+                each["time"] = began.get(key, each["time"])
         lines = [f"# At {time - begin:.2f} s: {dict(change)}" for time, change in self.changes if time >= begin]
-        text = "\n".join(["# What was done by hand; keys are as they were at the end.", *lines, to_yaml(data)])
+        text = "\n".join(
+            [
+                "# What was done by hand. Keys are as they were at the end:",
+                *lines,
+                to_yaml(data),
+            ]
+        )
         write_atomically(folder / "scenario.yaml", text.encode())
 
 

@@ -221,7 +221,8 @@ class LiveSession(PageSession):
         frequency = min(max(float(command.get("frequency", 1.0)), 0.2), 20.0)
         kind = "step" if command["kind"] == "step" else "sine"
         self._each(lambda loop: setattr(loop, "test", Probe(kind, axis, size, frequency, loop.time)))
-        self._test = f"{kind} of {AXES[axis]}: under way"
+        at = f", {frequency:g} Hz" if kind == "sine" else ""
+        self._test = f"{kind} of {AXES[axis]}{at}: under way"
 
     def _one_tick(self, _: Mapping[str, Any]) -> None:
         self.paused = True
@@ -231,10 +232,10 @@ class LiveSession(PageSession):
         self.speed = min(max(float(command["value"]), 0.1), 2.0)
 
     def _save(self, _: Mapping[str, Any]) -> None:
-        scenario = self.loop.scenario.replace({"name": f"{self.loop.scenario.name} by hand"})
+        scenario = self.loop.scenario.replace({"name": f"{self.loop.scenario.name}-by-hand"})
         with claimed_place(scenario) as folder:
             self.loop.record.save(folder, scenario)
-        self.message = f"saved in {folder}: log.csv, and scenario.yaml, which repeats it"
+        self.message = f"saved in {folder}: log.csv, and scenario.yaml, with motion, pushes and the last settings"
 
     def _freeze(self, command: Mapping[str, Any]) -> None:
         leg = _of_leg(command["leg"])

@@ -57,7 +57,9 @@ class _Distribution(Section):
 class _Between(_Distribution):
     kind: str
     low: Real
+    """The lowest value."""
     high: Real
+    """The highest value."""
 
     def rules(self) -> None:
         if not self.low < self.high:
@@ -78,6 +80,7 @@ class LogUniform(_Between):
 
     kind: Literal["loguniform"] = "loguniform"
     low: Positive
+    """The lowest value."""
 
     def at(self, quantile: float) -> float:
         return math.exp(math.log(self.low) + quantile * (math.log(self.high) - math.log(self.low)))
@@ -88,9 +91,13 @@ class Normal(_Distribution):
 
     kind: Literal["normal"] = "normal"
     mean: Real
+    """The mean, before it is truncated."""
     std: Positive
+    """The standard deviation, before it is truncated."""
     low: Real | None = None
+    """The lowest value; null for none."""
     high: Real | None = None
+    """The highest value; null for none."""
 
     def rules(self) -> None:
         if self.low is not None and self.high is not None and not self.low < self.high:
@@ -110,7 +117,9 @@ class Integers(_Between):
 
     kind: Literal["integers"] = "integers"
     low: Count
+    """The lowest number."""
     high: Count
+    """The highest number."""
 
     def at(self, quantile: float) -> int:
         return self.low + int(quantile * (self.high - self.low + 1))
@@ -121,6 +130,7 @@ class Choice(_Distribution):
 
     kind: Literal["choice"] = "choice"
     values: Annotated[tuple[Any, ...], Field(min_length=1, max_length=100_000)]
+    """What is taken: numbers, with a unit too, texts, truth values, lists or sections."""
 
     def rules(self) -> None:
         check_plain("values", self.values)

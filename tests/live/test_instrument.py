@@ -216,7 +216,7 @@ def test_what_was_done_is_saved_and_runs_again(tmp_path, monkeypatch):
     do(live, do="release")
     live.loop.advance(300)
     do(live, do="save")
-    folder = tmp_path / "runs" / "sway by hand"
+    folder = tmp_path / "runs" / "sway-by-hand"
     assert {path.name for path in folder.iterdir()} == {"log.csv", "motion.csv", "scenario.yaml"}
     done = np.genfromtxt(folder / "log.csv", delimiter=",", names=True)
     log = run(load_scenario(folder / "scenario.yaml"))
