@@ -43,15 +43,16 @@ def drive(
     """
     from stewart_drake.machines.machine import open_machine
     from stewart_drake.runs.checks import check_scenario
-    from stewart_drake.runs.drive import Drive, as_logged, connected, measured_home
+    from stewart_drake.runs.drive import Drive, as_logged, connected, held_controller, measured_home
 
     loaded = load_driven(scenario, (*kept_model(keep_model), *overrides))
     refuse_without_learning(loaded, keep_model)
     if out is not None:
         check_place(as_logged(loaded), out, force, duration=False)
-    opened = open_machine(machine, loaded)
+    opened, driven = open_machine(machine, loaded), None
     with shown_compiling():
         check_scenario(loaded)
+        held_controller(loaded, loaded.start()[0])
     try:
         start = connected(loaded, opened, seconds)
         belief = loaded.belief
@@ -80,13 +81,16 @@ def drive(
         with claimed_place(as_logged(loaded), out, force, duration=False) as claimed:
             journal = begin_journal(as_logged(loaded), claimed)
             with progress_bar(loaded.name, start.duration) as advance:
-                log = Drive(loaded, opened, start, journal).run(advance)
+                driven = Drive(loaded, opened, start, journal)
+                log = driven.run(advance)
             place = leave(log, claimed, machine=machine)
             keep(log, keep_model)
             if mcap:
                 log.save(place / "run.mcap")
     finally:
         opened.disconnect()
+        if driven is not None:
+            tell(f"{driven.ending}{opened.after and f'; {opened.after}'}")
     end(log, place == claimed)
 
 

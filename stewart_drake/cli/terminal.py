@@ -5,8 +5,9 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import signal
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import click
@@ -89,14 +90,21 @@ def working(title: str) -> Iterator[None]:
 
 @contextmanager
 def shown_compiling() -> Iterator[None]:
-    """A bar that moves while numba compiles, where the cache does not have a law; nothing where it has."""
+    """A bar that moves while numba compiles, where the cache does not have a law; nothing where it has.
+
+    Ctrl-C waits for the function: within the compiler it would be lost.
+    """
     from numba.core import event
 
     (bar, task), depth, laws = _moving(""), 0, 0
+    asked: list[Any] = []
+    handler = signal.getsignal(signal.SIGINT)
 
     class Line(event.Listener):
         def on_start(self, event: Any) -> None:  # noqa: ARG002
             nonlocal depth, laws
+            if depth == 0:
+                _set_interrupt(lambda *given: asked.append(given))
             depth, laws = depth + 1, laws + 1
             bar.update(task, description=f"compiling, once on this machine: {laws} functions")
             bar.start()
@@ -106,12 +114,22 @@ def shown_compiling() -> Iterator[None]:
             depth -= 1
             if depth == 0:
                 bar.stop()
+                _set_interrupt(handler)
+                if asked and callable(handler):
+                    handler(*asked.pop())
 
     with event.install_listener("numba:compile", Line()):
         try:
             yield
         finally:
             bar.stop()
+            _set_interrupt(handler)
+
+
+def _set_interrupt(handler: Any) -> None:
+    # Another thread than the first gets no signals, and a handler of C's cannot be set again.
+    with suppress(ValueError, TypeError):
+        signal.signal(signal.SIGINT, handler)
 
 
 def drop_output() -> None:

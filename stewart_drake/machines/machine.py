@@ -76,6 +76,7 @@ class Machine(Protocol):
         period: [s] between two readings, known once it is connected; None where that does not matter.
         takes: What `command` takes: `angle` [rad], `torque` [N m] or `current` [A].
         reads: Whether it measures its angles; otherwise `read` gives the last command.
+        after: What becomes of its motors once it is let go, as a clause; empty where nothing has to be said.
         paced: Whether its own ticks set the pace. `read` then waits for the next reading, for at most `PATIENCE`
             periods; if none comes it gives the last one again, older. Otherwise `read` gives the latest at once.
     """
@@ -84,6 +85,7 @@ class Machine(Protocol):
     takes: Takes
     reads: bool
     paced: bool
+    after: str
 
     def connect(self) -> None:
         """Opens the connection and waits for the first reading; moves nothing."""

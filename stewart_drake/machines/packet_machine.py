@@ -18,6 +18,12 @@ from stewart_drake.scenario.scenario import Scenario
 ASK_EVERY, ANSWER_WITHIN, COUNTED = 0.05, 3.0, 20
 """[s] between two requests while a connection opens, and until it is given up; readings that give the period."""
 LARGEST_ANGLE = 4.0 * np.pi  # [rad] of a reading that is believed.
+_DROPPED = {
+    "garbage": "no packets",
+    "foreign": "commands",
+    "range": f"beyond {LARGEST_ANGLE:.3g} rad: are they in rad, and is model.home right?",
+    "old": "older than the one before",
+}
 KEPT = 1024  # Commands whose time of sending is kept.
 
 
@@ -31,6 +37,7 @@ class PacketMachine(ABC):
     period: float | None = None
     reads = True
     paced = True
+    after = "its own side keeps the angles, or brakes"
     _looked = _listening = _arrived = _answered = 0.0
     _sent = np.zeros(KEPT)
 
@@ -68,7 +75,7 @@ class PacketMachine(ABC):
         while first is None or self._counted < COUNTED:
             waited = time.monotonic() - begun
             if waited > ANSWER_WITHIN:
-                raise MachineError(self.name, f"sends no readings: {dict(self.dropped) or 'nothing has come'}")
+                raise MachineError(self.name, f"sends no readings: {self._heard()}")
             if waited >= asked * ASK_EVERY:
                 asked += 1
                 self._tell(np.zeros(6), False)
@@ -116,6 +123,10 @@ class PacketMachine(ABC):
                 self._line.close()
         self._line = None
         self._forget()
+
+    def _heard(self) -> str:
+        told = [f"{count} that are {_DROPPED[why]}" for why, count in self.dropped.items()]
+        return ", ".join(told) or "nothing has come"
 
     def _forget(self) -> None:
         self._last: wire.Packet | None = None

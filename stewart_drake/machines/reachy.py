@@ -30,6 +30,7 @@ class ReachyMachine:
     takes: Takes = "angle"
     reads = True
     paced = True
+    after = "the daemon keeps its motors on, and holds"
 
     def __init__(self, scenario: Scenario, host: str, port: int) -> None:
         machine.check_takes(scenario, self.takes, "reachy")

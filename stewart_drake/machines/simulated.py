@@ -57,6 +57,8 @@ class SimulatedMachine(UdpMachine):
         counts: What the robot's side has counted, see `RobotSide`; after `disconnect`.
     """
 
+    after = ""
+
     def __init__(self, scenario: Scenario, other: str = "") -> None:
         super().__init__(scenario, LOCALHOST, 0)
         self._simulated, self.name = load_driven(other) if other else scenario, f"sim:{other}".rstrip(":")

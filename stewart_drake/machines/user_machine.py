@@ -5,12 +5,12 @@ from __future__ import annotations
 import inspect
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.code import CodePath, UserCode
+from stewart_drake.base.code import CodePath, ControllerError, UserCode
+from stewart_drake.base.config import Positive, check_value
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.machines import machine
 from stewart_drake.machines.machine import MachineError, Reading, Takes
@@ -38,7 +38,7 @@ class UserMachine:
         self.takes: Takes = getattr(self._own, "takes", None) or scenario.belief.motors.takes  # type: ignore[assignment]
         machine.check_takes(scenario, self.takes, self.name)
         self._last: Reading | None = None
-        self._arrived = 0.0
+        self._arrived, self.after = 0.0, "its disconnect was called"
         self._look()
 
     def connect(self) -> None:
@@ -68,20 +68,24 @@ class UserMachine:
         self._ask(self._own.command, machine.within_limits(values, self._limits, self.name))
 
     def disconnect(self) -> None:
-        """Disconnects; what the user's object raises is of no use any more."""
-        with suppress(Exception):
+        """Disconnects; `after` says what the user's object raises."""
+        try:
             self._own.disconnect()
+        except Exception as error:
+            self.after = f"its disconnect raised {type(error).__name__}: {error}".removesuffix(": ")
 
     def _look(self) -> None:
         self.period: float | None = getattr(self._own, "period", None)
+        if self.period is not None:
+            check_value(f"period of {self.name}", self.period, Positive, "s")
         self.reads, self.paced = (bool(getattr(self._own, *each)) for each in (("reads", True), ("paced", False)))
 
     def _ask(self, method: Callable[..., Any], *given: Any) -> Any:
-        with self._guard:
-            try:
+        try:
+            with self._guard:
                 return method(*given)
-            except OSError as error:
-                raise MachineError(self.name, error) from error
+        except (OSError, ControllerError) as error:
+            raise MachineError(self.name, error) from error
 
     def _checked(self, given: Any, now: float) -> Reading:
         if not isinstance(given, Reading):

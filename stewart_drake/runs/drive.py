@@ -18,6 +18,7 @@ from stewart_drake.machines.machine import Machine, Reading
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.references.paced import RAMP, PacedMotion
 from stewart_drake.robot import RobotParameters
+from stewart_drake.safety import LEVELS
 from stewart_drake.scenario.controller import Controller
 from stewart_drake.scenario.scenario import Scenario
 
@@ -36,6 +37,8 @@ _FRESH = 5  # Readings at most until the first that is used.
 SHORTEST = 0.1  # [s] of a motion.
 HOLD = 0.3
 """[s] for which it is held at the end before it is let go."""
+MOVES, FOLLOWS = 0.1, 0.1
+"""[rad] that a crank should have moved by when it is seen whether it moves, and the share of it that it must have."""
 
 
 def as_logged(scenario: Scenario) -> Scenario:
@@ -116,6 +119,22 @@ def _standing(robot: RobotParameters, angles: np.ndarray, home: Sequence[float])
         raise ConfigurationError("angles", np.round(angles, 4).tolist(), allowed) from None
 
 
+def held_controller(scenario: Scenario, pose: np.ndarray, motion: PacedMotion | None = None) -> Controller:
+    """The controller of a drive that begins at a pose (6,); it reads angles, whatever a simulation would.
+
+    Without a `motion` it holds the pose, for a first step: what is compiled or loaded in that must come before a
+    machine waits for it.
+    """
+    here = {"reference": {"kind": "hold", "pose": pose.tolist()}, "initial_offset": [0.0] * 6}
+    held = scenario.control().replace({**here, "model.reading": "angles"})
+    if motion is not None:
+        ahead = scenario.preview
+        return Controller(held, {"reference": motion.row, "reference_ahead": lambda now: motion.row(now + ahead)})
+    controller = Controller(held)
+    controller.step(inverse_kinematics(scenario.belief.robot, pose), 0.0, np.empty(6))
+    return controller
+
+
 class Tick(NamedTuple):
     """What a tick has read, wanted and sent."""
 
@@ -139,14 +158,9 @@ class Drive:
         self, scenario: Scenario, machine: Machine, start: Start, journal: Path | None = None, most: int | None = None
     ) -> None:
         self._machine, self._start, self._motion = machine, start, start.motion
-        # What it believes begins where the robot stands, and it reads angles, whatever a simulation would.
-        here = {"reference": {"kind": "hold", "pose": start.pose.tolist()}, "initial_offset": [0.0] * 6}
-        held = scenario.control().replace({**here, "model.reading": "angles"})
-        motion, ahead = self._motion, scenario.preview
-        sources = {"reference": motion.row, "reference_ahead": lambda now: motion.row(now + ahead)}
         self.scenario = as_logged(scenario).replace(duration=start.duration)
         self._robot, self._following = scenario.belief.robot, scenario.bounds.crank_angle or np.inf
-        self._controller, self._ahead = Controller(held, sources), ahead
+        self._controller, self._ahead = held_controller(scenario, start.pose, start.motion), scenario.preview
         self._period, self._command = self._controller.period, np.empty(6)
         self._stale = STALE[machine.takes]
         # What is compiled or loaded in the first call must not come in the first tick.
@@ -160,20 +174,31 @@ class Drive:
         self._origin = 0.0  # [s], or a machine's number of its reading, at the beginning.
         self._stopped_by: RunFailure | KeyboardInterrupt | None = None
         self._asked = False
-        motion.stop(start.duration - RAMP)
+        self._ranges = np.tile([np.inf, -np.inf], (2, 6, 1))  # Of the cranks, as read and as wanted [rad].
+        self._motion.stop(start.duration - RAMP)
 
     @property
     def time(self) -> float:
         """[s] that the log has reached."""
         return max(self._last, 0) * self._period
 
+    @property
+    def ending(self) -> str:
+        """What became of the robot, once it is over."""
+        if self.time < self._motion.rests:
+            return "it was let go at once"
+        return f"it came to rest on its path, was held for {HOLD:g} s, and was let go"
+
     def run(self, progress: Callable[[float], None] | None = None) -> SimulationLog:
         """To the end, or to rest before it: after Ctrl-C, an old reading, an error that grows; a lost machine ends it.
 
-        The log says how it ended, as that of a run does.
+        The log says how it ended, as that of a run does. Where it ended before its first tick there is none, and why is
+        raised.
         """
         began = time.monotonic()
         ended_by = self.go(progress)
+        if ended_by is not None and not self._rows:
+            raise ended_by
         trip, wall = self._controller.first_trip, time.monotonic() - began
         return SimulationLog(**self._rows.log_fields(ended_by, safety=trip, wall_time=wall))
 
@@ -290,10 +315,23 @@ class Drive:
         elif reading.age > self._stale:
             text = f"a reading that is {reading.age:.3g} s old, at most {self._stale:.3g} s"
             self._stop(RunFailure(text, reason="stale_reading"))
-        elif self._machine.reads:
+        elif self._machine.reads and self._controller.status == LEVELS[0]:
+            # Else the safety layer stops it, and says why.
             wanted = inverse_kinematics(self._robot, self._motion.evaluate(self.time)[0])
             apart = np.abs(reading.angles - wanted)
-            if apart.max() > self._following:
+            if (still := self._still(reading.angles, wanted)) is not None:
+                text = f"leg {still} does not move: are its motor and its power on?"
+                self._stop(RunFailure(text, still, "not_following"))
+            elif apart.max() > self._following:
                 leg = int(apart.argmax())
                 text = f"leg {leg} is {apart[leg]:.3g} rad from where it should be, at most {self._following:.3g} rad"
                 self._stop(RunFailure(text, leg, "not_following"))
+
+    def _still(self, angles: np.ndarray, wanted: np.ndarray) -> int | None:
+        """A leg whose crank should have moved by now, and has not."""
+        for extremes, value in zip(self._ranges, (angles, wanted), strict=True):
+            np.minimum(extremes[:, 0], value, out=extremes[:, 0])
+            np.maximum(extremes[:, 1], value, out=extremes[:, 1])
+        moved, should = np.diff(self._ranges)[..., 0]
+        still = (should > MOVES) & (moved < FOLLOWS * should)
+        return int(should.argmax()) if still[should.argmax()] else None

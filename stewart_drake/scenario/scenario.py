@@ -187,8 +187,11 @@ def load_driven(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     """A scenario, or a controller's file as one, whose robot and motors are then those that it believes in."""
     try:
         file = find_file("scenario", path)
-    except ConfigurationError:
-        file = find_file("controller", path)
+    except ConfigurationError as error:
+        try:
+            file = find_file("controller", path)
+        except ConfigurationError:
+            raise error from None
     if not set(read_mapping("scenario", file, 100)) <= set(ControlOptions.__pydantic_fields__):
         return load_scenario(file, overrides)
     control = load_controller(file, overrides)

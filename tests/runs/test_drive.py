@@ -198,3 +198,28 @@ def test_lost_ticks_are_ticks_without_a_reading_and_no_velocity():
         assert driven(machine, scenario).status == "completed"
         steps[lost] = np.abs(np.diff(machine.commands, axis=0)).max()
     assert steps[50] < 3.0 * steps[0]
+
+
+def test_motors_that_never_move_are_found_before_the_error_is_large():
+    machine = Servos()
+    machine.command = machine.commands.append
+    log = driven(machine, BASE.replace({"duration": 10.0}))
+    assert (log.status, log.reason) == ("failed", "not_following")
+    assert "does not move" in log.message
+    assert log.end_time < 4.0
+
+
+def test_what_ends_it_before_its_first_tick_is_raised():
+    machine = Servos(at=3, event=lost)
+    start = connected(BASE, machine)
+    with pytest.raises(MachineError, match="lost"):
+        Drive(BASE, machine, start).run()
+    assert machine.gone
+
+
+def test_where_the_safety_layer_stops_it_that_is_what_is_told():
+    push = {"kind": "step", "time": 1.0, "wrench": [0.0, 0.0, 0.0, 0.0, 0.0, -60.0]}
+    scenario = load_scenario("exact_fig7", ["plant.kind=closed_form", "sensors=encoders", "duration=2", "safety={}"])
+    scenario = scenario.replace({"estimator": "observer", "tuner": "block", "bounds.crank_angle": 0.02})
+    log = driven(Exact(scenario.replace({"disturbances": [push]}), 0), scenario)
+    assert (log.status, log.safety["stopped"]["monitor"]) == ("stopped", "unexplained_torque")
