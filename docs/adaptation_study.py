@@ -1,6 +1,6 @@
 """Robots of unknown motors that learn them, docs/results/adaptation.md: `make adaptation`, half an hour on two cores.
 
-`python docs/adaptation_study.py --robots 500` draws more.
+`--robots 500` draws more; `--many` prints the table of many robots alone, ten minutes.
 """
 
 from __future__ import annotations
@@ -205,6 +205,15 @@ def one_of_many(slow: bool, seed: int) -> float:
     return float(np.inf if lost else measured["rmse_norm_deg"])
 
 
+def table_of_many(workers: ProcessPoolExecutor) -> str:
+    """Both buses, robots that only nod."""
+    rows, seeds = [], range(FIRST_OF_MANY, FIRST_OF_MANY + MANY)
+    for slow, name in MANY_BUSES.items():
+        found = np.array(list(workers.map(partial(one_of_many, slow), seeds, chunksize=5)))
+        rows.append([name, *table(found[:, None])])
+    return markdown_table(["", "nod [deg]", "lost"], rows)
+
+
 def on_makers_model(belief: str) -> list[float]:
     """Nod [deg] and breathing [mm] on the maker's model, without and with learning."""
     found = []
@@ -297,16 +306,17 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--robots", type=int, default=ROBOTS)
     parser.add_argument("--workers", type=int, default=None)
+    parser.add_argument("--many", action="store_true")
     given = parser.parse_args()
+    if given.many:
+        with ProcessPoolExecutor(given.workers) as workers:
+            print(table_of_many(workers))
+        return
     with ProcessPoolExecutor(given.workers) as workers:
         trials = np.array(list(workers.map(trial, range(given.robots))))
         others = {name: np.array(list(workers.map(partial(strange, name), range(FEW)))) for name in STRANGE}
         slow = np.array(list(workers.map(slow_trial, range(max(given.robots, SLOW_ROBOTS)))))
-        seeds = range(FIRST_OF_MANY, FIRST_OF_MANY + MANY)
-        many = {
-            name: np.array(list(workers.map(partial(one_of_many, slow), seeds)))[:, None]
-            for slow, name in MANY_BUSES.items()
-        }
+        many = table_of_many(workers)
         maker = list(workers.map(on_makers_model, BELIEFS))
         torque = {
             scheme: [list(workers.map(partial(at_1_khz, "drake", scheme=scheme), ("breathing", "heart")))]
@@ -325,7 +335,7 @@ def main() -> None:
         ),
         many=MANY,
         short=SHORT,
-        of_many=markdown_table(["", "nod [deg]", "lost"], [[name, *table(rows)] for name, rows in many.items()]),
+        of_many=many,
         maker=markdown_table(
             ["", "nod [deg]", "learning", "breathing [mm]", "learning"],
             [[name, *(f"{x:.3g}" for x in row)] for name, row in zip(BELIEFS, maker, strict=True)],
