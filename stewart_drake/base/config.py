@@ -17,6 +17,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from functools import lru_cache, wraps
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Self, dataclass_transform
 
 import numpy as np
@@ -186,20 +187,23 @@ class Section:
         if fill is not None and isinstance(data, cls) and data.adapts:
             data = data.given()
         given = {name: value is None for name, value in data.items()} if isinstance(data, dict) else None
+        wrong: dict[str, InitErrorDetails] = {}
         try:
             if isinstance(data, dict):
-                data = {name: in_unit(plain(value), name, cls.unit_of(name)) for name, value in data.items()}
+                data = _without_units(cls, data, wrong)
             if given is not None:
                 data = cls.with_defaults(data)
                 data = data if fill is None else fill(cls, data)
             result = handler(data)
         except ConfigurationError as error:
             error.key = error.key.removeprefix(f"{cls.section_key}.")
-            raise as_problem(error) from None
+            raise (_problems(wrong.values()) if wrong else as_problem(error)) from None
         except ValidationError as error:
-            raise _in_words(error, cls) from None
+            raise _in_words(error, cls, wrong=wrong) from None
         except RecursionError:
             raise as_problem(ConfigurationError("", data, "values that do not hold themselves")) from None
+        if wrong:
+            raise _problems(wrong.values())
         if given is not None:
             vars(result)["_given"] = given
         return result
@@ -369,12 +373,36 @@ def _as_one(error: ValidationError, section: str) -> ConfigurationError:
     return first
 
 
-def _in_words(error: ValidationError, section: Any, kind: Any = None, unit: str = "") -> ValidationError:
-    """Pydantic's report on a section, or on a value of a type and unit, in our words."""
+def _without_units(section: Any, data: dict[str, Any], wrong: dict[str, InitErrorDetails]) -> dict[str, Any]:
+    """Keys with numbers in place of texts such as `5 mm`; those with another unit go to `wrong`."""
+    numbers = {}
+    for name, value in data.items():
+        try:
+            numbers[name] = in_unit(plain(value), name, section.unit_of(name))
+        except ConfigurationError as error:
+            problem = as_problem(ConfigurationError("", error.value, error.allowed))
+            wrong[name] = InitErrorDetails(type=problem, loc=(name,), input=value)
+    return numbers
+
+
+def _problems(lines: Iterable[InitErrorDetails]) -> ValidationError:
+    return ValidationError.from_exception_data("section", list(lines))
+
+
+def _in_words(
+    error: ValidationError,
+    section: Any,
+    kind: Any = None,
+    unit: str = "",
+    wrong: Mapping[str, InitErrorDetails] = MappingProxyType({}),
+) -> ValidationError:
+    """Pydantic's report on a section, or on a value of a type and unit, in our words; `wrong` keys were left out."""
     fields: Mapping[str, Any] = getattr(section, "__pydantic_fields__", {})
-    lines: list[InitErrorDetails] = []
+    lines: list[InitErrorDetails] = [*wrong.values()]
     for report in error.errors(include_url=False):
         location, value, context = report["loc"], report["input"], report.get("ctx", {})
+        if location and location[0] in wrong:
+            continue
         if report["type"] == "unexpected_keyword_argument":
             key = str(location[-1])
             problem = as_problem(ConfigurationError("", value, _unknown_here(section, key)))
@@ -400,7 +428,7 @@ def _in_words(error: ValidationError, section: Any, kind: Any = None, unit: str 
                 location = location[:-1]
             problem = as_problem(ConfigurationError("", value, allowed))
         lines.append(InitErrorDetails(type=problem, loc=location, input=value))
-    return ValidationError.from_exception_data("section", lines)
+    return _problems(lines)
 
 
 def _allowed(kind: Any, path: Sequence[int | str], unit: str) -> str:

@@ -268,3 +268,11 @@ def test_a_motion_in_millimetres_and_a_recording_in_milliseconds_are_named(tmp_p
         ConfigurationError, match=r"less than 60 s apart; of times in ms.* got|rows 100 s apart.*time_ms"
     ):
         check_scenario(Scenario(duration=0.1, reference={"kind": "recorded", "motion_file": str(file)}))
+
+
+def test_a_wrong_unit_hides_no_other_problem():
+    data = {"duration": "5 mm", "command_delay": -1, "sensors": {"kind": "encoders", "noise": "3 mm"}, "contoller": 1}
+    with pytest.raises(ConfigurationError) as caught:
+        Scenario.from_dict(data)
+    told = {each.key for each in (caught.value, *caught.value.others)}
+    assert told == {"duration", "command_delay", "sensors.noise", "contoller"}
