@@ -56,6 +56,8 @@ def explain(key: str) -> None:
     A kind such as reference.recorded has a line for each of its keys.
 
     Keys of the files of `sweep`, `compare` and `tune` have that name in front: sweep.distributions, compare.bands.
+
+    Of a word for how a run ended, such as lost, or how the safety layer took a fault, such as ramped, its meaning.
     """
     every = [*Scenario.keys(inside=True), *_study_keys()]
     matching = [each for each in every if each.name == key] or [each for each in every if each.name.endswith(f".{key}")]
@@ -73,8 +75,18 @@ def explain(key: str) -> None:
         there = [each for each, at in zip(of_kind, places, strict=True) if at == place and not each.chooses_kind]
         matching = [each._replace(kind="") for each in there]
     if not matching:
+        from stewart_drake.logs.outcomes import OUTCOMES
+        from stewart_drake.studies.faults import REACTIONS
+
+        words = {**OUTCOMES, **REACTIONS}
+        if key in words:
+            print_table(
+                key, [("how a run ended" if key in OUTCOMES else "reaction to a fault", words[key])], numbers=()
+            )
+            return
         names = dict.fromkeys(name for each in every for name in (each.name, each.name.rpartition(".")[2]))
-        raise ConfigurationError("KEY", key, f"a key of a scenario, sweep or comparison{did_you_mean(key, names)}")
+        allowed = f"a key of a scenario, sweep or comparison, or an outcome{did_you_mean(key, [*names, *words])}"
+        raise ConfigurationError("KEY", key, allowed)
     inside = [each for each in every if each.name.rpartition(".")[0] == matching[0].name and not each.chooses_kind]
     if matching[0].chooses_kind:
         print_table(key, [(each.kind, each.text) for each in matching], ("kind", "what it is"), numbers=())

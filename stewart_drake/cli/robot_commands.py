@@ -265,9 +265,7 @@ def identify(
     **_MOTIONS,
     out="runs/excitation.yaml",
     example="limits.crank_speed=5",
-    duration=opt.option(
-        "Duration of the run [s] [default: 60, of servos 20].", opt.Seconds(least=5.0), default=None
-    ),
+    duration=opt.option("Duration of the run [s] [default: 60, of servos 20].", opt.Seconds(least=5.0), default=None),
     motors=opt.option(
         "Servos that take angles [default: motors that take torque].", click.Choice(POSITION_PRESETS.names)
     ),
