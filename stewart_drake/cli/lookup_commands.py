@@ -121,16 +121,21 @@ def _study_keys() -> Iterator[Key]:
     "init",
     file={"type": opt.OUT_FILE, "default": "scenario.yaml"},
     study=opt.option("Write a file for this command instead.", click.Choice(_STUDIES), "--for"),
+    scenario=opt.option("The scenario of that file [default: exact_breathing].", metavar="SCENARIO"),
 )
-def init(file: Path, study: str | None) -> None:
+def init(file: Path, study: str | None, scenario: str | None) -> None:
     """FILE is the scenario to write [default: scenario.yaml]; or a sweep, or a comparison, also one to tune."""
     if file.exists():
         raise ConfigurationError("FILE", str(file), "a new file")
     if study is not None:
         text = (Path(__file__).with_name("templates") / f"{study}.yaml").read_text()
+        if scenario is not None:
+            text = re.sub(r"(?<=\nscenario: )exact_breathing *", lambda _: f"{json.dumps(scenario)}    ", text)
         write_text(file, text.replace("FILE", str(file)))
         tell(f"file in {file}; next: stewart-drake {study} {file}")
         return
+    if scenario is not None:
+        raise ConfigurationError("--scenario", scenario, "no value without --for")
     texts: dict[str, Key] = {}
     given = read_mapping("scenario", shipped_folder("scenarios") / "exact_breathing.yaml", 100)
     given["reference"] = {"kind": "sine", "amplitude": [0.05, 0, 0, 0, 0, 0.01], "angular_frequency": 2}
