@@ -94,6 +94,9 @@ def test_the_keys_of_a_studys_file_are_explained(call, study, key):
 @pytest.mark.parametrize("study", ["sweep", "compare", "tune"])
 def test_a_study_to_begin_with_is_one_that_its_command_takes(call, tmp_path, study):
     path = tmp_path / "mine.yaml"
+    assert call("init", "own.yaml")[0] == call("init", "of_mine.yaml", "--for", study, "--scenario", "own.yaml")[0] == 0
+    assert 'scenario: "own.yaml"' in (tmp_path / "of_mine.yaml").read_text()
+    assert call("init", "other.yaml", "--scenario", "own.yaml")[0] == 2
     assert call("init", "mine.yaml", "--for", study)[0] == 0
     loaded = {"sweep": load_sweep, "compare": load_comparison, "tune": load_tuning}[study](path)
     assert loaded.runs > 1
