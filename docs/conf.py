@@ -26,7 +26,7 @@ html_theme = "furo"
 html_title = project
 html_static_path = ["site.css"]
 html_css_files = ["site.css"]
-html_extra_path = ["llms.txt", *(["tab.html"] if (DOCS / "tab.html").exists() else [])]  # the tab: `make tab`
+html_extra_path = ["tab.html"] if (DOCS / "tab.html").exists() else []  # the tab: `make tab`
 html_show_sourcelink = False
 html_math_renderer = "mathml"
 
@@ -70,6 +70,13 @@ def site_links(_app, docname, source):
     source[0] = reference.LINK.sub(link, source[0])
 
 
+def write_llms(app, error):
+    """llms.txt at the root of the site, where assistants look; its links are to the site's pages."""
+    if error is None and app.builder.format == "html":
+        text = (DOCS / "llms.txt").read_text(encoding="utf-8")
+        (Path(app.outdir) / "llms.txt").write_text(re.sub(r"(?<=\.)md\)", "html)", text), encoding="utf-8")
+
+
 def short_signature(_app, what, _name, section, *_):
     """The keys of a section stand in its text; in a line they help nobody."""
     return ("(**keys)", None) if what == "class" and issubclass(section, Section) else None
@@ -87,5 +94,6 @@ def setup(app):
     app.add_html_math_renderer("mathml", (formula, None), (formula, None))
     app.connect("builder-inited", lambda _: reference.write_all())
     app.connect("source-read", site_links)
+    app.connect("build-finished", write_llms)
     app.connect("autodoc-process-signature", short_signature)
     app.connect("autodoc-process-docstring", escape_bars)

@@ -1,5 +1,6 @@
 """The answers of docs/course.md."""
 
+import json
 import re
 from pathlib import Path
 
@@ -11,6 +12,15 @@ ANSWERS = re.findall(r"^## (\d+)\. .*?```python\n(.*?)```", PAGE, re.DOTALL | re
 
 def test_there_are_twelve_exercises():
     assert [number for number, _ in ANSWERS] == [str(number) for number in range(1, 13)]
+
+
+@pytest.mark.slow
+def test_the_margin_of_exercise_nine_is_that_of_its_own_loop(call):
+    command, delay = re.search(r"`stewart-drake (margins [^`]*)` says (\S+) ms", PAGE).groups()
+    status, out, _ = call(*command.split(), "--json")
+    assert status == 0
+    (found, _) = json.loads(out).values()
+    assert 1e3 * found["margins"]["delay_s"]["all_at_once"][0] == pytest.approx(float(delay), abs=0.02)
 
 
 @pytest.mark.slow

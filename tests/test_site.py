@@ -19,5 +19,10 @@ def test_the_site_builds_without_warnings_and_needs_no_network(tmp_path):
     outside = r"""<(?:script|img|iframe)[^>]*\ssrc=["'](?:https?:)?//|<link[^>]*href=["']https?://"""
     for page in html.rglob("*.html"):
         assert not re.search(outside, page.read_text(encoding="utf-8")), page
+    said = (html / "llms.txt").read_text(encoding="utf-8")
+    links = re.findall(r"\]\(([^)]+)\)", said)
+    assert len(links) > 10
+    assert [link for link in links if not (html / link).is_file() or not link.endswith(".html")] == []
+    assert 'href="llms.txt"' in (html / "index.html").read_text(encoding="utf-8")
     keys = (html / "reference" / "keys.html").read_text(encoding="utf-8")
     assert all(re.search(rf">{name}\b", keys) for name in Scenario.__pydantic_fields__)

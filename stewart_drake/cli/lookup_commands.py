@@ -56,6 +56,8 @@ def explain(key: str) -> None:
     A kind such as reference.recorded has a line for each of its keys.
 
     Keys of the files of `sweep`, `compare` and `tune` have that name in front: sweep.distributions, compare.bands.
+
+    Of a word for how a run ended, such as lost, or how the safety layer took a fault, such as ramped, its meaning.
     """
     every = [*Scenario.keys(inside=True), *_study_keys()]
     matching = [each for each in every if each.name == key] or [each for each in every if each.name.endswith(f".{key}")]
@@ -73,8 +75,18 @@ def explain(key: str) -> None:
         there = [each for each, at in zip(of_kind, places, strict=True) if at == place and not each.chooses_kind]
         matching = [each._replace(kind="") for each in there]
     if not matching:
+        from stewart_drake.logs.outcomes import OUTCOMES
+        from stewart_drake.studies.faults import REACTIONS
+
+        words = {**OUTCOMES, **REACTIONS}
+        if key in words:
+            print_table(
+                key, [("how a run ended" if key in OUTCOMES else "reaction to a fault", words[key])], numbers=()
+            )
+            return
         names = dict.fromkeys(name for each in every for name in (each.name, each.name.rpartition(".")[2]))
-        raise ConfigurationError("KEY", key, f"a key of a scenario, sweep or comparison{did_you_mean(key, names)}")
+        allowed = f"a key of a scenario, sweep or comparison, or an outcome{did_you_mean(key, [*names, *words])}"
+        raise ConfigurationError("KEY", key, allowed)
     inside = [each for each in every if each.name.rpartition(".")[0] == matching[0].name and not each.chooses_kind]
     if matching[0].chooses_kind:
         print_table(key, [(each.kind, each.text) for each in matching], ("kind", "what it is"), numbers=())
@@ -109,16 +121,21 @@ def _study_keys() -> Iterator[Key]:
     "init",
     file={"type": opt.OUT_FILE, "default": "scenario.yaml"},
     study=opt.option("Write a file for this command instead.", click.Choice(_STUDIES), "--for"),
+    scenario=opt.option("The scenario of that file [default: exact_breathing].", metavar="SCENARIO"),
 )
-def init(file: Path, study: str | None) -> None:
+def init(file: Path, study: str | None, scenario: str | None) -> None:
     """FILE is the scenario to write [default: scenario.yaml]; or a sweep, or a comparison, also one to tune."""
     if file.exists():
         raise ConfigurationError("FILE", str(file), "a new file")
     if study is not None:
         text = (Path(__file__).with_name("templates") / f"{study}.yaml").read_text()
+        if scenario is not None:
+            text = re.sub(r"(?<=\nscenario: )exact_breathing *", lambda _: f"{json.dumps(scenario)}    ", text)
         write_text(file, text.replace("FILE", str(file)))
         tell(f"file in {file}; next: stewart-drake {study} {file}")
         return
+    if scenario is not None:
+        raise ConfigurationError("--scenario", scenario, "no value without --for")
     texts: dict[str, Key] = {}
     given = read_mapping("scenario", shipped_folder("scenarios") / "exact_breathing.yaml", 100)
     given["reference"] = {"kind": "sine", "amplitude": [0.05, 0, 0, 0, 0, 0.01], "angular_frequency": 2}

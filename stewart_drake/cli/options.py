@@ -155,16 +155,20 @@ OUT_FILE, OUT_FOLDER = click.Path(dir_okay=False, path_type=Path), click.Path(fi
 
 
 class Seconds(click.ParamType):
-    """A number of seconds, or one with its unit: `20s`, `15 ms`."""
+    """A number of seconds, or one with its unit: `20s`, `15 ms`; not less than `least`."""
 
     name = "seconds"
+
+    def __init__(self, least: float | None = None) -> None:
+        self.range = click.FloatRange(min=least)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         from stewart_drake.base.units import in_unit
 
         with suppress(ValueError):
-            return float(value)
-        return click.FLOAT.convert(in_unit(value, param.opts[0] if param else self.name, "s"), param, ctx)
+            return self.range.convert(float(value), param, ctx)
+        number = click.FLOAT.convert(in_unit(value, param.opts[0] if param else self.name, "s"), param, ctx)
+        return self.range.convert(number, param, ctx)
 
 
 SECONDS = Seconds()

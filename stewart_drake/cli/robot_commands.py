@@ -18,7 +18,7 @@ from stewart_drake.estimation import geometry, servos, torques
 from stewart_drake.hardware.servos import POSITION_PRESETS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
-from stewart_drake.runs.outputs import prepare_file, write_text
+from stewart_drake.runs.outputs import check_ending, prepare_file, prepared_file, write_text
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
@@ -49,12 +49,14 @@ def show(name: str, picture: Path | None) -> None:
     from stewart_drake.analysis.robot_sheet import robot_sheets
 
     loaded = load_robot(name)
+    if picture is not None:
+        check_ending("--picture", picture, ".png")
+        prepare_file(picture)
     for title, header, rows in robot_sheets(loaded):
         print_table(f"{name}: {title}", rows, header, numbers=())
     if picture is not None:
         from stewart_drake.runs.pictures import render_png
 
-        prepare_file(picture)
         with progress_bar("picture", float(_PASSES), unit="passes") as advance:
             size = {"width": 800, "height": 600, "passes": _PASSES}
             render_png(loaded, loaded.home_pose, picture, **size, progress=advance)
@@ -263,9 +265,7 @@ def identify(
     **_MOTIONS,
     out="runs/excitation.yaml",
     example="limits.crank_speed=5",
-    duration=opt.option(
-        "Duration of the run [s] [default: 60, of servos 20].", click.FloatRange(min=5.0), default=None
-    ),
+    duration=opt.option("Duration of the run [s] [default: 60, of servos 20].", opt.Seconds(least=5.0), default=None),
     motors=opt.option(
         "Servos that take angles [default: motors that take torque].", click.Choice(POSITION_PRESETS.names)
     ),
@@ -296,11 +296,12 @@ def excite(
     own = (f"robot={json.dumps(robot)}", *differences, *(torque if motors is None else angle), f"duration={duration!r}")
     scenario = load_scenario("exact_breathing", (*own, *overrides))
     room = ROOM if motors is None else SERVO_ROOM
-    with progress_bar("designing", float(MOTIONS), unit="motions") as advance:
-        result = design(guess, scenario.limits, hold, gravity=scenario.gravity, room=room, progress=advance)
-    check_reference(guess, scenario.limits, result.reference, duration, scenario.gravity).raise_if_infeasible()
-    designed = scenario.replace({"name": "excitation", "reference": result.reference.to_dict()})
-    write_text(out, to_yaml(designed.to_dict()))
+    with prepared_file(out):
+        with progress_bar("designing", float(MOTIONS), unit="motions") as advance:
+            result = design(guess, scenario.limits, hold, gravity=scenario.gravity, room=room, progress=advance)
+        check_reference(guess, scenario.limits, result.reference, duration, scenario.gravity).raise_if_infeasible()
+        designed = scenario.replace({"name": "excitation", "reference": result.reference.to_dict()})
+        write_text(out, to_yaml(designed.to_dict()))
     rows = [
         ("condition number", f"{result.condition:.4g}"),
         ("median of random motions", f"{result.random_condition:.4g}"),

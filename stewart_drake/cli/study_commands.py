@@ -99,7 +99,7 @@ def tune(
 
     Every controller gets the same search (CMA-ES) over the same runs. Then the controllers before and after the search
     are compared as in the file, in OUT/verdict-*. Writes tuned.yaml (for the key `tuned` of the comparison),
-    tune.parquet and .csv (one row per evaluation), tune.md and tune.png.
+    tune.parquet and .csv (one row per evaluation), tune.md, and tune.png and .pdf.
     """
     from stewart_drake.studies.tune import load_tuning, run_tuning, write_picture
 

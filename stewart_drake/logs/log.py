@@ -56,7 +56,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
         scenario: As run.
         signals: Name -> array, (n,) for time and (n, k) for the rest, see `SIGNALS`.
         state_names: Names of the columns of `plant_state`.
-        status, reason, message: See `outcomes.Status`; the reason as a fixed name, and in one line, or None.
+        status, reason, message: See `outcomes.OUTCOMES`; the reason as a fixed name, and in one line, or None.
         outcome_time, end_time: [s] time of the reason, or None; simulated time reached.
         leg: Leg 0..5 of the reason, or None.
         warnings: See `outcomes.find_warnings`.

@@ -283,8 +283,8 @@ METRICS: tuple[Metric, ...] = (
 
 OUTCOME: tuple[Column, ...] = (
     Column(
-        "status", "", "completed, stopped, lost or failed, see `outcomes.Status`, failed also where the worker process "
-        "died; rejected: refused before the run; raised: any other exception", "text",
+        "status", "", "completed, stopped, lost or failed, see `outcomes.OUTCOMES`, failed also where the worker "
+        "process died; rejected: refused before the run; raised: any other exception", "text",
     ),
     Column("reason", "", "reason of the status, a fixed name; null for completed", "text"),
     Column("message", "", "the reason in one line", "text"),

@@ -18,9 +18,22 @@ if TYPE_CHECKING:
     from stewart_drake.scenario.scenario import Scenario
 
 Status = Literal["completed", "stopped", "lost", "failed", "interrupted", "unknown"]
-"""completed: the controller was in charge to the end, and the motion was followed. stopped: the safety layer held the
-robot at the end. lost: the motion was not followed, see `SuccessCriteria`, or no command reached the motors any more.
-failed: the run broke midway. interrupted: the user ended it. unknown: of a log from a file that does not say."""
+"""How a run ended; `OUTCOMES` says what each means."""
+OUTCOMES: Mapping[str, str] = {
+    "completed": "The controller was in charge to the end, and the motion was followed.",
+    "stopped": "The safety layer held the robot at the end, or until its time limit. The message names the monitor, "
+    "the time and the leg.",
+    "lost": "The controller was in charge, but the motion was not followed: a bound was exceeded, a rod left its joint "
+    "in the simulation, the platform did not move, its error was larger than the motion, or no command reached the "
+    "motors.",
+    "failed": "The run ended early: an error in a tick, in Drake or in a user's controller; or the safety layer gave "
+    "up and switched the motors off. In a study also where the worker process died.",
+    "interrupted": "Ctrl-C, SIGTERM or SIGHUP ended it.",
+    "unknown": "The log is from a file that does not say how the run ended.",
+    "rejected": "In a study: the run was refused before it began. The message says why.",
+    "raised": "In a study: any other error. The reason names it.",
+}
+"""What each status of a run means, and the two more that a row of a study can have."""
 
 SETTLING, SETTLING_SHARE = 3.0, 0.6  # [s], share of the run; the shorter is left out at the start.
 SHORTEST = 0.5  # [s] of a run whose errors are compared with its motion.

@@ -54,6 +54,25 @@ def prepare_file(path: Path) -> None:
         raise ConfigurationError("--out", str(path), "a file, not a folder")
 
 
+@contextmanager
+def prepared_file(path: Path) -> Iterator[None]:
+    """As `prepare_file`; a folder that was made for it and is empty at the end is removed."""
+    made = [folder for folder in path.absolute().parents if not folder.exists()]
+    prepare_file(path)
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            for folder in made:
+                folder.rmdir()
+
+
+def check_ending(key: str, path: Path, *endings: str) -> None:
+    """Raises a `ConfigurationError` for a file whose name ends otherwise: the ending says what is written."""
+    if path.suffix not in endings:
+        raise ConfigurationError(key, str(path), f"a name that ends in {' or '.join(endings)}")
+
+
 def write_text(path: Path, text: str) -> None:
     """Writes a file as a whole, and its folder where there is none."""
     prepare_file(path)

@@ -26,6 +26,7 @@ from stewart_drake.plant.model_files import on_platform
 from stewart_drake.plant.multibody_plant import add_plant
 from stewart_drake.plant.plant_options import DrakeOptions, RodJoint
 from stewart_drake.robot import RobotParameters
+from stewart_drake.runs.outputs import check_ending
 from stewart_drake.runs.scene import REFERENCE_COLOUR, reference_disc, viewpoint
 
 if TYPE_CHECKING:
@@ -211,8 +212,7 @@ def save_film(frames: list[Image], rate: float, path: Path) -> None:
 
 def check_film(path: Path) -> None:
     """Raises a `ConfigurationError` for a path that `write_film` cannot write."""
-    if path.suffix not in (".gif", ".mp4"):
-        raise ConfigurationError("film", str(path), "a name that ends in .gif or .mp4")
+    check_ending("film", path, ".gif", ".mp4")
     if path.suffix == ".mp4" and shutil.which("ffmpeg") is None:
         raise ConfigurationError("film", str(path), "a name that ends in .gif, or an installation of ffmpeg for .mp4")
 

@@ -45,7 +45,7 @@ def run(
 ) -> SimulationLog:
     """Simulates a scenario, `run("paper_fig7")`.
 
-    A run that breaks midway does not raise: its log so far comes back, with how it ended, see `outcomes.Status`.
+    A run that breaks midway does not raise: its log so far comes back, with how it ended, see `outcomes.OUTCOMES`.
 
     Args:
         scenario: What to run; a file, or the name of a shipped one, is read.

@@ -34,10 +34,17 @@ from stewart_drake.studies.robots import scale_to_robot
 from stewart_drake.studies.runs import Row, measure_all, simulate, simulate_unchecked
 
 Reaction = Literal["refused", "ridden through", "held", "ramped", "ended", "unnoticed"]
-"""refused: before the start. ridden through: no monitor tripped, and none had to. unnoticed: none tripped, but the true
-pose went farther from the reference than `safety.following_error` allows. held: the last good command
-bridged it. ramped: a safe hold, then the end. ended: without one, since the robot could not be held; brakes are all
-that is left."""
+"""How the safety layer took a fault; `REACTIONS` says what each means."""
+REACTIONS: Mapping[str, str] = {
+    "refused": "In the table of `faults`: the run was refused before it began.",
+    "ridden through": "In the table of `faults`: no monitor tripped, and none had to.",
+    "unnoticed": "In the table of `faults`: no monitor tripped, but the true pose went farther from the reference than "
+    "`safety.following_error` allows.",
+    "held": "In the table of `faults`: the last good command bridged the fault.",
+    "ramped": "In the table of `faults`: the safety layer brought the robot to a safe hold, then the run ended.",
+    "ended": "In the table of `faults`: the run ended without a safe hold, since the robot could not be held. Brakes "
+    "are all that is left.",
+}
 
 _FILE: Mapping[str, Any] = parse_yaml(Path(__file__).with_name("faults.yaml").read_text("utf-8"), "faults.yaml")
 ONSET: float = _FILE["onset"]
@@ -101,7 +108,7 @@ COLUMNS = (
     Column(
         "reaction",
         "",
-        "see Reaction; broke: the run ended without the safety layer; the status, if there is no log",
+        "see `REACTIONS`; broke: the run ended without the safety layer; the status, if there is no log",
         "text",
     ),
     *run_columns(),

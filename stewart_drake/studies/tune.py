@@ -242,8 +242,10 @@ def write_picture(result: TuneResult, folder: Path) -> None:
     from stewart_drake.plotting import save_figure
     from stewart_drake.plotting.study_plots import plot_search
 
+    figure = plot_search(result.rows)
     with locked_folder(folder):
-        save_figure(plot_search(result.rows), folder / "tune.png")
+        for suffix in ("png", "pdf"):
+            save_figure(figure, folder / f"tune.{suffix}")
 
 
 def setting_at(keys: Iterable[str], point: np.ndarray) -> Setting:

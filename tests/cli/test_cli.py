@@ -159,6 +159,10 @@ BAD = [
         "excite --robot paper --hold coulomb --hold viscous --set limits.torque_fraction=1e-4",
         ["limits: expected "],
     ),
+    ("excite --robot paper --duration 10m", ["--duration", "10m"]),
+    ("excite --robot paper --duration 500ms", ["--duration", "0.5 is not in the range x>=5.0"]),
+    ("excite --robot paper --out twice.yaml/x/excite.yaml", ["--out", "Not a directory"]),
+    ("robots show paper --picture robot.txt", ["--picture", "robot.txt", "ends in .png"]),
     ("robots show reachy_max", ["'reachy_max'", "paper, reachy_mini, servo_hexapod"]),
     ("sweep tiny.yaml --scheduler tcp://127.0.0.1:1", ["--scheduler", "tcp://127.0.0.1:1", "answers"]),
 ]

@@ -2,16 +2,23 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
+from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from stewart_drake.base.yaml_files import shipped_folder
+from stewart_drake.logs.outcomes import OUTCOMES, Status
 from stewart_drake.scenario.scenario import load_scenario
 from stewart_drake.studies.comparison import load_comparison
+from stewart_drake.studies.faults import REACTIONS, Reaction
 from stewart_drake.studies.sweep import load_sweep
 from stewart_drake.studies.tune import load_tuning
+
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_what_there_is_to_choose_from_is_listed(call):
@@ -57,6 +64,18 @@ def test_of_a_section_every_key_is_explained_and_of_a_typo_what_was_meant(call):
     assert "did you mean gravity?" in call("explain", "gravty")[2]
 
 
+def test_a_word_for_how_a_run_ended_is_explained_as_in_the_docs(call):
+    promises, glossary = ((DOCS / f"{name}.md").read_text() for name in ("promises", "glossary"))
+    for word, text in {**OUTCOMES, **REACTIONS}.items():
+        assert text in json.loads(call("explain", word, "--json")[1]).values()
+        assert f"| `{word}` | {text} |\n" in glossary
+    for word in re.findall(r"^\| `(\w+)` \| [A-Z]", promises, re.MULTILINE):
+        assert f"| `{word}` | {OUTCOMES[word]} | " in promises
+    assert {*get_args(Status)} < {*OUTCOMES}
+    assert {*get_args(Reaction)} == {*REACTIONS}
+    assert "did you mean completed?" in call("explain", "complete")[2]
+
+
 def test_a_scenario_to_begin_with_has_a_comment_on_each_key_and_runs(call, tmp_path):
     assert call("init", "mine.yaml")[1] == "scenario in mine.yaml; next: stewart-drake run mine.yaml\n"
     assert load_scenario(tmp_path / "mine.yaml").tuner.kind == "policy"
@@ -75,6 +94,9 @@ def test_the_keys_of_a_studys_file_are_explained(call, study, key):
 @pytest.mark.parametrize("study", ["sweep", "compare", "tune"])
 def test_a_study_to_begin_with_is_one_that_its_command_takes(call, tmp_path, study):
     path = tmp_path / "mine.yaml"
+    assert call("init", "own.yaml")[0] == call("init", "of_mine.yaml", "--for", study, "--scenario", "own.yaml")[0] == 0
+    assert 'scenario: "own.yaml"' in (tmp_path / "of_mine.yaml").read_text()
+    assert call("init", "other.yaml", "--scenario", "own.yaml")[0] == 2
     assert call("init", "mine.yaml", "--for", study)[0] == 0
     loaded = {"sweep": load_sweep, "compare": load_comparison, "tune": load_tuning}[study](path)
     assert loaded.runs > 1

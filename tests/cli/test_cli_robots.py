@@ -102,7 +102,7 @@ def test_from_a_log_to_an_identified_robot(call, tmp_path):
 
 @pytest.mark.slow
 def test_a_designed_motion_is_a_scenario(call):
-    status, out, err = call("excite", "--robot", "paper", "--duration", 6, "--out", "excite.yaml")
+    status, out, err = call("excite", "--robot", "paper", "--duration", "6s", "--out", "excite.yaml")
     assert status == 0
     assert "420 / 420 motions" in err
     assert "condition number" in out

@@ -55,7 +55,7 @@ def test_a_search_is_done_and_what_it_found_is_compared(call, tmp_path):
     assert all(word in out for word in ("weak", "weak, tuned", "plant.kind closed_form", "tuned.yaml", "verdict-"))
     made = tmp_path / "runs" / "mine-tune"
     names = {path.name for path in made.iterdir()}
-    assert {"tuned.yaml", "tune.parquet", "tune.csv", "tune.md", "tune.png"} <= names
+    assert {"tuned.yaml", "tune.parquet", "tune.csv", "tune.md", "tune.png", "tune.pdf"} <= names
     (tmp_path / "mine.yaml").write_text(TEXT + TUNE + f"tuned: {made / 'tuned.yaml'}\n")
     status, out, _ = call("compare", "mine.yaml", "--workers", 1)
     assert status == 0

@@ -86,7 +86,7 @@ def test_what_is_found_goes_into_the_comparison(done):
     table = pq.read_table(folder / "tune.parquet")
     assert table["cost"].to_pylist() == [row["cost"] for row in result.rows]
     write_picture(result, folder)
-    assert {"tune.md", "tune.png"} <= {path.name for path in folder.iterdir()}
+    assert {"tune.md", "tune.png", "tune.pdf"} <= {path.name for path in folder.iterdir()}
 
 
 @pytest.mark.parametrize(
