@@ -51,8 +51,8 @@ TEXT = """# How far the loop is from instability
 within the scenario's limits (seed 0), with the robot at rest. The loop is opened at the six motor torques. Each row has
 another estimator, delay, period or controller, with its default gains. The period is 1 ms and the delay 1 tick unless
 the row says otherwise. The loop contains the exact model under held torques, gravity's stiffness, encoders of infinite
-resolution, the estimator with its filter, the controller and the delay. It leaves out friction, saturation and the
-changes of weights, and learning. `stewart-drake margins` does the same for any scenario.
+resolution, the estimator with its filter, the controller and the delay. It leaves out friction, saturation, changes
+of weights and learning. `stewart-drake margins` does the same for any scenario.
 
 What a policy and learning may do to the loop is seen in their extremes, frozen: the middle of the shipped policy's box
 and that corner of it which has the least margin at {few} poses ({corner}), with its default weights; and a head that is
@@ -61,7 +61,7 @@ anything (95 %). What it learns of friction is fed forward along the reference a
 
 Drake's plant at its usual step of 1 ms responds about half a step sooner than this linear loop. At 0.1 ms the agreement
 is at least five times better (`tests/analysis/test_linear_loop.py`). A fast loop that is unstable here, such as the
-PID of the last row at some poses, may look stable at 1 ms.
+PID with differences of readings at some poses, may look stable at 1 ms.
 
 *Disk*: each motor gives (1 + d/2) / (1 - d/2) times its command, d complex; the loop is stable while every |d| is
 below the disk margin. It covers gain and phase at once: 0.45 means gains from 0.63 to 1.58 or 25 deg. *All at
@@ -79,8 +79,8 @@ The bounds of mu are apart by at most {gap:.1g} %; {left_out}
 
 The nonlinear loop on the closed form with steps of 0.1 ms, at {confirmed} of the poses: the worst of the observer's and
 the first two. All motors give more torque than they are asked for, by one factor, or all commands come later than the
-controller believes, by whole ticks, until more than a tenth of the
-error that a push of 5 ms causes is left after a second. *Linear*: where the spectral radius
+controller believes, by whole ticks, until more than a tenth of the error
+that a push of 5 ms causes is left after a second. *Linear*: where the spectral radius
 of the same loop is 1.
 
 {diverges}
