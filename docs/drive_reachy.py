@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from reachy_daemon import install, start
+from reachy_daemon import install, start, wake
 
 from stewart_drake import SimulationLog, load_scenario, run
 from stewart_drake.base.markdown import markdown_table
@@ -94,23 +94,6 @@ SCHEMES: Mapping[str, Scheme] = {
 ENDS = PLAIN, EXACT
 
 
-def rise(scenario: Scenario, url: str) -> None:
-    """To home: the simulated head begins asleep, 50 mm low, and the daemon takes some seconds to answer."""
-    machine, ends = open_machine(url, scenario), time.monotonic() + 60.0
-    while True:
-        try:
-            machine.connect()
-            break
-        except MachineError:
-            if time.monotonic() > ends:
-                raise
-            time.sleep(0.5)
-    for _ in range(150):
-        machine.read()
-        machine.command(inverse_kinematics(scenario.belief.robot, scenario.belief.robot.home_pose))
-    machine.disconnect()
-
-
 @contextmanager
 def daemon(folder: Path) -> Iterator[str]:
     """The URL of a daemon whose head is at home; it is installed in a folder, if it is not there yet."""
@@ -122,7 +105,7 @@ def daemon(folder: Path) -> Iterator[str]:
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, process.pid, -15)
     try:
-        rise(load_driven("reachy_daemon"), f"reachy://127.0.0.1:{port}")
+        wake(port)
         yield f"reachy://127.0.0.1:{port}"
     finally:
         process.terminate()
