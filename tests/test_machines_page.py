@@ -1,5 +1,6 @@
 """The page docs/machines.md: its class runs, and its commands for Reachy Mini are scenarios."""
 
+import itertools
 import json
 import re
 import shlex
@@ -32,7 +33,7 @@ def test_the_commands_for_reachy_mini_are_scenarios():
     drives = [each for each in COMMANDS if each[1] == "drive" and any("reachy://" in part for part in each)]
     assert len(drives) >= 5
     for _, _, name, *rest in drives:
-        sets = [value for flag, value in zip(rest, rest[1:], strict=False) if flag == "--set"]
+        sets = [value for flag, value in itertools.pairwise(rest) if flag == "--set"]
         scenario = load_driven(name, sets)
         assert scenario.belief.motors.takes == "angle"
         if "controller.feedforward=none" in sets:

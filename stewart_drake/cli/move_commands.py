@@ -109,8 +109,8 @@ def fix(source: str, out: Path, force: bool) -> None:
         changes = next(iter(fixed.values()))[1]
         print_table(f"{source} on {ROBOT}, changed", rows, ("move", *changes, *HEADER), range(1, 1 + len(changes)))
         _write(folder, {name: move for name, (move, _) in fixed.items()})
-    for error in bad.values():
-        say(str(error))
+    for problem in bad.values():
+        say(str(problem))
     if bad:
         sys.exit(opt.EXIT_BAD_INPUT)
 

@@ -133,7 +133,8 @@ def shaped_move(scenario: Scenario, move: Move) -> tuple[Move, np.ndarray]:
             controller.step(nothing, time, out)
         except RunFailure as error:
             got = f"at {min(time + ahead, end):.2f} s: {error}"
-            raise ConfigurationError("move", got, "poses that the head can take; try: stewart-drake moves fix") from None
+            allowed = "poses that the head can take; try: stewart-drake moves fix"
+            raise ConfigurationError("move", got, allowed) from None
     robot, made = scenario.belief.robot, move.at(move.time[0] + np.minimum(times, end))._replace(time=times)
     plain = kinematics.inverse_kinematics(robot, motion(np.minimum(times, end)))
     pose, shares = motion(np.minimum(times, end)), np.zeros(len(times))

@@ -72,13 +72,16 @@ WRONG = {
     "no times": ({"set_target_data": [GOOD] * 4}, "KeyError: 'time'"),
     "fewer times": ({"time": [0, 1], "set_target_data": [GOOD] * 4}, "cannot reshape"),
     "three rows": ({"time": [0, 1, 2], "set_target_data": [GOOD] * 3}, "at least 4 rows"),
-    "back in time": ({"time": [0, 1, 0, 2], "set_target_data": [GOOD] * 4}, r"times that ascend.*0 s after 1 s in time\[2\]"),
+    "back in time": ({"time": [0, 1, 0, 2], "set_target_data": [GOOD] * 4}, r"ascend.*0 s after 1 s in time\[2\]"),
     "too long": ({"time": [0, 1, 2, 1e7], "set_target_data": [GOOD] * 4}, r"at most 600 s.*1e\+07 s"),
     "no time": ({"time": [0, 1, np.nan, 3], "set_target_data": [GOOD] * 4}, r"finite numbers.*time\[2\]"),
     "no head": ({"time": [0, 1, 2, 3], "set_target_data": [{"antennas": [0, 0]}] * 4}, "KeyError: 'head'"),
     "a small head": ({"time": [0, 1, 2, 3], "set_target_data": [{**GOOD, "head": [1, 2]}] * 4}, "cannot reshape"),
     "no rotation": ({"time": [0, 1, 2, 3], "set_target_data": [{**GOOD, "head": [[2] * 4] * 4}] * 4}, "a rotation"),
-    "not finite": ({"time": [0, 1, 2, 3], "set_target_data": [GOOD] * 3 + [{**GOOD, "body_yaw": np.nan}]}, r"\[3\]\.body_yaw"),
+    "not finite": (
+        {"time": [0, 1, 2, 3], "set_target_data": [*[GOOD] * 3, {**GOOD, "body_yaw": np.nan}]},
+        r"\[3\]\.body",
+    ),
     "words": ({"time": [0, 1, 2, 3], "set_target_data": [{**GOOD, "antennas": ["up", 0]}] * 4}, "could not convert"),
 }
 
