@@ -124,5 +124,8 @@ if __name__ == "__main__":
         wake(where)
         print(f"awake: reachy://127.0.0.1:{where}", flush=True)
         sys.exit(daemon.wait())
+    except OSError as error:
+        daemon.terminate()
+        sys.exit(f"the daemon has not woken the head within a minute: {error}")
     except KeyboardInterrupt:
         daemon.wait()
