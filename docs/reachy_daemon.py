@@ -1,14 +1,19 @@
 """Installs the daemon of Reachy Mini's maker in an environment of its own, and starts its simulation.
 
-`python docs/reachy_daemon.py FOLDER [PORT]` installs it in a folder, the first time, and runs it until Ctrl-C: some
-400 MB, no compiler, no camera and no sound. `stewart-drake` reaches it at `reachy://127.0.0.1:PORT`, 8000 by default.
+`python docs/reachy_daemon.py FOLDER [PORT]` installs it in a folder, the first time, wakes the head, and runs it until
+Ctrl-C: some 400 MB, no compiler, no camera and no sound. `stewart-drake` reaches it at `reachy://127.0.0.1:PORT`, 8000
+by default.
 """
 
+import json
 import os
 import subprocess
 import sys
+import time
+import urllib.request
 import venv
 from pathlib import Path
+from typing import Any
 
 DAEMON = "reachy_mini==1.12.0"
 # What it needs but for its camera and sound, which would need GStreamer.
@@ -91,9 +96,36 @@ def start(folder: Path, port: int) -> "subprocess.Popen[bytes]":
     return subprocess.Popen(command, env={**os.environ, "HF_HUB_OFFLINE": "1"})
 
 
+def wake(port: int) -> None:
+    """Wakes the head of a daemon that may not answer yet, and waits until it is at home."""
+
+    def ask(what: str, method: str) -> Any:
+        request = urllib.request.Request(f"http://127.0.0.1:{port}/api/move/{what}", method=method)
+        with urllib.request.urlopen(request, timeout=5.0) as answer:
+            return json.load(answer)
+
+    ends = time.monotonic() + 60.0
+    while True:
+        try:
+            waking = ask("play/wake_up", "POST")
+            break
+        except OSError:
+            if time.monotonic() > ends:
+                raise
+            time.sleep(0.5)
+    while waking in ask("running", "GET"):
+        time.sleep(0.1)
+
+
 if __name__ == "__main__":
-    daemon = start(Path(sys.argv[1]).absolute(), int(sys.argv[2]) if len(sys.argv) > 2 else 8000)
+    where = int(sys.argv[2]) if len(sys.argv) > 2 else 8000
+    daemon = start(Path(sys.argv[1]).absolute(), where)
     try:
+        wake(where)
+        print(f"awake: reachy://127.0.0.1:{where}", flush=True)
         sys.exit(daemon.wait())
+    except OSError as error:
+        daemon.terminate()
+        sys.exit(f"the daemon has not woken the head within a minute: {error}")
     except KeyboardInterrupt:
         daemon.wait()

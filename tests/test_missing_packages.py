@@ -11,6 +11,7 @@ import pytest
 from stewart_drake.analysis.linear_loop import StateSpace
 from stewart_drake.base.errors import ConfigurationError, MissingPackageError, installed_with
 from stewart_drake.logs.log import SimulationLog
+from stewart_drake.logs.mcap_file import check_mcap
 from stewart_drake.studies.workers import Workers
 from stewart_drake.training.paper_network import import_torch
 
@@ -28,6 +29,7 @@ NEEDS = {
     "torch": ("stewart-drake[train]", import_torch),
     "control": ("stewart-drake[control]", lambda: StateSpace(*np.eye(4)[:, :, None], 0.1).to_control()),
     "distributed": ("stewart-drake[dask]", ask_dask),
+    "mcap": ("stewart-drake[mcap]", check_mcap),
     "pandas": ("pandas", lambda: SimulationLog.to_pandas(None)),
 }
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from stewart_drake.base.atomic_files import write_together
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_table, say, shown_compiling, tell
-from stewart_drake.references.moves import Move, move_json, moves_of
+from stewart_drake.references.moves import Move, files_of, move_json, moves_of
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.runs.moves import check_move, fix_move, shaped_move
 from stewart_drake.runs.outputs import prepare_folder
@@ -25,6 +28,7 @@ SHOWN |= {"clearance": ("mm clear", 1e3)}
 HEADER = ("no solution", *(unit for unit, _ in SHOWN.values()), "also broken")
 SOURCE = {"metavar": "FILE|FOLDER|dance:NAME|dances"}
 OUT = opt.option("Folder for NAME.json of each.", opt.OUT_FOLDER, default="runs/moves")
+FORCE = opt.switch("Replace files that are there; never those that are read.")
 
 
 @command("moves", kind=opt.Group)
@@ -33,7 +37,7 @@ def moves() -> None:
 
 
 def _number(value: float) -> str:
-    return f"{float(f'{value:.3g}'):.6g}"
+    return f"{round(float(f'{value:.3g}'), 4) + 0.0:.6g}"
 
 
 def _cells(move: Move) -> tuple[bool, list[str], dict[str, Any]]:
@@ -52,49 +56,95 @@ def _cells(move: Move) -> tuple[bool, list[str], dict[str, Any]]:
     return report.feasible, cells, {"feasible": report.feasible, "no_solution": unreachable, **margins}
 
 
+@contextmanager
+def _named(name: str) -> Iterator[None]:
+    """Says which move it is with which something is wrong."""
+    try:
+        yield
+    except ConfigurationError as error:
+        if error.key != "move":
+            raise
+        raise ConfigurationError(f"move {name}", error.value, error.allowed) from None
+
+
 @command("moves check", source=SOURCE)
 def check(source: str) -> None:
-    """A line a move: what it needs most of, and when. Exit status 2: one of them cannot be done."""
+    """A line a move: what it needs most of, and when. Exit status 2: one of them cannot be done, or is no move."""
+    bad: dict[str, ConfigurationError] = {}
     with shown_compiling():
-        found = {name: _cells(move) for name, move in moves_of(source).items()}
+        found = {name: _cells(move) for name, move in moves_of(source, bad).items()}
     rows = [(name, "yes" if can else "no", *cells) for name, (can, cells, _) in found.items()]
     data = {name: numbers for name, (_, _, numbers) in found.items()}
+    for name, error in bad.items():
+        why = str(error).removeprefix(f"{error.key}: ")
+        rows.append((name, f"no move: {why}", *["-"] * len(HEADER)))
+        data[name] = {"feasible": False, "no_move": why}
     print_table(f"{source} on {ROBOT}", rows, ("move", "can be done", *HEADER), numbers=(), data=data)
     if wrong := sum(not can for can, _, _ in found.values()):
         say(f"{wrong} of {len(rows)} cannot be done; try: stewart-drake moves fix {source}")
+    if bad:
+        say(f"{len(bad)} of {len(rows)} are no moves: {', '.join(f'{name}.json' for name in bad)}")
+    if wrong or bad:
         sys.exit(opt.EXIT_BAD_INPUT)
 
 
-@command("moves fix", source=SOURCE, out=OUT)
-def fix(source: str, out: Path) -> None:
-    """Where a move breaks a limit it comes nearer to home, or is averaged; as a last resort all of it is slowed."""
-    robot, given = load_robot(ROBOT), moves_of(source)
-    folder = prepare_folder(out)
+@command("moves fix", source=SOURCE, out=OUT, force=FORCE)
+def fix(source: str, out: Path, force: bool) -> None:
+    """Where a move breaks a limit it comes nearer to home, or is averaged; as a last resort all of it is slowed.
+
+    What cannot be fixed is left out. Exit status 2: that was one of them.
+    """
+    bad: dict[str, ConfigurationError] = {}
+    robot, given = load_robot(ROBOT), moves_of(source, bad)
+    folder, fixed = _place(source, given, out, force), {}
     with shown_compiling():
-        fixed = {name: fix_move(robot, move) for name, move in given.items()}
+        for name, move in given.items():
+            try:
+                with _named(name):
+                    fixed[name] = fix_move(robot, move)
+            except ConfigurationError as error:
+                bad[name] = error
     rows = [(name, *map(_number, changes.values()), *_cells(move)[1]) for name, (move, changes) in fixed.items()]
-    changes = next(iter(fixed.values()))[1]
-    print_table(f"{source} on {ROBOT}, changed", rows, ("move", *changes, *HEADER), range(1, 1 + len(changes)))
-    _write(folder, {name: move for name, (move, _) in fixed.items()})
+    if fixed:
+        changes = next(iter(fixed.values()))[1]
+        print_table(f"{source} on {ROBOT}, changed", rows, ("move", *changes, *HEADER), range(1, 1 + len(changes)))
+        _write(folder, {name: move for name, (move, _) in fixed.items()})
+    for problem in bad.values():
+        say(str(problem))
+    if bad:
+        sys.exit(opt.EXIT_BAD_INPUT)
 
 
 @command(
     "moves export",
     source=SOURCE,
     out=OUT,
+    force=FORCE,
     shaped=opt.option("Shape it for the servos that a scenario or a controller's file believes in.", metavar="FILE"),
 )
-def export(source: str, out: Path, shaped: str | None, overrides: tuple[str, ...]) -> None:
+def export(source: str, out: Path, force: bool, shaped: str | None, overrides: tuple[str, ...]) -> None:
     """As it is, or as poses from which any player sends what the servos need to follow the move."""
     given, scenario = moves_of(source), None if shaped is None else load_driven(shaped, overrides)
-    folder = prepare_folder(out)
+    folder = _place(source, given, out, force)
     if scenario is not None:
         for name, move in given.items():
-            with shown_compiling():
+            with shown_compiling(), _named(name):
                 given[name], shares = shaped_move(scenario, move)
             if less := int((shares < 1.0).sum()):
                 tell(f"{name}: {less} of {len(shares)} poses do not exist as the servos need them")
     _write(folder, given)
+
+
+def _place(source: str, names: Iterable[str], out: Path, force: bool) -> Path:
+    """The folder for moves, made; none of their files is one that is read, nor without `force` one that is there."""
+    folder, read = prepare_folder(out), files_of(source)
+    there = [path for name in names if (path := folder / f"{name}.json").exists()]
+    for path in there:
+        if any(path.samefile(file) for file in read):
+            raise ConfigurationError("--out", str(out), f"another folder than that of {path.name}, which is read")
+    if there and not force:
+        raise ConfigurationError("--out", str(out), f"a folder without {there[0].name}, or --force to replace it")
+    return folder
 
 
 def _write(folder: Path, given: dict[str, Move]) -> None:

@@ -95,6 +95,10 @@ class ServoRecording(CrankReadings):
                 raise ConfigurationError(f"{self.source}: {what}_{still.argmax()}", "the same in all rows", _MOTION)
 
 
+_BALL_JOINTS = (
+    "friction of the rods' ball joints is not identified here; let `drive` learn it: --set "
+    '"adaptation={kind: regression, ball_joints: true, noise: 0.06, slowest: 0.05}" --keep-model head.yaml'
+)
 _MOTION = "a motion in which all motors turn; `excite` designs one"
 
 
@@ -436,4 +440,4 @@ def _refuse_other(samples: ServoSamples, values: np.ndarray) -> None:
             f"commands less angles that no servo explains, {min(100.0, 100.0 * left / changes):.0f} % of their changes"
         )
         allowed = "a log of the guessed robot, commands and angles in rad, no servo at its torque limit"
-        raise ConfigurationError(samples.source, got, allowed)
+        raise ConfigurationError(samples.source, got, f"{allowed}; {_BALL_JOINTS}")

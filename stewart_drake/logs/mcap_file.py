@@ -28,14 +28,24 @@ _NUMBER, _OBJECT = {"type": "number"}, {"type": "object"}
 _TIME = {"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 
 
+def check_mcap() -> None:
+    """Whether a log can be written as MCAP, for whoever asks before a run.
+
+    Raises:
+        MissingPackageError: The package mcap is missing.
+    """
+    with installed_with("stewart-drake[mcap]", "a log can be saved as .parquet or .csv without it"):
+        import mcap.writer  # noqa: F401
+
+
 def to_mcap(log: SimulationLog) -> bytes:
     """The log as MCAP: a topic for each signal and `_pose` topics, `/joint_states`, `/scene` at most 30 times a second.
 
     Raises:
         MissingPackageError: The package mcap is missing.
     """
-    with installed_with("stewart-drake[mcap]", "a log can be saved as .parquet or .csv without it"):
-        from mcap.writer import Writer
+    check_mcap()
+    from mcap.writer import Writer
 
     file = io.BytesIO()
     writer = Writer(file)
@@ -59,8 +69,9 @@ def _topics(log: SimulationLog) -> Iterator[_Topic]:
     """Topic, name of its schema, properties, and messages with their rows."""
     stamps = [{"sec": int(time), "nsec": round(1e9 * (float(time) % 1.0)) % 10**9} for time in log.time]
     for name, values in log.signals.items():
-        columns = log.state_names if name == "plant_state" else SIGNALS[name].components
-        if columns:
+        columns = log.state_names if name == "plant_state" else SIGNALS[name].components or ("value",)
+        # Each message has its time.
+        if columns and name != "time":
             yield f"/{name}", f"stewart_drake.{name}", dict.fromkeys(columns, _NUMBER), _numbers(columns, values)
     stamped = {"timestamp": _TIME, "frame_id": {"type": "string"}, "pose": _OBJECT}
     for name in _POSES:
@@ -73,7 +84,7 @@ def _topics(log: SimulationLog) -> Iterator[_Topic]:
 
 
 def _numbers(columns: tuple[str, ...], values: np.ndarray) -> Iterator[tuple[int, dict[str, Any]]]:
-    for row, numbers in enumerate(values.tolist()):
+    for row, numbers in enumerate(values.reshape(len(values), len(columns)).tolist()):
         # JSON has no NaN.
         yield row, {name: value for name, value in zip(columns, numbers, strict=True) if np.isfinite(value)}
 

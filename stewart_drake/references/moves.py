@@ -23,6 +23,7 @@ DANCES = "reachy_mini_dances_library==0.2.1"
 TEMPO = 114.0  # [beats/min] of a dance.
 STEP = 0.01  # [s] between the rows of a dance, and of moves that are made here.
 MAX_BYTES = 100_000_000
+LONGEST = 600.0  # [s] of a recorded move.
 ASKED = "a move of Reachy Mini: `time` and `set_target_data`, a list of head (4x4), antennas (2) and body_yaw"
 
 
@@ -77,19 +78,35 @@ def read_move(path: str | Path) -> Move:
         about = str(data.get("description", ""))
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise ConfigurationError(key, " ".join(f"{type(error).__name__}: {error}".split())[:200], ASKED) from None
+    columns = {"time": time, "head": head, "antennas": antennas, "body_yaw": yaw}
+    for name, values in columns.items():
+        if (wrong := ~np.isfinite(values.reshape(len(rows), -1)).all(axis=1)).any():
+            raise ConfigurationError(key, f"others in {_place(name, wrong)}", "finite numbers")
     skew = np.abs(np.swapaxes(head[:, :3, :3], 1, 2) @ head[:, :3, :3] - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    if not (all(np.isfinite(each).all() for each in (time, head, antennas, yaw)) and (skew <= 0.02).all()):
-        raise ConfigurationError(key, "others", "finite numbers, and heads that are turned by a rotation")
+    if (skew > 0.02).any():
+        got = f"another matrix in {_place('head', skew > 0.02)}"
+        raise ConfigurationError(key, got, "heads that are turned by a rotation")
+    if (back := np.diff(time, prepend=-math.inf) < 0.0).any():
+        row = int(back.argmax())
+        raise ConfigurationError(key, f"{time[row]:g} s after {time[row - 1]:g} s in time[{row}]", "times that ascend")
     # Of rows at the same time the first.
     new = np.diff(time, prepend=-math.inf) != 0.0
     time, head, antennas, yaw = time[new], head[new], antennas[new], yaw[new]
-    if len(time) < 4 or (np.diff(time) < 0.0).any():
-        raise ConfigurationError(key, f"{len(time)} times", "at least 4 rows, with times that ascend")
+    if len(time) < 4:
+        raise ConfigurationError(key, f"{len(time)} rows", "at least 4 rows, each at a time of its own")
+    if (seconds := time[-1] - time[0]) > LONGEST:
+        raise ConfigurationError(key, f"{seconds:g} s", f"a move of at most {LONGEST:g} s, with `time` in seconds")
     turn = np.unwrap(np.arctan2(head[:, 1, 0], head[:, 0, 0]))
     yaw = np.clip(np.clip(yaw, turn - MOST_TURN, turn + MOST_TURN), -MOST_BODY, MOST_BODY)
     pose = pose_of_head(head, yaw)
     pose[:, :3] = unwrapped(pose[:, :3])
     return Move(about, time, pose, antennas, yaw)
+
+
+def _place(name: str, wrong: np.ndarray) -> str:
+    """Where in a file the first wrong row (n,) of a column stands."""
+    row = int(wrong.argmax())
+    return f"time[{row}]" if name == "time" else f"set_target_data[{row}].{name}"
 
 
 def move_json(move: Move) -> bytes:
@@ -129,12 +146,30 @@ def dance(name: str) -> Move:
     return Move(str(facts.get("description", name)), time, pose, antennas, np.zeros(len(time)))
 
 
-def moves_of(source: str) -> dict[str, Move]:
-    """Moves by name: of a file, of a folder's files, `dance:NAME`, or all `dances`."""
+def files_of(source: str) -> list[Path]:
+    """Files of the moves that a source names; none where they are dances of the maker's."""
     if source == "dances" or source.startswith("dance:"):
-        return {name: dance(name) for name in (dances() if source == "dances" else [source.removeprefix("dance:")])}
+        return []
     path = Path(source)
     files = sorted(path.glob("*.json")) if path.is_dir() else [path]
     if not files:
         raise ConfigurationError("move", source, "a folder with files that end in .json")
-    return {file.stem: read_move(file) for file in files}
+    return files
+
+
+def moves_of(source: str, bad: dict[str, ConfigurationError] | None = None) -> dict[str, Move]:
+    """Moves by name: of a file, of a folder's files, `dance:NAME`, or all `dances`.
+
+    Where `bad` is given it gets what is wrong with a folder's files that are no moves; without it they are refused.
+    """
+    files, found = files_of(source), {}
+    if not files:
+        return {name: dance(name) for name in (dances() if source == "dances" else [source.removeprefix("dance:")])}
+    for file in files:
+        try:
+            found[file.stem] = read_move(file)
+        except ConfigurationError as error:
+            if bad is None or not Path(source).is_dir():
+                raise
+            bad[file.stem] = error
+    return found

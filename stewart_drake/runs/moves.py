@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.analysis import feasibility
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.mechanics import kinematics
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.references.moves import STEP, Move
@@ -129,7 +129,12 @@ def shaped_move(scenario: Scenario, move: Move) -> tuple[Move, np.ndarray]:
     times = controller.period * np.arange(math.ceil(end / controller.period - 1e-9) + 1)
     sent, nothing = np.empty((len(times), 6)), np.zeros(controller.reading)
     for time, out in zip(times.tolist(), sent, strict=True):
-        controller.step(nothing, time, out)
+        try:
+            controller.step(nothing, time, out)
+        except RunFailure as error:
+            got = f"at {min(time + ahead, end):.2f} s: {error}"
+            allowed = "poses that the head can take; try: stewart-drake moves fix"
+            raise ConfigurationError("move", got, allowed) from None
     robot, made = scenario.belief.robot, move.at(move.time[0] + np.minimum(times, end))._replace(time=times)
     plain = kinematics.inverse_kinematics(robot, motion(np.minimum(times, end)))
     pose, shares = motion(np.minimum(times, end)), np.zeros(len(times))

@@ -31,6 +31,7 @@ def test_moves_are_checked_fixed_and_shaped(call, folder):
     status, out, err = call("moves", "fix", "given", "--out", "fixed")
     assert (status, err) == (0, "")
     assert "averaged ms" in out
+    assert "e-" not in out
     assert out.endswith("2 moves in fixed\n")
     assert call("moves", "check", "fixed")[0] == 0
     assert call("moves", "export", "fixed", "--shaped", "reachy_daemon", "--out", "shaped")[0] == 0
@@ -54,3 +55,44 @@ def test_what_is_wrong_is_a_line(call, arguments, said):
     assert status == 2
     assert said in err
     assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("what", ["fix", "export"])
+def test_what_is_read_is_never_written_over_and_what_is_there_with_force_alone(call, folder, what):
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    for source in ("given/nod.json", "given"):
+        status, _, err = call("moves", what, source, "--out", "given", "--force")
+        assert (status, "which is read" in err, len(err.splitlines())) == (2, True, 1)
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+    other = folder.parent / "other" / "nod.json"
+    other.parent.mkdir()
+    other.write_text("mine")
+    status, _, err = call("moves", what, "given/nod.json", "--out", "other")
+    assert (status, "nod.json, or --force" in err, other.read_text()) == (2, True, "mine")
+    assert call("moves", what, "given/nod.json", "--out", "other", "--force")[0] == 0
+    assert len(read_move(other).time) == 150
+
+
+def test_a_file_that_is_no_move_does_not_hide_the_others(call, folder):
+    (folder / "jump.json").unlink()
+    (folder / "foreign.json").write_text('{"name": 3}')
+    status, out, err = call("moves", "check", "given", "--json")
+    found = json.loads(out)
+    assert (status, found["nod"]["feasible"], found["foreign"]["feasible"]) == (2, True, False)
+    assert "set_target_data" in found["foreign"]["no_move"]
+    assert err == "stewart-drake: 1 of 2 are no moves: foreign.json\n"
+    assert "no move: expected" in call("moves", "check", "given")[1]
+    status, out, err = call("moves", "fix", "given", "--out", "fixed")
+    assert (status, "foreign.json" in err, len(err.splitlines())) == (2, True, 1)
+    assert [path.name for path in (folder.parent / "fixed").iterdir()] == ["nod.json"]
+
+
+def test_a_move_that_was_not_fixed_is_named_with_the_time_and_what_to_do(call, folder):
+    move = read_move(folder / "nod.json")
+    pose = move.pose + np.outer(np.where(move.time < 0.5, 0.0, 1.0), [0, 0, 0, 0, 0, 0.1])
+    (folder / "wild.json").write_bytes(move_json(move._replace(pose=pose)))
+    status, _, err = call("moves", "export", "given/wild.json", "--shaped", "reachy_daemon")
+    assert (status, len(err.splitlines())) == (2, 1)
+    assert "move wild" in err
+    assert "at 0.5" in err
+    assert err.endswith("try: stewart-drake moves fix\n")

@@ -148,7 +148,9 @@ def test_logs_that_cannot_be_used(trial):
     noise = 1e-3 * np.random.default_rng(0).integers(-1, 2, recording.angles.shape)
     at_rest = changed(angles=recording.angles[0] + noise)
     assert "motor 0 at rest or reversing" in refused(at_rest)
-    assert "that no servo explains" in refused(changed(commands=recording.commands[::-1].copy()))
+    told = refused(changed(commands=recording.commands[::-1].copy()))
+    assert "that no servo explains" in told
+    assert told.endswith("--keep-model head.yaml")
     assert "reading_ages" in refused(recording, hold=["reading_ages"])
     with pytest.raises(ConfigurationError, match="at least one log"):
         identify_servos(GUESS, [])

@@ -2,6 +2,7 @@
 
 import json
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,10 @@ from stewart_drake.mechanics.kinematics import rotation_matrix
 
 @pytest.fixture(scope="module")
 def log():
-    return run(load_scenario("exact_fig7", ["plant.kind=closed_form", "duration=0.2", "safety={}"]))
+    made = run(load_scenario("exact_fig7", ["plant.kind=closed_form", "duration=0.2", "safety={}"]))
+    # As a drive has them.
+    numbers = {"lateness": 1e-4 * made.time, "reading_age": 2e-3 + 0.0 * made.time}
+    return replace(made, signals={**made.signals, **numbers})
 
 
 @pytest.fixture
@@ -30,7 +34,8 @@ def test_every_signal_has_a_topic_with_all_its_rows(log, topics):
     assert {f"/{name}" for name in log} - {"/time"} <= set(topics)
     for name in set(log) - {"time", "plant_state"}:
         values = np.array([list(message.values()) for _, _, message in topics[f"/{name}"]])
-        np.testing.assert_array_equal(values, log[name])
+        np.testing.assert_array_equal(values, log[name].reshape(len(log.time), -1))
+    assert topics["/lateness"][-1][2] == {"value": log["lateness"][-1]}
     times = [time for _, time, _ in topics["/pose"]]
     np.testing.assert_allclose(1e-9 * np.array(times), log.time, atol=1e-9)
 

@@ -72,11 +72,16 @@ WRONG = {
     "no times": ({"set_target_data": [GOOD] * 4}, "KeyError: 'time'"),
     "fewer times": ({"time": [0, 1], "set_target_data": [GOOD] * 4}, "cannot reshape"),
     "three rows": ({"time": [0, 1, 2], "set_target_data": [GOOD] * 3}, "at least 4 rows"),
-    "back in time": ({"time": [0, 1, 0, 2], "set_target_data": [GOOD] * 4}, "times that ascend"),
+    "back in time": ({"time": [0, 1, 0, 2], "set_target_data": [GOOD] * 4}, r"ascend.*0 s after 1 s in time\[2\]"),
+    "too long": ({"time": [0, 1, 2, 1e7], "set_target_data": [GOOD] * 4}, r"at most 600 s.*1e\+07 s"),
+    "no time": ({"time": [0, 1, np.nan, 3], "set_target_data": [GOOD] * 4}, r"finite numbers.*time\[2\]"),
     "no head": ({"time": [0, 1, 2, 3], "set_target_data": [{"antennas": [0, 0]}] * 4}, "KeyError: 'head'"),
     "a small head": ({"time": [0, 1, 2, 3], "set_target_data": [{**GOOD, "head": [1, 2]}] * 4}, "cannot reshape"),
     "no rotation": ({"time": [0, 1, 2, 3], "set_target_data": [{**GOOD, "head": [[2] * 4] * 4}] * 4}, "a rotation"),
-    "not finite": ({"time": [0, 1, 2, 3], "set_target_data": [{**GOOD, "body_yaw": np.nan}] * 4}, "finite numbers"),
+    "not finite": (
+        {"time": [0, 1, 2, 3], "set_target_data": [*[GOOD] * 3, {**GOOD, "body_yaw": np.nan}]},
+        r"\[3\]\.body",
+    ),
     "words": ({"time": [0, 1, 2, 3], "set_target_data": [{**GOOD, "antennas": ["up", 0]}] * 4}, "could not convert"),
 }
 
@@ -96,6 +101,12 @@ def test_rows_at_the_same_time_count_once(tmp_path):
     path = tmp_path / "move.json"
     path.write_text(json.dumps({"time": [0, 1, 1, 2, 3], "set_target_data": [GOOD] * 5}))
     assert read_move(path).time.tolist() == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_a_move_of_ten_minutes_is_not_too_long(tmp_path):
+    path = tmp_path / "move.json"
+    path.write_text(json.dumps({"time": [5, 6, 7, 605], "set_target_data": [GOOD] * 4}))
+    assert read_move(path).time[-1] == 605.0
 
 
 def test_a_folder_without_moves_is_refused(tmp_path):
