@@ -41,6 +41,7 @@ def drive(
     It stops on its path, and holds, after Ctrl-C, when a reading is too old or a crank is far from where it should be;
     a second Ctrl-C lets go at once. The results are those of a run; a process that is killed leaves them until then.
     """
+    from stewart_drake.logs.mcap_file import check_mcap
     from stewart_drake.machines.machine import open_machine
     from stewart_drake.runs.checks import check_scenario
     from stewart_drake.runs.drive import Drive, as_logged, connected, held_controller, measured_home
@@ -49,6 +50,8 @@ def drive(
     refuse_without_learning(loaded, keep_model)
     if out is not None:
         check_place(as_logged(loaded), out, force, duration=False)
+    if mcap:
+        check_mcap()
     opened, driven = open_machine(machine, loaded), None
     with shown_compiling():
         check_scenario(loaded)

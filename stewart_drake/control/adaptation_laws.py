@@ -449,5 +449,7 @@ def _friction_of(params: Any, own: Any, common: Any, leg: int) -> Any:
     """Damping [N m s/rad] and Coulomb friction [N m] of a motor, within bounds, in units of its command's torque."""
     limit = params.limit[leg]
     damping, coulomb = params.damping[leg] + common[2] + own[1], common[3] + own[2]
-    damping = min(max(damping, LEAST_DAMPING * limit), MOST_DAMPING * limit)
+    # What an earlier run has learnt, and is believed now, is not cut.
+    most = max(MOST_DAMPING * limit, params.damping[leg])
+    damping = min(max(damping, LEAST_DAMPING * limit), most)
     return damping, min(max(coulomb, 0.0), MOST_COULOMB * limit)

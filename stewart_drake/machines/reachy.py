@@ -40,6 +40,7 @@ class ReachyMachine:
             ExitStack(),
         )
         self.name = f"reachy://{host}:{port}"
+        self.first = f"; wake it first: curl -X POST {host}:{port}/api/move/play/wake_up"
         self._errors: tuple[type[Exception], ...] = (OSError, EOFError)
         self._socket: Any = None
         self.disconnect()

@@ -93,7 +93,7 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
         except InfeasibleReferenceError as error:
             if until == duration:
                 raise
-            allowed = f"a pose from which the motion can be reached ({error})"
+            allowed = f"a pose from which the motion can be reached ({error}){getattr(machine, 'first', '')}"
             raise ConfigurationError("start", np.round(pose, 4).tolist(), allowed) from None
     return Start(angles, pose, motion, duration)
 

@@ -151,6 +151,12 @@ def test_what_was_kept_is_what_the_next_run_believes():
     assert second.scenario.belief.motors.dead_time == pytest.approx(0.03 + value.delay)
 
 
+def test_much_damping_that_an_earlier_run_has_learnt_is_not_cut():
+    believed = {"coulomb": DRY, "viscous": 0.4, "width": 0.004}
+    log = run(servos(duration=3.0, **{"plant.friction.viscous": 0.4, "model.friction": believed}), check=False)
+    assert Learnt.of(log["learnt"][-1]).viscous.min() > 0.35
+
+
 def test_a_robot_that_rests_learns_nothing_and_a_frozen_one_keeps_its_model():
     for changes in ({"reference": {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.177]}}, {"adaptation.frozen": True}):
         learnt = run(servos(3.0, **changes), check=False)["learnt"]
