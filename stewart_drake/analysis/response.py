@@ -110,7 +110,7 @@ def step_figures(time: np.ndarray, value: np.ndarray) -> StepResponse:
     """Rise time, overshoot and settling time of values (n,) that go from 0 to 1 over times (n,) [s]."""
     above_low, above_high = value >= 0.1, value >= 0.9
     rise = time[above_high.argmax()] - time[above_low.argmax()] if above_high.any() else np.nan
-    outside = np.flatnonzero(np.abs(value - 1.0) > 0.02)
+    outside = np.flatnonzero(~(np.abs(value - 1.0) <= 0.02))
     last = outside[-1] + 1 if len(outside) else 0
     settling = time[last] - time[0] if last < len(time) else np.nan
     return StepResponse(time, value, float(rise), float(max(0.0, value.max() - 1.0)), float(settling))

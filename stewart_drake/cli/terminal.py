@@ -220,6 +220,7 @@ def _is_number(cell: str) -> bool:
 
 
 def print_json(tables: dict[str, Any]) -> None:
-    """The tables of a command: one alone as it is, several by title."""
+    """The tables of a command: one alone as it is, several by title; null for what is no number."""
     if tables:
-        click.echo(json.dumps(next(iter(tables.values())) if len(tables) == 1 else tables, indent=1, default=str))
+        text = json.dumps(next(iter(tables.values())) if len(tables) == 1 else tables, default=str)
+        click.echo(json.dumps(json.loads(text, parse_constant=lambda _: None), indent=1))

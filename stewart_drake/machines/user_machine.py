@@ -72,7 +72,9 @@ class UserMachine:
         try:
             self._own.disconnect()
         except Exception as error:
-            self.after = f"its disconnect raised {type(error).__name__}: {error}".removesuffix(": ")
+            self.after = f"its disconnect raised {type(error).__name__}: {' '.join(str(error).split())}".removesuffix(
+                ": "
+            )
 
     def _look(self) -> None:
         self.period: float | None = getattr(self._own, "period", None)

@@ -80,7 +80,7 @@ def read_move(path: str | Path) -> Move:
         raise ConfigurationError(key, " ".join(f"{type(error).__name__}: {error}".split())[:200], ASKED) from None
     columns = {"time": time, "head": head, "antennas": antennas, "body_yaw": yaw}
     for name, values in columns.items():
-        if (wrong := ~np.isfinite(values.reshape(len(rows), -1)).all(axis=1)).any():
+        if (wrong := ~np.isfinite(values.reshape(len(rows), math.prod(values.shape[1:]))).all(axis=1)).any():
             raise ConfigurationError(key, f"others in {_place(name, wrong)}", "finite numbers")
     skew = np.abs(np.swapaxes(head[:, :3, :3], 1, 2) @ head[:, :3, :3] - np.eye(3)).max(axis=(1, 2), initial=0.0)
     if (skew > 0.02).any():

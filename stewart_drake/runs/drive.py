@@ -187,7 +187,7 @@ class Drive:
         """What became of the robot, once it is over."""
         if self.time < self._motion.rests:
             return "it was let go at once"
-        return f"it came to rest on its path, was held for {HOLD:g} s, and was let go"
+        return f"it was slowed down on its path, held for {HOLD:g} s, and let go"
 
     def run(self, progress: Callable[[float], None] | None = None) -> SimulationLog:
         """To the end, or to rest before it: after Ctrl-C, an old reading, an error that grows; a lost machine ends it.

@@ -283,14 +283,15 @@ def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Experimen
 
 
 def _without_units(base: Scenario, key: str, distribution: Distribution) -> Distribution:
-    """With numbers in place of texts such as `100 g`; what is wrong stays as it is."""
+    """With numbers in place of texts such as `100 g`; names stay names, and what is wrong stays as it is."""
     if not isinstance(distribution, Choice) or not any(isinstance(each, str) for each in distribution.values):
         return distribution
     values = []
     for each in distribution.values:
         values.append(each)
         with suppress(ConfigurationError):
-            values[-1] = value_at(with_changes(base, {key: each}).in_full(), key)
+            value = value_at(with_changes(base, {key: each}).in_full(), key)
+            values[-1] = value if isinstance(value, (int, float)) else each
     return dataclasses.replace(distribution, values=tuple(values))
 
 

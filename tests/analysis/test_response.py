@@ -55,6 +55,7 @@ def test_a_step_of_second_order_has_its_overshoot_and_rise_time(damping, frequen
 
 def test_a_step_that_ends_elsewhere_does_not_settle():
     time = np.linspace(0.0, 1.0, 11)
+    assert np.isnan(step_figures(time, np.full_like(time, np.nan)).settling_time)
     found = step_figures(time, 0.5 * time)
     assert np.isnan([found.rise_time, found.settling_time]).all()
     assert found.overshoot == 0.0

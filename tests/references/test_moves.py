@@ -72,6 +72,7 @@ WRONG = {
     "no times": ({"set_target_data": [GOOD] * 4}, "KeyError: 'time'"),
     "fewer times": ({"time": [0, 1], "set_target_data": [GOOD] * 4}, "cannot reshape"),
     "three rows": ({"time": [0, 1, 2], "set_target_data": [GOOD] * 3}, "at least 4 rows"),
+    "no rows": ({"time": [], "set_target_data": []}, "at least 4 rows"),
     "back in time": ({"time": [0, 1, 0, 2], "set_target_data": [GOOD] * 4}, r"ascend.*0 s after 1 s in time\[2\]"),
     "too long": ({"time": [0, 1, 2, 1e7], "set_target_data": [GOOD] * 4}, r"at most 600 s.*1e\+07 s"),
     "no time": ({"time": [0, 1, np.nan, 3], "set_target_data": [GOOD] * 4}, r"finite numbers.*time\[2\]"),

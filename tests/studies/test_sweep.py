@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from stewart_drake import load_scenario
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.studies.sweep import SweepFile, make_sweep
 
@@ -179,3 +180,30 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(start, tmp_path)
     assert process.returncode == 0
     assert rows.read_bytes().splitlines()[: len(kept)] == kept
     assert pq.read_table(tmp_path / "out" / "sweep.parquet").column("index").to_pylist() == list(range(12))
+
+
+def test_units_in_a_grid_are_numbers_and_names_stay_names():
+    grids = {
+        "plant.payload_mass": {"kind": "grid", "values": ["100 g", 0.2]},
+        "robot": {"kind": "grid", "values": ["paper", "reachy_mini"]},
+    }
+    s = sweep(distributions=grids, runs=None, scenario="exact_breathing", set={"duration": 0.1})
+    rows = [trial.labels for trial in s.trials]
+    assert [row["plant.payload_mass"] for row in rows] == [0.1, 0.2, 0.1, 0.2]
+    assert [row["robot"] for row in rows] == ["paper", "paper", "reachy_mini", "reachy_mini"]
+    # What follows from the robot still follows from it.
+    assert s.trials[3].scenario().tuner.q_pose != s.trials[1].scenario().tuner.q_pose
+
+
+def test_with_a_mismatch_delay_and_noise_are_believed_as_they_were():
+    delays = {
+        "command_delay": {"kind": "grid", "values": [1, 4]},
+        "sensors.noise": {"kind": "grid", "values": [0.0, 1e-4]},
+    }
+    right, wrong = (
+        sweep(distributions=delays, runs=None, scenario="exact_breathing", set={}, mismatch=each).trials[3].scenario()
+        for each in (False, True)
+    )
+    base = load_scenario("exact_breathing")
+    assert (right.belief.delay, wrong.belief.delay) == (4, base.belief.delay)
+    assert right.belief.noise > wrong.belief.noise == base.belief.noise
