@@ -39,9 +39,9 @@ STEP = 0.03
 """[-] share of its box by which a setting moves in a tick, at most. By shares of a second a slow robot would jump, and
 its loop can grow by that: docs/results/tuner_safety.md."""
 FADE = 0.5
-"""[-] what `OF_THE_ROBOT` may lie outside of the training data, in their standard deviations, until the output has
+"""[-] what noise and latency may lie outside of the training data, in their standard deviations, until the output has
 faded."""
-OF_THE_ROBOT = FEATURES.index("noise"), FEATURES.index("latency")
+_NOISE, _LATENCY = FEATURES.index("noise"), FEATURES.index("latency")
 LARGEST_FEATURE = 30.0
 """[-] features are held within it where a policy has no ends for them."""
 BOX_HEADER = ("setting", "least", "centre", "largest")
@@ -84,7 +84,7 @@ def policy_setting(policy: Any, features: Any, setting: Any) -> float:
             values[k], outside = policy.input_mean[k], 2.0 * FADE
             continue
         held = min(max(values[k], policy.low[k]), policy.high[k])
-        if k in OF_THE_ROBOT:
+        if k == _NOISE or k == _LATENCY:  # noqa: SIM109 - C has no `in`
             outside = max(outside, abs(values[k] - held) / policy.input_scale[k])
         values[k] = held
     confidence = min(max(1.0 - outside / FADE, 0.0), 1.0)
