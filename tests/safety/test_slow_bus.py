@@ -21,7 +21,7 @@ def apart(pose, other):
     return np.degrees((turns[0] * turns[1].inv()).magnitude())
 
 
-@pytest.mark.parametrize(("coulomb", "viscous"), [(0.0, 0.0), (0.0128, 0.0037), (0.02, 0.03), (0.1, 0.15)])
+@pytest.mark.parametrize(("coulomb", "viscous"), [(0.0, 0.0), (0.0128, 0.0037), (0.1, 0.15), (0.13, 0.19)])
 def test_a_stop_moves_the_head_less_than_letting_go(coulomb, viscous):
     log = run(nod(coulomb, viscous), check=False)
     assert log.status == "stopped"
