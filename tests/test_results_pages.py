@@ -16,7 +16,6 @@ import integrators
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import random_beliefs
 import random_faults
 import servo_identification_study as servos
 import write_reachy
@@ -143,14 +142,6 @@ def test_random_faults(page):
     one = random_faults.row(next(number for number in range(500) if random_faults.drawn(number)[0] == "nan"))
     assert one["named"]
     assert_says(page.cell("nan", column="median, longest latency [ms]"), one["latency"], one["latency"])
-
-
-def test_random_beliefs(page):
-    told = re.search(r"Lost with learning alone: numbers ([\d, ]+)\.", page.text)
-    worse = [int(number) for number in told[1].split(", ")] if told else []
-    for number in {*range(1, 5), *worse[:1]}:
-        learning, without = random_beliefs.outcome(number).lost
-        assert (learning and not without) == (number in worse)
 
 
 def test_margins(page):
