@@ -13,7 +13,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PINS)
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test test-all test-torch check newest golden processors results lint bench docs docs-quick picture gallery robots calibration calibration-example identification integrators margins plan reproduction montecarlo random_faults reachy drive fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three tab format clean servo_identification adaptation
+.PHONY: demo install test test-all test-torch check newest golden processors results lint bench docs docs-quick picture gallery robots calibration calibration-example identification integrators margins plan reproduction montecarlo random_faults random_beliefs reachy drive fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three tab format clean servo_identification adaptation
 
 demo: $(BASE)
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -178,10 +178,14 @@ plan: install
 reproduction: install
 	$(BIN)/python docs/write_reproduction.py
 
-# A thousand runs, a quarter of an hour on two cores, and docs/results/monte_carlo.md.
+# Four thousand runs, half an hour on two cores, and docs/results/monte_carlo.md.
 montecarlo: install
 	$(BIN)/stewart-drake sweep monte_carlo --out runs/monte_carlo
 	$(BIN)/python docs/write_monte_carlo.py runs/monte_carlo
+
+# docs/results/random_beliefs.md: five thousand situations, an hour on two cores.
+random_beliefs: install
+	$(ONE_THREAD) $(BIN)/python docs/random_beliefs.py
 
 # docs/results/random_faults.md: 500 faults, five minutes on one core.
 random_faults: install
@@ -200,10 +204,11 @@ fair_verdict: install
 tuner_baselines: install
 	$(BIN)/python docs/tuner_baselines.py runs/tuner-baselines
 
-# Tuners and settings that stay, on the fast engine, some minutes on two cores; docs/results/tuner.md.
+# Tuners and settings that stay, on both engines, twenty minutes on two cores; docs/results/tuner.md.
 tuner_verdict: install
 	$(BIN)/stewart-drake tuner judge --plant closed_form --seeds 10 --out runs/tuner-fast
-	$(BIN)/python docs/write_tuner.py runs/tuner-fast
+	$(BIN)/stewart-drake tuner judge --seeds 10 --only stiff --only "best of each robot" --out runs/tuner-drake
+	$(BIN)/python docs/write_tuner.py runs/tuner-fast runs/tuner-drake
 
 # Error against change of torque, docs/results/tuner_front.md: ten minutes.
 tuner_front: install

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import servo_identification_study as servos
 from servo_identification_study import GUESS, NOMINAL, PLAIN, SERVO, Hidden, spread
+from strange_robots import LateServos, LoadedFriction
 from write_reachy import MAKERS
 
 from stewart_drake import Scenario, load_scenario, run, run_metrics
@@ -37,12 +39,18 @@ SCHEMES = {
     "second": "a second run with what was kept of a first one, age told",
     "truth": "exact model, truth known",
 }
-STRANGE: dict[str, dict[str, Any]] = {
-    "as above": {},
-    "stiction of 1.5 times the Coulomb friction": {"break_away": 1.5},
-    "play of 0.2 deg in each gear": {"motors.backlash": np.radians(0.2).item()},
-    "one message in fifty is lost": {"link": {"drop_probability": 0.02, "seed": 1}},
-    "noise of 1 mrad in each reading": {"sensors.noise": 0.001},
+LOAD_SHARE, JITTER = 0.27, 0.005
+"""[-] of a motor's torque by which its dry friction grows; [s] by which a command may come late."""
+STRANGE: dict[str, Callable[[int], dict[str, Any]]] = {
+    "as above": lambda _: {},
+    "stiction of 1.5 times the Coulomb friction": lambda seed: {
+        "plant.friction.break_away": (1.5 * servos.hidden(seed).coulomb).tolist()
+    },
+    "friction that grows by 0.27 of the motor's torque": lambda seed: {"plant": loaded_friction(seed)},
+    "play of 0.2 deg in each gear": lambda _: {"motors.backlash": np.radians(0.2).item()},
+    "commands come up to 5 ms late": lambda seed: {"motors": late_servos(seed)},
+    "one message in fifty is lost": lambda _: {"link": {"drop_probability": 0.02, "seed": 1}},
+    "noise of 1 mrad in each reading": lambda _: {"sensors.noise": 0.001},
 }
 ROBOTS, SLOW_ROBOTS = 24, 60
 FEW = 8  # Robots of the table above.
@@ -51,6 +59,7 @@ MANY, FIRST_OF_MANY, SHORT = 500, 1000, 10.0
 MANY_BUSES = {False: "servos at 50 Hz", True: "torque at 100 Hz"}
 NOMINAL_DRY, NOMINAL_VISCOUS = 0.058, 0.095  # [N m], [N m s/rad] of `reachy_nod`.
 CORNERS, FALLEN = 8, 10.0  # The first robots are the corners; [deg] of an error from which on a robot is lost.
+AT_REST = 0.1  # [mm/s] of ripple.
 AT_100_HZ = {
     "shipped": "`reachy_nod` as it is shipped: LQI, observer, policy",
     "nominal": "decoupled PID, nominal constants",
@@ -127,10 +136,19 @@ def trial(seed: int) -> list[list[float]]:
 
 def strange(name: str, seed: int) -> list[float]:
     """Figures of a robot that learns with something that the model does not have."""
-    changes = dict(STRANGE[name])
-    if (above := changes.pop("break_away", None)) is not None:
-        changes["plant.friction.break_away"] = (above * servos.hidden(seed).coulomb).tolist()
-    return figures(seed, "learning", changes)
+    return figures(seed, "learning", STRANGE[name](seed))
+
+
+def loaded_friction(seed: int) -> dict[str, Any]:
+    """`plant` of a robot whose dry friction grows with the load."""
+    options = scenario(seed, "learning", "nod").plant.to_dict()
+    return {"kind": LoadedFriction, "time_step": STEP, "arguments": {"share": LOAD_SHARE, "options": options}}
+
+
+def late_servos(seed: int) -> dict[str, Any]:
+    """`motors` of a robot whose bus jitters."""
+    options = scenario(seed, "learning", "nod").motors.to_dict()
+    return {"kind": LateServos, "arguments": {"servos": options, "jitter": JITTER, "seed": seed}}
 
 
 def at_1_khz(plant: str, motion: str, scheme: str) -> list[float]:
@@ -261,7 +279,8 @@ run starts with the `model` that `--keep-model` left after a first one that look
 
 {strange}
 
-The plants have no friction that grows with the load, and a bus delays by whole steps: these are not in the table.
+Friction that grows with the load, and a bus that jitters, are [a plant and motors of one's own](../your_own_loop.md),
+in `docs/strange_robots.py`.
 
 ## On the maker's model
 
@@ -288,7 +307,8 @@ are the corners. Errors after the first half of 20 s. Lost: the run ends, or the
 {slow}
 
 - By torque at 100 Hz it is exact and noisy: a motor with a fast loop of its own is quieter.
-- A robot without any friction hunts about the steps of its encoders at rest; one with friction is at rest.
+- At rest {still} of the {drawn} robots that are no corners move by less than {rest:g} mm/s while they learn. One
+  without any friction hunts about the steps of its encoders.
 
 ## Many robots
 
@@ -322,6 +342,7 @@ def main() -> None:
             scheme: [list(workers.map(partial(at_1_khz, "drake", scheme=scheme), ("breathing", "heart")))]
             for scheme in AT_1_KHZ
         }
+    resting = slow[CORNERS:, list(AT_100_HZ).index("learning"), SLOW_FIGURES.index("ripple at rest [mm/s]")]
     header = ["", *FIGURES, "lost"]
     words = [f"{motion} [{unit}]" for motion in ("breathing", "heart") for unit in ("mm", "deg")]
     text = TEXT.format(
@@ -340,6 +361,9 @@ def main() -> None:
             ["", "nod [deg]", "learning", "breathing [mm]", "learning"],
             [[name, *(f"{x:.3g}" for x in row)] for name, row in zip(BELIEFS, maker, strict=True)],
         ),
+        still=int((resting < AT_REST).sum()),
+        drawn=len(resting),
+        rest=AT_REST,
         slow=markdown_table(
             ["", *SLOW_FIGURES, "lost"],
             [[name, *table(slow[:, k])] for k, name in enumerate(AT_100_HZ.values())],

@@ -16,8 +16,10 @@ import integrators
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import random_beliefs
 import random_faults
 import servo_identification_study as servos
+import write_monte_carlo as monte_carlo
 import write_reachy
 from calibration_study import NOISE
 from calibration_study import poses as poses_at_random
@@ -144,6 +146,14 @@ def test_random_faults(page):
     assert_says(page.cell("nan", column="median, longest latency [ms]"), one["latency"], one["latency"])
 
 
+def test_random_beliefs(page):
+    told = re.search(r"Worse with learning: ([\d, ]+)\.", page.text)
+    worse = [int(number) for number in told[1].split(", ")] if told else []
+    for number in {*range(1, 5), *worse[:1]}:
+        learning, without = map(random_beliefs.ENDS.index, random_beliefs.outcome(number).ends)
+        assert (learning > without) == (number in worse)
+
+
 def test_margins(page):
     pose = [number for number, _ in numbers(page.after("worst pose, all at once: ", 6))]
     changes = "estimator.kind=observer", "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
@@ -164,6 +174,11 @@ def test_monte_carlo(page):
     for index in (0, int(rmse.argmax())):
         again = execute(sweep.trials[index])
         assert again["rmse_norm_mm"] == pytest.approx(kept["rmse_norm_mm"][index].as_py(), rel=NOISY)
+    for way in monte_carlo.WAYS:
+        found = np.array(kept[f"rmse_norm_mm {way}"].to_pylist())
+        for column, value in (("50 %", np.median(found)), ("largest", found.max())):
+            assert_says(page.cell(way, column=column, under="## With learning"), value)
+        assert monte_carlo.error(way, 0) == pytest.approx(found[0], rel=2.0 * NOISY)
 
 
 @pytest.mark.parametrize("friction", [False, True])
@@ -240,6 +255,10 @@ def test_tuner(page, tmp_path):
     for column, cost in (("policy", policy), ("schedule", schedule)):
         ratio = page.cell("hold", "paper", column=column, under=under).partition(" ")[0]
         assert_says(ratio, *np.exp(cost - best))
+    cases = [Case("hold", "reachy_mini", seed) for seed in HELD_OUT[:2]]
+    with Benchmark(tmp_path / "drake", "drake", Workers(0)) as benchmark:
+        found = benchmark.run([POLICY], cases)
+    assert_says(page.after("motors that rub stay ", 1), np.median([row["rmse_norm_deg"] for row in found]), within=0.1)
 
 
 def test_tuner_training(page, tmp_path):
