@@ -20,7 +20,7 @@ from reachy_daemon import install, start, wake
 
 from stewart_drake import SimulationLog, load_scenario, run
 from stewart_drake.base.markdown import markdown_table
-from stewart_drake.control.adaptation import model_of, rows_of
+from stewart_drake.control.adaptation import last_learnt, model_of, rows_of
 from stewart_drake.logs.outcomes import RunRows
 from stewart_drake.machines.machine import MachineError, Reading, open_machine
 from stewart_drake.machines.reachy import ReachyMachine
@@ -159,10 +159,7 @@ def figures(log: SimulationLog, age: float | None = None) -> Figures:
 
 def kept(log: SimulationLog) -> dict[str, Any]:
     """What a run has learnt, as `--keep-model` leaves it."""
-    belief = log.scenario.belief
-    joints = log["learnt_joints"][-1]
-    model = model_of(log["learnt"][-1], belief.robot, belief.motors, belief.friction, joints)
-    return {"model": {**log.scenario.model.given(), **model}}
+    return {"model": {**log.scenario.model.given(), **model_of(last_learnt(log), log.scenario.belief)}}
 
 
 class ByWallClock(ReachyMachine):
@@ -447,7 +444,7 @@ def main() -> None:
         (name, *cells({motion: simulated(changes, motion) for motion in MOTIONS})) for name, changes in LIMITS.items()
     ]
     known = logs[LEARNT, "look around"]
-    learnt = rows_of(*(known[name][-1] for name in ("learnt", "learnt_half_width", "learnt_joints")))
+    learnt = rows_of(last_learnt(known))
     save_figure(draw(logs), OUT / "drive.png")
     values = {
         **{motion.partition(" ")[0]: long for motion, (_, long, _) in MOTIONS.items()},

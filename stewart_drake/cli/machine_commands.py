@@ -11,7 +11,7 @@ from stewart_drake.cli.options import command
 from stewart_drake.cli.run_commands import end, keep, kept_model, leave, refuse_without_learning
 from stewart_drake.cli.terminal import print_table, progress_bar, shown_compiling, tell
 from stewart_drake.logs.signals import SCALES
-from stewart_drake.runs.outputs import begin_journal, check_place, claimed_place
+from stewart_drake.runs.outputs import begin_journal, check_place, claimed_place, prepare_file
 from stewart_drake.scenario.scenario import load_driven
 
 
@@ -52,6 +52,8 @@ def drive(
         check_place(as_logged(loaded), out, force, duration=False)
     if mcap:
         check_mcap()
+    if keep_model is not None:
+        prepare_file(keep_model, "--keep-model")
     opened, driven = open_machine(machine, loaded), None
     with shown_compiling():
         check_scenario(loaded)

@@ -21,7 +21,7 @@ from stewart_drake.base.yaml_files import read_mapping, to_yaml
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling, tell, working
-from stewart_drake.control.adaptation import RegressionOptions, model_of, rows_of
+from stewart_drake.control.adaptation import RegressionOptions, last_learnt, model_of, rows_of
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import metrics_of, run_metrics
 from stewart_drake.logs.outcomes import describe_outcome
@@ -71,6 +71,8 @@ def run(
     # Only now, with everything checked, does anything appear on the disk.
     if video is not None:
         prepare_file(video)
+    if keep_model is not None:
+        prepare_file(keep_model, "--keep-model")
     with claimed_place(loaded, out, force) as claimed:
         with shown_compiling(), progress_bar(loaded.name, loaded.duration) as advance:
             log = simulate(loaded, progress=advance, check=False, prepared=prepared)
@@ -107,8 +109,8 @@ def kept_model(file: Path | None) -> list[str]:
     if file is None or not file.exists():
         return []
     data = read_mapping("model", file, 100)
-    if set(data) - {"name"} != {"model"}:
-        raise ConfigurationError(f"--keep-model {file}", join_or(sorted(map(str, data))), "a file with `model` alone")
+    if (keys := set(data) - {"name"}) != {"model"}:
+        raise ConfigurationError(f"--keep-model {file}", join_or(sorted(map(str, keys))), "a file with `model` alone")
     return [f"model={json.dumps(data['model'])}"]
 
 
@@ -122,13 +124,13 @@ def refuse_without_learning(scenario: ControlOptions, file: Path | None) -> None
 
 
 def keep(log: SimulationLog, file: Path | None) -> None:
-    """Leaves what was learnt in a file, for the next run."""
+    """Leaves what was learnt in a file, for the next run; a run that failed or was stopped leaves it as it was."""
     if file is None or not len(log.time):
         return
-    belief = log.scenario.belief
-    joints = log["learnt_joints"][-1] if "learnt_joints" in log else None
-    known = model_of(log["learnt"][-1], belief.robot, belief.motors, belief.friction, joints)
-    model = log.scenario.model.given() | known
+    if log.status not in ("completed", "interrupted"):
+        say(f"{file} left as it was: what a run learns that was not completed may be wrong")
+        return
+    model = log.scenario.model.given() | model_of(last_learnt(log), log.scenario.belief)
     write_text(file, to_yaml({"model": to_plain(model)}))
     tell(f"what was learnt in {file}; the next run with --keep-model {file} starts with it")
 
@@ -158,9 +160,9 @@ def _print_run(log: SimulationLog, place: Path, machine: str) -> None:
         # A second half that was not reached is shown as a dash; weights that a run does not have are left out.
         if metric.label and (value is not None or metric.over.startswith("second_half")):
             rows.append((metric.label, metric.shown(value)))
-    if "learnt" in log and len(log.time):
-        joints = log["learnt_joints"][-1] if "learnt_joints" in log else None
-        rows += rows_of(log["learnt"][-1], log["learnt_half_width"][-1], joints)
+    known = last_learnt(log)
+    if known and not getattr(log.scenario.adaptation, "frozen", False):
+        rows += rows_of(known)
     rows += [(f"warning: {each['name']}", f"{each['text']}, t = {each['time']:.3f} s") for each in log.warnings]
     factor = metrics["real_time_factor"]
     rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(place))]

@@ -5,6 +5,7 @@ The law is in `adaptation_laws`; here are its options, the part that it is in a 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -13,20 +14,21 @@ from stewart_drake.base.config import Flag, NotNegative, Positive
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import new_record
 from stewart_drake.control import adaptation_laws as law
-from stewart_drake.control.adaptation_laws import COMMON, HALF, JOINT, LATE, MIDDLE, OWN, ROWS
+from stewart_drake.control.adaptation_laws import HALF, JOINT, LATE, MIDDLE, OWN, PLACE, ROWS
 from stewart_drake.control.ball_joints import BallJoints, joints_record
-from stewart_drake.control.base import AdaptationOptions
+from stewart_drake.control.base import LEARNT_SIGNALS, AdaptationOptions
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.friction import BELIEVED
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import LEGS, ROBOT, robot_record
-from stewart_drake.robot import RobotParameters
 
 SIZE_HEAD, SIZE_DRIVE, SIZE_TORQUE, SIZE_OWN_DRIVE = 0.25, 0.35, 0.03, 0.06
 """[-] standard deviations of logarithms, before anything is learnt; torque: of motors that take one; own: how far apart
 motors of a robot are."""
 SIZE_DAMPING, SIZE_SERVO_DAMPING, SIZE_COULOMB, SHARE_OWN, SIZE_DELAY = 0.25, 0.03, 0.1, 0.2, 0.012
 """Likewise, [s/rad] and [-] of the torque limit; how far apart motors are, of that; [s] of a servo's delay."""
+SIZE_PLACE = 0.3
+"""[-] likewise, of the head's centre of mass, of the robot's characteristic length."""
 ALIKE = 0.6
 """[s] for which samples err alike, by what the model does not have: together they count as one."""
 FINEST = 0.008
@@ -63,6 +65,8 @@ class RegressionOptions(AdaptationOptions):
     """[-] standard deviation of a sample, of the motors' torque limit."""
     cautious: Flag = False
     """Whether friction is compensated only as far as it is known by now: too much of it would lose a slow loop."""
+    centre_of_mass: Flag = True
+    """Whether the head's centre of mass is learnt too: a load beside its middle moves it."""
     ball_joints: Flag = False
     """Whether friction of the rods' ball joints is learnt too: one viscous and one dry number for all of them."""
     frozen: Flag = False
@@ -86,13 +90,18 @@ class Learnt(NamedTuple):
         return cls(float(row[0]), float(row[1]), row[2:8], row[8:14], row[14:20])
 
 
-def rows_of(learnt: np.ndarray, half_width: np.ndarray, joints: np.ndarray | None = None) -> list[tuple[str, str]]:
-    """What was learnt, with 95 % intervals, in lines to be read: of six motors the lowest and the highest.
+def last_learnt(log: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The last row of each signal that tells what was learnt; empty where a log has none."""
+    return {name: log[name][-1] for name in LEARNT_SIGNALS if name in log and len(log[name])}
 
-    `joints` (4,) is a row of `learnt_joints`, where ball joints were learnt.
-    """
-    value, width = Learnt.of(learnt), Learnt.of(half_width)
+
+def rows_of(known: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
+    """What was learnt, see `last_learnt`, with 95 % intervals, in lines to be read: the lowest and highest motor's."""
+    value, width = Learnt.of(known["learnt"]), Learnt.of(known["learnt_half_width"])
     lines = [("learnt: head", f"{value.mass:.4g} ± {width.mass:.2g} kg")]
+    if (place := known.get("learnt_place")) is not None:
+        shown = " ".join(f"{1e3 * x:.3g}" for x in place[:PLACE])
+        lines.append(("learnt: its centre of mass", f"{shown} ± {1e3 * place[PLACE:].max():.2g} mm"))
     if width.delay > 0.0:
         lines.append(("learnt: delay, more than believed", f"{1e3 * value.delay:.3g} ± {1e3 * width.delay:.2g} ms"))
     units = {"drive": ("torque over what was believed", "1"), "viscous": ("viscous friction", "N m s/rad")}
@@ -100,7 +109,7 @@ def rows_of(learnt: np.ndarray, half_width: np.ndarray, joints: np.ndarray | Non
         of, wide = getattr(value, name), getattr(width, name)
         shown = f"{of.min():.4g} to {of.max():.4g} ± {wide.max():.2g}"
         lines.append((f"learnt: {words}", shown if unit == "1" else f"{shown} {unit}"))
-    if joints is not None:
+    if (joints := known.get("learnt_joints")) is not None:
         for n, (words, unit) in enumerate((("viscous", "N m s/rad"), ("dry", "N m"))):
             lines.append(
                 (f"learnt: {words} friction of ball joints", f"{joints[n]:.4g} ± {joints[JOINT + n]:.2g} {unit}")
@@ -108,35 +117,37 @@ def rows_of(learnt: np.ndarray, half_width: np.ndarray, joints: np.ndarray | Non
     return lines
 
 
-def model_of(
-    learnt: np.ndarray, robot: RobotParameters, motors: Any, friction: Any, joints: np.ndarray | None = None
-) -> dict[str, Any]:
-    """Robot, motors and friction as keys of `model`: those that were believed, with what was learnt (20,).
-
-    `joints` (4,) is a row of `learnt_joints`, where ball joints were learnt.
-    """
-    value, weaker = Learnt.of(learnt), 1.0
+def model_of(known: Mapping[str, np.ndarray], belief: Any) -> dict[str, Any]:
+    """Robot, motors and friction as keys of `model`: those of `belief`, with what was learnt, see `last_learnt`."""
+    robot, motors, friction = belief.robot, belief.motors, belief.friction
+    value, weaker = Learnt.of(known["learnt"]), 1.0
     keys: dict[str, Any] = {}
-    viscous = value.viscous
+    viscous, coulomb = value.viscous, value.coulomb
     if motors.takes == "torque":
         weaker = 1.0 / float(value.drive.mean())
     else:
         gain = motors.gains * value.drive
         keys["motors"] = motors.with_gains(gain)
+    if motors.takes == "current":
+        # One constant for all: what a motor rubs, in currents, is kept.
+        viscous, coulomb = (each * value.drive.mean() / value.drive for each in (viscous, coulomb))
     if motors.takes == "angle":
         least = min(0.0, float(viscous.min()))
         damping = max(0.0, motors.damping + least)
         viscous = viscous + motors.damping - damping
         keys["motors"] |= {"damping": damping, "delay": max(0.0, motors.delay + value.delay)}
     more = np.subtract(friction.levels[1], friction.levels[0])
-    rubs = {"coulomb": value.coulomb.tolist(), "viscous": np.maximum(viscous, 0.0).tolist()}
-    keys["friction"] = {**friction.to_dict(), **rubs, "break_away": (value.coulomb + more).tolist()}
+    rubs = {"coulomb": coulomb.tolist(), "viscous": np.maximum(viscous, 0.0).tolist()}
+    keys["friction"] = {**friction.to_dict(), **rubs, "break_away": (coulomb + more).tolist()}
     if not more.any():
         keys["friction"]["break_away"] = None
-    if joints is not None:
+    if (joints := known.get("learnt_joints")) is not None:
         rub = {"viscous": float(joints[0]), "coulomb": float(joints[1])}
         keys["friction"]["joints"] = {**(friction.joints or BallJoints()).to_dict(), **rub}
-    return keys | {"robot": {**robot.given(), **robot.heavier(value.mass / robot.platform_mass, weaker)}}
+    head = robot.heavier(value.mass / robot.platform_mass, weaker)
+    if (place := known.get("learnt_place")) is not None:
+        head["platform_center_of_mass"] = place[:PLACE].tolist()
+    return keys | {"robot": {**robot.given(), **head}}
 
 
 def kernel_weights(width: float) -> np.ndarray:
@@ -187,8 +198,10 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     damping = SIZE_SERVO_DAMPING if by_angle and not options.ball_joints else SIZE_DAMPING
     drive = options.drive or (SIZE_DRIVE if by_gain else SIZE_TORQUE)
     joints = believed.joints or BallJoints()
-    size = limit.mean()
+    size, joint = limit.mean(), JOINT if options.ball_joints else 0
     common = [SIZE_HEAD, drive, damping * size, SIZE_COULOMB * size, SIZE_DELAY]
+    beside = SIZE_PLACE * robot.characteristic_length
+    common += [beside * robot.platform_mass] * PLACE if options.centre_of_mass else []
     common += [SIZE_DAMPING * size, SIZE_COULOMB * size] if options.ball_joints else []
     params = new_record(
         law.params_of(len(common)), gravity=context.gravity, stride=stride, kernel=weights / per,
@@ -210,10 +223,12 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
             bodies[place, column], bodies[place, 0] = bodies[place, 0], 0.0
     for name in _HEAD:
         rest[name] = 0.0
+    moments = np.repeat(rest, PLACE)
+    moments["platform_moment"] = np.eye(PLACE)
     angles = inverse_kinematics(robot, context.pose)
     coulomb = friction["coulomb"]
     first = new_record(
-        law.state_of(len(common)), friction=context.friction.view(np.float64), gain=motors.gains,
+        law.state_of(len(common), joint), friction=context.friction.view(np.float64), gain=motors.gains,
         robot=whole.view(np.float64), pose=context.pose, angles=angles, commands=motors.initial_command(context),
         good=1.0, doubt=1.0,
     )  # fmt: skip
@@ -225,6 +240,17 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     first["common"][0, 3] = first["used_common"][0, 3] = coulomb.mean()
     first["own"][0, :, 2] = first["used_own"][0, :, 2] = coulomb - coulomb.mean()
     first["learnt"] = np.concatenate([[robot.platform_mass, 0.0], np.ones(6), friction["viscous"], coulomb])
+    widths = np.hypot(common[1:4], params["own"][0])
+    of_drive = widths[0] if by_gain else 0.0
+    first["learnt_half_width"] = 1.96 * np.concatenate(
+        [
+            [robot.platform_mass * np.hypot(SIZE_HEAD, 0.0 if by_gain else drive), SIZE_DELAY if by_angle else 0.0],
+            np.full(6, widths[0]),
+            np.hypot(widths[1], of_drive * params["damping"][0]),
+            np.hypot(widths[2], of_drive * coulomb),
+        ]
+    )
+    first["learnt_place"] = np.append(robot.platform_center_of_mass, np.full(PLACE, 1.96 * beside))
     for k in range(OWN):
         first["information"][0, :, k, k] = 1.0 / params["own"][0, k]
     for k in range(len(common)):
@@ -233,11 +259,11 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     if options.ball_joints:
         rubs = np.array([joints.viscous, joints.coulomb])
         first["joints"] = hanging.view(np.float64)
-        first["learnt_joints"][0, :JOINT] = first["common"][0, COMMON:] = first["used_common"][0, COMMON:] = rubs
+        first["learnt_joints"][0, :JOINT] = first["common"][0, -JOINT:] = first["used_common"][0, -JOINT:] = rubs
         if cautious:
             first["joints"][0, :JOINT] = 0.0
     constants = {
-        "robot": whole, "rest": rest, "joints": hanging, "bodies": bodies,
+        "robot": whole, "rest": rest, "moments": moments, "joints": hanging, "bodies": bodies,
         "friction": context.friction.view(np.float64), "params": params,
     }  # fmt: skip
     if not options.frozen:
@@ -248,6 +274,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     outputs = ["friction", "robot", "learnt", "learnt_half_width", "friction_unknown", "doubt"]
     outputs += ["gain"] if by_gain else []
     outputs += ["lead"] if by_angle else []
+    outputs += ["learnt_place"] if options.centre_of_mass else []
     outputs += ["joints", "learnt_joints"] if options.ball_joints else []
     inputs = {"reading": context.reading, "command": 6}
     return Part("adaptation", law.regression_tick, constants, inputs, tuple(outputs), first, (LEGS,))

@@ -3,10 +3,11 @@
 A motor's command is itself the sensor of its torque: that of a motor which takes torques, and of a servo its stiffness
 times (command - angle). With Y the exact inverse dynamics of the motion that was read, of head and of all else,
 
-    command_i(t - delay) = exp(drive + own_i) (exp(head) Y_head_i + Y_rest_i) + damping_i rate_i
+    command_i(t - delay) = exp(drive + own_i) (exp(head) Y_head_i + moment Y_moment_i + Y_rest_i) + damping_i rate_i
                            + coulomb_i tanh(rate_i / width) + viscous Y_viscous_i + dry Y_dry_i
 
-in torques that the motors are believed to give for it. The last two are there where ball joints are learnt: what the
+in torques that the motors are believed to give for it. `moment` is there where the centre of mass is learnt: by how
+much mass times centre of mass of the head is another. The last two are there where ball joints are learnt: what the
 motors give for a unit of friction in all of these, see `ball_joints`. All terms pass one Gaussian kernel, and what
 changes at a reversal passes it too: the sign of the rate, and the ball joints' torques.
 What is common to the six motors and what is each one's own are estimated together, by a triangular factor of the
@@ -33,18 +34,21 @@ HALF = 6  # [blocks] to each side of the kernel's middle, at least two of its st
 LATE = 16  # [blocks] that a command and a reading may be late together.
 ROWS = 3 * HALF + LATE + 1  # [blocks] that are remembered.
 NEWEST, MIDDLE, SIGNS = ROWS - 1, ROWS - 1 - 2 * HALF, 2 * HALF + 1
-OWN, COMMON, JOINT = 3, 5, 2
-"""Numbers of each motor: log of its drive, damping, Coulomb; and of all: log of the head, these three, delay; and of
-ball joints, where they are learnt, the last common ones: viscous, dry."""
+OWN, COMMON, PLACE, JOINT = 3, 5, 3, 2
+"""Numbers of each motor: log of its drive, damping, Coulomb; and of all: log of the head, these three, delay. After
+these come the head's first moment, where the centre of mass is learnt, and viscous and dry friction of ball joints,
+where they are."""
 SHOWN = 20
 """Numbers that are shown, see `Learnt`."""
-MOST, LEAST_DAMPING, MOST_DAMPING, MOST_COULOMB, MOST_DELAY = np.log(3.0), -0.1, 0.6, 0.4, 0.05
-"""Bounds: of the logarithms; as above of the torque limit; and [s]. A delay believed too long may be a damping < 0."""
+MOST, LEAST_DAMPING, MOST_DAMPING, MOST_COULOMB, MOST_DELAY, MOST_MOMENT = np.log(3.0), -0.1, 0.6, 0.4, 0.05, 3.0
+"""Bounds: of the logarithms; of the torque limit [s/rad, s/rad, -]; [s]; and of the standard deviation at first. A
+delay believed too long may be a damping < 0."""
 SATURATED, OUTLIER = 0.9, 3.0
 """[-] of the torque limit from which on a motor counts as saturated; standard deviations from which on a sample is
 somebody's push."""
-ROBOT_SIZE, MASS = ROBOT.itemsize // 8, int(ROBOT.fields["platform_mass"][1]) // 8  # type: ignore[index]
-"""Numbers of a robot's record, and the place of the head's mass in it."""
+ROBOT_SIZE = ROBOT.itemsize // 8
+MASS, MOMENT = (int(ROBOT.fields[name][1]) // 8 for name in ("platform_mass", "platform_moment"))  # type: ignore[index]
+"""Where mass and first moment of the head are in a robot's record."""
 
 
 def params_of(common: int) -> np.dtype:
@@ -63,23 +67,24 @@ def params_of(common: int) -> np.dtype:
     )  # fmt: skip
 
 
-def state_of(common: int) -> np.dtype:
-    """Type of the state, with so many common numbers.
+def state_of(common: int, joint: int) -> np.dtype:
+    """Type of the state, with so many common numbers, of which these of ball joints.
 
     friction, robot, doubt, gain, lead, joints: stand in for constants; doubt of the Coulomb friction, 1 for that at
-    first. learnt: the estimate, see `Learnt`, and half the width of its 95 % intervals; learnt_joints: those of ball
-    joints, viscous, dry and the half widths; friction_unknown: how far Coulomb and viscous friction of the motors may
-    be from `friction`. information: rows of the factor of each motor, own columns, common ones,
-    right-hand side; shared: those below. own, common: estimate; used: what it has gone over into. Blocks, newest last:
-    pose, angles, commands, whether they are good; and of half a kernel before, what is sharp at a reversal: signs of
-    the rates, torques of ball joints. Sums of the block under way, its ticks, whether it is bad; blocks so far.
+    first. learnt: the estimate, see `Learnt`, and half the width of its 95 % intervals; learnt_place: centre of mass of
+    the head [m], and the half widths; learnt_joints: those of ball joints, viscous, dry and the half widths;
+    friction_unknown: how far Coulomb and viscous friction of the motors may be from `friction`. information: rows of
+    the factor of each motor, own columns, common ones, right-hand side; shared: those below. own, common: estimate;
+    used: what it has gone over into. Blocks, newest last: pose, angles, commands, whether they are good; and of half a
+    kernel before, what is sharp at a reversal: signs of the rates, torques of ball joints. Sums of the block under way,
+    its ticks, whether it is bad; blocks so far.
     """
     return fields(
         friction=25, robot=ROBOT_SIZE, joints=JOINTS.itemsize // 8, learnt=SHOWN, learnt_half_width=SHOWN,
-        learnt_joints=2 * JOINT, friction_unknown=12, doubt=6, gain=6, lead=(1,),
+        learnt_place=2 * PLACE, learnt_joints=2 * JOINT, friction_unknown=12, doubt=6, gain=6, lead=(1,),
         information=(6, OWN, OWN + common + 1), shared=(common, common + 1), own=(6, OWN), common=common,
         used_own=(6, OWN), used_common=common,
-        pose=(ROWS, 6), angles=(ROWS, 6), commands=(ROWS, 6), good=ROWS, sharp=(SIGNS, 1 + common - COMMON, 6),
+        pose=(ROWS, 6), angles=(ROWS, 6), commands=(ROWS, 6), good=ROWS, sharp=(SIGNS, 1 + joint, 6),
         sum_angles=6, sum_command=6, ticks=(), bad=(), blocks=(),
     )  # fmt: skip
 
@@ -163,8 +168,8 @@ def forget(information: Any, shared: Any, keep: float, sizes_own: Any, sizes_com
 
 @njit
 def regression_tick(
-    robot: Any, rest: Any, joints: Any, bodies: Any, friction: Any, params: Any, reading: Any, command: Any, legs: Any,
-    state: Any,
+    robot: Any, rest: Any, moments: Any, joints: Any, bodies: Any, friction: Any, params: Any, reading: Any,
+    command: Any, legs: Any, state: Any,
 ) -> None:  # fmt: skip
     """A tick: the block under way grows; at its end all that is known of the motion in its middle is a sample."""
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
@@ -177,7 +182,7 @@ def regression_tick(
     if state.blocks < params.first:
         return
     rows = np.zeros((6, OWN + len(state.common) + 1))
-    moving = _rows(robot, record(rest), record(joints), params, legs, state, rows)
+    moving = _rows(robot, record(rest), moments, record(joints), params, legs, state, rows)
     if moving:
         forget(state.information, state.shared, params.keep, params.own[:], params.common[:])
         _take(params, state, rows)
@@ -187,8 +192,11 @@ def regression_tick(
     for k in range(len(state.common)):
         state.used_common[k] += params.blend * (state.common[k] - state.used_common[k])
     _stand_in(params, bodies, friction, state)
-    if len(state.common) > COMMON:
+    joint_count = state.sharp.shape[1] - 1
+    if joint_count > 0:
         _stand_in_for_joints(params, state)
+    if len(state.common) > COMMON + joint_count:
+        _stand_in_for_moment(params, bodies, state)
 
 
 @njit
@@ -272,14 +280,16 @@ def _smoothed(params: Any, state: Any, first: int, motion: Any, acceleration: An
 
 
 @njit
-def _rows(robot: Any, rest: Any, joints: Any, params: Any, legs: Any, state: Any, rows: Any) -> bool:
+def _rows(robot: Any, rest: Any, moments: Any, joints: Any, params: Any, legs: Any, state: Any, rows: Any) -> bool:
     """Fills the rows (6, n) of a sample, those left out with zeros; whether any crank moves."""
     for row in range(ROWS):
         if state.good[row] == 0.0:
             return False
     both, acceleration, angles, rates = np.zeros(12), np.zeros(6), np.zeros(6), np.zeros(6)
-    given, faster, sharp = np.zeros(6), np.zeros(6), np.zeros((1 + len(state.common) - COMMON, 6))
-    delay, joint_count = state.common[4], len(state.common) - COMMON
+    given, faster, sharp = np.zeros(6), np.zeros(6), np.zeros((state.sharp.shape[1], 6))
+    delay, joint_count = state.common[4], state.sharp.shape[1] - 1
+    places = len(state.common) - COMMON - joint_count
+    of_moment = np.zeros((places, 6))
     _smoothed(params, state, MIDDLE - HALF, both, acceleration)
     for k in range(2 * HALF + 1):
         at = MIDDLE - HALF + k
@@ -301,6 +311,9 @@ def _rows(robot: Any, rest: Any, joints: Any, params: Any, legs: Any, state: Any
     if not motion_torque(robot, legs, both, acceleration, params.gravity, whole):
         return False
     motion_torque(rest, legs, both, acceleration, params.gravity, other)
+    for n in range(places):
+        motion_torque(record(moments[n : n + 1]), legs, both, acceleration, params.gravity, of_moment[n])
+        of_moment[n] -= other
     if joints.viscous > 0.0 or joints.coulomb > 0.0 or joints.inertia > 0.0:
         joint = np.zeros(6)
         if joint_count > 0:
@@ -324,6 +337,9 @@ def _rows(robot: Any, rest: Any, joints: Any, params: Any, legs: Any, state: Any
         drive = np.exp(common[1] + own[0])
         head = drive * np.exp(common[0]) * (whole[i] - other[i])
         load = head + drive * other[i]
+        for n in range(places):
+            rows[i, OWN + COMMON + n] = drive * of_moment[n, i] / unit
+            load += drive * common[COMMON + n] * of_moment[n, i]
         damping, coulomb = params.damping[i] + common[2] + own[1], common[3] + own[2]
         rows[i, 0] = load / unit if params.by_gain == 1.0 else 0.0
         rows[i, 1], rows[i, 2] = rates[i] / unit, sharp[0, i] / unit
@@ -331,8 +347,8 @@ def _rows(robot: Any, rest: Any, joints: Any, params: Any, legs: Any, state: Any
         rows[i, 7] = params.gain[i] * faster[i] / unit if params.by_angle == 1.0 else 0.0
         left = torque - load - damping * rates[i] - coulomb * sharp[0, i]
         for n in range(joint_count):
-            rows[i, OWN + COMMON + n] = sharp[1 + n, i] / unit
-            left -= common[COMMON + n] * sharp[1 + n, i]
+            rows[i, OWN + COMMON + places + n] = sharp[1 + n, i] / unit
+            left -= common[COMMON + places + n] * sharp[1 + n, i]
         rows[i, OWN + len(common)] = left / unit
     return moving
 
@@ -353,8 +369,11 @@ def _take(params: Any, state: Any, rows: Any) -> None:
     for k in range(2):
         state.common[k] = min(max(state.common[k], -MOST), MOST)
     state.common[4] = min(max(state.common[4], -MOST_DELAY), MOST_DELAY)
-    for k in range(COMMON, len(state.common)):
-        most = (MOST_DAMPING if k == COMMON else MOST_COULOMB) * params.limit.max()
+    first = len(state.common) - state.sharp.shape[1] + 1
+    for k in range(COMMON, first):
+        state.common[k] = min(max(state.common[k], -MOST_MOMENT * params.common[k]), MOST_MOMENT * params.common[k])
+    for k in range(first, len(state.common)):
+        most = (MOST_DAMPING if k == first else MOST_COULOMB) * params.limit.max()
         state.common[k] = min(max(state.common[k], 0.0), most)
 
 
@@ -368,6 +387,8 @@ def _stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
         head *= links
     for k in range(ROBOT_SIZE):
         state.robot[k] = bodies[k, 0] + links * bodies[k, 1] + head * bodies[k, 2]
+    for n in range(len(common) - COMMON - state.sharp.shape[1] + 1):
+        state.robot[MOMENT + n] += links * common[COMMON + n]
     state.lead[0] = common[4]
     for i in range(6):
         damping, coulomb = _friction_of(params, own[i], common, i)
@@ -417,22 +438,36 @@ def _stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
 @njit
 def _stand_in_for_joints(params: Any, state: Any) -> None:
     """Constants of the ball joints by what is used, and what is shown by the estimate."""
-    row = np.zeros(OWN + len(state.common))
+    row, first = np.zeros(OWN + len(state.common)), len(state.common) - JOINT
     for n in range(JOINT):
         row[:] = 0.0
-        row[OWN + COMMON + n] = 1.0
+        row[OWN + first + n] = 1.0
         spread, known = np.sqrt(spread_along(state.information[0], state.shared, row)), 1.0
         if params.cautious == 1.0:
-            known -= min(1.0, spread / params.common[COMMON + n]) ** 2
+            known -= min(1.0, spread / params.common[first + n]) ** 2
         used = shown = 1.0
         if params.by_gain == 1.0:
             used, shown = np.exp(-state.used_common[1]), np.exp(-state.common[1])
-        state.joints[n] = known * used * state.used_common[COMMON + n]
-        state.learnt_joints[n] = shown * state.common[COMMON + n]
+        state.joints[n] = known * used * state.used_common[first + n]
+        state.learnt_joints[n] = shown * state.common[first + n]
         # That of the drive is in it too.
-        row[OWN + 1] = -state.common[COMMON + n] * params.by_gain
+        row[OWN + 1] = -state.common[first + n] * params.by_gain
         spread = np.sqrt(spread_along(state.information[0], state.shared, row))
         state.learnt_joints[JOINT + n] = 1.96 * shown * spread
+
+
+@njit
+def _stand_in_for_moment(params: Any, bodies: Any, state: Any) -> None:
+    """The head's centre of mass as it is shown."""
+    row, links = np.zeros(OWN + len(state.common)), np.exp(state.common[1]) if params.by_gain == 0.0 else 1.0
+    head = links * np.exp(state.common[0])
+    for n in range(PLACE):
+        moment = head * bodies[MOMENT + n, 2] + links * state.common[COMMON + n]
+        row[:] = 0.0
+        row[OWN + COMMON + n] = links
+        state.learnt_place[n] = moment / state.learnt[0]
+        spread = np.sqrt(spread_along(state.information[0], state.shared, row))
+        state.learnt_place[PLACE + n] = 1.96 * spread / state.learnt[0]
 
 
 @njit

@@ -52,6 +52,7 @@ _DENSITY = (*(f"error_{axis}" for axis in AXES), *(f"torque_{leg}" for leg in LE
 _OUTSIDE = "decades of a tuner's setting above the base, and how far what it hears lies outside of its training"
 _LEARNT = ("mass", "delay", *(f"{what}_{leg}" for what in ("drive", "viscous", "coulomb") for leg in LEG_NAMES))
 _LEARNT_UNITS = ("kg", "s", *("1",) * 6, *("N m s/rad",) * 6, *("N m",) * 6)
+_PLACE = (*"xyz", *(f"{axis}_half_width" for axis in "xyz"))
 _JOINTS = ("viscous", "dry", "viscous_half_width", "dry_half_width")
 SIGNALS: Mapping[str, Signal] = {
     "time": Signal((), ("s",), "simulated time"),
@@ -98,6 +99,7 @@ SIGNALS: Mapping[str, Signal] = {
     ),
     "learnt": Signal(_LEARNT, _LEARNT_UNITS, "what is learnt of the head and of each motor: see docs/adaptation.md"),
     "learnt_half_width": Signal(_LEARNT, _LEARNT_UNITS, "half the width of its 95 % intervals"),
+    "learnt_place": Signal(_PLACE, ("m",) * 6, "likewise the head's centre of mass in P"),
     "learnt_joints": Signal(_JOINTS, ("N m s/rad", "N m") * 2, "likewise friction of the rods' ball joints"),
     "plant_state": Signal((), (), "positions and velocities of the MultibodyPlant"),
 }

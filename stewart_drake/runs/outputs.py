@@ -33,7 +33,7 @@ _PICTURES = ("diagram.dot", "diagram.svg", "states.png", "torques.png", "replay.
 """What a run may leave or not; else what is in a results folder is the user's own, and stays."""
 
 
-def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
+def prepare_folder(path: str | Path, named: str | Path | None = None, key: str = "--out") -> Path:
     """Makes a folder, and sure that something can be written to it; `named` is what the user called it."""
     folder = Path(path)
     try:
@@ -43,15 +43,15 @@ def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
     except OSError as error:
         # Unlike `Path.is_file` this never raises, whatever stands in the way.
         why = "this is a file" if os.path.isfile(folder) else error.strerror  # noqa: PTH113
-        raise ConfigurationError("--out", str(named or path), f"a folder that can be written to ({why})") from None
+        raise ConfigurationError(key, str(named or path), f"a folder that can be written to ({why})") from None
     return folder
 
 
-def prepare_file(path: Path) -> None:
+def prepare_file(path: Path, key: str = "--out") -> None:
     """Makes sure, before anything is computed, that a file can be written afterwards; its folder is made."""
-    prepare_folder(path.parent, path)
+    prepare_folder(path.parent, path, key)
     if path.is_dir():
-        raise ConfigurationError("--out", str(path), "a file, not a folder")
+        raise ConfigurationError(key, str(path), "a file, not a folder")
 
 
 @contextmanager

@@ -15,7 +15,7 @@ import numpy as np
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.base.keys import join_or
-from stewart_drake.control.base import TRACKING_ERROR
+from stewart_drake.control.base import LEARNT_SIGNALS, TRACKING_ERROR
 from stewart_drake.control.feedforward import lead_part
 from stewart_drake.control.friction_compensation import standing_torque
 from stewart_drake.control.observer import SMALLEST_NOISE
@@ -319,9 +319,7 @@ class _Builder:
             part.connected(**{name: learnt[name] for name in part.constants if name in learnt}) for part in self.parts
         ]
         self.at_end.extend(part._replace(end_of_tick=True) for part in parts)
-        self.logged |= {
-            name: learnt[name] for name in ("learnt", "learnt_half_width", "learnt_joints") if name in learnt
-        }
+        self.logged |= {name: learnt[name] for name in LEARNT_SIGNALS if name in learnt}
         return learnt
 
     def safety(self, options: SafetyOptions) -> Part:
