@@ -172,6 +172,56 @@ def plot_torques(log: SimulationLog) -> Figure:
     return figure
 
 
+@look.styled
+def plot_learnt(log: SimulationLog) -> Figure:
+    """What `adaptation: regression` learnt over time, of head, motors and ball joints, with 95 % intervals."""
+    log = _drawable(log)
+    panels = list(_learnt_panels(log))
+    figure, axes = _figure([log], "what was learnt, with 95 % intervals", len(panels), 2.3)
+    for axis, (panel, widths) in zip(axes, panels, strict=False):
+        _draw(axis, log, panel)
+        low, high = axis.get_ylim()
+        curves, motors = np.array(list(panel.curves.values())), len(panel.curves) == 6
+        below, above = curves - widths, curves + widths
+        if motors:
+            # Six bands that overlap say no more than the one around them.
+            below, above = below.min(axis=0, keepdims=True), above.max(axis=0, keepdims=True)
+        for under, over, color in zip(below, above, (look.GREY,) if motors else panel.colors, strict=False):
+            axis.fill_between(log.time, under, over, color=color, alpha=0.15, linewidth=0.0)
+        # Intervals that are wide at first must not flatten what becomes of them.
+        reach = 0.25 * (above[:, -1] - below[:, -1]).max()
+        axis.set_ylim(min(low, below[:, -1].min() - reach), max(high, above[:, -1].max() + reach))
+        if not motors:
+            _legend(axis)
+    look.legend_below(figure, next(axis for axis in axes if len(axis.lines) == 6).get_legend_handles_labels()[0], 6)
+    return figure
+
+
+def _learnt_panels(log: SimulationLog) -> Iterator[tuple[_Panel, np.ndarray]]:
+    """Panels, and half the widths (curves, n) of the intervals of their curves."""
+    value, width = log["learnt"].T, log["learnt_half_width"].T
+    legs = [f"motor {leg}" for leg in range(6)]
+
+    def panel(title: str, quantity: str, names: Sequence[str], values: np.ndarray, widths: np.ndarray) -> Any:
+        return _Panel(title, quantity, dict(zip(names, values, strict=True)), look.COLORS, 1e-6), widths
+
+    yield panel("Mass of the head", "[kg]", ["_"], value[:1], width[:1])
+    if (place := log.signals.get("learnt_place")) is not None:
+        yield panel("Centre of mass of the head, in P", "[mm]", "xyz", 1e3 * place.T[:3], 1e3 * place.T[3:])
+    if width[1].any():
+        yield panel("Delay of the motors, more than believed", "[ms]", ["_"], 1e3 * value[1:2], 1e3 * width[1:2])
+    for title, unit, of in (
+        ("Torque of the motors over what was believed", "[-]", slice(2, 8)),
+        ("Viscous friction", "[N m s/rad]", slice(8, 14)),
+        ("Coulomb friction", "[N m]", slice(14, 20)),
+    ):
+        yield panel(title, unit, legs, value[of], width[of])
+    if (joints := log.signals.get("learnt_joints")) is not None:
+        for n, (title, unit) in enumerate((("Viscous", "[N m s/rad]"), ("Dry", "[N m]"))):
+            values, widths = joints.T[n : n + 1], joints.T[2 + n : 3 + n]
+            yield panel(f"{title} friction of the ball joints", unit, ["_"], values, widths)
+
+
 def _drawable(log: SimulationLog) -> SimulationLog:
     if len(log.time) == 0:
         raise ConfigurationError("log", "no rows", "a log with at least one row to plot")

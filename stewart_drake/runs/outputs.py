@@ -29,7 +29,7 @@ _AS_RUN = "# As run by stewart-drake: every key, defaults included.\n"
 _ROOM = 10_000  # [byte] that a disk has at least
 _CODE = "code"  # Folder with the files of the user's classes.
 _RESULTS = ("log.parquet", "metrics.json", "run.mcap")
-_PICTURES = ("diagram.dot", "diagram.svg", "states.png", "torques.png", "replay.html")
+_PICTURES = ("diagram.dot", "diagram.svg", "states.png", "torques.png", "learnt.png", "replay.html")
 """What a run may leave or not; else what is in a results folder is the user's own, and stays."""
 
 
@@ -179,14 +179,18 @@ def _put(files: Mapping[str, bytes], place: Path, old: tuple[str, ...] = ()) -> 
 
 
 def draw_run(log: SimulationLog, place: Path, graph: str | None = None) -> str | None:
-    """Writes states.png, torques.png, replay.html, diagram.dot and diagram.svg; what is missing and why, or None."""
+    """Writes states.png, torques.png, learnt.png where a robot learns, replay.html, diagram.dot and diagram.svg.
+
+    Returns what is missing and why, or None.
+    """
     try:
         if graph is not None:
             _draw_graph(graph, place)
         if len(log.time):
             _draw(log, place)
     except (StewartDrakeError, OSError, MemoryError) as error:
-        missing = ", ".join(name for name in _PICTURES[2:] if not (place / name).exists())
+        wanted = [name for name in _PICTURES[2:] if name != "learnt.png" or "learnt" in log]
+        missing = ", ".join(name for name in wanted if not (place / name).exists())
         return f"pictures: {error or 'no memory is left'}; missing: {missing}"
     return None
 
@@ -200,11 +204,13 @@ def _draw_graph(graph: str, folder: Path) -> None:
 
 def _draw(log: SimulationLog, folder: Path) -> None:
     # matplotlib takes a second to load; a sweep that wants numbers alone does without.
-    from stewart_drake.plotting import plot_states, plot_torques, save_figure
+    from stewart_drake.plotting import plot_learnt, plot_states, plot_torques, save_figure
     from stewart_drake.runs.replay import write_replay
 
     save_figure(plot_states(log), folder / "states.png")
     save_figure(plot_torques(log), folder / "torques.png")
+    if "learnt" in log:
+        save_figure(plot_learnt(log), folder / "learnt.png")
     # Of a run without a finite state there is nothing to replay.
     if np.isfinite(log.signals.get("plant_state", log["pose"])).all(axis=1).any():
         write_replay(log, folder / "replay.html")
