@@ -10,7 +10,7 @@ import numpy as np
 
 from stewart_drake import __version__
 from stewart_drake.base.atomic_files import write_atomically
-from stewart_drake.base.errors import RunFailure
+from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.export.loop import LoopSource, table_of
 from stewart_drake.export.printer import TEMPLATES
@@ -45,6 +45,11 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
     Raises:
         ConfigurationError: A part that cannot be printed, with file and line; as `Controller`.
     """
+    if options.adaptation is not None:
+        allowed = (
+            "null: what learns is not printed; run with --keep-model FILE, and export with the `model` that it leaves"
+        )
+        raise ConfigurationError("adaptation.kind", options.adaptation.kind, allowed)
     own, side, age = c_name(name), control_side(options, split=True), np.zeros(1)
     parts = controller_parts(options, side, age)
     outside = {"time": 1, side.reading: side.context.reading, **{source.signal: source.size for source in side.sources}}

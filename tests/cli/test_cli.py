@@ -3,6 +3,7 @@ import re
 import shlex
 import signal
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -82,6 +83,16 @@ def test_what_a_run_learns_is_printed_kept_and_where_the_next_one_begins(call):
     believed = load_log("second").scenario.belief
     np.testing.assert_allclose(believed.friction.coulomb, 0.05, atol=0.005)
     assert believed.robot.platform_mass == load_log("first")["learnt"][-1, 0]
+    kept = Path("kept.yaml").read_bytes()
+    frozen = "--set=sensors.faults=[{kind: nan, time: 1.0, leg: 1}]"
+    status, _, said = call("run", "exact_breathing", *learning, frozen, "--keep-model", "kept.yaml", "--out", "failed")
+    assert status == 3
+    assert "kept.yaml left as it was" in said
+    assert Path("kept.yaml").read_bytes() == kept
+    status, _, said = call("run", "exact_breathing", *learning, "--keep-model", "kept.yaml/more", "--out", "none")
+    assert status == 2
+    assert "--keep-model: expected a folder that can be written to" in said
+    assert not Path("none").exists()
     status, _, said = call("run", "exact_breathing", *FAST, "--keep-model", "kept.yaml")
     assert status == 2
     assert "adaptation.kind: expected regression, for --keep-model" in said

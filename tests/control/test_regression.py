@@ -195,15 +195,17 @@ def test_beside_a_machine_it_is_the_same_and_readings_that_are_missing_do_no_har
     assert np.isfinite(broken.signal("learnt")).all()
 
 
+RUBS = {"plant": {"kind": "closed_form", "motor_friction": 0.08}, "adaptation": "regression"}
+
+
 @pytest.mark.parametrize("motion", ["breathing", "heart"])
 def test_by_torque_at_1_khz_unknown_friction_costs_nothing(motion):
-    rubs = {"plant": {"kind": "closed_form", "motor_friction": 0.08}, "duration": 6.0}
-    scenario = load_scenario(f"exact_{motion}").replace(rubs)
-    log = run(scenario.replace({"adaptation": "regression"}), check=False)
+    scenario = load_scenario(f"exact_{motion}").replace({**RUBS, "duration": 6.0})
+    log = run(scenario, check=False)
     value = Learnt.of(log["learnt"][-1])
     np.testing.assert_allclose(value.coulomb, 0.08, atol=0.002)
     np.testing.assert_allclose(value.drive, 1.0, atol=0.03)
-    told = run(scenario.replace({"model.friction.coulomb": 0.08}), check=False)
+    told = run(scenario.replace({"model.friction.coulomb": 0.08, "adaptation": None}), check=False)
     late = log.time > 3.0
     assert np.linalg.norm(log.error[late]) < 1.5 * np.linalg.norm(told.error[late])
 
@@ -212,6 +214,46 @@ def test_an_unknown_payload_is_weighed():
     scenario = load_scenario("exact_breathing").replace({"plant.kind": "closed_form", "plant.payload_mass": 0.3})
     learnt = Learnt.of(run(scenario.replace({"adaptation": "regression"}), check=False)["learnt"][-1])
     assert learnt.mass == pytest.approx(1.3, abs=0.02)
+
+
+@pytest.mark.parametrize("motion", ["breathing", "heart"])
+def test_a_load_beside_the_middle_moves_the_centre_of_mass_and_is_no_friction(motion):
+    load = {"plant.payload_mass": 0.3, "plant.payload_position": [0.03, 0.02, 0.05]}
+    scenario = load_scenario(f"exact_{motion}").replace({"plant.kind": "closed_form", "duration": 6.0, **load})
+    log = run(scenario.replace({"adaptation": "regression"}), check=False)
+    value, place = Learnt.of(log["learnt"][-1]), log["learnt_place"][-1]
+    assert value.mass == pytest.approx(1.3, abs=0.02)
+    truth = 0.3 / 1.3 * np.array([0.03, 0.02, 0.05])
+    np.testing.assert_allclose(place[:2], truth[:2], atol=2e-4)
+    # How high it is hardly tells where nothing tilts, and the interval says so.
+    assert abs(place[2] - truth[2]) < place[5]
+    np.testing.assert_allclose(value.coulomb, 0.01, atol=0.002)
+    # Nothing that the load does is left.
+    alone = run(scenario.replace({"adaptation": "regression", "plant.payload_mass": 0.0}), check=False)
+    late = log.time > 3.0
+    assert np.linalg.norm(log.error[late, 3:]) < 1.2 * np.linalg.norm(alone.error[late, 3:])
+    kept = scenario.replace({"model": model_of(last_learnt(log), log.scenario.belief)}).belief.robot
+    np.testing.assert_allclose(kept.platform_center_of_mass, place[:3], rtol=1e-12)
+
+
+def test_before_anything_is_learnt_the_intervals_are_wide():
+    log = run(load_scenario("exact_breathing").replace({**RUBS, "duration": 0.02}), check=False)
+    value, width = Learnt.of(log["learnt"][-1]), Learnt.of(log["learnt_half_width"][-1])
+    assert value.mass == log.scenario.robot.platform_mass
+    assert width.mass > 0.4 * value.mass
+    assert width.coulomb.min() > 0.08
+
+
+def test_one_torque_constant_for_all_keeps_what_each_motor_rubs_in_currents():
+    scenario = load_scenario("reachy_nod").replace({"motors": "current", "safety": None, "adaptation": "regression"})
+    drive, coulomb = np.array([0.8, 0.9, 1.0, 1.1, 1.2, 1.3]), np.full(6, 0.05)
+    learnt = np.concatenate([[0.3, 0.0], drive, 0.1 * coulomb, coulomb])
+    belief = scenario.belief
+    kept = scenario.replace({"model": model_of({"learnt": learnt, "learnt_half_width": 0.1 * learnt}, belief)}).belief
+    assert kept.motors.torque_constant == pytest.approx(belief.motors.torque_constant * drive.mean())
+    currents = coulomb / (belief.motors.torque_constant * drive)
+    np.testing.assert_allclose(np.array(kept.friction.coulomb) / kept.motors.torque_constant, currents)
+    np.testing.assert_allclose(np.array(kept.friction.viscous) / kept.motors.torque_constant, 0.1 * currents)
 
 
 # --- friction of ball joints ---

@@ -15,7 +15,8 @@ from stewart_drake.export.controller_c import export_controller
 from stewart_drake.runs.stepped_loop import SteppedLoop
 from stewart_drake.scenario.assembly import control_side
 
-SHIPPED = sorted(path.stem for path in shipped_folder("scenarios").glob("*.yaml"))
+NAMES = sorted(path.stem for path in shipped_folder("scenarios").glob("*.yaml"))
+SHIPPED = [name for name in NAMES if load_scenario(name).adaptation is None]
 SAME = 1e-12
 """Of the largest command; what another libm may do."""
 
@@ -91,6 +92,11 @@ def test_commands_of_ten_seconds(name, tmp_path):
     scenario = load_scenario(name, ["duration=10"])
     export_controller(scenario, name, tmp_path)
     assert_same(both(Controller(scenario), InC(tmp_path, name), readings(scenario, 10.0), scenario.reading_period))
+
+
+def test_what_learns_is_refused_by_its_key(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"adaptation\.kind: expected null: .*--keep-model"):
+        export_controller(load_scenario("reachy_slow_bus"), "slow", tmp_path)
 
 
 OTHERS = {

@@ -42,8 +42,8 @@ def test_a_stop_moves_the_head_less_than_letting_go(coulomb, viscous):
 @pytest.mark.parametrize("times", [0.0, 1.0, 2.0])
 def test_a_cold_start_is_no_fault(times):
     loop = {"controller": {"kind": "decoupled_pid", "period": 0.01}, "estimator": "difference", "tuner": "block"}
-    learning = {"adaptation": {"kind": "regression", "cautious": True}, "model.friction.width": 0.004}
-    log = run(nod(0.058 * times, 0.095 * times, **loop, **learning), check=False)
+    plant = {"kind": "closed_form", "motor_friction": 0.058 * times, "motor_damping": 0.095 * times}
+    log = run(load_scenario("reachy_slow_bus").replace({"plant": plant, "duration": 5.0}), check=False)
     assert log.status == "completed", log.message
     assert log.error_norms[0][log.time > 4.0].max() < 0.5
     if times == 2.0:
