@@ -34,8 +34,8 @@ stiffness or torque constant 0.7 to 1.3 times, a head 0.8 to 1.2 times as heavy 
 pushed, by up to 3 N and 0.1 N m (the paper's robot: 7 N and 0.2 N m), from 2 or 3 s on for up to 2 s. In a quarter an
 encoder freezes, jumps by up to 0.1 rad or gives nothing, or, by torque, a motor is dead, from 2 or 3 s on. Half
 of those by torque have the safety layer, which only such motors can have. Each runs for {seconds:g} s with
-`adaptation: regression` from a cold start, and without; every {every}th on Drake's plant, the others on the closed
-form.
+`adaptation: {{kind: regression, centre_of_mass: false}}` from a cold start, and without; every {every}th on Drake's
+plant, the others on the closed form.
 
 A robot is *kept* where its run completes and the head is at most {lost:g} deg off in the last second. It is *stopped*
 where the safety layer ends the run, and the head then moves at most {lost:g} deg until the brakes hold it. Else it is
@@ -48,6 +48,8 @@ where the safety layer ends the run, and the head then moves at most {lost:g} de
 Worse with learning: {worse}.
 
 {told}
+
+These servos follow angles, and nothing feeds a push back: what a push does to a head depends on where it stands.
 
 ## Stops
 
@@ -115,6 +117,7 @@ def drawn(number: int) -> tuple[str, str, tuple[Scenario, Scenario], float]:
         made = [base.replace({"adaptation": kind}) for kind in ("regression", None)]
     more |= {f"bounds.{key}": None for key in ("rotation", "position", "motion_ratio", "error_ratio")}
     learning, without = (each.replace(more) for each in made)
+    learning = learning.replace({"adaptation.centre_of_mass": False})
     if number % DRAKE_EVERY == 0:
         learning, without = on_drake(learning), on_drake(without)
     return bus, fault, (learning, without), begin
@@ -194,14 +197,20 @@ def main() -> None:
         table=markdown_table(HEADER, rows),
         worse=numbers(worse),
         told=markdown_table(
-            ("number", "motors", "fault", "with learning", "without", "truth told"),
-            [[k, found[k].bus, found[k].fault or "none", *found[k].ends] for k in worse],
+            ("number", "motors", "push", "fault", "with learning", "without", "truth told"),
+            [[k, found[k].bus, push_of(k), found[k].fault or "none", *found[k].ends] for k in worse],
         ),
         stops=markdown_table(OF_STOPS, stops),
         fallen="Lost with learning and safety layer where a plain stop at the push or the fault, with sensors that "
         f"work, keeps the robot: {numbers(fallen)}.",
     )
     write_atomically(OUT, text.encode())
+
+
+def push_of(number: int) -> str:
+    """Of a situation, in words."""
+    _, _, (scenario, _), _ = drawn(number)
+    return " and ".join(f"{np.linalg.norm(each.wrench[3:]):.1f} N" for each in scenario.disturbances) or "none"
 
 
 def numbers(found: Sequence[int]) -> str:

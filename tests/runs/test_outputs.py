@@ -167,7 +167,8 @@ def test_pictures_that_the_disk_has_no_room_for_are_named(tmp_path):
     folder = write(log, tmp_path / "out")
     with room_for(10_000):
         problem = draw_run(log, folder, "digraph {}")
-    assert problem == f"pictures: {folder}/states.png: File too large; missing: states.png, torques.png, replay.html"
+    missing = "states.png, torques.png, learnt.png, replay.html"
+    assert problem == f"pictures: {folder}/states.png: File too large; missing: {missing}"
     assert names(folder) - {"diagram.svg"} == ALWAYS | {"diagram.dot"}
 
 
