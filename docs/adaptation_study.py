@@ -52,10 +52,10 @@ STRANGE: dict[str, Callable[[int], dict[str, Any]]] = {
     "one message in fifty is lost": lambda _: {"link": {"drop_probability": 0.02, "seed": 1}},
     "noise of 1 mrad in each reading": lambda _: {"sensors.noise": 0.001},
     "a load of 50 g on the head, 36 mm beside its middle": lambda _: {"plant.payload_mass": 0.05, **BESIDE},
-    "the same, `centre_of_mass: false`": lambda _: {
+    "the same, `center_of_mass: false`": lambda _: {
         "plant.payload_mass": 0.05,
         **BESIDE,
-        "adaptation.centre_of_mass": False,
+        "adaptation.center_of_mass": False,
     },
 }
 BESIDE = {"plant.payload_position": [0.03, 0.02, 0.05]}

@@ -21,6 +21,7 @@ from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.friction import BELIEVED
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import LEGS, ROBOT, robot_record
+from stewart_drake.robot import RobotParameters
 
 SIZE_HEAD, SIZE_DRIVE, SIZE_TORQUE, SIZE_OWN_DRIVE = 0.25, 0.35, 0.03, 0.06
 """[-] standard deviations of logarithms, before anything is learnt; torque: of motors that take one; own: how far apart
@@ -65,7 +66,7 @@ class RegressionOptions(AdaptationOptions):
     """[-] standard deviation of a sample, of the motors' torque limit."""
     cautious: Flag = False
     """Whether friction is compensated only as far as it is known by now: too much of it would lose a slow loop."""
-    centre_of_mass: Flag = True
+    center_of_mass: Flag = True
     """Whether the head's centre of mass is learnt too: a load beside its middle moves it."""
     ball_joints: Flag = False
     """Whether friction of the rods' ball joints is learnt too: one viscous and one dry number for all of them."""
@@ -171,6 +172,26 @@ def late_weights(width: float, late: float) -> np.ndarray:
     return np.stack([bell, at * bell / width**2, (at**2 - width**2) * bell / width**4])
 
 
+def room_of(robot: RobotParameters) -> float:
+    """[m] by which each coordinate of the head's centre of mass may be another, with a tenth of its least inertia left.
+
+    The inertia about the origin stays as it is believed; that about the centre of mass is the rest.
+    """
+    mass, inertia = robot.platform_mass, robot.platform_inertia_about_origin
+    corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * PLACE), axis=-1).reshape(-1, PLACE)
+
+    def least(room: float) -> float:
+        at = robot.platform_center_of_mass + room * corners
+        about = np.sum(at * at, axis=1)[:, None, None] * np.eye(PLACE) - at[:, :, None] * at[:, None, :]
+        return float(np.linalg.eigvalsh(inertia - mass * about).min())
+
+    below, above, bound = 0.0, robot.characteristic_length, 0.1 * least(0.0)
+    for _ in range(30):
+        middle = 0.5 * (below + above)
+        below, above = (middle, above) if least(middle) > bound else (below, middle)
+    return below
+
+
 def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     """`reading` (6,) or (12,), `command` (6,) -> numbers that stand in for constants of other parts."""
     motors, robot, believed = context.motors, context.robot, context.compensation
@@ -201,7 +222,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     size, joint = limit.mean(), JOINT if options.ball_joints else 0
     common = [SIZE_HEAD, drive, damping * size, SIZE_COULOMB * size, SIZE_DELAY]
     beside = SIZE_PLACE * robot.characteristic_length
-    common += [beside * robot.platform_mass] * PLACE if options.centre_of_mass else []
+    common += [beside * robot.platform_mass] * PLACE if options.center_of_mass else []
     common += [SIZE_DAMPING * size, SIZE_COULOMB * size] if options.ball_joints else []
     params = new_record(
         law.params_of(len(common)), gravity=context.gravity, stride=stride, kernel=weights / per,
@@ -210,7 +231,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         alike=max(1.0, ALIKE / block), slowest=options.slowest, width=believed.width,
         keep=np.exp(-block / options.forgetting),
         blend=min(1.0, block / (BLEND if by_angle else BLEND_TORQUE)), first=3 * HALF + 1 + np.ceil(late),
-        cautious=options.cautious, frozen=options.frozen,
+        most_moment=robot.platform_mass * room_of(robot), cautious=options.cautious, frozen=options.frozen,
         own=[SIZE_OWN_DRIVE, *(SHARE_OWN * size * np.array([damping, SIZE_COULOMB]))], common=common,
     )  # fmt: skip
     whole = robot_record(robot)
@@ -274,7 +295,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     outputs = ["friction", "robot", "learnt", "learnt_half_width", "friction_unknown", "doubt"]
     outputs += ["gain"] if by_gain else []
     outputs += ["lead"] if by_angle else []
-    outputs += ["learnt_place"] if options.centre_of_mass else []
+    outputs += ["learnt_place"] if options.center_of_mass else []
     outputs += ["joints", "learnt_joints"] if options.ball_joints else []
     inputs = {"reading": context.reading, "command": 6}
     return Part("adaptation", law.regression_tick, constants, inputs, tuple(outputs), first, (LEGS,))

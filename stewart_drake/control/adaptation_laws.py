@@ -40,9 +40,8 @@ these come the head's first moment, where the centre of mass is learnt, and visc
 where they are."""
 SHOWN = 20
 """Numbers that are shown, see `Learnt`."""
-MOST, LEAST_DAMPING, MOST_DAMPING, MOST_COULOMB, MOST_DELAY, MOST_MOMENT = np.log(3.0), -0.1, 0.6, 0.4, 0.05, 3.0
-"""Bounds: of the logarithms; of the torque limit [s/rad, s/rad, -]; [s]; and of the standard deviation at first. A
-delay believed too long may be a damping < 0."""
+MOST, LEAST_DAMPING, MOST_DAMPING, MOST_COULOMB, MOST_DELAY = np.log(3.0), -0.1, 0.6, 0.4, 0.05
+"""Bounds: of the logarithms; as above of the torque limit; and [s]. A delay believed too long may be a damping < 0."""
 SATURATED, OUTLIER = 0.9, 3.0
 """[-] of the torque limit from which on a motor counts as saturated; standard deviations from which on a sample is
 somebody's push."""
@@ -58,12 +57,12 @@ def params_of(common: int) -> np.dtype:
     their first two derivatives. gain: torque for a command as believed. by_gain: whether a motor's gain is what its
     drive changes, else all bodies are. by_angle: whether commands are angles. damping: believed at first, servo
     included. alike: samples that count as one. first: blocks that a sample needs. keep: share that a block leaves of
-    what was known. own, common: standard deviations at first.
+    what was known. own, common: standard deviations at first. most_moment: of the head, beyond what is believed [kg m].
     """
     return fields(
         gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(),
         damping=6, servo_damping=(), noise=(), alike=(), slowest=(), width=(), keep=(), blend=(), first=(), own=OWN,
-        common=common, cautious=(), frozen=(),
+        common=common, most_moment=(), cautious=(), frozen=(),
     )  # fmt: skip
 
 
@@ -370,8 +369,9 @@ def _take(params: Any, state: Any, rows: Any) -> None:
         state.common[k] = min(max(state.common[k], -MOST), MOST)
     state.common[4] = min(max(state.common[4], -MOST_DELAY), MOST_DELAY)
     first = len(state.common) - state.sharp.shape[1] + 1
+    most = params.most_moment * np.exp(state.common[0])
     for k in range(COMMON, first):
-        state.common[k] = min(max(state.common[k], -MOST_MOMENT * params.common[k]), MOST_MOMENT * params.common[k])
+        state.common[k] = min(max(state.common[k], -most), most)
     for k in range(first, len(state.common)):
         most = (MOST_DAMPING if k == first else MOST_COULOMB) * params.limit.max()
         state.common[k] = min(max(state.common[k], 0.0), most)

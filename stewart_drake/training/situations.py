@@ -56,7 +56,7 @@ class Template:
         # How large an error is beside its motion, the cost of a run says here.
         common = {"duration": self.duration, "tuner": "block", "safety": None, "bounds.error_ratio": None}
         # The shipped policy and its rivals were searched and judged without the centre of mass.
-        learning = {"kind": "regression", "centre_of_mass": False}
+        learning = {"kind": "regression", "center_of_mass": False}
         return load_scenario(self.scenario).replace({**common, "adaptation": learning, **self.changes})
 
 
