@@ -61,7 +61,7 @@ STRANGE: dict[str, Callable[[int], dict[str, Any]]] = {
 BESIDE = {"plant.payload_position": [0.03, 0.02, 0.05]}
 ROBOTS, SLOW_ROBOTS = 24, 60
 FEW = 8  # Robots of the table above.
-MANY, FIRST_OF_MANY, SHORT = 500, 1000, 10.0
+MANY, FIRST_OF_MANY, SHORT = 500, 2000, 10.0
 """Further robots, that only nod, their first seed, and for how long [s]."""
 MANY_BUSES = {False: "servos at 50 Hz", True: "torque at 100 Hz"}
 NOMINAL_DRY, NOMINAL_VISCOUS = 0.058, 0.095  # [N m], [N m s/rad] of `reachy_nod`.

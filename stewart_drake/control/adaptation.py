@@ -28,7 +28,7 @@ SIZE_HEAD, SIZE_DRIVE, SIZE_TORQUE, SIZE_OWN_DRIVE = 0.25, 0.35, 0.03, 0.06
 motors of a robot are."""
 SIZE_DAMPING, SIZE_SERVO_DAMPING, SIZE_COULOMB, SHARE_OWN, SIZE_DELAY = 0.25, 0.03, 0.1, 0.2, 0.012
 """Likewise, [s/rad] and [-] of the torque limit; how far apart motors are, of that; [s] of a servo's delay."""
-SIZE_PLACE = 0.3
+SIZE_PLACE = 0.15
 """[-] likewise, of the head's centre of mass, of the robot's characteristic length."""
 ALIKE = 0.6
 """[s] for which samples err alike, by what the model does not have: together they count as one."""

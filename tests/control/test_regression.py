@@ -1,11 +1,13 @@
 """What a robot learns of itself: the estimator against dense least squares, the law against robots of known truth."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stewart_drake import Controller, load_scenario, run
+from stewart_drake import Controller, load_robot, load_scenario, run
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.control import adaptation_laws as law
 from stewart_drake.control.adaptation import (
@@ -15,6 +17,7 @@ from stewart_drake.control.adaptation import (
     last_learnt,
     late_weights,
     model_of,
+    room_of,
     rows_of,
 )
 from stewart_drake.control.adaptation_laws import COMMON, OWN
@@ -234,6 +237,22 @@ def test_a_load_beside_the_middle_moves_the_centre_of_mass_and_is_no_friction(mo
     assert np.linalg.norm(log.error[late, 3:]) < 1.6 * np.linalg.norm(alone.error[late, 3:])
     kept = scenario.replace({"model": model_of(last_learnt(log), log.scenario.belief)}).belief.robot
     np.testing.assert_allclose(kept.platform_center_of_mass, place[:3], rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["paper", "reachy_mini", "servo_hexapod"])
+def test_wherever_the_centre_of_mass_is_learnt_to_be_inertia_is_left(name):
+    robot = load_robot(name)
+    room = room_of(robot)
+    assert room > 0.005
+    for share in (1.0, 1.2):
+        at = robot.platform_center_of_mass + share * room * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+        inertia = [
+            np.linalg.eigvalsh(
+                robot.platform_inertia_about_origin - robot.platform_mass * ((c @ c) * np.eye(3) - np.outer(c, c))
+            ).min()
+            for c in at
+        ]
+        assert (min(inertia) > 0.0) == (share == 1.0)
 
 
 def test_before_anything_is_learnt_the_intervals_are_wide():
