@@ -328,10 +328,9 @@ velocity above 2 Hz. A nod is 15 deg at 1 Hz, breathing 5 mm at 0.1 Hz. Rows tha
   joints of the rods have a motor's friction. A real head hardly has such joints, and its motors have other numbers: see
   [Reachy Mini](reachy.md) for those.
 - **Learning**: `--set adaptation="{{kind: regression, center_of_mass: false, noise: 0.06, slowest: 0.05}}"`, and
-  `ball_joints: true` but in the first of these rows. The head's centre of mass is where it is believed here; learning
-  it too changes such figures by less than a tenth. Believed free: which joints rub and about which axes is told, their
-  friction is believed to be zero. `noise` is what the model leaves unexplained. With the default, 0.003, most of this
-  would be taken for pushes.
+  `ball_joints: true` but in the first of these rows. Believed free: which joints rub and about which axes is told,
+  their friction is believed to be zero. `noise` is what the model leaves unexplained. With the default, 0.003, most of
+  this would be taken for pushes.
 - **What looking around taught**: the model that the row above left, as `--keep-model` does. Frozen, it is an
   identification from commands and angles alone.
 

@@ -160,9 +160,8 @@ def _print_run(log: SimulationLog, place: Path, machine: str) -> None:
         # A second half that was not reached is shown as a dash; weights that a run does not have are left out.
         if metric.label and (value is not None or metric.over.startswith("second_half")):
             rows.append((metric.label, metric.shown(value)))
-    known = last_learnt(log)
-    if known and not getattr(log.scenario.adaptation, "frozen", False):
-        rows += rows_of(known)
+    if log.learns and len(log.time):
+        rows += rows_of(last_learnt(log))
     rows += [(f"warning: {each['name']}", f"{each['text']}, t = {each['time']:.3f} s") for each in log.warnings]
     factor = metrics["real_time_factor"]
     rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(place))]

@@ -100,9 +100,9 @@ def rows_of(known: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
     """What was learnt, see `last_learnt`, with 95 % intervals, in lines to be read: the lowest and highest motor's."""
     value, width = Learnt.of(known["learnt"]), Learnt.of(known["learnt_half_width"])
     lines = [("learnt: head", f"{value.mass:.4g} ± {width.mass:.2g} kg")]
-    if (place := known.get("learnt_place")) is not None:
+    if (place := known.get("learnt_center_of_mass")) is not None:
         shown = " ".join(f"{1e3 * x:.3g}" for x in place[:PLACE])
-        lines.append(("learnt: its centre of mass", f"{shown} ± {1e3 * place[PLACE:].max():.2g} mm"))
+        lines.append(("learnt: its centre of mass, x y z", f"{shown} ± {1e3 * place[PLACE:].max():.2g} mm"))
     if width.delay > 0.0:
         lines.append(("learnt: delay, more than believed", f"{1e3 * value.delay:.3g} ± {1e3 * width.delay:.2g} ms"))
     units = {"drive": ("torque over what was believed", "1"), "viscous": ("viscous friction", "N m s/rad")}
@@ -146,8 +146,9 @@ def model_of(known: Mapping[str, np.ndarray], belief: Any) -> dict[str, Any]:
         rub = {"viscous": float(joints[0]), "coulomb": float(joints[1])}
         keys["friction"]["joints"] = {**(friction.joints or BallJoints()).to_dict(), **rub}
     head = robot.heavier(value.mass / robot.platform_mass, weaker)
-    if (place := known.get("learnt_place")) is not None:
-        head["platform_center_of_mass"] = place[:PLACE].tolist()
+    if (place := known.get("learnt_center_of_mass")) is not None:
+        # A robot's keys are in P.
+        head["platform_center_of_mass"] = (robot.tool_rotation @ place[:PLACE] + robot.tool_position).tolist()
     return keys | {"robot": {**robot.given(), **head}}
 
 
@@ -181,7 +182,7 @@ def room_of(robot: RobotParameters) -> float:
     corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * PLACE), axis=-1).reshape(-1, PLACE)
 
     def least(room: float) -> float:
-        at = robot.platform_center_of_mass + room * corners
+        at = robot.platform_center + room * corners
         about = np.sum(at * at, axis=1)[:, None, None] * np.eye(PLACE) - at[:, :, None] * at[:, None, :]
         return float(np.linalg.eigvalsh(inertia - mass * about).min())
 
@@ -271,7 +272,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
             np.hypot(widths[2], of_drive * coulomb),
         ]
     )
-    first["learnt_place"] = np.append(robot.platform_center_of_mass, np.full(PLACE, 1.96 * beside))
+    first["learnt_center_of_mass"] = np.append(robot.platform_center, np.full(PLACE, 1.96 * beside))
     for k in range(OWN):
         first["information"][0, :, k, k] = 1.0 / params["own"][0, k]
     for k in range(len(common)):
@@ -295,7 +296,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     outputs = ["friction", "robot", "learnt", "learnt_half_width", "friction_unknown", "doubt"]
     outputs += ["gain"] if by_gain else []
     outputs += ["lead"] if by_angle else []
-    outputs += ["learnt_place"] if options.center_of_mass else []
+    outputs += ["learnt_center_of_mass"] if options.center_of_mass else []
     outputs += ["joints", "learnt_joints"] if options.ball_joints else []
     inputs = {"reading": context.reading, "command": 6}
     return Part("adaptation", law.regression_tick, constants, inputs, tuple(outputs), first, (LEGS,))

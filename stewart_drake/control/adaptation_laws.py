@@ -70,8 +70,8 @@ def state_of(common: int, joint: int) -> np.dtype:
     """Type of the state, with so many common numbers, of which these of ball joints.
 
     friction, robot, doubt, gain, lead, joints: stand in for constants; doubt of the Coulomb friction, 1 for that at
-    first. learnt: the estimate, see `Learnt`, and half the width of its 95 % intervals; learnt_place: centre of mass of
-    the head [m], and the half widths; learnt_joints: those of ball joints, viscous, dry and the half widths;
+    first. learnt: the estimate, see `Learnt`, and half the width of its 95 % intervals; learnt_center_of_mass: of the
+    head [m], and the half widths; learnt_joints: those of ball joints, viscous, dry and the half widths;
     friction_unknown: how far Coulomb and viscous friction of the motors may be from `friction`. information: rows of
     the factor of each motor, own columns, common ones, right-hand side; shared: those below. own, common: estimate;
     used: what it has gone over into. Blocks, newest last: pose, angles, commands, whether they are good; and of half a
@@ -80,7 +80,7 @@ def state_of(common: int, joint: int) -> np.dtype:
     """
     return fields(
         friction=25, robot=ROBOT_SIZE, joints=JOINTS.itemsize // 8, learnt=SHOWN, learnt_half_width=SHOWN,
-        learnt_place=2 * PLACE, learnt_joints=2 * JOINT, friction_unknown=12, doubt=6, gain=6, lead=(1,),
+        learnt_center_of_mass=2 * PLACE, learnt_joints=2 * JOINT, friction_unknown=12, doubt=6, gain=6, lead=(1,),
         information=(6, OWN, OWN + common + 1), shared=(common, common + 1), own=(6, OWN), common=common,
         used_own=(6, OWN), used_common=common,
         pose=(ROWS, 6), angles=(ROWS, 6), commands=(ROWS, 6), good=ROWS, sharp=(SIGNS, 1 + joint, 6),
@@ -465,9 +465,11 @@ def _stand_in_for_moment(params: Any, bodies: Any, state: Any) -> None:
         moment = head * bodies[MOMENT + n, 2] + links * state.common[COMMON + n]
         row[:] = 0.0
         row[OWN + COMMON + n] = links
-        state.learnt_place[n] = moment / state.learnt[0]
+        # That of the mass is in it too.
+        row[OWN] = -links * state.common[COMMON + n]
+        state.learnt_center_of_mass[n] = moment / state.learnt[0]
         spread = np.sqrt(spread_along(state.information[0], state.shared, row))
-        state.learnt_place[PLACE + n] = 1.96 * spread / state.learnt[0]
+        state.learnt_center_of_mass[PLACE + n] = 1.96 * spread / state.learnt[0]
 
 
 @njit

@@ -223,7 +223,7 @@ def tracking_error_tick(measurement: Any, reference: Any, state: Any) -> None:
             state.error[k] = measurement[k] - reference[k]
 
 
-LEARNT_SIGNALS = ("learnt", "learnt_half_width", "learnt_place", "learnt_joints")
+LEARNT_SIGNALS = ("learnt", "learnt_half_width", "learnt_center_of_mass", "learnt_joints")
 """What an adaptive law tells of what it has learnt, each with half the widths of its intervals."""
 TRACKING_ERROR = Part(
     "tracking_error",

@@ -106,6 +106,11 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return self.status in ("completed", "lost")
 
     @property
+    def learns(self) -> bool:
+        """Whether an adaptive law tells what it learns, and is not frozen."""
+        return "learnt" in self.signals and not getattr(self.scenario.adaptation, "frozen", False)
+
+    @property
     def time(self) -> np.ndarray:
         """(n,) [s] of each row."""
         return self.signals["time"]

@@ -99,7 +99,7 @@ SIGNALS: Mapping[str, Signal] = {
     ),
     "learnt": Signal(_LEARNT, _LEARNT_UNITS, "what is learnt of the head and of each motor: see docs/adaptation.md"),
     "learnt_half_width": Signal(_LEARNT, _LEARNT_UNITS, "half the width of its 95 % intervals"),
-    "learnt_place": Signal(_PLACE, ("m",) * 6, "likewise the head's centre of mass in P"),
+    "learnt_center_of_mass": Signal(_PLACE, ("m",) * 6, "likewise the head's centre of mass, in the tool's frame or P"),
     "learnt_joints": Signal(_JOINTS, ("N m s/rad", "N m") * 2, "likewise friction of the rods' ball joints"),
     "plant_state": Signal((), (), "positions and velocities of the MultibodyPlant"),
 }

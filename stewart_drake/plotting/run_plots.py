@@ -193,7 +193,8 @@ def plot_learnt(log: SimulationLog) -> Figure:
         axis.set_ylim(min(low, below[:, -1].min() - reach), max(high, above[:, -1].max() + reach))
         if not motors:
             _legend(axis)
-    look.legend_below(figure, next(axis for axis in axes if len(axis.lines) == 6).get_legend_handles_labels()[0], 6)
+    of_motors = next(axis for axis, (panel, _) in zip(axes, panels, strict=False) if len(panel.curves) == 6)
+    look.legend_below(figure, of_motors.get_legend_handles_labels()[0], 6)
     return figure
 
 
@@ -206,8 +207,8 @@ def _learnt_panels(log: SimulationLog) -> Iterator[tuple[_Panel, np.ndarray]]:
         return _Panel(title, quantity, dict(zip(names, values, strict=True)), look.COLORS, 1e-6), widths
 
     yield panel("Mass of the head", "[kg]", ["_"], value[:1], width[:1])
-    if (place := log.signals.get("learnt_place")) is not None:
-        yield panel("Centre of mass of the head, in P", "[mm]", "xyz", 1e3 * place.T[:3], 1e3 * place.T[3:])
+    if (place := log.signals.get("learnt_center_of_mass")) is not None:
+        yield panel("Centre of mass of the head", "[mm]", "xyz", 1e3 * place.T[:3], 1e3 * place.T[3:])
     if width[1].any():
         yield panel("Delay of the motors, more than believed", "[ms]", ["_"], 1e3 * value[1:2], 1e3 * width[1:2])
     for title, unit, of in (

@@ -189,7 +189,7 @@ def draw_run(log: SimulationLog, place: Path, graph: str | None = None) -> str |
         if len(log.time):
             _draw(log, place)
     except (StewartDrakeError, OSError, MemoryError) as error:
-        wanted = [name for name in _PICTURES[2:] if name != "learnt.png" or "learnt" in log]
+        wanted = [name for name in _PICTURES[2:] if name != "learnt.png" or log.learns]
         missing = ", ".join(name for name in wanted if not (place / name).exists())
         return f"pictures: {error or 'no memory is left'}; missing: {missing}"
     return None
@@ -209,7 +209,7 @@ def _draw(log: SimulationLog, folder: Path) -> None:
 
     save_figure(plot_states(log), folder / "states.png")
     save_figure(plot_torques(log), folder / "torques.png")
-    if "learnt" in log:
+    if log.learns:
         save_figure(plot_learnt(log), folder / "learnt.png")
     # Of a run without a finite state there is nothing to replay.
     if np.isfinite(log.signals.get("plant_state", log["pose"])).all(axis=1).any():

@@ -84,8 +84,8 @@ def test_what_a_run_learns_is_printed_kept_and_where_the_next_one_begins(call):
     np.testing.assert_allclose(believed.friction.coulomb, 0.05, atol=0.005)
     assert believed.robot.platform_mass == load_log("first")["learnt"][-1, 0]
     kept = Path("kept.yaml").read_bytes()
-    frozen = "--set=sensors.faults=[{kind: nan, time: 1.0, leg: 1}]"
-    status, _, said = call("run", "exact_breathing", *learning, frozen, "--keep-model", "kept.yaml", "--out", "failed")
+    broken = "--set=sensors.faults=[{kind: nan, time: 1.0, leg: 1}]"
+    status, _, said = call("run", "exact_breathing", *learning, broken, "--keep-model", "kept.yaml", "--out", "failed")
     assert status == 3
     assert "kept.yaml left as it was" in said
     assert Path("kept.yaml").read_bytes() == kept

@@ -224,7 +224,7 @@ def test_a_load_beside_the_middle_moves_the_centre_of_mass_and_is_no_friction(mo
     load = {"plant.payload_mass": 0.3, "plant.payload_position": [0.03, 0.02, 0.05]}
     scenario = load_scenario(f"exact_{motion}").replace({"plant.kind": "closed_form", "duration": 6.0, **load})
     log = run(scenario.replace({"adaptation": "regression"}), check=False)
-    value, place = Learnt.of(log["learnt"][-1]), log["learnt_place"][-1]
+    value, place = Learnt.of(log["learnt"][-1]), log["learnt_center_of_mass"][-1]
     assert value.mass == pytest.approx(1.3, abs=0.02)
     truth = 0.3 / 1.3 * np.array([0.03, 0.02, 0.05])
     np.testing.assert_allclose(place[:2], truth[:2], atol=2e-4)
@@ -239,13 +239,14 @@ def test_a_load_beside_the_middle_moves_the_centre_of_mass_and_is_no_friction(mo
     np.testing.assert_allclose(kept.platform_center_of_mass, place[:3], rtol=1e-12)
 
 
+@pytest.mark.parametrize("tool", [None, {"position": [0.0, 0.02, 0.05], "orientation": [0.3, 0.0, 0.1]}])
 @pytest.mark.parametrize("name", ["paper", "reachy_mini", "servo_hexapod"])
-def test_wherever_the_centre_of_mass_is_learnt_to_be_inertia_is_left(name):
-    robot = load_robot(name)
+def test_wherever_the_centre_of_mass_is_learnt_to_be_inertia_is_left(name, tool):
+    robot = load_robot(name).replace(tool=tool)
     room = room_of(robot)
     assert room > 0.005
     for share in (1.0, 1.2):
-        at = robot.platform_center_of_mass + share * room * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+        at = robot.platform_center + share * room * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
         inertia = [
             np.linalg.eigvalsh(
                 robot.platform_inertia_about_origin - robot.platform_mass * ((c @ c) * np.eye(3) - np.outer(c, c))
@@ -253,6 +254,14 @@ def test_wherever_the_centre_of_mass_is_learnt_to_be_inertia_is_left(name):
             for c in at
         ]
         assert (min(inertia) > 0.0) == (share == 1.0)
+
+
+def test_a_centre_of_mass_is_kept_in_p_where_the_robot_has_a_tool():
+    tool = {"position": [0.0, 0.02, 0.05], "orientation": [0.3, 0.0, 0.1]}
+    scenario = load_scenario("exact_breathing").replace({**RUBS, "duration": 0.01, "robot.tool": tool})
+    log = run(scenario, check=False)
+    kept = scenario.replace({"model": model_of(last_learnt(log), log.scenario.belief)}).belief.robot
+    np.testing.assert_allclose(kept.platform_center_of_mass, scenario.robot.platform_center_of_mass, atol=1e-12)
 
 
 def test_before_anything_is_learnt_the_intervals_are_wide():
