@@ -49,7 +49,7 @@ Worse with learning: {worse}.
 
 {told}
 
-These servos follow angles, and nothing feeds a push back: what a push does to a head depends on where it stands.
+Servos that follow angles feed no push back: what it does to a head depends on where that stands.
 
 ## Stops
 
@@ -58,7 +58,8 @@ Of situations that both stop, how far the head moves after the layer took over: 
 
 {stops}
 
-{fallen}
+With learning and safety layer {fallen} robots are lost that a plain stop at the push or the fault, with sensors that
+work, keeps; {alike} of these are lost without learning too.
 
 `make results` recomputes some of these numbers.
 """
@@ -200,8 +201,8 @@ def main() -> None:
             [[k, found[k].bus, push_of(k), found[k].fault or "none", *found[k].ends] for k in worse],
         ),
         stops=markdown_table(OF_STOPS, stops),
-        fallen="Lost with learning and safety layer where a plain stop at the push or the fault, with sensors that "
-        f"work, keeps the robot: {numbers(fallen)}.",
+        fallen=len(fallen),
+        alike=sum(found[k].ends[1] == "lost" for k in fallen),
     )
     write_atomically(OUT, text.encode())
 
