@@ -108,7 +108,8 @@ class SimulationLog(Mapping[str, np.ndarray]):
     @property
     def learns(self) -> bool:
         """Whether an adaptive law tells what it learns, and is not frozen."""
-        return "learnt" in self.signals and not getattr(self.scenario.adaptation, "frozen", False)
+        told = {"learnt", "learnt_half_width"} <= self.signals.keys()
+        return told and not getattr(self.scenario.adaptation, "frozen", False)
 
     @property
     def time(self) -> np.ndarray:
