@@ -34,8 +34,8 @@ stiffness or torque constant 0.7 to 1.3 times (not at 1 kHz), a head 0.8 to 1.2 
 0.3 kg. Half are pushed, by up to 3 N and 0.1 N m (the paper's robot: 7 N and 0.2 N m), from 2 to 3 s on for up to 2 s.
 In a quarter an encoder freezes, jumps by up to 0.1 rad or gives nothing, or, by torque, a motor is dead, from 2 to 3 s
 on. Half of those by torque have the safety layer, which only such motors can have. Each runs for {seconds:g} s with
-`adaptation: {{kind: regression, center_of_mass: false}}` from a cold start, and without; every {every}th on Drake's
-plant, the others on the closed form.
+`adaptation: regression` from a cold start, and without; every {every}th on Drake's plant, the others on the closed
+form.
 
 A robot is *kept* where its run completes and the head is at most {lost:g} deg off in the last second. It is *stopped*
 where the safety layer ends the run, and the head then moves at most {lost:g} deg until the brakes hold it. Else it is
@@ -117,7 +117,6 @@ def drawn(number: int) -> tuple[str, str, tuple[Scenario, Scenario], float]:
         made = [base.replace({"adaptation": kind}) for kind in ("regression", None)]
     more |= {f"bounds.{key}": None for key in ("rotation", "position", "motion_ratio", "error_ratio")}
     learning, without = (each.replace(more) for each in made)
-    learning = learning.replace({"adaptation.center_of_mass": False})
     if number % DRAKE_EVERY == 0:
         learning, without = on_drake(learning), on_drake(without)
     return bus, fault, (learning, without), begin

@@ -30,6 +30,8 @@ SIZE_DAMPING, SIZE_SERVO_DAMPING, SIZE_COULOMB, SHARE_OWN, SIZE_DELAY = 0.25, 0.
 """Likewise, [s/rad] and [-] of the torque limit; how far apart motors are, of that; [s] of a servo's delay."""
 SIZE_PLACE = 0.15
 """[-] likewise, of the head's centre of mass, of the robot's characteristic length."""
+SIZE_PUSH, PUSH_KEPT = 0.1, 2.0
+"""[-] likewise, of a push sideways, of the head's weight on Earth; [s] of motion after which it counts 37 %."""
 ALIKE = 0.6
 """[s] for which samples err alike, by what the model does not have: together they count as one."""
 FINEST = 0.008
@@ -222,6 +224,9 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     joints = believed.joints or BallJoints()
     size, joint = limit.mean(), JOINT if options.ball_joints else 0
     common = [SIZE_HEAD, drive, damping * size, SIZE_COULOMB * size, SIZE_DELAY]
+    # A servo feeds no push back: how far it gives way is for its own numbers.
+    push = 1e-6 if by_angle else SIZE_PUSH * 9.81 * robot.platform_mass
+    common += [push, push, push * robot.characteristic_length]
     beside = SIZE_PLACE * robot.characteristic_length
     common += [beside * robot.platform_mass] * PLACE if options.center_of_mass else []
     common += [SIZE_DAMPING * size, SIZE_COULOMB * size] if options.ball_joints else []
@@ -230,7 +235,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         late=late_weights(width, late) / per, gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
         damping=friction["viscous"] + servo_damping, servo_damping=servo_damping, noise=options.noise,
         alike=max(1.0, ALIKE / block), slowest=options.slowest, width=believed.width,
-        keep=np.exp(-block / options.forgetting),
+        keep=np.exp(-block / options.forgetting), keep_push=np.exp(-block / PUSH_KEPT),
         blend=min(1.0, block / (BLEND if by_angle else BLEND_TORQUE)), first=3 * HALF + 1 + np.ceil(late),
         most_moment=robot.platform_mass * room_of(robot), cautious=options.cautious, frozen=options.frozen,
         own=[SIZE_OWN_DRIVE, *(SHARE_OWN * size * np.array([damping, SIZE_COULOMB]))], common=common,

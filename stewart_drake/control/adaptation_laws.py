@@ -4,17 +4,19 @@ A motor's command is itself the sensor of its torque: that of a motor which take
 times (command - angle). With Y the exact inverse dynamics of the motion that was read, of head and of all else,
 
     command_i(t - delay) = exp(drive + own_i) (exp(head) Y_head_i + moment Y_moment_i + Y_rest_i) + damping_i rate_i
-                           + coulomb_i tanh(rate_i / width) + viscous Y_viscous_i + dry Y_dry_i
+                           + coulomb_i tanh(rate_i / width) + viscous Y_viscous_i + dry Y_dry_i + push J^-1_i
 
 in torques that the motors are believed to give for it. `moment` is there where the centre of mass is learnt: by how
 much mass times centre of mass of the head is another. The last two are there where ball joints are learnt: what the
-motors give for a unit of friction in all of these, see `ball_joints`. All terms pass one Gaussian kernel, and what
-changes at a reversal passes it too: the sign of the rate, and the ball joints' torques.
+motors give for a unit of friction in all of these, see `ball_joints`. `push` is a wrench sideways, which would be taken
+for friction; nothing else asks for it. One from above is taken for a load. Of servos there is none. All terms pass one
+Gaussian kernel, and what changes at a reversal passes it too: the sign of the rate, and the ball joints' torques.
 What is common to the six motors and what is each one's own are estimated together, by a triangular factor of the
 information in the form of arrows: own numbers do not meet those of other motors. Square-root information filter: G. J.
 Bierman, Factorization Methods for Discrete Sequential Estimation (1977).
 Forgetting goes towards the information that there was at first, and leaves the estimate: R. Kulhavy, Restricted
-exponential forgetting in real-time identification (Automatica 23, 1987). So what nothing excites is kept.
+exponential forgetting in real-time identification (Automatica 23, 1987). So what nothing excites is kept. The push is
+forgotten faster: J. E. Parkum, N. K. Poulsen, J. Holst, Recursive forgetting algorithms (Int. J. Control 55, 1992).
 """
 
 from __future__ import annotations
@@ -27,17 +29,19 @@ from stewart_drake.base.jit import fields, njit, record
 from stewart_drake.control.ball_joints import JOINTS, ball_joint_parts, ball_joint_torques
 from stewart_drake.control.estimator import ITERATIONS, TOLERANCE
 from stewart_drake.mechanics.dynamics_laws import motion_torque
-from stewart_drake.mechanics.kinematics_laws import ROBOT, forward_kinematics, legs_at
-from stewart_drake.mechanics.linear_algebra import all_finite
+from stewart_drake.mechanics.kinematics_laws import ROBOT, crank_jacobian, forward_kinematics, legs_at
+from stewart_drake.mechanics.linear_algebra import all_finite, solve
 
 HALF = 6  # [blocks] to each side of the kernel's middle, at least two of its standard deviations.
 LATE = 16  # [blocks] that a command and a reading may be late together.
 ROWS = 3 * HALF + LATE + 1  # [blocks] that are remembered.
 NEWEST, MIDDLE, SIGNS = ROWS - 1, ROWS - 1 - 2 * HALF, 2 * HALF + 1
-OWN, COMMON, PLACE, JOINT = 3, 5, 3, 2
-"""Numbers of each motor: log of its drive, damping, Coulomb; and of all: log of the head, these three, delay. After
-these come the head's first moment, where the centre of mass is learnt, and viscous and dry friction of ball joints,
-where they are."""
+OWN, COMMON, PUSH, PLACE, JOINT = 3, 8, 5, 3, 2
+"""Numbers of each motor: log of its drive, damping, Coulomb; and of all: log of the head, these three, delay, and at
+`PUSH` a push. After these come the head's first moment, where the centre of mass is learnt, and viscous and dry
+friction of ball joints, where they are."""
+SIDEWAYS = (3, 4, 2)
+"""Axes of a push, in a wrench (moment, force): those that no weight has."""
 SHOWN = 20
 """Numbers that are shown, see `Learnt`."""
 MOST, LEAST_DAMPING, MOST_DAMPING, MOST_COULOMB, MOST_DELAY = np.log(3.0), -0.1, 0.6, 0.4, 0.05
@@ -56,13 +60,14 @@ def params_of(common: int) -> np.dtype:
     stride: ticks of a block. kernel: weights of smoothed value, rate and acceleration. late: those of commands, and of
     their first two derivatives. gain: torque for a command as believed. by_gain: whether a motor's gain is what its
     drive changes, else all bodies are. by_angle: whether commands are angles. damping: believed at first, servo
-    included. alike: samples that count as one. first: blocks that a sample needs. keep: share that a block leaves of
-    what was known. own, common: standard deviations at first. most_moment: of the head, beyond what is believed [kg m].
+    included. alike: samples that count as one. first: blocks that a sample needs. keep, keep_push: shares that a
+    block leaves of what was known. own, common: standard deviations at first. most_moment: of the head, beyond what is
+    believed [kg m].
     """
     return fields(
         gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(),
-        damping=6, servo_damping=(), noise=(), alike=(), slowest=(), width=(), keep=(), blend=(), first=(), own=OWN,
-        common=common, most_moment=(), cautious=(), frozen=(),
+        damping=6, servo_damping=(), noise=(), alike=(), slowest=(), width=(), keep=(), keep_push=(), blend=(),
+        first=(), own=OWN, common=common, most_moment=(), cautious=(), frozen=(),
     )  # fmt: skip
 
 
@@ -149,11 +154,15 @@ def solve_arrow(information: Any, shared: Any, own: Any, common: Any) -> None:
 
 
 @njit
-def forget(information: Any, shared: Any, keep: float, sizes_own: Any, sizes_common: Any) -> None:
-    """Leaves a share of the information, and adds as much of that of the beginning as is missing then."""
+def forget(information: Any, shared: Any, keep: float, keep_push: float, sizes_own: Any, sizes_common: Any) -> None:
+    """Leaves shares of the information, of the push and of all else; adds as much of that at first as is missing."""
     root, rest, row = np.sqrt(keep), np.sqrt(1.0 - keep), np.empty(OWN + len(shared) + 1)
     information *= root
     shared *= root
+    for k in range(PUSH, COMMON):
+        # Other variances and all correlations stay.
+        information[:, :, OWN + k] *= np.sqrt(keep_push / keep)
+        shared[:, k] *= np.sqrt(keep_push / keep)
     for i in range(6):
         for k in range(OWN):
             row[:] = 0.0
@@ -161,7 +170,7 @@ def forget(information: Any, shared: Any, keep: float, sizes_own: Any, sizes_com
             add_row(information[i], shared, row)
     for k in range(len(shared)):
         row[:] = 0.0
-        row[OWN + k] = rest / sizes_common[k]
+        row[OWN + k] = (np.sqrt(1.0 - keep_push) if PUSH <= k < COMMON else rest) / sizes_common[k]
         add_row(information[0], shared, row)
 
 
@@ -183,7 +192,7 @@ def regression_tick(
     rows = np.zeros((6, OWN + len(state.common) + 1))
     moving = _rows(robot, record(rest), moments, record(joints), params, legs, state, rows)
     if moving:
-        forget(state.information, state.shared, params.keep, params.own[:], params.common[:])
+        forget(state.information, state.shared, params.keep, params.keep_push, params.own[:], params.common[:])
         _take(params, state, rows)
     for i in range(6):
         for k in range(OWN):
@@ -307,6 +316,12 @@ def _rows(robot: Any, rest: Any, moments: Any, joints: Any, params: Any, legs: A
     if legs_at(robot, both[:6], legs) >= 0:
         return False
     whole, other, moving = np.empty(6), np.empty(6), False
+    jacobian, push = np.empty((6, 6)), np.zeros((6, COMMON - PUSH))
+    crank_jacobian(legs, jacobian)
+    for k, axis in enumerate(SIDEWAYS):
+        push[axis, k] = 1.0
+    if solve(jacobian.T.copy(), push) == 0.0:
+        return False
     if not motion_torque(robot, legs, both, acceleration, params.gravity, whole):
         return False
     motion_torque(rest, legs, both, acceleration, params.gravity, other)
@@ -345,6 +360,9 @@ def _rows(robot: Any, rest: Any, moments: Any, joints: Any, params: Any, legs: A
         rows[i, 3], rows[i, 4], rows[i, 5], rows[i, 6] = head / unit, load / unit, rows[i, 1], rows[i, 2]
         rows[i, 7] = params.gain[i] * faster[i] / unit if params.by_angle == 1.0 else 0.0
         left = torque - load - damping * rates[i] - coulomb * sharp[0, i]
+        for k in range(COMMON - PUSH):
+            rows[i, OWN + PUSH + k] = push[i, k] / unit
+            left -= push[i, k] * common[PUSH + k]
         for n in range(joint_count):
             rows[i, OWN + COMMON + places + n] = sharp[1 + n, i] / unit
             left -= common[COMMON + places + n] * sharp[1 + n, i]

@@ -255,8 +255,7 @@ def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
     Where the very first command is bad, `context.initial_torque` is held.
     """
     robot, period = context.robot, context.period
-    break_away = float(context.friction["break_away"].max())
-    params = limits.params_of(robot, options, context.gravity, period, context.noise, break_away)
+    params = limits.params_of(robot, options, context.gravity, period, context.noise)
     torques = dict.fromkeys(("torque", "good", "weight", "command", "sent"), context.initial_torque)
     unread = dict.fromkeys(("last_pose", "reference_then", "angles", "poses"), np.nan)
     first = new_record(_STATE, **torques, **unread, safety=(NONE, NO_TRIP, -1.0))

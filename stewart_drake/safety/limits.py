@@ -165,15 +165,14 @@ PARAMS = fields(
     torque_limit=6, torque_change=(), workspace=2, transmission=(), conditioning=(), crank_speed=(),
     following_error=2, half=(), blow=(), unexplained=6, unexplained_alone=(), lasting=(), inertia=(),
     follow=2, most_correction=2, impossible=(), remembered=(), budget=(), ramp_time=(), safe_hold_time=(),
-    suspect_hold_time=(), slow_error=(), stopping=(), most_torque=6, most_speed=(),
+    suspect_hold_time=(), stopping=(), most_torque=6, most_speed=(),
 )  # fmt: skip
 """`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], torque_change: in a
 tick [N m]. Of the residual half: of its window [ticks], blow: ticks for which one shows, unexplained, also of a leg or
 two alone, beside friction [N m], lasting: share of a tick, inertia: of a crank [kg m^2]. For `residual._follow` follow:
 bandwidth, most_correction and impossible: change of a crank's speed in a tick [rad/s], remembered: ticks for which that
-counts. budget: ticks that may be held, suspect_hold_time: of a stop with a suspect leg [s], slow_error: of its speed,
-by dry friction [rad/s], stopping: time constant of a stop [s], most_torque of it [N m], most_speed: at which it is
-given up [rad/s]."""
+counts. budget: ticks that may be held, suspect_hold_time: of a stop with a suspect leg [s], stopping: time constant of
+a stop [s], most_torque of it [N m], most_speed: at which it is given up [rad/s]."""
 AT_LIMIT_TIME, TOO_FAST_TIME = 0.1, 0.01
 """[s] for which, in sum, commands may be at the torque limit, or jump. Good ticks take away from the sum."""
 RUNAWAY_TIME = 0.005
@@ -198,7 +197,6 @@ def params_of(
     gravity: float,
     period: float,
     noise: float = 1e-5,
-    break_away: float = 0.0,
 ) -> np.ndarray:
     """`PARAMS` record, see `safety_part`."""
     bound = (math.inf if options.unexplained_torque is None else options.unexplained_torque) * robot.effort_limits
@@ -227,8 +225,6 @@ def params_of(
         inertia=inertia.diagonal().min(),
         lasting=min(0.5, period / LASTING),
         follow=follow,
-        # Where a crank turns back its friction changes by twice its size.
-        slow_error=break_away / (inertia.diagonal().min() * follow[1]),
         most_correction=(math.inf, CORRECTION),
         impossible=FASTEST + 12.0 * noise / period,
         remembered=REMEMBERED / period,

@@ -22,23 +22,25 @@ ONE_LEG_SHARE = 0.2
 TWO_LEGS_SHARE = 0.5
 """What the residual of two legs counts, unless it fits motors that give each other's torque: a push along an axis of
 symmetry can look so."""
+UNSURE_SHARE = 0.25  # Of friction that is believed, by which it may be off; assumed.
 DOMINANCE = 2.0  # [-] times all others, that one or two cranks have then.
 SWAPPED_WITHIN = 0.3  # Share of a residual to which two motors must give each other's torque.
+_SWEEPS = 4  # Over the cranks, for friction that ends their motion.
 _TOLERANCE, _ITERATIONS = 1e-12, 12  # As an estimator of readings has it, see `estimator`.
 READING_WRONG, MOTOR_WEAK, MOTOR_REVERSED, MOTOR_SWAPPED = range(1, 5)
 
 _ROWS = 2 * LONGEST_HALF + 1
 RESIDUAL = fields(
-    encoders=(), rubs=(), angles=6, poses=(_ROWS, 6), sent=(_ROWS, 6), given=6, residual=6, push=6, lasting=6,
-    missing=6, lost=6, still=6, mobility=(6, 6), speed=(2, 6), bias=(2, 6), suspect=6,
+    encoders=(), rubs=(), unsure=(), angles=6, poses=(_ROWS, 6), sent=(_ROWS, 6), given=6, residual=6, push=6,
+    lasting=6, missing=6, lost=6, still=6, mobility=(6, 6), speed=(2, 6), bias=(2, 6), rub=(2, 6), suspect=6,
 )  # fmt: skip
-"""encoders: whether there are any. rubs: friction that a motor may have [N m]. angles: read last [rad]. poses, sent:
-read and sent in the last ticks, newest first [rad, m] and [N m]. given: mean of what was sent [N m]. residual: that
-less inverse dynamics [N m]. push: acceleration of the cranks that it would make, lasting: change of it that lasts
-[rad/s^2], missing: the torques of that [N m]. lost: ticks for which a crank counts as not read. still, mobility: torque
-at rest, and d(acceleration) / d(torque), of the cranks [N m, 1/(kg m^2)]. speed: of the cranks [rad/s], bias:
-acceleration that the model does not explain [rad/s^2], a fast and a slow estimate. suspect: 0, or what is wrong with a
-leg."""
+"""encoders: whether there are any. rubs: friction that a motor may have, unsure: by how much that may be off [N m].
+angles: read last [rad]. poses, sent: read and sent in the last ticks, newest first [rad, m] and [N m]. given: mean of
+what was sent [N m]. residual: that less inverse dynamics [N m]. push: acceleration of the cranks that it would make,
+lasting: change of it, less friction, that lasts [rad/s^2], missing: the torques of that [N m]. lost: ticks for which a
+crank counts as not read. still, mobility: torque at rest, and d(acceleration) / d(torque), of the cranks [N m,
+1/(kg m^2)]. Of two estimates, fast and slow, speed: of the cranks [rad/s], bias: acceleration that the model does not
+explain [rad/s^2], rub: impulses of friction in a tick [N m s]. suspect: 0, or what is wrong with a leg."""
 
 
 @njit
@@ -71,7 +73,6 @@ def update_residual(
     for i in range(6):
         state.given[i], state.push[i], state.residual[i] = 0.0, 0.0, 0.0
     whole = all_finite(now) and all_finite(centre) and all_finite(old)
-    state.rubs = 0.0
     motion, acceleration, twist, speeds = np.zeros(12), np.zeros(6), np.empty(6), np.empty(6)
     still, need, mobility = np.empty(6), np.empty(6), np.zeros((6, 6))
     copy_to(motion[:6], centre if whole else pose)
@@ -92,8 +93,10 @@ def update_residual(
                 share = (min(row, 2 * half - 1 - row) + 0.5) / (half * half)
                 state.given[i] += share * state.sent[row + 1, i]
             state.residual[i] = state.given[i] - need[i] - friction.viscous[i] * speeds[i]
+    state.rubs = state.unsure = 0.0
     for i in range(6):
         speed = abs(speeds[i]) if whole else 0.0
+        state.unsure = max(state.unsure, UNSURE_SHARE * friction.break_away[i] + unknown[i] + unknown[6 + i] * speed)
         state.rubs = max(state.rubs, friction.break_away[i] + unknown[i] + unknown[6 + i] * speed)
     if state.encoders == 0.0:
         laws.twist_of(now, (now - state.poses[1]) / h, twist)
@@ -111,7 +114,7 @@ def update_residual(
         copy_to(state.still[:], still)
         for i in range(6):
             copy_to(state.mobility[i], mobility[i])
-    _follow(params, speeds, whole and sound, state)
+    _follow(params, friction, speeds, whole and sound, state)
 
 
 @njit
@@ -153,8 +156,27 @@ def _dominant(values: Any) -> Any:
 
 
 @njit
-def _follow(params: Any, speeds: Any, sound: bool, state: Any) -> None:
-    """Leads estimates of the cranks' speeds on by the torques, the fast and the slow one, and corrects by `speeds`.
+def _rub(params: Any, friction: Any, mobility: Any, speed: Any, rub: Any) -> None:
+    """What friction makes of speeds (6,) [rad/s] in a tick, in place; its impulses (6,) [N m s] begin as those before.
+
+    None turns a crank back. Projected Gauss-Seidel; J. J. Moreau, Unilateral contact and dry friction in finite freedom
+    dynamics, 1988.
+    """
+    for i in range(6):
+        for k in range(6):
+            speed[k] += mobility[k, i] * rub[i]
+    for _ in range(_SWEEPS):
+        for i in range(6):
+            most = params.period * (friction.coulomb[i] + friction.viscous[i] * abs(speed[i]))
+            change = min(max(rub[i] - speed[i] / mobility[i, i], -most), most) - rub[i]
+            rub[i] += change
+            for k in range(6):
+                speed[k] += mobility[k, i] * change
+
+
+@njit
+def _follow(params: Any, friction: Any, speeds: Any, sound: bool, state: Any) -> None:
+    """Leads two estimates of the cranks' speeds on by torques and friction, and corrects by `speeds`: fast and slow.
 
     NaN is no reading. The slow one hardly sees a reading fail that has begun to; it follows none that is suspect.
     Where one leg is far off it alone is corrected by less. Else all six are, by one factor: so a push keeps its
@@ -172,19 +194,23 @@ def _follow(params: Any, speeds: Any, sound: bool, state: Any) -> None:
             if size > params.most_correction[row]:
                 off[row, i] *= params.most_correction[row] / size
     for i in range(6):
-        turning = 0.0
+        turning, rubs = 0.0, 0.0
         for k in range(6):
             state.push[i] += state.mobility[i, k] * state.residual[k]
             turning += state.mobility[i, k] * (state.sent[0, k] - state.still[k])
-        change = state.push[i] + state.bias[1, i] if sound else 0.0
+            # The residual has the viscous part already.
+            rubs += state.mobility[i, k] * (state.rub[0, k] / params.period + friction.viscous[k] * state.speed[0, k])
+        change = state.push[i] + rubs + state.bias[1, i] if sound else 0.0
         state.lasting[i] += params.lasting * (change - state.lasting[i])
         torque[i, 0] = state.lasting[i]
         for row in range(2):
             follow = params.follow[row]
             state.speed[row, i] += params.period * (turning + state.bias[row, i] + 2.0 * follow * off[row, i])
             state.bias[row, i] += params.period * follow**2 * off[row, i]
-            if not np.isfinite(state.speed[row, i] + state.bias[row, i]):
-                state.speed[row, i], state.bias[row, i] = 0.0, 0.0
+    for row in range(2):
+        _rub(params, friction, state.mobility, state.speed[row], state.rub[row])
+        if not (all_finite(state.speed[row]) and all_finite(state.bias[row])):
+            state.speed[row], state.bias[row], state.rub[row] = 0.0, 0.0, 0.0
     solvable = solve(state.mobility.copy(), torque) != 0.0
     for i in range(6):
         state.missing[i] = torque[i, 0] if solvable else 0.0
@@ -248,14 +274,15 @@ def mark_suspects(state: Any, failed: int, unexplained: bool) -> int:
 def speeds_to_stop(params: Any, state: Any, out: Any) -> float:
     """Speeds (6,) [rad/s] of the cranks for a stop, and the fastest of those that can be trusted.
 
-    Of one whose reading is wrong only what is beyond the slow estimate's error by dry friction counts.
+    Of one whose reading is wrong only what is beyond the slow estimate's error by friction counts.
     """
-    fastest = 0.0
+    # An acceleration that changes at once, such as where a crank turns back.
+    fastest, slow_error = 0.0, state.unsure / (params.inertia * params.follow[1])
     for i in range(6):
         out[i] = state.speed[0, i]
         if state.suspect[i] == READING_WRONG:
             slow = state.speed[1, i]
-            out[i] = np.sign(slow) * max(0.0, abs(slow) - params.slow_error)
+            out[i] = np.sign(slow) * max(0.0, abs(slow) - slow_error)
         if state.suspect[i] == 0.0:
             fastest = max(fastest, abs(out[i]))
     return fastest
