@@ -31,7 +31,7 @@ SIZE_DAMPING, SIZE_SERVO_DAMPING, SIZE_COULOMB, SHARE_OWN, SIZE_DELAY = 0.25, 0.
 SIZE_PLACE = 0.15
 """[-] likewise, of the head's centre of mass, of the robot's characteristic length."""
 SIZE_PUSH, PUSH_KEPT = 0.1, 2.0
-"""[-] likewise, of a push sideways, of the head's weight on Earth; [s] of motion after which it counts 37 %."""
+"""[-] likewise, of a push sideways, of the head's weight on Earth; [s] of motion after which that counts 37 %."""
 ALIKE = 0.6
 """[s] for which samples err alike, by what the model does not have: together they count as one."""
 FINEST = 0.008
@@ -48,13 +48,14 @@ _HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inerti
 class RegressionOptions(AdaptationOptions):
     """Regression of commands on the motion that was read: head, stiffness or torque constants, damping, dry friction.
 
-    It begins with what `model` believes. What a robot that rests, sticks, is pushed or is at its limits says does not
-    count. For motors that take torques, head, rods and cranks are those in units of the torque that is commanded.
+    It begins with what `model` believes. What a robot that rests, sticks, is hit or is at its limits says does not
+    count, and a push sideways that lasts is told apart, but for servos. For motors that take torques, head, rods and
+    cranks are those in units of the torque that is commanded.
     """
 
     kind: Literal["regression"] = "regression"
     forgetting: Positive = 8.0
-    """[s] of motion after which a sample counts 37 %."""
+    """[s] of motion after which a sample counts 37 %; for a push that lasts 2 s."""
     reading_age: NotNegative = 0.0
     """[s] of the readings, as believed: commands and angles alone cannot tell it from the motors' delay."""
     smoothing: Positive | None = None
@@ -224,8 +225,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     joints = believed.joints or BallJoints()
     size, joint = limit.mean(), JOINT if options.ball_joints else 0
     common = [SIZE_HEAD, drive, damping * size, SIZE_COULOMB * size, SIZE_DELAY]
-    # A servo feeds no push back: how far it gives way is for its own numbers.
-    push = 1e-6 if by_angle else SIZE_PUSH * 9.81 * robot.platform_mass
+    push = SIZE_PUSH * 9.81 * robot.platform_mass
     common += [push, push, push * robot.characteristic_length]
     beside = SIZE_PLACE * robot.characteristic_length
     common += [beside * robot.platform_mass] * PLACE if options.center_of_mass else []
@@ -235,7 +235,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         late=late_weights(width, late) / per, gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
         damping=friction["viscous"] + servo_damping, servo_damping=servo_damping, noise=options.noise,
         alike=max(1.0, ALIKE / block), slowest=options.slowest, width=believed.width,
-        keep=np.exp(-block / options.forgetting), keep_push=np.exp(-block / PUSH_KEPT),
+        keep=np.exp(-block / options.forgetting), keep_push=np.exp(-block / min(PUSH_KEPT, options.forgetting)),
         blend=min(1.0, block / (BLEND if by_angle else BLEND_TORQUE)), first=3 * HALF + 1 + np.ceil(late),
         most_moment=robot.platform_mass * room_of(robot), cautious=options.cautious, frozen=options.frozen,
         own=[SIZE_OWN_DRIVE, *(SHARE_OWN * size * np.array([damping, SIZE_COULOMB]))], common=common,

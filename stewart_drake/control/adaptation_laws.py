@@ -8,9 +8,10 @@ times (command - angle). With Y the exact inverse dynamics of the motion that wa
 
 in torques that the motors are believed to give for it. `moment` is there where the centre of mass is learnt: by how
 much mass times centre of mass of the head is another. The last two are there where ball joints are learnt: what the
-motors give for a unit of friction in all of these, see `ball_joints`. `push` is a wrench sideways, which would be taken
-for friction; nothing else asks for it. One from above is taken for a load. Of servos there is none. All terms pass one
-Gaussian kernel, and what changes at a reversal passes it too: the sign of the rate, and the ball joints' torques.
+motors give for a unit of friction in all of these, see `ball_joints`. `push` is the wrench that motors give against
+somebody who pushes sideways; it would be taken for friction, and no other part uses it. A push from above is taken for
+a load. Servos give way to a push, so there it is left out. All terms pass one Gaussian kernel, and what changes at a
+reversal passes it too: the sign of the rate, and the ball joints' torques.
 What is common to the six motors and what is each one's own are estimated together, by a triangular factor of the
 information in the form of arrows: own numbers do not meet those of other motors. Square-root information filter: G. J.
 Bierman, Factorization Methods for Discrete Sequential Estimation (1977).
@@ -317,11 +318,12 @@ def _rows(robot: Any, rest: Any, moments: Any, joints: Any, params: Any, legs: A
         return False
     whole, other, moving = np.empty(6), np.empty(6), False
     jacobian, push = np.empty((6, 6)), np.zeros((6, COMMON - PUSH))
-    crank_jacobian(legs, jacobian)
-    for k, axis in enumerate(SIDEWAYS):
-        push[axis, k] = 1.0
-    if solve(jacobian.T.copy(), push) == 0.0:
-        return False
+    if params.by_angle == 0.0:
+        crank_jacobian(legs, jacobian)
+        for k, axis in enumerate(SIDEWAYS):
+            push[axis, k] = 1.0
+        if solve(jacobian.T.copy(), push) == 0.0:
+            return False
     if not motion_torque(robot, legs, both, acceleration, params.gravity, whole):
         return False
     motion_torque(rest, legs, both, acceleration, params.gravity, other)

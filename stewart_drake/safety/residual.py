@@ -96,8 +96,9 @@ def update_residual(
     state.rubs = state.unsure = 0.0
     for i in range(6):
         speed = abs(speeds[i]) if whole else 0.0
-        state.unsure = max(state.unsure, UNSURE_SHARE * friction.break_away[i] + unknown[i] + unknown[6 + i] * speed)
-        state.rubs = max(state.rubs, friction.break_away[i] + unknown[i] + unknown[6 + i] * speed)
+        beyond = friction.break_away[i] - friction.coulomb[i] + unknown[i] + unknown[6 + i] * speed
+        state.unsure = max(state.unsure, beyond + UNSURE_SHARE * friction.coulomb[i])
+        state.rubs = max(state.rubs, beyond + friction.coulomb[i])
     if state.encoders == 0.0:
         laws.twist_of(now, (now - state.poses[1]) / h, twist)
         laws.crank_rates(legs, twist, speeds)
@@ -156,19 +157,20 @@ def _dominant(values: Any) -> Any:
 
 
 @njit
-def _rub(params: Any, friction: Any, mobility: Any, speed: Any, rub: Any) -> None:
-    """What friction makes of speeds (6,) [rad/s] in a tick, in place; its impulses (6,) [N m s] begin as those before.
+def _rub(most: Any, mobility: Any, speed: Any, rub: Any) -> None:
+    """What dry friction makes of speeds (6,) [rad/s] in a tick, in place: impulses (6,) of at most `most` [N m s].
 
-    None turns a crank back. Projected Gauss-Seidel; J. J. Moreau, Unilateral contact and dry friction in finite freedom
-    dynamics, 1988.
+    None turns a crank back. `rub` has the impulses of the tick before, to begin with. Projected Gauss-Seidel; J. J.
+    Moreau, Unilateral contact and dry friction in finite freedom dynamics, 1988.
     """
     for i in range(6):
         for k in range(6):
             speed[k] += mobility[k, i] * rub[i]
     for _ in range(_SWEEPS):
         for i in range(6):
-            most = params.period * (friction.coulomb[i] + friction.viscous[i] * abs(speed[i]))
-            change = min(max(rub[i] - speed[i] / mobility[i, i], -most), most) - rub[i]
+            if not mobility[i, i] > 0.0:
+                continue
+            change = min(max(rub[i] - speed[i] / mobility[i, i], -most[i]), most[i]) - rub[i]
             rub[i] += change
             for k in range(6):
                 speed[k] += mobility[k, i] * change
@@ -198,8 +200,7 @@ def _follow(params: Any, friction: Any, speeds: Any, sound: bool, state: Any) ->
         for k in range(6):
             state.push[i] += state.mobility[i, k] * state.residual[k]
             turning += state.mobility[i, k] * (state.sent[0, k] - state.still[k])
-            # The residual has the viscous part already.
-            rubs += state.mobility[i, k] * (state.rub[0, k] / params.period + friction.viscous[k] * state.speed[0, k])
+            rubs += state.mobility[i, k] * state.rub[0, k] / params.period
         change = state.push[i] + rubs + state.bias[1, i] if sound else 0.0
         state.lasting[i] += params.lasting * (change - state.lasting[i])
         torque[i, 0] = state.lasting[i]
@@ -208,7 +209,7 @@ def _follow(params: Any, friction: Any, speeds: Any, sound: bool, state: Any) ->
             state.speed[row, i] += params.period * (turning + state.bias[row, i] + 2.0 * follow * off[row, i])
             state.bias[row, i] += params.period * follow**2 * off[row, i]
     for row in range(2):
-        _rub(params, friction, state.mobility, state.speed[row], state.rub[row])
+        _rub(params.period * friction.coulomb[:], state.mobility, state.speed[row], state.rub[row])
         if not (all_finite(state.speed[row]) and all_finite(state.bias[row])):
             state.speed[row], state.bias[row], state.rub[row] = 0.0, 0.0, 0.0
     solvable = solve(state.mobility.copy(), torque) != 0.0
@@ -276,7 +277,7 @@ def speeds_to_stop(params: Any, state: Any, out: Any) -> float:
 
     Of one whose reading is wrong only what is beyond the slow estimate's error by friction counts.
     """
-    # An acceleration that changes at once, such as where a crank turns back.
+    # That of the slow estimate after a step of friction, which is an acceleration: over the bandwidth.
     fastest, slow_error = 0.0, state.unsure / (params.inertia * params.follow[1])
     for i in range(6):
         out[i] = state.speed[0, i]

@@ -95,15 +95,19 @@ def test_arrows_are_dense_least_squares(seed):
 
 
 @settings(max_examples=10, deadline=None)
-@given(st.integers(0, 10**6), st.floats(0.01, 1.0))
-def test_forgetting_goes_back_to_the_first_information_alone(seed, keep):
+@given(st.integers(0, 10**6), st.floats(0.01, 1.0), st.floats(0.01, 1.0))
+def test_forgetting_goes_back_to_the_first_information_alone_and_a_push_does_so_faster(seed, keep, keep_push):
     rng = np.random.default_rng(seed)
     information, shared, dense, _, _ = arrows(rng)
     law.solve_arrow(information, shared, np.zeros((6, OWN)), np.zeros(COMMON))
     sizes_own, sizes_common = rng.uniform(0.1, 1.0, OWN), rng.uniform(0.1, 1.0, COMMON)
     first = np.diag(np.concatenate([np.tile(sizes_own, 6), sizes_common]) ** -2.0)
-    law.forget(information, shared, keep, sizes_own, sizes_common)
-    covariance = np.linalg.inv(keep * dense.T @ dense + (1.0 - keep) * first)
+    law.forget(information, shared, keep, keep_push, sizes_own, sizes_common)
+    # Correlations of what was known stay, each with its own share.
+    kept = np.full(SIZE, keep)
+    kept[6 * OWN + law.PUSH : 6 * OWN + law.PUSH + 3] = keep_push
+    known = np.sqrt(np.outer(kept, kept)) * (dense.T @ dense)
+    covariance = np.linalg.inv(known + np.diag(1.0 - kept) @ first)
     for k in range(OWN + COMMON):
         row = np.eye(OWN + COMMON)[k]
         at = k if k < OWN else 5 * OWN + k
@@ -211,6 +215,17 @@ def test_by_torque_at_1_khz_unknown_friction_costs_nothing(motion):
     told = run(scenario.replace({"model.friction.coulomb": 0.08, "adaptation": None}), check=False)
     late = log.time > 3.0
     assert np.linalg.norm(log.error[late]) < 1.5 * np.linalg.norm(told.error[late])
+
+
+@pytest.mark.parametrize("wrench", [[0, 0, 0, 1.0, 0, 0], [0, 0, 0, 0, 1.0, 0], [0, 0, 0.03, 0, 0, 0]])
+def test_a_push_sideways_that_lasts_is_not_taken_for_friction(wrench):
+    push = {"kind": "step", "wrench": wrench, "time": 3.0, "until": 60.0}
+    scenario = load_scenario("exact_heart").replace({**RUBS, "duration": 12.0, "disturbances": [push]})
+    log = run(scenario, check=False)
+    np.testing.assert_allclose(Learnt.of(log["learnt"][-1]).coulomb, 0.08, atol=0.006)
+    told = run(scenario.replace({"model.friction.coulomb": 0.08, "adaptation": None}), check=False)
+    late = log.time > 8.0
+    assert np.linalg.norm(log.error[late]) < 2.0 * np.linalg.norm(told.error[late])
 
 
 def test_an_unknown_payload_is_weighed():

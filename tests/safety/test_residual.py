@@ -1,7 +1,11 @@
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
 
 from stewart_drake.runs.simulation import run
+from stewart_drake.safety.residual import _rub
 from stewart_drake.scenario.scenario import load_scenario
 from stewart_drake.studies.faults import FAULTS, base, stopped_at, travel
 
@@ -55,6 +59,41 @@ def test_a_robot_that_friction_holds_stays_where_it_is_when_a_reading_is_lost():
     log = run(load_scenario("reachy_look_around").replace({**common, **changes}), check=False)
     assert (log.status, log.safety["monitor"]) == ("stopped", "sensor_failed")
     assert travel(log, 0.945)[0] < np.radians(3.0)
+
+
+@pytest.mark.parametrize("learns", [{"model.friction.coulomb": 0.2}, {"adaptation": "regression"}])
+@pytest.mark.parametrize(("kind", "most"), [("nan", 0.5), ("freeze", 5.0)])
+def test_a_stop_without_a_reading_counts_the_friction_that_is_known(kind, most, learns):
+    # It turned by 1.5 to 28 deg while the estimate of the lost crank's speed had no friction.
+    fault = {"kind": kind, "leg": 5, "time": 2.15}
+    common = {"plant.kind": "closed_form", "plant.motor_friction": 0.2, "duration": 3.0, "safety": {}}
+    sensors = {"kind": "encoders", "resolution_bits": 17, "faults": [fault]}
+    log = run(load_scenario("exact_heart").replace({**common, "sensors": sensors, **learns}), check=False)
+    assert log.status == "stopped"
+    assert travel(log, log.safety["time"])[0] < np.radians(most)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), st.floats(0.0, 1.0))
+def test_friction_of_six_cranks_takes_as_much_speed_as_it_can(seed, coulomb):
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(6, 6)) + 3.0 * np.eye(6)
+    mobility, before = 30.0 * root @ root.T, rng.normal(size=6)
+    most = 0.001 * coulomb * rng.uniform(0.0, 1.0, 6) + 1e-15
+    energy = before @ np.linalg.solve(mobility, before)
+    rub, speed = np.zeros(6), before.copy()
+    _rub(most, mobility, speed, rub)
+    assert speed @ np.linalg.solve(mobility, speed) <= energy * (1.0 + 1e-9)
+    for _ in range(300):
+        speed = before.copy()
+        _rub(most, mobility, speed, rub)
+    # The least energy that impulses within their bounds leave.
+    lower = np.linalg.cholesky(mobility)
+    best = lsq_linear(lower.T, -np.linalg.solve(lower, before), (-most, most), tol=1e-14)
+    np.testing.assert_allclose(speed, before + mobility @ best.x, atol=1e-6)
+    np.testing.assert_allclose(speed, before + mobility @ rub, atol=1e-9)
+    turning = np.abs(speed) > 1e-6
+    np.testing.assert_allclose(rub[turning], (-np.sign(speed) * most)[turning], atol=1e-9)
 
 
 @pytest.mark.slow
