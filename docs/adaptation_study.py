@@ -309,7 +309,7 @@ reachy` has it, from a cold start: RMS errors after the first half of 20 s.
 
 `exact_breathing` and `exact_heart` on Drake's plant with 17 bits, an observer and one tick of delay, and a friction of
 0.08 N m in each motor: RMS errors after the first half of 20 s. The load is 36 mm beside the platform's middle and
-50 mm above. The push is of 1 N, and so small that it [counts](../adaptation.md): it is taken for friction.
+50 mm above. The push is 1 N from the side.
 
 {torque}
 

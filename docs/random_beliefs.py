@@ -1,6 +1,6 @@
 """Robots of wrong beliefs that are pushed and fail, with learning and without, docs/results/random_beliefs.md.
 
-`python docs/random_beliefs.py [NUMBER]`: 5000, an hour on two cores.
+`python docs/random_beliefs.py [NUMBER]`: 2000, half an hour on two cores.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from stewart_drake.base.markdown import markdown_table
 from stewart_drake.studies.faults import stopped_at, travel
 
 OUT = Path(__file__).parent / "results" / "random_beliefs.md"
-MANY, SECONDS, DRAKE_EVERY = 5000, 6.0, 50
+MANY, SECONDS, DRAKE_EVERY = 2000, 6.0, 50
 LOST = 10.0  # [deg] of an error in the last second, or of what a robot travels after a stop, from which on it is lost.
 BUSES = ("servos at 50 Hz", "currents at 100 Hz", "torque at 1 kHz")
 FAULTS = ("freeze", "nan", "jump", "dead")
