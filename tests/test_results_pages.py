@@ -323,7 +323,9 @@ def test_servo_identification(page):
         (error,) = servos.figures(0, scheme, believed[scheme], nod)
         assert_says(page.cell(servos.SCHEMES[scheme], column="nod [deg]", under=first), error, within=2.0 * NOISY)
     head, *_ = servos.in_mujoco()
-    assert_says(page.cell("head [kg]", column="identified"), *(value for value, _ in numbers(head[-1])), within=2.0 * NOISY)
+    assert_says(
+        page.cell("head [kg]", column="identified"), *(value for value, _ in numbers(head[-1])), within=2.0 * NOISY
+    )
 
 
 def test_adaptation(page):
