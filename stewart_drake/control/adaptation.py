@@ -18,6 +18,7 @@ from stewart_drake.control.adaptation_laws import HALF, JOINT, LATE, MIDDLE, OWN
 from stewart_drake.control.ball_joints import BallJoints, joints_record
 from stewart_drake.control.base import LEARNT_SIGNALS, AdaptationOptions
 from stewart_drake.loop.part import LoopContext, Part
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import BELIEVED
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import LEGS, ROBOT, robot_record
@@ -31,7 +32,7 @@ SIZE_DAMPING, SIZE_SERVO_DAMPING, SIZE_COULOMB, SHARE_OWN, SIZE_DELAY = 0.25, 0.
 SIZE_PLACE = 0.15
 """[-] likewise, of the head's centre of mass, of the robot's characteristic length."""
 SIZE_PUSH, PUSH_KEPT = 0.1, 2.0
-"""[-] likewise, of a push sideways, of the head's weight on Earth; [s] of motion after which that counts 37 %."""
+"""[-] likewise, of a push sideways, of the head's weight; [s] of motion after which that counts 37 %."""
 ALIKE = 0.6
 """[s] for which samples err alike, by what the model does not have: together they count as one."""
 FINEST = 0.008
@@ -225,7 +226,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     joints = believed.joints or BallJoints()
     size, joint = limit.mean(), JOINT if options.ball_joints else 0
     common = [SIZE_HEAD, drive, damping * size, SIZE_COULOMB * size, SIZE_DELAY]
-    push = SIZE_PUSH * 9.81 * robot.platform_mass
+    push = SIZE_PUSH * STANDARD_GRAVITY * robot.platform_mass
     common += [push, push, push * robot.characteristic_length]
     beside = SIZE_PLACE * robot.characteristic_length
     common += [beside * robot.platform_mass] * PLACE if options.center_of_mass else []
