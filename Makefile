@@ -183,7 +183,7 @@ montecarlo: install
 	$(BIN)/stewart-drake sweep monte_carlo --out runs/monte_carlo
 	$(BIN)/python docs/write_monte_carlo.py runs/monte_carlo
 
-# docs/results/random_beliefs.md: two thousand situations, half an hour on two cores.
+# docs/results/random_beliefs.md: five thousand situations, an hour and a half on two cores.
 random_beliefs: install
 	$(ONE_THREAD) $(BIN)/python docs/random_beliefs.py
 

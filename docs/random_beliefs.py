@@ -1,6 +1,6 @@
 """Robots of wrong beliefs that are pushed and fail, with learning and without, docs/results/random_beliefs.md.
 
-`python docs/random_beliefs.py [NUMBER]`: 2000, half an hour on two cores.
+`python docs/random_beliefs.py [NUMBER]`: 5000, an hour and a half on two cores.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from stewart_drake.base.markdown import markdown_table
 from stewart_drake.studies.faults import stopped_at, travel
 
 OUT = Path(__file__).parent / "results" / "random_beliefs.md"
-MANY, SECONDS, DRAKE_EVERY = 2000, 6.0, 50
+MANY, SECONDS, DRAKE_EVERY = 5000, 6.0, 50
 LOST = 10.0  # [deg] of an error in the last second, or of what a robot travels after a stop, from which on it is lost.
 BUSES = ("servos at 50 Hz", "currents at 100 Hz", "torque at 1 kHz")
 FAULTS = ("freeze", "nan", "jump", "dead")
@@ -58,8 +58,8 @@ Of situations that both stop, how far the head moves after the layer took over: 
 
 {stops}
 
-With learning and safety layer {fallen} robots are lost that a plain stop at the push or the fault, with sensors that
-work, keeps; {alike} of these are lost without learning too.
+Robots lost with learning and safety layer that a plain stop at the push or the fault, with sensors that work, keeps:
+{fallen}. Of these, lost without learning too: {alike}.
 
 `make results` recomputes some of these numbers.
 """

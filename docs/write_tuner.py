@@ -18,10 +18,9 @@ TEXT = """# What a tuner is worth
 (`stewart_drake/training/situations.py`). There are {kinds} kinds, {untrained} of them never used in training or search,
 with the paper's robot at 1 kHz and Reachy Mini at 100 and 200 Hz; all seeds are new. All candidates have the same
 observer on noisy encoders, a delay of at least one tick, the same feedforward, and [learn](../adaptation.md) while they
-run, from a cold start (`adaptation: {{kind: regression, center_of_mass: false}}`). J = sqrt((RMS error / 0.03 deg)^2 +
-(RMS error / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2) of the second half of a run, and 1000
-for a run that failed, that is, was not completed. An error larger than the motion is no failure here
-(`bounds.error_ratio: null`); J includes it.
+run, from a cold start (`adaptation: regression`). J = sqrt((RMS error / 0.03 deg)^2 + (RMS error / 0.03 mm)^2 + (RMS
+change of torque in a millisecond / 0.03 N m)^2) of the second half of a run, and 1000 for a run that failed, that is,
+was not completed. An error larger than the motion is no failure here (`bounds.error_ratio: null`); J includes it.
 
 All settings were searched in one box: {box}
 in decades above the defaults. The shipped policy was trained before, without learning, and has a smaller box; a new

@@ -15,10 +15,10 @@ import os
 import pickle
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
@@ -31,6 +31,7 @@ _PACKAGE = Path(__file__).parents[1]
 _OWN = _PACKAGE / "__pycache__"
 _CONFIG: Any = numba.config
 _FunctionCache: Any = caching.FunctionCache
+_typeof: Any = numba.typeof
 
 
 def fields(**shapes: int | tuple[int, ...]) -> np.dtype:
@@ -86,6 +87,18 @@ def njit(function: _F) -> _F:
     finally:
         _CONFIG.CACHE_DIR = before
     return compiled
+
+
+def specialised(function: Any, arguments: Sequence[Any]) -> Callable[..., Any]:
+    """A law for these types of arguments alone: which they are is not looked up again, nor checked.
+
+    That takes as long as a small law does.
+    """
+    if not hasattr(function, "overloads"):
+        return cast("Callable[..., Any]", function)
+    types = tuple(_typeof(each) for each in arguments)
+    function.compile(types)
+    return cast("Callable[..., Any]", function.overloads[types].entry_point)
 
 
 class _Sealed(bytes):

@@ -14,9 +14,11 @@ from stewart_drake.base.config import Flag, NotNegative, Positive
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import new_record
 from stewart_drake.control import adaptation_laws as law
-from stewart_drake.control.adaptation_laws import HALF, JOINT, LATE, MIDDLE, OWN, PLACE, ROWS
+from stewart_drake.control.adaptation_laws import HALF, LATE, MIDDLE, ROWS
+from stewart_drake.control.arrow_factor import JOINT, OWN, PLACE
 from stewart_drake.control.ball_joints import BallJoints, joints_record
 from stewart_drake.control.base import LEARNT_SIGNALS, AdaptationOptions
+from stewart_drake.control.learnt_laws import HALF_WIDTH, ROBOT_SIZE
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import BELIEVED
@@ -41,6 +43,8 @@ BLEND, BLEND_TORQUE = 0.5, 0.1
 """[s] in which numbers go over into new ones, and where a motor's torque depends on them at once."""
 WIDTH = 2.2
 """[blocks] of the kernel's standard deviation, as near as whole ticks allow; the fewer, the later a sample."""
+SELDOM = 0.016
+"""[s] from one forgetting to the next: each costs as much as eight samples."""
 _LEVELS = ("coulomb", "break_away", "viscous")
 _LINKS = ("rod_mass", "rod_inertia", "crank_mass", "crank_inertia")
 _HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inertia")
@@ -207,6 +211,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         smoothing = max(FINEST, 1.5 * context.period, float(np.cbrt(coarse)))
     stride = max(1, round(smoothing / (WIDTH * context.period)))
     block = stride * context.period
+    seldom = max(1, int(SELDOM / block))
     width, late = smoothing / block, (context.latency - 0.5 * context.period + options.reading_age) / block
     if not 1.0 <= width <= HALF / 2.0:
         raise ConfigurationError("adaptation.smoothing", smoothing, f"at least {context.period:g} s, a period")
@@ -236,13 +241,14 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         late=late_weights(width, late) / per, gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
         damping=friction["viscous"] + servo_damping, servo_damping=servo_damping, noise=options.noise,
         alike=max(1.0, ALIKE / block), slowest=options.slowest, width=believed.width,
-        keep=np.exp(-block / options.forgetting), keep_push=np.exp(-block / min(PUSH_KEPT, options.forgetting)),
+        seldom=seldom, keep=np.exp(-seldom * block / options.forgetting),
+        keep_push=np.exp(-seldom * block / min(PUSH_KEPT, options.forgetting)),
         blend=min(1.0, block / (BLEND if by_angle else BLEND_TORQUE)), first=3 * HALF + 1 + np.ceil(late),
         most_moment=robot.platform_mass * room_of(robot), cautious=options.cautious, frozen=options.frozen,
         own=[SIZE_OWN_DRIVE, *(SHARE_OWN * size * np.array([damping, SIZE_COULOMB]))], common=common,
     )  # fmt: skip
     whole = robot_record(robot)
-    rest, bodies = whole.copy(), np.zeros((law.ROBOT_SIZE, 3))
+    rest, bodies = whole.copy(), np.zeros((ROBOT_SIZE, 3))
     bodies[:, 0] = whole.view(np.float64)
     for column, names in ((1, _LINKS), (2, _HEAD)):
         for name in names:
@@ -251,8 +257,10 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
             bodies[place, column], bodies[place, 0] = bodies[place, 0], 0.0
     for name in _HEAD:
         rest[name] = 0.0
-    moments = np.repeat(rest, PLACE)
-    moments["platform_moment"] = np.eye(PLACE)
+    # The head as believed, then heads that have a unit first moment alone.
+    heads = np.repeat(rest, 1 + PLACE)
+    heads[0] = whole[0]
+    heads["platform_moment"][1:] = np.eye(PLACE)
     angles = inverse_kinematics(robot, context.pose)
     coulomb = friction["coulomb"]
     first = new_record(
@@ -270,7 +278,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     first["learnt"] = np.concatenate([[robot.platform_mass, 0.0], np.ones(6), friction["viscous"], coulomb])
     widths = np.hypot(common[1:4], params["own"][0])
     of_drive = widths[0] if by_gain else 0.0
-    first["learnt_half_width"] = 1.96 * np.concatenate(
+    first["learnt_half_width"] = HALF_WIDTH * np.concatenate(
         [
             [robot.platform_mass * np.hypot(SIZE_HEAD, 0.0 if by_gain else drive), SIZE_DELAY if by_angle else 0.0],
             np.full(6, widths[0]),
@@ -278,7 +286,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
             np.hypot(widths[2], of_drive * coulomb),
         ]
     )
-    first["learnt_center_of_mass"] = np.append(robot.platform_center, np.full(PLACE, 1.96 * beside))
+    first["learnt_center_of_mass"] = np.append(robot.platform_center, np.full(PLACE, HALF_WIDTH * beside))
     for k in range(OWN):
         first["information"][0, :, k, k] = 1.0 / params["own"][0, k]
     for k in range(len(common)):
@@ -291,12 +299,12 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         if cautious:
             first["joints"][0, :JOINT] = 0.0
     constants = {
-        "robot": whole, "rest": rest, "moments": moments, "joints": hanging, "bodies": bodies,
+        "robot": whole, "rest": rest, "heads": heads, "joints": hanging, "bodies": bodies,
         "friction": context.friction.view(np.float64), "params": params,
     }  # fmt: skip
     if not options.frozen:
         for k, level in enumerate(("coulomb", "viscous")):
-            size = 1.96 * np.hypot(params["common"][0, 3 - k], params["own"][0, 2 - k])
+            size = HALF_WIDTH * np.hypot(params["common"][0, 3 - k], params["own"][0, 2 - k])
             off = friction[level] if cautious else 0.0
             first["friction_unknown"][0, 6 * k : 6 * k + 6] = size + off
     outputs = ["friction", "robot", "learnt", "learnt_half_width", "friction_unknown", "doubt"]

@@ -12,12 +12,7 @@ motors give for a unit of friction in all of these, see `ball_joints`. `push` is
 somebody who pushes sideways; it would be taken for friction, and no other part uses it. A push from above is taken for
 a load. Servos give way to a push, so there it is left out. All terms pass one Gaussian kernel, and what changes at a
 reversal passes it too: the sign of the rate, and the ball joints' torques.
-What is common to the six motors and what is each one's own are estimated together, by a triangular factor of the
-information in the form of arrows: own numbers do not meet those of other motors. Square-root information filter: G. J.
-Bierman, Factorization Methods for Discrete Sequential Estimation (1977).
-Forgetting goes towards the information that there was at first, and leaves the estimate: R. Kulhavy, Restricted
-exponential forgetting in real-time identification (Automatica 23, 1987). So what nothing excites is kept. The push is
-forgotten faster: J. E. Parkum, N. K. Poulsen, J. Holst, Recursive forgetting algorithms (Int. J. Control 55, 1992).
+`arrow_factor` brings samples into one estimate, and `learnt_laws` makes constants of other parts of it.
 """
 
 from __future__ import annotations
@@ -27,32 +22,36 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.base.jit import fields, njit, record
+from stewart_drake.control.arrow_factor import (
+    COMMON,
+    JOINT,
+    OWN,
+    PLACE,
+    PUSH,
+    SIDEWAYS,
+    add_row,
+    forget,
+    solve_arrow,
+    spread_along,
+)
 from stewart_drake.control.ball_joints import JOINTS, ball_joint_parts, ball_joint_torques
 from stewart_drake.control.estimator import ITERATIONS, TOLERANCE
-from stewart_drake.mechanics.dynamics_laws import motion_torque
-from stewart_drake.mechanics.kinematics_laws import ROBOT, crank_jacobian, forward_kinematics, legs_at
+from stewart_drake.control.learnt_laws import MOST_COULOMB, MOST_DAMPING, ROBOT_SIZE, show, stand_in
+from stewart_drake.mechanics.dynamics_laws import inverse_dynamics, platform_load, twists_of_motion
+from stewart_drake.mechanics.kinematics_laws import forward_kinematics, legs_at
 from stewart_drake.mechanics.linear_algebra import all_finite, solve
 
 HALF = 6  # [blocks] to each side of the kernel's middle, at least two of its standard deviations.
 LATE = 16  # [blocks] that a command and a reading may be late together.
 ROWS = 3 * HALF + LATE + 1  # [blocks] that are remembered.
 NEWEST, MIDDLE, SIGNS = ROWS - 1, ROWS - 1 - 2 * HALF, 2 * HALF + 1
-OWN, COMMON, PUSH, PLACE, JOINT = 3, 8, 5, 3, 2
-"""Numbers of each motor: log of its drive, damping, Coulomb; and of all: log of the head, these three, delay, and at
-`PUSH` a push. After these come the head's first moment, where the centre of mass is learnt, and viscous and dry
-friction of ball joints, where they are."""
-SIDEWAYS = (3, 4, 2)
-"""Axes of a push, in a wrench (moment, force): those that no weight has."""
 SHOWN = 20
 """Numbers that are shown, see `Learnt`."""
-MOST, LEAST_DAMPING, MOST_DAMPING, MOST_COULOMB, MOST_DELAY = np.log(3.0), -0.1, 0.6, 0.4, 0.05
-"""Bounds: of the logarithms; as above of the torque limit; and [s]. A delay believed too long may be a damping < 0."""
+MOST, MOST_DELAY = np.log(3.0), 0.05
+"""Bounds of the logarithms, and [s]."""
 SATURATED, OUTLIER = 0.9, 3.0
 """[-] of the torque limit from which on a motor counts as saturated; standard deviations from which on a sample is
 somebody's push."""
-ROBOT_SIZE = ROBOT.itemsize // 8
-MASS, MOMENT = (int(ROBOT.fields[name][1]) // 8 for name in ("platform_mass", "platform_moment"))  # type: ignore[index]
-"""Where mass and first moment of the head are in a robot's record."""
 
 
 def params_of(common: int) -> np.dtype:
@@ -61,14 +60,15 @@ def params_of(common: int) -> np.dtype:
     stride: ticks of a block. kernel: weights of smoothed value, rate and acceleration. late: those of commands, and of
     their first two derivatives. gain: torque for a command as believed. by_gain: whether a motor's gain is what its
     drive changes, else all bodies are. by_angle: whether commands are angles. damping: believed at first, servo
-    included. alike: samples that count as one. first: blocks that a sample needs. keep, keep_push: shares that a
-    block leaves of what was known. own, common: standard deviations at first. most_moment: of the head, beyond what is
+    included. alike: samples that count as one. first: blocks that a sample needs. seldom: blocks
+    from one forgetting to the next, and of what is shown. keep, keep_push: shares of what was known that it leaves.
+    own, common: standard deviations at first. most_moment: of the head, beyond what is
     believed [kg m].
     """
     return fields(
         gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(),
-        damping=6, servo_damping=(), noise=(), alike=(), slowest=(), width=(), keep=(), keep_push=(), blend=(),
-        first=(), own=OWN, common=common, most_moment=(), cautious=(), frozen=(),
+        damping=6, servo_damping=(), noise=(), alike=(), slowest=(), width=(), seldom=(), keep=(), keep_push=(),
+        blend=(), first=(), own=OWN, common=common, most_moment=(), cautious=(), frozen=(),
     )  # fmt: skip
 
 
@@ -95,89 +95,8 @@ def state_of(common: int, joint: int) -> np.dtype:
 
 
 @njit
-def add_row(information: Any, shared: Any, row: Any) -> None:
-    """Brings a row [own | common | right-hand side], which is destroyed, into a motor's factor, by rotations."""
-    size = OWN + len(shared)
-    for k in range(size):
-        if row[k] == 0.0:
-            continue
-        pivot = information[k, k] if k < OWN else shared[k - OWN, k - OWN]
-        length = np.hypot(pivot, row[k])
-        c, s = pivot / length, row[k] / length
-        for j in range(k, size + 1):
-            above = information[k, j] if k < OWN else shared[k - OWN, j - OWN]
-            turned = c * above + s * row[j]
-            row[j] = c * row[j] - s * above
-            if k < OWN:
-                information[k, j] = turned
-            else:
-                shared[k - OWN, j - OWN] = turned
-
-
-@njit
-def spread_along(information: Any, shared: Any, row: Any) -> float:
-    """Variance of a row [own | common] times a motor's numbers: |R^-T row|^2."""
-    size, total = OWN + len(shared), 0.0
-    solution = np.empty(OWN + len(shared))
-    for k in range(size):
-        value = row[k]
-        for j in range(k):
-            value -= solution[j] * (information[j, k] if j < OWN else shared[j - OWN, k - OWN])
-        solution[k] = value / (information[k, k] if k < OWN else shared[k - OWN, k - OWN])
-        total += solution[k] * solution[k]
-    return total
-
-
-@njit
-def solve_arrow(information: Any, shared: Any, own: Any, common: Any) -> None:
-    """Adds the least-squares solution to own (6, n) and common (m,) numbers; right-hand sides become zero."""
-    size, change = len(shared), np.empty(len(shared))
-    for k in range(size - 1, -1, -1):
-        value = shared[k, size]
-        for j in range(k + 1, size):
-            value -= shared[k, j] * change[j]
-        change[k] = value / shared[k, k]
-        shared[k, size] = 0.0
-    for k in range(size):
-        common[k] += change[k]
-    mine = np.empty(OWN)
-    for i in range(6):
-        for k in range(OWN - 1, -1, -1):
-            value = information[i, k, OWN + size]
-            for j in range(size):
-                value -= information[i, k, OWN + j] * change[j]
-            for j in range(k + 1, OWN):
-                value -= information[i, k, j] * mine[j]
-            mine[k] = value / information[i, k, k]
-            information[i, k, OWN + size] = 0.0
-        for k in range(OWN):
-            own[i, k] += mine[k]
-
-
-@njit
-def forget(information: Any, shared: Any, keep: float, keep_push: float, sizes_own: Any, sizes_common: Any) -> None:
-    """Leaves shares of the information, of the push and of all else; adds as much of that at first as is missing."""
-    root, rest, row = np.sqrt(keep), np.sqrt(1.0 - keep), np.empty(OWN + len(shared) + 1)
-    information *= root
-    shared *= root
-    for k in range(PUSH, COMMON):
-        # Other variances and all correlations stay.
-        information[:, :, OWN + k] *= np.sqrt(keep_push / keep)
-        shared[:, k] *= np.sqrt(keep_push / keep)
-    for i in range(6):
-        for k in range(OWN):
-            row[:] = 0.0
-            row[k] = rest / sizes_own[k]
-            add_row(information[i], shared, row)
-    for k in range(len(shared)):
-        row[:] = 0.0
-        row[OWN + k] = (np.sqrt(1.0 - keep_push) if PUSH <= k < COMMON else rest) / sizes_common[k]
-        add_row(information[0], shared, row)
-
-
-@njit
 def regression_tick(
-    robot: Any, rest: Any, moments: Any, joints: Any, bodies: Any, friction: Any, params: Any, reading: Any,
+    robot: Any, rest: Any, heads: Any, joints: Any, bodies: Any, friction: Any, params: Any, reading: Any,
     command: Any, legs: Any, state: Any,
 ) -> None:  # fmt: skip
     """A tick: the block under way grows; at its end all that is known of the motion in its middle is a sample."""
@@ -191,21 +110,19 @@ def regression_tick(
     if state.blocks < params.first:
         return
     rows = np.zeros((6, OWN + len(state.common) + 1))
-    moving = _rows(robot, record(rest), moments, record(joints), params, legs, state, rows)
+    moving = _rows(robot, record(rest), heads, record(joints), params, legs, state, rows)
     if moving:
-        forget(state.information, state.shared, params.keep, params.keep_push, params.own[:], params.common[:])
+        if state.blocks % params.seldom == 0.0:
+            forget(state.information, state.shared, params.keep, params.keep_push, params.own[:], params.common[:])
         _take(params, state, rows)
     for i in range(6):
         for k in range(OWN):
             state.used_own[i, k] += params.blend * (state.own[i, k] - state.used_own[i, k])
     for k in range(len(state.common)):
         state.used_common[k] += params.blend * (state.common[k] - state.used_common[k])
-    _stand_in(params, bodies, friction, state)
-    joint_count = state.sharp.shape[1] - 1
-    if joint_count > 0:
-        _stand_in_for_joints(params, state)
-    if len(state.common) > COMMON + joint_count:
-        _stand_in_for_moment(params, bodies, state)
+    stand_in(params, bodies, friction, state)
+    if state.blocks % params.seldom == 0.0:
+        show(params, bodies, state)
 
 
 @njit
@@ -289,7 +206,7 @@ def _smoothed(params: Any, state: Any, first: int, motion: Any, acceleration: An
 
 
 @njit
-def _rows(robot: Any, rest: Any, moments: Any, joints: Any, params: Any, legs: Any, state: Any, rows: Any) -> bool:
+def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any, state: Any, rows: Any) -> bool:
     """Fills the rows (6, n) of a sample, those left out with zeros; whether any crank moves."""
     for row in range(ROWS):
         if state.good[row] == 0.0:
@@ -298,7 +215,6 @@ def _rows(robot: Any, rest: Any, moments: Any, joints: Any, params: Any, legs: A
     given, faster, sharp = np.zeros(6), np.zeros(6), np.zeros((state.sharp.shape[1], 6))
     delay, joint_count = state.common[4], state.sharp.shape[1] - 1
     places = len(state.common) - COMMON - joint_count
-    of_moment = np.zeros((places, 6))
     _smoothed(params, state, MIDDLE - HALF, both, acceleration)
     for k in range(2 * HALF + 1):
         at = MIDDLE - HALF + k
@@ -316,20 +232,23 @@ def _rows(robot: Any, rest: Any, moments: Any, joints: Any, params: Any, legs: A
             faster[i] += rate * state.commands[row, i]
     if legs_at(robot, both[:6], legs) >= 0:
         return False
-    whole, other, moving = np.empty(6), np.empty(6), False
-    jacobian, push = np.empty((6, 6)), np.zeros((6, COMMON - PUSH))
-    if params.by_angle == 0.0:
-        crank_jacobian(legs, jacobian)
-        for k, axis in enumerate(SIDEWAYS):
-            push[axis, k] = 1.0
-        if solve(jacobian.T.copy(), push) == 0.0:
-            return False
-    if not motion_torque(robot, legs, both, acceleration, params.gravity, whole):
+    twist, twist_rate, other, moving = np.empty(6), np.empty(6), np.empty(6), False
+    twists_of_motion(both[:6], both[6:], acceleration, twist, twist_rate)
+    if not inverse_dynamics(rest, legs, twist, twist_rate, params.gravity, other):
         return False
-    motion_torque(rest, legs, both, acceleration, params.gravity, other)
-    for n in range(places):
-        motion_torque(record(moments[n : n + 1]), legs, both, acceleration, params.gravity, of_moment[n])
-        of_moment[n] -= other
+    # What motors give for wrenches at the head: of its weight and inertia, of unit first moments, of unit pushes.
+    first_push, wrench = 1 + places, np.empty(6)
+    of_head = np.zeros((6, first_push + COMMON - PUSH))
+    for n in range(first_push):
+        head = record(heads[n : n + 1])
+        platform_load(head, legs.rotation[:], twist, twist_rate, params.gravity, wrench)
+        of_head[:, n] = wrench
+    if params.by_angle == 0.0:
+        for k, axis in enumerate(SIDEWAYS):
+            of_head[axis, first_push + k] = 1.0
+    solve(legs.line.T.copy(), of_head)
+    for i in range(6):
+        of_head[i] *= legs.lever[i]
     if joints.viscous > 0.0 or joints.coulomb > 0.0 or joints.inertia > 0.0:
         joint = np.zeros(6)
         if joint_count > 0:
@@ -340,7 +259,6 @@ def _rows(robot: Any, rest: Any, moments: Any, joints: Any, params: Any, legs: A
                 joint[i] = joints.inertia * parts[2, i]
         else:
             ball_joint_torques(robot, joints, both, acceleration, legs, joint)
-        whole += joint
         other += joint
     for i in range(6):
         if not abs(rates[i]) > params.slowest:
@@ -351,20 +269,20 @@ def _rows(robot: Any, rest: Any, moments: Any, joints: Any, params: Any, legs: A
             continue
         own, common, unit = state.own[i], state.common, params.noise * params.limit[i]
         drive = np.exp(common[1] + own[0])
-        head = drive * np.exp(common[0]) * (whole[i] - other[i])
-        load = head + drive * other[i]
+        of_weight = drive * np.exp(common[0]) * of_head[i, 0]
+        load = of_weight + drive * other[i]
         for n in range(places):
-            rows[i, OWN + COMMON + n] = drive * of_moment[n, i] / unit
-            load += drive * common[COMMON + n] * of_moment[n, i]
+            rows[i, OWN + COMMON + n] = drive * of_head[i, 1 + n] / unit
+            load += drive * common[COMMON + n] * of_head[i, 1 + n]
         damping, coulomb = params.damping[i] + common[2] + own[1], common[3] + own[2]
         rows[i, 0] = load / unit if params.by_gain == 1.0 else 0.0
         rows[i, 1], rows[i, 2] = rates[i] / unit, sharp[0, i] / unit
-        rows[i, 3], rows[i, 4], rows[i, 5], rows[i, 6] = head / unit, load / unit, rows[i, 1], rows[i, 2]
+        rows[i, 3], rows[i, 4], rows[i, 5], rows[i, 6] = of_weight / unit, load / unit, rows[i, 1], rows[i, 2]
         rows[i, 7] = params.gain[i] * faster[i] / unit if params.by_angle == 1.0 else 0.0
         left = torque - load - damping * rates[i] - coulomb * sharp[0, i]
         for k in range(COMMON - PUSH):
-            rows[i, OWN + PUSH + k] = push[i, k] / unit
-            left -= push[i, k] * common[PUSH + k]
+            rows[i, OWN + PUSH + k] = of_head[i, first_push + k] / unit
+            left -= of_head[i, first_push + k] * common[PUSH + k]
         for n in range(joint_count):
             rows[i, OWN + COMMON + places + n] = sharp[1 + n, i] / unit
             left -= common[COMMON + places + n] * sharp[1 + n, i]
@@ -395,118 +313,3 @@ def _take(params: Any, state: Any, rows: Any) -> None:
     for k in range(first, len(state.common)):
         most = (MOST_DAMPING if k == first else MOST_COULOMB) * params.limit.max()
         state.common[k] = min(max(state.common[k], 0.0), most)
-
-
-@njit
-def _stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
-    """Constants of other parts by what is used, and what is shown by the estimate."""
-    common, own = state.used_common, state.used_own
-    head, links = np.exp(common[0]), 1.0
-    if params.by_gain == 0.0:
-        links = np.exp(common[1])
-        head *= links
-    for k in range(ROBOT_SIZE):
-        state.robot[k] = bodies[k, 0] + links * bodies[k, 1] + head * bodies[k, 2]
-    for n in range(len(common) - COMMON - state.sharp.shape[1] + 1):
-        state.robot[MOMENT + n] += links * common[COMMON + n]
-    state.lead[0] = common[4]
-    for i in range(6):
-        damping, coulomb = _friction_of(params, own[i], common, i)
-        if params.cautious == 1.0:
-            damping *= 1.0 - _doubt(params, state, i, 1) ** 2 if damping > 0.0 else 1.0
-            coulomb *= 1.0 - _doubt(params, state, i, 2) ** 2
-        drive = np.exp(-(common[1] + own[i, 0])) if params.by_gain == 1.0 else 1.0
-        state.gain[i] = drive * params.gain[i]
-        state.friction[i] = drive * coulomb
-        state.friction[6 + i] = drive * coulomb + friction[6 + i] - friction[i]
-        state.friction[18 + i] = drive * damping - params.servo_damping
-    common, own, row = state.common, state.own, np.zeros(OWN + len(state.common))
-    mass = bodies[MASS, 2] * np.exp(common[0] + (common[1] if params.by_gain == 0.0 else 0.0))
-    state.learnt[1], row[OWN + 4] = common[4], 1.0
-    wide = 1.96 * np.sqrt(spread_along(state.information[0], state.shared, row))
-    state.learnt_half_width[1] = wide if params.by_angle == 1.0 else 0.0
-    row[:] = 0.0
-    row[OWN] = 1.0
-    row[OWN + 1] = 1.0 - params.by_gain
-    state.learnt[0] = mass
-    state.learnt_half_width[0] = 1.96 * mass * np.sqrt(spread_along(state.information[0], state.shared, row))
-    for i in range(6):
-        damping, coulomb = _friction_of(params, own[i], common, i)
-        drive = np.exp(-(common[1] + own[i, 0]))
-        size = drive if params.by_gain == 1.0 else 1.0
-        of_drive = 0.0
-        state.learnt[2 + i] = drive
-        state.learnt[8 + i] = size * damping - params.servo_damping
-        state.learnt[14 + i] = size * coulomb
-        for k in range(OWN):
-            row[:] = 0.0
-            row[k] = row[OWN + 1 + k] = 1.0
-            width = 1.96 * np.sqrt(spread_along(state.information[i], state.shared, row))
-            if k == 0:
-                of_drive = width if params.by_gain == 1.0 else 0.0
-                state.learnt_half_width[2 + i] = width * drive
-            else:
-                # That of the drive is in it too.
-                of_all = of_drive * (damping if k == 1 else coulomb)
-                state.learnt_half_width[2 + 6 * k + i] = size * np.hypot(width, of_all)
-        state.doubt[i] = _doubt(params, state, i, 2)
-        state.friction_unknown[i] = state.learnt_half_width[14 + i] + abs(state.learnt[14 + i] - state.friction[i])
-        of_used = state.learnt[8 + i] - state.friction[18 + i]
-        state.friction_unknown[6 + i] = state.learnt_half_width[8 + i] + abs(of_used)
-
-
-@njit
-def _stand_in_for_joints(params: Any, state: Any) -> None:
-    """Constants of the ball joints by what is used, and what is shown by the estimate."""
-    row, first = np.zeros(OWN + len(state.common)), len(state.common) - JOINT
-    for n in range(JOINT):
-        row[:] = 0.0
-        row[OWN + first + n] = 1.0
-        spread, known = np.sqrt(spread_along(state.information[0], state.shared, row)), 1.0
-        if params.cautious == 1.0:
-            known -= min(1.0, spread / params.common[first + n]) ** 2
-        used = shown = 1.0
-        if params.by_gain == 1.0:
-            used, shown = np.exp(-state.used_common[1]), np.exp(-state.common[1])
-        state.joints[n] = known * used * state.used_common[first + n]
-        state.learnt_joints[n] = shown * state.common[first + n]
-        # That of the drive is in it too.
-        row[OWN + 1] = -state.common[first + n] * params.by_gain
-        spread = np.sqrt(spread_along(state.information[0], state.shared, row))
-        state.learnt_joints[JOINT + n] = 1.96 * shown * spread
-
-
-@njit
-def _stand_in_for_moment(params: Any, bodies: Any, state: Any) -> None:
-    """The head's centre of mass as it is shown."""
-    row, links = np.zeros(OWN + len(state.common)), np.exp(state.common[1]) if params.by_gain == 0.0 else 1.0
-    head = links * np.exp(state.common[0])
-    for n in range(PLACE):
-        moment = head * bodies[MOMENT + n, 2] + links * state.common[COMMON + n]
-        row[:] = 0.0
-        row[OWN + COMMON + n] = links
-        # That of the mass is in it too.
-        row[OWN] = -links * state.common[COMMON + n]
-        state.learnt_center_of_mass[n] = moment / state.learnt[0]
-        spread = np.sqrt(spread_along(state.information[0], state.shared, row))
-        state.learnt_center_of_mass[PLACE + n] = 1.96 * spread / state.learnt[0]
-
-
-@njit
-def _doubt(params: Any, state: Any, leg: int, which: int) -> float:
-    """Standard deviation of a number of a motor, over that at first."""
-    row = np.zeros(OWN + len(state.common))
-    row[which] = row[OWN + 1 + which] = 1.0
-    first = np.hypot(params.common[1 + which], params.own[which])
-    return min(1.0, np.sqrt(spread_along(state.information[leg], state.shared, row)) / first)
-
-
-@njit
-def _friction_of(params: Any, own: Any, common: Any, leg: int) -> Any:
-    """Damping [N m s/rad] and Coulomb friction [N m] of a motor, within bounds, in units of its command's torque."""
-    limit = params.limit[leg]
-    damping, coulomb = params.damping[leg] + common[2] + own[1], common[3] + own[2]
-    # What an earlier run has learnt, and is believed now, is not cut.
-    most = max(MOST_DAMPING * limit, params.damping[leg])
-    damping = min(max(damping, LEAST_DAMPING * limit), most)
-    return damping, min(max(coulomb, 0.0), MOST_COULOMB * limit)

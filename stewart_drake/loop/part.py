@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stewart_drake.base.errors import RunFailure, failure_code
+from stewart_drake.base.jit import specialised
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.robot import RobotParameters
 
@@ -147,6 +148,7 @@ class BoundPart:
         self.part = part
         self._scratch = tuple(np.zeros(1, kind) for kind in part.scratch)
         self._before = part.initial.copy()
+        self._kernel: Callable[..., Any] = part.kernel
         self.bind(inputs, state, signals)
 
     def bind(self, inputs: Sequence[Any], state: np.ndarray, signals: Mapping[str, np.ndarray] = NOTHING) -> None:
@@ -160,13 +162,13 @@ class BoundPart:
     def __call__(self) -> None:
         """A tick; raises the named error of a part that is not fault tolerant."""
         if not self.part.fault_tolerant:
-            result = self.part.kernel(*self.arguments)
+            result = self._kernel(*self.arguments)
             if result is not None and result[0] != 0:
                 raise self._error(result)
             return
         np.copyto(self._before, self.state)
         try:
-            result = self.part.kernel(*self.arguments)
+            result = self._kernel(*self.arguments)
             if result is not None and result[0] != 0:
                 raise self._error(result)
             self.state["health"] = HEALTHY
@@ -181,9 +183,10 @@ class BoundPart:
 
     @property
     def call(self) -> Callable[[], Any]:
-        """The same tick with the arguments that are bound now, by the shortest way."""
+        """The same tick with the arguments that are bound now and for good, by the shortest way."""
+        self._kernel = specialised(self.part.kernel, self.arguments)
         plain = self.part.error is None and not self.part.fault_tolerant
-        return partial(self.part.kernel, *self.arguments) if plain else self
+        return partial(self._kernel, *self.arguments) if plain else self
 
 
 class LoopRunner:

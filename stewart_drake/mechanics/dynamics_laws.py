@@ -73,7 +73,7 @@ def task_inertia(robot: Any, legs: Any, out: Any) -> None:
 def loads(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, wrench: Any, torque: Any) -> None:
     """What a motion takes of all bodies: a wrench (6,) [N m, N] about P in B, and a torque (6,) [N m] at the cranks."""
     turn, w, alpha = legs.rotation[:], twist[:3], twist_rate[:3]
-    _platform_load(robot, turn, twist, twist_rate, gravity, wrench)
+    platform_load(robot, turn, twist, twist_rate, gravity, wrench)
     arm_w, joint, speed, tip, arm_alpha, swing = (
         np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3),
     )  # fmt: skip
@@ -114,7 +114,7 @@ def loads(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, wr
 
 
 @njit
-def _platform_load(robot: Any, turn: Any, twist: Any, twist_rate: Any, gravity: float, wrench: Any) -> None:
+def platform_load(robot: Any, turn: Any, twist: Any, twist_rate: Any, gravity: float, wrench: Any) -> None:
     """Of the platform alone: I alpha + w x I w about P in its own frame, then what its centre of mass adds in B."""
     body_w, body_alpha, spin, load, gyro = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.empty(3)
     for k in range(3):

@@ -55,9 +55,7 @@ class Template:
         """The scenario before anything is drawn, with the default setting of the loop."""
         # How large an error is beside its motion, the cost of a run says here.
         common = {"duration": self.duration, "tuner": "block", "safety": None, "bounds.error_ratio": None}
-        # The shipped policy and its rivals were searched and judged without the centre of mass.
-        learning = {"kind": "regression", "center_of_mass": False}
-        return load_scenario(self.scenario).replace({**common, "adaptation": learning, **self.changes})
+        return load_scenario(self.scenario).replace({**common, "adaptation": "regression", **self.changes})
 
 
 # Its counts alone would not change at rest.

@@ -140,6 +140,28 @@ def test_a_tick_of_the_controller(compare, observed):
     compare(name, block, "plant step", Loop().plant_alone, per=count, base_per=STEPS)
 
 
+def test_a_tick_that_learns(compare):
+    """The controller's side with the regression and without, its blocks included."""
+    home, count = inverse_kinematics(ROBOT, load_scenario("exact_breathing").start()[0]), 500
+
+    def steps(*changes):
+        scenario = load_scenario("exact_breathing", ["sensors=encoders", "model.friction={coulomb: 0.08}", *changes])
+        controller, torque, tick = Controller(scenario), np.empty(6), itertools.count()
+
+        def block():
+            for _ in range(count):
+                at = next(tick)
+                angles = home + 0.1 * np.sin(0.006 * at + np.arange(6.0))
+                controller.step(scenario.sensors.read(angles), at * controller.period, torque)
+
+        return block
+
+    without = steps()
+    compare(
+        "learning tick", steps("adaptation=regression"), "tick", lambda: seconds(without), per=count, base_per=count
+    )
+
+
 def test_riccati_equation(compare):
     """riccati_ratio: Drake's 18-state equation, matrices made beforehand, over the split solution with its gain."""
     from pydrake.math import DiscreteAlgebraicRiccatiEquation

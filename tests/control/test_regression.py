@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from stewart_drake import Controller, load_robot, load_scenario, run
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.control import adaptation_laws as law
+from stewart_drake.control import arrow_factor
 from stewart_drake.control.adaptation import (
     Learnt,
     RegressionOptions,
@@ -20,7 +21,7 @@ from stewart_drake.control.adaptation import (
     room_of,
     rows_of,
 )
-from stewart_drake.control.adaptation_laws import COMMON, OWN
+from stewart_drake.control.arrow_factor import COMMON, OWN
 from stewart_drake.control.ball_joints import JOINTS as JOINTS_RECORD
 from stewart_drake.control.ball_joints import BallJoints
 from stewart_drake.mechanics.kinematics import inverse_kinematics
@@ -74,7 +75,7 @@ def arrows(rng, rows=40):
         whole[OWN * leg : OWN * (leg + 1)], whole[6 * OWN :] = row[:OWN], row[OWN:-1]
         dense.append(whole[None])
         right.append(row[-1:].copy())
-        law.add_row(information[leg], shared, row)
+        arrow_factor.add_row(information[leg], shared, row)
     return information, shared, np.concatenate(dense), np.concatenate(right), prior
 
 
@@ -86,9 +87,9 @@ def test_arrows_are_dense_least_squares(seed):
     covariance, row = np.linalg.inv(dense.T @ dense), np.arange(1.0, OWN + COMMON + 1.0)
     whole = np.zeros(SIZE)
     whole[2 * OWN : 3 * OWN], whole[6 * OWN :] = row[:OWN], row[OWN:]
-    assert law.spread_along(information[2], shared, row) == pytest.approx(whole @ covariance @ whole, rel=1e-8)
+    assert arrow_factor.spread_along(information[2], shared, row) == pytest.approx(whole @ covariance @ whole, rel=1e-8)
     own, common = np.zeros((6, OWN)), np.zeros(COMMON)
-    law.solve_arrow(information, shared, own, common)
+    arrow_factor.solve_arrow(information, shared, own, common)
     np.testing.assert_allclose(np.concatenate([own.ravel(), common]), expected, atol=1e-9)
     assert not information[:, :, -1].any()
     assert not shared[:, -1].any()
@@ -99,19 +100,19 @@ def test_arrows_are_dense_least_squares(seed):
 def test_forgetting_goes_back_to_the_first_information_alone_and_a_push_does_so_faster(seed, keep, keep_push):
     rng = np.random.default_rng(seed)
     information, shared, dense, _, _ = arrows(rng)
-    law.solve_arrow(information, shared, np.zeros((6, OWN)), np.zeros(COMMON))
+    arrow_factor.solve_arrow(information, shared, np.zeros((6, OWN)), np.zeros(COMMON))
     sizes_own, sizes_common = rng.uniform(0.1, 1.0, OWN), rng.uniform(0.1, 1.0, COMMON)
     first = np.diag(np.concatenate([np.tile(sizes_own, 6), sizes_common]) ** -2.0)
-    law.forget(information, shared, keep, keep_push, sizes_own, sizes_common)
+    arrow_factor.forget(information, shared, keep, keep_push, sizes_own, sizes_common)
     # Correlations of what was known stay, each with its own share.
     kept = np.full(SIZE, keep)
-    kept[6 * OWN + law.PUSH : 6 * OWN + law.PUSH + 3] = keep_push
+    kept[6 * OWN + arrow_factor.PUSH : 6 * OWN + arrow_factor.PUSH + 3] = keep_push
     known = np.sqrt(np.outer(kept, kept)) * (dense.T @ dense)
     covariance = np.linalg.inv(known + np.diag(1.0 - kept) @ first)
     for k in range(OWN + COMMON):
         row = np.eye(OWN + COMMON)[k]
         at = k if k < OWN else 5 * OWN + k
-        assert law.spread_along(information[0], shared, row) == pytest.approx(covariance[at, at], rel=1e-8)
+        assert arrow_factor.spread_along(information[0], shared, row) == pytest.approx(covariance[at, at], rel=1e-8)
     assert not shared[:, -1].any()  # The estimate stays.
 
 
