@@ -124,11 +124,11 @@ def refuse_without_learning(scenario: ControlOptions, file: Path | None) -> None
 
 
 def keep(log: SimulationLog, file: Path | None) -> None:
-    """Leaves what was learnt in a file, for the next run; a run that failed or was stopped leaves it as it was."""
+    """Leaves what was learnt in a file, for the next run; of a run that failed or was stopped, nothing."""
     if file is None or not len(log.time):
         return
     if log.status not in ("completed", "interrupted"):
-        say(f"{file} left as it was: what a run learns that was not completed may be wrong")
+        say(f"nothing kept in {file}: what a run learns that was not completed may be wrong")
         return
     model = log.scenario.model.given() | model_of(last_learnt(log), log.scenario.belief)
     write_text(file, to_yaml({"model": to_plain(model)}))
