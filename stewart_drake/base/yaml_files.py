@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Iterable
+from functools import lru_cache
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -80,12 +82,18 @@ def _yaml() -> YAML:
     return YAML(typ="safe", pure=True)
 
 
-def parse_yaml(text: str, key: str) -> Any:
-    """Plain values from a YAML text."""
+@lru_cache(maxsize=64)
+def _loaded(text: str) -> Any:
     yaml = _yaml()
     yaml.Composer = _PlainComposer
+    return yaml.load(text)
+
+
+def parse_yaml(text: str, key: str) -> Any:
+    """Plain values from a YAML text."""
     try:
-        return yaml.load(text)
+        # A robot's file is read again with each scenario that has this robot.
+        return copy.deepcopy(_loaded(text))
     except Exception as error:
         # Of a tag that does not fit its value (`!!bool 3`) the loader lets KeyError, IndexError and others escape.
         mark = getattr(error, "problem_mark", None)
