@@ -31,6 +31,7 @@ _PACKAGE = Path(__file__).parents[1]
 _OWN = _PACKAGE / "__pycache__"
 _CONFIG: Any = numba.config
 _FunctionCache: Any = caching.FunctionCache
+_LAWS: list[Any] = []
 _typeof: Any = numba.typeof
 
 
@@ -76,6 +77,7 @@ def njit(function: _F) -> _F:
     # Nobody calls a law from C, so that entry is not compiled.
     options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
     compiled: Any = numba.njit(**options)(function)
+    _LAWS.append(compiled)
     if _FOLDER is None:
         return compiled
     before = _CONFIG.CACHE_DIR
@@ -90,11 +92,11 @@ def njit(function: _F) -> _F:
 
 
 def specialised(function: Any, arguments: Sequence[Any]) -> Callable[..., Any]:
-    """A law for these types of arguments alone: which they are is not looked up again, nor checked.
+    """A law of this package for these types of arguments alone; any other function as it is.
 
-    That takes as long as a small law does.
+    Which types they are is not looked up in a call, which takes as long as a small law does, and not checked.
     """
-    if not hasattr(function, "overloads"):
+    if not any(function is law for law in _LAWS):
         return cast("Callable[..., Any]", function)
     types = tuple(_typeof(each) for each in arguments)
     function.compile(types)

@@ -18,7 +18,7 @@ from stewart_drake.control.adaptation_laws import HALF, LATE, MIDDLE, ROWS
 from stewart_drake.control.arrow_factor import JOINT, OWN, PLACE
 from stewart_drake.control.ball_joints import BallJoints, joints_record
 from stewart_drake.control.base import LEARNT_SIGNALS, AdaptationOptions
-from stewart_drake.control.learnt_laws import HALF_WIDTH, ROBOT_SIZE
+from stewart_drake.control.learnt_laws import ROBOT_SIZE, show_first
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import BELIEVED
@@ -44,7 +44,7 @@ BLEND, BLEND_TORQUE = 0.5, 0.1
 WIDTH = 2.2
 """[blocks] of the kernel's standard deviation, as near as whole ticks allow; the fewer, the later a sample."""
 SELDOM = 0.016
-"""[s] from one forgetting to the next: each costs as much as eight samples."""
+"""[s] from one forgetting to the next, and of what is shown: both together cost more than a sample."""
 _LEVELS = ("coulomb", "break_away", "viscous")
 _LINKS = ("rod_mass", "rod_inertia", "crank_mass", "crank_inertia")
 _HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inertia")
@@ -275,18 +275,6 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
             used[level] = 0.0
     first["common"][0, 3] = first["used_common"][0, 3] = coulomb.mean()
     first["own"][0, :, 2] = first["used_own"][0, :, 2] = coulomb - coulomb.mean()
-    first["learnt"] = np.concatenate([[robot.platform_mass, 0.0], np.ones(6), friction["viscous"], coulomb])
-    widths = np.hypot(common[1:4], params["own"][0])
-    of_drive = widths[0] if by_gain else 0.0
-    first["learnt_half_width"] = HALF_WIDTH * np.concatenate(
-        [
-            [robot.platform_mass * np.hypot(SIZE_HEAD, 0.0 if by_gain else drive), SIZE_DELAY if by_angle else 0.0],
-            np.full(6, widths[0]),
-            np.hypot(widths[1], of_drive * params["damping"][0]),
-            np.hypot(widths[2], of_drive * coulomb),
-        ]
-    )
-    first["learnt_center_of_mass"] = np.append(robot.platform_center, np.full(PLACE, HALF_WIDTH * beside))
     for k in range(OWN):
         first["information"][0, :, k, k] = 1.0 / params["own"][0, k]
     for k in range(len(common)):
@@ -295,18 +283,17 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     if options.ball_joints:
         rubs = np.array([joints.viscous, joints.coulomb])
         first["joints"] = hanging.view(np.float64)
-        first["learnt_joints"][0, :JOINT] = first["common"][0, -JOINT:] = first["used_common"][0, -JOINT:] = rubs
+        first["common"][0, -JOINT:] = first["used_common"][0, -JOINT:] = rubs
         if cautious:
             first["joints"][0, :JOINT] = 0.0
     constants = {
         "robot": whole, "rest": rest, "heads": heads, "joints": hanging, "bodies": bodies,
         "friction": context.friction.view(np.float64), "params": params,
     }  # fmt: skip
-    if not options.frozen:
-        for k, level in enumerate(("coulomb", "viscous")):
-            size = HALF_WIDTH * np.hypot(params["common"][0, 3 - k], params["own"][0, 2 - k])
-            off = friction[level] if cautious else 0.0
-            first["friction_unknown"][0, 6 * k : 6 * k + 6] = size + off
+    show_first(params, bodies, first)
+    if options.frozen:
+        # It stays believed, for good.
+        first["friction_unknown"] = 0.0
     outputs = ["friction", "robot", "learnt", "learnt_half_width", "friction_unknown", "doubt"]
     outputs += ["gain"] if by_gain else []
     outputs += ["lead"] if by_angle else []

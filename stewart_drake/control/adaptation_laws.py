@@ -60,10 +60,9 @@ def params_of(common: int) -> np.dtype:
     stride: ticks of a block. kernel: weights of smoothed value, rate and acceleration. late: those of commands, and of
     their first two derivatives. gain: torque for a command as believed. by_gain: whether a motor's gain is what its
     drive changes, else all bodies are. by_angle: whether commands are angles. damping: believed at first, servo
-    included. alike: samples that count as one. first: blocks that a sample needs. seldom: blocks
-    from one forgetting to the next, and of what is shown. keep, keep_push: shares of what was known that it leaves.
-    own, common: standard deviations at first. most_moment: of the head, beyond what is
-    believed [kg m].
+    included. alike: samples that count as one. first: blocks that a sample needs. seldom: blocks from one forgetting
+    to the next, and of what is shown. keep, keep_push: shares of what was known that it leaves. own, common: standard
+    deviations at first. most_moment: of the head, beyond what is believed [kg m].
     """
     return fields(
         gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(),
@@ -246,6 +245,7 @@ def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any
     if params.by_angle == 0.0:
         for k, axis in enumerate(SIDEWAYS):
             of_head[axis, first_push + k] = 1.0
+    # Not singular, or there were no inverse dynamics.
     solve(legs.line.T.copy(), of_head)
     for i in range(6):
         of_head[i] *= legs.lever[i]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.base.config import NotNegative, Positive, Real, Section, SixNumbers
-from stewart_drake.base.jit import fields, new_record, njit
+from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.mechanics.dynamics_laws import twists_of_motion
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.mechanics.kinematics_laws import LEGS, cross, dot, legs_at
@@ -118,6 +118,16 @@ def ball_joint_torques(robot: Any, joints: Any, motion: Any, acceleration: Any, 
 
 
 @njit
+def _rates_at(robot: Any, joints: Any, motion: Any, scratch: Any, out: Any) -> bool:
+    """`joint_rates` (2, 6, 3) at a pose and twist (12,); False where it is out of reach."""
+    legs = record(scratch)
+    if legs_at(robot, motion[:6], legs) >= 0:
+        return False
+    joint_rates(robot, joints, legs, motion[6:], out[0], out[1])
+    return True
+
+
+@njit
 def ball_joint_parts(robot: Any, joints: Any, motion: Any, acceleration: Any, legs: Any, out: Any) -> None:
     """Torques (3, 6) of unit viscous friction, unit dry friction and unit inertia of the joints along a motion.
 
@@ -132,9 +142,8 @@ def ball_joint_parts(robot: Any, joints: Any, motion: Any, acceleration: Any, le
     for k in range(6):
         later[k] = motion[k] + _AHEAD * (motion[6 + k] + 0.5 * _AHEAD * acceleration[k])
         later[6 + k] = twist[k] + _AHEAD * change[k]
-    if legs_at(robot, later[:6], soon[0]) >= 0:
+    if not _rates_at(robot, joints, later, soon, then):
         return
-    joint_rates(robot, joints, soon[0], later[6:], then[0], then[1])
     for i in range(6):
         for side in range(2):
             joint_axes(joints, legs, i, side, basis)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.jit import njit
+from stewart_drake.base.jit import njit, record
 from stewart_drake.control.arrow_factor import COMMON, JOINT, OWN, PLACE, spread_along
 from stewart_drake.mechanics.kinematics_laws import ROBOT
 
@@ -61,8 +61,10 @@ def show(params: Any, bodies: Any, state: Any) -> None:
     state.learnt[0] = bodies[MASS, 2] * head
     row[OWN], row[OWN + 1] = state.learnt[0], state.learnt[0] * (1.0 - params.by_gain)
     state.learnt_half_width[0] = _half_width(state, 0, row)
-    state.learnt[1], row[OWN + 4] = common[4], 1.0
-    state.learnt_half_width[1] = _half_width(state, 0, row) if params.by_angle == 1.0 else 0.0
+    state.learnt[1] = common[4]
+    if params.by_angle == 1.0:
+        row[OWN + 4] = 1.0
+        state.learnt_half_width[1] = _half_width(state, 0, row)
     for i in range(6):
         drive = np.exp(-(common[1] + own[i, 0]))
         size, values = drive if params.by_gain == 1.0 else 1.0, np.ones(OWN)
@@ -94,6 +96,12 @@ def show(params: Any, bodies: Any, state: Any) -> None:
         # Moment over mass: of what is beyond the believed centre, the mass is in it too.
         row[OWN + COMMON + n], row[OWN] = links / state.learnt[0], -links * common[COMMON + n] / state.learnt[0]
         state.learnt_center_of_mass[PLACE + n] = _half_width(state, 0, row)
+
+
+@njit
+def show_first(params: Any, bodies: Any, state: Any) -> None:
+    """`show` of arrays, before the first tick."""
+    show(record(params), bodies, record(state))
 
 
 @njit

@@ -148,11 +148,11 @@ class BoundPart:
         self.part = part
         self._scratch = tuple(np.zeros(1, kind) for kind in part.scratch)
         self._before = part.initial.copy()
-        self._kernel: Callable[..., Any] = part.kernel
         self.bind(inputs, state, signals)
 
     def bind(self, inputs: Sequence[Any], state: np.ndarray, signals: Mapping[str, np.ndarray] = NOTHING) -> None:
         """Other arrays in the place of those that were given."""
+        self._kernel: Callable[..., Any] = self.part.kernel
         constants = self.part.constants
         if signals:
             constants = {**constants, **{name: array.view(constants[name].dtype) for name, array in signals.items()}}
@@ -181,9 +181,8 @@ class BoundPart:
         named = dict(zip((*self.part.constants, *self.part.inputs), self.arguments, strict=False))
         return self.part.error(result, {**named, "scratch": self._scratch, "state": self.state})
 
-    @property
-    def call(self) -> Callable[[], Any]:
-        """The same tick with the arguments that are bound now and for good, by the shortest way."""
+    def fixed(self) -> Callable[[], Any]:
+        """The same tick with the arguments that are bound now and no others, by the shortest way."""
         self._kernel = specialised(self.part.kernel, self.arguments)
         plain = self.part.error is None and not self.part.fault_tolerant
         return partial(self._kernel, *self.arguments) if plain else self
@@ -191,6 +190,8 @@ class BoundPart:
 
 class LoopRunner:
     """Parts with their states, side by side in one vector, called in order outside of a Diagram.
+
+    Laws of this package are compiled here, not in the first tick.
 
     Args:
         parts: In order.
@@ -226,9 +227,8 @@ class LoopRunner:
             for output in part.outputs:
                 at = start + part.initial.dtype.fields[output][1] // 8  # type: ignore[index]
                 self.places[part.signal(output)] = slice(at, at + part.size(output))
-        calls = [
-            BoundPart(part, *self._sources(part, state)).call for part, state in zip(parts, self._states, strict=True)
-        ]
+        bound = (BoundPart(each, *self._sources(each, state)) for each, state in zip(parts, self._states, strict=True))
+        calls = [each.fixed() for each in bound]
         steps = [steps_per(f"{part.name}.period", part.period or period, step or period) for part in parts]
         self._cycle = math.lcm(*steps)
         self._rows = list(zip(self._parts, calls, steps, strict=True))

@@ -18,12 +18,14 @@ from stewart_drake.control.adaptation import (
     last_learnt,
     late_weights,
     model_of,
+    regression_part,
     room_of,
     rows_of,
 )
-from stewart_drake.control.arrow_factor import COMMON, OWN
+from stewart_drake.control.arrow_factor import COMMON, JOINT, OWN, PLACE
 from stewart_drake.control.ball_joints import JOINTS as JOINTS_RECORD
 from stewart_drake.control.ball_joints import BallJoints
+from stewart_drake.control.learnt_laws import show_first
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.scenario.assembly import context_of
 
@@ -128,6 +130,44 @@ def test_kernels_are_exact_for_parabolas_and_agree_on_a_late_signal():
         value, rate, _ = late_weights(width, late) @ sent
         assert value == pytest.approx(weights[0] @ signal, abs=3e-3)
         assert rate == pytest.approx(weights[1] @ signal, rel=0.02)
+
+
+@pytest.mark.parametrize("takes", ["torque", "current", "angle"])
+def test_intervals_are_those_of_a_dense_covariance(takes):
+    options = {"kind": "regression", "ball_joints": True}
+    scenario = servos() if takes == "angle" else load_scenario("reachy_nod").replace({"motors": takes})
+    part = regression_part(RegressionOptions.from_dict(options, "adaptation"), context_of(scenario))
+    state, params, bodies = part.initial.copy(), part.constants["params"], part.constants["bodies"]
+    rng, size = np.random.default_rng(1), state["common"].size
+    own, common = (params[name][0] for name in ("own", "common"))
+    for leg in rng.integers(0, 6, 60):
+        row = rng.normal(size=OWN + size + 1) / np.concatenate([own, common, [1.0]])
+        arrow_factor.add_row(state["information"][0, leg], state["shared"][0], row)
+    state["common"][0] += 0.3 * common * rng.uniform(0.5, 1.0, size)
+    state["own"][0] += 0.3 * own * rng.uniform(-1.0, 1.0, (6, OWN))
+    # Columns: own numbers of motor 1, of motor 2, ..., common ones.
+    dense = np.zeros((6 * OWN + size, 6 * OWN + size))
+    for leg in range(6):
+        place, rows = slice(OWN * leg, OWN * (leg + 1)), state["information"][0, leg]
+        dense[place, place], dense[place, 6 * OWN :] = rows[:, :OWN], rows[:, OWN:-1]
+    dense[6 * OWN :, 6 * OWN :] = state["shared"][0, :, :-1]
+    covariance = np.linalg.inv(dense.T @ dense)
+
+    def shown(change):
+        at = state.copy()
+        at["own"][0] += change[: 6 * OWN].reshape(6, OWN)
+        at["common"][0] += change[6 * OWN :]
+        show_first(params, bodies, at)
+        values = at["learnt"][0], at["learnt_center_of_mass"][0, :PLACE], at["learnt_joints"][0, :JOINT]
+        widths = at["learnt_half_width"][0], at["learnt_center_of_mass"][0, PLACE:], at["learnt_joints"][0, JOINT:]
+        return np.concatenate(values), np.concatenate(widths)
+
+    steps = 1e-6 * np.concatenate([np.tile(own, 6), common])
+    slopes = [(shown(step)[0] - shown(-step)[0]) / (2.0 * step.sum()) for step in np.diag(steps)]
+    variance = np.einsum("ik,ij,jk->k", slopes, covariance, slopes)
+    if takes != "angle":
+        variance[1] = 0.0  # Its commands do not show a delay.
+    np.testing.assert_allclose(shown(np.zeros(len(steps)))[1], 1.96 * np.sqrt(variance), rtol=1e-5)
 
 
 # --- the law ---
