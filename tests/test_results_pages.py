@@ -51,7 +51,6 @@ RESULTS = Path(__file__).parents[1] / "docs" / "results"
 loaded = lru_cache(load_comparison)
 NAMED = "`make results` recomputes some of these numbers."
 POLICY = always({"tuner": {"kind": "policy"}})
-OF_BEFORE = 0.03  # share by which a page may differ that says so: the law has changed since
 NOISY = 0.03  # share by which runs with encoders may differ: a reading at the edge of a count changes what follows
 NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.(\d+))?(?:e([+-]\d+))?")
 
@@ -265,8 +264,8 @@ def test_tuner(page, tmp_path):
 def test_tuner_training(page, tmp_path):
     cases = cases_of([("blows", "reachy_mini")], VALIDATION[100:120])
     fixed, policy = log_costs(tmp_path, "closed_form", [with_setting(Baselines.load().best), POLICY], cases)
-    shipped = "the file of c4e693f, stewart_drake/weights/policy.json"
-    assert_says(page.cell(shipped, column="worst kind"), np.exp((policy - fixed).mean()), within=OF_BEFORE)
+    shipped = "the file of c4e693f, learning as it is now"
+    assert_says(page.cell(shipped, column="worst kind"), np.exp((policy - fixed).mean()))
 
 
 @pytest.mark.long
@@ -276,7 +275,7 @@ def test_tuner_front(page, tmp_path):
         found = benchmark.run([always({"tuner": {"kind": "policy", "kappa": 0.0}})], cases)
     for column, key in (("error [mm]", "rmse_norm_mm"), ("torque [N m]", "torque_change_rms")):
         logs = np.log([row[key] for row in found])
-        assert_says(page.cell("0", column=column), np.exp(logs.mean()), within=OF_BEFORE)
+        assert_says(page.cell("0", column=column), np.exp(logs.mean()))
 
 
 @pytest.mark.long
