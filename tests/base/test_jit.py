@@ -1,9 +1,11 @@
 """One cache for all compiled laws, fresh with their sources, and records that are views."""
 
+import functools
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
+import numba
 import numpy as np
 import pytest
 from conftest import python
@@ -18,6 +20,24 @@ COMPILING = {file for file in SOURCE.rglob("*.py") if "stewart_drake.base.jit im
 def test_nothing_is_compiled_outside_of_the_sources_that_the_digest_is_of():
     others = set(SOURCE.rglob("*.py")) - COMPILING - {Path(jit.__file__)}
     assert [file.name for file in others if "njit" in file.read_text()] == []
+
+
+@jit.njit
+def weighed(values, weight, out):
+    out[0] = weight * values.sum()
+
+
+def test_a_law_is_specialised_and_what_others_compiled_is_called_as_it_is():
+    out, arguments = np.zeros(1), (np.arange(3.0), 2.0)
+    fast = jit.specialised(weighed, (*arguments, out))
+    assert fast is not weighed or jit._CONFIG.DISABLE_JIT
+    fast(*arguments, out)
+    assert out[0] == 6.0
+    own = numba.njit(lambda values, weight, scale=2.0: scale * weight * values.sum())
+    wrapped = functools.wraps(own)(lambda *given: own(*given))
+    for function in (own, wrapped, max):
+        assert jit.specialised(function, arguments) is function
+    assert jit.specialised(own, arguments)(*arguments) == 12.0
 
 
 PROGRAM = """
