@@ -96,7 +96,7 @@ def specialised(function: Any, arguments: Sequence[Any]) -> Callable[..., Any]:
 
     Which types they are is not looked up in a call, which takes as long as a small law does, and not checked.
     """
-    if not any(function is law for law in _LAWS):
+    if _CONFIG.DISABLE_JIT or not any(function is law for law in _LAWS):
         return cast("Callable[..., Any]", function)
     types = tuple(_typeof(each) for each in arguments)
     function.compile(types)
