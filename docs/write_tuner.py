@@ -50,9 +50,9 @@ The same situations, `stewart-drake tuner judge --seeds 10 --only stiff --only "
 
 {drake}
 
-There the policy is at most 1.05 of all of them in {within}. For the paper's robot nothing changes. With Reachy Mini it
-gains less, most of all at rest, where motors that rub stay 0.00016 deg off on Drake's plant whatever the setting, and
-under pushes: 0.60 of the best fixed setting at 100 Hz, and 0.40 on the closed form.
+There the policy is at most 1.05 of all of them in {within}. For the paper's robot it is as on the closed form. With
+Reachy Mini it gains less, most of all at rest, where motors that rub stay 0.00016 deg off on Drake's plant whatever the
+setting, and under pushes: 0.60 of the best fixed setting at 100 Hz, and 0.39 on the closed form.
 
 `make results` recomputes some of these numbers.
 """
