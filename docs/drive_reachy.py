@@ -75,9 +75,7 @@ class Scheme(NamedTuple):
 
 FREE_JOINTS = {"model.friction.joints": None}
 UNKNOWN_JOINTS = {"model.friction.joints.viscous": 0.0, "model.friction.joints.coulomb": 0.0}
-LEARNING = {
-    "adaptation": {"kind": "regression", "center_of_mass": False, "ball_joints": True, "noise": 0.06, "slowest": 0.05}
-}
+LEARNING = {"adaptation": {"kind": "regression", "ball_joints": True, "noise": 0.06, "slowest": 0.05}}
 PLAIN, EXACT, LEARNT = "angles of the inverse kinematics", "exact model", "learning, ball joints believed free"
 SCHEMES: Mapping[str, Scheme] = {
     PLAIN: Scheme(
@@ -327,7 +325,7 @@ velocity above 2 Hz. A nod is 15 deg at 1 Hz, breathing 5 mm at 0.1 Hz. Rows tha
 - **Exact model** is `drive reachy_daemon`: nothing is learnt; the numbers are those of the maker's MJCF, where the ball
   joints of the rods have a motor's friction. A real head hardly has such joints, and its motors have other numbers: see
   [Reachy Mini](reachy.md) for those.
-- **Learning**: `--set adaptation="{{kind: regression, center_of_mass: false, noise: 0.06, slowest: 0.05}}"`, and
+- **Learning**: `--set adaptation="{{kind: regression, noise: 0.06, slowest: 0.05}}"`, and
   `ball_joints: true` but in the first of these rows. Believed free: which joints rub and about which axes is told,
   their friction is believed to be zero. `noise` is what the model leaves unexplained. With the default, 0.003, most of
   this would be taken for pushes.

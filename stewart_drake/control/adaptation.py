@@ -220,7 +220,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         got = context.latency - 0.5 * context.period + options.reading_age
         raise ConfigurationError("adaptation.reading_age", got, f"with the delay of commands at most {most:g} s")
     limit = np.asarray(motors.available(robot, np.zeros(6)), dtype=float)
-    friction = context.friction[0]
+    friction, coulomb = context.friction[0], context.friction[0]["coulomb"]
     servo_damping = getattr(motors, "damping", 0.0)
     weights = kernel_weights(width)
     per = np.array([1.0, block, block**2])[:, None]
@@ -239,7 +239,8 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     params = new_record(
         law.params_of(len(common)), gravity=context.gravity, stride=stride, kernel=weights / per,
         late=late_weights(width, late) / per, gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
-        damping=friction["viscous"] + servo_damping, servo_damping=servo_damping, noise=options.noise,
+        damping=friction["viscous"] + servo_damping, coulomb=coulomb, servo_damping=servo_damping,
+        noise=options.noise,
         alike=max(1.0, ALIKE / block), slowest=options.slowest, width=believed.width,
         seldom=seldom, keep=np.exp(-seldom * block / options.forgetting),
         keep_push=np.exp(-seldom * block / min(PUSH_KEPT, options.forgetting)),
@@ -262,7 +263,6 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     heads[0] = whole[0]
     heads["platform_moment"][1:] = np.eye(PLACE)
     angles = inverse_kinematics(robot, context.pose)
-    coulomb = friction["coulomb"]
     first = new_record(
         law.state_of(len(common), joint), friction=context.friction.view(np.float64), gain=motors.gains,
         robot=whole.view(np.float64), pose=context.pose, angles=angles, commands=motors.initial_command(context),

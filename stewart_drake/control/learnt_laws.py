@@ -127,6 +127,6 @@ def _friction_of(params: Any, own: Any, common: Any, leg: int) -> Any:
     limit = params.limit[leg]
     damping, coulomb = params.damping[leg] + common[2] + own[1], common[3] + own[2]
     # What an earlier run has learnt, and is believed now, is not cut.
-    most = max(MOST_DAMPING * limit, params.damping[leg])
-    damping = min(max(damping, LEAST_DAMPING * limit), most)
-    return damping, min(max(coulomb, 0.0), MOST_COULOMB * limit)
+    most_damping = max(MOST_DAMPING * limit, params.damping[leg])
+    most_coulomb = max(MOST_COULOMB * limit, params.coulomb[leg])
+    return min(max(damping, LEAST_DAMPING * limit), most_damping), min(max(coulomb, 0.0), most_coulomb)

@@ -208,6 +208,11 @@ def test_much_damping_that_an_earlier_run_has_learnt_is_not_cut():
     assert (value.viscous / value.drive).min() > 0.35
 
 
+def test_much_dry_friction_that_is_believed_is_not_cut():
+    scenario = servos(1.0, **{"model.friction": {"coulomb": 0.5}, "adaptation.frozen": True})
+    np.testing.assert_allclose(run(scenario, check=False)["learnt"][-1, 14:20], 0.5)
+
+
 def test_a_robot_that_rests_learns_nothing_and_a_frozen_one_keeps_its_model():
     for changes in ({"reference": {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.177]}}, {"adaptation.frozen": True}):
         learnt = run(servos(3.0, **changes), check=False)["learnt"]
