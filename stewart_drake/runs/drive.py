@@ -60,7 +60,8 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
 
     Raises:
         ConfigurationError: So many seconds give no log; the machine takes something else than the model's motors, has
-            another rate, or stands where the believed robot cannot; the way to the motion leaves the limits.
+            another rate, tells no angles to learn from, or stands where the believed robot cannot; the way to the
+            motion leaves the limits.
         MachineError: It cannot be reached.
     """
     motors, reference, longest = scenario.belief.motors, scenario.reference, MAX_ROWS * scenario.reading_period
@@ -71,6 +72,8 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
         allowed = f"motors that take {machine.takes}, as the machine does"
         raise ConfigurationError("model.motors", motors.kind, allowed)
     machine.connect()
+    if scenario.adaptation is not None and not machine.reads:
+        raise ConfigurationError("adaptation", scenario.adaptation.kind, "null: this machine does not tell its angles")
     period, own = scenario.reading_period, machine.period
     if machine.paced and own is not None and abs(own - period) > CLOCKS_APART * period:
         allowed = f"about {own:.4g} s, that of the machine, which sets the pace"

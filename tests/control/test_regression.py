@@ -226,6 +226,16 @@ def test_a_robot_that_rests_learns_nothing_and_a_frozen_one_keeps_its_model():
     np.testing.assert_array_equal(frozen["commanded_angle"], cautious["commanded_angle"])
 
 
+def test_caution_takes_no_damping_from_a_servo_that_has_it():
+    free = {"coulomb": 0.0, "viscous": 0.0}
+    bold, cautious = (
+        run(servos(3.0, **{"plant.friction": free, "model.friction": free, "adaptation.cautious": each}), check=False)
+        for each in (False, True)
+    )
+    apart = np.abs(bold["commanded_angle"] - cautious["commanded_angle"]).max()
+    assert apart < 0.01
+
+
 def test_a_push_is_not_taken_for_the_robot():
     push = {"kind": "step", "wrench": [0.0, 0.0, 0.0, 0.0, 0.0, 3.0], "time": 6.0, "until": 7.0}
     quiet, pushed = (run(servos(8.0, disturbances=each), check=False)["learnt"][-1] for each in ([], [push]))

@@ -182,6 +182,14 @@ def test_what_does_not_fit_is_refused_before_anything_moves(change, words):
     assert machine.commands == []
 
 
+def test_a_machine_that_tells_no_angles_teaches_nothing():
+    machine = Servos()
+    machine.reads = False
+    with pytest.raises(ConfigurationError, match=r"adaptation.*does not tell its angles"):
+        connected(BASE.replace({"adaptation": "regression"}), machine)
+    connected(BASE, machine)
+
+
 def test_a_motion_that_leaves_the_limits_later_is_refused():
     scenario = BASE.replace({"reference": {"kind": "spline", "times": [0, 2, 4], "poses": [HOME_POSE, HOME_POSE, FAR]}})
     connected(scenario, Servos(), 1.0)
