@@ -60,13 +60,14 @@ def params_of(common: int) -> np.dtype:
     stride: ticks of a block. kernel: weights of smoothed value, rate and acceleration. late: those of commands, and of
     their first two derivatives. gain: torque for a command as believed. by_gain: whether a motor's gain is what its
     drive changes, else all bodies are. by_angle: whether commands are angles. damping, coulomb: believed at first, the
-    servo's damping included. alike: samples that count as one. first: blocks that a sample needs. seldom: blocks from
-    one forgetting to the next, and of what is shown. keep, keep_push: shares of what was known that it leaves. own,
-    common: standard deviations at first. most_moment: of the head, beyond what is believed [kg m].
+    servo's damping included. alike: samples that count as one. reach: [s] from a crank's reversal, within which its
+    samples are left out. first: blocks that a sample needs. seldom: blocks from one forgetting to the next, and of what
+    is shown. keep, keep_push: shares of what was known that it leaves. own, common: standard deviations at first.
+    most_moment: of the head, beyond what is believed [kg m].
     """
     return fields(
         gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(),
-        damping=6, coulomb=6, servo_damping=(), noise=(), alike=(), slowest=(), width=(), seldom=(), keep=(),
+        damping=6, coulomb=6, servo_damping=(), noise=(), alike=(), slowest=(), reach=(), width=(), seldom=(), keep=(),
         keep_push=(), blend=(), first=(), own=OWN, common=common, most_moment=(), cautious=(), frozen=(),
     )  # fmt: skip
 
@@ -210,7 +211,7 @@ def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any
     for row in range(ROWS):
         if state.good[row] == 0.0:
             return False
-    both, acceleration, angles, rates = np.zeros(12), np.zeros(6), np.zeros(6), np.zeros(6)
+    both, acceleration, angles, rates, rate_changes = np.zeros(12), np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
     given, faster, sharp = np.zeros(6), np.zeros(6), np.zeros((state.sharp.shape[1], 6))
     delay, joint_count = state.common[4], state.sharp.shape[1] - 1
     places = len(state.common) - COMMON - joint_count
@@ -220,6 +221,7 @@ def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any
         for i in range(6):
             angles[i] += params.kernel[0, k] * state.angles[at, i]
             rates[i] += params.kernel[1, k] * state.angles[at, i]
+            rate_changes[i] += params.kernel[2, k] * state.angles[at, i]
             for n in range(1 + joint_count):
                 sharp[n, i] += params.kernel[0, k] * state.sharp[k, n, i]
     for row in range(ROWS):
@@ -261,7 +263,8 @@ def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any
             ball_joint_torques(robot, joints, both, acceleration, legs, joint)
         other += joint
     for i in range(6):
-        if not abs(rates[i]) > params.slowest:
+        # Smoothed over a reversal, dry friction is not what the smoothed motion says.
+        if not abs(rates[i]) > params.slowest + params.reach * abs(rate_changes[i]):
             continue
         moving = True
         torque = params.gain[i] * (given[i] - (angles[i] if params.by_angle == 1.0 else 0.0))

@@ -226,6 +226,27 @@ def test_a_robot_that_rests_learns_nothing_and_a_frozen_one_keeps_its_model():
     np.testing.assert_array_equal(frozen["commanded_angle"], cautious["commanded_angle"])
 
 
+def test_who_knows_the_truth_does_not_learn_away_from_it():
+    pose = [0.0, 0.0, 0.0, 0.0, 0.0, 0.177]
+    turned = [[0, 0, 0.5, 0, 0, 0.177], [0, -0.2, -0.4, 0, 0, 0.182], [0, 0.25, -0.3, 0, 0, 0.177], pose] * 4
+    look = {
+        "kind": "minimum_jerk",
+        "poses": [pose, *turned],
+        "durations": [0.8, 1.0, 0.7, 0.7] * 4,
+        "dwell": [0.25] * 16,
+    }
+    changes = {
+        "reference": look,
+        "model.motors": {"kind": "position", "preset": "xl330_m288", **REAL},
+        "model.friction": {"coulomb": DRY, "viscous": 0.006, "width": 0.004},
+    }
+    knows, learns = (
+        late_error(run(servos(16.0, **changes, adaptation=adaptation), check=False))
+        for adaptation in (None, SERVOS["adaptation"])
+    )
+    assert learns < 1.2 * knows
+
+
 def test_caution_takes_no_damping_from_a_servo_that_has_it():
     free = {"coulomb": 0.0, "viscous": 0.0}
     bold, cautious = (
