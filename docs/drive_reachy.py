@@ -354,9 +354,9 @@ and in ball joints. What the numbers have in common hardly shows in commands and
 - The shaped moves are those of `moves export --shaped reachy_daemon`. The player sends the angles of the inverse
   kinematics of their poses, one row a tick, as any player does.
 
-## What it misses
+## Asked for and reached
 
-{missed}
+{asked}
 
 [What is left, and why](#what-is-left-and-why) tells the limits.
 
@@ -391,10 +391,10 @@ def cells(found: Mapping[str, Figures]) -> list[str]:
     return [*errors, f"{nod.ripple:.2f} / {look.ripple:.2f}", f"{breathing.position:.3f}", f"{breathing.ripple:.3f}"]
 
 
-def missed(
+def asked(
     rows: Mapping[str, Mapping[str, Figures]], others: Mapping[str, Sequence[Sequence[float]]]
 ) -> list[tuple[str, str, str]]:
-    """What was asked for and is not reached: of rows by motion, and of errors [deg], [mm] of nod and look around."""
+    """What was asked for and what is reached: of rows by motion, and of errors [deg], [mm] of nod and look around."""
     nod, look = (rows[LEARNT][motion] for motion in ("nod", "look around"))
     clock = {name: [each[0] for each in others[f"{CLOCK}: {name}"]] for name in (EXACT, LEARNT)}
     return [
@@ -455,7 +455,7 @@ def main() -> None:
             f"| {name} | {' | '.join(f'{deg:.2f} / {mm:.2f}' for deg, mm, *_ in found)} |"
             for name, found in others.items()
         ),
-        "missed": markdown_table(("", "asked for", "reached"), missed(rows, others)),
+        "asked": markdown_table(("", "asked for", "reached"), asked(rows, others)),
         "age": 1e3 * max(float(log["reading_age"].max()) for log in logs.values()),
         "slow": 100.0 * (others[f"{CLOCK}: {EXACT}"][0][2] - 1.0),
     }

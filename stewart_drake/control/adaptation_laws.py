@@ -60,10 +60,10 @@ def params_of(common: int) -> np.dtype:
     stride: ticks of a block. kernel: weights of smoothed value, rate and acceleration. late: those of commands, and of
     their first two derivatives. gain: torque for a command as believed. by_gain: whether a motor's gain is what its
     drive changes, else all bodies are. by_angle: whether commands are angles. damping, coulomb: believed at first, the
-    servo's damping included. alike: samples that count as one. reach: [s] from a crank's reversal, within which its
-    samples are left out. first: blocks that a sample needs. seldom: blocks from one forgetting to the next, and of what
-    is shown. keep, keep_push: shares of what was known that it leaves. own, common: standard deviations at first.
-    most_moment: of the head, beyond what is believed [kg m].
+    servo's damping included. alike: samples that count as one. reach: blocks before and after a sample, in
+    which its crank must move too. first: blocks that a sample needs. seldom: blocks from one forgetting to the next,
+    and of what is shown. keep, keep_push: shares of what was known that it leaves. own, common: standard deviations at
+    first. most_moment: of the head, beyond what is believed [kg m].
     """
     return fields(
         gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(),
@@ -211,7 +211,7 @@ def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any
     for row in range(ROWS):
         if state.good[row] == 0.0:
             return False
-    both, acceleration, angles, rates, rate_changes = np.zeros(12), np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
+    both, acceleration, angles, rates = np.zeros(12), np.zeros(6), np.zeros(6), np.zeros(6)
     given, faster, sharp = np.zeros(6), np.zeros(6), np.zeros((state.sharp.shape[1], 6))
     delay, joint_count = state.common[4], state.sharp.shape[1] - 1
     places = len(state.common) - COMMON - joint_count
@@ -221,7 +221,6 @@ def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any
         for i in range(6):
             angles[i] += params.kernel[0, k] * state.angles[at, i]
             rates[i] += params.kernel[1, k] * state.angles[at, i]
-            rate_changes[i] += params.kernel[2, k] * state.angles[at, i]
             for n in range(1 + joint_count):
                 sharp[n, i] += params.kernel[0, k] * state.sharp[k, n, i]
     for row in range(ROWS):
@@ -262,11 +261,15 @@ def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any
         else:
             ball_joint_torques(robot, joints, both, acceleration, legs, joint)
         other += joint
+    reach, least = int(params.reach), np.tanh(params.slowest / params.width)
     for i in range(6):
-        # Smoothed over a reversal, dry friction is not what the smoothed motion says.
-        if not abs(rates[i]) > params.slowest + params.reach * abs(rate_changes[i]):
+        if not abs(rates[i]) > params.slowest:
             continue
         moving = True
+        # Smoothed over the beginning or the end of a motion, dry friction is not what the smoothed motion says.
+        before, after = abs(state.sharp[HALF - reach, 0, i]), abs(state.sharp[HALF + reach, 0, i])
+        if reach > 0 and min(before, after) < least:
+            continue
         torque = params.gain[i] * (given[i] - (angles[i] if params.by_angle == 1.0 else 0.0))
         if abs(torque) > SATURATED * params.limit[i]:
             continue
