@@ -49,7 +49,7 @@ Worse with learning: {worse}.
 
 {told}
 
-Servos that follow angles feed no push back: what it does to a head depends on where that stands.
+A servo does not report a push, so no law can answer one: what it does to a head depends on where that stands.
 
 ## Stops
 

@@ -11,7 +11,7 @@ A setting is four numbers that a tuner can change in a loop with an observer: po
 so that any combination within a box is a sensible loop, which four weights on their own are not. A setting stays within
 a box and moves by a small share of it in a tick. To a network a signal beyond those of its training is the largest of
 them. Of a robot with more noise or latency than all of its training it knows nothing: its output fades to the middle of
-the box, the best fixed setting.
+the box, the best fixed setting of when it was trained.
 """
 
 from __future__ import annotations
@@ -170,7 +170,7 @@ class Policy(Mlp):
     """A trained policy: features in, and the tanh of its outputs is where in the box a setting lies.
 
     Attributes:
-        centre: (4,) setting in the middle of the box, the best fixed one.
+        centre: (4,) setting in the middle of the box.
         below: (4,) how far the box reaches below it; > 0.
         above: (4,) likewise above.
         low: (13,) least features of the training data.
