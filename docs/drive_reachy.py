@@ -391,7 +391,7 @@ def cells(found: Mapping[str, Figures]) -> list[str]:
     return [*errors, f"{nod.ripple:.2f} / {look.ripple:.2f}", f"{breathing.position:.3f}", f"{breathing.ripple:.3f}"]
 
 
-def asked(
+def goals(
     rows: Mapping[str, Mapping[str, Figures]], others: Mapping[str, Sequence[Sequence[float]]]
 ) -> list[tuple[str, str, str]]:
     """What was asked for and what is reached: of rows by motion, and of errors [deg], [mm] of nod and look around."""
@@ -455,7 +455,7 @@ def main() -> None:
             f"| {name} | {' | '.join(f'{deg:.2f} / {mm:.2f}' for deg, mm, *_ in found)} |"
             for name, found in others.items()
         ),
-        "asked": markdown_table(("", "asked for", "reached"), asked(rows, others)),
+        "asked": markdown_table(("", "asked for", "reached"), goals(rows, others)),
         "age": 1e3 * max(float(log["reading_age"].max()) for log in logs.values()),
         "slow": 100.0 * (others[f"{CLOCK}: {EXACT}"][0][2] - 1.0),
     }
