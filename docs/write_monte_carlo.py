@@ -29,8 +29,8 @@ TEXT = """# A thousand robots that differ from the controller's model
 [monte_carlo.yaml](../../diagrams/sweeps/monte_carlo.yaml): masses and inertias within 20 %, payload up to 0.3 kg off
 centre, 0 to 0.08 N m of friction, torque constants within 10 %, encoder noise up to a count, 1 to 3 ticks of delay, a
 push of up to 5 N, and a motion of six sines of 0.1 to 1.5 Hz each. The controller is the exact-model LQI of
-`exact_breathing` with its observer, and fixed weights in place of the policy. Its model has the nominal robot and torque constant, readings without noise, 2
-ticks of delay and 0.04 N m of friction. The runs are on the closed form
+`exact_breathing` with its observer, and fixed weights in place of the policy. Its model has the nominal robot and
+torque constant, readings without noise, 2 ticks of delay and 0.04 N m of friction. The runs are on the closed form
 (`plant.kind`). {judged} One row per run:
 [monte_carlo.parquet](monte_carlo.parquet). `make montecarlo` writes both.
 
