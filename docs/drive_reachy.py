@@ -113,8 +113,15 @@ def daemon(folder: Path) -> Iterator[str]:
         process.wait()
 
 
+class Stalled(Exception):
+    """A run that ended early."""
+
+
 def afresh(what: Callable[..., Any], *given: Any) -> Any:
-    """What a function makes of the URL of a daemon that has just started."""
+    """What a function makes of the URL of a daemon that has just started; where that stalls, of another."""
+    for _ in range(2):
+        with suppress(Stalled), daemon(FOLDER) as url:
+            return what(url, *given)
     with daemon(FOLDER) as url:
         return what(url, *given)
 
@@ -127,7 +134,7 @@ def driven(url: str, scheme: str | Scheme, motion: str) -> SimulationLog:
     machine = open_machine(url, scenario)
     log = Drive(scenario, machine, connected(scenario, machine, long if what.learns else short)).run()
     if log.status != "completed":
-        raise RuntimeError(f"{scheme}, {motion}: {log.message}")
+        raise Stalled(f"{scheme}, {motion}: {log.message}")
     return log
 
 
@@ -212,7 +219,7 @@ def by_wall_clock(url: str, scheme: str, motion: str) -> tuple[float, float, flo
     begin = connected(scenario, machine, long if what.learns else short)
     log = Drive(scenario, machine, begin).run()
     if log.status != "completed":
-        raise RuntimeError(f"{scheme}, {motion} by wall clock: {log.message}")
+        raise Stalled(f"{scheme}, {motion} by wall clock: {log.message}")
     origin = float(np.min(np.array(machine.sent) - log.time))
     arrivals = [arrived for arrived, _ in machine.arrived]
     clock_ratio = (arrivals[-1] - arrivals[0]) / (0.02 * (len(arrivals) - 1))
