@@ -30,7 +30,7 @@ STEP = 0.001  # [s] of the plant.
 AGE = servos.NOMINAL_AGE
 MOTIONS = {"nod": (20.0, "rmse_norm_deg"), "look": (24.0, "rmse_norm_deg"), "breathing": (20.0, "rmse_norm_mm")}
 """Duration [s], of which the second half counts, and metric."""
-FIGURES = ("nod [deg]", "look around [deg]", "breathing [mm]", "its ripple [mm/s]", "and [deg/s]")
+FIGURES = ("nod [deg]", "look around [deg]", "breathing [mm]", "its ripple [mm/s]", "its ripple [deg/s]")
 SCHEMES = {
     "plain": "angles of the inverse kinematics",
     "nominal": "exact model, nominal constants",
@@ -354,9 +354,9 @@ run starts with the `model` that `--keep-model` left after a first one that look
 
 {strange}
 
-Stiction is the worst of these: a crank that sticks harder than it slides jumps, and a command every 20 ms comes too
-late to stop that. Friction that grows with the load is not one number for a motor, but another in each part of the
-motion; that, and a bus that jitters, are [a plant and motors of one's own](../your_own_loop.md), in
+Stiction is the worst of these for ripple: a crank that sticks harder than it slides jumps, and a command every 20 ms
+comes too late to stop that. Friction that grows with the load is not one number for a motor, but another in each part
+of the motion; that, and a bus that jitters, are [a plant and motors of one's own](../your_own_loop.md), in
 `docs/strange_robots.py`.
 
 ## On the maker's model
@@ -383,7 +383,7 @@ The same robot with motors that take currents, one tick late, and a controller f
 decoupled_pid}}`, on the closed form. Coulomb friction 0 to 2 times 0.058 N m, viscous friction 0 to 2 times
 0.095 N m s/rad, torque constant 0.7 to 1.3 times what is believed, and a head of 0.8 to 1.2 times the mass. The first 8
 of {slow_robots} robots have each of these at its least or its most. The row `cautious` has motors that take torque, so
-its torque constant is right, and the safety layer; the others have neither safety layer nor bounds. Errors after the
+its torque constant is right, and the safety layer, which the others do not have. None has bounds. Errors after the
 first half of 20 s. Lost: the run ends, or the head is more than 10 deg off after 10 s.
 
 {slow}
@@ -394,8 +394,8 @@ first half of 20 s. Lost: the run ends, or the head is more than 10 deg off afte
 
 ## Many robots
 
-{many} more robots of each kind, drawn as above, that learn while they nod for {short:g} s from a cold start: RMS error
-of the second half, median / 95th percentile / largest.
+{many} more robots of each kind, drawn as in these rows above, that learn while they nod for {short:g} s from a cold
+start: RMS error of the second half, median / 95th percentile / largest.
 
 {of_many}
 

@@ -113,8 +113,11 @@ def daemon(folder: Path) -> Iterator[str]:
         process.wait()
 
 
+STALLS = ("stale_reading", "late", "machine")
+
+
 class Stalled(Exception):
-    """A run that ended early."""
+    """A run in which the machine, or the daemon, did nothing for too long."""
 
 
 def afresh(what: Callable[..., Any], *given: Any) -> Any:
@@ -134,7 +137,7 @@ def driven(url: str, scheme: str | Scheme, motion: str) -> SimulationLog:
     machine = open_machine(url, scenario)
     log = Drive(scenario, machine, connected(scenario, machine, long if what.learns else short)).run()
     if log.status != "completed":
-        raise Stalled(f"{scheme}, {motion}: {log.message}")
+        raise (Stalled if log.reason in STALLS else RuntimeError)(f"{scheme}, {motion}: {log.message}")
     return log
 
 
@@ -219,7 +222,7 @@ def by_wall_clock(url: str, scheme: str, motion: str) -> tuple[float, float, flo
     begin = connected(scenario, machine, long if what.learns else short)
     log = Drive(scenario, machine, begin).run()
     if log.status != "completed":
-        raise Stalled(f"{scheme}, {motion} by wall clock: {log.message}")
+        raise (Stalled if log.reason in STALLS else RuntimeError)(f"{scheme}, {motion} by wall clock: {log.message}")
     origin = float(np.min(np.array(machine.sent) - log.time))
     arrivals = [arrived for arrived, _ in machine.arrived]
     clock_ratio = (arrivals[-1] - arrivals[0]) / (0.02 * (len(arrivals) - 1))
@@ -339,7 +342,8 @@ velocity above 2 Hz. A nod is 15 deg at 1 Hz, breathing 5 mm at 0.1 Hz. Rows tha
 - **What looking around taught**: the model that the row above left, as `--keep-model` does. Frozen, it is an
   identification from commands and angles alone.
 
-Each figure is of a daemon that has just started and risen to home. Its rods turn about themselves as it moves, which
+Each figure is of a daemon that has just started and risen to home; a run in which it stalls is made again, at most
+twice. Its rods turn about themselves as it moves, which
 turns the axes of their dry friction. The daemon tells its head's pose of a step, 2 ms, before the angles of the same
 tick; errors are at the pose's time.
 
@@ -443,8 +447,10 @@ def main() -> None:
             "an ordinary player, moves as they are": (played, None),
             "an ordinary player, shaped moves": (played, EXACT),
         }
-        asked = {name: [pool.submit(afresh, what, by, motion) for motion in fast] for name, (what, by) in ways.items()}
-        others = {name: [each.result() for each in found] for name, found in asked.items()}
+        waiting = {
+            name: [pool.submit(afresh, what, by, motion) for motion in fast] for name, (what, by) in ways.items()
+        }
+        others = {name: [each.result() for each in found] for name, found in waiting.items()}
     rows = {name: {motion: figures(logs[name, motion]) for motion in MOTIONS} for name in schemes}
     table = [(name, *cells(found)) for name, found in rows.items()]
     limits = [

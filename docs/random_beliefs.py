@@ -49,7 +49,7 @@ Worse with learning: {worse}.
 
 {told}
 
-A servo does not report a push, so no law can answer one: what it does to a head depends on where that stands.
+Commands of angles do not answer a push: what it does to a head depends on where that stands.
 
 ## Stops
 

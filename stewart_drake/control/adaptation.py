@@ -40,7 +40,7 @@ ALIKE = 0.6
 FINEST = 0.008
 """[s] smallest standard deviation of the kernel: finer, noise of the readings makes much of the acceleration."""
 REACH = 2.0
-"""[-] standard deviations of a servo's kernel, before and after a sample, in which its crank must move too."""
+"""[-] standard deviations of a servo's kernel, before and after a sample, at which its crank must move too."""
 BLEND, BLEND_TORQUE = 0.5, 0.1
 """[s] in which numbers go over into new ones, and where a motor's torque depends on them at once."""
 WIDTH = 2.2
@@ -212,6 +212,8 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         coarse = context.noise**2 * context.period / (4.0 * np.sqrt(np.pi) * believed.width**2)
         smoothing = max(FINEST, 1.5 * context.period, float(np.cbrt(coarse)))
     stride = max(1, round(smoothing / (WIDTH * context.period)))
+    if smoothing > HALF / 2.0 * stride * context.period:
+        stride += 1
     block = stride * context.period
     seldom = max(1, int(SELDOM / block))
     width, late = smoothing / block, (context.latency - 0.5 * context.period + options.reading_age) / block

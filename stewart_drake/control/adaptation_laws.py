@@ -60,7 +60,7 @@ def params_of(common: int) -> np.dtype:
     stride: ticks of a block. kernel: weights of smoothed value, rate and acceleration. late: those of commands, and of
     their first two derivatives. gain: torque for a command as believed. by_gain: whether a motor's gain is what its
     drive changes, else all bodies are. by_angle: whether commands are angles. damping, coulomb: believed at first, the
-    servo's damping included. alike: samples that count as one. reach: blocks before and after a sample, in
+    servo's damping included. alike: samples that count as one. reach: blocks before and after a sample, at
     which its crank must move too. first: blocks that a sample needs. seldom: blocks from one forgetting to the next,
     and of what is shown. keep, keep_push: shares of what was known that it leaves. own, common: standard deviations at
     first. most_moment: of the head, beyond what is believed [kg m].
@@ -265,11 +265,11 @@ def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any
     for i in range(6):
         if not abs(rates[i]) > params.slowest:
             continue
-        moving = True
         # Smoothed over the beginning or the end of a motion, dry friction is not what the smoothed motion says.
         before, after = abs(state.sharp[HALF - reach, 0, i]), abs(state.sharp[HALF + reach, 0, i])
         if reach > 0 and min(before, after) < least:
             continue
+        moving = True
         torque = params.gain[i] * (given[i] - (angles[i] if params.by_angle == 1.0 else 0.0))
         if abs(torque) > SATURATED * params.limit[i]:
             continue

@@ -35,13 +35,14 @@ def stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
     for i in range(6):
         damping, coulomb = _friction_of(params, own[i], common, i)
         drive = np.exp(-(common[1] + own[i, 0])) if params.by_gain == 1.0 else 1.0
-        viscous = drive * damping - params.servo_damping
+        viscous, more = drive * damping - params.servo_damping, friction[6 + i] - friction[i]
         if params.cautious == 1.0:
             viscous *= 1.0 - _doubt(params, state, i, 1) ** 2 if viscous > 0.0 else 1.0
-            coulomb *= 1.0 - _doubt(params, state, i, 2) ** 2
+            known = 1.0 - _doubt(params, state, i, 2) ** 2
+            coulomb, more = known * coulomb, known * more
         state.gain[i] = drive * params.gain[i]
         state.friction[i] = drive * coulomb
-        state.friction[6 + i] = drive * coulomb + friction[6 + i] - friction[i]
+        state.friction[6 + i] = drive * coulomb + more
         state.friction[18 + i] = viscous
     joint_count = state.sharp.shape[1] - 1
     for n in range(joint_count):

@@ -72,8 +72,9 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
         allowed = f"motors that take {machine.takes}, as the machine does"
         raise ConfigurationError("model.motors", motors.kind, allowed)
     machine.connect()
-    if scenario.adaptation is not None and not machine.reads:
-        raise ConfigurationError("adaptation", scenario.adaptation.kind, "null: this machine does not tell its angles")
+    adaptation = scenario.adaptation
+    if adaptation is not None and not machine.reads and not getattr(adaptation, "frozen", False):
+        raise ConfigurationError("adaptation", adaptation.kind, "null: this machine does not tell its angles")
     period, own = scenario.reading_period, machine.period
     if machine.paced and own is not None and abs(own - period) > CLOCKS_APART * period:
         allowed = f"about {own:.4g} s, that of the machine, which sets the pace"
