@@ -170,6 +170,15 @@ def test_intervals_are_those_of_a_dense_covariance(takes):
     np.testing.assert_allclose(shown(np.zeros(len(steps)))[1], 1.96 * np.sqrt(variance), rtol=1e-5)
 
 
+@pytest.mark.parametrize("periods", [1.0, 2.9, 3.1, 3.3, 3.4, 8.0])
+def test_any_smoothing_from_a_period_on_has_a_kernel(periods):
+    options = RegressionOptions.from_dict({"kind": "regression", "smoothing": 0.02 * periods}, "adaptation")
+    kernel = regression_part(options, context_of(servos())).constants["params"]["kernel"][0, 0]
+    spread = (np.arange(-law.HALF, law.HALF + 1) ** 2 * kernel).sum()
+    assert np.sqrt(spread) >= 0.95
+    assert kernel[0] < 0.14 * kernel.max()  # Two standard deviations off at least.
+
+
 # --- the law ---
 
 

@@ -187,7 +187,8 @@ def test_a_machine_that_tells_no_angles_teaches_nothing():
     machine.reads = False
     with pytest.raises(ConfigurationError, match=r"adaptation.*does not tell its angles"):
         connected(BASE.replace({"adaptation": "regression"}), machine)
-    connected(BASE, machine)
+    for nothing_learns in (None, {"kind": "regression", "frozen": True}):
+        connected(BASE.replace({"adaptation": nothing_learns}), machine)
 
 
 def test_a_motion_that_leaves_the_limits_later_is_refused():
