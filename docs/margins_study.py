@@ -21,12 +21,14 @@ from stewart_drake.training.situations import Case
 OUT = Path(__file__).parent / "results"
 POSES, FEW, CONFIRMED = 1000, 10, 3
 """Poses; of them those at which the worst corner of the policy's box is looked for, and that are simulated too."""
-PUSH, END, FORGOTTEN = 0.5, 1.5, 0.1
+PUSH, END, FORGOTTEN = 2.0, 3.0, 0.1
 """[s] of a simulated run: its push and its end; and what may be left of the error in the last 0.2 s, as a share."""
 BLOCK = "tuner={kind: block}"
 OBSERVER = "estimator.kind=observer"
 WEIGHTS = "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
 MAIN, CORNER = "observer", "policy, at the worst corner of its box"
+HEAVIER, BOTH = "learning, head believed heavier", "policy at that corner, head believed heavier"
+SLOW = "decoupled PID, as in `reachy_slow_bus`"
 DIFFERENCES = "estimator={kind: difference, rate_cutoff: 150}"
 ROWS = {
     "difference of readings, low pass of 150 Hz; default weights": (
@@ -51,16 +53,17 @@ TEXT = """# How far the loop is from instability
 within the scenario's limits (seed 0), with the robot at rest. The loop is opened at the six motor torques. Each row has
 another estimator, delay, period or controller, with its default gains. The period is 1 ms and the delay 1 tick unless
 the row says otherwise. The loop contains the exact model under held torques, gravity's stiffness, encoders of infinite
-resolution, the estimator with its filter, the controller and the delay. It leaves out friction, saturation, changes
-of weights and learning. `stewart-drake margins` does the same for any scenario.
+resolution, the estimator with its filter, the controller and the delay. It leaves out friction, saturation, dead
+bands, changes of weights and learning. The last two rows are Reachy Mini, as it ships by torque at 100 Hz: poses and
+period are its own, with a tick of delay. `stewart-drake margins` does the same for any scenario.
 
 What a policy and learning may do to the loop is seen in their extremes, frozen: the middle of the shipped policy's box
-and that corner of it which has the least margin at {few} poses ({corner}), with its default weights; and a head that is
+and that corner of it which has the least margin at {few} poses ({corner}), with its default weights; a head that is
 believed {lighter:.2f} or {heavier:.2f} times as heavy as it is, which is how far learning may be off before it has seen
-anything (95 %). What it learns of friction is fed forward along the reference and is no part of this loop. The law's
-own bound is three times. `exact_breathing` has a disk margin of 0.11 at 100 poses with a head that is believed twice as
-heavy as it is (`stewart-drake margins exact_breathing --set model.robot.platform_mass=2`); at three times no pose is
-stable.
+anything (95 %); and both at once. What it learns of friction is fed forward along the reference and is no part of this
+loop. The law's own bound is three times. `exact_breathing` has a disk margin of 0.11 at 100 poses with a head that is
+believed twice as heavy as it is (`stewart-drake margins exact_breathing --set model.robot.platform_mass=2`); at three
+times no pose is stable.
 
 Drake's plant at its usual step of 1 ms responds about half a step sooner than this linear loop. At 0.1 ms the agreement
 is at least five times better (`tests/analysis/test_linear_loop.py`). A fast loop that is unstable here, such as the
@@ -81,10 +84,10 @@ The bounds of mu are apart by at most {gap:.1g} %; {left_out}
 ## Until it diverges
 
 The nonlinear loop on the closed form with steps of 0.1 ms, at {confirmed} of the poses: the worst of the observer's and
-the first two. All motors give more torque than they are asked for, by one factor, or all commands come later than the
-controller believes, by whole ticks, until more than a tenth of the error
-that a push of 5 ms causes is left after a second. *Linear*: where the spectral radius
-of the same loop is 1.
+the first two (Reachy Mini: the third and the first two). It starts 2 s before the push. All motors give more torque
+than they are asked for, by one factor, or all commands come later than the controller believes, by whole ticks, until
+more than a tenth of the error that a push of 5 ms causes is left after a second. *Linear*: where the spectral radius of
+the same loop is 1.
 
 {diverges}
 
@@ -142,10 +145,18 @@ def scenarios(corner):
     base = load_scenario("exact_breathing", [OBSERVER, BLOCK])
     found["policy, in the middle of its box"] = at_setting(base, Policy.load().centre)
     found[CORNER] = at_setting(base, corner)
-    for words, sign in (("lighter", -1.0), ("heavier", 1.0)):
-        believed = base.robot.heavier(np.exp(1.96 * sign * SIZE_HEAD))
-        found[f"learning, head believed {words}"] = found[MAIN].replace({"model.robot": believed})
+    lighter, heavier = ({"model.robot": base.robot.heavier(share)} for share in head_shares())
+    found["learning, head believed lighter"] = found[MAIN].replace(lighter)
+    found[HEAVIER], found[BOTH] = found[MAIN].replace(heavier), found[CORNER].replace(heavier)
+    found["LQI, observer, start weights, as in `reachy_nod`"] = load_scenario("reachy_nod")
+    # What linear loops leave out is left out of the simulated one too.
+    found[SLOW] = load_scenario("reachy_slow_bus").replace({"adaptation": None, "controller.deadband": 0.0})
     return found
+
+
+def head_shares():
+    """How much lighter and heavier a head may be believed before anything has been seen of it."""
+    return np.exp(1.96 * SIZE_HEAD * np.array([-1.0, 1.0]))
 
 
 def simulated(scenario, pose, gain, late):
@@ -195,11 +206,13 @@ def limits(stable, scenario, pose):
     return np.sqrt(low * high), late
 
 
-def until_it_diverges(loops, poses):
-    """A table of some loops at poses."""
+def until_it_diverges(loops, worst):
+    """A table of some loops at the first of their poses, and the paper's robot at a pose of its own."""
     rows = []
-    for name, scenario in loops.items():
-        for k, pose in enumerate(poses):
+    for name in (MAIN, CORNER, HEAVIER, BOTH, SLOW):
+        scenario = loops[name]
+        poses = poses_to_stand_at(scenario, POSES, seed=0)
+        for k, pose in enumerate([poses[2] if name == SLOW else worst, *poses[: CONFIRMED - 1]]):
             (gain, late), (linear, linear_late) = (limits(way, scenario, pose) for way in (simulated, is_stable))
             rows.append([name, k + 1, f"{gain:.2f}", f"{linear:.2f}", late, linear_late])
             print(rows[-1], flush=True)
@@ -225,8 +238,7 @@ def main():
             plot_margins(found, Path(__file__).parent / "images" / "margins.png")
             kept = [f"| {' | '.join(cells)} |" for cells in table(found, loops.period)]
             told = "\n".join(f"- {key}: {value}" for key, value in facts(loops, found))
-    few = [worst, *poses_to_stand_at(of_rows[MAIN], POSES, seed=0)[: CONFIRMED - 1]]
-    lighter, heavier = np.exp(1.96 * SIZE_HEAD * np.array([-1.0, 1.0]))
+    lighter, heavier = head_shares()
     text = TEXT.format(
         poses=POSES,
         few=FEW,
@@ -234,7 +246,7 @@ def main():
         lighter=lighter,
         heavier=heavier,
         confirmed=CONFIRMED,
-        diverges=until_it_diverges({name: of_rows[name] for name in (MAIN, CORNER)}, few),
+        diverges=until_it_diverges(of_rows, worst),
         box=NEAR.words,
         margins="disk | gain | phase [deg] | delay [ticks]",
         rows="\n".join(lines),

@@ -59,7 +59,7 @@ Of situations that both stop, how far the head moves after the layer took over: 
 {stops}
 
 Robots lost with learning and safety layer that a plain stop at the push or the fault, with sensors that work, keeps:
-{fallen}. Of these, lost without learning too: {alike}.
+{fallen}. Lost without learning too: {alike}.
 
 `make results` recomputes some of these numbers.
 """
@@ -200,8 +200,8 @@ def main() -> None:
             [[k, found[k].bus, push_of(k), found[k].fault or "none", *found[k].ends] for k in worse],
         ),
         stops=markdown_table(OF_STOPS, stops),
-        fallen=len(fallen),
-        alike=sum(found[k].ends[1] == "lost" for k in fallen),
+        fallen=numbers(fallen),
+        alike=numbers([k for k in fallen if found[k].ends[1] == "lost"]),
     )
     write_atomically(OUT, text.encode())
 

@@ -1,6 +1,7 @@
 """The sampled loop around poses at rest, broken at the six motors' torques: x+ = A x + B u, y = C x; u = y closes it.
 
-The exact robot without friction, and the controller's side of a run by central differences; weights as at the start.
+The exact robot without friction, and the controller's side of a run by central differences; weights as at the start,
+nothing is learnt.
 `linearize` gives the loop at one pose, and the robot alone, for numpy and for python-control.
 """
 
@@ -18,6 +19,7 @@ from scipy.linalg import expm
 from stewart_drake.analysis.feasibility import NEAR, sample_poses
 from stewart_drake.base.config import Vector6, check_value
 from stewart_drake.base.errors import ConfigurationError, RunFailure, UnreachablePoseError, installed_with
+from stewart_drake.control.decoupled import DecoupledPidOptions
 from stewart_drake.loop.part import LoopRunner, Part
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
@@ -69,7 +71,10 @@ def linear_loops(
     if not scenario.controller.feedback:
         raise ConfigurationError("controller.kind", scenario.controller.kind, "one with feedback, for a linear loop")
     # Without friction a robot stands where it is wanted; a safety layer would hide that a part fails.
-    scenario = scenario.replace({"safety": None, "model.friction": None})
+    changes: dict[str, Any] = {"safety": None, "model.friction": None, "adaptation": None}
+    if isinstance(scenario.controller, DecoupledPidOptions):
+        changes["controller.deadband"] = 0.0
+    scenario = scenario.replace(changes)
     sensed = _sensed(scenario.belief.reading_size, scenario.robot, poses)
     plants = plant_at(scenario.plant.loaded(scenario.robot), poses, scenario.gravity, period)
     active = None
@@ -303,7 +308,7 @@ def linearize(scenario: Scenario | str | Path, pose: ArrayLike | None = None) ->
 
     Args:
         scenario: A scenario, its file or its name. Its robot, estimator and controller count, with the weights of the
-            start; friction is left out.
+            start; friction, learning and dead bands are left out.
         pose: (6,) [rad, m]; None takes that of the start.
 
     Raises:

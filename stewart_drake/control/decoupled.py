@@ -41,9 +41,8 @@ from stewart_drake.mechanics.kinematics_laws import (
 )
 from stewart_drake.mechanics.linear_algebra import solve
 
-MOVED, PASSED, RESTS = 2.0, 3.0, 2.5
-"""[counts] of the encoders that a crank has moved at least; that the reference must have passed it; within which a
-crank that is to rest is where it should be."""
+MOVED, PASSED = 2.0, 3.0
+"""[counts] of the encoders that a crank has moved at least; that the reference must have passed it."""
 SLOW = 1e-4  # [rad/s] a crank that is to turn more slowly is to rest.
 FADES = 0.3  # [s] in which a torque against sticking goes back once the crank has broken away.
 
@@ -66,6 +65,8 @@ class DecoupledPidOptions(ControllerOptions):
     """[rad/s] of the integral action."""
     sticking: NotNegative = 4.0
     """[N m/rad] torque for the way that the reference goes on while a crank sticks; 0 for none."""
+    deadband: NotNegative = 2.5
+    """[counts] of the encoders. A crank that is to rest and is less far off is right; its integral stays."""
     saturation: Literal["clamp"] = "clamp"
     """Commands are limited, and the integral of a motor at its limit stops growing."""
 
@@ -81,8 +82,8 @@ class DecoupledPidOptions(ControllerOptions):
 
 
 _PARAMS = fields(
-    period=(), gravity=(), natural_frequency=(), damping=(), integral_frequency=(), sticking=(), count=(), fade=(),
-    gain=(6, 6), limit=6, clamp=(), back_share=(),
+    period=(), gravity=(), natural_frequency=(), damping=(), integral_frequency=(), sticking=(), deadband=(), count=(),
+    fade=(), gain=(6, 6), limit=6, clamp=(), back_share=(),
 )  # fmt: skip
 """count: [rad] of an encoder. fade: share of a torque against sticking that a tick leaves. The last four: see
 `saturation_params`."""
@@ -124,7 +125,7 @@ def decoupled_tick(
         state.error[i] = error
         push[i, 0] = omega * (omega * (error + params.integral_frequency * state.integral[i]))
         push[i, 0] += 2.0 * params.damping * omega * change
-        rests = abs(rates[i]) < SLOW and abs(error) < RESTS * params.count
+        rests = abs(rates[i]) < SLOW and abs(error) < params.deadband * params.count
         counted[i] = 0.0 if rests else error
         angle = np.arctan2(legs.sine[i], legs.cosine[i])
         _stick(params, doubt[i], i, angle, angle + error, rates[i], state)

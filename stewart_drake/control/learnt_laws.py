@@ -23,10 +23,7 @@ MASS, MOMENT = (int(ROBOT.fields[name][1]) // 8 for name in ("platform_mass", "p
 def stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
     """Constants of other parts, by the numbers that are used."""
     common, own = state.used_common, state.used_own
-    head, links = np.exp(common[0]), 1.0
-    if params.by_gain == 0.0:
-        links = np.exp(common[1])
-        head *= links
+    head, links = _masses_of(params, common)
     for k in range(ROBOT_SIZE):
         state.robot[k] = bodies[k, 0] + links * bodies[k, 1] + head * bodies[k, 2]
     for n in range(len(common) - COMMON - state.sharp.shape[1] + 1):
@@ -58,8 +55,7 @@ def stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
 def show(params: Any, bodies: Any, state: Any) -> None:
     """The estimate with its intervals, and how far what is used may be from it."""
     common, own, row = state.common, state.own, np.zeros(OWN + len(state.common))
-    links = np.exp(common[1]) if params.by_gain == 0.0 else 1.0
-    head = links * np.exp(common[0])
+    head, links = _masses_of(params, common)
     state.learnt[0] = bodies[MASS, 2] * head
     row[OWN], row[OWN + 1] = state.learnt[0], state.learnt[0] * (1.0 - params.by_gain)
     state.learnt_half_width[0] = _half_width(state, 0, row)
@@ -121,6 +117,13 @@ def _doubt(params: Any, state: Any, leg: int, which: int) -> float:
     row[which] = row[OWN + 1 + which] = 1.0
     first = np.hypot(params.common[1 + which], params.own[which])
     return min(1.0, np.sqrt(spread_along(state.information[leg], state.shared, row)) / first)
+
+
+@njit
+def _masses_of(params: Any, common: Any) -> Any:
+    """Mass of the head, and of cranks and rods, in units of what is believed."""
+    links = np.exp(common[1]) if params.by_gain == 0.0 else 1.0
+    return links * np.exp(common[0]), links
 
 
 @njit

@@ -90,6 +90,18 @@ def test_it_stands_still_where_the_model_is_wrong_or_the_integral_holds_the_robo
     assert (radius(loops) < 1.0).all()
 
 
+def test_a_loop_for_slow_buses_is_linearised_without_its_dead_band_and_what_it_learns():
+    made = load_scenario("reachy_slow_bus")
+    pose = made.start()[0][None]
+    loops, plain = (linear_loops(each, pose) for each in (made, made.replace({"adaptation": None})))
+    assert 0.9 < radius(loops)[0] < 0.99
+    np.testing.assert_array_equal(loops.closed, plain.closed)
+    # An integral and an error before of each motor, and a tick of delay.
+    assert loops.a.shape[-1] == 12 + 6 + 6 + 6 + 6
+    proportional = linear_loops(made.replace({"controller.integral_frequency": 0.0}), pose)
+    assert proportional.a.shape[-1] == loops.a.shape[-1] - 6
+
+
 def test_a_pose_that_cannot_be_held_is_left_out():
     # Nothing holds the weight of a robot under a law without integral and without its model.
     weak = scenario(*IDEAL, "controller={kind: pid, ki: 0, feedforward: none, kp: 0.001, kd: 0.001}")

@@ -21,22 +21,41 @@ def apart(pose, other):
     return np.degrees((turns[0] * turns[1].inv()).magnitude())
 
 
-@pytest.mark.parametrize(("coulomb", "viscous"), [(0.0, 0.0), (0.0128, 0.0037), (0.1, 0.15), (0.13, 0.19)])
-def test_a_stop_moves_the_head_less_than_letting_go(coulomb, viscous):
-    log = run(nod(coulomb, viscous), check=False)
-    assert log.status == "stopped"
+def moved_by_stopping_and_letting_go(scenario, log):
+    """[deg] of the head from where the safety layer took over to the end of the run."""
     begin = np.searchsorted(log.time, log.safety["stopped"]["time"])
-    poses, rates = log["pose"][begin:], log["pose_rate"][begin:]
-    moved = apart(poses[-1], poses[0])
-    assert np.linalg.norm(rates[-1, :3]) < 0.2
-    scenario = nod(coulomb, viscous)
+    first = log["pose"][begin]
     plant = scenario.plant.make(scenario.robot, scenario.gravity)
-    plant.initial(poses[0], rates[0])
+    plant.initial(first, log["pose_rate"][begin])
     for _ in range(round((log.time[-1] - log.time[begin]) / scenario.plant.time_step)):
         state = plant.step(np.zeros(6), np.zeros(6))
         if abs(state[0]) + abs(state[1]) > 0.6:
             break  # It lies on its side by then, and out of reach soon.
-    assert moved < max(1.0, apart(state[:6], poses[0]))
+    return apart(log["pose"][-1], first), apart(state[:6], first)
+
+
+@pytest.mark.parametrize(("coulomb", "viscous"), [(0.0, 0.0), (0.0128, 0.0037), (0.1, 0.15), (0.13, 0.19)])
+def test_a_stop_moves_the_head_less_than_letting_go(coulomb, viscous):
+    scenario = nod(coulomb, viscous)
+    log = run(scenario, check=False)
+    assert log.status == "stopped"
+    assert np.linalg.norm(log["pose_rate"][-1, :3]) < 0.2
+    moved, let_go = moved_by_stopping_and_letting_go(scenario, log)
+    assert moved < max(1.0, let_go)
+
+
+@pytest.mark.parametrize("fails", ["encoder", "motor"])
+@pytest.mark.parametrize(("coulomb", "viscous"), [(0.0, 0.0), (0.03, 0.04), (0.1, 0.15)])
+def test_a_stop_of_the_loop_for_slow_buses_does_too(coulomb, viscous, fails):
+    when = {"leg": 2, "time": 2.1}
+    broken = {"encoder": {"sensors.faults": [{"kind": "freeze", **when}]}, "motor": {"motors.dead": when}}[fails]
+    plant = {"kind": "closed_form", "friction": {"coulomb": coulomb, "viscous": viscous}}
+    changes = {"plant": plant, "bounds": NOWHERE, "duration": 3.0, **broken}
+    scenario = load_scenario("reachy_slow_bus").replace(changes)
+    log = run(scenario, check=False)
+    assert log.status == "stopped"
+    moved, let_go = moved_by_stopping_and_letting_go(scenario, log)
+    assert moved < let_go
 
 
 @pytest.mark.parametrize("times", [0.0, 1.0, 2.0])
