@@ -341,8 +341,8 @@ run starts with the `model` that `--keep-model` left after a first one that look
 
 - The age of the readings cannot be told from the delay by commands and angles: 10 ms of it are 0.66 deg of a nod. That
   is what keeps a nod above what was asked for. Tell it (`adaptation.reading_age`).
-- With it told, and in a second run, what is left above the truth is where what was learnt is a little wrong: readings
-  of 12 bits every 20 ms do not tell it better in this time.
+- With it told, learning does in the median what the truth does. The largest nod is {told_nod:.3f} deg off, in a second
+  run {second_nod:.3f}; with the truth known {truth_nod:.3f}.
 
 ## The first robot
 
@@ -454,6 +454,7 @@ def main() -> None:
         quieter=int((learning[:, 3] < plain[:, 3]).sum()),
         rolls=np.median(learning[:, 4]),
         plain_rolls=np.median(plain[:, 4]),
+        **{f"{name}_nod": trials[:, list(SCHEMES).index(name), 0].max() for name in ("told", "second", "truth")},
         asked=asked(trials, load.result()[0]),
         load=load.result()[0],
         load_width=load.result()[1],
