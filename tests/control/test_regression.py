@@ -275,6 +275,14 @@ def test_a_push_is_not_taken_for_the_robot():
     )
 
 
+def test_a_load_that_is_put_on_later_is_weighed_though_the_estimate_was_sure_of_itself():
+    load = {"kind": "step", "wrench": [0.0, 0.0, 0.0, 0.0, 0.0, -3.0], "time": 4.0, "until": 60.0}
+    scenario = load_scenario("exact_breathing").replace({**RUBS, "duration": 12.0, "disturbances": [load]})
+    value = Learnt.of(run(scenario, check=False)["learnt"][-1])
+    assert (value.mass - scenario.robot.platform_mass) * scenario.gravity == pytest.approx(3.0, rel=0.1)
+    np.testing.assert_allclose(value.coulomb, 0.08, atol=0.004)
+
+
 def test_beside_a_machine_it_is_the_same_and_readings_that_are_missing_do_no_harm():
     log = run(servos(3.0), check=False)
     readings = inverse_kinematics(log.scenario.robot, log["measured_pose"])
