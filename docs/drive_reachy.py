@@ -338,9 +338,9 @@ velocity above 2 Hz. A nod is 15 deg at 1 Hz, breathing 5 mm at 0.1 Hz. Rows tha
 - **Learning**: `--set adaptation="{{kind: regression, noise: 0.06, slowest: 0.05}}"`, and
   `ball_joints: true` but in the first of these rows. Believed free: which joints rub and about which axes is told,
   their friction is believed to be zero. `noise` is what the model leaves unexplained. With the default, 0.003, most of
-  this would be taken for pushes.
-- **What looking around taught**: the model that the row above left, as `--keep-model` does. Frozen, it is an
-  identification from commands and angles alone.
+  this would be taken for pushes at first.
+- **What looking around taught**: the model that this left with ball joints believed free, as `--keep-model` does.
+  Frozen, it is an identification from commands and angles alone.
 
 Each figure is of a daemon that has just started and risen to home; a run in which it stalls is made again, at most
 twice. Its rods turn about themselves as it moves, which

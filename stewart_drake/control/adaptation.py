@@ -45,8 +45,8 @@ BLEND, BLEND_TORQUE = 0.5, 0.1
 """[s] in which numbers go over into new ones, and where a motor's torque depends on them at once."""
 WIDTH = 2.2
 """[blocks] of the kernel's standard deviation, as near as whole ticks allow; the fewer, the later a sample."""
-WIDENS = 2.0
-"""[s] of motion in which the gate of samples widens by a factor of e, if it lets none pass."""
+ADAPTS = 2.0
+"""[s] of motion in which the noise grows by a factor of e, if all samples are refused."""
 SELDOM = 0.016
 """[s] from one forgetting to the next, and of what is shown: both together cost more than a sample."""
 _LEVELS = ("coulomb", "break_away", "viscous")
@@ -250,7 +250,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         reach=np.rint(REACH * width) if by_angle else 0.0, width=believed.width, seldom=seldom,
         keep=np.exp(-seldom * block / options.forgetting),
         keep_push=np.exp(-seldom * block / min(PUSH_KEPT, options.forgetting)),
-        widen=block / WIDENS, blend=min(1.0, block / (BLEND if by_angle else BLEND_TORQUE)),
+        adapt=block / ADAPTS, blend=min(1.0, block / (BLEND if by_angle else BLEND_TORQUE)),
         first=3 * HALF + 1 + np.ceil(late),
         most_moment=robot.platform_mass * room_of(robot), cautious=options.cautious, frozen=options.frozen,
         own=[SIZE_OWN_DRIVE, *(SHARE_OWN * size * np.array([damping, SIZE_COULOMB]))], common=common,
@@ -280,7 +280,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         used = first["friction"].view(BELIEVED)
         for level in _LEVELS:
             used[level] = 0.0
-    first["gate"] = law.OUTLIER
+    first["noise_scale"] = 1.0
     first["common"][0, 3] = first["used_common"][0, 3] = coulomb.mean()
     first["own"][0, :, 2] = first["used_own"][0, :, 2] = coulomb - coulomb.mean()
     for k in range(OWN):

@@ -47,7 +47,7 @@ def stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
         if params.cautious == 1.0:
             row = np.zeros(OWN + len(common))
             row[OWN + at] = 1.0
-            known -= min(1.0, np.sqrt(spread_along(state.information[0], state.shared, row)) / params.common[at]) ** 2
+            known -= min(1.0, _deviation(state, 0, row) / params.common[at]) ** 2
         state.joints[n] = known * np.exp(-common[1] * params.by_gain) * common[at]
 
 
@@ -105,7 +105,7 @@ def show_first(params: Any, bodies: Any, state: Any) -> None:
 @njit
 def _half_width(state: Any, leg: int, row: Any) -> float:
     """Half the 95 % interval of a motor's numbers times a row, which becomes zero."""
-    wide = HALF_WIDTH * np.sqrt(spread_along(state.information[leg], state.shared, row))
+    wide = HALF_WIDTH * _deviation(state, leg, row)
     row[:] = 0.0
     return wide
 
@@ -116,7 +116,13 @@ def _doubt(params: Any, state: Any, leg: int, which: int) -> float:
     row = np.zeros(OWN + len(state.common))
     row[which] = row[OWN + 1 + which] = 1.0
     first = np.hypot(params.common[1 + which], params.own[which])
-    return min(1.0, np.sqrt(spread_along(state.information[leg], state.shared, row)) / first)
+    return min(1.0, _deviation(state, leg, row) / first)
+
+
+@njit
+def _deviation(state: Any, leg: int, row: Any) -> float:
+    """Standard deviation of a motor's numbers times a row."""
+    return state.noise_scale[0] * np.sqrt(spread_along(state.information[leg], state.shared, row))
 
 
 @njit
