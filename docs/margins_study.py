@@ -153,7 +153,7 @@ def scenarios(corner):
     found[HEAVIER], found[BOTH] = found[MAIN].replace(heavier), found[CORNER].replace(heavier)
     found["LQI, observer, start weights, as in `reachy_nod`"] = load_scenario("reachy_nod")
     # What linear loops leave out is left out of the simulated one too.
-    found[SLOW] = load_scenario("reachy_slow_bus").replace({"adaptation": None, "controller.deadband": 0.0})
+    found[SLOW] = load_scenario("reachy_slow_bus").replace({"adaptation": None, "controller.dead_band": 0.0})
     return found
 
 

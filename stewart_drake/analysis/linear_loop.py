@@ -73,7 +73,7 @@ def linear_loops(
     # Without friction a robot stands where it is wanted; a safety layer would hide that a part fails.
     changes: dict[str, Any] = {"safety": None, "model.friction": None, "adaptation": None}
     if isinstance(scenario.controller, DecoupledPidOptions):
-        changes["controller.deadband"] = 0.0
+        changes["controller.dead_band"] = 0.0
     scenario = scenario.replace(changes)
     sensed = _sensed(scenario.belief.reading_size, scenario.robot, poses)
     plants = plant_at(scenario.plant.loaded(scenario.robot), poses, scenario.gravity, period)

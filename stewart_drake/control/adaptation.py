@@ -273,14 +273,13 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     first = new_record(
         law.state_of(len(common), joint), friction=context.friction.view(np.float64), gain=motors.gains,
         robot=whole.view(np.float64), pose=context.pose, angles=angles, commands=motors.initial_command(context),
-        good=1.0, doubt=1.0,
+        good=1.0, doubt=1.0, noise_scale=1.0,
     )  # fmt: skip
     cautious = options.cautious and not options.frozen
     if cautious:
         used = first["friction"].view(BELIEVED)
         for level in _LEVELS:
             used[level] = 0.0
-    first["noise_scale"] = 1.0
     first["common"][0, 3] = first["used_common"][0, 3] = coulomb.mean()
     first["own"][0, :, 2] = first["used_own"][0, :, 2] = coulomb - coulomb.mean()
     for k in range(OWN):

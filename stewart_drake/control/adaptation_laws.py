@@ -52,8 +52,8 @@ MOST, MOST_DELAY = np.log(3.0), 0.05
 SATURATED = 0.9
 """[-] of the torque limit from which on a motor counts as saturated."""
 OUTLIER, REFUSED = 3.0, 0.1
-"""[-] standard deviations from which on a sample is somebody's push; share of such samples from which on they are none,
-and the noise is what is too small."""
+"""[-] standard deviations from which on a sample is refused as somebody's push; share of refused samples above which
+the noise is taken for too small."""
 
 
 def params_of(common: int) -> np.dtype:
@@ -84,8 +84,8 @@ def state_of(common: int, joint: int) -> np.dtype:
     the factor of each motor, own columns, common ones, right-hand side; shared: those below. own, common: estimate;
     used: what it has gone over into. Blocks, newest last: pose, angles, commands, whether they are good; and of half a
     kernel before, what is sharp at a reversal: signs of the rates, torques of ball joints. Sums of the block under way,
-    its ticks, whether it is bad; blocks so far. noise_scale: noise over that of the options,
-    which is the unit of the information.
+    its ticks, whether it is bad; blocks so far. noise_scale: by which gate and intervals are wider than the noise of
+    the options makes them, which is the unit of the information.
     """
     return fields(
         friction=25, robot=ROBOT_SIZE, joints=JOINTS.itemsize // 8, learnt=SHOWN, learnt_half_width=SHOWN,
@@ -93,7 +93,7 @@ def state_of(common: int, joint: int) -> np.dtype:
         information=(6, OWN, OWN + common + 1), shared=(common, common + 1), own=(6, OWN), common=common,
         used_own=(6, OWN), used_common=common,
         pose=(ROWS, 6), angles=(ROWS, 6), commands=(ROWS, 6), good=ROWS, sharp=(SIGNS, 1 + joint, 6),
-        sum_angles=6, sum_command=6, ticks=(), bad=(), blocks=(), noise_scale=(1,),
+        sum_angles=6, sum_command=6, ticks=(), bad=(), blocks=(), noise_scale=(),
     )  # fmt: skip
 
 
@@ -305,13 +305,13 @@ def _take(params: Any, state: Any, rows: Any) -> None:
     taken, seen = np.zeros(6), 0.0
     for i in range(6):
         if rows[i, 2] != 0.0:
-            expected = state.noise_scale[0] * np.sqrt(1.0 + spread_along(state.information[i], state.shared, rows[i]))
+            expected = state.noise_scale * np.sqrt(1.0 + spread_along(state.information[i], state.shared, rows[i]))
             taken[i] = 1.0 if abs(rows[i, OWN + len(state.common)]) <= OUTLIER * expected else 0.0
             seen += 1.0
     if seen > 0.0:
         # Stochastic approximation of a quantile. Else an estimate that is wrong and sure of itself stays.
         more = (1.0 - taken.sum() / seen - REFUSED) / (1.0 - REFUSED)
-        state.noise_scale[0] = max(1.0, state.noise_scale[0] * np.exp(params.adapt * more))
+        state.noise_scale = max(1.0, state.noise_scale * np.exp(params.adapt * more))
     for i in range(6):
         if taken[i] == 1.0:
             rows[i] /= np.sqrt(params.alike)

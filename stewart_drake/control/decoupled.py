@@ -65,7 +65,7 @@ class DecoupledPidOptions(ControllerOptions):
     """[rad/s] of the integral action."""
     sticking: NotNegative = 4.0
     """[N m/rad] torque for the way that the reference goes on while a crank sticks; 0 for none."""
-    deadband: NotNegative = 2.5
+    dead_band: NotNegative = 2.5
     """[counts] of the encoders. A crank that is to rest and is less far off is right; its integral stays."""
     saturation: Literal["clamp"] = "clamp"
     """Commands are limited, and the integral of a motor at its limit stops growing."""
@@ -82,7 +82,7 @@ class DecoupledPidOptions(ControllerOptions):
 
 
 _PARAMS = fields(
-    period=(), gravity=(), natural_frequency=(), damping=(), integral_frequency=(), sticking=(), deadband=(), count=(),
+    period=(), gravity=(), natural_frequency=(), damping=(), integral_frequency=(), sticking=(), dead_band=(), count=(),
     fade=(), gain=(6, 6), limit=6, clamp=(), back_share=(),
 )  # fmt: skip
 """count: [rad] of an encoder. fade: share of a torque against sticking that a tick leaves. The last four: see
@@ -125,7 +125,7 @@ def decoupled_tick(
         state.error[i] = error
         push[i, 0] = omega * (omega * (error + params.integral_frequency * state.integral[i]))
         push[i, 0] += 2.0 * params.damping * omega * change
-        rests = abs(rates[i]) < SLOW and abs(error) < params.deadband * params.count
+        rests = abs(rates[i]) < SLOW and abs(error) < params.dead_band * params.count
         counted[i] = 0.0 if rests else error
         angle = np.arctan2(legs.sine[i], legs.cosine[i])
         _stick(params, doubt[i], i, angle, angle + error, rates[i], state)

@@ -47,7 +47,7 @@ def stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
         if params.cautious == 1.0:
             row = np.zeros(OWN + len(common))
             row[OWN + at] = 1.0
-            known -= min(1.0, _deviation(state, 0, row) / params.common[at]) ** 2
+            known -= (_deviation(params, state, 0, row) / params.common[at]) ** 2
         state.joints[n] = known * np.exp(-common[1] * params.by_gain) * common[at]
 
 
@@ -58,11 +58,11 @@ def show(params: Any, bodies: Any, state: Any) -> None:
     head, links = _masses_of(params, common)
     state.learnt[0] = bodies[MASS, 2] * head
     row[OWN], row[OWN + 1] = state.learnt[0], state.learnt[0] * (1.0 - params.by_gain)
-    state.learnt_half_width[0] = _half_width(state, 0, row)
+    state.learnt_half_width[0] = _half_width(params, state, 0, row)
     state.learnt[1] = common[4]
     if params.by_angle == 1.0:
         row[OWN + 4] = 1.0
-        state.learnt_half_width[1] = _half_width(state, 0, row)
+        state.learnt_half_width[1] = _half_width(params, state, 0, row)
     for i in range(6):
         drive = np.exp(-(common[1] + own[i, 0]))
         size, values = drive if params.by_gain == 1.0 else 1.0, np.ones(OWN)
@@ -77,7 +77,7 @@ def show(params: Any, bodies: Any, state: Any) -> None:
             elif params.by_gain == 1.0:
                 # It is a torque as believed, times the drive.
                 row[0] = row[OWN + 1] = -size * values[k]
-            state.learnt_half_width[2 + 6 * k + i] = _half_width(state, i, row)
+            state.learnt_half_width[2 + 6 * k + i] = _half_width(params, state, i, row)
         state.doubt[i] = _doubt(params, state, i, 2)
         of_coulomb, of_damping = state.learnt[14 + i] - state.friction[i], state.learnt[8 + i] - state.friction[18 + i]
         state.friction_unknown[i] = state.learnt_half_width[14 + i] + abs(of_coulomb)
@@ -87,13 +87,13 @@ def show(params: Any, bodies: Any, state: Any) -> None:
         at, size = len(common) - joint_count + n, np.exp(-common[1] * params.by_gain)
         state.learnt_joints[n] = size * common[at]
         row[OWN + at], row[OWN + 1] = size, -size * common[at] * params.by_gain
-        state.learnt_joints[JOINT + n] = _half_width(state, 0, row)
+        state.learnt_joints[JOINT + n] = _half_width(params, state, 0, row)
     for n in range(len(common) - COMMON - joint_count):
         moment = head * bodies[MOMENT + n, 2] + links * common[COMMON + n]
         state.learnt_center_of_mass[n] = moment / state.learnt[0]
         # Moment over mass: of what is beyond the believed centre, the mass is in it too.
         row[OWN + COMMON + n], row[OWN] = links / state.learnt[0], -links * common[COMMON + n] / state.learnt[0]
-        state.learnt_center_of_mass[PLACE + n] = _half_width(state, 0, row)
+        state.learnt_center_of_mass[PLACE + n] = _half_width(params, state, 0, row)
 
 
 @njit
@@ -103,9 +103,9 @@ def show_first(params: Any, bodies: Any, state: Any) -> None:
 
 
 @njit
-def _half_width(state: Any, leg: int, row: Any) -> float:
+def _half_width(params: Any, state: Any, leg: int, row: Any) -> float:
     """Half the 95 % interval of a motor's numbers times a row, which becomes zero."""
-    wide = HALF_WIDTH * _deviation(state, leg, row)
+    wide = HALF_WIDTH * _deviation(params, state, leg, row)
     row[:] = 0.0
     return wide
 
@@ -115,14 +115,17 @@ def _doubt(params: Any, state: Any, leg: int, which: int) -> float:
     """Standard deviation of a number of a motor, over that at first."""
     row = np.zeros(OWN + len(state.common))
     row[which] = row[OWN + 1 + which] = 1.0
-    first = np.hypot(params.common[1 + which], params.own[which])
-    return min(1.0, _deviation(state, leg, row) / first)
+    return _deviation(params, state, leg, row) / np.hypot(params.common[1 + which], params.own[which])
 
 
 @njit
-def _deviation(state: Any, leg: int, row: Any) -> float:
-    """Standard deviation of a motor's numbers times a row."""
-    return state.noise_scale[0] * np.sqrt(spread_along(state.information[leg], state.shared, row))
+def _deviation(params: Any, state: Any, leg: int, row: Any) -> float:
+    """Standard deviation of a motor's numbers times a row, at most that of the beginning."""
+    first = 0.0
+    for k in range(len(row)):
+        first += (row[k] * (params.own[k] if k < OWN else params.common[k - OWN])) ** 2
+    variance = state.noise_scale**2 * spread_along(state.information[leg], state.shared, row)
+    return np.sqrt(min(variance, first))
 
 
 @njit

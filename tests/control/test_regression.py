@@ -133,7 +133,7 @@ def test_kernels_are_exact_for_parabolas_and_agree_on_a_late_signal():
 
 
 @pytest.mark.parametrize("takes", ["torque", "current", "angle"])
-def test_intervals_are_those_of_a_dense_covariance(takes):
+def test_intervals_are_those_of_a_dense_covariance_and_at_most_as_wide_as_at_first(takes):
     options = {"kind": "regression", "ball_joints": True}
     scenario = servos() if takes == "angle" else load_scenario("reachy_nod").replace({"motors": takes})
     part = regression_part(RegressionOptions.from_dict(options, "adaptation"), context_of(scenario))
@@ -153,8 +153,9 @@ def test_intervals_are_those_of_a_dense_covariance(takes):
     dense[6 * OWN :, 6 * OWN :] = state["shared"][0, :, :-1]
     covariance = np.linalg.inv(dense.T @ dense)
 
-    def shown(change):
+    def shown(change, noise_scale=1.0):
         at = state.copy()
+        at["noise_scale"] = noise_scale
         at["own"][0] += change[: 6 * OWN].reshape(6, OWN)
         at["common"][0] += change[6 * OWN :]
         show_first(params, bodies, at)
@@ -163,11 +164,15 @@ def test_intervals_are_those_of_a_dense_covariance(takes):
         return np.concatenate(values), np.concatenate(widths)
 
     steps = 1e-6 * np.concatenate([np.tile(own, 6), common])
-    slopes = [(shown(step)[0] - shown(-step)[0]) / (2.0 * step.sum()) for step in np.diag(steps)]
-    variance = np.einsum("ik,ij,jk->k", slopes, covariance, slopes)
+    slopes = np.array([(shown(step)[0] - shown(-step)[0]) / (2.0 * step.sum()) for step in np.diag(steps)])
+    first = np.diag(np.concatenate([np.tile(own, 6), common]) ** 2)
     if takes != "angle":
-        variance[1] = 0.0  # Its commands do not show a delay.
-    np.testing.assert_allclose(shown(np.zeros(len(steps)))[1], 1.96 * np.sqrt(variance), rtol=1e-5)
+        slopes[:, 1] = 0.0  # Its commands do not show a delay.
+    now, most = (np.einsum("ik,ij,jk->k", slopes, each, slopes) for each in (covariance, first))
+    for noise_scale in (1.0, 5.0):
+        width = shown(np.zeros(len(steps)), noise_scale)[1]
+        np.testing.assert_allclose(width, 1.96 * np.sqrt(np.minimum(noise_scale**2 * now, most)), rtol=1e-5)
+    assert 0 < (25.0 * now > most).sum() < len(now)
 
 
 @pytest.mark.parametrize("periods", [1.0, 2.9, 3.1, 3.3, 3.4, 8.0])

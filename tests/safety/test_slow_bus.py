@@ -54,6 +54,7 @@ def test_a_stop_of_the_loop_for_slow_buses_does_too(coulomb, viscous, fails):
     scenario = load_scenario("reachy_slow_bus").replace(changes)
     log = run(scenario, check=False)
     assert log.status == "stopped"
+    assert log.safety["stopped"]["time"] > 2.1
     moved, let_go = moved_by_stopping_and_letting_go(scenario, log)
     assert moved < max(1.0, let_go)
 
