@@ -60,8 +60,8 @@ period are its own, with a tick of delay. `stewart-drake margins` does the same 
 What a policy and learning may do to the loop is seen in their extremes, frozen: the middle of the shipped policy's box
 and that corner of it which has the least margin at {few} poses ({corner}), with its default weights; a head that is
 believed {lighter:.2f} or {heavier:.2f} times as heavy as it is, which is how far learning may be off before it has seen
-anything (95 %); and both at once. What it learns of friction is fed forward along the reference and is no part of this
-loop. The law's own bound is three times. `exact_breathing` has a disk margin of 0.11 at 100 poses with a head that is
+anything (95 %); and both at once, at that same corner. What it learns of friction is fed forward along the reference
+and is no part of this loop. The law's own bound is three times. `exact_breathing` has a disk margin of 0.11 at 100 poses with a head that is
 believed twice as heavy as it is (`stewart-drake margins exact_breathing --set model.robot.platform_mass=2`); at three
 times no pose is stable.
 
@@ -81,7 +81,7 @@ loop's own, in ticks of its period. Each number is the worst of all poses; a sec
 
 The bounds of mu are apart by at most {gap:.1g} %; {left_out}
 
-The loop for slow buses has {slow_most:.2f} or more at 95 % of the poses. At the worst of them the head leans by
+The loop for slow buses has {slow_most:.2f} or more at 95 % of the poses. At the worst of all poses the head leans by
 {lean:.0f} deg, and may fall if motors give {slow_low:.2f} of the torque that they are asked for, or less.
 
 ## Until it diverges

@@ -308,7 +308,7 @@ def linearize(scenario: Scenario | str | Path, pose: ArrayLike | None = None) ->
 
     Args:
         scenario: A scenario, its file or its name. Its robot, estimator and controller count, with the weights of the
-            start; friction, learning and dead bands are left out.
+            start; friction, learning and the dead band of `decoupled_pid` are left out.
         pose: (6,) [rad, m]; None takes that of the start.
 
     Raises:

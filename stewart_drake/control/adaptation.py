@@ -58,8 +58,8 @@ class RegressionOptions(AdaptationOptions):
     """Regression of commands on the motion that was read: head, stiffness or torque constants, damping, dry friction.
 
     It begins with what `model` believes. What a robot that rests, sticks, is hit or is at its limits says does not
-    count, and a push sideways that lasts is told apart, but for servos. For motors that take torques, head, rods and
-    cranks are those in units of the torque that is commanded.
+    count, and a push sideways that lasts is told apart, but for servos. Any other push counts once it lasts for
+    seconds. For motors that take torques, head, rods and cranks are those in units of the torque that is commanded.
     """
 
     kind: Literal["regression"] = "regression"
@@ -75,7 +75,7 @@ class RegressionOptions(AdaptationOptions):
     slowest: Positive = 0.03
     """[rad/s] of a crank below which its samples are left out."""
     noise: Positive = 0.003
-    """[-] standard deviation of a sample, of the motors' torque limit."""
+    """[-] standard deviation of a sample, of the motors' torque limit; the least that is assumed."""
     cautious: Flag = False
     """Whether friction is compensated only as far as it is known by now: too much of it would lose a slow loop."""
     center_of_mass: Flag = True
