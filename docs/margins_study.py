@@ -61,9 +61,9 @@ What a policy and learning may do to the loop is seen in their extremes, frozen:
 and that corner of it which has the least margin at {few} poses ({corner}), with its default weights; a head that is
 believed {lighter:.2f} or {heavier:.2f} times as heavy as it is, which is how far learning may be off before it has seen
 anything (95 %); and both at once, at that same corner. What it learns of friction is fed forward along the reference
-and is no part of this loop. The law's own bound is three times. `exact_breathing` has a disk margin of 0.11 at 100 poses with a head that is
-believed twice as heavy as it is (`stewart-drake margins exact_breathing --set model.robot.platform_mass=2`); at three
-times no pose is stable.
+and is no part of this loop. The law's own bound is three times. `exact_breathing` has a disk margin of 0.11 at 100
+poses with a head that is believed twice as heavy as it is (`stewart-drake margins exact_breathing --set
+model.robot.platform_mass=2`); at three times no pose is stable.
 
 Drake's plant at its usual step of 1 ms responds about half a step sooner than this linear loop. At 0.1 ms the agreement
 is at least five times better (`tests/analysis/test_linear_loop.py`). A fast loop that is unstable here, such as the
