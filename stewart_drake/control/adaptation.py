@@ -39,8 +39,6 @@ ALIKE = 0.6
 """[s] for which samples err alike, by what the model does not have: together they count as one."""
 FINEST = 0.008
 """[s] smallest standard deviation of the kernel: finer, noise of the readings makes much of the acceleration."""
-REACH = 2.0
-"""[-] standard deviations of a servo's kernel, before and after a sample, at which its crank must move too."""
 BLEND, BLEND_TORQUE = 0.5, 0.1
 """[s] in which numbers go over into new ones, and where a motor's torque depends on them at once."""
 WIDTH = 2.2
@@ -247,7 +245,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         late=late_weights(width, late) / per, gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
         damping=friction["viscous"] + servo_damping, coulomb=coulomb, servo_damping=servo_damping,
         noise=options.noise, alike=max(1.0, ALIKE / block), slowest=options.slowest,
-        reach=np.rint(REACH * width) if by_angle else 0.0, width=believed.width, seldom=seldom,
+        width=believed.width, seldom=seldom,
         keep=np.exp(-seldom * block / options.forgetting),
         keep_push=np.exp(-seldom * block / min(PUSH_KEPT, options.forgetting)),
         adapt=block / ADAPTS, blend=min(1.0, block / (BLEND if by_angle else BLEND_TORQUE)),

@@ -62,14 +62,13 @@ def params_of(common: int) -> np.dtype:
     stride: ticks of a block. kernel: weights of smoothed value, rate and acceleration. late: those of commands, and of
     their first two derivatives. gain: torque for a command as believed. by_gain: whether a motor's gain is what its
     drive changes, else all bodies are. by_angle: whether commands are angles. damping, coulomb: believed at first, the
-    servo's damping included. alike: samples that count as one. reach: blocks before and after a sample, at which its
-    crank must move too. first: blocks that a sample needs. seldom: blocks from one forgetting to the next, and of what
+    servo's damping included. alike: samples that count as one. first: blocks that a sample needs. seldom: blocks from one forgetting to the next, and of what
     is shown. keep, keep_push: shares of what was known that it leaves. adapt: a block over the time in which the
     noise grows. own, common: standard deviations at first. most_moment: of the head, beyond what is believed [kg m].
     """
     return fields(
         gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(),
-        damping=6, coulomb=6, servo_damping=(), noise=(), alike=(), slowest=(), reach=(), width=(), seldom=(), keep=(),
+        damping=6, coulomb=6, servo_damping=(), noise=(), alike=(), slowest=(), width=(), seldom=(), keep=(),
         keep_push=(), adapt=(), blend=(), first=(), own=OWN, common=common, most_moment=(), cautious=(), frozen=(),
     )  # fmt: skip
 
@@ -215,7 +214,8 @@ def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any
         if state.good[row] == 0.0:
             return False
     both, acceleration, angles, rates = np.zeros(12), np.zeros(6), np.zeros(6), np.zeros(6)
-    given, faster, sharp = np.zeros(6), np.zeros(6), np.zeros((state.sharp.shape[1], 6))
+    given, faster, sharp, rests = np.zeros(6), np.zeros(6), np.zeros((state.sharp.shape[1], 6)), np.zeros(6)
+    least = np.tanh(params.slowest / params.width)
     delay, joint_count = state.common[4], state.sharp.shape[1] - 1
     places = len(state.common) - COMMON - joint_count
     _smoothed(params, state, MIDDLE - HALF, both, acceleration)
@@ -226,6 +226,7 @@ def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any
             rates[i] += params.kernel[1, k] * state.angles[at, i]
             for n in range(1 + joint_count):
                 sharp[n, i] += params.kernel[0, k] * state.sharp[k, n, i]
+            rests[i] += params.kernel[0, k] if abs(state.sharp[k, 0, i]) < least else 0.0
     for row in range(ROWS):
         # Those of the delay that is known by now.
         rate = params.late[1, row] - delay * params.late[2, row]
@@ -264,38 +265,36 @@ def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any
         else:
             ball_joint_torques(robot, joints, both, acceleration, legs, joint)
         other += joint
-    reach, least = int(params.reach), np.tanh(params.slowest / params.width)
     for i in range(6):
         if not abs(rates[i]) > params.slowest:
-            continue
-        # Smoothed over the beginning or the end of a motion, dry friction is not what the smoothed motion says.
-        before, after = abs(state.sharp[HALF - reach, 0, i]), abs(state.sharp[HALF + reach, 0, i])
-        if reach > 0 and min(before, after) < least:
             continue
         moving = True
         torque = params.gain[i] * (given[i] - (angles[i] if params.by_angle == 1.0 else 0.0))
         if abs(torque) > SATURATED * params.limit[i]:
             continue
-        own, common, unit = state.own[i], state.common, params.noise * params.limit[i]
+        own, common = state.own[i], state.common
         drive = np.exp(common[1] + own[0])
         of_weight = drive * np.exp(common[0]) * of_head[i, 0]
         load = of_weight + drive * other[i]
         for n in range(places):
-            rows[i, OWN + COMMON + n] = drive * of_head[i, 1 + n] / unit
+            rows[i, OWN + COMMON + n] = drive * of_head[i, 1 + n]
             load += drive * common[COMMON + n] * of_head[i, 1 + n]
         damping, coulomb = params.damping[i] + common[2] + own[1], common[3] + own[2]
-        rows[i, 0] = load / unit if params.by_gain == 1.0 else 0.0
-        rows[i, 1], rows[i, 2] = rates[i] / unit, sharp[0, i] / unit
-        rows[i, 3], rows[i, 4], rows[i, 5], rows[i, 6] = of_weight / unit, load / unit, rows[i, 1], rows[i, 2]
-        rows[i, 7] = params.gain[i] * faster[i] / unit if params.by_angle == 1.0 else 0.0
+        rows[i, 0] = load if params.by_gain == 1.0 else 0.0
+        rows[i, 1], rows[i, 2] = rates[i], sharp[0, i]
+        rows[i, 3], rows[i, 4], rows[i, 5], rows[i, 6] = of_weight, load, rates[i], sharp[0, i]
+        rows[i, 7] = params.gain[i] * faster[i] if params.by_angle == 1.0 else 0.0
         left = torque - load - damping * rates[i] - coulomb * sharp[0, i]
         for k in range(COMMON - PUSH):
-            rows[i, OWN + PUSH + k] = of_head[i, first_push + k] / unit
+            rows[i, OWN + PUSH + k] = of_head[i, first_push + k]
             left -= of_head[i, first_push + k] * common[PUSH + k]
         for n in range(joint_count):
-            rows[i, OWN + COMMON + places + n] = sharp[1 + n, i] / unit
+            rows[i, OWN + COMMON + places + n] = sharp[1 + n, i]
             left -= common[COMMON + places + n] * sharp[1 + n, i]
-        rows[i, OWN + len(common)] = left / unit
+        rows[i, OWN + len(common)] = left
+        # While a crank rests, its dry friction may be anything up to its level.
+        level = np.sqrt(coulomb**2 + state.doubt[i] ** 2 * (params.common[3] ** 2 + params.own[2] ** 2))
+        rows[i] /= np.hypot(params.noise * params.limit[i], rests[i] * level)
     return moving
 
 
