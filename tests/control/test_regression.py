@@ -280,6 +280,15 @@ def test_a_push_is_not_taken_for_the_robot():
     )
 
 
+@pytest.mark.parametrize(("coulomb", "viscous"), [(0.08, 0.12), (0.1, 0.05)])
+def test_cranks_that_stick_harder_than_they_slide_are_learnt_as_they_slide(coulomb, viscous):
+    friction = {"coulomb": coulomb, "viscous": viscous, "break_away": 1.5 * coulomb}
+    nod = {"kind": "sine", "amplitude": [0.0, 0.26, 0.0, 0.0, 0.0, 0.0], "angular_frequency": "1 Hz"}
+    changes = {"plant": {"kind": "closed_form", "friction": friction}, "reference": nod, "duration": 4.0}
+    log = run(load_scenario("reachy_slow_bus").replace({**changes, "bounds": SERVOS["bounds"]}), check=False)
+    np.testing.assert_allclose(Learnt.of(log["learnt"][-1]).coulomb, coulomb, rtol=0.025)
+
+
 def test_a_load_that_is_put_on_later_is_weighed_though_the_estimate_was_sure_of_itself():
     load = {"kind": "step", "wrench": [0.0, 0.0, 0.0, 0.0, 0.0, -3.0], "time": 4.0, "until": 60.0}
     scenario = load_scenario("exact_breathing").replace({**RUBS, "duration": 12.0, "disturbances": [load]})
