@@ -62,9 +62,10 @@ def params_of(common: int) -> np.dtype:
     stride: ticks of a block. kernel: weights of smoothed value, rate and acceleration. late: those of commands, and of
     their first two derivatives. gain: torque for a command as believed. by_gain: whether a motor's gain is what its
     drive changes, else all bodies are. by_angle: whether commands are angles. damping, coulomb: believed at first, the
-    servo's damping included. alike: samples that count as one. first: blocks that a sample needs. seldom: blocks from one forgetting to the next, and of what
-    is shown. keep, keep_push: shares of what was known that it leaves. adapt: a block over the time in which the
-    noise grows. own, common: standard deviations at first. most_moment: of the head, beyond what is believed [kg m].
+    servo's damping included. alike: samples that count as one. first: blocks that a sample needs. seldom: blocks from
+    one forgetting to the next, and of what is shown. keep, keep_push: shares of what was known that it leaves. adapt: a
+    block over the time in which the noise grows. own, common: standard deviations at first. most_moment: of the head,
+    beyond what is believed [kg m].
     """
     return fields(
         gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(),
