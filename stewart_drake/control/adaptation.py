@@ -71,7 +71,7 @@ class RegressionOptions(AdaptationOptions):
     """[-] how far stiffness or torque constants may be off, as a standard deviation; null for 0.35, and for motors that
     take torques 0.03."""
     slowest: Positive = 0.03
-    """[rad/s] of a crank below which its samples are left out."""
+    """[rad/s] of a crank below which it counts as resting, and its samples are left out."""
     noise: Positive = 0.003
     """[-] standard deviation of a sample, of the motors' torque limit; the least that is assumed."""
     cautious: Flag = False
