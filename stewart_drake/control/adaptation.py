@@ -44,7 +44,7 @@ BLEND, BLEND_TORQUE = 0.5, 0.1
 WIDTH = 2.2
 """[blocks] of the kernel's standard deviation, as near as whole ticks allow; the fewer, the later a sample."""
 ADAPTS = 2.0
-"""[s] of motion in which the noise grows by a factor of e, if all samples are refused."""
+"""[s] of motion in which the limit for refused samples widens by a factor of e, if all are refused."""
 SELDOM = 0.016
 """[s] from one forgetting to the next, and of what is shown: both together cost more than a sample."""
 _LEVELS = ("coulomb", "break_away", "viscous")
@@ -55,9 +55,10 @@ _HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inerti
 class RegressionOptions(AdaptationOptions):
     """Regression of commands on the motion that was read: head, stiffness or torque constants, damping, dry friction.
 
-    It begins with what `model` believes. What a robot that rests, sticks, is hit or is at its limits says does not
-    count, and a push sideways that lasts is told apart, but for servos. Any other push counts once it lasts for
-    seconds. For motors that take torques, head, rods and cranks are those in units of the torque that is commanded.
+    It begins with what `model` believes. What a robot that rests, is hit or is at its limits says does not count, what
+    a crank that sticks for a moment says counts less, and a push sideways that lasts is told apart, but for servos. Any
+    other push counts once it lasts for seconds. For motors that take torques, head, rods and cranks are those in units
+    of the torque that is commanded.
     """
 
     kind: Literal["regression"] = "regression"

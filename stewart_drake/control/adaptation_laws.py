@@ -44,7 +44,7 @@ from stewart_drake.mechanics.linear_algebra import all_finite, solve
 HALF = 6  # [blocks] to each side of the kernel's middle, at least two of its standard deviations.
 LATE = 16  # [blocks] that a command and a reading may be late together.
 ROWS = 3 * HALF + LATE + 1  # [blocks] that are remembered.
-NEWEST, MIDDLE, SIGNS = ROWS - 1, ROWS - 1 - 2 * HALF, 2 * HALF + 1
+NEWEST, MIDDLE, SHARP = ROWS - 1, ROWS - 1 - 2 * HALF, 2 * HALF + 1
 SHOWN = 20
 """Numbers that are shown, see `Learnt`."""
 MOST, MOST_DELAY = np.log(3.0), 0.05
@@ -53,7 +53,7 @@ SATURATED = 0.9
 """[-] of the torque limit from which on a motor counts as saturated."""
 OUTLIER, REFUSED = 3.0, 0.1
 """[-] standard deviations from which on a sample is refused as somebody's push; share of refused samples above which
-the noise is taken for too small."""
+that limit widens."""
 
 
 def params_of(common: int) -> np.dtype:
@@ -64,8 +64,8 @@ def params_of(common: int) -> np.dtype:
     drive changes, else all bodies are. by_angle: whether commands are angles. damping, coulomb: believed at first, the
     servo's damping included. alike: samples that count as one. first: blocks that a sample needs. seldom: blocks from
     one forgetting to the next, and of what is shown. keep, keep_push: shares of what was known that it leaves. adapt: a
-    block over the time in which the noise grows. own, common: standard deviations at first. most_moment: of the head,
-    beyond what is believed [kg m].
+    block over the time in which the limit for refused samples widens. own, common: standard deviations at first.
+    most_moment: of the head, beyond what is believed [kg m].
     """
     return fields(
         gravity=(), stride=(), kernel=(3, 2 * HALF + 1), late=(3, ROWS), gain=6, limit=6, by_gain=(), by_angle=(),
@@ -83,16 +83,16 @@ def state_of(common: int, joint: int) -> np.dtype:
     friction_unknown: how far Coulomb and viscous friction of the motors may be from `friction`. information: rows of
     the factor of each motor, own columns, common ones, right-hand side; shared: those below. own, common: estimate;
     used: what it has gone over into. Blocks, newest last: pose, angles, commands, whether they are good; and of half a
-    kernel before, what is sharp at a reversal: signs of the rates, torques of ball joints. Sums of the block under way,
-    its ticks, whether it is bad; blocks so far. noise_scale: by which gate and intervals are wider than the noise of
-    the options makes them, which is the unit of the information.
+    kernel before, rates of the cranks, and torques of ball joints, which are sharp at a reversal. Sums of the block
+    under way, its ticks, whether it is bad; blocks so far. noise_scale: factor of the limit for refused samples, and of
+    the intervals up to what the first uncertainty gives.
     """
     return fields(
         friction=25, robot=ROBOT_SIZE, joints=JOINTS.itemsize // 8, learnt=SHOWN, learnt_half_width=SHOWN,
         learnt_center_of_mass=2 * PLACE, learnt_joints=2 * JOINT, friction_unknown=12, doubt=6, gain=6, lead=(1,),
         information=(6, OWN, OWN + common + 1), shared=(common, common + 1), own=(6, OWN), common=common,
         used_own=(6, OWN), used_common=common,
-        pose=(ROWS, 6), angles=(ROWS, 6), commands=(ROWS, 6), good=ROWS, sharp=(SIGNS, 1 + joint, 6),
+        pose=(ROWS, 6), angles=(ROWS, 6), commands=(ROWS, 6), good=ROWS, sharp=(SHARP, 1 + joint, 6),
         sum_angles=6, sum_command=6, ticks=(), bad=(), blocks=(), noise_scale=(),
     )  # fmt: skip
 
@@ -176,7 +176,7 @@ def _close_block(robot: Any, joints: Any, params: Any, legs: Any, state: Any) ->
             state.commands[NEWEST, i] = state.sum_command[i] / params.stride
     state.good[NEWEST] = 1.0 if good else 0.0
     sharp = len(state.sharp[0])
-    for row in range(SIGNS - 1):
+    for row in range(SHARP - 1):
         for n in range(sharp):
             for i in range(6):
                 state.sharp[row, n, i] = state.sharp[row + 1, n, i]
@@ -184,7 +184,7 @@ def _close_block(robot: Any, joints: Any, params: Any, legs: Any, state: Any) ->
         rate = 0.0
         for k in range(2 * HALF + 1):
             rate += params.kernel[1, k] * state.angles[NEWEST - 2 * HALF + k, i]
-        state.sharp[SIGNS - 1, 0, i] = np.tanh(rate / params.width)
+        state.sharp[SHARP - 1, 0, i] = rate
         state.sum_angles[i] = state.sum_command[i] = 0.0
     if sharp > 1:
         both, acceleration, parts = np.zeros(12), np.zeros(6), np.zeros((3, 6))
@@ -193,7 +193,7 @@ def _close_block(robot: Any, joints: Any, params: Any, legs: Any, state: Any) ->
             ball_joint_parts(robot, joints, both, acceleration, legs, parts)
         for n in range(1, sharp):
             for i in range(6):
-                state.sharp[SIGNS - 1, n, i] = parts[n - 1, i]
+                state.sharp[SHARP - 1, n, i] = parts[n - 1, i]
     state.ticks = state.bad = 0.0
     state.blocks += 1.0
 
@@ -216,7 +216,6 @@ def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any
             return False
     both, acceleration, angles, rates = np.zeros(12), np.zeros(6), np.zeros(6), np.zeros(6)
     given, faster, sharp, rests = np.zeros(6), np.zeros(6), np.zeros((state.sharp.shape[1], 6)), np.zeros(6)
-    least = np.tanh(params.slowest / params.width)
     delay, joint_count = state.common[4], state.sharp.shape[1] - 1
     places = len(state.common) - COMMON - joint_count
     _smoothed(params, state, MIDDLE - HALF, both, acceleration)
@@ -225,9 +224,11 @@ def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any
         for i in range(6):
             angles[i] += params.kernel[0, k] * state.angles[at, i]
             rates[i] += params.kernel[1, k] * state.angles[at, i]
-            for n in range(1 + joint_count):
+            rate = state.sharp[k, 0, i]
+            rests[i] += params.kernel[0, k] if abs(rate) < params.slowest else 0.0
+            sharp[0, i] += params.kernel[0, k] * np.tanh(rate / params.width)
+            for n in range(1, 1 + joint_count):
                 sharp[n, i] += params.kernel[0, k] * state.sharp[k, n, i]
-            rests[i] += params.kernel[0, k] if abs(state.sharp[k, 0, i]) < least else 0.0
     for row in range(ROWS):
         # Those of the delay that is known by now.
         rate = params.late[1, row] - delay * params.late[2, row]

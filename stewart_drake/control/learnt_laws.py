@@ -120,7 +120,7 @@ def _doubt(params: Any, state: Any, leg: int, which: int) -> float:
 
 @njit
 def _deviation(params: Any, state: Any, leg: int, row: Any) -> float:
-    """Standard deviation of a motor's numbers times a row, at most that of the beginning."""
+    """Standard deviation of a motor's numbers times a row, at most what the uncertainty of the beginning gives."""
     first = 0.0
     for k in range(len(row)):
         first += (row[k] * (params.own[k] if k < OWN else params.common[k - OWN])) ** 2

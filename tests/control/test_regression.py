@@ -27,6 +27,7 @@ from stewart_drake.control.ball_joints import JOINTS as JOINTS_RECORD
 from stewart_drake.control.ball_joints import BallJoints
 from stewart_drake.control.learnt_laws import show_first
 from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.mechanics.kinematics_laws import LEGS
 from stewart_drake.scenario.assembly import context_of
 
 SIZE = 6 * OWN + COMMON
@@ -133,7 +134,7 @@ def test_kernels_are_exact_for_parabolas_and_agree_on_a_late_signal():
 
 
 @pytest.mark.parametrize("takes", ["torque", "current", "angle"])
-def test_intervals_are_those_of_a_dense_covariance_and_at_most_as_wide_as_at_first(takes):
+def test_intervals_are_those_of_a_dense_covariance_and_at_most_what_the_first_one_gives(takes):
     options = {"kind": "regression", "ball_joints": True}
     scenario = servos() if takes == "angle" else load_scenario("reachy_nod").replace({"motors": takes})
     part = regression_part(RegressionOptions.from_dict(options, "adaptation"), context_of(scenario))
@@ -173,6 +174,29 @@ def test_intervals_are_those_of_a_dense_covariance_and_at_most_as_wide_as_at_fir
         width = shown(np.zeros(len(steps)), noise_scale)[1]
         np.testing.assert_allclose(width, 1.96 * np.sqrt(np.minimum(noise_scale**2 * now, most)), rtol=1e-5)
     assert 0 < (25.0 * now > most).sum() < len(now)
+
+
+@pytest.mark.parametrize("takes", ["torque", "current", "angle"])
+def test_a_sample_in_which_a_crank_rests_weighs_less_by_what_its_dry_friction_may_be(takes):
+    scenario = servos() if takes == "angle" else load_scenario("reachy_nod").replace({"motors": takes})
+    # So much that the hyperbolic tangent of that speed over the width is 1.
+    options = RegressionOptions(slowest=0.04)
+    part = regression_part(options, context_of(scenario.replace({"model.friction": {"coulomb": DRY, "width": 0.001}})))
+    (params,), state, rng = part.constants["params"], part.initial.copy(), np.random.default_rng(2)
+    speeds = rng.choice([0.01, 0.039, 0.041, 0.5], (2 * law.HALF + 1, 6)) * rng.choice([-1.0, 1.0], 6)
+    state["sharp"][0, :, 0], state["doubt"] = speeds, rng.uniform(0.1, 1.0, 6)
+    state["own"][0, :, 2], state["common"][0, 3] = rng.uniform(-0.01, 0.01, 6), 0.0
+    state["angles"][0] += 0.01 * np.arange(law.ROWS)[:, None]
+    robot, rest, joints = (part.constants[name][0] for name in ("robot", "rest", "joints"))
+    rows = np.zeros((6, OWN + state["common"].size + 1))
+    assert law._rows(robot, rest, part.constants["heads"], joints, params, np.zeros(1, LEGS)[0], state[0], rows)
+    level = np.hypot(state["own"][0, :, 2], state["doubt"][0] * np.hypot(params["common"][3], params["own"][2]))
+    rests = params["kernel"][0] @ (np.abs(speeds) < options.slowest)
+    weight = 1.0 / np.hypot(options.noise * params["limit"], rests * level)
+    rate = 0.01 * params["kernel"][1] @ np.arange(2 * law.HALF + 1)
+    np.testing.assert_allclose(rows[:, 1], rate * weight, rtol=1e-12)
+    np.testing.assert_allclose(rows[:, 2], params["kernel"][0] @ np.tanh(speeds / 0.001) * weight, rtol=1e-12)
+    assert rests.min() < 0.5 < rests.max()
 
 
 @pytest.mark.parametrize("periods", [1.0, 2.9, 3.1, 3.3, 3.4, 8.0])
