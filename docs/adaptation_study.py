@@ -218,7 +218,8 @@ def slow_bus(seed: int, scheme: str, motion: str, changes: dict[str, Any] | None
         keys |= {"motors": "torque", "model": {**nominal, "motors": {"kind": "torque"}}, **careful}
     if scheme != "shipped":
         keys |= {"controller": {"kind": "decoupled_pid", "period": 0.01}, "estimator": "difference", "tuner": "block"}
-    return load_scenario("reachy_nod").replace(keys | (changes or {}))
+    base = "reachy_slow_bus" if scheme == "careful" else "reachy_nod"
+    return load_scenario(base).replace(keys | (changes or {}))
 
 
 def constants(seed: int) -> tuple[float, float, float, float]:

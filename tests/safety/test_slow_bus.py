@@ -59,11 +59,14 @@ def test_a_stop_of_the_loop_for_slow_buses_does_too(coulomb, viscous, fails):
     assert moved < max(1.0, let_go)
 
 
-@pytest.mark.parametrize("times", [0.0, 1.0, 2.0])
-def test_a_cold_start_is_no_fault(times):
+@pytest.mark.parametrize(("times", "head"), [(0.0, 1.0), (1.0, 1.0), (2.0, 1.0), (0.0, 1.2), (2.5, 0.8), (2.5, 1.2)])
+def test_a_cold_start_is_no_fault(times, head):
     loop = {"controller": {"kind": "decoupled_pid", "period": 0.01}, "estimator": "difference", "tuner": "block"}
     plant = {"kind": "closed_form", "motor_friction": 0.058 * times, "motor_damping": 0.095 * times}
-    log = run(load_scenario("reachy_slow_bus").replace({"plant": plant, "duration": 5.0}), check=False)
+    shipped = load_scenario("reachy_slow_bus")
+    believed, real = shipped.robot, shipped.robot.replace(**shipped.robot.heavier(head))
+    changes = {"plant": plant, "duration": 5.0, "robot": real, "model.robot": believed}
+    log = run(shipped.replace(changes), check=False)
     assert log.status == "completed", log.message
     assert log.error_norms[0][log.time > 4.0].max() < 0.5
     if times == 2.0:
