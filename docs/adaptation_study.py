@@ -384,8 +384,9 @@ The same robot with motors that take currents, one tick late, and a controller f
 decoupled_pid}}`, on the closed form. Coulomb friction 0 to 2 times 0.058 N m, viscous friction 0 to 2 times
 0.095 N m s/rad, torque constant 0.7 to 1.3 times what is believed, and a head of 0.8 to 1.2 times the mass. The first 8
 of {slow_robots} robots have each of these at its least or its most. The row `cautious` has motors that take torque, so
-its torque constant is right, and the safety layer, which the others do not have. None has bounds. Errors after the
-first half of 20 s. Lost: the run ends, or the head is more than 10 deg off after 10 s.
+its torque constant is right, the safety layer, which the others do not have, and a nod that fades in over 2 s, where
+theirs does in 1 s. None has bounds. Errors after the first half of 20 s. Lost: the run ends, or the head is more than
+10 deg off after 10 s.
 
 {slow}
 
