@@ -362,7 +362,7 @@ and in ball joints. What the numbers have in common hardly shows in commands and
 
 - By wall clock commands go out 100 times a second, whenever the daemon's ticks come. Its clock runs {slow:.1f} % slow
   here, and all that turns on time, damping first, is then another number. It runs otherwise each time: in three such
-  tables the nod with learning was 0.71, 1.39 and 1.64 deg.
+  tables, one made after another, the nod with learning was 0.7 to 1.6 deg.
 - The shaped moves are those of `moves export --shaped reachy_daemon`. The player sends the angles of the inverse
   kinematics of their poses, one row a tick, as any player does.
 

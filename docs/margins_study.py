@@ -91,8 +91,8 @@ The loop for slow buses has {slow_most:.2f} or more at 95 % of the poses. At the
 The nonlinear loop on the closed form with steps of 0.1 ms, at {confirmed} of the poses: the worst of the row and the
 first two. It starts {push:,} ticks before a push of 5 ms. All motors give less or more torque than they are asked for,
 by one factor from {least:g} to {most:g}, or all commands come later than the controller believes, by whole ticks, until
-more than a tenth of the error that the push causes is left {left:,} ticks later. With less gain the head sags at first,
-and what is left of that counts too. *Linear*: where the spectral radius of the same loop is 1.
+more than a tenth of the error that the push causes is left {left:,} to {end:,} ticks later. With less gain the head
+sags at first, and what is left of that counts too. *Linear*: where the spectral radius of the same loop is 1.
 
 {diverges}
 
@@ -167,7 +167,8 @@ def head_shares():
 def simulated(scenario, pose):
     """Whether a loop forgets a push at a pose, by the gain of all motors and ticks of delay that nobody believes."""
     period = scenario.controller.period
-    at_most = FORGOTTEN * _pushed(scenario, pose, 1.0, 0).error_norms[1].max()
+    as_believed = _pushed(scenario, pose, 1.0, 0)
+    at_most = FORGOTTEN * as_believed.error_norms[1][as_believed.time >= PUSH * period].max()
 
     def stable(gain, late):
         found = _pushed(scenario, pose, gain, late)
@@ -274,6 +275,7 @@ def main():
         confirmed=CONFIRMED,
         push=PUSH,
         left=END - LAST - PUSH,
+        end=END - PUSH,
         least=GAINS[0],
         most=GAINS[1],
         diverges=until_it_diverges(of_rows, worst),

@@ -176,6 +176,18 @@ def test_intervals_are_those_of_a_dense_covariance_and_at_most_what_the_first_on
     assert 0 < (25.0 * now > most).sum() < len(now)
 
 
+def rows_made(part, state, **changes):
+    """The rows (6, n) of a sample that a state's blocks give."""
+    params, rows = part.constants["params"].copy(), np.zeros((6, OWN + state["common"].size + 1))
+    for name, value in changes.items():
+        params[name] = value
+    robot, rest, joints = (part.constants[name] for name in ("robot", "rest", "joints"))
+    records = (each.view(np.recarray)[0] for each in (robot, rest, joints, params, np.zeros(1, LEGS), state))
+    robot, rest, joints, params, legs, state = records
+    assert law._rows(robot, rest, part.constants["heads"], joints, params, legs, state, rows)
+    return rows
+
+
 @pytest.mark.parametrize("takes", ["torque", "current", "angle"])
 def test_a_sample_in_which_a_crank_rests_weighs_less_by_what_its_dry_friction_may_be(takes):
     scenario = servos() if takes == "angle" else load_scenario("reachy_nod").replace({"motors": takes})
@@ -185,17 +197,17 @@ def test_a_sample_in_which_a_crank_rests_weighs_less_by_what_its_dry_friction_ma
     (params,), state, rng = part.constants["params"], part.initial.copy(), np.random.default_rng(2)
     speeds = rng.choice([0.01, 0.039, 0.041, 0.5], (2 * law.HALF + 1, 6)) * rng.choice([-1.0, 1.0], 6)
     state["sharp"][0, :, 0], state["doubt"] = speeds, rng.uniform(0.1, 1.0, 6)
-    state["own"][0, :, 2], state["common"][0, 3] = rng.uniform(-0.01, 0.01, 6), 0.0
+    state["own"][0, :, 2], state["common"][0, 3] = rng.uniform(-0.01, 0.01, 6), 0.03
     state["angles"][0] += 0.01 * np.arange(law.ROWS)[:, None]
-    robot, rest, joints = (part.constants[name][0] for name in ("robot", "rest", "joints"))
-    rows = np.zeros((6, OWN + state["common"].size + 1))
-    assert law._rows(robot, rest, part.constants["heads"], joints, params, np.zeros(1, LEGS)[0], state[0], rows)
-    level = np.hypot(state["own"][0, :, 2], state["doubt"][0] * np.hypot(params["common"][3], params["own"][2]))
+    rows, whole = rows_made(part, state), rows_made(part, state, slowest=1e-9)
+    level = np.hypot(0.03 + state["own"][0, :, 2], state["doubt"][0] * np.hypot(params["common"][3], params["own"][2]))
     rests = params["kernel"][0] @ (np.abs(speeds) < options.slowest)
-    weight = 1.0 / np.hypot(options.noise * params["limit"], rests * level)
+    least = options.noise * params["limit"]
+    np.testing.assert_allclose(rows, whole * (least / np.hypot(least, rests * level))[:, None], rtol=1e-12)
+    np.testing.assert_array_equal(rows[:, 5:7], rows[:, 1:3])  # damping and friction in common, and one's own
     rate = 0.01 * params["kernel"][1] @ np.arange(2 * law.HALF + 1)
-    np.testing.assert_allclose(rows[:, 1], rate * weight, rtol=1e-12)
-    np.testing.assert_allclose(rows[:, 2], params["kernel"][0] @ np.tanh(speeds / 0.001) * weight, rtol=1e-12)
+    np.testing.assert_allclose(whole[:, 1], rate / least, rtol=1e-12)
+    np.testing.assert_allclose(whole[:, 2], params["kernel"][0] @ np.tanh(speeds / 0.001) / least, rtol=1e-12)
     assert rests.min() < 0.5 < rests.max()
 
 
