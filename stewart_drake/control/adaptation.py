@@ -279,8 +279,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         used = first["friction"].view(BELIEVED)
         for level in _LEVELS:
             used[level] = 0.0
-    first["common"][0, 3] = first["used_common"][0, 3] = coulomb.mean()
-    first["own"][0, :, 2] = first["used_own"][0, :, 2] = coulomb - coulomb.mean()
+    first["common"][0, 3], first["own"][0, :, 2] = coulomb.mean(), coulomb - coulomb.mean()
     for k in range(OWN):
         first["information"][0, :, k, k] = 1.0 / params["own"][0, k]
     for k in range(len(common)):
@@ -289,9 +288,11 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     if options.ball_joints:
         rubs = np.array([joints.viscous, joints.coulomb])
         first["joints"] = hanging.view(np.float64)
-        first["common"][0, -JOINT:] = first["used_common"][0, -JOINT:] = rubs
+        first["common"][0, -JOINT:] = rubs
         if cautious:
             first["joints"][0, :JOINT] = 0.0
+    for words in ("held", "used"):
+        first[f"{words}_own"], first[f"{words}_common"] = first["own"], first["common"]
     constants = {
         "robot": whole, "rest": rest, "heads": heads, "joints": hanging, "bodies": bodies,
         "friction": context.friction.view(np.float64), "params": params,

@@ -31,6 +31,7 @@ from stewart_drake.control.arrow_factor import (
     SIDEWAYS,
     add_row,
     forget,
+    hold_between,
     solve_arrow,
     spread_along,
 )
@@ -82,16 +83,17 @@ def state_of(common: int, joint: int) -> np.dtype:
     head [m], and the half widths; learnt_joints: those of ball joints, viscous, dry and the half widths;
     friction_unknown: how far Coulomb and viscous friction of the motors may be from `friction`. information: rows of
     the factor of each motor, own columns, common ones, right-hand side; shared: those below. own, common: estimate;
-    used: what it has gone over into. Blocks, newest last: pose, angles, commands, whether they are good; and of half a
-    kernel before, rates of the cranks, and torques of ball joints, which are sharp at a reversal. Sums of the block
-    under way, its ticks, whether it is bad; blocks so far. noise_scale: factor of the limit for refused samples, and of
-    the intervals up to what the first uncertainty gives.
+    held: the same, with ball joints whose friction is not below zero; used: what that has gone over into. Blocks,
+    newest last: pose, angles, commands, whether they are good; and of half a kernel before, rates of the cranks, and
+    torques of ball joints, which are sharp at a reversal. Sums of the block under way, its ticks, whether it is bad;
+    blocks so far. noise_scale: factor of the limit for refused samples, and of the intervals up to what the first
+    uncertainty gives.
     """
     return fields(
         friction=25, robot=ROBOT_SIZE, joints=JOINTS.itemsize // 8, learnt=SHOWN, learnt_half_width=SHOWN,
         learnt_center_of_mass=2 * PLACE, learnt_joints=2 * JOINT, friction_unknown=12, doubt=6, gain=6, lead=(1,),
         information=(6, OWN, OWN + common + 1), shared=(common, common + 1), own=(6, OWN), common=common,
-        used_own=(6, OWN), used_common=common,
+        held_own=(6, OWN), held_common=common, used_own=(6, OWN), used_common=common,
         pose=(ROWS, 6), angles=(ROWS, 6), commands=(ROWS, 6), good=ROWS, sharp=(SHARP, 1 + joint, 6),
         sum_angles=6, sum_command=6, ticks=(), bad=(), blocks=(), noise_scale=(),
     )  # fmt: skip
@@ -120,9 +122,9 @@ def regression_tick(
         _take(params, state, rows)
     for i in range(6):
         for k in range(OWN):
-            state.used_own[i, k] += params.blend * (state.own[i, k] - state.used_own[i, k])
+            state.used_own[i, k] += params.blend * (state.held_own[i, k] - state.used_own[i, k])
     for k in range(len(state.common)):
-        state.used_common[k] += params.blend * (state.common[k] - state.used_common[k])
+        state.used_common[k] += params.blend * (state.held_common[k] - state.used_common[k])
     stand_in(params, bodies, friction, state)
     if state.blocks % params.seldom == 0.0:
         show(params, bodies, state)
@@ -167,8 +169,9 @@ def _close_block(robot: Any, joints: Any, params: Any, legs: Any, state: Any) ->
         angles = state.sum_angles / params.stride
         error, _ = forward_kinematics(robot, angles, pose, TOLERANCE, ITERATIONS)
         good = error <= TOLERANCE
-        for i in range(6):
-            good = good and abs(angles[i] - state.angles[NEWEST - 1, i]) < 0.5
+        if state.good[NEWEST - 1] == 1.0:
+            for i in range(6):
+                good = good and abs(angles[i] - state.angles[NEWEST - 1, i]) < 0.5
     if good:
         for i in range(6):
             state.pose[NEWEST, i] = pose[i]
@@ -318,13 +321,22 @@ def _take(params: Any, state: Any, rows: Any) -> None:
             rows[i] /= np.sqrt(params.alike)
             add_row(state.information[i], state.shared, rows[i])
     solve_arrow(state.information, state.shared, state.own, state.common)
-    for k in range(2):
-        state.common[k] = min(max(state.common[k], -MOST), MOST)
-    state.common[4] = min(max(state.common[4], -MOST_DELAY), MOST_DELAY)
     first = len(state.common) - state.sharp.shape[1] + 1
-    most = params.most_moment * np.exp(state.common[0])
-    for k in range(COMMON, first):
-        state.common[k] = min(max(state.common[k], -most), most)
-    for k in range(first, len(state.common)):
-        most = (MOST_DAMPING if k == first else MOST_COULOMB) * params.limit.max()
-        state.common[k] = min(max(state.common[k], 0.0), most)
+    _bound(params, state.common[:first])
+    state.held_own[:], state.held_common[:] = state.own, state.common
+    if first < len(state.common):
+        # Were the estimate itself held there, each sample would bend what is known of the motors.
+        most = params.limit.max() * np.array([MOST_DAMPING, MOST_COULOMB])
+        hold_between(state.information, state.shared, state.held_own, state.held_common, first, most)
+        _bound(params, state.held_common[:first])
+
+
+@njit
+def _bound(params: Any, common: Any) -> None:
+    """Keeps logarithms, delay and first moment of the head within their bounds."""
+    for k in range(2):
+        common[k] = min(max(common[k], -MOST), MOST)
+    common[4] = min(max(common[4], -MOST_DELAY), MOST_DELAY)
+    most = params.most_moment * np.exp(common[0])
+    for k in range(COMMON, len(common)):
+        common[k] = min(max(common[k], -most), most)

@@ -85,6 +85,30 @@ def solve_arrow(information: Any, shared: Any, own: Any, common: Any) -> None:
 
 
 @njit
+def hold_between(information: Any, shared: Any, own: Any, common: Any, first: int, most: Any) -> None:
+    """Moves common numbers of an estimate, from `first` on, to between 0 and `most`, and all others with them.
+
+    The others go where they are most likely then. Right-hand sides are zero, and the factor stays: the evidence is what
+    it was.
+    """
+    size, row = len(shared), np.empty(OWN + len(shared) + 1)
+    information, shared = information.copy(), shared.copy()
+    for _ in range(len(most)):
+        # To hold one may move another.
+        for n in range(len(most)):
+            beyond = common[first + n] - min(max(common[first + n], 0.0), most[n])
+            if beyond != 0.0:
+                # A measurement that is as good as exact.
+                row[:] = 0.0
+                row[OWN + first + n] = 1e5 * abs(shared[first + n, first + n])
+                row[OWN + size] = -beyond * row[OWN + first + n]
+                add_row(information[0], shared, row)
+                solve_arrow(information, shared, own, common)
+    for n in range(len(most)):
+        common[first + n] = min(max(common[first + n], 0.0), most[n])
+
+
+@njit
 def forget(information: Any, shared: Any, keep: float, keep_push: float, sizes_own: Any, sizes_common: Any) -> None:
     """Leaves shares of the information, of the push and of all else; adds as much of that at first as is missing."""
     root, rest, row = np.sqrt(keep), np.sqrt(1.0 - keep), np.empty(OWN + len(shared) + 1)

@@ -54,7 +54,7 @@ def stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
 @njit
 def show(params: Any, bodies: Any, state: Any) -> None:
     """The estimate with its intervals, and how far what is used may be from it."""
-    common, own, row = state.common, state.own, np.zeros(OWN + len(state.common))
+    common, own, row = state.held_common, state.held_own, np.zeros(OWN + len(state.common))
     head, links = _masses_of(params, common)
     state.learnt[0] = bodies[MASS, 2] * head
     row[OWN], row[OWN + 1] = state.learnt[0], state.learnt[0] * (1.0 - params.by_gain)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import optimize
 
 from stewart_drake import Controller, load_robot, load_scenario, run
 from stewart_drake.base.errors import ConfigurationError
@@ -96,6 +97,23 @@ def test_arrows_are_dense_least_squares(seed):
     np.testing.assert_allclose(np.concatenate([own.ravel(), common]), expected, atol=1e-9)
     assert not information[:, :, -1].any()
     assert not shared[:, -1].any()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6))
+def test_a_number_that_is_held_moves_the_others_to_where_they_are_likeliest(seed):
+    information, shared, dense, right, _ = arrows(np.random.default_rng(seed))
+    own, common = np.zeros((6, OWN)), np.zeros(COMMON)
+    arrow_factor.solve_arrow(information, shared, own, common)
+    before = information.copy(), shared.copy()
+    least, most = np.full(SIZE, -np.inf), np.full(SIZE, np.inf)
+    least[-1], most[-1] = 0.0, 0.05
+    expected = optimize.lsq_linear(dense, right, (least, most), method="bvls").x
+    arrow_factor.hold_between(information, shared, own, common, COMMON - 1, most[-1:])
+    np.testing.assert_allclose(np.concatenate([own.ravel(), common]), expected, atol=1e-7)
+    assert 0.0 <= common[-1] <= 0.05
+    np.testing.assert_array_equal(information, before[0])
+    np.testing.assert_array_equal(shared, before[1])
 
 
 @settings(max_examples=10, deadline=None)
@@ -350,6 +368,22 @@ def test_beside_a_machine_it_is_the_same_and_readings_that_are_missing_do_no_har
     assert np.isfinite(broken.signal("learnt")).all()
 
 
+def test_after_readings_that_were_missing_while_cranks_moved_it_goes_on_to_learn():
+    nods = [[0.0, 0.06 * (-1) ** k, 0.0, 0.0, 0.0, 0.195] for k in range(20)]
+    rise = {"poses": [[0, 0, 0, 0, 0, 0.17], *nods], "durations": [0.8, *[0.4] * 19]}
+    scenario = servos(8.0, reference={"kind": "minimum_jerk", **rise})
+    log = run(scenario, check=False)
+    readings, gap = inverse_kinematics(scenario.robot, log["measured_pose"]), (log.time > 0.1) & (log.time < 0.8)
+    first, last = np.flatnonzero(gap)[[0, -1]]
+    assert (np.abs(readings[last:] - readings[first - 1]).max(axis=1) > 0.5).all()
+    broken, out = Controller(scenario.control()), np.empty(6)
+    for tick, reading in enumerate(readings):
+        broken.step(np.full(6, np.nan) if gap[tick] else reading, log.time[tick], out)
+    value, width = Learnt.of(broken.signal("learnt")), Learnt.of(broken.signal("learnt_half_width"))
+    assert width.coulomb.max() < 2.0 * Learnt.of(log["learnt_half_width"][-1]).coulomb.max()
+    np.testing.assert_allclose(value.coulomb, Learnt.of(log["learnt"][-1]).coulomb, atol=0.01)
+
+
 RUBS = {"plant": {"kind": "closed_form", "motor_friction": 0.08}, "adaptation": "regression"}
 
 
@@ -500,6 +534,16 @@ def test_what_was_learnt_of_ball_joints_is_kept():
     assert kept.platform == JOINTS.platform
     lines = dict(rows_of(known))
     assert lines["learnt: dry friction of ball joints"].startswith(f"{joints[1]:.4g} ± ")
+
+
+@pytest.mark.parametrize("makes", [servos, lambda: load_scenario("reachy_slow_bus").replace({"duration": 8.0})])
+def test_ball_joints_that_turn_freely_are_found_to_be_free(makes):
+    motors_alone, both = makes(), makes().replace({"adaptation.ball_joints": True})
+    log = run(both, check=False)
+    viscous, dry, *_ = log["learnt_joints"][-1]
+    assert viscous < 0.001
+    assert dry < 0.002
+    assert late_error(log) < 2.0 * late_error(run(motors_alone, check=False))
 
 
 @pytest.mark.slow
