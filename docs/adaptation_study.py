@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import servo_identification_study as servos
-from servo_identification_study import GUESS, NOMINAL, PLAIN, SERVO, Hidden, spread
+from servo_identification_study import GUESS, NOMINAL, PLAIN, SERVO, Hidden, spread, three_of
 from strange_robots import LateServos, LoadedFriction
 from write_reachy import MAKERS
 
@@ -63,7 +63,9 @@ ROBOTS, SLOW_ROBOTS = 24, 60
 FEW = 8  # Robots of the table above.
 MANY, FIRST_OF_MANY, SHORT = 500, 2000, 10.0
 """Further robots, that only nod, their first seed, and for how long [s]."""
-MANY_BUSES = {False: "servos at 50 Hz", True: "torque at 100 Hz, as in `reachy_slow_bus`"}
+SHIPPED_SLOW = "torque at 100 Hz, as in `reachy_slow_bus`"
+MANY_BUSES = {"": "servos at 50 Hz", "learning": "currents at 100 Hz", "careful": SHIPPED_SLOW}
+"""Robots of `many`, by their scheme at 100 Hz."""
 NOMINAL_DRY, NOMINAL_VISCOUS = 0.058, 0.095  # [N m], [N m s/rad] of `reachy_nod`.
 CORNERS, FALLEN = 8, 10.0  # The first robots are the corners; [deg] of an error from which on a robot is lost.
 AT_REST = 0.1  # [mm/s] of ripple.
@@ -250,22 +252,27 @@ def slow_trial(seed: int) -> list[list[float]]:
     return rows
 
 
-def one_of_many(slow: bool, seed: int) -> float:
-    """Nod [deg] of a robot that learns, by torque as it ships or by angle; infinite where it is lost."""
-    made = slow_bus(seed, "careful", "nod") if slow else scenario(seed, "learning", "nod")
+def one_of_many(slow: str, seed: int) -> float:
+    """Nod [deg] of a robot that learns, under a scheme at 100 Hz or with servos; infinite where it is lost."""
+    made = slow_bus(seed, slow, "nod") if slow else scenario(seed, "learning", "nod")
     log = run(made.replace({"duration": SHORT}), check=False)
     measured = run_metrics(log)
     lost = log.status != "completed" or measured["peak_norm_deg"] > FALLEN
     return float(np.inf if lost else measured["rmse_norm_deg"])
 
 
-def table_of_many(workers: ProcessPoolExecutor) -> str:
-    """Both buses, robots that only nod."""
-    rows, seeds = [], range(FIRST_OF_MANY, FIRST_OF_MANY + MANY)
-    for slow, name in MANY_BUSES.items():
-        found = np.array(list(workers.map(partial(one_of_many, slow), seeds, chunksize=5)))
-        rows.append([name, *table(found[:, None])])
-    return markdown_table(["", "nod [deg]", "lost"], rows)
+def many_nods(workers: ProcessPoolExecutor) -> dict[str, np.ndarray]:
+    """Nods [deg] of robots that only nod, by their bus."""
+    seeds = range(FIRST_OF_MANY, FIRST_OF_MANY + MANY)
+    return {
+        name: np.array(list(workers.map(partial(one_of_many, slow), seeds, chunksize=5)))
+        for slow, name in MANY_BUSES.items()
+    }
+
+
+def table_of_many(nods: dict[str, np.ndarray]) -> str:
+    """`many_nods` as a table."""
+    return markdown_table(["", "nod [deg]", "lost"], [[name, *table(of[:, None])] for name, of in nods.items()])
 
 
 def on_makers_model(belief: str) -> list[float]:
@@ -281,8 +288,19 @@ def on_makers_model(belief: str) -> list[float]:
     return found
 
 
-def asked(trials: np.ndarray, load: float) -> str:
-    """A table of what was asked for: servos (robots, schemes, figures), and a load [kg] that was weighed."""
+def asked(
+    trials: np.ndarray, load: float, slow: np.ndarray, nods: dict[str, np.ndarray], torque: dict[str, Any]
+) -> str:
+    """A table of what was asked for.
+
+    Args:
+        trials: Servos (robots, schemes, figures).
+        load: [kg] that was weighed.
+        slow: At 100 Hz, likewise.
+        nods: See `many_nods`.
+        torque: Errors [mm] of breathing and heart at 1 kHz, by scheme.
+    """
+    careful = slow[:, list(AT_100_HZ).index("careful")]
     learning, told, second, truth = (
         trials[:, list(SCHEMES).index(name)] for name in ("learning", "told", "second", "truth")
     )
@@ -303,6 +321,24 @@ def asked(trials: np.ndarray, load: float) -> str:
             for k, motion in enumerate(("nod", "look around", "breathing"))
         ),
         ("a load of 0.3 kg, after 20 s of breathing: off by", 3.0, abs(load / 0.3 - 1.0) * 100.0, "%"),
+        *(
+            (f"at 1 kHz, {motion}", most, errors[0], "mm")
+            for (motion, most), errors in zip(
+                {"breathing": 0.0022, "heart": 0.0026}.items(), torque["believed 0.01 N m, learning"], strict=True
+            )
+        ),
+        *(
+            (f"at 100 Hz, `cautious`, {motion}, {words}", most, reached, unit)
+            for motion, column, limits, unit in (
+                ("nod", 0, (0.05, 0.15, 0.4), "deg"),
+                ("breathing", 2, (0.02, 0.03, 0.2), "mm"),
+            )
+            for words, most, reached in zip(
+                ("median", "95th percentile", "largest"), limits, three_of(careful[:, column]), strict=True
+            )
+        ),
+        ("at 100 Hz, `cautious`, not still at rest", 5.0, 100.0 * np.mean(careful[:, -1] >= AT_REST), "%"),
+        *((f"of {MANY} below, lost: {name}", 0, np.isinf(of).sum(), "") for name, of in nods.items()),
     ]
     shown = [
         [what, f"{most:g} {unit}", f"{reached:.3g} {unit}", "yes" if reached <= most else "**no**"]
@@ -342,6 +378,8 @@ run starts with the `model` that `--keep-model` left after a first one that look
 
 - The age of the readings cannot be told from the delay by commands and angles: 10 ms of it are 0.66 deg of a nod. That
   is what keeps a nod above what was asked for. Tell it (`adaptation.reading_age`).
+- The load is weighed with torques that are taken for exact.
+- Robots at 100 Hz that are not still have no friction: see there.
 - With it told, learning does in the median what the truth does. The largest nod is {told_nod:.3f} deg off, in a second
   run {second_nod:.3f}; with the truth known {truth_nod:.3f}.
 
@@ -414,14 +452,14 @@ def main() -> None:
     given = parser.parse_args()
     if given.many:
         with ProcessPoolExecutor(given.workers) as workers:
-            print(table_of_many(workers))
+            print(table_of_many(many_nods(workers)))
         return
     with ProcessPoolExecutor(given.workers) as workers:
         load = workers.submit(weighed)
         trials = np.array(list(workers.map(trial, range(given.robots))))
         others = {name: np.array(list(workers.map(partial(strange, name), range(FEW)))) for name in STRANGE}
         slow = np.array(list(workers.map(slow_trial, range(max(given.robots, SLOW_ROBOTS)))))
-        many = table_of_many(workers)
+        nods = many_nods(workers)
         rest_servos = max(workers.map(ripple_at_rest, range(given.robots)))
         maker = list(workers.map(on_makers_model, BELIEFS))
         torque = {
@@ -444,7 +482,7 @@ def main() -> None:
         ),
         many=MANY,
         short=SHORT,
-        of_many=many,
+        of_many=table_of_many(nods),
         maker=markdown_table(
             ["", "nod [deg]", "learning", "look around [deg]", "learning", "breathing [mm]", "learning"],
             [[name, *(f"{x:.3g}" for x in row)] for name, row in zip(BELIEFS, maker, strict=True)],
@@ -457,7 +495,7 @@ def main() -> None:
         rolls=np.median(learning[:, 4]),
         plain_rolls=np.median(plain[:, 4]),
         **{f"{name}_nod": trials[:, list(SCHEMES).index(name), 0].max() for name in ("told", "second", "truth")},
-        asked=asked(trials, load.result()[0]),
+        asked=asked(trials, load.result()[0], slow, nods, {name: rows[0] for name, rows in torque.items()}),
         load=load.result()[0],
         load_width=load.result()[1],
         slow=markdown_table(

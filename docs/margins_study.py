@@ -30,7 +30,8 @@ OBSERVER = "estimator.kind=observer"
 WEIGHTS = "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
 MAIN, CORNER = "observer", "policy, at the worst corner of its box"
 HEAVIER, BOTH = "learning, head believed heavier", "policy at that corner, head believed heavier"
-SLOW = "decoupled PID, as in `reachy_slow_bus`"
+NOD, SLOW = "LQI, observer, start weights, as in `reachy_nod`", "decoupled PID, as in `reachy_slow_bus`"
+SLOW_LIGHTER, SLOW_HEAVIER = "the same, head believed lighter", "the same, head believed heavier"
 DIFFERENCES = "estimator={kind: difference, rate_cutoff: 150}"
 ROWS = {
     "difference of readings, low pass of 150 Hz; default weights": (
@@ -56,16 +57,17 @@ within the scenario's limits (seed 0), with the robot at rest. The loop is opene
 another estimator, delay, period or controller, with its default gains. The period is 1 ms and the delay 1 tick unless
 the row says otherwise. The loop contains the exact model under held torques, gravity's stiffness, encoders of infinite
 resolution, the estimator with its filter, the controller and the delay. It leaves out friction, saturation, the
-dead band of `decoupled_pid`, changes of weights and learning. The last two rows are Reachy Mini by torque at 100 Hz:
+dead band of `decoupled_pid`, changes of weights and learning. The last five rows are Reachy Mini by torque at 100 Hz:
 poses and period are its own, with a tick of delay. `stewart-drake margins` does the same for any scenario.
 
 What a policy and learning may do to the loop is seen in their extremes, frozen: the middle of the shipped policy's box
-and that corner of it which has the least margin at {few} poses ({corner}), with its default weights; a head that is
-believed {lighter:.2f} or {heavier:.2f} times as heavy as it is, which is how far learning may be off before it has seen
-anything (95 %); and both at once, at that same corner. What it learns of friction is fed forward along the reference
-and is no part of this loop. The law's own bound is three times. `exact_breathing` has a disk margin of 0.11 at 100
-poses with a head that is believed twice as heavy as it is (`stewart-drake margins exact_breathing --set
-model.robot.platform_mass=2`); at three times no pose is stable.
+and that corner of it which has the least margin at {few} poses ({corner};
+of Reachy Mini {reachy_corner}), with its default weights;
+a head that is believed {lighter:.2f} or {heavier:.2f} times as heavy as it is, which is how far learning may be off
+before it has seen anything (95 %); and both at once, at that same corner. What it learns of friction is fed forward
+along the reference and is no part of this loop. The law's own bound is three times.
+`exact_breathing` has a disk margin of 0.11 at 100 poses with a head that is believed twice as heavy as it is
+(`stewart-drake margins exact_breathing --set model.robot.platform_mass=2`); at three times no pose is stable.
 
 Drake's plant at its usual step of 1 ms responds about half a step sooner than this linear loop. At 0.1 ms the agreement
 is at least five times better (`tests/analysis/test_linear_loop.py`). A fast loop that is unstable here, such as the
@@ -84,7 +86,9 @@ loop's own, in ticks of its period. Each number is the worst of all poses; a sec
 The bounds of mu are apart by at most {gap:.1g} %; {left_out}
 
 The loop for slow buses has {slow_most:.2f} or more at 95 % of the poses. At the worst of all poses the head leans by
-{lean:.0f} deg, and may fall if motors give {slow_low:.2f} of the torque that they are asked for, or less.
+{lean:.0f} deg, and may fall if motors give {slow_low:.2f} of the torque that they are asked for, or less. With a head
+that is believed {lighter:.2f} times as heavy it may fall at {falls} poses, where it leans by {falls_from:.0f} deg or
+more, and has {lighter_most:.2f} or more at 95 %: let it learn before it leans that far.
 
 ## Until it diverges
 
@@ -131,7 +135,7 @@ def row(name, loops, found):
     return f"| {name} | {stable} | {' | '.join(cells)} |"
 
 
-def corner_of(scenario):
+def worst_corner(scenario):
     """The corner of the shipped policy's box with the least disk margin, all at once, at a few poses."""
     policy, poses = Policy.load(), poses_to_stand_at(scenario, POSES, seed=0)[:FEW]
     corners = [policy.lowest + policy.width * ends for ends in itertools.product((0.0, 1.0), repeat=len(NAMES))]
@@ -139,24 +143,41 @@ def corner_of(scenario):
     return corners[int(np.argmin([each.all_at_once.disk.min() for each in found]))]
 
 
+def lean_at(pose):
+    """[deg] of a head from the vertical."""
+    return np.degrees(np.arccos(np.cos(pose[:2]).prod()))
+
+
+def words_of(setting):
+    """A setting of the policy, by its names."""
+    return ", ".join(f"{name} {value:+.2g}" for name, value in zip(NAMES, setting, strict=True))
+
+
 def at_setting(scenario, setting):
     """A scenario with a setting (4,) of a tuner."""
     return scenario.replace(with_setting(setting)(Case("hold", "paper", 0), scenario))
 
 
-def scenarios(corner):
-    """The loops of the table by name."""
+def scenarios(corner, reachy_corner):
+    """The loops of the table by name, with the policy's worst corners."""
     found = {name: load_scenario("exact_breathing", changes) for name, changes in ROWS.items()}
     base = load_scenario("exact_breathing", [OBSERVER, BLOCK])
     found["policy, in the middle of its box"] = at_setting(base, Policy.load().centre)
     found[CORNER] = at_setting(base, corner)
-    lighter, heavier = ({"model.robot": base.robot.heavier(share)} for share in head_shares())
-    found["learning, head believed lighter"] = found[MAIN].replace(lighter)
-    found[HEAVIER], found[BOTH] = found[MAIN].replace(heavier), found[CORNER].replace(heavier)
-    found["LQI, observer, start weights, as in `reachy_nod`"] = load_scenario("reachy_nod")
+    lighter, heavier = head_shares()
+    found["learning, head believed lighter"] = believed(found[MAIN], lighter)
+    found[HEAVIER], found[BOTH] = believed(found[MAIN], heavier), believed(found[CORNER], heavier)
+    found[NOD] = load_scenario("reachy_nod")
+    found["the same, policy at the worst corner of its box"] = at_setting(found[NOD], reachy_corner)
     # What linear loops leave out is left out of the simulated one too.
     found[SLOW] = load_scenario("reachy_slow_bus").replace({"adaptation": None, "controller.dead_band": 0.0})
+    found[SLOW_LIGHTER], found[SLOW_HEAVIER] = (believed(found[SLOW], share) for share in (lighter, heavier))
     return found
+
+
+def believed(scenario, share):
+    """A scenario whose head is believed to have this share of its mass."""
+    return scenario.replace({"model.robot": scenario.robot.heavier(share)})
 
 
 def head_shares():
@@ -245,8 +266,9 @@ def until_it_diverges(loops, worst):
 def main():
     """Writes the file and the picture."""
     lines, gaps, left_out, worst = [], [], [], {}
-    corner = corner_of(load_scenario("exact_breathing", [OBSERVER, BLOCK]))
-    of_rows = scenarios(corner)
+    corner = worst_corner(load_scenario("exact_breathing", [OBSERVER, BLOCK]))
+    reachy_corner = worst_corner(load_scenario("reachy_nod"))
+    of_rows = scenarios(corner, reachy_corner)
     for name, scenario in of_rows.items():
         start = time.process_time()
         loops = linear_loops(scenario, poses_to_stand_at(scenario, POSES, seed=0))
@@ -260,7 +282,9 @@ def main():
         if name == SLOW:
             disk = found.all_at_once.disk
             slow_most, slow_low = np.quantile(disk, 0.05), found.all_at_once.gain_low.max()
-            lean = np.degrees(np.arccos(np.cos(worst[name][:2]).prod()))
+            lean = lean_at(worst[name])
+        if name == SLOW_LIGHTER:
+            lighter_most, falling = np.quantile(found.all_at_once.disk, 0.05), loops.poses[~stable]
         if name == MAIN:
             plot_margins(found, Path(__file__).parent / "images" / "margins.png")
             kept = [f"| {' | '.join(cells)} |" for cells in table(found, loops.period)]
@@ -269,7 +293,8 @@ def main():
     text = TEXT.format(
         poses=POSES,
         few=FEW,
-        corner=", ".join(f"{name} {value:+.2g}" for name, value in zip(NAMES, corner, strict=True)),
+        corner=words_of(corner),
+        reachy_corner="the same" if (reachy_corner == corner).all() else words_of(reachy_corner),
         lighter=lighter,
         heavier=heavier,
         confirmed=CONFIRMED,
@@ -286,6 +311,9 @@ def main():
         slow_most=slow_most,
         slow_low=slow_low,
         lean=lean,
+        lighter_most=lighter_most,
+        falls=len(falling),
+        falls_from=min(map(lean_at, falling)),
         left_out=f"poses were left out of: {', '.join(left_out)}." if left_out else "no pose was left out.",
         setting=f'"{WEIGHTS}"',
         header=" | ".join(HEADER[1:]),

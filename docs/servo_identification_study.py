@@ -239,10 +239,14 @@ def trial(seed: int, reference: Any, motions: dict[str, Any]) -> tuple[np.ndarra
     return np.array(rows), told.values - hidden(seed).values, told.half_width
 
 
-def spread(values: np.ndarray) -> str:
+def three_of(values: np.ndarray) -> tuple[float, float, float]:
     """Median, 95th percentile and largest."""
-    chosen = np.median(values), np.quantile(values, 0.95, method="nearest"), values.max()
-    return " / ".join("lost" if np.isinf(value) else f"{value:.3g}" for value in chosen)
+    return float(np.median(values)), float(np.quantile(values, 0.95, method="nearest")), float(values.max())
+
+
+def spread(values: np.ndarray) -> str:
+    """`three_of`, in words."""
+    return " / ".join("lost" if np.isinf(value) else f"{value:.3g}" for value in three_of(values))
 
 
 def page(

@@ -221,9 +221,9 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     if not 1.0 <= width <= HALF / 2.0:
         raise ConfigurationError("adaptation.smoothing", smoothing, f"at least {context.period:g} s, a period")
     if late > LATE - 0.5:
-        most = (LATE - 0.5) * block
-        got = context.latency - 0.5 * context.period + options.reading_age
-        raise ConfigurationError("adaptation.reading_age", got, f"with the delay of commands at most {most:g} s")
+        most, commands = (LATE - 0.5) * block, context.latency - 0.5 * context.period
+        allowed = f"at most {most:g} s together with the {commands:g} s by which commands are late"
+        raise ConfigurationError("adaptation.reading_age", options.reading_age, allowed)
     limit = np.asarray(motors.available(robot, np.zeros(6)), dtype=float)
     friction, coulomb = context.friction[0], context.friction[0]["coulomb"]
     servo_damping = getattr(motors, "damping", 0.0)

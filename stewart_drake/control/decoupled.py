@@ -41,8 +41,8 @@ from stewart_drake.mechanics.kinematics_laws import (
 )
 from stewart_drake.mechanics.linear_algebra import solve
 
-MOVED, PASSED = 2.0, 3.0
-"""[counts] of the encoders that a crank has moved at least; that the reference must have passed it."""
+MOVED, PASSED = 1.5, 3.0
+"""[counts] of the encoders beyond which a crank has moved; that the reference must have passed it."""
 SLOW = 1e-4  # [rad/s] a crank that is to turn more slowly is to rest.
 FADES = 0.3  # [s] in which a torque against sticking goes back once the crank has broken away.
 
@@ -50,15 +50,17 @@ FADES = 0.3  # [s] in which a torque against sticking goes back once the crank h
 class DecoupledPidOptions(ControllerOptions):
     """PID of each motor through the robot's inertia, and inverse dynamics along the reference; for slow buses.
 
-    The reference of the feedforward is that of the time at which the command acts.
+    The reference of the feedforward is that of the time at which the command acts. Commands are limited, and the
+    integral of a motor at its limit stops growing.
     """
 
     looks_ahead: ClassVar[bool] = True
+    saturation: ClassVar[str] = "clamp"
 
     kind: Literal["decoupled_pid"] = "decoupled_pid"
     period: Period = 0.01
     natural_frequency: Positive = 20.0
-    """[rad/s] omega. With a tick of delay at 100 Hz, Reachy Mini falls below 12 and hunts above 22."""
+    """[rad/s] omega. With a tick of delay at 100 Hz, Reachy Mini falls below 12."""
     damping: Positive = 0.8
     """[-] damping ratio."""
     integral_frequency: NotNegative = 3.0
@@ -67,14 +69,12 @@ class DecoupledPidOptions(ControllerOptions):
     """[N m/rad] torque for the way that the reference goes on while a crank sticks; 0 for none."""
     dead_band: NotNegative = 2.5
     """[counts] of the encoders. A crank that is to rest and is less far off is right; its integral stays."""
-    saturation: Literal["clamp"] = "clamp"
-    """Commands are limited, and the integral of a motor at its limit stops growing."""
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         count = max(context.noise * np.sqrt(12.0), 1e-4)
         params = new_record(
             _PARAMS, self, gravity=context.gravity, count=count, fade=np.exp(-self.period / FADES),
-            gain=np.eye(6), **saturation_params(self, context.robot),
+            **saturation_params(self, context.robot),
         )  # fmt: skip
         constants = {"robot": robot_record(context.robot), "doubt": np.ones(6), "params": params}
         inputs, legs = {"measurement": 12, "reference": 18, "reference_now": 18}, (LEGS, LEGS, LEGS)
@@ -83,9 +83,9 @@ class DecoupledPidOptions(ControllerOptions):
 
 _PARAMS = fields(
     period=(), gravity=(), natural_frequency=(), damping=(), integral_frequency=(), sticking=(), dead_band=(), count=(),
-    fade=(), gain=(6, 6), limit=6, clamp=(), back_share=(),
+    fade=(), limit=6, clamp=(), back_share=(),
 )  # fmt: skip
-"""count: [rad] of an encoder. fade: share of a torque against sticking that a tick leaves. The last four: see
+"""count: [rad] of an encoder. fade: share of a torque against sticking that a tick leaves. The last three: see
 `saturation_params`."""
 _STATE = fields(torque=6, health=2, error=6, integral=6, against=6, anchor=6, passed=6, turning=6, wanted=6, ticks=())
 """torque [N m]. error, integral: of the cranks [rad, rad s]. against: torque that grows while a crank sticks [N m].
@@ -141,7 +141,8 @@ def decoupled_tick(
     for i in range(6):
         wanted[i] = feedforward[i] + wrench[i, 0] + state.against[i] * state.turning[i]
     state.ticks += 1.0
-    return limit_and_integrate(params, wanted, counted, params.gain[:], True, state.torque[:], state.integral[:])
+    # It asks for a gain in back-calculation alone.
+    return limit_and_integrate(params, wanted, counted, inertia, True, state.torque[:], state.integral[:])
 
 
 @njit
@@ -150,7 +151,7 @@ def _stick(params: Any, doubt: float, leg: int, angle: float, wanted: float, rat
     turning = 0.0 if abs(rate) < SLOW else np.sign(rate)
     way = wanted - state.wanted[leg] if state.ticks > 0.0 else 0.0
     state.wanted[leg] = wanted
-    moved = abs(angle - state.anchor[leg]) > (MOVED - 0.5) * params.count
+    moved = abs(angle - state.anchor[leg]) > MOVED * params.count
     if moved or turning != state.turning[leg] or state.ticks == 0.0:
         state.anchor[leg], state.passed[leg] = angle, wanted
     if turning != state.turning[leg]:

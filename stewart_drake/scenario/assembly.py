@@ -243,6 +243,9 @@ class _Builder:
         }
         now = self.sees.copy()
         if self.options.controller.looks_ahead:
+            if self.observes:
+                allowed = f"one that tells what was read, such as difference, for {self.options.controller.kind}"
+                raise ConfigurationError("estimator.kind", self.options.estimator.kind, allowed)
             now = {"measurement": self.sees["measurement"]}
         if not self.options.controller.feedback:
             now, self.sees["measurement"] = {"measurement": self.measurement}, np.zeros(12)

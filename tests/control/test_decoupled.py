@@ -6,6 +6,7 @@ from setups import setup_for
 from ticks import standing, ticked
 
 from stewart_drake import load_robot, load_scenario, run
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.control.decoupled import DecoupledPidOptions
 from stewart_drake.mechanics.dynamics import crank_inertia, static_torque
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
@@ -87,3 +88,8 @@ def test_a_push_of_3_n_does_not_lose_it_and_at_rest_it_is_still():
     rest = run(slow(0.03, 0.05, 0.8, 1.1, reference={"kind": "hold", "pose": ROBOT.home_pose.tolist()}), check=False)
     still = rest["crank_angle"][rest.time > 4.0]
     assert np.ptp(still, axis=0).max() < 1e-6
+
+
+def test_a_state_that_is_predicted_is_refused():
+    with pytest.raises(ConfigurationError, match=r"^estimator\.kind: expected one that tells what was read, such as d"):
+        run(load_scenario("reachy_slow_bus").replace({"estimator": "observer"}))

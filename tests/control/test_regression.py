@@ -558,7 +558,9 @@ def test_all_three_engines_learn_alike():
 
 def test_delays_beyond_what_is_remembered_and_a_kernel_below_a_period_are_refused():
     context = context_of(servos().control())
-    with pytest.raises(ConfigurationError, match=r"^adaptation\.reading_age: expected with the delay .* at most"):
+    with pytest.raises(
+        ConfigurationError, match=r"^adaptation\.reading_age: expected at most .* commands are late, got 1"
+    ):
         RegressionOptions(reading_age=1.0).parts(context)
     with pytest.raises(ConfigurationError, match=r"^adaptation\.smoothing: expected at least 0\.02 s"):
         RegressionOptions(smoothing=0.001).parts(context)
