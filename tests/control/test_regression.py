@@ -162,8 +162,8 @@ def test_intervals_are_those_of_a_dense_covariance_and_at_most_what_the_first_on
     for leg in rng.integers(0, 6, 60):
         row = rng.normal(size=OWN + size + 1) / np.concatenate([own, common, [1.0]])
         arrow_factor.add_row(state["information"][0, leg], state["shared"][0], row)
-    state["common"][0] += 0.3 * common * rng.uniform(0.5, 1.0, size)
-    state["own"][0] += 0.3 * own * rng.uniform(-1.0, 1.0, (6, OWN))
+    state["held_common"][0] += 0.3 * common * rng.uniform(0.5, 1.0, size)
+    state["held_own"][0] += 0.3 * own * rng.uniform(-1.0, 1.0, (6, OWN))
     # Columns: own numbers of motor 1, of motor 2, ..., common ones.
     dense = np.zeros((6 * OWN + size, 6 * OWN + size))
     for leg in range(6):
@@ -175,8 +175,8 @@ def test_intervals_are_those_of_a_dense_covariance_and_at_most_what_the_first_on
     def shown(change, noise_scale=1.0):
         at = state.copy()
         at["noise_scale"] = noise_scale
-        at["own"][0] += change[: 6 * OWN].reshape(6, OWN)
-        at["common"][0] += change[6 * OWN :]
+        at["held_own"][0] += change[: 6 * OWN].reshape(6, OWN)
+        at["held_common"][0] += change[6 * OWN :]
         show_first(params, bodies, at)
         values = at["learnt"][0], at["learnt_center_of_mass"][0, :PLACE], at["learnt_joints"][0, :JOINT]
         widths = at["learnt_half_width"][0], at["learnt_center_of_mass"][0, PLACE:], at["learnt_joints"][0, JOINT:]
