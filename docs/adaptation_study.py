@@ -378,8 +378,8 @@ run starts with the `model` that `--keep-model` left after a first one that look
 
 - The age of the readings cannot be told from the delay by commands and angles: 10 ms of it are 0.66 deg of a nod. That
   is what keeps a nod above what was asked for. Tell it (`adaptation.reading_age`).
-- The load is weighed with torques that are taken for exact.
-- Robots at 100 Hz that are not still have no friction: see there.
+- To weigh the load, the motors' torques are taken for exact.
+- {wander} robots at 100 Hz are not still at rest. They have no friction, see below.
 - With it told, learning does in the median what the truth does. The largest nod is {told_nod:.3f} deg off, in a second
   run {second_nod:.3f}; with the truth known {truth_nod:.3f}.
 
@@ -489,6 +489,7 @@ def main() -> None:
         ),
         still=still["learning"],
         still_shipped=still["careful"],
+        wander=len(slow) - still["careful"],
         rest=AT_REST,
         rest_servos=rest_servos,
         quieter=int((learning[:, 3] < plain[:, 3]).sum()),

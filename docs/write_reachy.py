@@ -238,10 +238,10 @@ motions, of 0.52 N m and 618 deg/s that the servo has.
 
 **What it depends on.**
 
-- *Four numbers of a motor*: stiffness, damping, delay and friction. The lines in the middle have one of them wrong.
+- *Four numbers of a motor*: stiffness, damping, delay and friction. Three lines have one of them wrong.
   Nobody publishes them, and the stiffness of one and the same XL330 is 0.6 to 1.7 N m/rad by who computes it.
-  [Learning](adaptation.md#on-the-makers-model) brings these lines back to those of the exact model, here from a cold
-  start at the beginning of each run.
+  [Learning](adaptation.md#on-the-makers-model) brings them back to the exact model: the next three lines, each from a
+  cold start.
 - *The loop.* That of the head's daemon has 50 Hz. A loop of your own at 100 Hz makes the slow motion quieter, and
   little else better.
 - *The kind of command.* Torques need servos in current mode, and 100 Hz. They do not depend on the servo's stiffness,

@@ -105,7 +105,7 @@ def leave(log: SimulationLog, claimed: Path, graph: str | None = None, machine: 
 
 
 def kept_model(file: Path | None) -> list[str]:
-    """A text as `--set` takes it: the `model` that an earlier run has left in a file; nothing where there is none."""
+    """What `--set` would be given: the `model` that an earlier run has left in a file; nothing where there is none."""
     if file is None or not file.exists():
         return []
     data = read_mapping("model", file, 100)
@@ -134,8 +134,8 @@ def keep(log: SimulationLog, file: Path | None) -> None:
     write_text(file, to_yaml({"model": to_plain(model)}))
     tell(f"what was learnt in {file}; the next run with --keep-model {file} starts with it")
     learning = log.scenario.adaptation
-    if isinstance(learning, RegressionOptions) and learning.cautious:
-        tell("but for friction: adaptation.cautious begins with none; set it to false there")
+    if isinstance(learning, RegressionOptions) and learning.cautious and not learning.frozen:
+        tell("adaptation.cautious begins without friction all the same: --set adaptation.cautious=false")
 
 
 def end(log: SimulationLog, in_place: bool) -> None:

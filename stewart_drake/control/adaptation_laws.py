@@ -83,11 +83,11 @@ def state_of(common: int, joint: int) -> np.dtype:
     head [m], and the half widths; learnt_joints: those of ball joints, viscous, dry and the half widths;
     friction_unknown: how far Coulomb and viscous friction of the motors may be from `friction`. information: rows of
     the factor of each motor, own columns, common ones, right-hand side; shared: those below. own, common: estimate;
-    held: the same, with ball joints whose friction is not below zero; used: what that has gone over into. Blocks,
-    newest last: pose, angles, commands, whether they are good; and of half a kernel before, rates of the cranks, and
-    torques of ball joints, which are sharp at a reversal. Sums of the block under way, its ticks, whether it is bad;
-    blocks so far. noise_scale: factor of the limit for refused samples, and of the intervals up to what the first
-    uncertainty gives.
+    held: the same, with friction of ball joints within its bounds; used: what that has gone over into. Blocks, newest
+    last: pose, angles, commands, whether they are good (1), refused (0) or missing (-1); and of half a kernel before,
+    rates of the cranks, and torques of ball joints, which are sharp at a reversal. Sums of the block under way, its
+    ticks, whether it is bad; blocks so far. noise_scale: factor of the limit for refused samples, and of the intervals
+    up to what the first uncertainty gives.
     """
     return fields(
         friction=25, robot=ROBOT_SIZE, joints=JOINTS.itemsize // 8, learnt=SHOWN, learnt_half_width=SHOWN,
@@ -156,7 +156,10 @@ def _within_turn(angle: float) -> float:
 
 @njit
 def _close_block(robot: Any, joints: Any, params: Any, legs: Any, state: Any) -> None:
-    """The means of a block become the newest rows; where it is bad, or no pose has its angles, they repeat the last."""
+    """The means of a block become the newest rows, but where it is bad, or no pose has its angles, those of the last.
+
+    A block is bad too where a crank jumps, until it is back; but not after readings that were missing.
+    """
     for row in range(ROWS - 1):
         state.good[row] = state.good[row + 1]
         for i in range(6):
@@ -169,7 +172,7 @@ def _close_block(robot: Any, joints: Any, params: Any, legs: Any, state: Any) ->
         angles = state.sum_angles / params.stride
         error, _ = forward_kinematics(robot, angles, pose, TOLERANCE, ITERATIONS)
         good = error <= TOLERANCE
-        if state.good[NEWEST - 1] == 1.0:
+        if state.good[NEWEST - 1] >= 0.0:
             for i in range(6):
                 good = good and abs(angles[i] - state.angles[NEWEST - 1, i]) < 0.5
     if good:
@@ -177,7 +180,8 @@ def _close_block(robot: Any, joints: Any, params: Any, legs: Any, state: Any) ->
             state.pose[NEWEST, i] = pose[i]
             state.angles[NEWEST, i] = angles[i]
             state.commands[NEWEST, i] = state.sum_command[i] / params.stride
-    state.good[NEWEST] = 1.0 if good else 0.0
+    missing = state.bad == 1.0 or state.good[NEWEST - 1] < 0.0
+    state.good[NEWEST] = 1.0 if good else -1.0 if missing else 0.0
     sharp = len(state.sharp[0])
     for row in range(SHARP - 1):
         for n in range(sharp):
@@ -215,7 +219,7 @@ def _smoothed(params: Any, state: Any, first: int, motion: Any, acceleration: An
 def _rows(robot: Any, rest: Any, heads: Any, joints: Any, params: Any, legs: Any, state: Any, rows: Any) -> bool:
     """Fills the rows (6, n) of a sample, those left out with zeros; whether any crank moves."""
     for row in range(ROWS):
-        if state.good[row] == 0.0:
+        if state.good[row] <= 0.0:
             return False
     both, acceleration, angles, rates = np.zeros(12), np.zeros(6), np.zeros(6), np.zeros(6)
     given, faster, sharp, rests = np.zeros(6), np.zeros(6), np.zeros((state.sharp.shape[1], 6)), np.zeros(6)
@@ -327,7 +331,7 @@ def _take(params: Any, state: Any, rows: Any) -> None:
     if first < len(state.common):
         # Were the estimate itself held there, each sample would bend what is known of the motors.
         most = params.limit.max() * np.array([MOST_DAMPING, MOST_COULOMB])
-        hold_between(state.information, state.shared, state.held_own, state.held_common, first, most)
+        hold_between(state.information, state.shared, state.held_own, state.held_common, most)
         _bound(params, state.held_common[:first])
 
 

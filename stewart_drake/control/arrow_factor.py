@@ -85,27 +85,38 @@ def solve_arrow(information: Any, shared: Any, own: Any, common: Any) -> None:
 
 
 @njit
-def hold_between(information: Any, shared: Any, own: Any, common: Any, first: int, most: Any) -> None:
-    """Moves common numbers of an estimate, from `first` on, to between 0 and `most`, and all others with them.
+def hold_between(information: Any, shared: Any, own: Any, common: Any, most: Any) -> None:
+    """Moves the last two common numbers of an estimate to between 0 and `most` (2,), and all others with them.
 
-    The others go where they are most likely then. Right-hand sides are zero, and the factor stays: the evidence is what
-    it was.
+    It becomes the least-squares solution within these bounds. Right-hand sides are zero, and the factor stays: the
+    evidence is what it was.
     """
-    size, row = len(shared), np.empty(OWN + len(shared) + 1)
-    information, shared = information.copy(), shared.copy()
-    for _ in range(len(most)):
-        # To hold one may move another.
-        for n in range(len(most)):
-            beyond = common[first + n] - min(max(common[first + n], 0.0), most[n])
-            if beyond != 0.0:
-                # A measurement that is as good as exact.
-                row[:] = 0.0
-                row[OWN + first + n] = 1e5 * abs(shared[first + n, first + n])
-                row[OWN + size] = -beyond * row[OWN + first + n]
-                add_row(information[0], shared, row)
-                solve_arrow(information, shared, own, common)
-    for n in range(len(most)):
-        common[first + n] = min(max(common[first + n], 0.0), most[n])
+    size = len(shared)
+    free = common[size - 2 :].copy()
+    if 0.0 <= free[0] <= most[0] and 0.0 <= free[1] <= most[1]:
+        return
+    # What is known of these two alone is the last triangle of the factor. The best of all within is on an edge.
+    a, b, c = shared[size - 2, size - 2], shared[size - 2, size - 1], shared[size - 1, size - 1]
+    best, least, at = np.zeros(2), np.inf, np.zeros(2)
+    for n in range(2):
+        for share in range(2):
+            at[n] = share * most[n]
+            way = at[n] - free[n]
+            other = free[1 - n] - (b * way / a if n == 1 else a * b * way / (b * b + c * c))
+            at[1 - n] = min(max(other, 0.0), most[1 - n])
+            squares = (a * (at[0] - free[0]) + b * (at[1] - free[1])) ** 2 + (c * (at[1] - free[1])) ** 2
+            if squares < least:
+                least = squares
+                best[:] = at
+    held, held_shared, row = information.copy(), shared.copy(), np.empty(OWN + size + 1)
+    for n in range(2):
+        # A measurement that is as good as exact.
+        row[:] = 0.0
+        row[OWN + size - 2 + n] = 1e5 * abs(a) + 1e5 * abs(c)
+        row[OWN + size] = row[OWN + size - 2 + n] * (best[n] - free[n])
+        add_row(held[0], held_shared, row)
+    solve_arrow(held, held_shared, own, common)
+    common[size - 2 :] = best
 
 
 @njit

@@ -60,7 +60,7 @@ class DecoupledPidOptions(ControllerOptions):
     kind: Literal["decoupled_pid"] = "decoupled_pid"
     period: Period = 0.01
     natural_frequency: Positive = 20.0
-    """[rad/s] omega. With a tick of delay at 100 Hz, Reachy Mini falls below 12."""
+    """[rad/s] omega. With a tick of delay at 100 Hz, Reachy Mini falls at 10."""
     damping: Positive = 0.8
     """[-] damping ratio."""
     integral_frequency: NotNegative = 3.0
@@ -141,7 +141,7 @@ def decoupled_tick(
     for i in range(6):
         wanted[i] = feedforward[i] + wrench[i, 0] + state.against[i] * state.turning[i]
     state.ticks += 1.0
-    # It asks for a gain in back-calculation alone.
+    # Only back-calculation would use the gain; any matrix stands for it.
     return limit_and_integrate(params, wanted, counted, inertia, True, state.torque[:], state.integral[:])
 
 

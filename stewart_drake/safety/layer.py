@@ -175,8 +175,8 @@ def _counted(ticks: float, bad: bool) -> float:
 @njit
 def _first_largest(values: Any) -> int:
     """The leg of the largest of six numbers; of a tie the first, whatever the rounding."""
-    leg = 0
-    while values[leg] < values.max() - limits.TIE:
+    leg, largest = 0, values.max()
+    while values[leg] < largest - limits.TIE:
         leg += 1
     return leg
 

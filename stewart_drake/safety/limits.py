@@ -157,7 +157,7 @@ LIMITS = (
 the order in which they are asked: what the first see explains the others."""
 _OF_ROW = np.array([(monitor, of_legs) for monitor, _, of_legs in LIMITS])
 
-TIE = 1e-6  # What margins of two legs may differ by, in any unit, where the first of them is named.
+TIE = 1e-6  # What numbers of two legs may differ by, in any unit, where the first of them is named.
 
 PARAMS = fields(
     period=(), gravity=(), horizon=(), home=6,
