@@ -175,9 +175,10 @@ def _counted(ticks: float, bad: bool) -> float:
 @njit
 def _first_largest(values: Any) -> int:
     """The leg of the largest of six numbers; of a tie the first, whatever the rounding."""
-    leg, largest = 0, values.max()
-    while values[leg] < largest - limits.TIE:
-        leg += 1
+    leg = 0
+    for i in range(1, 6):
+        if values[i] > values[leg] + limits.TIE:
+            leg = i
     return leg
 
 
