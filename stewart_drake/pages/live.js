@@ -11,10 +11,22 @@ const LOST = "No connection: the session has ended, or too many pages show it. N
 const SILENT = "The simulation has not answered for some seconds: it is busy, or its process is stopped.";
 
 let about, home, last = null, held = null, traces = {}, view, heard = 0;
-let asking = 0, told = 0; // commands on their way, and the number of the latest that has arrived
+let told = 0; // the number of the latest command that has arrived
+let sending = false;
+const waiting = []; // commands in their order
 
+/** Tells the session, one command after the other: of two requests at once the later may arrive first. */
 async function tell(command) {
-  asking += 1;
+  // Of what a drag tells, only the last place counts.
+  if (["aim", "pull", "turn", "speed"].includes(command.do) && waiting.at(-1)?.do === command.do) waiting.pop();
+  waiting.push(command);
+  if (sending) return;
+  sending = true;
+  while (waiting.length) await send(waiting.shift());
+  sending = false;
+}
+
+async function send(command) {
   try {
     const answer = await fetch("do", {
       method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(command),
@@ -23,8 +35,6 @@ async function tell(command) {
     else at("message").textContent = `refused: ${answer.status} ${answer.statusText}`;
   } catch {
     gone(LOST);
-  } finally {
-    asking -= 1;
   }
 }
 
@@ -157,7 +167,8 @@ async function begin() {
   at("frozen").addEventListener("change", (event) => tell({ do: "freeze", leg: legOf(event) }));
   at("controller").addEventListener("change", (event) => tell({ do: "controller", name: event.target.value }));
   at("pause").addEventListener("click", () => tell({ do: "pause", on: !(last && last.paused) }));
-  at("stop").addEventListener("click", () => tell({ do: "stop" }));
+  // Before all that waits.
+  at("stop").addEventListener("click", () => send({ do: "stop" }));
   at("tick").addEventListener("click", () => tell({ do: "step" }));
   at("save").addEventListener("click", () => tell({ do: "save" }));
   at("speed").addEventListener("input", ({ target }) => tell({ do: "speed", value: Number(target.value) }));
@@ -218,7 +229,7 @@ async function begin() {
     at("message").textContent = last.ended ? `ended: ${last.ended}${about.machine ? "" : " (Reset begins anew)"}` : last.message;
     at("message").className = last.ended ? "ended" : "";
     // Not before what was asked for here is done: the control would jump back for a moment.
-    if (!asking && last.obeyed >= told) write(last);
+    if (!sending && last.obeyed >= told) write(last);
     if (about.instrument) {
       pull.show(last);
       at("test-result").textContent = last.test;

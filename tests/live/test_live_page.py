@@ -294,6 +294,23 @@ def test_the_platform_is_pulled_where_the_mouse_grabs_it(page):
     page.click("#reset")
 
 
+def test_commands_arrive_in_their_order_on_a_slow_line(page):
+    page.evaluate(
+        """() => {
+          const sent = window.fetch;
+          window.fetch = async (url, request) => {
+            if (request?.body?.includes('"pull"')) await new Promise((after) => setTimeout(after, 500));
+            return sent(url, request);
+          };
+        }"""
+    )
+    page.evaluate("tell({ do: 'pull', point: [0, 0, 0], place: [0.5, 0, 0.3] }); tell({ do: 'release' }); undefined")
+    assert page.evaluate("waiting.length") == 1
+    wait(page, "!sending && last.obeyed >= told")
+    assert page.evaluate("last.pull") is None
+    page.click("#reset")
+
+
 @pytest.mark.parametrize("how", ["shift", "right button", "checkbox"])
 def test_the_platform_is_turned_by_the_mouse(page, how):
     page.click("#reset")
