@@ -45,7 +45,7 @@ where the safety layer ends the run, and the head then moves at most {lost:g} de
 
 {table}
 
-Worse with learning: {worse}.
+Worse with learning: {worse}. Beside a stop stands how far the head moves after it.
 
 {told}
 
@@ -197,13 +197,18 @@ def main() -> None:
         worse=numbers(worse),
         told=markdown_table(
             ("number", "motors", "push", "fault", "with learning", "without", "truth told"),
-            [[k, found[k].bus, push_of(k), found[k].fault or "none", *found[k].ends] for k in worse],
+            [[k, found[k].bus, push_of(k), found[k].fault or "none", *ended(found[k])] for k in worse],
         ),
         stops=markdown_table(OF_STOPS, stops),
         fallen=numbers(fallen),
         alike=numbers([k for k in fallen if found[k].ends[1] == "lost"]),
     )
     write_atomically(OUT, text.encode())
+
+
+def ended(found: Outcome) -> list[str]:
+    """The three ends of a situation, with how far the head moves after a stop."""
+    return [f"{end}, {moved:.1f} deg" if moved else end for end, moved in zip(found.ends, found.travels, strict=True)]
 
 
 def push_of(number: int) -> str:

@@ -173,16 +173,6 @@ def _counted(ticks: float, bad: bool) -> float:
 
 
 @njit
-def _first_largest(values: Any) -> int:
-    """The leg of the largest of six numbers; of a tie the first, whatever the rounding."""
-    leg = 0
-    for i in range(1, 6):
-        if values[i] > values[leg] + limits.TIE:
-            leg = i
-    return leg
-
-
-@njit
 def _pass_on(params: Any, command: Any, state: Any) -> tuple[int, int]:
     """Passes a command on within the limits; a monitor that finds this has gone on for too long, and its leg."""
     size, change, limit = np.abs(command), np.abs(command - state.command), params.torque_limit
@@ -191,9 +181,9 @@ def _pass_on(params: Any, command: Any, state: Any) -> tuple[int, int]:
     state.at_limit, state.too_fast = _counted(state.at_limit, full), _counted(state.too_fast, steep)
     copy_to(state.command[:], command)
     if state.at_limit * params.period > limits.AT_LIMIT_TIME + _ROUNDING:
-        return limits.TORQUE_LIMIT, _first_largest(size / limit)
+        return limits.TORQUE_LIMIT, limits.first_least(-size / limit)
     if state.too_fast * params.period > limits.TOO_FAST_TIME + _ROUNDING:
-        return limits.TORQUE_RATE, _first_largest(change)
+        return limits.TORQUE_RATE, limits.first_least(-change)
     # Led after it, a command that chatters would leave a mean torque that nobody asked for.
     torque = state.good.copy() if steep else np.minimum(np.maximum(command, -limit), limit)
     led = _rate_limited(params, torque, state)

@@ -301,13 +301,20 @@ def margins_along(
 
 
 @njit
+def first_least(values: Any) -> int:
+    """The leg of the least of six numbers, or of one that is not finite; of a tie the first, whatever the rounding."""
+    leg = 0
+    for i in range(1, 6):
+        if not values[i] >= values[leg] - TIE:
+            leg = i
+    return leg
+
+
+@njit
 def broken(observed: Any) -> tuple[int, int]:
     """Monitor of the first limit that a measurement breaks, or `NO_TRIP`; its leg or -1."""
     for row in range(5):
-        leg = 0
-        for i in range(1, 6):
-            if not observed.margin[row, i] >= observed.margin[row, leg] - TIE:
-                leg = i
+        leg = first_least(observed.margin[row])
         if not observed.margin[row, leg] >= 0.0:
             return _OF_ROW[row, 0], leg if _OF_ROW[row, 1] else -1
     return NO_TRIP, -1

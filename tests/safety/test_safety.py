@@ -26,7 +26,7 @@ from stewart_drake.safety import (
     refuse_start,
     safety_part,
 )
-from stewart_drake.safety.layer import _first_largest
+from stewart_drake.safety.limits import first_least
 
 PERIOD = 0.001
 HOME = ROBOT.home_pose
@@ -324,5 +324,5 @@ def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wid
 
 @pytest.mark.parametrize(("behind", "leg"), [(5e-7, 0), (2e-6, 3)])
 def test_of_a_tie_the_first_leg_is_named(behind, leg):
-    values = np.array([1.0, 0.5, 0.0, 1.0 + behind, 1.0, 0.0])
-    assert _first_largest(values) == leg
+    values = np.array([0.0, 0.5, 1.0, -behind, 0.0, 1.0])
+    assert first_least(values) == leg
