@@ -8,7 +8,7 @@ import click
 
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
-from stewart_drake.cli.run_commands import end, keep, kept_model, leave, refuse_without_learning
+from stewart_drake.cli.run_commands import begin_with, end, keep, leave
 from stewart_drake.cli.terminal import print_table, progress_bar, shown_compiling, tell
 from stewart_drake.logs.signals import SCALES
 from stewart_drake.runs.outputs import begin_journal, check_place, claimed_place, prepare_file
@@ -46,8 +46,7 @@ def drive(
     from stewart_drake.runs.checks import check_scenario
     from stewart_drake.runs.drive import Drive, as_logged, connected, held_controller, measured_home
 
-    loaded = load_driven(scenario, (*kept_model(keep_model), *overrides))
-    refuse_without_learning(loaded, keep_model)
+    loaded = begin_with(load_driven, scenario, overrides, keep_model)
     if out is not None:
         check_place(as_logged(loaded), out, force, duration=False)
     if mcap:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -34,8 +35,9 @@ from stewart_drake.runs.outputs import (
     save_run,
     write_text,
 )
-from stewart_drake.scenario.control_options import ControlOptions
-from stewart_drake.scenario.scenario import load_driven, load_scenario
+from stewart_drake.scenario.scenario import Scenario, load_driven, load_scenario
+
+_LEARNT_OF = "learnt_of"  # Key of a file of `--keep-model`: the links of the robot.
 
 
 @command(
@@ -55,8 +57,7 @@ def run(
     from stewart_drake.runs.simulation import run as simulate
     from stewart_drake.runs.simulation import run_of
 
-    loaded = load_scenario(scenario, (*kept_model(keep_model), *overrides))
-    refuse_without_learning(loaded, keep_model)
+    loaded = begin_with(load_scenario, scenario, overrides, keep_model)
     if out is not None:
         check_place(loaded, out, force)
     if video is not None:
@@ -104,23 +105,32 @@ def leave(log: SimulationLog, claimed: Path, graph: str | None = None, machine: 
     return place
 
 
-def kept_model(file: Path | None) -> list[str]:
-    """What `--set` would be given: the `model` that an earlier run has left in a file; nothing where there is none."""
-    if file is None or not file.exists():
-        return []
-    data = read_mapping("model", file, 100)
-    if (keys := set(data) - {"name"}) != {"model"}:
-        raise ConfigurationError(f"--keep-model {file}", join_or(sorted(map(str, keys))), "a file with `model` alone")
-    return [f"model={json.dumps(data['model'])}"]
+def begin_with(
+    load: Callable[[str, Iterable[str]], Scenario], scenario: str, overrides: Iterable[str], file: Path | None
+) -> Scenario:
+    """Loads a scenario, with the `model` that an earlier run has left in a file, where there is one.
 
-
-def refuse_without_learning(scenario: ControlOptions, file: Path | None) -> None:
-    """Refuses to keep what nothing learns."""
-    if file is not None and not isinstance(scenario.adaptation, RegressionOptions):
-        kind = None if scenario.adaptation is None else scenario.adaptation.kind
+    Refuses to keep what nothing learns, and what was learnt of another robot.
+    """
+    own = load(scenario, overrides)
+    if file is None:
+        return own
+    if not isinstance(own.adaptation, RegressionOptions):
+        kind = None if own.adaptation is None else own.adaptation.kind
         raise ConfigurationError(
             "adaptation.kind", kind, "regression, for --keep-model; try --set adaptation=regression"
         )
+    if not file.exists():
+        return own
+    data, links = read_mapping("model", file, 100), own.robot.links_text
+    if (keys := set(data) - {"name", _LEARNT_OF}) != {"model"}:
+        raise ConfigurationError(f"--keep-model {file}", join_or(sorted(map(str, keys))), "a file with `model` alone")
+    if (learnt_of := data.get(_LEARNT_OF, links)) != links:
+        allowed = f"what was learnt of a robot with {links}, or a new file"
+        raise ConfigurationError(f"--keep-model {file}", learnt_of, allowed)
+    # What is simulated stays what it was.
+    begun = load(scenario, (f"model={json.dumps(data['model'])}", *overrides))
+    return begun.replace({"robot": own.robot, "motors": own.motors})
 
 
 def keep(log: SimulationLog, file: Path | None) -> None:
@@ -131,7 +141,7 @@ def keep(log: SimulationLog, file: Path | None) -> None:
         say(f"nothing kept in {file}: what a run learns that was not completed may be wrong")
         return
     model = log.scenario.model.given() | model_of(last_learnt(log), log.scenario.belief)
-    write_text(file, to_yaml({"model": to_plain(model)}))
+    write_text(file, to_yaml({_LEARNT_OF: log.scenario.robot.links_text, "model": to_plain(model)}))
     tell(f"what was learnt in {file}; the next run with --keep-model {file} starts with it")
     learning = log.scenario.adaptation
     if isinstance(learning, RegressionOptions) and learning.cautious and not learning.frozen:

@@ -82,7 +82,7 @@ class RegressionOptions(AdaptationOptions):
     ball_joints: Flag = False
     """Whether friction of the rods' ball joints is learnt too: one viscous and one dry number for all of them."""
     frozen: Flag = False
-    """Whether nothing is learnt: the numbers stay as they are in `model`."""
+    """Whether nothing is learnt: the numbers stay as they are in `model`, all friction of which is compensated."""
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         return (regression_part(self, context),)

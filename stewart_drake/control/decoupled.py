@@ -44,7 +44,7 @@ from stewart_drake.mechanics.linear_algebra import solve
 MOVED, PASSED = 1.5, 3.0
 """[counts] of the encoders beyond which a crank has moved; that the reference must have passed it."""
 SLOW = 1e-4  # [rad/s] a crank that is to turn more slowly is to rest.
-FADES = 0.3  # [s] in which a torque against sticking goes back once the crank has broken away.
+FADES = 0.3  # [s] time constant with which a torque against sticking fades once the crank has broken away.
 
 
 class DecoupledPidOptions(ControllerOptions):
@@ -60,7 +60,7 @@ class DecoupledPidOptions(ControllerOptions):
     kind: Literal["decoupled_pid"] = "decoupled_pid"
     period: Period = 0.01
     natural_frequency: Positive = 20.0
-    """[rad/s] omega. With a tick of delay at 100 Hz, Reachy Mini falls at 10."""
+    """[rad/s] omega. With a tick of delay at 100 Hz, Reachy Mini's head swings ever more at 10."""
     damping: Positive = 0.8
     """[-] damping ratio."""
     integral_frequency: NotNegative = 3.0

@@ -37,6 +37,10 @@ def _frozen(values: Any) -> np.ndarray:
     return array
 
 
+def _spread(values: np.ndarray) -> str:
+    return " to ".join(dict.fromkeys(f"{value:.4g}" for value in (values.min(), values.max())))
+
+
 def _of_legs(name: str, symmetric: Callable[[Any], np.ndarray]) -> cached_property[np.ndarray]:
     """The symmetric robot's values of each leg, overwritten by those that legs have of their own."""
 
@@ -294,22 +298,21 @@ class RobotParameters(Section, key="robot"):
         """[m] of the circle about z of P that holds all platform joints."""
         return float(np.hypot(self.joints_in_platform[:, 0], self.joints_in_platform[:, 1]).max())
 
+    @property
+    def links_text(self) -> str:
+        """How long its links are, in words."""
+        return f"cranks {_spread(self.crank_lengths)} m, rods {_spread(self.rod_lengths)} m"
+
     def __repr__(self) -> str:
         """What it is like, in five lines; `to_dict` has every number."""
-
-        def spread(values: np.ndarray) -> str:
-            ends = dict.fromkeys(f"{value:.4g}" for value in (values.min(), values.max()))
-            return " to ".join(ends)
-
         shafts, joints = (np.hypot(*places.T[:2]) for places in (self.shaft_positions, self.joints_in_platform))
-        lengths = f"cranks {spread(self.crank_lengths)} m, rods {spread(self.rod_lengths)} m"
         masses = f"platform {self.platform_mass:.4g} kg, rod {self.rod_mass:.4g} kg, crank {self.crank_mass:.4g} kg"
         return (
             f"RobotParameters, six legs {'alike' if self.legs is None else 'with numbers of their own'}\n"
-            f"  shafts {spread(shafts)} m and platform joints {spread(joints)} m from the middle\n"
-            f"  {lengths}, home at {self.home_height:.4g} m\n"
+            f"  shafts {_spread(shafts)} m and platform joints {_spread(joints)} m from the middle\n"
+            f"  {self.links_text}, home at {self.home_height:.4g} m\n"
             f"  {masses}\n"
-            f"  motors {spread(self.effort_limits)} N m"
+            f"  motors {_spread(self.effort_limits)} N m"
         )
 
     def each_leg(self) -> list[dict[str, Any]]:

@@ -302,10 +302,10 @@ def margins_along(
 
 @njit
 def first_least(values: Any) -> int:
-    """The leg of the least of six numbers, or of one that is not finite; of a tie the first, whatever the rounding."""
+    """The leg of the first of six values that is no number, or of the least; of a tie the first on any processor."""
     leg = 0
     for i in range(1, 6):
-        if not values[i] >= values[leg] - TIE:
+        if values[leg] > -np.inf and not values[i] >= values[leg] - TIE:
             leg = i
     return leg
 

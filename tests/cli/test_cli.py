@@ -99,6 +99,11 @@ def test_what_a_run_learns_is_printed_kept_and_where_the_next_one_begins(call):
     status, _, said = call("run", "exact_breathing", *learning, "--keep-model", "first/scenario.yaml")
     assert status == 2
     assert "expected a file with `model` alone" in said
+    other = "robot={crank_length: 0.12}"
+    status, _, said = call("run", "exact_breathing", *learning, "--set", other, "--keep-model", "kept.yaml")
+    assert status == 2
+    assert "expected what was learnt of a robot with cranks 0.12 m, rods 0.404 m, or a new file" in said
+    assert Path("kept.yaml").read_bytes() == kept
 
 
 def test_every_help_begins_with_an_example_and_ends_no_summary_in_dots(call):

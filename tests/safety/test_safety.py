@@ -326,3 +326,10 @@ def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wid
 def test_of_a_tie_the_first_leg_is_named(behind, leg):
     values = np.array([0.0, 0.5, 1.0, -behind, 0.0, 1.0])
     assert first_least(values) == leg
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_number_that_is_none_names_its_leg(leg):
+    values = np.arange(6.0)
+    values[leg] = np.nan
+    assert first_least(values) == leg
