@@ -129,16 +129,16 @@ class RunRows:
 
     @cached_property
     def at_limit(self) -> np.ndarray:
-        """(n, 6) whether a torque is at its limit, at ticks."""
+        """(n, 6) whether a torque is at its limit, at ticks at which the controller was in charge."""
         limit = self.scenario.robot.effort_limits
         if self.scenario.motors.takes != "torque":
             # Their own loop asks for it, and a machine may not tell.
             given = self.signals.get("torque_applied", np.zeros((len(self.time), 6)))
-            return (np.abs(given) >= limit) & self.tick[:, None]
+            return (np.abs(given) >= limit) & (self.tick & self.in_charge)[:, None]
         size = np.abs(self["torque"])
         # A controller that limits the torque itself asks for the limit and no more.
         full = size > limit if self.scenario.controller.asks_for_more else size >= limit
-        return full & self.tick[:, None]
+        return full & (self.tick & self.in_charge)[:, None]
 
     @cached_property
     def motion_sizes(self) -> tuple[float, float]:
