@@ -251,7 +251,8 @@ METRICS: tuple[Metric, ...] = (
         label="crank speed peak",
     ),
     Metric(
-        "saturated_fraction", "1", "share of torques at their limit, over ticks and motors, while the controller is in charge",
+        "saturated_fraction", "1",
+        "share of torques at their limit, over ticks and motors; none while the safety layer is in charge",
         lambda t: int(t.at_limit.sum()) / (6 * t.ticks), "ticks", label="share of torques at the limit", form=".2%",
     ),
     Metric(

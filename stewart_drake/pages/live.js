@@ -167,8 +167,11 @@ async function begin() {
   at("frozen").addEventListener("change", (event) => tell({ do: "freeze", leg: legOf(event) }));
   at("controller").addEventListener("change", (event) => tell({ do: "controller", name: event.target.value }));
   at("pause").addEventListener("click", () => tell({ do: "pause", on: !(last && last.paused) }));
-  // Before all that waits.
-  at("stop").addEventListener("click", () => send({ do: "stop" }));
+  // At once, and nothing that waits after it.
+  at("stop").addEventListener("click", () => {
+    waiting.length = 0;
+    send({ do: "stop" });
+  });
   at("tick").addEventListener("click", () => tell({ do: "step" }));
   at("save").addEventListener("click", () => tell({ do: "save" }));
   at("speed").addEventListener("input", ({ target }) => tell({ do: "speed", value: Number(target.value) }));
