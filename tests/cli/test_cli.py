@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import resealed
 
+from stewart_drake.base.config import to_plain
 from stewart_drake.base.errors import ConfigurationError, DiskError
 from stewart_drake.base.yaml_files import shipped_folder
 from stewart_drake.cli import run_commands
@@ -17,7 +18,7 @@ from stewart_drake.cli.terminal import print_table
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.logs.log import load_log
 from stewart_drake.runs import outputs
-from stewart_drake.scenario.scenario import load_scenario, scenario_schema
+from stewart_drake.scenario.scenario import load_driven, load_scenario, scenario_schema
 from stewart_drake.studies import workers
 
 QUICK = ("--set", "duration=0.05", "--set", "tuner.kind=fixed")
@@ -104,6 +105,16 @@ def test_what_a_run_learns_is_printed_kept_and_where_the_next_one_begins(call):
     assert status == 2
     assert "expected what was learnt of a robot with cranks 0.12 m, rods 0.404 m, or a new file" in said
     assert Path("kept.yaml").read_bytes() == kept
+
+
+def test_what_was_kept_changes_what_a_simulated_machine_is_believed_to_be_and_not_what_it_is(tmp_path):
+    first = load_driven("reachy_servos", ["adaptation=regression"])
+    kept = tmp_path / "kept.yaml"
+    heavier = first.belief.robot.given() | first.belief.robot.heavier(1.5)
+    kept.write_text(json.dumps(to_plain({"model": first.model.given() | {"robot": heavier}})))
+    again = run_commands.begin_with(load_driven, "reachy_servos", ["adaptation=regression"], kept)
+    assert again.belief.robot.platform_mass == 1.5 * first.belief.robot.platform_mass
+    assert (again.robot, again.motors) == (first.robot, first.motors)
 
 
 def test_every_help_begins_with_an_example_and_ends_no_summary_in_dots(call):
