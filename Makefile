@@ -1,5 +1,5 @@
 # make demo   the main job on a bare clone: makes .venv, installs, runs diagrams/scenarios/paper_fig7.yaml
-# make test   the same set-up, then the tests: some three minutes on two cores
+# make test   the same set-up, then the tests but the long ones: some three minutes on two cores
 # make check  the fast part of them, a quarter of the random examples, for daily work: less than a minute
 PYTHON ?= python3
 VENV := .venv
@@ -13,7 +13,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PINS)
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test test-all test-torch check newest golden processors results lint bench docs docs-quick picture gallery robots calibration calibration-example identification integrators margins plan reproduction montecarlo random_faults random_beliefs reachy drive fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three tab format clean servo_identification adaptation
+.PHONY: demo install test compiled test-all check newest golden processors results lint bench docs docs-quick picture gallery robots calibration calibration-example identification integrators margins plan reproduction montecarlo random_faults random_beliefs reachy drive fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three tab format clean servo_identification adaptation
 
 demo: $(BASE)
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -37,20 +37,21 @@ $(STAMP): $(BASE)
 
 PYTEST := $(ONE_THREAD) $(BIN)/pytest -n auto --dist loadgroup --ignore=tests/benchmarks
 
+# Once for all workers, which would compile the same laws side by side.
+compiled: install
+	$(ONE_THREAD) $(BIN)/python tests/compile_laws.py
+
 # All but those marked long.
-test: install
+test: compiled
 	$(PYTEST) -m "not long"
 
-# What continuous integration runs.
-test-all: install
+# The long ones too: notebooks, pages in a browser, the site, the wheel, all numbers of docs/results. Half an hour.
+# Debian: chromium, clang. REACHY_DAEMON=FOLDER installs the daemon of Reachy Mini's maker there and tries it.
+test-all: compiled
 	$(PYTEST)
 
-# Those that need torch alone.
-test-torch: install
-	$(PYTEST) -m torch
-
 # All but those marked slow or long: no study, no long run, no other process.
-check: install
+check: compiled
 	$(PYTEST) -q -m "not slow and not long" --hypothesis-profile=check --ignore=tests/paper
 
 # The fast tests with the newest release of each package, whatever constraints.txt says, in an environment of its own.

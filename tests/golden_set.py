@@ -2,7 +2,7 @@
 
     python tests/golden_set.py record tests/golden   # by whichever stewart_drake Python finds; some ten minutes
     python tests/golden_set.py compare OLD NEW       # what differs, the worst first; status 1 if anything does
-    python tests/golden_set.py check                 # computes anew and compares with tests/golden
+    python tests/golden_set.py check [SETTING ...]   # computes anew and compares with tests/golden; of processors.py
 
 The cases are data, in golden/cases.yaml; the recording is golden/numbers.json (outcomes, metrics, tables) and
 golden/signals.npz (some twenty rows of each run, the last among them).
@@ -306,11 +306,15 @@ def compute(folder):
     return 1 if failed else 0
 
 
+def compute_as(setting, folder):
+    """Computes with the arithmetic of another processor, which only a new process can have."""
+    arguments = [sys.executable, __file__, "compute", str(folder)]
+    return subprocess.run(arguments, env=os.environ | SETTINGS[setting], check=False).returncode
+
+
 def record(folder):
     with tempfile.TemporaryDirectory() as other:
-        arguments = [sys.executable, __file__, "compute", other]
-        oldest = os.environ | SETTINGS["oldest"]
-        failed = compute(folder) or subprocess.run(arguments, env=oldest, check=False).returncode
+        failed = compute(folder) or compute_as("oldest", other)
         if not failed:
             found = sensitive(recorded(folder), recorded(Path(other)))
             lines = [f"{json.dumps(key)}: {json.dumps(tolerance)}" for key, tolerance in found.items()]
@@ -430,13 +434,20 @@ def compare(old, new):
     return 1 if differ else 0
 
 
-def check():
-    with tempfile.TemporaryDirectory() as folder:
-        return compute(Path(folder)) or compare(GOLDEN, Path(folder))
+def check(*settings):
+    failed = 0
+    for setting in settings or ("native",):
+        with tempfile.TemporaryDirectory() as folder:
+            differs = compute_as(setting, folder) or compare(GOLDEN, Path(folder))
+        print(f"golden set, {setting}: {'differs' if differs else 'agrees'}", flush=True)
+        failed = failed or differs
+    return failed
 
 
-def main(what, *folders):
-    return {"record": record, "compute": compute, "compare": compare, "check": check}[what](*map(Path, folders))
+def main(what, *given):
+    if what == "check":
+        return check(*given)
+    return {"record": record, "compute": compute, "compare": compare}[what](*map(Path, given))
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ def numbers(folder, **changes):
     return done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_numbers_are_the_same_to_the_bit_over_threads_hash_seeds_and_folders(tmp_path):
     threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     one = numbers(ROOT, PYTHONHASHSEED="0", **dict.fromkeys(threads, "1"))

@@ -86,7 +86,7 @@ for command in (["list"], ["tuner", "show"], ["run", "paper_fig7", "--set", "dur
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_without_torch_everything_works_but_training(shell):
     status, out, err = shell(code=WITHOUT_TORCH)
     assert status == 0, err

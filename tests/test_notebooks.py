@@ -85,14 +85,11 @@ RUNS = [
     pytest.param(
         NAMES[0], marks=pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="its film needs libEGL")
     ),
-    *(
-        pytest.param(name, marks=[pytest.mark.long, *([pytest.mark.torch] if name == TRAINING else [])])
-        for name in NAMES[1:]
-    ),
+    *(pytest.param(name, marks=[pytest.mark.torch] if name == TRAINING else []) for name in NAMES[1:]),
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", RUNS)
 def test_runs_from_top_to_bottom_and_its_claims_hold(name, tmp_path):
     # The kernel picks its own backend for figures and keeps its history out of the user's home.

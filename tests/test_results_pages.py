@@ -46,7 +46,7 @@ from stewart_drake.studies.workers import Workers
 from stewart_drake.training.benchmark import Baselines, Benchmark, Case, always, cases_of, cells_for, with_setting
 from stewart_drake.training.situations import HELD_OUT, VALIDATION
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 loaded = lru_cache(load_comparison)
 NAMED = "`make results` recomputes some of these numbers."
@@ -217,7 +217,6 @@ def test_reachy(page):
     assert_says(cell, row["rmse_norm_deg"], row["rmse_norm_mm"], within=NOISY)
 
 
-@pytest.mark.long
 @pytest.mark.xdist_group("reachy_daemon")
 @pytest.mark.skipif("REACHY_DAEMON" not in os.environ, reason="needs REACHY_DAEMON, a folder for the maker's daemon")
 def test_drive(page):
@@ -269,7 +268,6 @@ def test_tuner_training(page, tmp_path):
     assert_says(worst, np.exp((policy - fixed).mean()))
 
 
-@pytest.mark.long
 def test_tuner_front(page, tmp_path):
     cases = cases_of(cells_for("paper"), HELD_OUT[:2])
     with Benchmark(tmp_path, "closed_form", Workers(0)) as benchmark:
@@ -279,7 +277,6 @@ def test_tuner_front(page, tmp_path):
         assert_says(page.cell("0", column=column), np.exp(logs.mean()))
 
 
-@pytest.mark.long
 def test_tuner_safety(page):
     name = "Reachy Mini, 100 Hz, 1 tick"
     shipped, delay = LOOPS[name]
@@ -291,7 +288,6 @@ def test_tuner_safety(page):
     assert_says(page.cell(name, column="slowest decay [1/s]"), -np.log(radius) / scenario.controller.period)
 
 
-@pytest.mark.long
 def test_calibration(page):
     robot = load_robot("paper")
     limits = load_scenario("paper_fig7").limits
@@ -303,7 +299,6 @@ def test_calibration(page):
         assert_says(page.cell(name, column="`paper`, planned, estimated"), widths[place], within=0.1)
 
 
-@pytest.mark.long
 def test_identification(page):
     designed, other = motions("paper")
     row = {"column": "condition number, of motions at random"}

@@ -74,8 +74,7 @@ def test_a_second_process_compiles_nothing_and_a_change_below_reaches_what_was_c
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ending", ["nbi", "nbc"])
-@pytest.mark.parametrize("size", [0, 40, None])
+@pytest.mark.parametrize(("ending", "size"), [("nbi", 40), ("nbc", None)])
 def test_a_damaged_cache_is_dropped_with_a_line_and_made_again(tmp_path, monkeypatch, ending, size):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     assert answer(tmp_path, 2.0) == (2.0, 1, 0, 0)

@@ -110,7 +110,7 @@ def test_a_designed_motion_is_a_scenario(call):
     assert call("check", "excite.yaml")[0] == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_servos_from_a_designed_motion_to_a_model(call, tmp_path):
     keys = ("--set", "plant={kind: closed_form, integrator: rk4}", "--set", "sensors.delay=0.004")
     assert call("excite", "--robot", "reachy_mini", "--motors", "xl330_m288", *keys, "--out", "excite.yaml")[0] == 0

@@ -40,6 +40,7 @@ def torques():
     return list(zip(logs["0"], logs["1"], strict=True))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", range(len(RUNS)))
 def test_in_plain_python_a_run_is_the_same(torques, place):
     (status, compiled), (plain_status, plain) = torques[place]

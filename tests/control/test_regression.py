@@ -528,6 +528,7 @@ def learnt_of_a_model(joints, **options):
 LOOK = load_scenario("reachy_nod").replace({"reference": LOOKS}).reference
 
 
+@pytest.mark.long
 def test_hidden_friction_of_ball_joints_is_found():
     part, state = learnt_of_a_model(JOINTS, ball_joints=True)
     viscous, dry, *half_widths = state["learnt_joints"][0]
@@ -555,6 +556,7 @@ def test_what_was_learnt_of_ball_joints_is_kept():
     assert lines["learnt: dry friction of ball joints"].startswith(f"{joints[1]:.4g} ± ")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("makes", [servos, lambda: load_scenario("reachy_slow_bus").replace({"duration": 8.0})])
 def test_ball_joints_that_turn_freely_are_found_to_be_free(makes):
     alone = makes()

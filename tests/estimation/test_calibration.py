@@ -132,7 +132,7 @@ def test_a_plan_keeps_to_the_limits_tells_more_than_chance_and_says_what_interva
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["paper", "servo_hexapod"])
+@pytest.mark.parametrize("name", ["paper", pytest.param("servo_hexapod", marks=pytest.mark.long)])
 @pytest.mark.parametrize("known", [FRAMES, ()])
 def test_poses_become_twenty_times_better_and_the_intervals_hold_the_truth(name, known):
     guess = load_robot(name)

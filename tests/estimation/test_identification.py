@@ -95,7 +95,10 @@ def test_a_lag_of_the_torques_is_made_up_for(exact):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("robot", "payload"), [(ROBOT, 0.02), (UNEQUAL, 0.2)], ids=["paper", "unequal"])
+@pytest.mark.parametrize(
+    ("robot", "payload"),
+    [pytest.param(ROBOT, 0.02, id="paper", marks=pytest.mark.long), pytest.param(UNEQUAL, 0.2, id="unequal")],
+)
 def test_intervals_hold_the_truth(robot, payload):
     # The rods of the second weigh twice its platform, and cranks of different lengths tell their mass, though poorly.
     setting = Setting(robot, motion(robot, size=0.8), motion(robot, 5, 0.8), 250.0, FINE, 0.002, 0.02, 0.01, 20.0)

@@ -17,7 +17,7 @@ def compiler(name="gcc"):
     return name
 
 
-def compiled(folder, *sources, flags=("-O2",), output="it.so", cc="gcc"):
+def compiled(folder, *sources, flags=("-O0",), output="it.so", cc="gcc"):
     shared = () if output == "it" else ("-shared", "-fPIC")
     command = [compiler(cc), *STRICT, *flags, *shared, "-o", output, *sources, "-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
@@ -32,7 +32,7 @@ def pointer(values):
 class InC:
     """An exported controller, to be called as `Controller` is."""
 
-    def __init__(self, folder, name, flags=("-O2",)):
+    def __init__(self, folder, name, flags=("-O0",)):
         header = (folder / f"{name}.h").read_text()
         self.memory = np.zeros(int(header.split("memory[")[1].split("]")[0]))
         self.library, self.name = (

@@ -91,7 +91,9 @@ def test_commands_are_those_of_the_controller(name, tmp_path):
 def test_commands_of_ten_seconds(name, tmp_path):
     scenario = load_scenario(name, ["duration=10"])
     export_controller(scenario, name, tmp_path)
-    assert_same(both(Controller(scenario), InC(tmp_path, name), readings(scenario, 10.0), scenario.reading_period))
+    assert_same(
+        both(Controller(scenario), InC(tmp_path, name, ["-O2"]), readings(scenario, 10.0), scenario.reading_period)
+    )
 
 
 def test_what_learns_is_refused_by_its_key(tmp_path):
@@ -175,11 +177,9 @@ def test_signals_and_the_reference(tmp_path):
     np.testing.assert_array_equal(in_c.reference(10**6, 36), in_c.reference(500, 36))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("cc", ["gcc", "clang"])
-@pytest.mark.parametrize(
-    "name", [pytest.param(each, marks=[] if each == "reachy_nod" else pytest.mark.long) for each in SHIPPED]
-)
+@pytest.mark.parametrize("name", SHIPPED)
 def test_clean_under_sanitizers(name, cc, tmp_path):
     compiler(cc)
     export_controller(load_scenario(name), name, tmp_path)

@@ -184,18 +184,6 @@ def test_every_controller_runs_on_servos(controller):
     assert np.abs(log["error"][log.time > 0.5, 3:]).max() < 2e-4
 
 
-@pytest.mark.slow
-def test_the_diagram_moves_as_the_closed_form_does():
-    # Rounding would make more of a last bit.
-    servos = {"kind": "position", "stiffness": 30.0, "damping": 0.1, "resolution_bits": None, "delay": 0.003}
-    changes = {"motors": servos, "controller": {"kind": "feedforward", "period": 0.01}, "duration": 1.0}
-    logs = [
-        run(load_scenario("exact_breathing").replace({**REACHY, **changes, "plant": {"kind": kind}}), check=False)
-        for kind in ("drake", "closed_form")
-    ]
-    np.testing.assert_allclose(logs[0]["pose"], logs[1]["pose"], atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

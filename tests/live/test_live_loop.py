@@ -7,22 +7,10 @@ import pytest
 
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.session import CONTROLLERS, LiveSession
-from stewart_drake.runs.simulation import run
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 FAST = {"plant.kind": "closed_form", "duration": 0.4}
 STILL = {**FAST, "reference": "hold"}
-
-
-@pytest.mark.parametrize("kind", ["closed_form", "drake"])
-@pytest.mark.parametrize("name", ["exact_fig7", "exact_heart"])
-def test_left_alone_it_is_the_run_of_its_scenario(name: str, kind: str) -> None:
-    scenario = load_scenario(name).replace({"plant.kind": kind, "duration": 0.4})
-    loop, log = LiveLoop(scenario), run(scenario, check=False)
-    loop.advance(len(log.time) - 1)
-    np.testing.assert_allclose(loop.pose, log["pose"][-1], atol=1e-7)
-    # The error that is shown is that of one instant: nanometres here, where a step of the plant moves by 0.1 mm.
-    np.testing.assert_allclose(loop.wanted, log["reference"][-1], atol=1e-12)
 
 
 def test_a_push_moves_the_platform_and_the_controller_brings_it_back() -> None:

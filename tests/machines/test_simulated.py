@@ -101,7 +101,7 @@ while True:
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_robot_whose_driver_is_killed_holds_and_takes_the_next_one(shell_environment):
     command = [sys.executable, "-m", "stewart_drake.machines.simulated", "exact_fig7", "--port", "0"]
     robot = subprocess.Popen(command, stdout=subprocess.PIPE, env=shell_environment)

@@ -9,6 +9,7 @@ from stewart_drake.runs.simulation import run
 from stewart_drake.scenario.scenario import Scenario
 
 RUNS, PARTS = 90, 3
+HERE = [pytest.param(part, marks=[pytest.mark.long] if part else []) for part in range(PARTS)]
 LQI = {"period": 0.001, "model": "exact", "weight_length": None, "solver": "split", "feedforward": "full"}
 
 
@@ -63,7 +64,7 @@ def random_scenario(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", range(PARTS))
+@pytest.mark.parametrize("part", HERE)
 def test_no_completed_run_of_90_is_worse_than_standing_still(part):
     ends = Counter()
     for seed in range(part, RUNS, PARTS):

@@ -66,11 +66,9 @@ def test_what_is_learnt_takes_the_place_of_what_was_believed(scenario):
     assert late_error(learns) < 2.0 * late_error(told)
 
 
-@pytest.mark.slow
-def test_it_learns_the_same_in_a_diagram_and_beside_a_machine(scenario):
+def test_it_learns_the_same_beside_a_machine(scenario):
     scenario = scenario.replace({"adaptation": "friction_learner", "duration": 0.3})
-    log, in_diagram = run(scenario), run(scenario.replace({"plant.kind": "drake"}))
-    np.testing.assert_allclose(log["pose"], in_diagram["pose"], atol=1e-6)
+    log = run(scenario)
     beside, out = Controller(scenario.control()), np.empty(6)
     for tick in range(100):
         beside.step(np.concatenate([log["pose"][tick], log["pose_rate"][tick]]), log.time[tick], out)

@@ -161,7 +161,7 @@ def cluster():
             yield cluster
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_on_dask_the_table_is_the_same_and_a_run_that_kills_its_worker_the_same_row(cluster, reference, tmp_path):
     with Workers(scheduler=cluster.scheduler_address) as where:
         result = run_experiment(sweep(deadly), tmp_path, where)

@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.training.paper_network import Dataset, TrainingOptions, r_squared, train_network
+from stewart_drake.training.paper_network import Dataset, TrainingOptions, import_torch, r_squared, train_network
 
-torch = pytest.importorskip("torch")
 pytestmark = pytest.mark.torch
 METADATA = {"density": "signed", "window": 7, "sample_time": 0.005, "scenario": {"name": "left out"}}
 
@@ -34,7 +33,7 @@ def test_it_finds_the_weights_that_can_be_read_from_the_densities():
 
 def test_the_same_data_options_and_seed_give_the_same_file_to_the_byte_and_others_another():
     def network(of=0, seed=0):
-        torch.rand(7)  # nobody else's random numbers
+        import_torch().rand(7)  # nobody else's random numbers
         return train_network(made_up(seed=of), options(seed=seed)).network.to_bytes()
 
     assert network() == network()
