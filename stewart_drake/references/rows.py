@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from functools import cached_property
 from typing import Any
@@ -19,17 +20,18 @@ WINDOW = 1.0
 """[s] over which stamps are averaged."""
 MOST_ROWS = 1_000_000
 _ORDER = 4  # Of the Butterworth filter; it runs forwards and backwards.
-_PERIODS = 3.0  # Of the cutoff, in which what the filter does at an end fades.
+_PERIODS = 10.0  # Of the cutoff, in which what the filter does at an end fades.
 _GAP = 1.95  # Median steps between two stamps from which on rows are missing: jitter makes less than 2.
 
 
 class RowsMotion:
     """A motion through rows of poses, for `moves`, `run` and `drive` alike.
 
-    Rows that come faster than twice the cutoff, for longer than three of its periods, are a signal. Their stamps are averaged over `WINDOW`, which moves none
-    by more than half of the median step: so far it is jitter. The poses are resampled on that step, and low-passed
-    forwards and backwards, so without delay. Slower rows are way points, and rows without a cutoff are taken as they
-    are: a cubic spline passes through them. At the end the motion slows down on its way, to rest at its last row.
+    Rows that come faster than twice the cutoff, for ten of its periods at least, are a signal. Their stamps are
+    averaged over `WINDOW`, which moves none by more than half of the median step: so far it is jitter. The poses are
+    resampled on that step, and low-passed forwards and backwards, so without delay. Other rows are way points, and so
+    are all without a cutoff: a cubic spline passes through them as they are. At the end the motion slows down on its
+    way, to rest at its last row.
 
     Args:
         time: (n,) [s] of the rows, which do not go back.
@@ -113,7 +115,7 @@ def _evened(time: np.ndarray, step: float) -> np.ndarray:
 
     even = time.copy()
     places = [0, *(np.flatnonzero(np.diff(time) > _GAP * step) + 1), len(time)]
-    for first, end in zip(places, places[1:], strict=False):
+    for first, end in itertools.pairwise(places):
         width = min(2 * round(0.5 * WINDOW / step) + 1, end - first - (end - first + 1) % 2)
         if width >= 3:
             even[first:end] = savgol_filter(time[first:end], width, 1, mode="interp")

@@ -62,8 +62,9 @@ def averaged(pose: np.ndarray, widths: np.ndarray) -> np.ndarray:
 def fix_move(robot: RobotParameters, move: Move) -> tuple[Move, dict[str, float]]:
     """The move low-passed, and changed where it breaks a limit, in small steps until it breaks none; and by how much.
 
-    What is judged is what others make of the rows that are written. Where a pose is outside, the move comes nearer to home; where it is too fast or needs too much torque, it is
-    averaged over a longer time, up to `SMOOTHEST`; then all of it is slowed.
+    It is judged as others read the rows that are written. Where a pose is outside, the move comes nearer to home; where
+    it is too fast or needs too much torque, it is averaged over a longer time, up to `SMOOTHEST`; then all of it is
+    slowed.
     """
     from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
