@@ -170,8 +170,8 @@ class RobotParameters(Section, key="robot"):
         Where the legs' cranks are level at heights that differ, a warning names the leg.
 
         Args:
-            table: Path of a CSV file, or an array (6, 6) of motor shafts in B and platform joints in P; a seventh column
-                has one number for the two motors of a pair.
+            table: Path of a CSV file, or an array (6, 6) of motor shafts in B and platform joints in P; in a seventh
+                column the two motors of a pair have one number.
             unit: Of all lengths in the table and in `parameters`: m, mm, cm or in.
             cranks: Where level cranks point, if the table does not say: outwards from the centre, towards the other
                 motor of the pair, away from it, or tangential, at right angles to outwards and away from it.

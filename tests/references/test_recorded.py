@@ -107,6 +107,14 @@ BAD = {
 }
 
 
+def test_numbers_in_the_first_line_are_a_header_that_is_missing(tmp_path):
+    (tmp_path / "motion.csv").write_text("0.1500,0,0,0,0,0\n0.1515,0,0,0,0,0\n")
+    with pytest.raises(
+        ConfigurationError, match=r"column of time: .*; the first line is numbers: is the header missing"
+    ):
+        reference(tmp_path / "motion.csv").evaluate(0.0)
+
+
 @pytest.mark.parametrize(("make", "words"), BAD.values(), ids=BAD)
 def test_a_recording_that_cannot_be_used_is_one_clear_line(tmp_path, make, words):
     path = save(make(), tmp_path / "motion.csv")
