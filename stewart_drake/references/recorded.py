@@ -29,7 +29,7 @@ DIFFERENCE = 1e-4  # [s] of differences of a pose that is given alone.
 class RecordedReference(Section, key="reference"):
     """A recorded motion: the rows of a CSV or Parquet file, the first at t = 0.
 
-    Times ascend. Angles may wrap: jumps by a whole turn are removed. Rows that come faster than twice the cutoff are
+    Times ascend. Angles may wrap: jumps by a whole turn are removed. Rows of 2.2 times the cutoff or faster are
     resampled on their median step, with the jitter of their times averaged out, and low-passed without delay; what that
     changes is told. Through slower rows, the way points of a motion, passes a cubic spline (not-a-knot). A run starts
     with the recording's own velocity, and slows down on its way, to rest at its last row.

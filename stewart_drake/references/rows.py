@@ -21,13 +21,14 @@ WINDOW = 1.0
 MOST_ROWS = 1_000_000
 _ORDER = 4  # Of the Butterworth filter; it runs forwards and backwards.
 _PERIODS = 10.0  # Of the cutoff, in which what the filter does at an end fades.
+_FASTER = 2.2  # Rows a period of the cutoff from which on a filter is possible.
 _GAP = 1.95  # Median steps between two stamps from which on rows are missing: jitter makes less than 2.
 
 
 class RowsMotion:
     """A motion through rows of poses, for `moves`, `run` and `drive` alike.
 
-    Rows that come faster than twice the cutoff, for ten of its periods at least, are a signal. Their stamps are
+    Rows of 2.2 times the cutoff or faster, for ten of its periods at least, are a signal. Their stamps are
     averaged over `WINDOW`, which moves none by more than half of the median step: so far it is jitter. The poses are
     resampled on that step, and low-passed forwards and backwards, so without delay. Other rows are way points, and so
     are all without a cutoff: a cubic spline passes through them as they are. At the end the motion slows down on its
@@ -52,13 +53,15 @@ class RowsMotion:
         from scipy.interpolate import CubicSpline, PchipInterpolator
         from scipy.signal import butter, sosfiltfilt
 
-        step, self.evened, self._cutoff = float(np.median(np.diff(time))), 0.0, cutoff
-        if is_signal := cutoff is not None and 2.0 * cutoff * step < 1.0 and (time[-1] - time[0]) * cutoff > _PERIODS:
+        # Where most stamps are those of the row before, the mean.
+        step = float(np.median(np.diff(time))) or float(time[-1] - time[0]) / (len(time) - 1)
+        self.evened, self._cutoff, time = 0.0, cutoff, time - time[0]
+        if is_signal := cutoff is not None and _FASTER * cutoff * step < 1.0 and time[-1] * cutoff > _PERIODS:
             even = _evened(time, step)
             self.evened, time = float(np.abs(even - time).max()), even
         # Of rows at the same time the first.
-        new = np.diff(time, prepend=-np.inf) > 0.0
-        time, pose = time[new] - time[0], pose[new]
+        time, new = np.unique(np.maximum.accumulate(time - time[0]), return_index=True)
+        pose = pose[new]
         self.length = float(time[-1])
         """[s] from the first row to the last."""
         self.recorded: Any = CubicSpline(time, pose)
@@ -99,7 +102,8 @@ class RowsMotion:
     def own_time(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """[s] of the rows at times from 0, the pace at which that goes, and its change [1/s]."""
         gone, pace, change = risen(time - (self.length - 0.5 * self._settle), self._settle)
-        return np.clip(time - gone, 0.0, self.length), 1.0 - pace, -change
+        own = np.where(time < self.end, np.clip(time - gone, 0.0, self.length), self.length)
+        return own, 1.0 - pace, -change
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pose, rate and acceleration (..., 6) at times [s] from 0."""

@@ -208,9 +208,10 @@ def _columns(table: Any) -> dict[str, np.ndarray]:
         raise ConfigurationError(what, str(error), allowed) from None
     if values.shape != (LEG_COUNT, len(names)):
         raise ConfigurationError(what, values.shape, allowed)
-    if not np.isfinite(values).all():
-        leg, column = np.argwhere(~np.isfinite(values))[0]
-        raise ConfigurationError(f"{what}: {names[column]} of leg {leg}", float(values[leg, column]), "a finite number")
+    if (wrong := ~(np.abs(values) <= LARGEST_SIZE)).any():
+        leg, column = np.argwhere(wrong)[0]
+        allowed = f"a number within {LARGEST_SIZE:g}"
+        raise ConfigurationError(f"{what}: {names[column]} of leg {leg}", float(values[leg, column]), allowed)
     columns = dict(zip(names, values.T, strict=True))
     for end in ("shaft", "joint"):
         if f"{end}_radius" in columns:
