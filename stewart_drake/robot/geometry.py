@@ -107,7 +107,7 @@ _POLAR = {
 }
 """Columns about z -> those that they are in place of."""
 _NEARER = 1.5
-"""[-] by which a shaft is nearer to its partner than to the other one beside it; else the pairs are not clear."""
+"""[-] by which a shaft is nearer to its partner than to any other; else the pairs are not clear."""
 LEVEL_SPREAD = 0.01
 """[-] of the rod by which the heights may differ at which the legs' cranks are level."""
 _ALL_LENGTHS = ("crank_length", "rod_length", "home_height", "link_radius", "characteristic_length")
@@ -161,9 +161,9 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
         lengths[name] = np.round(scale * columns[name], 12) if name in columns else np.full(LEG_COUNT, float(own[name]))
     pairs = () if "crank_x" in columns or cranks == "outwards" else _pairs(columns, shafts)
     zero, up = _directions(columns, shafts, cranks, pairs)
-    rods = lengths["rod_length"]
-    across, levels = _levels(shafts + lengths["crank_length"][:, None] * zero, joints, rods)
-    height = float(own["home_height"]) if "home_height" in own else _mean_level(across, levels, rods)
+    rods, height = lengths["rod_length"], own.get("home_height")
+    levels = _levels(shafts + lengths["crank_length"][:, None] * zero, joints, rods, height is None)
+    height = float(levels.mean() if height is None else height)
     span = joints + [0.0, 0.0, height] - shafts
     of_legs = {
         "shaft_position": shafts,
@@ -238,9 +238,7 @@ def _check_header(key: str, given: Sequence[str]) -> None:
     if missing or strange:
         wrong = f"without {', '.join(missing)}" if missing else f"with {', '.join(dict.fromkeys(strange))}"
         allowed = f"each once: {', '.join(_POSITIONS)}, and optionally, in groups, {', '.join(_OTHERS)}, leg; "
-        allowed += (
-            no_header(given) or "shaft_radius, shaft_deg, joint_radius, joint_deg are read for x, y, and crank_deg"
-        )
+        allowed += no_header(given) or "shaft_radius, shaft_deg, joint_radius, joint_deg, crank_deg are read too"
         raise ConfigurationError(key, wrong, allowed)
 
 
@@ -252,23 +250,16 @@ def _pairs(columns: Mapping[str, np.ndarray], shafts: np.ndarray) -> tuple[tuple
             allowed = "three numbers, each for the two legs of a pair, such as 0, 0, 1, 1, 2, 2"
             raise ConfigurationError("table: pair", columns["pair"].tolist(), allowed)
         return tuple(sorted((one, other) for one, other in pairs))
-    x, y = (shafts - shafts.mean(axis=0))[:, :2].T
-    order = np.argsort(np.arctan2(y, x), kind="stable")
-    apart = np.linalg.norm(shafts[order] - shafts[np.roll(order, -1)], axis=-1)
-    first = int(apart[1::2].sum() < apart[::2].sum())
-    near, far = apart[first::2], np.roll(apart[1 - first :: 2], -first)
-    # Of a pair, the steps to the next shaft on one side and on the other.
-    beside = np.minimum(far, np.roll(far, 1))
-    place = int((beside - _NEARER * near).argmin())
-    if not beside[place] >= _NEARER * near[place]:
-        at = np.roll(order, -(2 * place + first))
-        one, partner, other = (int(at[step]) for step in ((0, 1, -1) if far[place - 1] <= far[place] else (1, 0, 2)))
-        got = f"none; shaft {partner} is {near[place]:.4g} m from shaft {one}, shaft {other} {beside[place]:.4g} m"
+    apart = np.linalg.norm(shafts[:, None] - shafts, axis=-1) + np.diag(np.full(LEG_COUNT, np.inf))
+    (near, far), (partner, other) = np.sort(apart)[:, :2].T, apart.argsort(kind="stable")[:, :2].T
+    clear = (far >= _NEARER * near) & (partner[partner] == np.arange(LEG_COUNT))
+    if not clear.all():
+        leg = int(clear.argmin())
+        got = f"none; shaft {partner[leg]} is {near[leg]:.4g} m from shaft {leg}, shaft {other[leg]} {far[leg]:.4g} m"
         allowed = "a column pair with one number for the two motors of a pair, such as 0, 0, 1, 1, 2, 2"
-        hint = f"which shaft is the partner of shaft {one}: {partner} or {other}?"
+        hint = f"which shaft is the partner of shaft {leg}: {partner[leg]} or {other[leg]}?"
         raise ConfigurationError("table: pair", got, f"{allowed}; {hint}")
-    legs = np.roll(order, -first).reshape(-1, 2)
-    return tuple(sorted((int(min(pair)), int(max(pair))) for pair in legs))
+    return tuple((leg, int(partner[leg])) for leg in range(LEG_COUNT) if leg < partner[leg])
 
 
 def _directions(
@@ -302,21 +293,16 @@ def _unit(vectors: np.ndarray, name: str, allowed: str) -> np.ndarray:
     return unit
 
 
-def _levels(tips: np.ndarray, joints: np.ndarray, rods: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Horizontal distances (6,) [m] from level crank to joint, and heights (6,) of P; NaN where a rod is too short."""
+def _levels(tips: np.ndarray, joints: np.ndarray, rods: np.ndarray, needed: bool) -> np.ndarray:
+    """(6,) [m] heights of P at which a leg's crank is at theta = 0; NaN where a rod is too short and none is needed."""
     across = np.linalg.norm((joints - tips)[:, :2], axis=-1)
-    with np.errstate(invalid="ignore"):
-        return across, tips[:, 2] - joints[:, 2] + np.sqrt(rods**2 - across**2)
-
-
-def _mean_level(across: np.ndarray, levels: np.ndarray, rods: np.ndarray) -> float:
-    """[m] mean over the legs of the height of P at which a leg's crank is at theta = 0."""
-    if (rods <= across).any():
+    if needed and (rods <= across).any():
         leg = int((rods - across).argmin())
         allowed = f"more than {across[leg]:.4g} m from level crank to joint of leg {leg}, or a home_height"
         hint = "; are the positions in millimetres? set unit to mm" if across[leg] > 100.0 * rods[leg] else ""
         raise ConfigurationError(f"table: rod_length of leg {leg}", float(rods[leg]), allowed + hint)
-    return float(np.mean(levels))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(tips[:, 2] - joints[:, 2] + np.sqrt(rods**2 - across**2))
 
 
 def _spread(levels: np.ndarray, rods: np.ndarray) -> str:
@@ -327,9 +313,7 @@ def _spread(levels: np.ndarray, rods: np.ndarray) -> str:
     others, mm = np.delete(levels, leg), 1e3 * levels
     if np.ptp(others) > LEVEL_SPREAD * rods.min():
         low, high = int(mm.argmin()), int(mm.argmax())
-        return (
-            f"the crank of leg {low} is level at {mm[low]:.4g} mm, that of leg {high} at {mm[high]:.4g}: is this meant?"
-        )
+        return f"the crank of leg {low} is level at {mm[low]:.4g} mm, of leg {high} at {mm[high]:.4g}: is this meant?"
     among = f"the others at {1e3 * others.min():.4g} to {1e3 * others.max():.4g}"
     return f"the crank of leg {leg} is level at {mm[leg]:.4g} mm, {among}: is it mirrored?"
 
