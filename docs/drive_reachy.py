@@ -256,7 +256,9 @@ def played(url: str, scheme: str | None, motion: str) -> tuple[float, float]:
     numbers = np.array([reading.number for reading in told]) - told[0].number
     at = numbers * machine.period - POSE_AGE
     known = np.array([reading.pose is not None for reading in told]) & (at > 0.5 * times[-1]) & (at < times[-1])
-    error = [reading.pose for reading, use in zip(told, known, strict=True) if use] - motion_of(move)(at[known])
+    error = [reading.pose for reading, use in zip(told, known, strict=True) if use] - motion_of(move).evaluate(
+        at[known]
+    )[0]
     return _norms(np.array(error))
 
 

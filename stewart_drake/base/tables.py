@@ -148,8 +148,17 @@ def column_of(names: Sequence[str], quantity: str, unit: str, source: str) -> tu
     columns = [name for name in names if name.lower() in folded]
     if len(columns) != 1:
         have = ", ".join(columns) or f"none among {', '.join(names)[:300] or 'no columns'}"
-        raise ConfigurationError(f"{source}: column of {quantity}", have, f"one of {', '.join(ways)}")
+        hint = f"; {hint}" if (hint := no_header(names)) else ""
+        raise ConfigurationError(f"{source}: column of {quantity}", have, f"one of {', '.join(ways)}{hint}")
     return columns[0], folded[columns[0].lower()]
+
+
+def no_header(names: Sequence[str]) -> str:
+    """What to ask where all names of columns are numbers; else nothing."""
+    try:
+        return "the first line is numbers: is the header missing?" if [float(name) for name in names] else ""
+    except ValueError:
+        return ""
 
 
 def to_csv(table: pa.Table) -> bytes:

@@ -201,7 +201,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "budget": option("Evaluations for each controller, in place of the file's.", click.IntRange(1)),
     "controllers": option("Controller to tune [default: all].", flag="--controller", multiple=True, metavar="NAME"),
     "cranks": option(
-        "Direction of level cranks, if the table has none: outwards, towards the partner, away from it.",
+        "Direction of level cranks, if the table has none: outwards, towards the partner, away from it, tangential.",
         default="outwards",
     ),
     "encoder_bits": option("Encoder resolution, bits per turn.", click.IntRange(4, 40), default=17),
@@ -227,7 +227,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "scheduler": option("Run on a Dask cluster, e.g. tcp://host:8786.", metavar="ADDRESS"),
     "seed": option("Seed of everything random.", click.IntRange(0), default=0),
     "seeds": option("Situations of each kind and robot.", click.IntRange(2), default=14),
-    "unit": option("Unit of all lengths, in the table and after --set: m or mm.", default="m"),
+    "unit": option("Unit of all lengths, in the table and after --set: m, mm, cm or in.", default="m"),
     "validate": option("A log that is predicted, but not fitted.", PATH, multiple=True),
     "video": option("Also write a film of the run: FILE.gif, or FILE.mp4 (needs ffmpeg).", PATH),
     "workers": option("Processes [default: one per core, at most 8].", click.IntRange(1, 1024)),

@@ -168,6 +168,8 @@ def _print_run(log: SimulationLog, place: Path, machine: str) -> None:
         rows.append(("lateness of a tick, median, 99.9 %", f"{late[0]:.3f}  {late[1]:.3f} ms"))
     elif log.scenario.plant.kind != "drake":
         rows.append(("plant", f"{log.scenario.plant.kind}, not Drake's"))
+    if note := getattr(log.scenario.reference, "note", ""):
+        rows.append(("reference", note))
     for metric in metrics_of(log.scenario):
         value = metrics[metric.name]
         # A second half that was not reached is shown as a dash; weights that a run does not have are left out.
@@ -215,6 +217,8 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
         numbers[name] = asdict(worst) | {"unit": worst.unit}
     header = ("limit", "allowed", "smallest margin", "at", "where")
     print_table(f"{loaded.name}, {loaded.duration:g} s", rows, header, numbers=(1, 2, 3), data=numbers)
+    if note := getattr(loaded.reference, "note", ""):
+        tell(f"reference: {note}")
     tell("what each limit is: stewart-drake explain limits")
     machine = ("", "simulated", "believed")
     print_table("the machine, and what `model` believes of it", checks.beliefs(loaded), machine, numbers=())

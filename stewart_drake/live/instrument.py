@@ -298,7 +298,7 @@ class Record:
         ]
         changed = scenario.replace({"duration": float(max(rows[-1, 0], 0.1)), "disturbances": pushes})
         data = changed.to_dict()
-        data["reference"] = {"kind": "recorded", "motion_file": "motion.csv"}
+        data["reference"] = {"kind": "recorded", "motion_file": "motion.csv", "cutoff": None}
         began = {key: max(time - begin, 0.0) for time, change in self.changes for key in change}
         dead, frozen = data["motors"].get("dead"), data["sensors"].get("faults", [])
         for key, switched in (("motors.dead", [dead] if dead else []), ("sensors.faults", frozen)):

@@ -51,7 +51,9 @@ def test_a_key_is_explained(call, key, expected):
 
 def test_of_a_kind_every_key_is_explained_and_of_a_recorded_motion_its_columns(call):
     rows = json.loads(call("explain", "reference.recorded", "--json")[1])
-    assert [row["key"] for row in rows] == [f"reference.{name}" for name in ("motion_file", "time_scale", "settle")]
+    assert [row["key"] for row in rows] == [
+        f"reference.{name}" for name in ("motion_file", "time_scale", "cutoff", "settle")
+    ]
     assert json.loads(call("explain", "recorded", "--json")[1]) == rows
     assert all(name in rows[0]["what it does"] for name in ("time_s", "_ms", "roll_rad", "_deg", "x_m", "_mm"))
 
