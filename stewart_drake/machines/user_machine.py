@@ -17,6 +17,7 @@ from stewart_drake.machines.machine import MachineError, Reading, Takes
 from stewart_drake.scenario.scenario import Scenario
 
 METHODS = ("connect", "read", "command", "disconnect")
+_SIXES = ("pose", "arrived")  # What a reading may have besides.
 
 
 class UserMachine:
@@ -94,10 +95,12 @@ class UserMachine:
             angles, at = given if isinstance(given, tuple) and len(given) == 2 else (given, now)
             given = Reading(angles, at, 0.0, 1 if self._last is None else self._last.number + 1)
         try:
-            pose = None if given.pose is None else np.array(given.pose, dtype=float)
+            more = {
+                name: each if (each := getattr(given, name)) is None else np.array(each, dtype=float) for name in _SIXES
+            }
             numbers = {name: float(getattr(given, name)) for name in ("time", "age", "command_age")}
             reading = given._replace(
-                angles=np.array(given.angles, dtype=float), pose=pose, number=int(given.number), **numbers
+                angles=np.array(given.angles, dtype=float), number=int(given.number), **more, **numbers
             )
         except (TypeError, ValueError):
             raise MachineError(self.name, f"read gave {given}, no reading of six angles") from None
@@ -105,6 +108,7 @@ class UserMachine:
             raise MachineError(self.name, f"read gave {reading.angles}, no six finite angles [rad], or no finite time")
         if min(reading.age, reading.command_age) < 0.0:
             raise MachineError(self.name, f"read gave an age of {min(reading.age, reading.command_age):g} s")
-        if pose is not None and (pose.shape != (6,) or not np.isfinite(pose).all()):
-            raise MachineError(self.name, f"read gave the pose {pose}, no six finite numbers")
+        for name, each in more.items():
+            if each is not None and (each.shape != (6,) or not np.isfinite(each).all()):
+                raise MachineError(self.name, f"read gave {name} {each}, no six finite numbers")
         return reading

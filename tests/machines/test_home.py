@@ -65,6 +65,18 @@ def test_it_is_measured_in_the_home_pose():
     )
 
 
+def test_a_servo_that_woke_up_a_turn_on_is_refused_with_the_home_that_takes_the_turn_off():
+    hobby = load_driven("hobby_servos")
+    home, turned = inverse_kinematics(hobby.belief.robot, hobby.belief.robot.home_pose), Own()
+    turned.own = home + [0.0, 0.0, 2.0 * np.pi, 0.0, -4.0 * np.pi, 0.0]
+    with pytest.raises(ConfigurationError, match=r"angle of leg 4.*-2 turns") as raised:
+        connected(hobby, turned, 1.0)
+    given = [float(each) for each in re.search(r"model\.home=\[(.*?)\]", str(raised.value))[1].split(",")]
+    start = connected(hobby.replace({"model.home": given}), Homed(turned, given), 1.0)
+    np.testing.assert_allclose(start.angles, home, atol=1e-4)
+    assert turned.told == []
+
+
 def test_a_simulated_machine_has_the_same_zero():
     robot = SimulatedRobot(SCENARIO)
     np.testing.assert_allclose(robot.reading(), ANGLES - HOME, atol=2e-3)
