@@ -72,7 +72,7 @@ class MachineSession(PageSession):
     def _show(self, over: threading.Event) -> None:
         while not over.wait(SLICE):
             self.obey()
-            self._hand.govern(self.scenario)
+            self._hand.reference.govern(self.scenario, self._motion.own_time(self._drive.time))
             self.publish(self.row())
 
     def _aim(self, command: Mapping[str, Any]) -> None:

@@ -160,10 +160,6 @@ class HandMotion:
             each.state = each.after(time - self._now)
         self._now = time
 
-    def govern(self, scenario: Scenario) -> None:
-        """As that of `HandReference`, at its latest time."""
-        self.reference.govern(scenario, self._now)
-
 
 class Reached(NamedTuple):
     """How far towards a pose the robot can go."""
@@ -220,8 +216,8 @@ def _first_broken(
 ) -> tuple[int, str] | None:
     """Index of the first instant of a motion (n, 6), `around` added, that breaks a limit, and which; None for none."""
     poses = (pose[:, None] + around).reshape(-1, 6)
-    rates = (np.repeat(each, len(around), axis=0) for each in (rate, acceleration))
-    margins = limit_margins(robot, limits, poses, *rates, gravity)
+    rates, accelerations = (np.repeat(each, len(around), axis=0) for each in (rate, acceleration))
+    margins = limit_margins(robot, limits, poses, rates, accelerations, gravity)
     first: tuple[int, str] | None = None
     for name, values in margins.items():
         broken = ~(values >= 0.0)

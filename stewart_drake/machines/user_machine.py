@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import inspect
+import queue
+import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
@@ -40,6 +43,8 @@ class UserMachine:
         machine.check_takes(scenario, self.takes, self.name)
         self._last: Reading | None = None
         self._arrived, self.after = 0.0, "its disconnect was called"
+        self._calls: queue.SimpleQueue[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]] = queue.SimpleQueue()
+        threading.Thread(target=_serve, args=(self._calls,), daemon=True).start()
         self._look()
 
     def connect(self) -> None:
@@ -50,7 +55,7 @@ class UserMachine:
 
     def read(self) -> Reading:
         """What the user's object reads, checked."""
-        given, now = self._ask(self._own.read), time.monotonic()
+        given, now = self._ask(self._watched, self._own.read), time.monotonic()
         if given is not None:
             reading, last = self._checked(given, now), self._last
             if last is not None and reading.time < last.time:
@@ -66,7 +71,7 @@ class UserMachine:
 
     def command(self, values: np.ndarray) -> None:
         """Hands over commands (6,), a copy."""
-        self._ask(self._own.command, machine.within_limits(values, self._limits, self.name))
+        self._ask(self._watched, self._own.command, machine.within_limits(values, self._limits, self.name))
 
     def disconnect(self) -> None:
         """Disconnects; `after` says what the user's object raises."""
@@ -90,6 +95,19 @@ class UserMachine:
         except (OSError, ControllerError) as error:
             raise MachineError(self.name, error) from error
 
+    def _watched(self, method: Callable[..., Any], *given: Any) -> Any:
+        """What a method returns, in a thread that may hang: nobody waits for it longer than `machine.LOST`."""
+        called: Future[Any] = Future()
+        self._calls.put((called, method, given))
+        try:
+            return called.result(machine.LOST)
+        except TimeoutError:
+            if called.done():
+                raise
+            raise MachineError(
+                self.name, f"its {getattr(method, '__name__', method)} has not returned for {machine.LOST:g} s"
+            ) from None
+
     def _checked(self, given: Any, now: float) -> Reading:
         if not isinstance(given, Reading):
             angles, at = given if isinstance(given, tuple) and len(given) == 2 else (given, now)
@@ -112,3 +130,12 @@ class UserMachine:
             if each is not None and (each.shape != (6,) or not np.isfinite(each).all()):
                 raise MachineError(self.name, f"read gave {name} {each}, no six finite numbers")
         return reading
+
+
+def _serve(calls: queue.SimpleQueue[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]]) -> None:
+    while True:
+        called, method, given = calls.get()
+        try:
+            called.set_result(method(*given))
+        except BaseException as error:
+            called.set_exception(error)

@@ -34,7 +34,7 @@ AT_STOP = 0.02
 CLOCKS_APART = 0.05
 """Share by which the period of a machine that sets the pace may differ from the controller's. Its ticks count as the
 controller's: where they are longer, the motion takes longer."""
-_FRESH = 5  # Readings at most until the first that is used.
+_FRESH = 10  # Readings at most until the first that is used.
 SHORTEST = 0.1  # [s] of a motion.
 HOLD = 0.3
 """[s] for which it is held at the end before it is let go."""
@@ -158,14 +158,6 @@ def held_controller(scenario: Scenario, pose: np.ndarray, motion: PacedMotion | 
     return controller
 
 
-def bounded(
-    command: np.ndarray, read: np.ndarray, reach: np.ndarray, arrived: np.ndarray, step: np.ndarray
-) -> np.ndarray:
-    """Angles (6,) to send: no farther than `reach` from those that are read, and than `step` from what has arrived."""
-    near = np.clip(command, read - reach, read + reach)
-    return np.asarray(np.clip(near, arrived - step, arrived + step))
-
-
 class Tick(NamedTuple):
     """What a tick has read, wanted and sent."""
 
@@ -278,15 +270,15 @@ class Drive:
     def _look_again(self) -> None:
         """Plans the way anew where the robot no longer stands where it stood."""
         for _ in range(_FRESH):
-            # What came while something was compiled is old.
-            for _ in range(_FRESH):
-                if (reading := self._machine.read()).age < self._period:
-                    break
-            if not self._machine.reads or np.abs(reading.angles - self._start.angles).max() <= AT_STOP:
+            reading = self._machine.read()
+            if moved := self._machine.reads and np.abs(reading.angles - self._start.angles).max() > AT_STOP:
+                seconds = self._start.duration - self._motion.duration(0.0)
+                self._begin(planned(self._driven, self._machine, self._motion, reading.angles, seconds))
+            elif reading.age < self._period:
+                # What came while something was compiled is old.
                 return
-            seconds = self._start.duration - self._motion.duration(0.0)
-            self._begin(planned(self._driven, self._machine, self._motion, reading.angles, seconds))
-        raise RunFailure("the robot moves before anything was sent to it; hold it still", reason="not_at_rest")
+        if moved:
+            raise RunFailure("the robot moves before anything was sent to it; hold it still", reason="not_at_rest")
 
     def stop(self) -> None:
         """Slows down on its path, and ends; from any thread."""
@@ -344,20 +336,20 @@ class Drive:
         self._last, self.latest = tick, Tick(now, reading.angles, wanted[:6], self._command.copy())
 
     def _bound(self, reading: Reading, now: float) -> None:
-        """Keeps commands that are angles near to what is read, and to what has arrived; see `bounded`."""
+        """Keeps commands that are angles near to those that are read, and nearer to the last that has arrived."""
         if self._machine.takes != "angle":
+            return
+        if self._held is not None:
+            self._command[:] = self._held
             return
         times = now + np.array([0.0, self._ahead, self._ahead - self._on_the_way])
         here, there, before = inverse_kinematics(self._robot, self._motion.evaluate(np.maximum(times, 0.0))[0])
-        first, sent = not self._rows, reading.arrived
-        if sent is None:
-            sent = reading.angles if first else self.latest.sent
-        if self._held is not None:
-            self._command[:] = self._held
-        elif self._machine.reads or not first:
-            reach = self._following + np.abs(there - here) if self._machine.reads else np.full(6, np.inf)
-            step = np.abs(there - before) + APPROACH_SPEED * self._on_the_way
-            self._command[:] = bounded(self._command, reading.angles, reach, sent, step)
+        reach = (self._following if self._machine.reads else np.inf) + np.abs(there - here)
+        near = np.clip(self._command, reading.angles - reach, reading.angles + reach)
+        sent = self.latest.sent if self._rows else reading.angles
+        arrived = sent if reading.arrived is None else reading.arrived
+        step = np.abs(there - before) + APPROACH_SPEED * self._on_the_way
+        self._command[:] = np.clip(near, arrived - step, arrived + step)
 
     def _miss(self, tick: int) -> None:
         """Ticks that were lost before this one are ticks without a reading, or its rate would come out too large."""

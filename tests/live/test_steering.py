@@ -94,7 +94,7 @@ def test_whole_turns_are_no_way_around_a_limit() -> None:
     assert reached.limit
     assert reached.pose[2] < 2.0
     reference = HandReference(SineReference(), STEP)
-    with pytest.raises(ConfigurationError, match="pose: expected a pose within 1 rad and 0.5 m of"):
+    with pytest.raises(ConfigurationError, match=r"pose: expected a pose within 1 rad and 0\.5 m of"):
         reference.aim(Scenario(), wanted)
     np.testing.assert_array_equal(reference.goal, HOME)
 

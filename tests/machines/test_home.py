@@ -29,7 +29,7 @@ class Own:
         pass
 
     def read(self):
-        return Reading(self.own.copy(), 0.0, 0.0, 1)
+        return Reading(self.own.copy(), 0.0, 0.0, 1, arrived=self.told[-1] if self.told else None)
 
     def command(self, values):
         self.told.append(values)
@@ -41,6 +41,7 @@ def test_angles_are_the_models_and_commands_the_machines():
     np.testing.assert_allclose(machine.read().angles, ANGLES)
     machine.command(ANGLES)
     np.testing.assert_allclose(own.told, [ANGLES - HOME])
+    np.testing.assert_allclose(machine.read().arrived, ANGLES)
     assert (machine.period, machine.takes) == (0.02, "angle")
     np.testing.assert_allclose(connected(SCENARIO, machine, 1.0).pose, ROBOT.home_pose, atol=1e-9)
     own.takes = "torque"
