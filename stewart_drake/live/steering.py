@@ -105,8 +105,7 @@ class HandReference:
         own = self.at(time)[:6] - hand.state[0]
         for share in 0.5 ** np.arange(7):
             target = self.goal if share == 1.0 else begun + share * (self.goal - begun)
-            pose, rate, acceleration = np.moveaxis(hand.course(target), 1, 0)
-            if _first_broken(scenario.robot, limits, pose, rate, acceleration, scenario.gravity, own[None]) is None:
+            if _first_broken(scenario.robot, limits, hand.course(target), scenario.gravity, own[None]) is None:
                 # Whole, for a thread that drives.
                 hand.target = target.copy()
                 return
@@ -185,12 +184,12 @@ def nearest_allowed(
     shares = np.linspace(0.0, 1.0, 1 + max(1, math.ceil((np.abs(way) / APART).max())))
 
     def broken_at(share: np.ndarray) -> tuple[int, str] | None:
-        poses = here + share[:, None] * way
-        still = np.zeros_like(poses)
-        return _first_broken(robot, limits, poses, still, still, gravity, around)
+        at_rest = np.zeros((len(share), 3, 6))
+        at_rest[:, 0] = here + share[:, None] * way
+        return _first_broken(robot, limits, at_rest, gravity, around)
 
-    for at in range(1, len(shares), _BLOCK):
-        if (broken := broken_at(shares[at : at + _BLOCK])) is not None:
+    for at in range(0, len(shares) - 1, _BLOCK):
+        if (broken := broken_at(shares[at : at + _BLOCK + 1])) is not None:
             break
     else:
         return Reached(wanted, "")
@@ -198,7 +197,7 @@ def nearest_allowed(
     low, high = shares[at + place - 1 : at + place + 1].tolist()
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        if (broken := broken_at(np.array([middle]))) is None:
+        if (broken := broken_at(np.array([low, middle]))) is None:
             low = middle
         else:
             high, limit = middle, broken[1]
@@ -206,21 +205,19 @@ def nearest_allowed(
 
 
 def _first_broken(
-    robot: RobotParameters,
-    limits: ReferenceLimits,
-    pose: np.ndarray,
-    rate: np.ndarray,
-    acceleration: np.ndarray,
-    gravity: float,
-    around: np.ndarray,
+    robot: RobotParameters, limits: ReferenceLimits, motion: np.ndarray, gravity: float, around: np.ndarray
 ) -> tuple[int, str] | None:
-    """Index of the first instant of a motion (n, 6), `around` added, that breaks a limit, and which; None for none."""
-    poses = (pose[:, None] + around).reshape(-1, 6)
-    rates, accelerations = (np.repeat(each, len(around), axis=0) for each in (rate, acceleration))
-    margins = limit_margins(robot, limits, poses, rates, accelerations, gravity)
+    """Index of the first row after row 0 that breaks a limit, and which; None where all keep to them.
+
+    Rows (n, 3, 6) of pose, rate, acceleration; `around` (k, 6) is added. Row 0 tells on which side of a singularity.
+    """
+    rows = np.repeat(motion, len(around), axis=0)
+    rows[:, 0] += np.tile(around, (len(motion), 1))
+    margins = limit_margins(robot, limits, rows[:, 0], rows[:, 1], rows[:, 2], gravity)
     first: tuple[int, str] | None = None
     for name, values in margins.items():
         broken = ~(values >= 0.0)
+        broken[: len(around)] = False
         if broken.any():
             row = int(broken.any(axis=1).argmax())
             place = row // len(around)
