@@ -41,7 +41,7 @@ HOLD = 0.3
 ON_THE_WAY = 0.03
 """[s] for which a command may be on its way, three ticks where that is longer: a command that is an angle is no farther
 from the last one that has arrived than the path goes in this time, and `APPROACH_SPEED` besides."""
-HELD = "not_following", "holding"
+HELD = "not_following", "not_moving", "holding"
 """Reasons for which the robot is held where it reads itself, not slowed down on its path: it is not on it."""
 MOVES, FOLLOWS = 0.1, 0.1
 """[rad] that a crank should have moved by when it is seen whether it moves, and the share of it that it must have."""
