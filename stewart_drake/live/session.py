@@ -160,7 +160,7 @@ class LiveSession(PageSession):
     def _aim(self, command: Mapping[str, Any]) -> None:
         reached = self.loop.aim(six_of(command["pose"]))
         if self.ghost is not None:
-            self.ghost.reference.hand.target[:] = reached.pose
+            self.ghost.reference.goal = reached.pose
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
@@ -292,7 +292,7 @@ class LiveSession(PageSession):
             "torque": loop.torque.tolist(),
             "setting": None if setting is None else setting.tolist(),
             "safety": None if safety is None else int(safety[0]),
-            "target": loop.reference.hand.target.tolist(),
+            "target": loop.reference.goal.tolist(),
             "pose": pose.tolist(),
             "links": links,
             "pushed": loop.pushed,

@@ -24,8 +24,18 @@ class PacedMotion:
 
     def __init__(self, motion: Reference, start: np.ndarray, approach: float) -> None:
         self._motion, self._start, self.approach = motion, start, approach
-        self._goal = motion.evaluate(0.0)[0]
+        self.goal = motion.evaluate(0.0)[0]
         self._stops = np.inf
+        self._held: np.ndarray | None = None
+
+    def begin(self, start: np.ndarray, approach: float) -> None:
+        """From another pose (6,), by a way of another length [s]; a stop on the motion stays where it is on that."""
+        self._stops += approach - self.approach
+        self._start, self.approach = start, approach
+
+    def hold(self, pose: np.ndarray) -> None:
+        """At rest at a pose (6,) from now on, whatever was planned."""
+        self._held = pose
 
     def duration(self, motion: float) -> float:
         """[s] until rest, for some seconds of the motion, counted at its own pace."""
@@ -43,6 +53,8 @@ class PacedMotion:
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pose, rate and acceleration (..., 6) at times [s] from 0."""
         shape = np.shape(time)
+        if self._held is not None:
+            return np.broadcast_to(self._held, (*shape, 6)).copy(), np.zeros((*shape, 6)), np.zeros((*shape, 6))
         way, pace, change = self._way(np.atleast_1d(np.asarray(time, dtype=float)))
         on_motion = way >= self.approach
         gone, speed, gain = risen(way - self.approach)
@@ -70,7 +82,7 @@ class PacedMotion:
 
     def _to_start(self, way: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The straight way to the first pose."""
-        between, length = self._goal - self._start, max(self.approach, 1e-9)
+        between, length = self.goal - self._start, max(self.approach, 1e-9)
         share, speed, gain = smoothstep(way[:, None] / length)
         return self._start + share * between, speed / length * between, gain / length**2 * between
 
