@@ -280,7 +280,7 @@ def margins(scenario: str, out: Path, poses: int, quick: bool, overrides: tuple[
     numbers = report.document(loops, margins)
     write_atomically(folder / "margins.json", (json.dumps(numbers, indent=1, allow_nan=False) + "\n").encode())
     plot_margins(margins, folder / "margins.png")
-    title = f"{loaded.name}: margins at {len(loops.poses)} poses, beside {loaded.command_delay} ticks of delay"
+    title = f"{loaded.name}: margins at {len(loops.poses)} poses, beside {loaded.loop_delay} ticks of delay"
     print_table(title, report.table(margins, loops.period), report.HEADER, data=numbers)
     print_table("poses", [*report.facts(loops, margins), ("results in", str(folder))])
 

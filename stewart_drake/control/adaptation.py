@@ -6,11 +6,11 @@ The law is in `adaptation_laws`; here are its options, the part that it is in a 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.config import Flag, NotNegative, Positive
+from stewart_drake.base.config import Flag, Positive
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import new_record
 from stewart_drake.control import adaptation_laws as law
@@ -61,11 +61,10 @@ class RegressionOptions(AdaptationOptions):
     of the torque that is commanded.
     """
 
+    moved_keys: ClassVar[Mapping[str, str]] = {"reading_age": "model.reading_age"}
     kind: Literal["regression"] = "regression"
     forgetting: Positive = 8.0
     """[s] of motion after which a sample counts 37 %; for a push that lasts 2 s."""
-    reading_age: NotNegative = 0.0
-    """[s] of the readings, as believed: commands and angles alone cannot tell it from the motors' delay."""
     smoothing: Positive | None = None
     """[s] standard deviation of the kernel; null for 1.5 periods, or more where the noise of the readings needs it."""
     drive: Positive | None = None
@@ -217,13 +216,13 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         stride += 1
     block = stride * context.period
     seldom = max(1, int(SELDOM / block))
-    width, late = smoothing / block, (context.latency - 0.5 * context.period + options.reading_age) / block
+    width, late = smoothing / block, (context.latency - 0.5 * context.period) / block
     if not 1.0 <= width <= HALF / 2.0:
         raise ConfigurationError("adaptation.smoothing", smoothing, f"at least {context.period:g} s, a period")
     if late > LATE - 0.5:
-        most, commands = (LATE - 0.5) * block, context.latency - 0.5 * context.period
+        most, commands = (LATE - 0.5) * block, context.latency - context.reading_age - 0.5 * context.period
         allowed = f"at most {most:g} s together with the {commands:g} s by which commands are late"
-        raise ConfigurationError("adaptation.reading_age", options.reading_age, allowed)
+        raise ConfigurationError("model.reading_age", context.reading_age, allowed)
     limit = np.asarray(motors.available(robot, np.zeros(6)), dtype=float)
     friction, coulomb = context.friction[0], context.friction[0]["coulomb"]
     servo_damping = getattr(motors, "damping", 0.0)

@@ -17,7 +17,7 @@ from stewart_drake.base.config import did_you_mean
 from stewart_drake.base.errors import ConfigurationError, installed_with
 from stewart_drake.base.keys import join_or
 from stewart_drake.logs.journal import JOURNAL, cut_off
-from stewart_drake.logs.outcomes import Status, describe_outcome, second_half
+from stewart_drake.logs.outcomes import Status, describe_outcome, is_measured, second_half
 from stewart_drake.logs.signals import SCALES, SIGNALS
 from stewart_drake.scenario.scenario import Scenario
 
@@ -118,8 +118,9 @@ class SimulationLog(Mapping[str, np.ndarray]):
 
     @property
     def error(self) -> np.ndarray:
-        """(n, 6) [rad, m] true pose minus reference at every row."""
-        return self["pose"] - self["reference"]
+        """(n, 6) [rad, m] true pose minus reference at every row; not a number where nothing was measured."""
+        error = self["pose"] - self["reference"]
+        return error if is_measured(self.signals) else np.full_like(error, np.nan)
 
     @property
     def error_norms(self) -> tuple[np.ndarray, np.ndarray]:

@@ -148,7 +148,8 @@ def _peak_speed(rows: RunRows) -> float | None:
     """[deg/s] by differences of the crank angles; None for a single row."""
     if rows.steps < 2:
         return None
-    return float(np.degrees(np.abs(np.diff(rows["crank_angle"], axis=0) / np.diff(rows.time)[:, None]).max()))
+    angle = rows["crank_angle" if "crank_angle" in rows.signals else "reading"]
+    return float(np.degrees(np.abs(np.diff(angle, axis=0) / np.diff(rows.time)[:, None]).max()))
 
 
 def _torque_change(rows: RunRows) -> float | None:
@@ -355,7 +356,12 @@ def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:
 
 
 def figures_of(rows: RunRows) -> dict[str, Any]:
-    """Every metric of a run by name, in values that JSON has; those that are not finite are named in `not_finite`."""
+    """Every metric of a run by name, in values that JSON has; those that are not finite are named in `not_finite`.
+
+    Of what was not measured there are none.
+    """
+    if rows.steps and not rows.measured:
+        return plain_json(dict.fromkeys(metric.name for metric in metrics_of(rows.scenario)))
     with np.errstate(all="ignore"):
         return plain_json({metric.name: metric.value(rows) for metric in metrics_of(rows.scenario)})
 

@@ -12,7 +12,13 @@ import numpy as np
 from stewart_drake.analysis import feasibility
 from stewart_drake.base.code import ControllerError, file_digests
 from stewart_drake.base.config import to_plain, unit_hints
-from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError, RunFailure, UnreachablePoseError
+from stewart_drake.base.errors import (
+    ConfigurationError,
+    InfeasibleReferenceError,
+    RunFailure,
+    StewartDrakeError,
+    UnreachablePoseError,
+)
 from stewart_drake.base.families import user_parts
 from stewart_drake.base.tables import AXES
 from stewart_drake.control.base import check_start
@@ -221,6 +227,7 @@ def beliefs(scenario: Scenario) -> list[tuple[str, str, str]]:
         ("gravity", text(scenario.gravity, "m/s^2"), text(belief.gravity, "m/s^2")),
         ("noise of a crank's angle", text(nominal.noise, "rad"), text(belief.noise, "rad")),
         ("delay of a command [ticks]", str(nominal.delay), str(belief.delay)),
+        ("age of a reading", text(nominal.reading_age, "s"), text(belief.reading_age, "s")),
         *([] if kinds == ("torque", "torque") else [("motors", *kinds)]),
         *(
             (f"motors.{key}", of_motors(scenario.motors, key), of_motors(belief.motors, key))
@@ -235,10 +242,22 @@ def likely_cause(scenario: Scenario) -> str:
     if worst := plant_report(scenario).first_violation:
         return f"{worst.where} needs {worst.value:.4g} N m, its motor has {worst.bound:.4g} N m"
     period, slow = scenario.controller.period, _FALL * scenario.robot.characteristic_length
-    fall = 0.5 * scenario.gravity * (period * (1 + scenario.command_delay)) ** 2
+    fall = 0.5 * scenario.gravity * (period * (1 + scenario.loop_delay)) ** 2
     if fall < slow or scenario.sensors.faults or not (scenario.link.perfect and scenario.motors.perfect):
         return ""
+    if scenario.controller.code is not None or not _falls(scenario):
+        return ""
     return f"a slow loop of {1.0 / period:.4g} Hz: the platform can fall {1e3 * fall:.2g} mm until it reacts"
+
+
+def _falls(scenario: Scenario) -> bool:
+    """Whether the loop cannot hold its robot where it starts, by its linear model; False where it has none."""
+    from stewart_drake.analysis.linear_loop import linear_loops
+
+    with suppress(StewartDrakeError, np.linalg.LinAlgError), np.errstate(all="ignore"):
+        closed = linear_loops(scenario, scenario.start()[0][None]).closed
+        return bool(np.abs(np.linalg.eigvals(closed[0])).max() > 1.0)
+    return False
 
 
 def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:

@@ -101,7 +101,7 @@ def test_its_log_is_that_of_a_run(tmp_path):
     log.save(tmp_path / "log.parquet")
     again = load_log(tmp_path / "log.parquet")
     assert set(again) == set(log)
-    assert {"lateness", "reading_age", "commanded_angle", "pose", "reference", "crank_angle"} <= set(log)
+    assert {"lateness", "reading_age", "commanded_angle", "pose", "reference", "reading"} <= set(log)
     assert "torque_rms" in run_metrics(log)
 
 
