@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
+from stewart_drake.base.atomic_files import checksum
 from stewart_drake.base.config import Flag, Positive
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import new_record
@@ -47,6 +48,7 @@ ADAPTS = 2.0
 """[s] of motion in which the limit for refused samples widens by a factor of e, if all are refused."""
 SELDOM = 0.016
 """[s] from one forgetting to the next, and of what is shown: both together cost more than a sample."""
+_LEARNT_OF_MOTORS = ("stiffness", "ratios", "torque_constant", "damping", "delay")
 _LEVELS = ("coulomb", "break_away", "viscous")
 _LINKS = ("rod_mass", "rod_inertia", "crank_mass", "crank_inertia")
 _HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inertia")
@@ -160,6 +162,14 @@ def model_of(known: Mapping[str, np.ndarray], belief: Any) -> dict[str, Any]:
         # A robot's keys are in P.
         head["platform_center_of_mass"] = (robot.tool_rotation @ place[:PLACE] + robot.tool_position).tolist()
     return keys | {"robot": {**robot.given(), **head}}
+
+
+def machine_text(belief: Any) -> str:
+    """What of a believed robot and its motors is not learnt: its links, its kind of motors and a digest of it all."""
+    robot, motors = belief.robot, belief.motors
+    learnt = {*robot.heavier(1.0), "platform_center_of_mass", *_LEARNT_OF_MOTORS}
+    fixed = [{key: value for key, value in each.to_dict().items() if key not in learnt} for each in (robot, motors)]
+    return f"{robot.links_text}, {motors.kind} motors, {checksum(fixed)}"
 
 
 def kernel_weights(width: float) -> np.ndarray:
