@@ -234,9 +234,10 @@ _OUTCOME = tuple(each.name for each in fields(SimulationLog) if each.name not in
 """What a log says besides its signals."""
 
 
-def distinct_names(logs: Sequence[SimulationLog]) -> list[str]:
-    """Names of their scenarios, numbered where several have the same."""
+def distinct_names(logs: Sequence[SimulationLog], places: Sequence[object] = ()) -> list[str]:
+    """Names of their scenarios; where several have the same the places that they are from, or numbers."""
     names = [log.scenario.name for log in logs]
+    names = [str(place) if names.count(name) > 1 else name for name, place in zip(names, places or names, strict=True)]
     return [
         name if names.count(name) == 1 else f"{name} ({names[: place + 1].count(name)})"
         for place, name in enumerate(names)

@@ -120,9 +120,10 @@ def test_what_a_machine_without_encoders_has_done_is_not_known_and_marked(tmp_pa
     metrics = run_metrics(log)
     assert {metrics[name] for name in ("rmse_norm_deg", "peak_norm_mm", "pose_rmse_mm", "motion_ratio")} == {None}
     assert np.isnan(log.error).all()
-    write_replay(log, tmp_path / "replay.html")
+    write_replay([log, log], tmp_path / "replay.html", ["runs/a", "runs/b"])
     page = (tmp_path / "replay.html").read_text("utf-8")
     assert "the machine does not tell its angles" in page
+    assert re.search(r"<title>.*runs/a, runs/b", page)
     assert re.search(r'"rotation_deg": \[null, ', page)
     log.save(tmp_path / "log.parquet")
     assert load_log(tmp_path / "log.parquet").warnings == log.warnings
