@@ -76,9 +76,8 @@ def read_numbers(
     """
 
     def choose(names: list[str]) -> Chosen:
-        read = any(name.lower().startswith("reading_0") for name in names)
-        instead = ("crank_angle", "reading") if read else ("", "")
-        return {quantity: column_of(names, quantity.replace(*instead), unit, source) for quantity, unit in quantities}
+        read = "reading" if any(name.lower().startswith("reading_0") for name in names) else "crank_angle"
+        return {each: column_of(names, each.replace("crank_angle", read), unit, source) for each, unit in quantities}
 
     return np.stack(list(read_columns(path, source, choose, most_bytes, most_rows).values()), axis=-1)
 

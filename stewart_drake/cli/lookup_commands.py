@@ -29,7 +29,7 @@ _FILES = ("scenarios", "controllers", "comparisons", "sweeps", "robots")
 
 @command("list", what={"type": click.Choice([*_FILES, "kinds"])})
 def list_(what: str | None) -> None:
-    """WHAT: scenarios, controllers, comparisons, sweeps, robots, or kinds, those of a scenario's sections [default: all]."""
+    """WHAT: scenarios, controllers, comparisons, sweeps, robots, or kinds of a scenario's sections [default: all]."""
     for folder in _FILES:
         if what in (None, folder):
             files = sorted(shipped_folder(folder).glob("*.yaml"))

@@ -122,5 +122,7 @@ def export(scenario: str, c: Path | None, fmu: Path | None, overrides: tuple[str
     print_table(loaded.name, [(str(path), f"{path.stat().st_size / 1024.0:.0f} KB") for path in written])
     if c is not None:
         if c / "board.c" not in written:
-            tell("no board.c: this controller reads a pose, and packets have angles; --set sensors=encoders gives it one")
+            tell(
+                "no board.c: the controller reads a pose, and packets have angles; --set sensors=encoders gives it one"
+            )
         tell(f"try: make -C {c} check")

@@ -72,7 +72,8 @@ def sweep(sweep: str, out: Path | None, runs: int | None, **options: Any) -> Non
         result = run_experiment(loaded, *way)
         drawn = write_picture(loaded, result)
     print_table(loaded.name, summary(result.rows["sweep"]))
-    _print_sheets((), *refusals(result.rows["sweep"]), result.compared, f"table{' and picture' if drawn else ''} in {result.folder}")
+    where = f"table{' and picture' if drawn else ''} in {result.folder}"
+    _print_sheets((), *refusals(result.rows["sweep"]), result.compared, where)
     _exit_if_refused(result)
 
 

@@ -62,7 +62,7 @@ def second_half(time: np.ndarray, duration: float) -> np.ndarray:
 
 
 def is_measured(signals: Mapping[str, np.ndarray]) -> bool:
-    """Whether the pose of a log was measured or simulated; a machine that tells neither angles nor pose has commands."""
+    """Whether the pose of a log was measured or simulated: it is that of commands where a machine tells nothing."""
     if "crank_angle" in signals or "measured_pose" in signals or "reading" not in signals:
         return True
     return bool(np.isfinite(signals["reading"]).any())

@@ -56,9 +56,7 @@ _PLACE = (*"xyz", *(f"{axis}_half_width" for axis in "xyz"))
 _JOINTS = ("viscous", "dry", "viscous_half_width", "dry_half_width")
 SIGNALS: Mapping[str, Signal] = {
     "time": Signal((), ("s",), "simulated time"),
-    "pose": _axes(
-        "rad", "m", "pose of the platform, P in B: true in a simulation, else as a machine tells", source="measured", part=POSE
-    ),
+    "pose": _axes("rad", "m", "pose of the platform, P in B; measured on a machine", source="measured", part=POSE),
     "pose_rate": _axes("rad/s", "m/s", "Euler rates and velocity of the platform", source="measured", part=RATE),
     "reference": _axes("rad", "m", "reference pose", source="reference", part=slice(0, 6)),
     "reference_rate": _axes("rad/s", "m/s", "rate of the reference", source="reference", part=slice(6, 12)),
@@ -92,9 +90,7 @@ SIGNALS: Mapping[str, Signal] = {
         part=slice(0, 6),
     ),
     "measured_pose_rate": _axes("rad/s", "m/s", "its rate", source="measurement", part=slice(6, 12)),
-    "pose_reading": _axes(
-        "rad", "m", "pose as the controller read it; the true one without this signal and `reading`", part=slice(0, 6)
-    ),
+    "pose_reading": _axes("rad", "m", "pose as it was read; the true one without it and `reading`", part=slice(0, 6)),
     "pose_rate_reading": _axes("rad/s", "m/s", "its rate", source="pose_reading", part=slice(6, 12)),
     "innovation": _legs("rad", "readings less what the observer expected"),
     "disturbance": Signal(

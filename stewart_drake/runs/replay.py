@@ -35,8 +35,8 @@ def write_replay(
 
     The page has play and pause, a time slider, speed and loop, and traces of errors and torques whose cursor follows.
     A green translucent disc shows where the reference wants the platform. Each frame is the row of the log nearest to
-    it in time; between frames the browser interpolates. A page has about 0.6 MB, and 0.5 kB for each frame of a run. Runs of one scenario are called by the
-    `places` where they are, or numbered.
+    it in time; between frames the browser interpolates. A page has about 0.6 MB, and 0.5 kB for each frame of a run.
+    Runs of one scenario are called by their `places`, or numbered.
     """
     shown = [logs] if isinstance(logs, SimulationLog) else list(logs)
     runs = [_shown(log) for log in shown]

@@ -60,8 +60,8 @@ class ModelOptions(Section, key="model"):
     """[ticks] delay from a command to the motors; null for `command_delay`. An observer gives the controller state and
     reference at the time when its command acts."""
     reading_age: Annotated[NotNegative, Field(le=1.0)] | None = None
-    """[s] age of a reading when the controller gets it; null for `sensors.delay`. An observer predicts over it, in whole
-    ticks; defaults of gains, tuners and what learns count it as latency."""
+    """[s] age of a reading when the controller gets it; null for `sensors.delay`. An observer predicts over it, in
+    whole ticks; defaults of gains, tuners and what learns count it as latency."""
     motors: Annotated[MotorOptions, MOTORS] | None = None
     """The motors that it commands; null for the simulated ones without their faults."""
     home: Vector6 | None = None

@@ -12,6 +12,8 @@ from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.control.observer import WHITE_SHARE, ObserverOptions, bandwidth, kalman_gains
 from stewart_drake.mechanics.dynamics import forward_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
+from stewart_drake.scenario.assembly import control_side
+from stewart_drake.scenario.scenario import load_scenario
 
 GRAVITY, PERIOD, NOISE = 9.81, 0.001, 2.5e-5
 HOME, STILL = ROBOT.home_pose, np.zeros(6)
@@ -102,6 +104,12 @@ def test_the_disturbance_stays_while_a_robot_with_friction_rests_where_it_is_wan
     reference = np.concatenate([HOME + off, np.full(6, turning), STILL])
     seen = tick(inverse_kinematics(ROBOT, HOME) + 1e-5, reference=reference)
     assert (seen["disturbance"] != 0.0).all() == grows
+
+
+def test_friction_that_is_learnt_reaches_the_observer():
+    learning = load_scenario("exact_breathing").replace({"adaptation": "regression"})
+    (observer,) = (part for part in control_side(learning).parts if part.name == "observer")
+    assert observer.connections["friction"] == "friction"
 
 
 def test_missing_readings_are_bridged_by_the_model_and_then_end_the_run():
