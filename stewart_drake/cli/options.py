@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import inspect
 from collections.abc import Callable
 from contextlib import suppress
@@ -189,17 +190,13 @@ def switch(text: str) -> dict[str, Any]:
 
 
 def _completed_from(kind: str) -> dict[str, Any]:
-    """For a shell to complete: files of a kind that the package has; the shell's own are paths.
-
-    A command that takes a file of a controller alone in place of a scenario completes these too.
-    """
+    """For a shell to complete: files of a kind that the package has; the shell's own are paths."""
 
     def complete(ctx: click.Context, __: click.Parameter, begun: str) -> list[str]:
         from stewart_drake.base.yaml_files import shipped_folder
 
-        kinds = [kind, *(["controllers"] if ctx.info_name in TAKE_CONTROLLERS and kind == "scenarios" else [])]
-        names = sorted(path.stem for each in kinds for path in shipped_folder(each).glob("*.yaml"))
-        return [name for name in names if name.startswith(begun)]
+        kinds = (kind, "controllers") if ctx.info_name in TAKE_CONTROLLERS else (kind,)
+        return [path.stem for each in kinds for path in shipped_folder(each).glob(f"{glob.escape(begun)}*.yaml")]
 
     return {"shell_complete": complete}
 

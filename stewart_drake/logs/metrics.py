@@ -16,7 +16,7 @@ from stewart_drake.base.families import UserMade
 from stewart_drake.base.tables import AXES
 from stewart_drake.control.features import CostScales, cost
 from stewart_drake.hardware.motors import within_limit
-from stewart_drake.logs.outcomes import RunRows
+from stewart_drake.logs.outcomes import RunRows, is_measured
 from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 
 if TYPE_CHECKING:
@@ -356,11 +356,8 @@ def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:
 
 
 def figures_of(rows: RunRows) -> dict[str, Any]:
-    """Every metric of a run by name, in values that JSON has; those that are not finite are named in `not_finite`.
-
-    Of what was not measured there are none.
-    """
-    if rows.steps and not rows.measured:
+    """Every metric of a run by name, in values that JSON has; None of what was not measured, or not finite."""
+    if rows.steps and not is_measured(rows.signals):
         return plain_json(dict.fromkeys(metric.name for metric in metrics_of(rows.scenario)))
     with np.errstate(all="ignore"):
         return plain_json({metric.name: metric.value(rows) for metric in metrics_of(rows.scenario)})

@@ -94,11 +94,6 @@ class RunRows:
         return self.signals[name]
 
     @property
-    def measured(self) -> bool:
-        """Whether anything was: a machine without encoders has but its commands."""
-        return is_measured(self.signals)
-
-    @property
     def second_half_rms(self) -> np.ndarray:
         """(6,) [rad, m] RMS error of the second half."""
         return np.sqrt(np.mean(self.error[self.second_half_tick] ** 2, axis=0))
@@ -335,7 +330,7 @@ def _error_over_motion(rows: RunRows) -> str:
 def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None) -> tuple[dict[str, Any], ...]:
     """What a reader should know beside the outcome: name, time [s], number and text of each."""
     events: list[tuple[str, float, float, str]] = []
-    if rows.steps and not rows.measured:
+    if rows.steps and not is_measured(rows.signals):
         text = "the machine does not tell its angles: the pose is that of its commands, and no error is known"
         return ({"name": "not_measured", "time": 0.0, "number": 1.0, "text": text},)
     if trip is not None and trip["last"] == "none":

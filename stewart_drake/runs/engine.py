@@ -61,10 +61,8 @@ class Run(ABC):
         """Signals by their names in a log."""
         count, values = self.rows()
         values["time"] = times_of(np.arange(count), self.scenario.plant.time_step)
-        if self.scenario.sensors.exact:
-            del values["pose_reading"]
-            if self.scenario.estimator.exact:
-                del values["measurement"]
+        if self.scenario.sensors.exact and self.scenario.estimator.exact:
+            del values["measurement"]
         # Loops that are closed by construction have no gap.
         values.setdefault("loop_gap", np.zeros((count, 6)))
         return signals_of(values)

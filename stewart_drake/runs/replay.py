@@ -28,9 +28,7 @@ _STYLES = ("uPlot.min.css", "common.css", "replay.css")
 _SCRIPTS = ("three.min.js", "uPlot.iife.min.js", "scene.js", "plots.js", "replay.js")
 
 
-def write_replay(
-    logs: SimulationLog | Sequence[SimulationLog], path: str | Path, places: Sequence[str | Path] = ()
-) -> None:
+def write_replay(logs: SimulationLog | Sequence[SimulationLog], path: str | Path, places: Sequence[Any] = ()) -> None:
     """Writes the motion of one run or of several side by side as one HTML page that plays in any browser, offline.
 
     The page has play and pause, a time slider, speed and loop, and traces of errors and torques whose cursor follows.

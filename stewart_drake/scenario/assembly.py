@@ -194,10 +194,9 @@ class _Builder:
         self.options, self.context, self.reading = options, context_of(options, split), reading
         self.friction = options.belief.friction
         self.parts: list[Part] = []
-        self.logged: dict[str, str | np.ndarray] = {
-            "reference": "reference",
-            "reading" if self.context.reading == 6 else "pose_reading": reading,
-        }
+        self.logged: dict[str, str | np.ndarray] = {"reference": "reference"}
+        if reading != "plant_pose":
+            self.logged["reading" if self.context.reading == 6 else "pose_reading"] = reading
         self.at_end: list[Part] = []
 
     def side(self) -> ControlSide:
