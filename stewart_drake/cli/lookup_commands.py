@@ -24,12 +24,12 @@ from stewart_drake.cli.terminal import print_table, shown_compiling, tell
 from stewart_drake.runs.outputs import write_text
 from stewart_drake.scenario.scenario import Scenario, load_scenario, scenario_schema
 
-_FILES = ("scenarios", "comparisons", "sweeps", "robots")
+_FILES = ("scenarios", "controllers", "comparisons", "sweeps", "robots")
 
 
 @command("list", what={"type": click.Choice([*_FILES, "kinds"])})
 def list_(what: str | None) -> None:
-    """WHAT: scenarios, comparisons, sweeps, robots, or kinds, those of a scenario's sections [default: all]."""
+    """WHAT: scenarios, controllers, comparisons, sweeps, robots, or kinds of a scenario's sections [default: all]."""
     for folder in _FILES:
         if what in (None, folder):
             files = sorted(shipped_folder(folder).glob("*.yaml"))

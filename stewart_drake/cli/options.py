@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import inspect
 from collections.abc import Callable
 from contextlib import suppress
@@ -62,13 +63,17 @@ COMMANDS = {
     "tuner": About("study", "show", "Show and assess tuners that change settings online"),
     "tuner show": About("study", "", "Print a policy: its settings, inputs and training"),
     "tuner judge": About("study", "runs/tuner.json", "Compare a policy with other tuners, in new situations"),
-    "list": About("lookup", "scenarios", "List scenarios, comparisons, sweeps, robots and kinds"),
+    "list": About("lookup", "scenarios", "List scenarios, controllers, comparisons, sweeps, robots and kinds"),
     "explain": About("lookup", "controller.period", "Explain a key: what it does, unit, default, allowed values"),
     "init": About("lookup", "mine.yaml", "Write a first scenario, with a comment on each key"),
     "doctor": About("lookup", "", "Check the installation and its speed"),
     "schema": About("lookup", "> schema.json", "Print the JSON schema of scenario files, for editors"),
     "completion": About("lookup", "bash", "Print a script for shell completion"),
 }
+
+
+TAKE_CONTROLLERS = ("check", "drive", "export", "live")
+"""Commands that take a file of a controller alone too."""
 
 
 def _quiet(context: click.Context, _: click.Parameter, given: bool) -> None:
@@ -187,10 +192,11 @@ def switch(text: str) -> dict[str, Any]:
 def _completed_from(kind: str) -> dict[str, Any]:
     """For a shell to complete: files of a kind that the package has; the shell's own are paths."""
 
-    def complete(_: click.Context, __: click.Parameter, begun: str) -> list[str]:
+    def complete(ctx: click.Context, __: click.Parameter, begun: str) -> list[str]:
         from stewart_drake.base.yaml_files import shipped_folder
 
-        return [path.stem for path in shipped_folder(kind).glob("*.yaml") if path.stem.startswith(begun)]
+        kinds = (kind, "controllers") if ctx.info_name in TAKE_CONTROLLERS else (kind,)
+        return [path.stem for each in kinds for path in shipped_folder(each).glob(f"{glob.escape(begun)}*.yaml")]
 
     return {"shell_complete": complete}
 

@@ -289,7 +289,7 @@ def excite(
     from stewart_drake.estimation.excitation import excite as design
 
     guess = load_robot(robot)
-    # Readings are logged as they are without an observer.
+    # An observer would have to know the robot already.
     differences = ("estimator={kind: difference, rate_cutoff: 150}", "tuner={kind: block}")
     torque = ("plant.motor_friction=0", "model.friction=null")
     angle = (

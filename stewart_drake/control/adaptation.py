@@ -6,11 +6,12 @@ The law is in `adaptation_laws`; here are its options, the part that it is in a 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.config import Flag, NotNegative, Positive
+from stewart_drake.base.atomic_files import checksum
+from stewart_drake.base.config import Flag, Positive
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import new_record
 from stewart_drake.control import adaptation_laws as law
@@ -47,6 +48,7 @@ ADAPTS = 2.0
 """[s] of motion in which the limit for refused samples widens by a factor of e, if all are refused."""
 SELDOM = 0.016
 """[s] from one forgetting to the next, and of what is shown: both together cost more than a sample."""
+_LEARNT_OF_MOTORS = ("stiffness", "ratios", "torque_constant", "damping", "delay")
 _LEVELS = ("coulomb", "break_away", "viscous")
 _LINKS = ("rod_mass", "rod_inertia", "crank_mass", "crank_inertia")
 _HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inertia")
@@ -61,11 +63,10 @@ class RegressionOptions(AdaptationOptions):
     of the torque that is commanded.
     """
 
+    moved_keys: ClassVar[Mapping[str, str]] = {"reading_age": "model.reading_age"}
     kind: Literal["regression"] = "regression"
     forgetting: Positive = 8.0
     """[s] of motion after which a sample counts 37 %; for a push that lasts 2 s."""
-    reading_age: NotNegative = 0.0
-    """[s] of the readings, as believed: commands and angles alone cannot tell it from the motors' delay."""
     smoothing: Positive | None = None
     """[s] standard deviation of the kernel; null for 1.5 periods, or more where the noise of the readings needs it."""
     drive: Positive | None = None
@@ -163,6 +164,14 @@ def model_of(known: Mapping[str, np.ndarray], belief: Any) -> dict[str, Any]:
     return keys | {"robot": {**robot.given(), **head}}
 
 
+def machine_text(belief: Any) -> str:
+    """What of a believed robot and its motors is not learnt: its links, its kind of motors and a digest of it all."""
+    robot, motors = belief.robot, belief.motors
+    learnt = {*robot.heavier(1.0), "platform_center_of_mass", *_LEARNT_OF_MOTORS}
+    fixed = [{key: value for key, value in each.to_dict().items() if key not in learnt} for each in (robot, motors)]
+    return f"{robot.links_text}, {motors.kind} motors, {checksum(fixed)}"
+
+
 def kernel_weights(width: float) -> np.ndarray:
     """Weights (3, n) of a Gaussian of a standard deviation [blocks], its first two derivatives: exact for parabolas."""
     at = np.arange(-HALF, HALF + 1.0)
@@ -217,13 +226,13 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         stride += 1
     block = stride * context.period
     seldom = max(1, int(SELDOM / block))
-    width, late = smoothing / block, (context.latency - 0.5 * context.period + options.reading_age) / block
+    width, late = smoothing / block, (context.latency - 0.5 * context.period) / block
     if not 1.0 <= width <= HALF / 2.0:
         raise ConfigurationError("adaptation.smoothing", smoothing, f"at least {context.period:g} s, a period")
     if late > LATE - 0.5:
-        most, commands = (LATE - 0.5) * block, context.latency - 0.5 * context.period
+        most, commands = (LATE - 0.5) * block, context.latency - context.reading_age - 0.5 * context.period
         allowed = f"at most {most:g} s together with the {commands:g} s by which commands are late"
-        raise ConfigurationError("adaptation.reading_age", options.reading_age, allowed)
+        raise ConfigurationError("model.reading_age", context.reading_age, allowed)
     limit = np.asarray(motors.available(robot, np.zeros(6)), dtype=float)
     friction, coulomb = context.friction[0], context.friction[0]["coulomb"]
     servo_damping = getattr(motors, "damping", 0.0)

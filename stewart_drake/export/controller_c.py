@@ -77,6 +77,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
         "NUMBERS": str(loop.numbers),
         "UNIT": side.unit,
         "TAKES": str({"rad": 0, "N m": 1, "A": 2}[side.unit]),
+        "NEEDS": "READING | MEASURED" if side.context.feedback else "READING",
         "MEANS": "angles of the cranks [rad]" if side.context.reading == 6 else "pose [rad, m] and its rate",
         "LIMIT": loop.program.table("command_limit", limit).base,
         "COMMAND": loop.signals[command].text,

@@ -46,7 +46,7 @@ class Knob(NamedTuple):
 def as_instrument(scenario: Scenario) -> Scenario:
     """The scenario with its gains and beliefs said: else they would follow where a slider changes the machine."""
     said = {name: getattr(scenario, name).to_dict() for name in ("controller", "tuner", "estimator")}
-    said["model.delay"] = scenario.belief.delay
+    said |= {"model.delay": scenario.belief.delay, "model.reading_age": scenario.belief.reading_age}
     if scenario.motors.takes != "torque" and scenario.model.motors is None:
         said["model.motors"] = scenario.belief.motors.to_dict()
     return scenario.replace(said)

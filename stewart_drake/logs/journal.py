@@ -138,8 +138,10 @@ def fields_of(
 
 
 def _signals(scenario: Scenario, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """As of a run: the pose is that which the machine tells, or else that of the angles that it reads."""
-    angles, poses, sent = values.pop("angles"), values.pop("told_pose"), values.pop("sent")
+    """As of a run: the pose is that which the machine tells, or else that of the angles that it reads or is told."""
+    angles, poses, sent = values["reading"], values.pop("told_pose"), values.pop("sent")
+    if scenario.belief.motors.takes == "angle" and not np.isfinite(angles).any():
+        angles = sent
     of_angles, guess = [], values["reference"][0, :6]
     for row in angles:
         # Angles that no pose has are no reason to lose a log.
@@ -149,7 +151,7 @@ def _signals(scenario: Scenario, values: dict[str, np.ndarray]) -> dict[str, np.
     told = bool(np.isfinite(poses).all())
     pose = poses if told else np.array(of_angles)
     rate = np.gradient(pose, values["time"], axis=0) if len(pose) > 1 else np.zeros_like(pose)
-    values |= {"measured": np.concatenate([pose, rate, angles], axis=1), "loop_gap": np.zeros((len(pose), 6))}
+    values |= {"measured": np.concatenate([pose, rate], axis=1), "loop_gap": np.zeros((len(pose), 6))}
     if scenario.belief.motors.takes == "torque":
         values["torque_applied"] = sent
     if told and "measurement" not in values:

@@ -330,7 +330,10 @@ class Drive:
             for name, of in self._controller.logged.items()
         }
         told = np.full(6, np.nan) if reading.pose is None else reading.pose
-        own = {"angles": reading.angles, "told_pose": told, "reading_age": age, "lateness": late}
+        own = {"told_pose": told, "reading_age": age, "lateness": late}
+        if not self._machine.reads:
+            # Its reading is what it was last told.
+            own["reading"] = np.full(6, np.nan)
         wanted = self._motion.row(now)
         self._rows.append({"time": now, **logged, **own, "sent": self._command, "reference": wanted})
         self._last, self.latest = tick, Tick(now, reading.angles, wanted[:6], self._command.copy())

@@ -23,8 +23,8 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 def test_what_there_is_to_choose_from_is_listed(call):
     lists = json.loads(call("list", "--json")[1])
-    assert set(lists) == {"scenarios", "comparisons", "sweeps", "robots", "kinds"}
-    for kind in ("scenarios", "comparisons", "sweeps", "robots"):
+    assert set(lists) == {"scenarios", "controllers", "comparisons", "sweeps", "robots", "kinds"}
+    for kind in ("scenarios", "controllers", "comparisons", "sweeps", "robots"):
         names = {path.stem for path in shipped_folder(kind).glob("*.yaml")}
         assert {row["name"] for row in lists[kind]} == names
         assert all(row["what it is"] for row in lists[kind])
@@ -133,6 +133,8 @@ def test_a_shell_completes_commands_and_names(call, monkeypatch):
     for words, completed in (
         ("stewart-drake expl", "explain"),
         ("stewart-drake run paper_fig7_u", "paper_fig7_uncompensated"),
+        ("stewart-drake drive hob", "hobby_servos"),
+        ("stewart-drake export reachy_da", "reachy_daemon"),
     ):
         monkeypatch.setenv("COMP_WORDS", words)
         monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))

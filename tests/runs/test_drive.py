@@ -1,5 +1,7 @@
 """`drive`: a controller on a machine, here one in the same process whose servos come to their angles by a lag."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from stewart_drake.machines.simulated import SimulatedRobot
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.references.paced import RAMP
 from stewart_drake.runs.drive import APPROACH_SPEED, HOLD, Drive, connected
+from stewart_drake.runs.replay import write_replay
 
 SERVOS = {
     "motors": {"kind": "position", "preset": "xl330_m288"},
@@ -101,8 +104,29 @@ def test_its_log_is_that_of_a_run(tmp_path):
     log.save(tmp_path / "log.parquet")
     again = load_log(tmp_path / "log.parquet")
     assert set(again) == set(log)
-    assert {"lateness", "reading_age", "commanded_angle", "pose", "reference", "crank_angle"} <= set(log)
+    assert {"lateness", "reading_age", "commanded_angle", "pose", "reference", "reading"} <= set(log)
     assert "torque_rms" in run_metrics(log)
+
+
+def test_what_a_machine_without_encoders_has_done_is_not_known_and_marked(tmp_path):
+    machine = Servos()
+    machine.reads = False
+    machine.read = lambda: Reading((machine.commands or [HOME])[-1].copy(), 0.02 * len(machine.commands), 0.0, 0)
+    machine.paced = False
+    log = driven(machine, seconds=0.5)
+    assert (log.status, [each["name"] for each in log.warnings]) == ("completed", ["not_measured"])
+    assert np.isnan(log["reading"]).all()
+    assert "crank_angle" not in log
+    metrics = run_metrics(log)
+    assert {metrics[name] for name in ("rmse_norm_deg", "peak_norm_mm", "pose_rmse_mm", "motion_ratio")} == {None}
+    assert np.isnan(log.error).all()
+    write_replay([log, log], tmp_path / "replay.html", ["runs/a", "runs/b"])
+    page = (tmp_path / "replay.html").read_text("utf-8")
+    assert "the machine does not tell its angles" in page
+    assert re.search(r"<title>.*runs/a, runs/b", page)
+    assert re.search(r'"rotation_deg": \[null, ', page)
+    log.save(tmp_path / "log.parquet")
+    assert load_log(tmp_path / "log.parquet").warnings == log.warnings
 
 
 def interrupted(_):
