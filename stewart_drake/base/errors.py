@@ -231,6 +231,13 @@ def raised_at(error: BaseException) -> str:
     return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
 
 
+def one_line(error: BaseException) -> str:
+    """What an exception says, in a line; of one that is not this package's with its kind."""
+    text = " ".join(str(error).split())
+    kind = "" if isinstance(error, StewartDrakeError) and text else f"{type(error).__name__}: "
+    return f"{kind}{text}".removesuffix(": ")
+
+
 @contextmanager
 def installed_with(requirement: str, instead: str = "") -> Iterator[None]:
     """Around an import: where the package is missing, says what pip has to install, and what does without it.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from pydantic import Field
 
 from stewart_drake.base.code import CodePath, ControllerError, UserCode
 from stewart_drake.base.config import Period
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, drake_guard, raised_at
 from stewart_drake.base.families import UserMade, user_parts
 from stewart_drake.base.jit import fields, new_record
 from stewart_drake.control.base import ControllerOptions, Measurement, Setpoint
@@ -94,6 +95,18 @@ def _is_system(loaded: Any) -> bool:
 def user_code(section: Any) -> UserCode:
     """The guard around what may call a user's code, see `UserCode`: of a scenario or of a part of it."""
     return UserCode(*(part.code.own_module for part in user_parts(section)))
+
+
+@contextmanager
+def loop_errors(doing: str, section: Any) -> Iterator[None]:
+    """Within it, what ends a loop of a section is a RunFailure, whether a user's code, Drake or numpy raises it."""
+    try:
+        with drake_guard(doing), user_code(section), np.errstate(all="ignore"):
+            yield
+    except MemoryError:
+        raise RunFailure("no memory is left to continue", reason="out_of_memory") from None
+    except np.linalg.LinAlgError as error:
+        raise RunFailure(f"{error}{raised_at(error)}", reason="singular_matrix") from error
 
 
 def function_part(function: Callable[[Measurement, Setpoint, float], Any]) -> Part:

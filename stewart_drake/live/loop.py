@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.errors import RunFailure
+from stewart_drake.base.errors import one_line
 from stewart_drake.base.sampling import on_grid
+from stewart_drake.control.user_controller import loop_errors
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.live.instrument import Probe, Record, Spring, TurningSpring
 from stewart_drake.live.steering import HandReference, Reached, nearest_allowed
@@ -85,10 +86,11 @@ class LiveLoop:
     def advance(self, steps: int) -> None:
         """Some steps of the plant; none once the loop has ended."""
         try:
-            for _ in range(steps if not self.ended else 0):
-                self._advance_one()
-        except (RunFailure, np.linalg.LinAlgError) as failure:
-            self.ended = " ".join(str(failure).split())
+            with loop_errors("a step", self.scenario):
+                for _ in range(steps if not self.ended else 0):
+                    self._advance_one()
+        except Exception as error:  # The page stays, to begin anew.
+            self.ended = one_line(error)
 
     def _advance_one(self) -> None:
         self._note_pull()
