@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,15 @@ from pydantic import Field
 
 from stewart_drake.base.code import CodePath, ControllerError, UserCode
 from stewart_drake.base.config import Period
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, drake_guard, raised_at
+from stewart_drake.base.errors import (
+    ConfigurationError,
+    NotFiniteError,
+    RunFailure,
+    StewartDrakeError,
+    drake_guard,
+    one_line,
+    raised_at,
+)
 from stewart_drake.base.families import UserMade, user_parts
 from stewart_drake.base.jit import fields, new_record
 from stewart_drake.control.base import ControllerOptions, Measurement, Setpoint
@@ -97,16 +104,17 @@ def user_code(section: Any) -> UserCode:
     return UserCode(*(part.code.own_module for part in user_parts(section)))
 
 
-@contextmanager
-def loop_errors(doing: str, section: Any) -> Iterator[None]:
-    """Within it, what ends a loop of a section is a RunFailure, whether a user's code, Drake or numpy raises it."""
+def failure_of(error: BaseException, section: Any) -> RunFailure:
+    """What ends a loop of a section, whatever was raised in it; nothing else passes where this is asked."""
     try:
-        with drake_guard(doing), user_code(section), np.errstate(all="ignore"):
-            yield
-    except MemoryError:
-        raise RunFailure("no memory is left to continue", reason="out_of_memory") from None
-    except np.linalg.LinAlgError as error:
-        raise RunFailure(f"{error}{raised_at(error)}", reason="singular_matrix") from error
+        with drake_guard("a step"), user_code(section):
+            raise error
+    except RunFailure as failure:
+        return failure
+    except (Exception, SystemExit) as other:
+        failure = RunFailure(f"{one_line(other)}{'' if isinstance(other, StewartDrakeError) else raised_at(other)}")
+        failure.__cause__ = other
+        return failure
 
 
 def function_part(function: Callable[[Measurement, Setpoint, float], Any]) -> Part:

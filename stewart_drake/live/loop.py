@@ -11,7 +11,7 @@ import numpy as np
 
 from stewart_drake.base.errors import one_line
 from stewart_drake.base.sampling import on_grid
-from stewart_drake.control.user_controller import loop_errors
+from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.live.instrument import Probe, Record, Spring, TurningSpring
 from stewart_drake.live.steering import HandReference, Reached, nearest_allowed
@@ -86,11 +86,10 @@ class LiveLoop:
     def advance(self, steps: int) -> None:
         """Some steps of the plant; none once the loop has ended."""
         try:
-            with loop_errors("a step", self.scenario):
-                for _ in range(steps if not self.ended else 0):
-                    self._advance_one()
-        except Exception as error:  # The page stays, to begin anew.
-            self.ended = one_line(error)
+            for _ in range(steps if not self.ended else 0):
+                self._advance_one()
+        except (Exception, SystemExit) as error:  # The page stays, to begin anew.
+            self.ended = one_line(failure_of(error, self.scenario))
 
     def _advance_one(self) -> None:
         self._note_pull()

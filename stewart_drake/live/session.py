@@ -343,4 +343,4 @@ def _numbers(values: Any, count: int) -> np.ndarray:
 
 
 def _number(value: Any) -> float:
-    return float(_numbers(value, 1)[0])
+    return float(_numbers(float(value), 1)[0])

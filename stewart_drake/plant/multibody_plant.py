@@ -359,7 +359,7 @@ class SteppedPlant:
         return self._measure()
 
     def save(self) -> tuple[int, list[np.ndarray]]:
-        """Steps done, and the discrete state of the Diagram: that of the plant, and of its friction where it has some."""
+        """Steps done, and the discrete state of the Diagram: of the plant, and of its friction where it has some."""
         state = self._context.get_discrete_state()
         return self._steps, [np.array(state.get_vector(k).value()) for k in range(state.num_groups())]
 

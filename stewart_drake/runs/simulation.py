@@ -12,9 +12,9 @@ import numpy as np
 
 from stewart_drake.base.atomic_files import plain_json, signals_held
 from stewart_drake.base.code import file_digests
-from stewart_drake.base.errors import ConfigurationError, RunFailure, SafetyStop
+from stewart_drake.base.errors import ConfigurationError, RunFailure, SafetyStop, drake_guard, raised_at
 from stewart_drake.base.sampling import steps_per, times_of
-from stewart_drake.control.user_controller import loop_errors
+from stewart_drake.control.user_controller import user_code
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import figures_of
 from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
@@ -85,8 +85,8 @@ def run(
 def _simulate(
     prepared: Run, scenario: Scenario, files: Mapping[str, str | None], progress: Callable[[float], None] | None
 ) -> SimulationLog:
-    time_step = scenario.plant.time_step
-    with loop_errors("preparing the simulator", scenario):
+    guard, time_step = user_code(scenario), scenario.plant.time_step
+    with drake_guard("preparing the simulator"), guard:
         prepared.prepare()
     total = int(scenario.duration / time_step + 1e-6)
     chunk = max(1, int(CHUNK / time_step))
@@ -95,12 +95,16 @@ def _simulate(
     try:
         for done in (*range(chunk, total, chunk), total):
             # What `progress` raises is not ours, so it stays outside of the guard.
-            with loop_errors("simulation", scenario):
+            with drake_guard("simulation"), guard, np.errstate(all="ignore"):
                 prepared.advance(done)
             if progress is not None:
                 progress(_nominal(prepared.time, time_step))
     except (RunFailure, KeyboardInterrupt) as end:
         ended_by = end
+    except MemoryError:
+        ended_by = RunFailure("no memory is left to continue", reason="out_of_memory")
+    except np.linalg.LinAlgError as error:
+        ended_by = RunFailure(f"{error}{raised_at(error)}", reason="singular_matrix")
     wall = time.perf_counter() - start
     trip = ended_by.trip if isinstance(ended_by, SafetyStop) else None
     if trip is None and scenario.safety is not None:

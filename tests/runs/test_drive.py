@@ -126,6 +126,10 @@ def silent(machine):
     machine.read = lambda: Reading(machine.angles.copy(), 0.0, 0.9, machine.count)
 
 
+def broken(_):
+    raise ZeroDivisionError("odd")
+
+
 def stuck(machine):
     machine.command = lambda values: machine.commands.append(values.copy())
     machine.angles = HOME + 0.5
@@ -140,6 +144,7 @@ def stuck(machine):
         (off, "failed", "holding", True),
         (silent, "failed", "stale_reading", False),
         (lost, "failed", "machine", False),
+        (broken, "failed", "run_failure", False),
     ],
 )
 def test_what_goes_wrong_slows_it_down_on_its_path_and_is_told(event, status, reason, rests):
