@@ -54,6 +54,16 @@ def flags_of(takes: str, *bits: int) -> int:
     return sum(bits) | TAKES.index(takes) << 2
 
 
+def rounded_inside(limits: np.ndarray) -> np.ndarray:
+    """Limits (2, ...), lowest and highest, as the farthest numbers of the wire that keep to them."""
+    low, high = limits.astype(np.float32)
+    low, high = (
+        np.where(low < limits[0], np.nextafter(low, high), low),
+        np.where(high > limits[1], np.nextafter(high, low), high),
+    )
+    return np.stack([low, high]).astype(float)
+
+
 def encode(packet: Packet) -> bytes:
     """The bytes (SIZE,) of a packet; numbers are cut to their fields."""
     numbers = packet.number & 0xFFFFFFFF, packet.answers & 0xFFFFFFFF, packet.microseconds & (1 << 64) - 1
