@@ -221,7 +221,7 @@ def _rk4_step(
             rate[3 + k] = twist[3 + k]
         for k in range(6):
             rate[6 + k] = acceleration[k, 0]
-        share, ahead = (1.0 if stage in (0, 3) else 2.0) / 6.0, 0.5 if stage < 2 else 1.0
+        share, ahead = (2.0 if 0 < stage < 3 else 1.0) / 6.0, 0.5 if stage < 2 else 1.0
         for k in range(12):
             mean[k] += share * rate[k]
             change[k] = step * (ahead * rate[k] if stage < 3 else mean[k])
