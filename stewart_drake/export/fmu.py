@@ -162,7 +162,7 @@ def _library(own: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
     with tempfile.TemporaryDirectory() as place:
         folder, library = Path(place), Path(place) / f"{own}.{ending}"
         for file, text in sources.items():
-            (folder / file).write_text(text)
+            (folder / file).write_text(text, encoding="utf-8")
         flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-shared", "-fPIC"]
         names = [file for file in sources if file.endswith(".c")]
         done = subprocess.run(
