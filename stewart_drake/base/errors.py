@@ -224,9 +224,9 @@ def failure_code(reason: str) -> int:
 
 
 def raised_at(error: BaseException) -> str:
-    """Where an exception came from, as ` (file, line n)`; nothing where that depends on how deep or full memory was."""
+    """Where an exception came from, as ` (file, line n)`; nothing of ours, or where memory was too deep or full."""
     frames = traceback.extract_tb(error.__traceback__)
-    if not frames or isinstance(error, (RecursionError, MemoryError)):
+    if not frames or isinstance(error, (RecursionError, MemoryError, StewartDrakeError)):
         return ""
     return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
 

@@ -11,15 +11,7 @@ from pydantic import Field
 
 from stewart_drake.base.code import CodePath, ControllerError, UserCode
 from stewart_drake.base.config import Period
-from stewart_drake.base.errors import (
-    ConfigurationError,
-    NotFiniteError,
-    RunFailure,
-    StewartDrakeError,
-    drake_guard,
-    one_line,
-    raised_at,
-)
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, drake_guard, one_line, raised_at
 from stewart_drake.base.families import UserMade, user_parts
 from stewart_drake.base.jit import fields, new_record
 from stewart_drake.control.base import ControllerOptions, Measurement, Setpoint
@@ -112,9 +104,9 @@ def failure_of(error: BaseException, section: Any) -> RunFailure:
     except RunFailure as failure:
         return failure
     except (Exception, SystemExit) as other:
-        failure = RunFailure(f"{one_line(other)}{'' if isinstance(other, StewartDrakeError) else raised_at(other)}")
-        failure.__cause__ = other
-        return failure
+        unexpected = RunFailure(f"{one_line(other)}{raised_at(other)}")
+        unexpected.__cause__ = other
+        return unexpected
 
 
 def function_part(function: Callable[[Measurement, Setpoint, float], Any]) -> Part:

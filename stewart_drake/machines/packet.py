@@ -56,12 +56,9 @@ def flags_of(takes: str, *bits: int) -> int:
 
 def rounded_inside(limits: np.ndarray) -> np.ndarray:
     """Limits (2, ...), lowest and highest, as the farthest numbers of the wire that keep to them."""
-    low, high = limits.astype(np.float32)
-    low, high = (
-        np.where(low < limits[0], np.nextafter(low, high), low),
-        np.where(high > limits[1], np.nextafter(high, low), high),
-    )
-    return np.stack([low, high]).astype(float)
+    near = limits.astype(np.float32)
+    beyond = [near[0] < limits[0], near[1] > limits[1]]
+    return np.where(beyond, np.nextafter(near, near[::-1]), near).astype(float)
 
 
 def encode(packet: Packet) -> bytes:
