@@ -140,7 +140,7 @@ class Output(io.FileIO):
 
     problem = ""
 
-    def write(self, data: Any) -> int:  # type: ignore[override]
+    def write(self, data: Any) -> int:
         try:
             return super().write(data)
         except BrokenPipeError:
