@@ -225,11 +225,18 @@ def failure_code(reason: str) -> int:
 
 
 def raised_at(error: BaseException) -> str:
-    """Where an exception came from, as ` (file, line n)`; nothing where that depends on how deep or full memory was."""
+    """Where an exception came from, as ` (file, line n)`; nothing of ours, or where memory was too deep or full."""
     frames = traceback.extract_tb(error.__traceback__)
-    if not frames or isinstance(error, (RecursionError, MemoryError)):
+    if not frames or isinstance(error, (RecursionError, MemoryError, StewartDrakeError)):
         return ""
     return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+
+
+def one_line(error: BaseException) -> str:
+    """What an exception says, in a line; of one that is not this package's with its kind."""
+    text = " ".join(str(error).split())
+    kind = "" if isinstance(error, StewartDrakeError) and text else f"{type(error).__name__}: "
+    return f"{kind}{text}".removesuffix(": ")
 
 
 @contextmanager

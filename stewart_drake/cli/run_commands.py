@@ -22,7 +22,14 @@ from stewart_drake.base.yaml_files import read_mapping, to_yaml
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling, tell, working
-from stewart_drake.control.adaptation import RegressionOptions, last_learnt, machine_text, model_of, rows_of
+from stewart_drake.control.adaptation import (
+    RegressionOptions,
+    has_learnt,
+    last_learnt,
+    machine_text,
+    model_of,
+    rows_of,
+)
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import metrics_of, run_metrics
 from stewart_drake.logs.outcomes import describe_outcome
@@ -139,6 +146,9 @@ def keep(log: SimulationLog, file: Path | None) -> None:
         return
     if log.status not in ("completed", "interrupted"):
         say(f"nothing kept in {file}: what a run learns that was not completed may be wrong")
+        return
+    if not has_learnt(log):
+        say(f"nothing kept in {file}: nothing was learnt; a robot has to move, and `adaptation` must not be frozen")
         return
     model = log.scenario.model.given() | model_of(last_learnt(log), log.scenario.belief)
     write_text(file, to_yaml({_LEARNT_OF: machine_text(log.scenario.belief), "model": to_plain(model)}))

@@ -166,7 +166,7 @@ def judge(file: Path | None, out: Path, seeds: int, plant: Any, only: tuple[str,
     loaded = evaluation({name: named[name] for name in kept}, seeds, plant)
     with _under_way(loaded.name, loaded.runs, out, **options) as way:
         write_picture(run_experiment(loaded, *way).rows["verdict"], way[0])
-    tell((way[0] / "verdict.md").read_text())
+    tell((way[0] / "verdict.md").read_text(encoding="utf-8"))
 
 
 @command("collect", out="runs/dataset.parquet")

@@ -6,12 +6,13 @@ The law is in `adaptation_laws`; here are its options, the part that it is in a 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from stewart_drake.base.atomic_files import checksum
-from stewart_drake.base.config import Flag, Positive
+from stewart_drake.base.config import Flag, Positive, Real
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import new_record
 from stewart_drake.control import adaptation_laws as law
@@ -65,8 +66,9 @@ class RegressionOptions(AdaptationOptions):
 
     moved_keys: ClassVar[Mapping[str, str]] = {"reading_age": "model.reading_age"}
     kind: Literal["regression"] = "regression"
-    forgetting: Positive = 8.0
-    """[s] of motion after which a sample counts 37 %; for a push that lasts 2 s."""
+    forgetting: Annotated[Real, Field(ge=1.0, le=1e5)] = 8.0
+    """[s] of motion after which a sample counts 37 %; for a push that lasts 2 s. At least 1: samples within 0.6 s count
+    as one, and one alone tells nothing."""
     smoothing: Positive | None = None
     """[s] standard deviation of the kernel; null for 1.5 periods, or more where the noise of the readings needs it."""
     drive: Positive | None = None
@@ -74,8 +76,9 @@ class RegressionOptions(AdaptationOptions):
     take torques 0.03."""
     slowest: Positive = 0.03
     """[rad/s] of a crank below which it counts as resting, and its samples are left out."""
-    noise: Positive = 0.003
-    """[-] standard deviation of a sample, of the motors' torque limit; the least that is assumed."""
+    noise: Annotated[Real, Field(ge=1e-4, le=1.0)] = 0.003
+    """[-] standard deviation of a sample, of the motors' torque limit; the least that is assumed. No model and no motor
+    is right to less than 0.0001 of it, and at 1 no sample tells anything."""
     cautious: Flag = False
     """Whether friction is compensated only as far as it is known by now: too much of it would lose a slow loop."""
     center_of_mass: Flag = True
@@ -106,6 +109,11 @@ class Learnt(NamedTuple):
 def last_learnt(log: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The last row of each signal that tells what was learnt; empty where a log has none."""
     return {name: log[name][-1] for name in LEARNT_SIGNALS if name in log and len(log[name])}
+
+
+def has_learnt(log: Mapping[str, np.ndarray]) -> bool:
+    """Whether anything that was learnt is another than at first, a number or how well it is known."""
+    return any(not np.array_equal(log[name][0], last) for name, last in last_learnt(log).items())
 
 
 def rows_of(known: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:

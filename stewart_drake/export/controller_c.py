@@ -36,7 +36,7 @@ def c_name(name: str) -> str:
 
 def from_template(file: str, words: Mapping[str, str]) -> str:
     """A template with words in the places of their names."""
-    return re.sub(r"@(\w+)@", lambda match: words[match[1]], (TEMPLATES / file).read_text())
+    return re.sub(r"@(\w+)@", lambda match: words[match[1]], (TEMPLATES / file).read_text(encoding="utf-8"))
 
 
 def controller_files(options: ControlOptions, name: str) -> dict[str, str]:

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.errors import RunFailure
+from stewart_drake.base.errors import one_line
 from stewart_drake.base.sampling import on_grid
+from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.live.instrument import Probe, Record, Spring, TurningSpring
 from stewart_drake.live.steering import GOVERNED, HandReference, Reached
@@ -83,8 +84,8 @@ class LiveLoop:
         try:
             for _ in range(steps if not self.ended else 0):
                 self._advance_one()
-        except (RunFailure, np.linalg.LinAlgError) as failure:
-            self.ended = " ".join(str(failure).split())
+        except (Exception, SystemExit) as error:  # The page stays, to begin anew.
+            self.ended = one_line(failure_of(error, self.scenario))
 
     def _advance_one(self) -> None:
         self._note_pull()

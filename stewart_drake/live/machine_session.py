@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError
+from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError, one_line
 from stewart_drake.live.session import SLICE, PageSession, six_of
 from stewart_drake.live.steering import HandMotion, nearest_allowed
 from stewart_drake.logs.log import MAX_ROWS
@@ -58,7 +58,7 @@ class MachineSession(PageSession):
         finally:
             over.set()
             shown.join()
-        self._ended = " ".join(str(why).split()) if isinstance(why, RunFailure) else "stopped"
+        self._ended = one_line(why) if isinstance(why, RunFailure) else "stopped"
         self.publish(self.row())
         time.sleep(LAST_ROW)
         return why
@@ -111,7 +111,7 @@ class MachineSession(PageSession):
             self._pose = forward_kinematics(robot, tick.angles, self._pose)
             wanted = inverse_kinematics(robot, tick.reference)
         except StewartDrakeError as error:
-            return row | {"message": f"no picture: {' '.join(str(error).split())}"}
+            return row | {"message": f"no picture: {one_line(error)}"}
         off = self._pose - tick.reference
         real, ghost = link_poses(
             robot,

@@ -42,7 +42,8 @@ class PacketMachine(ABC):
     _sent = np.zeros(KEPT)
 
     def __init__(self, scenario: Scenario, name: str) -> None:
-        self._scenario, self._limits, self.name = scenario, machine.command_limits(scenario), name
+        self._scenario, self.name = scenario, name
+        self._limits = wire.rounded_inside(machine.command_limits(scenario))
         self.takes: Takes = scenario.belief.motors.takes  # type: ignore[assignment]
         self.dropped, self._line = Counter[str](), None  # type: Counter[str], Any
         self._forget()

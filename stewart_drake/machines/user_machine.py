@@ -120,8 +120,8 @@ class UserMachine:
             reading = given._replace(
                 angles=np.array(given.angles, dtype=float), number=int(given.number), **more, **numbers
             )
-        except (TypeError, ValueError):
-            raise MachineError(self.name, f"read gave {given}, no reading of six angles") from None
+        except (TypeError, ValueError, OverflowError):
+            raise MachineError(self.name, f"read gave {str(given)[:200]}, no reading of six angles") from None
         if reading.angles.shape != (6,) or not np.isfinite([*reading.angles, *numbers.values()]).all():
             raise MachineError(self.name, f"read gave {reading.angles}, no six finite angles [rad], or no finite time")
         if min(reading.age, reading.command_age) < 0.0:

@@ -54,7 +54,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import level, update_bristles
 from stewart_drake.mechanics.linear_algebra import copy_to
 from stewart_drake.plant.model_files import home_frames, sdf_text
-from stewart_drake.plant.plant_options import DrakeOptions, RodJoint, platform_damping_limit
+from stewart_drake.plant.plant_options import DrakeOptions, RodJoint, foreign_state, platform_damping_limit
 from stewart_drake.plant.state_map import StateIndices, StateMap
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
@@ -108,6 +108,10 @@ class StewartPlant(StateMap):
     def set_state(self, context: Context, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
         """Puts the plant into `assemble(pose, pose_rate)`, friction without tension; `context` as in `break_rod`."""
         state = self.assemble(pose, pose_rate)
+        self.put(context, state)
+
+    def put(self, context: Context, state: np.ndarray) -> None:
+        """Puts the plant into a state (nq + nv,), friction without tension; `context` as in `break_rod`."""
         with drake_guard("setting the plant's state"):
             self.plant.SetPositionsAndVelocities(self.plant.GetMyMutableContextFromRoot(context), state)
             if self._reset_friction is not None:
@@ -355,17 +359,24 @@ class SteppedPlant:
         return self._measure()
 
     def save(self) -> tuple[int, list[np.ndarray]]:
-        """Steps done, and the discrete state of the Diagram."""
+        """Steps done, and the discrete state of the Diagram: of the plant, and of its friction where it has some."""
         state = self._context.get_discrete_state()
         return self._steps, [np.array(state.get_vector(k).value()) for k in range(state.num_groups())]
 
     def restore(self, state: tuple[int, list[np.ndarray]]) -> np.ndarray:
+        own = [len(group) for group in self.save()[1]]
+        given = [len(group) for group in state[1]] if isinstance(state, tuple) else []
+        if given[:1] != own[:1]:
+            raise foreign_state(state, f"a MultibodyPlant with {own[0]} numbers")
         self._begin()
         self._steps, groups = state
-        self._context.SetTime(self._steps * self._period)
-        self._simulator.Initialize()
-        for k, values in enumerate(groups):
-            self._context.SetDiscreteState(k, values)
+        with drake_guard("going on from a state"):
+            self._context.SetTime(self._steps * self._period)
+            self._simulator.Initialize()
+            self._stewart.put(self._context, groups[0])
+            # Friction that was not there before begins without tension.
+            for k, values in enumerate(groups[: len(own)]):
+                self._context.SetDiscreteState(k, values)
         return self._measure()
 
     def _begin(self) -> None:

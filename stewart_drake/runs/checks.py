@@ -37,6 +37,7 @@ _FEW = 500  # Samples of a motion, beside its worst ones, that a hint looks at
 _FALL = 0.03  # Of the characteristic length, free fall before a command acts: a loop that is slow for its robot.
 _SOON = 30  # Ticks; assumed.
 _PASSED: set[Any] = set()  # Motions that have passed: a search runs the same one a thousand times.
+_KEPT = 64  # Of these.
 
 
 def refuse_unrunnable(scenario: Scenario) -> None:
@@ -69,6 +70,8 @@ def check_scenario(scenario: Scenario) -> None:
         if scenario.safety is not None:
             _check_safety(scenario, scenario.safety)
         if known:
+            if len(_PASSED) >= _KEPT:
+                _PASSED.clear()
             _PASSED.add(subject)
     with np.errstate(all="ignore"):
         start = scenario.start()[0]

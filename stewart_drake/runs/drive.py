@@ -13,6 +13,7 @@ import numpy as np
 from stewart_drake.analysis.feasibility import check_reference
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError, RunFailure, StewartDrakeError
 from stewart_drake.base.real_time import real_time
+from stewart_drake.control.user_controller import failure_of
 from stewart_drake.logs.journal import Journal
 from stewart_drake.logs.log import MAX_ROWS, SimulationLog
 from stewart_drake.machines.machine import Machine, Reading
@@ -257,8 +258,8 @@ class Drive:
                     self._stop(end)
         except (RunFailure, KeyboardInterrupt) as end:
             self._stopped_by = self._stopped_by or end
-        except StewartDrakeError as error:
-            self._stopped_by = self._stopped_by or RunFailure(str(error))
+        except (Exception, SystemExit) as error:  # Whatever it is, the log is kept.
+            self._stopped_by = self._stopped_by or failure_of(error, self.scenario)
         finally:
             for last in (self._machine.disconnect, self._rows.close):
                 # Who does not wait for the machine keeps the rows.

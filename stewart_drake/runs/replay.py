@@ -50,7 +50,7 @@ def write_replay(logs: SimulationLog | Sequence[SimulationLog], path: str | Path
 
 
 def _page_file(name: str) -> str:
-    return (files("stewart_drake") / "pages" / name).read_text()
+    return (files("stewart_drake") / "pages" / name).read_text(encoding="utf-8")
 
 
 def _shown(log: SimulationLog) -> dict[str, Any]:

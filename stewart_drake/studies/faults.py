@@ -46,7 +46,9 @@ REACTIONS: Mapping[str, str] = {
     "are all that is left.",
 }
 
-_FILE: Mapping[str, Any] = parse_yaml(Path(__file__).with_name("faults.yaml").read_text("utf-8"), "faults.yaml")
+_FILE: Mapping[str, Any] = parse_yaml(
+    Path(__file__).with_name("faults.yaml").read_text(encoding="utf-8"), "faults.yaml"
+)
 ONSET: float = _FILE["onset"]
 DURATION: float = _FILE["duration"]
 MOTIONS: Mapping[str, Mapping[str, Any]] = _FILE["motions"]

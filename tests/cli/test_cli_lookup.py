@@ -151,3 +151,12 @@ def test_where_nobody_reads_any_more_a_command_ends_well(key):
     ended = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, check=False)
     os.close(writer)
     assert (ended.returncode, ended.stderr) == (0, b"")
+
+
+@pytest.mark.slow
+def test_where_standard_output_is_full_a_command_says_so_and_comes_to_its_end():
+    command = [sys.executable, "-m", "stewart_drake", "explain", "lost"]
+    with Path("/dev/full").open("wb") as full:
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, check=False)
+    said = b"stewart-drake: disk: standard output: No space left on device\n"
+    assert (ended.returncode, ended.stderr) == (3, said)

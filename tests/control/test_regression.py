@@ -586,3 +586,17 @@ def test_delays_beyond_what_is_remembered_and_a_kernel_below_a_period_are_refuse
         RegressionOptions().parts(late)
     with pytest.raises(ConfigurationError, match=r"^adaptation\.smoothing: expected at least 0\.02 s"):
         RegressionOptions(smoothing=0.001).parts(context)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("forgetting", 1e-5, "at least 1 and at most 100,000"),
+        ("forgetting", 1e9, "at least 1 and at most 100,000"),
+        ("noise", 1e-12, "at least 0.0001 and at most 1"),
+        ("noise", 1e12, "at least 0.0001 and at most 1"),
+    ],
+)
+def test_numbers_with_which_nothing_could_be_learnt_are_refused(key, value, words):
+    with pytest.raises(ConfigurationError, match=rf"adaptation\.{key}: expected a number .*{words}"):
+        load_scenario("reachy_nod").replace({"adaptation": {"kind": "regression", key: value}})

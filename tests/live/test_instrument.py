@@ -215,7 +215,10 @@ def test_what_was_done_is_saved_and_runs_again(tmp_path, monkeypatch):
     live.loop.advance(100)
     do(live, do="release")
     live.loop.advance(300)
+    do(live, do="dead", leg=3)
     do(live, do="save")
+    do(live, do="dead", leg=None)
+    assert live.message == ""
     folder = tmp_path / "runs" / "sway-by-hand"
     assert {path.name for path in folder.iterdir()} == {"log.csv", "motion.csv", "scenario.yaml"}
     done = np.genfromtxt(folder / "log.csv", delimiter=",", names=True)

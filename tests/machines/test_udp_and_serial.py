@@ -96,6 +96,7 @@ def test_commands_are_cut_to_the_limits_and_numbers_are_needed(robot, machine):
     for _ in range(5):
         reading = machine.read()
     np.testing.assert_allclose(reading.angles, high, atol=1e-6)
+    assert (reading.angles <= high).all()
     assert robot.side.counts["range"] == 0
     for bad in (np.full(6, np.nan), np.zeros(5), np.array([0, 0, 0, 0, 0, -np.inf])):
         with pytest.raises(MachineError, match="six finite numbers"):

@@ -159,6 +159,10 @@ def slow_to_let_go(machine):
     raise KeyboardInterrupt
 
 
+def broken(_):
+    raise ZeroDivisionError("odd")
+
+
 @pytest.mark.parametrize(
     ("event", "status", "reason", "rests"),
     [
@@ -168,6 +172,7 @@ def slow_to_let_go(machine):
         (off, "failed", "holding", True),
         (silent, "failed", "stale_reading", False),
         (lost, "failed", "machine", False),
+        (broken, "failed", "run_failure", False),
     ],
 )
 def test_what_goes_wrong_slows_it_down_on_its_path_and_is_told(event, status, reason, rests):
