@@ -26,8 +26,7 @@ from stewart_drake.references import AdjustedReference, Reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import FrictionOptions
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
-from stewart_drake.scenario.limits import ReferenceLimits
-from stewart_drake.scenario.limits import LimitMargin
+from stewart_drake.scenario.limits import LimitMargin, ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
 
 _LARGEST = {"rad": math.tau, "m": 2.0}
