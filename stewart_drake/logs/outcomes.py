@@ -222,7 +222,7 @@ class RunRows:
         rows, scenario = np.flatnonzero(self.tick), self.scenario
         rows = rows[:: max(1, round(LOOK / scenario.controller.period), len(rows) // MOST_LOOKS)]
         motion = self.time[rows], self["pose"][rows], self["pose_rate"][rows]
-        return longest_excursion(scenario.robot, scenario.limits, *motion, scenario.gravity) if len(rows) else None
+        return longest_excursion(scenario.robot, scenario.limits, *motion) if len(rows) else None
 
     @property
     def error_ratio(self) -> float | None:
@@ -349,17 +349,15 @@ def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None)
             text = f"rods end off their joints by up to {size}: errors so small may depend on plant.time_step"
             events.append(("loop_gap", when, ratio, text))
         if rows.excursion is not None and status == "completed":
-            worst, share, since = rows.excursion
-            text = (
-                f"{worst.value:.4g} {worst.unit} at {worst.time:.4g} s, for {worst.allowed}; beyond it for {share:.1%}"
-            )
-            events.append(("beyond_limits", since, share, f"{worst.limit}: {text} of the run"))
+            margin, share, since = rows.excursion
+            text = f"{margin.limit}: {margin.value:.4g} {margin.unit} at {margin.time:.4g} s, for {margin.allowed}"
+            events.append(("beyond_limits", since, share, f"{text}; beyond it for {share:.1%} of the run"))
         for name, said in (("motion_length", rows.wrong_length()), ("poorly_held", rows.poorly_held())):
             if status == "completed" and said is not None:
                 events.append((name, *said))
-        window = rows.worst_window
-        if status == "completed" and window is not None and not window[0] <= POORLY_FOLLOWED:
-            events.append(("poorly_followed", window[1], window[0], _error_over_motion(rows)))
+        worst = rows.worst_window
+        if status == "completed" and worst is not None and not worst[0] <= POORLY_FOLLOWED:
+            events.append(("poorly_followed", worst[1], worst[0], _error_over_motion(rows)))
     return tuple(
         {"name": name, "time": float(time), "number": number, "text": text} for name, time, number, text in events
     )

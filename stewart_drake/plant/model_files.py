@@ -150,20 +150,14 @@ def _moments_and_products(robot: RobotParameters) -> tuple[np.ndarray, np.ndarra
 
 
 def write_sdf(
-    robot: RobotParameters,
-    path: str | Path,
-    *,
-    rod_joint: RodJoint = "universal",
-    collision: bool = True,
-    joint_swing: float | None = JOINT_SWING,
+    robot: RobotParameters, path: str | Path, *, rod_joint: RodJoint = "universal", collision: bool = True
 ) -> None:
     """Writes `sdf_text` to a file; a reader sees the old file or the new one, never a half.
 
     Raises:
         ConfigurationError: The folder is missing or not writable, or unknown `rod_joint`.
     """
-    text = sdf_text(robot, rod_joint=rod_joint, collision=collision, joint_swing=joint_swing)
-    write_atomically(Path(path), text.encode())
+    write_atomically(Path(path), sdf_text(robot, rod_joint=rod_joint, collision=collision).encode())
 
 
 def mjcf_text(robot: RobotParameters, gravity: float = STANDARD_GRAVITY, options: PlantOptions | None = None) -> str:

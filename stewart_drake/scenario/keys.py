@@ -83,7 +83,7 @@ def _assign(section: type[Section], data: dict[str, Any], key: str, value: Any, 
     *parents, last = path = split_key(key)
     here: Any = data
     inner: Any = section
-    found: Any = None
+    found, filled = None, full
     for depth, part in enumerate(parents):
         at = isinstance(full, list) and isinstance(part, int)
         full = full.get(part) if isinstance(full, dict) else full[part] if at else None
@@ -98,29 +98,25 @@ def _assign(section: type[Section], data: dict[str, Any], key: str, value: Any, 
         _change_kind(key, here, value, found)
         return
     found = _type_at(inner, last) if isinstance(last, str) else found
-    if isinstance(found, Family) and not isinstance(value, (Mapping, Section)):
-        # A kind alone is another kind of what stands there.
-        alone = found.normalise(value)
-        inside = _opened(last, found, here.get(last) if isinstance(here, dict) else here[last])
-        if isinstance(alone, Mapping) and isinstance(inside, dict):
-            _change_kind(key, inside, alone["kind"], found)
-            value = inside
-    here[last] = value
+    alone = found.normalise(value) if isinstance(found, Family) and not isinstance(value, Section) else None
+    if isinstance(alone, Mapping) and not isinstance(value, Mapping):
+        _assign(section, data, f"{key}.kind", alone["kind"], filled)
+    else:
+        here[last] = value
 
 
 def _change_kind(key: str, here: dict[str, Any], kind: Any, family: Family) -> None:
     """Sets the kind of a section; keys that the new one has stay, and a line names those that are dropped."""
     old, new = family.resolve(here), family.resolve({"kind": kind})
     if old is not None and new is not None and here.get("kind", family.default) != kind:
-        dropped = []
-        for name in set(old.__pydantic_fields__) - (set(new.__pydantic_fields__) - new.own_keys):
-            is_default = name in here and here[name] == old.__pydantic_fields__[name].default
-            if is_default or old.drops_keys:
-                dropped += [name] if name in here and not is_default else []
-                here.pop(name, None)
-        if dropped:
-            name = getattr(kind, "__name__", kind)
-            _say_once(f"{key}: dropped {', '.join(sorted(dropped))}, which {name} lacks or takes for something else")
+        fields = old.__pydantic_fields__
+        lost = set(here) & set(fields) - (set(new.__pydantic_fields__) - new.own_keys)
+        defaults = {name for name in lost if here[name] == fields[name].default}
+        for name in lost if old.drops_keys else defaults:
+            del here[name]
+        if old.drops_keys and lost != defaults:
+            dropped, name = ", ".join(sorted(lost - defaults)), getattr(kind, "__name__", kind)
+            _say_once(f"{key}: dropped {dropped}, which {name} lacks or takes for something else")
     here["kind"] = kind
 
 
@@ -132,15 +128,12 @@ def _say_once(line: str) -> None:
 def _type_at(section: Any, name: str) -> Any:
     """The family of what stands at a key of a section, also as an element of a list; else its section; else None."""
     field = getattr(section, "__pydantic_fields__", {}).get(name)
-    return None if field is None else _type_in((field.annotation, *field.metadata))
-
-
-def _type_in(types: tuple[Any, ...]) -> Any:
-    for each in reversed(types):
-        is_type = isinstance(each, Family) or (isinstance(each, type) and issubclass(each, Section))
-        found = each if is_type else _type_in(get_args(each))
-        if found is not None:
-            return found
+    types: list[Any] = [] if field is None else [field.annotation, *field.metadata]
+    while types:
+        each = types.pop()
+        if isinstance(each, Family) or (isinstance(each, type) and issubclass(each, Section)):
+            return each
+        types += get_args(each)
     return None
 
 

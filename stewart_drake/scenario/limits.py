@@ -181,12 +181,7 @@ SLACK = 0.01
 
 
 def longest_excursion(
-    robot: RobotParameters,
-    limits: ReferenceLimits,
-    time: np.ndarray,
-    pose: np.ndarray,
-    pose_rate: np.ndarray,
-    gravity: float,
+    robot: RobotParameters, limits: ReferenceLimits, time: np.ndarray, pose: np.ndarray, pose_rate: np.ndarray
 ) -> tuple[LimitMargin, float, float] | None:
     """Of a motion (n, 6) that was made: its worst margin to the limit that it was beyond most of the time.
 
@@ -194,7 +189,7 @@ def longest_excursion(
     motors, and of the reach of what was reached `transmission` tells.
     """
     bounds, excursions = limit_bounds(robot, limits), {}
-    for limit, margins in limit_margins(robot, limits, pose, pose_rate, np.zeros_like(pose), gravity).items():
+    for limit, margins in limit_margins(robot, limits, pose, pose_rate, np.zeros_like(pose), 0.0).items():
         if limit not in ("reach", "torque") and (margins < -SLACK * bounds[limit]).any():
             beyond = (margins < 0.0).any(axis=1)
             row, column = np.unravel_index(np.nanargmin(margins), margins.shape)
