@@ -98,11 +98,13 @@ def _assign(section: type[Section], data: dict[str, Any], key: str, value: Any, 
         _change_kind(key, here, value, found)
         return
     found = _type_at(inner, last) if isinstance(last, str) else found
-    alone = found.normalise(value) if isinstance(found, Family) and not isinstance(value, Section) else None
-    if isinstance(alone, Mapping) and not isinstance(value, Mapping):
-        _assign(section, data, f"{key}.kind", alone["kind"], filled)
-    else:
-        here[last] = value
+    if isinstance(found, Family) and not isinstance(value, (Mapping, Section)):
+        # A kind alone, where there is a section, is another kind of it.
+        alone, present = found.normalise(value), here.get(last) if isinstance(here, dict) else here[last]
+        if isinstance(alone, Mapping) and isinstance(found.normalise(present), (Mapping, Section)):
+            _assign(section, data, f"{key}.kind", alone["kind"], filled)
+            return
+    here[last] = value
 
 
 def _change_kind(key: str, here: dict[str, Any], kind: Any, family: Family) -> None:
