@@ -20,7 +20,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import cross, leg_geometry, roll_pitch_yaw, rotation_matrix
 from stewart_drake.plant.plant_options import DrakeOptions, PlantOptions, RodJoint
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LARGEST_SIZE, LEG_COUNT
+from stewart_drake.robot.leg import JOINT_SWING, LARGEST_SIZE, LEG_COUNT
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -89,11 +89,18 @@ def _middles(ranges: np.ndarray) -> np.ndarray:
     return np.clip(ranges, -LARGEST_SIZE, LARGEST_SIZE).mean(axis=-1)
 
 
-def sdf_text(robot: RobotParameters, *, rod_joint: RodJoint = "universal", collision: bool = True) -> str:
+def sdf_text(
+    robot: RobotParameters,
+    *,
+    rod_joint: RodJoint = "universal",
+    collision: bool = True,
+    joint_swing: float | None = JOINT_SWING,
+) -> str:
     """The robot as an SDF model named `stewart` for Drake's parser; pictures are written always.
 
     Links `base` (welded to the world), `crank_0..5`, `rod_0..5`, `platform`; joints `motor_0..5` and `universal_0..5`
-    or `ball_0..5`; six `drake:ball_constraint` close the loops.
+    or `ball_0..5`; six `drake:ball_constraint` close the loops. A universal joint has stops at -`joint_swing` and
+    `joint_swing` [rad] about either axis, None for none.
     """
     check_value("rod_joint", rod_joint, RodJoint)
     frames, radius = home_frames(robot), robot.link_radius
@@ -115,6 +122,7 @@ def sdf_text(robot: RobotParameters, *, rod_joint: RodJoint = "universal", colli
         default=RobotParameters(),
         rod_joint=rod_joint,
         collision=collision,
+        joint_swing=joint_swing,
         frames=frames,
         crank_turns=crank_turns,
         platform_inertia=_moments_and_products(robot),

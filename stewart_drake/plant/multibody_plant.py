@@ -163,7 +163,7 @@ def add_plant(
             _, scene_graph = AddMultibodyPlantSceneGraph(builder, plant)
         else:
             builder.AddSystem(plant)
-        text = sdf_text(robot, rod_joint=options.rod_joint, collision=options.collision)
+        text = sdf_text(robot, rod_joint=options.rod_joint, collision=options.collision, joint_swing=None)
         Parser(plant).AddModelsFromString(text, "sdf")
         plant.mutable_gravity_field().set_gravity_vector(np.array([0.0, 0.0, -gravity]))
         law = options.friction_law(robot)
