@@ -16,6 +16,7 @@ from stewart_drake.live.instrument import Probe, Record, Spring, TurningSpring
 from stewart_drake.live.steering import HandReference, Reached, nearest_allowed
 from stewart_drake.plant.plant_options import ANGLES
 from stewart_drake.runs.stepped_loop import SteppedLoop
+from stewart_drake.safety import Stillness
 from stewart_drake.scenario.scenario import Scenario
 
 RECORDED, PULLED = 0.001, 0.02
@@ -28,7 +29,7 @@ class LiveLoop:
     Every change but a new target and a push is a change of the scenario: its loop is built again, and each part that
     is still there keeps its state, as the robot does. `reference` is the pose set by hand with the motion about it, and
     `ended` says why the loop cannot go on; it is empty while it can. `spring` pulls or turns where there is one, `test`
-    is added to the reference, and `record` keeps what was done.
+    is added to the reference, and `record` keeps what was done. `stillness` watches where no safety layer does.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -45,6 +46,8 @@ class LiveLoop:
         self._pulled: dict[str, Any] | None = None
         self._step = on_grid(scenario.plant.time_step)
         self._every = max(1, round(RECORDED / self._step))
+        self._tick = max(1, round(scenario.controller.period / self._step))
+        self.stillness = Stillness(scenario.belief.robot, self._tick * self._step)
         self.reference = HandReference(scenario.reference, self._step)
         self._loop = self._loop_of(scenario)
         self._loop.begin()
@@ -93,6 +96,9 @@ class LiveLoop:
     def _advance_one(self) -> None:
         self._note_pull()
         self._loop.run_parts()
+        if self.steps % self._tick == 0 and self.scenario.safety is None:
+            runner = self._loop.runner
+            self.stillness.look(runner.signal("reading" if "reading" in runner.places else "plant_pose"), self.wanted)
         self._loop.move()
         self.reference.advance()
         if self.test is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from stewart_drake.base.errors import RunFailure, SafetyStop
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix
-from stewart_drake.safety import MONITORS, RAMP
+from stewart_drake.safety import MONITORS, RAMP, first_standstill, standstill_text
 
 if TYPE_CHECKING:
     from stewart_drake.scenario.scenario import Scenario
@@ -74,6 +74,9 @@ class RunRows:
         step = np.rint(self.time / scenario.plant.time_step).astype(np.int64)
         stride = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
         self.tick, self.tick_number = step % stride == 0, step // stride
+        if "lateness" in signals:
+            # On a machine each row is a tick, which has the length that it has.
+            self.tick, self.tick_number = np.ones(len(self.time), bool), np.arange(len(self.time))
         self.second_half = second_half(self.time, scenario.duration)
         self.second_half_tick = self.second_half & self.tick
         self.steps, self.ticks = len(self.time), int(self.tick.sum())
@@ -247,6 +250,15 @@ class RunRows:
                 worst_of[name] = 0.0, None
         return worst_of
 
+    def standstill(self) -> tuple[float, int | None] | None:
+        """When [s] a crank of a robot in charge stands while its reference moves, and its leg; None for never."""
+        rows = np.flatnonzero(self.tick & self.in_charge)
+        if not len(rows) or "crank_angle" not in self.signals:
+            return None
+        at = self["crank_angle"][rows], self["reference"][rows]
+        found = first_standstill(self.scenario.robot, self.scenario.controller.period, *at)
+        return None if found is None else (float(self.time[rows[found[0]]]), found[1])
+
     def interventions(self) -> tuple[int, dict[str, Any] | None]:
         """How often the safety layer took over; and since when, by whom and where it has now, or None."""
         if "safety" not in self.signals or not self.steps:
@@ -304,6 +316,8 @@ def assess(
         what = "the loop gap exceeded" if name == "loop_gap" else f"the {name} error exceeded"
         text = f"{what} {bound} at t = {time:.3f} s; the largest was {worst}"
         return Outcome("lost", f"{name}_bound", text, time, leg)
+    if (standstill := rows.standstill()) is not None:
+        return Outcome("lost", "not_moving", standstill_text("not_moving", standstill[1]), *standstill)
     ratio = rows.motion_ratio
     if bounds.motion_ratio is not None and ratio is not None and not ratio >= bounds.motion_ratio:
         text = f"the platform moved by {ratio:.1%} of its reference's motion; bound {bounds.motion_ratio:.0%}"
