@@ -133,11 +133,12 @@ def _tick(
     monitor, level, leg, cause = NO_TRIP, RAMP, -1, 0
     if is_observed:
         monitor, leg = limits.broken(observed)
+    # No blow repeats six readings to the last bit, and no robot bears one so.
     blind = state.encoders > 0.0 and state.repeats >= REPEATED
-    if monitor == NO_TRIP and state.unexplained_ticks > params.blow:
-        monitor = limits.READING if blind else limits.UNEXPLAINED
-    if monitor == NO_TRIP and still == FROZEN and blind:
+    if monitor == NO_TRIP and blind and (unexplained or still == FROZEN):
         monitor = limits.READING
+    if monitor == NO_TRIP and state.unexplained_ticks > params.blow:
+        monitor = limits.UNEXPLAINED
     if monitor == NO_TRIP and still == STANDS:
         monitor, leg = limits.NOT_MOVING, standing
     if monitor == NO_TRIP:

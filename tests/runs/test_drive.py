@@ -213,8 +213,8 @@ def test_motors_that_never_move_are_found_before_the_error_is_large():
     machine = Servos()
     machine.command = machine.commands.append
     log = driven(machine, BASE.replace({"duration": 10.0}))
-    assert (log.status, log.reason) == ("failed", "not_following")
-    assert "does not move" in log.message
+    assert (log.status, log.reason) == ("failed", "reading_stuck")
+    assert "all six readings repeat themselves" in log.message
     assert log.end_time < 4.0
 
 
