@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -134,7 +134,7 @@ def held_controller(
     Without a `motion` it holds the pose, for a first step: what is compiled or loaded in that must come before a
     machine waits for it.
     """
-    here = {"reference": {"kind": "hold", "pose": pose.tolist()}, "initial_offset": [0.0] * 6}
+    here: dict[str, Any] = {"reference": {"kind": "hold", "pose": pose.tolist()}, "initial_offset": [0.0] * 6}
     period = scenario.controller.period
     if tick is not None and scenario.reading_period == period and abs(tick - period) > SAME_TICK * period:
         here["controller.period"] = tick
@@ -196,6 +196,11 @@ class Drive:
         return self._now
 
     @property
+    def odd_tick(self) -> str | None:
+        """How the tick of a machine that sets the pace differs from the controller's period, in words."""
+        return self._clock.report(self._expected)
+
+    @property
     def ending(self) -> str:
         """What became of the robot, once it is over."""
         if self.time < self._motion.rests:
@@ -214,7 +219,7 @@ class Drive:
             raise ended_by
         trip, wall = self._controller.first_trip, time.monotonic() - began
         fields = self._rows.log_fields(ended_by, safety=trip, wall_time=wall)
-        if (odd := self._clock.report(self._expected)) is not None:
+        if (odd := self.odd_tick) is not None:
             tick = {"name": "machine_tick", "time": self.time, "number": self._clock.tick, "text": odd}
             fields["warnings"] = (*fields["warnings"], tick)
         return SimulationLog(**fields)

@@ -172,11 +172,12 @@ PARAMS = fields(
     suspect_hold_time=(), stopping=(), most_torque=6, most_speed=(),
 )  # fmt: skip
 """`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], share and block: see
-`STILL_PARAMS`, torque_change: in a tick [N m]. Of the residual half: of its window [ticks], blow: ticks for which one shows, unexplained, also of a leg or
-two alone, beside friction [N m], lasting: share of a tick, inertia: of a crank [kg m^2]. For `residual._follow` follow:
-bandwidth, most_correction and impossible: change of a crank's speed in a tick [rad/s], remembered: ticks for which that
-counts. budget: ticks that may be held, suspect_hold_time: of a stop with a suspect leg [s], stopping: time constant of
-a stop [s], most_torque of it [N m], most_speed: at which it is given up [rad/s]."""
+`STILL_PARAMS`, torque_change: in a tick [N m]. Of the residual half: of its window [ticks], blow: ticks for which one
+shows, unexplained, also of a leg or two alone, beside friction [N m], lasting: share of a tick, inertia: of a crank [kg
+m^2]. For `residual._follow` follow: bandwidth, most_correction and impossible: change of a crank's speed in a tick
+[rad/s], remembered: ticks for which that counts. budget: ticks that may be held, suspect_hold_time: of a stop with a
+suspect leg [s], stopping: time constant of a stop [s], most_torque of it [N m], most_speed: at which it is given up
+[rad/s]."""
 AT_LIMIT_TIME, TOO_FAST_TIME = 0.1, 0.01
 """[s] for which, in sum, commands may be at the torque limit, or jump. Good ticks take away from the sum."""
 RUNAWAY_TIME = 0.005

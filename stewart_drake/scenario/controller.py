@@ -124,9 +124,9 @@ class Controller:
 
     @property
     def standstill(self) -> tuple[str, int | None] | None:
-        """What does not move while the reference does, `not_moving` or `reading_stuck`, and its leg; for no safety layer.
+        """What stands while the reference moves: `not_moving` or `reading_stuck`, and the leg or None for all six.
 
-        Readings that are no numbers are passed over. With a layer that trips, see `first_trip`.
+        None where all is well, and where a safety layer watches: that trips. Readings that are no numbers are left out.
         """
         return None if self._stillness is None else self._stillness.latest
 
