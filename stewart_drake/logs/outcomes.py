@@ -24,8 +24,8 @@ OUTCOMES: Mapping[str, str] = {
     "stopped": "The safety layer held the robot at the end, or until its time limit. The message names the monitor, "
     "the time and the leg.",
     "lost": "The controller was in charge, but the motion was not followed: a bound was exceeded, a rod left its joint "
-    "in the simulation, the platform did not move, its error was larger than the motion, or no command reached the "
-    "motors.",
+    "in the simulation, a crank or the platform did not move, its error was larger than the motion, or no command "
+    "reached the motors.",
     "failed": "The run ended early: an error in a tick, in Drake or in a user's controller; or the safety layer gave "
     "up and switched the motors off. In a study also where the worker process died.",
     "interrupted": "Ctrl-C, SIGTERM or SIGHUP ended it.",
