@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.errors import RunFailure, SafetyStop
+from stewart_drake.base.errors import RunFailure, SafetyStop, StewartDrakeError
 from stewart_drake.base.sampling import steps_per
-from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix
+from stewart_drake.mechanics.kinematics import inverse_kinematics, rotation_angle, rotation_matrix
 from stewart_drake.safety import MONITORS, RAMP, first_standstill, standstill_text
 
 if TYPE_CHECKING:
@@ -74,8 +74,8 @@ class RunRows:
         step = np.rint(self.time / scenario.plant.time_step).astype(np.int64)
         stride = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
         self.tick, self.tick_number = step % stride == 0, step // stride
-        if "lateness" in signals:
-            # On a machine each row is a tick, which has the length that it has.
+        if not np.allclose(self.time, step * scenario.plant.time_step, rtol=0.0, atol=1e-6):
+            # On a machine each row is a tick, of the length that it has there.
             self.tick, self.tick_number = np.ones(len(self.time), bool), np.arange(len(self.time))
         self.second_half = second_half(self.time, scenario.duration)
         self.second_half_tick = self.second_half & self.tick
@@ -252,11 +252,13 @@ class RunRows:
 
     def standstill(self) -> tuple[float, int | None] | None:
         """When [s] a crank of a robot in charge stands while its reference moves, and its leg; None for never."""
-        rows = np.flatnonzero(self.tick & self.in_charge)
-        if not len(rows) or "crank_angle" not in self.signals:
+        rows, robot = np.flatnonzero(self.tick & self.in_charge), self.scenario.robot
+        try:
+            cranks = inverse_kinematics(robot, self["pose"][rows])
+        except StewartDrakeError:
+            # Of a robot that has come apart other bounds tell.
             return None
-        at = self["crank_angle"][rows], self["reference"][rows]
-        found = first_standstill(self.scenario.robot, self.scenario.controller.period, *at)
+        found = first_standstill(robot, self.scenario.controller.period, cranks, self["reference"][rows])
         return None if found is None else (float(self.time[rows[found[0]]]), found[1])
 
     def interventions(self) -> tuple[int, dict[str, Any] | None]:
