@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from stewart_drake.base.errors import FAILURES, SafetyStop, failure_code
+from stewart_drake.base.errors import FAILURES, SafetyStop
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.loop.part import HEALTHY, LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
@@ -31,7 +31,6 @@ from stewart_drake.safety.stillness import FROZEN, REPEATED, STANDS, STILLNESS, 
 
 LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
-IS_FROZEN = failure_code("frozen")
 ABSURD = 10.0  # A command of so many times the limit is an error of the controller and no wish for torque.
 REFILL = 0.05  # Ticks of the budget of holding that a good tick gives back: a fault that flickers uses it up too.
 _ROUNDING = 1e-9
@@ -71,8 +70,7 @@ def _unusable(params: Any, command: Any, is_measured: bool, age: float, sensor: 
     """What is wrong with this tick's messages, not their contents: monitor or `NO_TRIP`, leg or -1, cause or 0."""
     if not is_measured:
         return limits.MEASUREMENT, -1, 0
-    stuck = sensor[0] == IS_FROZEN
-    if not stuck and sensor[0] != 0.0:
+    if sensor[0] != 0.0:
         return limits.SENSOR, _whole(sensor[1]), _whole(sensor[0])
     if controller[0] != 0.0:
         return limits.CONTROLLER, _whole(controller[1]), _whole(controller[0])
@@ -87,7 +85,7 @@ def _unusable(params: Any, command: Any, is_measured: bool, age: float, sensor: 
         return limits.DEADLINE, -1, 0
     if largest > ABSURD:
         return limits.TORQUE_LIMIT, leg, 0
-    return (limits.READING, int(sensor[1]), 0) if stuck else (NO_TRIP, -1, 0)
+    return NO_TRIP, -1, 0
 
 
 @njit
@@ -103,7 +101,7 @@ def _tick(
     robot, friction, params, legs, observed, state = (
         record(robot), record(friction), record(params), record(legs), record(observed), record(state),
     )  # fmt: skip
-    pose, rate, wanted, health = measurement[:6], measurement[6:], reference[:6], sensor.copy()
+    pose, rate, wanted = measurement[:6], measurement[6:], reference[:6]
     read = pose_reading[:6] if pose_reading[0] == pose_reading[0] else pose
     update_residual(
         robot, friction, friction_unknown, params, angles, read, state.torque, state.ticks == 0.0, state, legs
@@ -114,11 +112,9 @@ def _tick(
     if state.encoders == 0.0:
         cranks_at(robot, read, legs, cranks)
     still, standing = watch(robot, params, cranks, wanted, legs, state)
-    if still == FROZEN:
-        health[0], health[1] = IS_FROZEN, -1.0
     state.ticks += 1.0
     is_measured = all_finite(rate) and all_finite(pose + params.horizon * rate)
-    is_observed = is_measured and health[0] == 0.0
+    is_observed = is_measured and sensor[0] == 0.0
     if is_observed:
         limits.observe(robot, params, pose, rate, wanted, state.assembly_sign, legs, observed)
         if state.assembly_sign == 0.0:
@@ -133,8 +129,8 @@ def _tick(
     monitor, level, leg, cause = NO_TRIP, RAMP, -1, 0
     if is_observed:
         monitor, leg = limits.broken(observed)
-    # No blow repeats six readings to the last bit, and no robot bears one so.
-    blind = state.encoders > 0.0 and state.repeats >= REPEATED
+    # No blow repeats readings to the last bit while the reference moves.
+    blind = state.moved >= REPEATED
     if monitor == NO_TRIP and blind and (unexplained or still == FROZEN):
         monitor = limits.READING
     if monitor == NO_TRIP and state.unexplained_ticks > params.blow:
@@ -143,7 +139,7 @@ def _tick(
         monitor, leg = limits.NOT_MOVING, standing
     if monitor == NO_TRIP:
         level = HOLD
-        monitor, leg, cause = _unusable(params, command, is_measured, age[0], health, controller)
+        monitor, leg, cause = _unusable(params, command, is_measured, age[0], sensor, controller)
     if monitor == NO_TRIP:
         level = RAMP
         if is_observed and user_trip[0] > 0.0:

@@ -29,13 +29,13 @@ NAMES = ("none", "not_moving", "reading_stuck")
 STILL_PARAMS = fields(block=(), share=(), frozen=())
 """[ticks], share of the travel, [rad]; infinite, or 0 for the share, where it is off."""
 STILLNESS = fields(
-    watched=(), cosine=6, sine=6, seen=6, turned=6, led=(2, 6), travel=(2, BLOCKS + 1, 6), elapsed=(), repeats=(),
-    ahead=(), moved=(), stands=(),
+    watched=(), cosine=6, sine=6, seen=6, turned=6, led=(2, 6), travel=(2, BLOCKS + 1, 6), elapsed=(), ahead=(),
+    moved=(), stands=(),
 )  # fmt: skip
 """watched: whether there was a tick. cosine, sine: of the wanted angles. seen: angles read [rad]. turned: wanted, from
 the first tick on [rad]. led: what wanted and read lead along within the slack [rad]. travel: of these in each block,
-newest first [rad]. elapsed: ticks of this block. repeats, ahead, moved: since a reading has changed, ticks, travel of
-the reference [rad], and ticks in which that moved. stands: 0, or 2 and the leg that stood in the last window, -1 for
+newest first [rad]. elapsed: ticks of this block. ahead, moved: since a reading has changed, travel of the reference
+[rad], and ticks in which that moved at all. stands: 0, or 2 and the leg that stood in the last window, -1 for
 all."""
 
 
@@ -68,21 +68,20 @@ def watch(robot: Any, params: Any, angles: Any, reference: Any, legs: Any, state
         copy_to(state.led[1], angles)
         copy_to(state.cosine[:], legs.cosine)
         copy_to(state.sine[:], legs.sine)
-    repeats, gone = True, 0.0
+    repeats, moves, gone = True, False, 0.0
     for i in range(6):
         c, s, c_before, s_before = legs.cosine[i], legs.sine[i], state.cosine[i], state.sine[i]
-        state.turned[i] += np.arctan2(s * c_before - c * s_before, c * c_before + s * s_before)
+        turned = np.arctan2(s * c_before - c * s_before, c * c_before + s * s_before)
+        state.turned[i] += turned
+        moves = moves or turned != 0.0
         wanted = _lead(state.turned[i], SLACK, state.led[0], i)
         state.travel[0, 0, i] += wanted
         state.travel[1, 0, i] += _lead(angles[i], TREMBLE, state.led[1], i)
         gone = max(gone, wanted)
         repeats = repeats and angles[i] == state.seen[i]
         state.cosine[i], state.sine[i], state.seen[i] = c, s, angles[i]
-    if not repeats:
-        state.repeats, state.ahead, state.moved = -1.0, 0.0, 0.0
-    state.repeats += 1.0
-    state.ahead += gone
-    state.moved += 1.0 if gone > 0.0 else 0.0
+    state.ahead = state.ahead + gone if repeats else 0.0
+    state.moved = state.moved + (1.0 if moves else 0.0) if repeats else 0.0
     if state.moved >= REPEATED and state.ahead > params.frozen:
         return FROZEN, -1
     state.elapsed += 1.0
