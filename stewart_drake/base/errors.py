@@ -214,7 +214,6 @@ FAILURES = (
     "assembly_mode",
     "riccati",
     "not_finite",
-    "frozen",
 )
 """Reasons for which a tick may fail, counted from 1 in signals; 1 stands for any other."""
 

@@ -17,6 +17,7 @@ from stewart_drake.live.instrument import Probe, Record, Spring, TurningSpring
 from stewart_drake.live.steering import GOVERNED, HandReference, Reached
 from stewart_drake.plant.plant_options import ANGLES
 from stewart_drake.runs.stepped_loop import SteppedLoop
+from stewart_drake.safety import Stillness
 from stewart_drake.scenario.scenario import Scenario
 
 RECORDED, PULLED = 0.001, 0.02
@@ -29,7 +30,7 @@ class LiveLoop:
     Every change but a new target and a push is a change of the scenario: its loop is built again, and each part that
     is still there keeps its state, as the robot does. `reference` is the pose set by hand with the motion about it, and
     `ended` says why the loop cannot go on; it is empty while it can. `spring` pulls or turns where there is one, `test`
-    is added to the reference, and `record` keeps what was done.
+    is added to the reference, and `record` keeps what was done. `stillness` watches where no safety layer does.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -47,6 +48,8 @@ class LiveLoop:
         self._step = on_grid(scenario.plant.time_step)
         self._every = max(1, round(RECORDED / self._step))
         self._looks = max(1, round(GOVERNED / self._step))
+        self._tick = max(1, round(scenario.controller.period / self._step))
+        self.stillness = Stillness(scenario.belief.robot, self._tick * self._step)
         self.reference = HandReference(scenario.reference, self._step)
         self._loop = self._loop_of(scenario)
         self._loop.begin()
@@ -92,6 +95,9 @@ class LiveLoop:
         if self.steps % self._looks == 0:
             self.reference.govern(self.scenario, self.time)
         self._loop.run_parts()
+        if self.steps % self._tick == 0 and self.scenario.safety is None:
+            runner = self._loop.runner
+            self.stillness.look(runner.signal("reading" if "reading" in runner.places else "plant_pose"), self.wanted)
         self._loop.move()
         self.reference.advance()
         if self.test is not None:

@@ -102,7 +102,7 @@ class MachineSession(PageSession):
             "paused": False,
             "motion": bool(self._hand.reference.share.target[0]),
             "target": target.tolist(),
-            "message": self.message,
+            "message": self.message or drive.odd_tick or "",
             "ended": self._ended,
             **dict.fromkeys(("setting", "kappa", "payload", "dead", "frozen", "controller", "links", "torque")),
         }

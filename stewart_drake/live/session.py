@@ -31,6 +31,7 @@ from stewart_drake.live.loop import LiveLoop
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.runs.outputs import claimed_place
 from stewart_drake.runs.scene import link_poses
+from stewart_drake.safety import standstill_text
 from stewart_drake.scenario.scenario import Scenario
 
 SLICE = 0.02
@@ -315,7 +316,7 @@ class LiveSession(PageSession):
             "test": self._test,
             "knobs": self._knob_rows(),
             "ended": loop.ended,
-            "message": self.message,
+            "message": self.message if (still := loop.stillness.latest) is None else standstill_text(*still),
         }
 
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.errors import RunFailure, SafetyStop
+from stewart_drake.base.errors import RunFailure, SafetyStop, StewartDrakeError
 from stewart_drake.base.sampling import steps_per
-from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix
-from stewart_drake.safety import MONITORS, RAMP
+from stewart_drake.mechanics.kinematics import inverse_kinematics, rotation_angle, rotation_matrix
+from stewart_drake.safety import MONITORS, RAMP, first_standstill, standstill_text
 from stewart_drake.scenario.limits import LimitMargin, longest_excursion
 
 if TYPE_CHECKING:
@@ -25,8 +25,8 @@ OUTCOMES: Mapping[str, str] = {
     "stopped": "The safety layer held the robot at the end, or until its time limit. The message names the monitor, "
     "the time and the leg.",
     "lost": "The controller was in charge, but the motion was not followed: a bound was exceeded, a rod left its joint "
-    "in the simulation, the platform did not move, its error was larger than the motion, or no command reached the "
-    "motors.",
+    "in the simulation, a crank or the platform did not move, its error was larger than the motion, or no command "
+    "reached the motors.",
     "failed": "The run ended early: an error in a tick, in Drake or in a user's controller; or the safety layer gave "
     "up and switched the motors off. In a study also where the worker process died.",
     "interrupted": "Ctrl-C, SIGTERM or SIGHUP ended it.",
@@ -83,6 +83,9 @@ class RunRows:
         step = np.rint(self.time / scenario.plant.time_step).astype(np.int64)
         stride = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
         self.tick, self.tick_number = step % stride == 0, step // stride
+        if not np.allclose(self.time, step * scenario.plant.time_step, rtol=0.0, atol=1e-6):
+            # On a machine each row is a tick, of the length that it has there.
+            self.tick, self.tick_number = np.ones(len(self.time), bool), np.arange(len(self.time))
         self.second_half = second_half(self.time, scenario.duration)
         self.second_half_tick = self.second_half & self.tick
         self.steps, self.ticks = len(self.time), int(self.tick.sum())
@@ -264,6 +267,17 @@ class RunRows:
                 worst_of[name] = 0.0, None
         return worst_of
 
+    def standstill(self) -> tuple[float, int | None] | None:
+        """When [s] a crank of a robot in charge stands while its reference moves, and its leg; None for never."""
+        rows, robot = np.flatnonzero(self.tick & self.in_charge), self.scenario.robot
+        try:
+            cranks = inverse_kinematics(robot, self["pose"][rows])
+        except StewartDrakeError:
+            # Of a robot that has come apart other bounds tell.
+            return None
+        found = first_standstill(robot, self.scenario.controller.period, cranks, self["reference"][rows])
+        return None if found is None else (float(self.time[rows[found[0]]]), found[1])
+
     def interventions(self) -> tuple[int, dict[str, Any] | None]:
         """How often the safety layer took over; and since when, by whom and where it has now, or None."""
         if "safety" not in self.signals or not self.steps:
@@ -321,6 +335,8 @@ def assess(
         what = "the loop gap exceeded" if name == "loop_gap" else f"the {name} error exceeded"
         text = f"{what} {bound} at t = {time:.3f} s; the largest was {worst}"
         return Outcome("lost", f"{name}_bound", text, time, leg)
+    if (standstill := rows.standstill()) is not None:
+        return Outcome("lost", "not_moving", standstill_text("not_moving", standstill[1]), *standstill)
     ratio = rows.motion_ratio
     if bounds.motion_ratio is not None and ratio is not None and not ratio >= bounds.motion_ratio:
         text = f"the platform moved by {ratio:.1%} of its reference's motion; bound {bounds.motion_ratio:.0%}"

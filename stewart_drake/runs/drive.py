@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,10 +17,11 @@ from stewart_drake.control.user_controller import failure_of
 from stewart_drake.logs.journal import Journal
 from stewart_drake.logs.log import MAX_ROWS, SimulationLog
 from stewart_drake.machines.machine import Machine, Reading
+from stewart_drake.machines.tick_clock import TickClock
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.references.paced import RAMP, PacedMotion
 from stewart_drake.robot import RobotParameters
-from stewart_drake.safety import LEVELS
+from stewart_drake.safety import LEVELS, standstill_text
 from stewart_drake.scenario.controller import Controller
 from stewart_drake.scenario.scenario import Scenario
 
@@ -32,9 +33,10 @@ WAITS = 0.1
 """[s] without a tick from which on the motion waits, and goes on from where it was."""
 AT_STOP = 0.02
 """[rad] beyond a stop that may be read of a crank that rests on it."""
-CLOCKS_APART = 0.05
-"""Share by which the period of a machine that sets the pace may differ from the controller's. Its ticks count as the
-controller's: where they are longer, the motion takes longer."""
+CLOCKS_APART = {"angle": (0.6, 3.0), "torque": (0.95, 1.05), "current": (0.95, 1.05)}
+"""Of the controller's period, what the tick of a machine that sets the pace may be, by what motors take; it is the
+period then."""
+SAME_TICK = 1e-3  # Share of the period by which a tick may differ that counts as that.
 _FRESH = 10  # Readings at most until the first that is used.
 SHORTEST = 0.1  # [s] of a motion.
 HOLD = 0.3
@@ -44,8 +46,6 @@ ON_THE_WAY = 0.03
 from the last one that has arrived than the path goes in this time, and `APPROACH_SPEED` besides."""
 HELD = "not_following", "not_moving", "holding"
 """Reasons for which the robot is held where it reads itself, not slowed down on its path: it is not on it."""
-MOVES, FOLLOWS = 0.1, 0.1
-"""[rad] that a crank should have moved by when it is seen whether it moves, and the share of it that it must have."""
 
 
 def as_logged(scenario: Scenario) -> Scenario:
@@ -83,7 +83,8 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
     if adaptation is not None and not machine.reads and not getattr(adaptation, "frozen", False):
         raise ConfigurationError("adaptation", adaptation.kind, "null: this machine does not tell its angles")
     period, own = scenario.reading_period, machine.period
-    if machine.paced and own is not None and abs(own - period) > CLOCKS_APART * period:
+    shortest, most = CLOCKS_APART[machine.takes]
+    if machine.paced and own is not None and not shortest * period < own < most * period:
         allowed = f"about {own:.4g} s, that of the machine, which sets the pace"
         raise ConfigurationError("controller.period", period, allowed)
     motion = PacedMotion(reference, reference.evaluate(0.0)[0], RAMP)
@@ -143,13 +144,20 @@ def _standing(robot: RobotParameters, angles: np.ndarray, home: Sequence[float])
     return pose
 
 
-def held_controller(scenario: Scenario, pose: np.ndarray, motion: PacedMotion | None = None) -> Controller:
+def held_controller(
+    scenario: Scenario, pose: np.ndarray, motion: PacedMotion | None = None, tick: float | None = None
+) -> Controller:
     """The controller of a drive that begins at a pose (6,); it reads angles, whatever a simulation would.
+
+    Its period is the `tick` [s] that was measured, where there is one and an estimator does not run between its ticks.
 
     Without a `motion` it holds the pose, for a first step: what is compiled or loaded in that must come before a
     machine waits for it.
     """
-    here = {"reference": {"kind": "hold", "pose": pose.tolist()}, "initial_offset": [0.0] * 6}
+    here: dict[str, Any] = {"reference": {"kind": "hold", "pose": pose.tolist()}, "initial_offset": [0.0] * 6}
+    period = scenario.controller.period
+    if tick is not None and scenario.reading_period == period and abs(tick - period) > SAME_TICK * period:
+        here["controller.period"] = tick
     held = scenario.control().replace({**here, "model.reading": "angles"})
     if motion is not None:
         ahead = scenario.preview
@@ -185,8 +193,10 @@ class Drive:
         self._robot, self._following = scenario.belief.robot, scenario.bounds.crank_angle or np.inf
         self._ahead, self._command, self._stale = scenario.preview, np.empty(6), STALE[machine.takes]
         self._journal, self._last = (journal, most), -1
+        self._expected, self._measured = scenario.reading_period, machine.period if machine.paced else None
         self._begin(start)
         self._period = self._controller.period
+        self._clock, self._now = TickClock(self._period), 0.0
         self._on_the_way = max(ON_THE_WAY, 3.0 * self._period)
         self._held: np.ndarray | None = None  # (6,) [rad] at which the robot is held.
         self._gives_up = np.inf  # [s] on the monotonic clock.
@@ -195,13 +205,12 @@ class Drive:
         self._origin = 0.0  # [s], or a machine's number of its reading, at the beginning.
         self._stopped_by: RunFailure | KeyboardInterrupt | None = None
         self._asked = False
-        self._ranges = np.tile([np.inf, -np.inf], (2, 6, 1))  # Of the cranks, as read and as wanted [rad].
         self._motion.stop(start.duration - RAMP)
 
     def _begin(self, start: Start) -> None:
         """What depends on where the robot stands."""
         self._start, self.scenario = start, as_logged(self._driven).replace(duration=start.duration)
-        self._controller = held_controller(self._driven, start.pose, start.motion)
+        self._controller = held_controller(self._driven, start.pose, start.motion, self._measured)
         # What is compiled or loaded in the first call must not come in the first tick.
         self._controller.step(start.angles, 0.0, self._command)
         self._controller.reset()
@@ -211,7 +220,12 @@ class Drive:
     @property
     def time(self) -> float:
         """[s] that the log has reached."""
-        return max(self._last, 0) * self._period
+        return self._now
+
+    @property
+    def odd_tick(self) -> str | None:
+        """How the tick of a machine that sets the pace differs from the controller's period, in words."""
+        return self._clock.report(self._expected)
 
     @property
     def ending(self) -> str:
@@ -233,7 +247,11 @@ class Drive:
         if ended_by is not None and not self._rows:
             raise ended_by
         trip, wall = self._controller.first_trip, time.monotonic() - began
-        return SimulationLog(**self._rows.log_fields(ended_by, safety=trip, wall_time=wall))
+        fields = self._rows.log_fields(ended_by, safety=trip, wall_time=wall)
+        if (odd := self.odd_tick) is not None:
+            tick = {"name": "machine_tick", "time": self.time, "number": self._clock.tick, "text": odd}
+            fields["warnings"] = (*fields["warnings"], tick)
+        return SimulationLog(**fields)
 
     def go(self, progress: Callable[[float], None] | None = None) -> RunFailure | KeyboardInterrupt | None:
         """As `run`, without a log: why it ended before its end."""
@@ -309,14 +327,14 @@ class Drive:
             # A paced machine that has nothing new: only time passes.
             self._look(reading)
             return
-        if self._rows and (gone := (tick - self._last) * self._period) > WAITS:
+        if self._rows and (gone := (tick - self._last) * self._clock.tick) > WAITS:
             # The motion waits, or its next pose would be far away.
             self._behind += tick - self._last - 1
             tick = self._last + 1
             if gone > self._stale:
                 text = f"nothing came from the machine, or nothing ran here, for {gone:.3g} s"
                 self._stop(RunFailure(text, reason="late"))
-        now = tick * self._period
+        now = self._now + (tick - self._last) * self._clock.tick if self._rows else 0.0
         # A command is on its way for two ticks, and before the first one none was.
         age = max(reading.age, min(reading.command_age, now) - 2.0 * self._period)
         arrived = time.monotonic()
@@ -337,7 +355,7 @@ class Drive:
             own["reading"] = np.full(6, np.nan)
         wanted = self._motion.row(now)
         self._rows.append({"time": now, **logged, **own, "sent": self._command, "reference": wanted})
-        self._last, self.latest = tick, Tick(now, reading.angles, wanted[:6], self._command.copy())
+        self._last, self._now, self.latest = tick, now, Tick(now, reading.angles, wanted[:6], self._command.copy())
 
     def _bound(self, reading: Reading, now: float) -> None:
         """Keeps commands that are angles near to those that are read, and nearer to the last that has arrived."""
@@ -360,13 +378,15 @@ class Drive:
         if self._rows and self.scenario.controller.feedback:
             first, most = self._last + 1, getattr(self.scenario.estimator, "hold_ticks", 0)
             for missed in range(max(first, tick - most), tick):
-                self._controller.step(np.full(6, np.nan), missed * self._period, self._command)
+                at = self._now + (missed - self._last) * self._clock.tick
+                self._controller.step(np.full(6, np.nan), at, self._command)
 
     def _next(self) -> tuple[Reading, int, float]:
         """The next reading, its tick, and how late it is [s]."""
         machine, first = self._machine, not self._rows
         if machine.paced:
             reading = machine.read()
+            self._clock.take(reading)
             self._origin = reading.number if first else self._origin
             return reading, int(reading.number - self._origin) - self._behind, reading.age
         self._origin = time.monotonic() if first else self._origin
@@ -391,19 +411,9 @@ class Drive:
             # Else the safety layer stops it, and says why.
             wanted = inverse_kinematics(self._robot, self._motion.evaluate(self.time)[0])
             apart = np.abs(reading.angles - wanted)
-            if (still := self._still(reading.angles, wanted)) is not None:
-                text = f"leg {still} does not move: are its motor and its power on?"
-                self._stop(RunFailure(text, still, "not_following"))
+            if (still := self._controller.standstill) is not None:
+                self._stop(RunFailure(standstill_text(*still), still[1], still[0]))
             elif apart.max() > self._following:
                 leg = int(apart.argmax())
                 text = f"leg {leg} is {apart[leg]:.3g} rad from where it should be, at most {self._following:.3g} rad"
                 self._stop(RunFailure(text, leg, "not_following"))
-
-    def _still(self, angles: np.ndarray, wanted: np.ndarray) -> int | None:
-        """A leg whose crank should have moved by now, and has not."""
-        for extremes, value in zip(self._ranges, (angles, wanted), strict=True):
-            np.minimum(extremes[:, 0], value, out=extremes[:, 0])
-            np.maximum(extremes[:, 1], value, out=extremes[:, 1])
-        moved, should = np.diff(self._ranges)[..., 0]
-        still = (should > MOVES) & (moved < FOLLOWS * should)
-        return int(should.argmax()) if still[should.argmax()] else None

@@ -7,8 +7,10 @@ Torque and torque-rate limits with a named stop are libfranka's habit (`limitRat
 
 from stewart_drake.safety.layer import HOLD, LEVELS, NONE, NOT_THERE, RAMP, SAFE_HOLD, first_trip, safety_part
 from stewart_drake.safety.limits import MONITORS, SafetyInputs, SafetyOptions, refuse_motion, refuse_start, sample_times
+from stewart_drake.safety.stillness import Stillness, first_standstill, standstill_text
 
 __all__ = [
-    "HOLD", "LEVELS", "MONITORS", "NONE", "NOT_THERE", "RAMP", "SAFE_HOLD", "SafetyInputs", "SafetyOptions",
-    "first_trip", "refuse_motion", "refuse_start", "safety_part", "sample_times",
+    "HOLD", "LEVELS", "MONITORS", "NONE", "NOT_THERE", "RAMP", "SAFE_HOLD", "SafetyInputs",
+    "SafetyOptions", "Stillness", "first_standstill", "first_trip", "refuse_motion", "refuse_start", "safety_part",
+    "sample_times", "standstill_text",
 ]  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from stewart_drake.base.errors import FAILURES, SafetyStop, failure_code
+from stewart_drake.base.errors import FAILURES, SafetyStop
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.loop.part import HEALTHY, LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
@@ -19,6 +19,7 @@ from stewart_drake.safety import limits
 from stewart_drake.safety.limits import MEANINGS, MONITORS, NO_TRIP, OBSERVED, SafetyInputs, SafetyOptions
 from stewart_drake.safety.residual import (
     MOTOR_WEAK,
+    READING_WRONG,
     RESIDUAL,
     is_unexplained,
     mark_suspects,
@@ -26,26 +27,26 @@ from stewart_drake.safety.residual import (
     speeds_to_stop,
     update_residual,
 )
+from stewart_drake.safety.stillness import FROZEN, REPEATED, STANDS, STILLNESS, cranks_at, watch
 
 LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
-FROZEN = failure_code("frozen")
 ABSURD = 10.0  # A command of so many times the limit is an error of the controller and no wish for torque.
 REFILL = 0.05  # Ticks of the budget of holding that a good tick gives back: a fault that flickers uses it up too.
 _ROUNDING = 1e-9
 
 _STATE = np.dtype([*fields(
     torque=6, safety=3, good=6, weight=6, hold_used=(), at_limit=(), too_fast=(), since=(), assembly_sign=(),
-    ticks=(), first=5, worst=(), command=6, last_pose=6, reference_then=6, unexplained_ticks=(), fast=(),
-).descr, *RESIDUAL.descr])  # fmt: skip
+    ticks=(), first=5, worst=(), command=6, unexplained_ticks=(), fast=(),
+).descr, *RESIDUAL.descr, *STILLNESS.descr])  # fmt: skip
 """torque: for the motors [N m]. safety: numbers of level in `LEVELS` and monitor in `MONITORS`, leg or -1. good: last
 good command, one that no limit touched [N m]. weight: last torque that carried the robot's weight [N m]. hold_used:
 ticks of holding, less what good ones gave back; while stopping, ticks without a measurement. at_limit, too_fast,
 unexplained_ticks, fast: ticks at the torque limit, of commands that jumped, of residuals that were too large, and of a
 stop that runs away, less good ones. since: ticks of ramp and safe hold. assembly_sign: sign of the rods' determinant at
 the start, 0 before the first tick. ticks: done. first: monitor, level, leg, tick and cause in `FAILURES` of the first
-trip, zeros before. worst: highest level so far. command: that of the last tick, if it was finite [N m]. last_pose,
-reference_then: last pose read, and the reference when it came [rad, m]. The rest: see `RESIDUAL`."""
+trip, zeros before. worst: highest level so far. command: that of the last tick, if it was finite [N m]. The rest: see
+`RESIDUAL` and `STILLNESS`."""
 
 GOES_ON, BLIND, RUNAWAY, HOLD_OVER = range(4)  # How a tick ends: in the last three the run is over.
 
@@ -69,8 +70,7 @@ def _unusable(params: Any, command: Any, is_measured: bool, age: float, sensor: 
     """What is wrong with this tick's messages, not their contents: monitor or `NO_TRIP`, leg or -1, cause or 0."""
     if not is_measured:
         return limits.MEASUREMENT, -1, 0
-    stuck = sensor[0] == FROZEN
-    if not stuck and sensor[0] != 0.0:
+    if sensor[0] != 0.0:
         return limits.SENSOR, _whole(sensor[1]), _whole(sensor[0])
     if controller[0] != 0.0:
         return limits.CONTROLLER, _whole(controller[1]), _whole(controller[0])
@@ -85,16 +85,7 @@ def _unusable(params: Any, command: Any, is_measured: bool, age: float, sensor: 
         return limits.DEADLINE, -1, 0
     if largest > ABSURD:
         return limits.TORQUE_LIMIT, leg, 0
-    return (limits.READING, int(sensor[1]), 0) if stuck else (NO_TRIP, -1, 0)
-
-
-@njit
-def _pose_stuck(params: Any, pose: Any, reference: Any, state: Any) -> bool:
-    """Whether a measured pose (6,) stays the same to the last bit while the reference moves on."""
-    if not (pose == state.last_pose).all():
-        copy_to(state.reference_then[:], reference)
-    copy_to(state.last_pose[:], pose)
-    return (np.abs(reference - state.reference_then) > params.frozen_pose).any()
+    return NO_TRIP, -1, 0
 
 
 @njit
@@ -110,18 +101,20 @@ def _tick(
     robot, friction, params, legs, observed, state = (
         record(robot), record(friction), record(params), record(legs), record(observed), record(state),
     )  # fmt: skip
-    pose, rate, wanted, health = measurement[:6], measurement[6:], reference[:6], sensor.copy()
+    pose, rate, wanted = measurement[:6], measurement[6:], reference[:6]
     read = pose_reading[:6] if pose_reading[0] == pose_reading[0] else pose
     update_residual(
         robot, friction, friction_unknown, params, angles, read, state.torque, state.ticks == 0.0, state, legs
     )
     unexplained = is_unexplained(params, state)
     state.unexplained_ticks = _counted(state.unexplained_ticks, unexplained)
-    if state.encoders == 0.0 and _pose_stuck(params, read, wanted, state):
-        health[0], health[1] = FROZEN, -1.0
+    cranks = angles.copy()
+    if state.encoders == 0.0:
+        cranks_at(robot, read, legs, cranks)
+    still, standing = watch(robot, params, cranks, wanted, legs, state)
     state.ticks += 1.0
     is_measured = all_finite(rate) and all_finite(pose + params.horizon * rate)
-    is_observed = is_measured and health[0] == 0.0
+    is_observed = is_measured and sensor[0] == 0.0
     if is_observed:
         limits.observe(robot, params, pose, rate, wanted, state.assembly_sign, legs, observed)
         if state.assembly_sign == 0.0:
@@ -136,11 +129,17 @@ def _tick(
     monitor, level, leg, cause = NO_TRIP, RAMP, -1, 0
     if is_observed:
         monitor, leg = limits.broken(observed)
+    # No blow repeats readings to the last bit while the reference moves.
+    blind = state.moved >= REPEATED
+    if monitor == NO_TRIP and blind and (unexplained or still == FROZEN):
+        monitor = limits.READING
     if monitor == NO_TRIP and state.unexplained_ticks > params.blow:
         monitor = limits.UNEXPLAINED
+    if monitor == NO_TRIP and still == STANDS:
+        monitor, leg = limits.NOT_MOVING, standing
     if monitor == NO_TRIP:
         level = HOLD
-        monitor, leg, cause = _unusable(params, command, is_measured, age[0], health, controller)
+        monitor, leg, cause = _unusable(params, command, is_measured, age[0], sensor, controller)
     if monitor == NO_TRIP:
         level = RAMP
         if is_observed and user_trip[0] > 0.0:
@@ -154,8 +153,11 @@ def _tick(
     if level == HOLD and state.hold_used > params.budget:
         level = RAMP
     if level == RAMP:
-        suspect = mark_suspects(state, leg if monitor == limits.SENSOR else -1, unexplained)
-        leg = suspect if suspect >= 0 else leg
+        if blind:
+            state.suspect[:] = READING_WRONG
+        else:
+            suspect = mark_suspects(state, leg if monitor == limits.SENSOR else -1, unexplained)
+            leg = suspect if suspect >= 0 else leg
     state.safety[0], state.safety[1], state.safety[2] = level, monitor, leg
     state.worst = max(state.worst, float(level))
     if state.first[0] == 0.0:
@@ -257,7 +259,7 @@ def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
     robot, period = context.robot, context.period
     params = limits.params_of(robot, options, context.gravity, period, context.noise)
     torques = dict.fromkeys(("torque", "good", "weight", "command", "sent"), context.initial_torque)
-    unread = dict.fromkeys(("last_pose", "reference_then", "angles", "poses"), np.nan)
+    unread = dict.fromkeys(("angles", "poses"), np.nan)
     first = new_record(_STATE, **torques, **unread, safety=(NONE, NO_TRIP, -1.0))
     kernel: Any = _tick
     constants: dict[str, Any] = {

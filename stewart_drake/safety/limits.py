@@ -22,15 +22,17 @@ from stewart_drake.mechanics.singularities import MONITORED, crank_speeds, measu
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, TORQUE
 from stewart_drake.safety.residual import LONGEST_HALF, ONE_LEG_SHARE
+from stewart_drake.safety.stillness import FROZEN_AFTER, SHARE, still_params
 
 MONITORS = (
     "none", "measurement_not_finite", "sensor_failed", "controller_failed", "command_not_finite", "deadline",
     "workspace", "serial_singularity", "parallel_singularity", "crank_speed", "following_error", "torque_limit",
-    "torque_rate", "innovation", "reading_stuck", "unexplained_torque",
+    "torque_rate", "innovation", "reading_stuck", "unexplained_torque", "not_moving",
 )  # fmt: skip
 """Stable names of the monitors, by their number in the log: new ones come last. `innovation` is in old logs alone."""
 MEANINGS = {
     "reading_stuck": "a sensor repeats itself",
+    "not_moving": "a crank stands, or its reading does, while its reference moves",
     "unexplained_torque": "a reading or a motor is wrong, or load and friction exceed safety.unexplained_torque",
 }
 """What a name leaves open, for the message of a run that the monitor ends."""
@@ -53,9 +55,11 @@ class SafetyOptions(Section, key="safety"):
     pushes and friction that is not compensated take. A fifth of it counts where the difference is that of one
     leg alone, two fifths where it is that of two; a blow of 5 ms passes. It detects wrong readings and motors.
     Friction that is believed comes on top, and with `adaptation` what is not known of it yet."""
-    frozen_pose: Annotated[PositivePair | None, LENGTH] = (0.01, 0.001)
-    """[rad, m] change of the reference on an axis after which a measured pose that repeats to the last bit is frozen;
-    for sensors other than encoders."""
+    frozen: Positive | None = FROZEN_AFTER
+    """[rad] travel of a crank's reference after which readings are frozen that have all repeated to the last bit."""
+    standstill: Fraction | None = SHARE
+    """[-] share of its reference's travel in the last second that a crank must have moved by. Travel within 0.03 rad,
+    which play and friction take, does not count; a reference that moves by less is not compared."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
     """[-] largest command as a fraction of the motors' limit; commands are cut there. They may be there or beyond for
     0.1 s in sum."""
@@ -143,7 +147,7 @@ class UserMonitor(UserMade, key="safety.monitors"):
 
 (
     NO_TRIP, MEASUREMENT, SENSOR, CONTROLLER, COMMAND, DEADLINE, WORKSPACE, SERIAL, PARALLEL, CRANK_SPEED, FOLLOWING,
-    TORQUE_LIMIT, TORQUE_RATE, _, READING, UNEXPLAINED,
+    TORQUE_LIMIT, TORQUE_RATE, _, READING, UNEXPLAINED, NOT_MOVING,
 ) = range(len(MONITORS))  # fmt: skip
 """Places in `MONITORS`."""
 LIMITS = (
@@ -161,18 +165,19 @@ TIE = 1e-6  # What numbers of two legs may differ by, in any unit, where the fir
 
 PARAMS = fields(
     period=(), gravity=(), horizon=(), home=6,
-    deadline=(), frozen_pose=6,
+    deadline=(), frozen=(), share=(), block=(),
     torque_limit=6, torque_change=(), workspace=2, transmission=(), conditioning=(), crank_speed=(),
     following_error=2, half=(), blow=(), unexplained=6, unexplained_alone=(), lasting=(), inertia=(),
     follow=2, most_correction=2, impossible=(), remembered=(), budget=(), ramp_time=(), safe_hold_time=(),
     suspect_hold_time=(), stopping=(), most_torque=6, most_speed=(),
 )  # fmt: skip
-"""`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], torque_change: in a
-tick [N m]. Of the residual half: of its window [ticks], blow: ticks for which one shows, unexplained, also of a leg or
-two alone, beside friction [N m], lasting: share of a tick, inertia: of a crank [kg m^2]. For `residual._follow` follow:
-bandwidth, most_correction and impossible: change of a crank's speed in a tick [rad/s], remembered: ticks for which that
-counts. budget: ticks that may be held, suspect_hold_time: of a stop with a suspect leg [s], stopping: time constant of
-a stop [s], most_torque of it [N m], most_speed: at which it is given up [rad/s]."""
+"""`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], share and block: see
+`STILL_PARAMS`, torque_change: in a tick [N m]. Of the residual half: of its window [ticks], blow: ticks for which one
+shows, unexplained, also of a leg or two alone, beside friction [N m], lasting: share of a tick, inertia: of a crank [kg
+m^2]. For `residual._follow` follow: bandwidth, most_correction and impossible: change of a crank's speed in a tick
+[rad/s], remembered: ticks for which that counts. budget: ticks that may be held, suspect_hold_time: of a stop with a
+suspect leg [s], stopping: time constant of a stop [s], most_torque of it [N m], most_speed: at which it is given up
+[rad/s]."""
 AT_LIMIT_TIME, TOO_FAST_TIME = 0.1, 0.01
 """[s] for which, in sum, commands may be at the torque limit, or jump. Good ticks take away from the sum."""
 RUNAWAY_TIME = 0.005
@@ -206,14 +211,14 @@ def params_of(
     half = min(LONGEST_HALF, max(2, math.ceil(math.sqrt(SIGMAS * largest / bound.min()) / period)))
     # Of a slow controller the bandwidths are those that its ticks bear.
     follow = min(FOLLOW[0], 0.3 / period), min(FOLLOW[1], 0.02 / period)
-    pose, rate, share = options.frozen_pose, options.torque_rate, options.torque_limit
+    rate, share = options.torque_rate, options.torque_limit
     return new_record(
         PARAMS,
         options,
         period=period,
         gravity=gravity,
         home=robot.home_pose,
-        frozen_pose=math.inf if pose is None else np.repeat(pose, 3),
+        **still_params(period, options.standstill, options.frozen),
         torque_limit=(math.inf if share is None else share) * robot.effort_limits,
         torque_change=math.inf if rate is None else rate * period,
         transmission=-math.inf if options.transmission is None else options.transmission,

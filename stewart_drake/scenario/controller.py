@@ -13,7 +13,7 @@ from stewart_drake.base.sampling import InBlocks
 from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.motors import within_limit
 from stewart_drake.loop.part import LoopRunner, Part
-from stewart_drake.safety import LEVELS, first_trip
+from stewart_drake.safety import LEVELS, Stillness, first_trip
 from stewart_drake.scenario.assembly import ControlSide, control_side
 from stewart_drake.scenario.control_options import ControlOptions
 
@@ -64,6 +64,7 @@ class Controller:
         self._command, self.unit = self._running.signal("safe_torque" if self._safe else side.command), side.unit
         # What is no torque has its limit in the motor.
         self._limits = side.context.robot.effort_limits if side.command == side.torque else np.inf
+        self._stillness = None if self._safe else Stillness(side.context.robot, self.period)
         self._last, self._ticks = -np.inf, 0
 
     def step(self, readings: np.ndarray, time: float, out: np.ndarray, age: float = 0.0) -> None:
@@ -112,10 +113,14 @@ class Controller:
         out[:] = within_limit(self._command, self._limits)
         self._running.end(self._ticks)
         self._ticks += 1
+        if self._stillness is not None:
+            self._stillness.look(self._reading, self._running.signal("reference"))
 
     def reset(self) -> None:
         """Resets the state to that before the first step."""
         self._running.reset()
+        if self._stillness is not None:
+            self._stillness.reset()
         self._last, self._ticks = -np.inf, 0
 
     def signal(self, name: str) -> np.ndarray:
@@ -129,6 +134,14 @@ class Controller:
     def first_trip(self) -> Mapping[str, Any] | None:
         """What the safety layer has noticed first, as a log has it; None for nothing, or without a layer."""
         return first_trip(self._running.state("safety"), self._tick, self._monitors) if self._safe else None
+
+    @property
+    def standstill(self) -> tuple[str, int | None] | None:
+        """What stands while the reference moves: `not_moving` or `reading_stuck`, and the leg or None for all six.
+
+        None where all is well, and where a safety layer watches: that trips. Readings that are no numbers are left out.
+        """
+        return None if self._stillness is None else self._stillness.latest
 
     @property
     def status(self) -> str:

@@ -12,6 +12,7 @@ from made_machines import SERVOS, go_on
 
 from stewart_drake.base.errors import MissingPackageError
 from stewart_drake.machines.machine import MachineError, open_machine
+from stewart_drake.machines.reachy import COUNTED
 from stewart_drake.mechanics.kinematics import forward_kinematics
 
 websockets = pytest.importorskip("websockets")
@@ -68,17 +69,19 @@ def machine(daemon):
     opened.disconnect()
 
 
-def test_it_reads_each_tick_and_its_clock_counts_them(machine):
+def test_it_counts_the_ticks_and_measures_how_long_one_is(machine):
     readings = [machine.read() for _ in range(60)]
     numbers = np.array([reading.number for reading in readings])
     assert (np.diff(numbers) >= 1).all()
-    assert [reading.time for reading in readings] == pytest.approx(0.02 * numbers)
+    assert (np.diff([reading.time for reading in readings]) > 0.0).all()
+    # The stand-in waits for 5 ms between its messages.
+    assert 0.005 <= machine.period < 0.015
     sent = [json.loads(angles)["head_joint_positions"][1:] for angles, _ in TICKS]
     for reading in readings:
         assert reading.angles.tolist() == sent[reading.number % len(sent)]
         assert 0.0 <= reading.age < 0.1
         assert not reading.holding
-    assert (machine.period, machine.takes, machine.reads, machine.paced) == (0.02, "angle", True, True)
+    assert (machine.takes, machine.reads, machine.paced) == ("angle", True, True)
 
 
 def test_the_pose_of_a_tick_is_that_of_its_angles_in_the_base_frame(machine):
@@ -174,7 +177,7 @@ def test_it_opens_again(machine):
     for _ in range(3):
         machine.disconnect()
         machine.connect()
-        assert machine.read().number < 5
+        assert machine.read().number < COUNTED + 5
 
 
 @pytest.mark.parametrize(("url", "package"), [("reachy://", "websockets"), ("serial:/dev/ttyACM0", "serial")])

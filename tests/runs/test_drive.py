@@ -338,9 +338,81 @@ def test_motors_that_never_move_are_found_before_the_error_is_large():
     machine = Servos()
     machine.command = machine.commands.append
     log = driven(machine, BASE.replace({"duration": 10.0}))
-    assert (log.status, log.reason) == ("failed", "not_following")
-    assert "does not move" in log.message
+    assert (log.status, log.reason) == ("failed", "reading_stuck")
+    assert "all six readings repeat themselves" in log.message
     assert log.end_time < 4.0
+
+
+def dead(leg):
+    def event(machine):
+        held, command = machine.angles[leg].copy(), machine.command
+
+        def without(values):
+            command(values)
+            machine.angles[leg] = held
+
+        machine.command = without
+
+    return event
+
+
+@pytest.mark.parametrize(("leg", "at"), [(0, 2), (1, 2), (1, 250), (4, 250)])
+def test_a_motor_that_dies_stops_it_within_two_seconds(leg, at):
+    """10 deg at 0.5 Hz; of the legs that move least, and after it has moved for long."""
+    nod = {"kind": "sine", "amplitude": [0, 0.1745, 0, 0, 0, 0], "angular_frequency": 3.1416}
+    machine = Servos(at=at, event=dead(leg))
+    log = driven(machine, BASE.replace({"duration": 12.0, "reference": nod}))
+    assert (log.status, log.reason, log.leg) == ("failed", "not_moving", leg)
+    # The approach does not move here, and the motion begins slowly.
+    assert log.outcome_time < max(0.02 * at, 1.5) + 2.0
+
+
+class Ticking(Servos):
+    """Its clock is of its own: readings at some times, counted by some numbers."""
+
+    def __init__(self, tick, counts=1):
+        super().__init__()
+        self.now, self.tick, self.counts, self.number = 0.0, tick, counts, 0
+        self.period = tick(0.0)
+
+    def read(self):
+        super().read()
+        self.now += self.tick(self.now)
+        self.number += self.counts if self.now > 4.0 else 1
+        return Reading(self.angles.copy(), self.now, 0.0, self.number)
+
+
+def motion_frequency(machine, log):
+    """[Hz] by the machine's clock of a sine that is wanted, from its extremes."""
+    wanted = log["reference"][:, 1]
+    extremes = np.flatnonzero(np.diff(np.sign(np.diff(wanted)))) + 1
+    at = np.interp(extremes, np.arange(len(wanted)), machine.times[-len(wanted) :])
+    settled = at[(at > 3.0) & (at < 11.0)]
+    return 0.5 * (len(settled) - 1) / (settled[-1] - settled[0])
+
+
+@pytest.mark.parametrize(
+    ("tick", "counts", "words", "within"),
+    [
+        (lambda _: 1.0 / 46.1, 1, "its tick was 21.69 ms, not 20 ms", 1e-3),
+        # When it changes, time goes wrong for a quarter of a second; while it pauses the motion waits.
+        (lambda now: 0.02 if now < 5.0 else 0.03, 1, "its tick was 30.00 ms, 20.00 to 30.00 ms on the way", 0.04),
+        (lambda _: 0.02, 2, "its tick was 10.00 ms, 10.00 to 20.00 ms on the way", 0.04),
+        (lambda now: 0.42 if 6.0 < now < 6.02 else 0.02, 1, "it paused once, for up to 0.42 s", 0.06),
+    ],
+)
+def test_the_tick_of_a_machine_is_measured_told_and_used(tick, counts, words, within):
+    sine = {"kind": "sine", "amplitude": [0, 0.05, 0, 0, 0, 0], "angular_frequency": 6.2832}
+    machine = Ticking(tick, counts)
+    scenario = BASE.replace({"duration": 10.0, "reference": sine})
+    start = connected(scenario, machine)
+    machine.times, read = [], machine.read
+    machine.read = lambda: (reading := read(), machine.times.append(reading.time))[0]
+    log = Drive(scenario, machine, start).run()
+    assert log.status == "completed"
+    (warning,) = [each for each in log.warnings if each["name"] == "machine_tick"]
+    assert words in warning["text"]
+    assert motion_frequency(machine, log) == pytest.approx(1.0, abs=within)
 
 
 def test_what_ends_it_before_its_first_tick_is_raised():
