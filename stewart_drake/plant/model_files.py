@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.config import check_value
@@ -89,9 +90,17 @@ def _middles(ranges: np.ndarray) -> np.ndarray:
     return np.clip(ranges, -LARGEST_SIZE, LARGEST_SIZE).mean(axis=-1)
 
 
-def sdf_text(robot: RobotParameters, *, rod_joint: RodJoint = "universal", collision: bool = True) -> str:
-    """The robot as an SDF model named `stewart` for Drake's parser; pictures are written always.
+def sdf_text(
+    robot: RobotParameters,
+    *,
+    rod_joint: RodJoint = "universal",
+    collision: bool = True,
+    name: str = "stewart",
+    base: tuple[ArrayLike, ArrayLike] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+) -> str:
+    """The robot as an SDF model for Drake's parser; pictures are written always.
 
+    `base` is position [m] and roll, pitch, yaw [rad] of B in the world.
     Links `base` (welded to the world), `crank_0..5`, `rod_0..5`, `platform`; joints `motor_0..5` and `universal_0..5`
     or `ball_0..5`; six `drake:ball_constraint` close the loops.
     """
@@ -115,6 +124,8 @@ def sdf_text(robot: RobotParameters, *, rod_joint: RodJoint = "universal", colli
         default=RobotParameters(),
         rod_joint=rod_joint,
         collision=collision,
+        name=name,
+        base=base if np.any(base) else None,
         frames=frames,
         crank_turns=crank_turns,
         platform_inertia=_moments_and_products(robot),

@@ -22,7 +22,7 @@ from stewart_drake.control.features import DensityKind, density_part
 from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.control.network import TunerNetwork, network_part
 from stewart_drake.loop.part import BoundPart, Part
-from stewart_drake.plant.multibody_plant import StewartPlant
+from stewart_drake.plant.multibody_plant import StewartRobot
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.assembly import loop_of
@@ -355,7 +355,7 @@ class TaskSpaceSensor(LeafSystem):
         crank_state: out (12,), angles of the cranks [rad] from the horizontal, not wrapped, then their rates [rad/s].
     """
 
-    def __init__(self, plant: StewartPlant) -> None:
+    def __init__(self, plant: StewartRobot) -> None:
         super().__init__()
         self._plant = plant
         self.plant_state = self.DeclareVectorInputPort("plant_state", plant.plant.num_multibody_states())
@@ -378,7 +378,7 @@ class PlatformWrench(LeafSystem):
         spatial_force: out, for the plant's port `applied_spatial_force`.
     """
 
-    def __init__(self, plant: StewartPlant) -> None:
+    def __init__(self, plant: StewartRobot) -> None:
         super().__init__()
         self._plant = plant
         self.wrench = self.DeclareVectorInputPort("wrench", 6)
