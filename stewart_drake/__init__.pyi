@@ -37,6 +37,7 @@ from stewart_drake.mechanics.kinematics import leg_geometry as leg_geometry
 from stewart_drake.plant.model_files import write_sdf as write_sdf
 from stewart_drake.plant.multibody_plant import StewartRobot as StewartRobot
 from stewart_drake.plant.multibody_plant import add_plant as add_plant
+from stewart_drake.plant.multibody_plant import add_robot as add_robot
 from stewart_drake.plant.multibody_plant import build_plant as build_plant
 from stewart_drake.plant.plant_options import DrakeOptions as DrakeOptions
 from stewart_drake.plotting import plot_states as plot_states

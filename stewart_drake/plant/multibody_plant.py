@@ -225,7 +225,7 @@ def add_robot(
     if plant.HasModelInstanceNamed(model_instance):
         raise ConfigurationError("model_instance", model_instance, "a name that the plant does not have yet")
     if plant.time_step() != on_grid(options.time_step):
-        options = options.replace({"time_step": plant.time_step()})
+        options = DrakeOptions.from_dict({**options.to_dict(), "time_step": plant.time_step()})
     limit = platform_damping_limit(robot, options)
     if options.platform_joint_damping > limit:
         raise ConfigurationError(
