@@ -118,8 +118,7 @@ def scenario(seed: int, scheme: str, motion: str, belief: dict[str, Any] | None 
     believed = {"plain": PLAIN, "truth": truth}.get(scheme, NOMINAL) if belief is None else belief
     changes: dict[str, Any] = {"motors.ratios": ratios.tolist(), "plant.time_step": STEP}
     if scheme in ("learning", "told", "second"):
-        age = AGE if scheme == "learning" else real.age
-        changes["adaptation"] = {"kind": "regression", "reading_age": age}
+        changes |= {"adaptation": "regression", "model.reading_age": AGE if scheme == "learning" else real.age}
     made = servos.scenario(real, believed, references()[motion], MOTIONS[motion][0], scheme == "plain")
     return made.replace(changes)
 
@@ -377,7 +376,7 @@ run starts with the `model` that `--keep-model` left after a first one that look
 {asked}
 
 - The age of the readings cannot be told from the delay by commands and angles: 10 ms of it are 0.66 deg of a nod. That
-  is what keeps a nod above what was asked for. Tell it (`adaptation.reading_age`).
+  is what keeps a nod above what was asked for. Tell it (`model.reading_age`).
 - To weigh the load, the motors' torques are taken for exact.
 - {wander} robots at 100 Hz are not still at rest. They have no friction, see below.
 - With it told, learning does in the median what the truth does. The largest nod is {told_nod:.3f} deg off, in a second

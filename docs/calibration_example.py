@@ -29,9 +29,9 @@ def main():
     base = transform(exponential(np.array([0.1, -0.2, 2.0])), np.array([0.8, 0.3, -0.4]))
     marker = transform(exponential(np.array([0.1, 0.2, 0.5])), np.array([0.01, 0.02, 0.05]))
     poses = measured(truth, plan_poses(guess, POSES, limits, noise).targets, noise, rng, base, marker)
-    (FOLDER / "poses.csv").write_text(poses.to_csv())
+    (FOLDER / "poses.csv").write_text(poses.to_csv(), encoding="utf-8")
     about = "the robot of which poses.csv is; shafts and joints laid on those of servo_hexapod"
-    (FOLDER / "truth.yaml").write_text(to_yaml({"about": about, **aligned(truth, guess).to_dict()}))
+    (FOLDER / "truth.yaml").write_text(to_yaml({"about": about, **aligned(truth, guess).to_dict()}), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -91,7 +91,7 @@ def main():
         "`make results` recomputes some of these numbers.",
         "",
     ]
-    OUT.write_text("\n".join(lines))
+    OUT.write_text("\n".join(lines), encoding="utf-8")
 
 
 if __name__ == "__main__":

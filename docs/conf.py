@@ -26,7 +26,8 @@ html_theme = "furo"
 html_title = project
 html_static_path = ["site.css"]
 html_css_files = ["site.css"]
-html_extra_path = ["tab.html"] if (DOCS / "tab.html").exists() else []  # the tab: `make tab`
+HAS_TAB = (DOCS / "tab.html").exists()  # The tab: `make tab`.
+html_extra_path = ["tab.html"] if HAS_TAB else []
 html_show_sourcelink = False
 html_math_renderer = "mathml"
 
@@ -68,6 +69,9 @@ def site_links(_app, docname, source):
         return f"](/{page.as_posix()}{match[2] or ''})" if page else match[0]
 
     source[0] = reference.LINK.sub(link, source[0])
+    if not HAS_TAB:
+        # A page that was not made gets no link: its words stay, with what makes it.
+        source[0] = re.sub(r'<a href="tab.html">(.*?)</a>', r"\1 (<code>make tab</code> makes it)", source[0])
 
 
 def write_llms(app, error):

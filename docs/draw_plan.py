@@ -26,7 +26,9 @@ def room_of(module: str) -> str:
 
 def layers() -> list[list[str]]:
     """Rooms from the top layer of the contract to the lowest."""
-    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
     rows = next(contract["layers"] for contract in contracts if contract["type"] == "layers")
     return [[room.strip() for room in row.split("|")] for row in rows]
 
@@ -56,7 +58,7 @@ def subject_of(room: str) -> str:
     """First line of a room's docstring."""
     place = ROOT.joinpath(*room.split("."))
     file = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
-    return (ast.get_docstring(ast.parse(file.read_text())) or "").splitlines()[0]
+    return (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").splitlines()[0]
 
 
 def plan() -> dict[str, list]:

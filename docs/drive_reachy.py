@@ -152,7 +152,7 @@ class Figures(NamedTuple):
 def pose_age(log: SimulationLog) -> float:
     """[s] of the poses in a log: where one came too late `drive` has taken all from the angles, which have no age."""
     middle = len(log.time) // 2
-    of_angles = forward_kinematics(log.scenario.robot, log["crank_angle"][middle], log["pose"][middle])
+    of_angles = forward_kinematics(log.scenario.robot, log["reading"][middle], log["pose"][middle])
     return 0.0 if np.abs(of_angles - log["pose"][middle]).max() < 1e-9 else POSE_AGE
 
 
@@ -214,8 +214,7 @@ def by_wall_clock(url: str, scheme: str, motion: str) -> tuple[float, float, flo
     short, long, more = MOTIONS[motion]
     what = SCHEMES[scheme]
     # A command is 0 to 10 ms old when a tick takes it, and acts for 20 ms; a reading is 0 to 20 ms old.
-    clock = {"controller.period": ByWallClock.period, "model.motors.delay": 0.01}
-    clock |= {"adaptation.reading_age": 0.01} if what.learns else {}
+    clock = {"controller.period": ByWallClock.period, "model.motors.delay": 0.01, "model.reading_age": 0.01}
     scenario = load_driven("reachy_daemon").replace({**FREE, **what.changes, **more, **clock})
     host, port = url.removeprefix("reachy://").split(":")
     machine = ByWallClock(scenario, host, int(port))
@@ -256,7 +255,9 @@ def played(url: str, scheme: str | None, motion: str) -> tuple[float, float]:
     numbers = np.array([reading.number for reading in told]) - told[0].number
     at = numbers * machine.period - POSE_AGE
     known = np.array([reading.pose is not None for reading in told]) & (at > 0.5 * times[-1]) & (at < times[-1])
-    error = [reading.pose for reading, use in zip(told, known, strict=True) if use] - motion_of(move)(at[known])
+    error = [reading.pose for reading, use in zip(told, known, strict=True) if use] - motion_of(move).evaluate(
+        at[known]
+    )[0]
     return _norms(np.array(error))
 
 

@@ -47,12 +47,16 @@ def measure(name: str) -> Measured:
             return done.stdout + done.stderr
 
         export_controller(options, name, folder)
-        header, rows = (folder / f"{own}.h").read_text(), (folder / "replay.csv").read_text().split()
+        header, rows = (
+            (folder / f"{own}.h").read_text(encoding="utf-8"),
+            (folder / "replay.csv").read_text("utf-8").split(),
+        )
         reading, reference = (int(re.findall(rf"_{each} (\d+)", header)[0]) for each in ("READING", "REFERENCE"))
         table = ",\n".join(f"{{{row}}}" for row in rows)
         (folder / "rows.h").write_text(
             f"enum {{ ROWS = {len(rows)}, READING = {reading}, REFERENCE = {reference} }};\n"
-            f"static const double rows[][{reading + reference + 7}] = {{\n{table}}};\n"
+            f"static const double rows[][{reading + reference + 7}] = {{\n{table}}};\n",
+            encoding="utf-8",
         )
         run(f"arm-none-eabi-gcc {FLAGS} -c {own}.c")
         text, data, bss = map(int, run(f"arm-none-eabi-size {own}.o").splitlines()[1].split()[:3])
@@ -73,7 +77,7 @@ def main() -> None:
         counts = f"{each.mean:,}", f"{each.most:,}", f"{1e6 * each.most / CLOCK:.0f} us"
         rows.append((f"`{name}`", f"{1.0 / each.period:g}", *sizes, *counts))
     table = "".join(f"| {' | '.join(row)} |\n" for row in rows)
-    before, _, rest = PAGE.read_text().partition(BEGIN)
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
     PAGE.write_text(before + BEGIN + table + END + rest.partition(END)[2])
     print(table)
 

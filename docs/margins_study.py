@@ -322,7 +322,7 @@ def main():
         table="\n".join(kept),
         facts=told,
     )
-    (OUT / "margins.md").write_text(text)
+    (OUT / "margins.md").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

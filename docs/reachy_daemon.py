@@ -78,7 +78,7 @@ def install(folder: Path) -> None:
     if folder.exists() and any(folder.iterdir()) and not (folder / "pyvenv.cfg").exists():
         sys.exit(f"{folder} has other things in it; name a new folder")
     venv.create(folder, with_pip=True, clear=True)
-    pip = [folder / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    pip = [folder / "bin" / "python", "-P", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     subprocess.run([*pip, "--no-deps", DAEMON], check=True)
     subprocess.run([*pip, *NEEDS], check=True)
     (packages,) = folder.glob("lib/python*/site-packages")

@@ -12,7 +12,7 @@ BODY, CHECK = struct.Struct("<2sBBIIQ6f"), struct.Struct("<I")
 READING, ACTIVE, MEASURED = 1, 2, 16
 TAKES = 0  # 0: angles [rad], 1: torques [N m], 2: currents [A]
 LOW, HIGH = -1.5, 1.5  # Commands beyond are not followed.
-PERIOD, HOLD_AFTER, QUIET_AFTER = 0.01, 0.1, 1.0  # [s]
+PERIOD, HOLD_AFTER, QUIET_AFTER = 0.02, 0.1, 1.0  # [s]; the first is also that of the controller
 
 
 def encode(flags, number, answers, microseconds, values):
@@ -28,6 +28,11 @@ def decode(data):
     magic, version, flags, number, _, _, *values = BODY.unpack(data[: BODY.size])
     good = (magic, version) == (b"SD", 1) and flags in (0, 4, 8, TAKES << 2 | ACTIVE)
     return (flags, number, values) if good and all(map(math.isfinite, values)) else None
+
+
+def next_tick(due, now, period):
+    """Ticks are a period apart on the clock, whenever this runs; those that have gone by are left out."""
+    return due + period * (1 + max(0, int((now - due) / period)))
 
 
 class Motors:
@@ -47,13 +52,13 @@ class Motors:
         return self.angles
 
 
-def serve(motors, port, host="127.0.0.1"):
+def serve(motors, port, period=PERIOD, host="127.0.0.1"):
     """For ever."""
     line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     line.bind((host, port))
     peer, last, sent, heard, active, due = None, 0, 0, -math.inf, -math.inf, time.monotonic()
     while True:
-        due = max(due, time.monotonic()) + PERIOD
+        due = next_tick(due, time.monotonic(), period)
         while (left := due - time.monotonic()) > 0.0 and select.select([line], [], [], left)[0]:
             data, sender = line.recvfrom(64)
             now, packet = time.monotonic(), decode(data)
@@ -77,4 +82,4 @@ def serve(motors, port, host="127.0.0.1"):
 
 
 if __name__ == "__main__":
-    serve(Motors(), int(sys.argv[1]))
+    serve(Motors(), int(sys.argv[1]), *map(float, sys.argv[2:]))

@@ -333,7 +333,7 @@ def main() -> None:
     with ProcessPoolExecutor() as workers:
         jobs = [workers.submit(trial, seed, reference, motions) for seed in range(ROBOTS)]
         trials = [job.result() for job in jobs]
-    OUT.write_text(page(trials, strange(reference, motions), in_mujoco()))
+    OUT.write_text(page(trials, strange(reference, motions), in_mujoco()), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -197,7 +197,11 @@ def loop_source(scenario: Scenario) -> LoopSource:
 def module_text(scenario: Scenario, source: LoopSource) -> str:
     """The source of a module."""
     step = on_grid(scenario.plant.time_step)
-    return re.sub(r"@(\w+)@", lambda m: {"LOOP": source.text(), "STEP": repr(step)}[m[1]], (HERE / "tab.c").read_text())
+    return re.sub(
+        r"@(\w+)@",
+        lambda m: {"LOOP": source.text(), "STEP": repr(step)}[m[1]],
+        (HERE / "tab.c").read_text(encoding="utf-8"),
+    )
 
 
 FLAGS = [
@@ -219,8 +223,8 @@ def compiled(text: str) -> bytes:
     """A module of WebAssembly."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        (folder / "tab.c").write_text(text)
-        (folder / "math.h").write_text((HERE / "tab_math.h").read_text())
+        (folder / "tab.c").write_text(text, encoding="utf-8")
+        (folder / "math.h").write_text((HERE / "tab_math.h").read_text(encoding="utf-8"), encoding="utf-8")
         link = [
             "-Wl,--no-entry",
             "-Wl,--strip-all",
@@ -320,15 +324,19 @@ def robot_data(name: str, scenario: Scenario) -> dict[str, Any]:
 
 def page(data: dict[str, Any]) -> str:
     """The page of `live` with its files in it, and what stands in for its server."""
-    text = (PAGES / "live.html").read_text()
+    text = (PAGES / "live.html").read_text(encoding="utf-8")
     text = re.sub(
-        r'<link rel="stylesheet" href="(.+?)">', lambda m: f"<style>{(PAGES / m[1]).read_text()}</style>", text
+        r'<link rel="stylesheet" href="(.+?)">',
+        lambda m: f"<style>{(PAGES / m[1]).read_text(encoding='utf-8')}</style>",
+        text,
     )
     own = f'<script type="application/json" id="tab-data">{json.dumps(data).replace("<", chr(92) + "u003c")}</script>\n'
-    own += f"<script>{(HERE / 'tab.js').read_text()}</script>\n"
+    own += f"<script>{(HERE / 'tab.js').read_text(encoding='utf-8')}</script>\n"
 
     def script(match: re.Match[str]) -> str:
-        return (own if match[1] == "live.js" else "") + f"<script>{(PAGES / match[1]).read_text()}</script>"
+        return (
+            own if match[1] == "live.js" else ""
+        ) + f"<script>{(PAGES / match[1]).read_text(encoding='utf-8')}</script>"
 
     return re.sub(r'<script src="(.+?)"></script>', script, text)
 
@@ -337,7 +345,7 @@ def main() -> None:
     """Writes the page."""
     data = {name: robot_data(name, scenario) for name, scenario in robots().items()}
     target = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "tab.html"
-    target.write_text(page(data))
+    target.write_text(page(data), encoding="utf-8")
     sizes = {
         name: {choice: len(m["code"]) * 3 // 4 for choice, m in robot["modules"].items()}
         for name, robot in data.items()

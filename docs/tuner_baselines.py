@@ -128,7 +128,7 @@ def main(folder: Path) -> None:
         Benchmark(folder, "closed_form", progress=advance) as benchmark,
     ):
         found = find(benchmark)
-    SHIPPED.write_text(to_yaml(found.to_dict()))
+    SHIPPED.write_text(to_yaml(found.to_dict()), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -125,7 +125,7 @@ def main(folder: Path, weights: str | None = None) -> None:
         drawn=SETTINGS,
         table=markdown_table(header, rows),
     )
-    (DOCS / "results" / "tuner_front.md").write_text(text)
+    (DOCS / "results" / "tuner_front.md").write_text(text, encoding="utf-8")
     save_figure(picture(shown[:count], shown[count:], shown[best]), DOCS / "images/tuner_front.png")
 
 

@@ -157,7 +157,7 @@ def main():
         few=FEW,
         frozen="\n".join(rows),
     )
-    (HERE / "results" / "tuner_safety.md").write_text(text)
+    (HERE / "results" / "tuner_safety.md").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -59,7 +59,7 @@ def main(searched: Path | None) -> None:
         shutil.copyfile(searched / "tuned.yaml", kept)
         shutil.copyfile(searched / "tune.png", results / "fair_search.png")
         made = "`make fair` makes all of this page."
-    tuned = parse_yaml(kept.read_text(), "tuned")["controllers"]
+    tuned = parse_yaml(kept.read_text(encoding="utf-8"), "tuned")["controllers"]
     tuning = load_tuning("fair")
     if set(tuned) != set(tuning.start):
         sys.exit(f"{kept}: {', '.join(tuned)}; the whole search has {', '.join(tuning.start)}")
@@ -74,9 +74,9 @@ def main(searched: Path | None) -> None:
         made=made,
         answer=answer({name: costs(table, f"{name}, tuned") for name in tuned}),
         settings=settings(table, tuned),
-        verdict=(folder / "comparison.md").read_text(),
+        verdict=(folder / "comparison.md").read_text(encoding="utf-8"),
     )
-    (results / "fair_comparison.md").write_text(page)
+    (results / "fair_comparison.md").write_text(page, encoding="utf-8")
 
 
 def settings(table: list[dict], tuned: dict[str, dict[str, float]]) -> str:

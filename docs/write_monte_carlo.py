@@ -113,7 +113,7 @@ def main(folder: Path) -> None:
         by_delay=", ".join(f"{np.nanquantile(rmse[row['command_delay'] == ticks], 0.99):.3f}" for ticks in (1, 2, 3)),
     )
     results = Path(__file__).with_name("results")
-    (results / "monte_carlo.md").write_text(text)
+    (results / "monte_carlo.md").write_text(text, encoding="utf-8")
     table = table.drop(["host", "worker", "wall_s", "simulation_s"])
     for way, found in ways.items():
         table = table.append_column(f"rmse_norm_mm {way}", [found])

@@ -247,7 +247,8 @@ motions, of 0.52 N m and 618 deg/s that the servo has.
 - *The kind of command.* Torques need servos in current mode, and 100 Hz. They do not depend on the servo's stiffness,
   and tremble more.
 
-Command: `stewart-drake compare reachy`.
+Command: `stewart-drake compare reachy`, after `pip install mujoco` and
+`pip install --no-deps reachy_mini==1.13.0 reachy_mini_dances_library==0.2.1`.
 
 ## With the motors of the maker's files
 

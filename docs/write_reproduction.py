@@ -39,7 +39,7 @@ def main() -> None:
             default = f"{1e-3 * max(abs(quick.ours), abs(full.ours)):.1g}"
             table.writerow((full.name, f"{quick.ours:.6g}", f"{full.ours:.6g}", within.get(full.name, default)))
     table = markdown_table(("claim", "paper", "ours", "verdict"), rows(found["full"]))
-    PAGE.write_text(HEAD + table + TAIL)
+    PAGE.write_text(HEAD + table + TAIL, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -109,7 +109,7 @@ def compared(drake: str, fast: str, kind: str) -> str:
 
 def main(fast: Path, drake: Path) -> None:
     """Writes them."""
-    of_fast, of_drake = ((each / "verdict.md").read_text() for each in (fast, drake))
+    of_fast, of_drake = ((each / "verdict.md").read_text(encoding="utf-8") for each in (fast, drake))
     found = Baselines.load()
     pairs = "; ".join(f"{robot} {' and '.join(map('{:g}'.format, found.pair[robot]))}" for robot in ROBOTS)
     page = TEXT.format(
@@ -132,7 +132,7 @@ def main(fast: Path, drake: Path) -> None:
         drake=next(part for part in of_drake.split("\n\n") if part.startswith("|")),
         within=of_drake.partition("It is at most 1.05 in ")[2].partition(".")[0],
     )
-    (DOCS / "results" / "tuner.md").write_text(page)
+    (DOCS / "results" / "tuner.md").write_text(page, encoding="utf-8")
     shutil.copyfile(fast / "verdict.png", DOCS / "images" / "tuner_verdict.png")
 
 

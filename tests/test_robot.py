@@ -20,7 +20,7 @@ from stewart_drake.mechanics.dynamics import pose_acceleration_map, static_torqu
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.plant.model_files import mjcf_text, sdf_text
 from stewart_drake.references import HoldReference, SineReference
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import RobotParameters, geometry
 from stewart_drake.robot.leg import LegParameters
 from stewart_drake.robot.robot_files import load_robot, save_robot
 from stewart_drake.safety import SafetyOptions, safety_part
@@ -119,6 +119,8 @@ HEXAPOD = RobotParameters(
     home_height=0.151, characteristic_length=0.065,
 )  # fmt: skip
 POINTS = np.hstack([HEXAPOD.shaft_positions, HEXAPOD.platform_joints])
+NAMED = np.column_stack([POINTS, [0, 0, 1, 1, 2, 2]])
+"""With the pairs, which at 56 and 64 deg are not clear from the shafts."""
 LEG = {"crank_length": 0.025, "rod_length": 0.14, "cranks": "towards"}
 TOWARDS = LEG | {"rod_length": 0.11, "crank_length": 0.015}
 HEADER = "shaft_x, shaft_y, shaft_z, joint_x, joint_y, joint_z"
@@ -132,9 +134,9 @@ def table(path, rows, header=HEADER):
 def test_a_robot_from_a_table_is_the_robot_that_was_measured(tmp_path):
     millimetres = {**LEG, "crank_length": 25.0, "rod_length": 140.0, "unit": "mm"}
     for made in (
-        RobotParameters.from_table(POINTS, **LEG),
-        RobotParameters.from_table(table(tmp_path / "m.csv", POINTS), **LEG),
-        RobotParameters.from_table(1e3 * POINTS, **millimetres),
+        RobotParameters.from_table(NAMED, **LEG),
+        RobotParameters.from_table(table(tmp_path / "m.csv", NAMED, f"{HEADER}, pair"), **LEG),
+        RobotParameters.from_table(1e3 * NAMED, **millimetres),
     ):
         for name in ("shaft_positions", "platform_joints", "crank_zero_directions", "rod_lengths", "branches"):
             np.testing.assert_allclose(getattr(made, name), getattr(HEXAPOD, name), rtol=0.0, atol=1e-11)
@@ -144,7 +146,7 @@ def test_a_robot_from_a_table_is_the_robot_that_was_measured(tmp_path):
 
 def test_a_table_may_have_lengths_branches_stops_and_directions_of_each_leg(tmp_path):
     header = f"{HEADER}, crank_x, crank_y, crank_z, rod_length, branch, low, high"
-    rods = 0.14 + 0.001 * np.arange(6)
+    rods = 0.14 + 0.0002 * np.arange(6)
     rows = np.column_stack([POINTS, HEXAPOD.crank_zero_directions, rods, [-1] * 6, [-1.0] * 6, [1.0] * 6])
     made = RobotParameters.from_table(table(tmp_path / "own.csv", rows, header), crank_length=0.025)
     np.testing.assert_allclose(made.rod_lengths, rods)
@@ -153,17 +155,103 @@ def test_a_table_may_have_lengths_branches_stops_and_directions_of_each_leg(tmp_
 
 def test_masses_without_inertias_are_uniform_bars_and_a_disc():
     made = RobotParameters.from_table(
-        POINTS, **LEG, platform_mass=0.4, rod_mass=0.012, crank_mass=0.006, link_radius=0.003
+        NAMED, **LEG, platform_mass=0.4, rod_mass=0.012, crank_mass=0.006, link_radius=0.003
     )
     assert made.platform_inertia == pytest.approx((0.1 * 0.065**2, 0.1 * 0.065**2, 0.2 * 0.065**2))
     assert made.rod_inertia[0] == pytest.approx(0.012 * (0.14**2 / 12 + 0.003**2 / 4))
     assert made.crank_inertia[0] == pytest.approx(0.006 * 0.003**2 / 2)
 
 
+def circle(angles, radius, height=0.0):
+    angles = np.radians(angles)
+    return np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(6, height)], axis=-1)
+
+
+EVEN = np.hstack([circle(60.0 * np.arange(6), 0.07), circle([15, 45, 135, 165, 255, 285], 0.04)])
+"""Six shafts at even angles, cranks of a public robot in pairs."""
+
+
+def plan_angles(robot):
+    return np.degrees(np.arctan2(*robot.crank_zero_directions[:, 1::-1].T))
+
+
+def test_cranks_point_to_the_other_motor_of_the_pair_that_is_named(tmp_path):
+    rows = np.column_stack([EVEN, [2, 0, 0, 1, 1, 2]])
+    named = table(tmp_path / "named.csv", rows, f"{HEADER}, pair")
+    lengths = {"crank_length": 0.03, "rod_length": 0.12}
+    made = RobotParameters.from_table(named, cranks="towards", **lengths)
+    turned = (plan_angles(made) - [-120, 180, 0, -60, 120, 60] + 180.0) % 360.0 - 180.0
+    np.testing.assert_allclose(turned, 0.0, atol=1e-6)
+    # Tangential cranks are at right angles to the way outwards, and away from the partner.
+    made = RobotParameters.from_table(named, cranks="tangential", **lengths)
+    turned = plan_angles(made) - 60.0 * np.arange(6) - 90.0 * np.array([1, -1, 1, -1, 1, -1])
+    np.testing.assert_allclose((turned + 180.0) % 360.0 - 180.0, 0.0, atol=1e-6)
+    rows[0, -1] = 1
+    with pytest.raises(ConfigurationError, match=r"pair: expected three numbers, each for the two legs"):
+        RobotParameters.from_table(table(tmp_path / "odd.csv", rows, f"{HEADER}, pair"), cranks="away", **lengths)
+
+
+@pytest.mark.parametrize("apart", [60.0, 57.0, 63.0, 50.0])
+def test_a_partner_that_is_not_clear_is_asked_for(apart):
+    angles = [0, apart, 120, 120 + apart, 240, 240 + apart]
+    points = np.hstack([circle(angles, 0.07), EVEN[:, 3:]])
+    for cranks in ("towards", "away", "tangential"):
+        with pytest.raises(ConfigurationError, match=r"pair: .* which shaft is the partner of shaft \d: \d or \d\?"):
+            RobotParameters.from_table(points, cranks=cranks, crank_length=0.03, rod_length=0.12)
+    RobotParameters.from_table(points, cranks="outwards", crank_length=0.01, rod_length=0.12)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_pairs_that_are_clear_are_found_whichever_row_is_first(first):
+    angles = np.roll([-14, 14, 106, 134, 226, 254], -first)
+    points = np.hstack([circle(angles, 0.07), circle(angles, 0.06)])
+    pairs = geometry.from_table(points, "m", "towards", {"crank_length": 0.01, "rod_length": 0.12}).pairs
+    assert pairs == (((0, 1), (2, 3), (4, 5)) if first == 0 else ((0, 5), (1, 2), (3, 4)))
+
+
+def test_one_crank_that_is_mirrored_is_told_with_its_leg(tmp_path):
+    header = f"{HEADER}, crank_x, crank_y, crank_z"
+    lengths = {"crank_length": 0.025, "rod_length": 0.14}
+    rows = np.column_stack([POINTS, HEXAPOD.crank_zero_directions])
+    assert geometry.from_table(table(tmp_path / "a.csv", rows, header), "m", "outwards", lengths).warning == ""
+    rows[2, 6:] *= -1.0
+    with pytest.warns(UserWarning, match=r"^the crank of leg 2 is level at 156\.1 mm, the others at 151 to 151: is it"):
+        RobotParameters.from_table(table(tmp_path / "b.csv", rows, header), **lengths)
+    rows[1::2, 2] += 0.003
+    with pytest.warns(
+        UserWarning, match=r"^the crank of leg . is level at 151 mm, of leg 2 at 156\.1: is this meant\?$"
+    ):
+        RobotParameters.from_table(table(tmp_path / "c.csv", rows, header), **lengths)
+
+
+def test_polar_points_and_an_angle_of_the_crank_are_the_same_robot(tmp_path):
+    parts = []
+    for points in (POINTS[:, :3], POINTS[:, 3:]):
+        parts += [np.hypot(*points[:, :2].T), np.degrees(np.arctan2(*points[:, 1::-1].T)), points[:, 2]]
+    header = "shaft_radius, shaft_deg, shaft_z, joint_radius, joint_deg, joint_z, crank_deg"
+    rows = np.column_stack([*parts, plan_angles(HEXAPOD)])
+    made = RobotParameters.from_table(table(tmp_path / "p.csv", rows, header), crank_length=0.025, rod_length=0.14)
+    for name in ("shaft_positions", "platform_joints", "crank_zero_directions"):
+        np.testing.assert_allclose(getattr(made, name), getattr(HEXAPOD, name), rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("cm", 0.01), ("in", 0.0254)])
+def test_a_table_may_be_in_centimetres_or_inches(unit, metres):
+    lengths = {"crank_length": 0.025 / metres, "rod_length": 0.14 / metres}
+    made = RobotParameters.from_table(NAMED / metres, cranks="towards", unit=unit, **lengths)
+    np.testing.assert_allclose(made.shaft_positions, HEXAPOD.shaft_positions, rtol=0.0, atol=1e-11)
+    assert made.rod_length == pytest.approx(0.14)
+    with pytest.raises(ConfigurationError, match=r"unit: expected m, mm, cm or in, got 'ft'$"):
+        RobotParameters.from_table(NAMED, unit="ft", **LEG)
+
+
 @pytest.mark.parametrize(
     ("text", "wanted"),
     [
         ("a, b\n1, 2", r"header: expected "),
+        ("1, 2, 3, 4, 5, 6\n" * 6, r"the first line is numbers: is the header missing\?"),
+        ("shaft_radius, shaft_y, shaft_z, joint_x, joint_y, joint_z\n", r"header: .*without shaft_x"),
+        (f"{HEADER}, crank_deg, crank_x, crank_y, crank_z\n", r"header: .*with crank_x, crank_y, crank_z"),
         (f"{HEADER}, crank_x\n", r"header.*in groups, crank_x, crank_y, crank_z.*without crank_y, crank_z"),
         (f"{HEADER}\n1, 2, 3, 4, five, 6\n", r"expected 6 rows, one per leg.*five"),
         (f"{HEADER}\n1, 2, 3, 4, nan, 6\n" * 1, r"6 rows, one per leg.*got \(1, 6\)"),
@@ -187,7 +275,7 @@ def swapped(one, other):
     ("make", "wanted"),
     [
         (lambda: RobotParameters.from_table(POINTS[:5], **LEG), r"6 rows, one per leg.*got \(5, 6\)"),
-        (lambda: RobotParameters.from_table(1e3 * POINTS, **LEG), r"rod_length of leg \d.*millimetres\?"),
+        (lambda: RobotParameters.from_table(1e3 * NAMED, **LEG), r"rod_length of leg \d.*millimetres\?"),
         (lambda: RobotParameters.from_table(POINTS * [1, 1, 1, 1, -1, 1], **LEG), r"is an axis of P mirrored\?"),
         (lambda: RobotParameters.from_table(POINTS * [-1, 1, 1, 1, 1, 1], **LEG), r"is an axis of P mirrored\?"),
         # Told before the rods are: towards joints on the other side they seem too short.

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 from conftest import python
@@ -17,8 +18,13 @@ def test_the_site_builds_without_warnings_and_needs_no_network(tmp_path):
     html = tmp_path / "html"
     python("-m", "sphinx", "-E", "-W", "--keep-going", "-q", "-d", tmp_path / "doctrees", DOCS, html)
     outside = r"""<(?:script|img|iframe)[^>]*\ssrc=["'](?:https?:)?//|<link[^>]*href=["']https?://"""
+    dead = []
     for page in html.rglob("*.html"):
-        assert not re.search(outside, page.read_text(encoding="utf-8")), page
+        text = page.read_text(encoding="utf-8")
+        assert not re.search(outside, text), page
+        links = (link for link in re.findall(r'href="([^"#?:]+)["#?]', text) if "{" not in link)
+        dead += [(page.name, link) for link in links if not (page.parent / unquote(link)).exists()]
+    assert dead == []
     said = (html / "llms.txt").read_text(encoding="utf-8")
     links = re.findall(r"\]\(([^)]+)\)", said)
     assert len(links) > 10

@@ -1,7 +1,7 @@
 """The sampled loop around poses at rest, broken at the six motors' torques: x+ = A x + B u, y = C x; u = y closes it.
 
 The exact robot without friction, and the controller's side of a run by central differences; weights as at the start,
-nothing is learnt.
+nothing is learnt. What readings are late by counts with the delay of commands, in whole ticks: the loop is the same.
 `linearize` gives the loop at one pose, and the robot alone, for numpy and for python-control.
 """
 
@@ -84,7 +84,7 @@ def linear_loops(
             side = _ControllersSide(scenario.replace({"reference": {"kind": "hold", "pose": pose}}), reading)
             active = side.choose(active)
             robot_there = PlantAt(*(values[k] for values in plants))
-            results.append(_loop(robot_there, by_state, side, scenario.command_delay, pose))
+            results.append(_loop(robot_there, by_state, side, scenario.loop_delay, pose))
             kept.append(k)
         except (RunFailure, UnreachablePoseError) as error:
             left_out.append(str(error))

@@ -276,7 +276,9 @@ def plain(value: Any) -> Any:
 
 
 def to_plain(value: Any) -> Any:
-    """A value of a section in what JSON and YAML have."""
+    """A value of a section, or numpy's, in what JSON and YAML have."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
     if isinstance(value, (str, os.PathLike)):
         return str(value)
     if isinstance(value, (list, tuple)):

@@ -130,7 +130,7 @@ class UnreachablePoseError(RunFailure):
 
 
 class SingularPoseError(RunFailure):
-    """A pose at which a map loses rank; `margin` is the measure that fell below its limit [-].
+    """A pose at which a map loses rank; `margin` is the measure that fell below its limit [-], negative beyond it.
 
     `kind` is `serial` (a crank at its dead centre), `parallel` (the rods' lines) or `rod_joint` (a rod turned by 90 deg
     in its joint at the crank, whose angles mean nothing there).
@@ -138,8 +138,9 @@ class SingularPoseError(RunFailure):
 
     def __init__(self, kind: str, pose: np.ndarray, margin: float, limit: float, leg: int | None = None) -> None:
         self.kind, self.pose, self.margin = kind, pose, margin
+        place = "beyond its dead centre: margin" if margin < 0.0 else "at its dead centre: transmission |e_l . e_N|"
         reason, what = {
-            "serial": ("crank_dead_centre", f"crank of leg {leg} at its dead centre: transmission |e_l . e_N|"),
+            "serial": ("crank_dead_centre", f"crank of leg {leg} {place}"),
             "parallel": ("parallel_singularity", "parallel singularity: sigma_min / sigma_max"),
             "rod_joint": ("rod_joint", f"rod of leg {leg} turned by 90 deg in its joint at the crank: cos"),
         }[kind]
@@ -224,11 +225,18 @@ def failure_code(reason: str) -> int:
 
 
 def raised_at(error: BaseException) -> str:
-    """Where an exception came from, as ` (file, line n)`; nothing where that depends on how deep or full memory was."""
+    """Where an exception came from, as ` (file, line n)`; nothing of ours, or where memory was too deep or full."""
     frames = traceback.extract_tb(error.__traceback__)
-    if not frames or isinstance(error, (RecursionError, MemoryError)):
+    if not frames or isinstance(error, (RecursionError, MemoryError, StewartDrakeError)):
         return ""
     return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+
+
+def one_line(error: BaseException) -> str:
+    """What an exception says, in a line; of one that is not this package's with its kind."""
+    text = " ".join(str(error).split())
+    kind = "" if isinstance(error, StewartDrakeError) and text else f"{type(error).__name__}: "
+    return f"{kind}{text}".removesuffix(": ")
 
 
 @contextmanager

@@ -10,15 +10,17 @@ MIN_SHOWN = 1e-5  # Smaller numbers are not written out.
 
 
 class TextTable(NamedTuple):
-    """A table for a page or the terminal."""
+    """A table for a page or the terminal, with lines below it."""
 
     title: str
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
+    notes: Sequence[str] = ()
 
     def markdown(self) -> str:
         """With its title above it."""
-        return f"**{self.title}**\n\n{markdown_table(self.header, self.rows)}\n"
+        notes = "".join(f"\n- {note}" for note in self.notes) + "\n" * bool(self.notes)
+        return f"**{self.title}**\n\n{markdown_table(self.header, self.rows)}\n{notes}"
 
 
 def markdown_table(header: Iterable[object], rows: Iterable[Iterable[object]]) -> str:

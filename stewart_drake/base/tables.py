@@ -71,11 +71,13 @@ def read_numbers(
     """Some quantities (n, k) of a .csv or .parquet file with a header, in the units that stand beside them.
 
     Columns may come in any order; further ones are left alone. A cell that is empty is NaN. A column that is missing or
-    there twice, and a cell that is no number, are refused; `source` is what messages call the file.
+    there twice, and a cell that is no number, are refused; `source` is what messages call the file. In a log the angles
+    of cranks are those that were read.
     """
 
     def choose(names: list[str]) -> Chosen:
-        return {quantity: column_of(names, quantity, unit, source) for quantity, unit in quantities}
+        read = "reading" if any(name.lower().startswith("reading_0") for name in names) else "crank_angle"
+        return {each: column_of(names, each.replace("crank_angle", read), unit, source) for each, unit in quantities}
 
     return np.stack(list(read_columns(path, source, choose, most_bytes, most_rows).values()), axis=-1)
 
@@ -148,8 +150,17 @@ def column_of(names: Sequence[str], quantity: str, unit: str, source: str) -> tu
     columns = [name for name in names if name.lower() in folded]
     if len(columns) != 1:
         have = ", ".join(columns) or f"none among {', '.join(names)[:300] or 'no columns'}"
-        raise ConfigurationError(f"{source}: column of {quantity}", have, f"one of {', '.join(ways)}")
+        hint = f"; {hint}" if (hint := no_header(names)) else ""
+        raise ConfigurationError(f"{source}: column of {quantity}", have, f"one of {', '.join(ways)}{hint}")
     return columns[0], folded[columns[0].lower()]
+
+
+def no_header(names: Sequence[str]) -> str:
+    """What to ask where all names of columns are numbers; else nothing."""
+    try:
+        return "the first line is numbers: is the header missing?" if [float(name) for name in names] else ""
+    except ValueError:
+        return ""
 
 
 def to_csv(table: pa.Table) -> bytes:

@@ -16,7 +16,7 @@ from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.events import AliasEvent
 
 from stewart_drake.base.atomic_files import PACKAGE, read_checked
-from stewart_drake.base.config import did_you_mean, shorten
+from stewart_drake.base.config import did_you_mean, shorten, to_plain
 from stewart_drake.base.errors import ConfigurationError
 
 MAX_BYTES = 1_000_000
@@ -121,7 +121,7 @@ def to_yaml(data: Any) -> str:
     yaml.default_flow_style = None
     yaml.width = 120
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    yaml.dump(data, stream)
+    yaml.dump(to_plain(data), stream)
     return stream.getvalue()
 
 

@@ -10,7 +10,7 @@ import click
 
 from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, quiet_libraries, raised_at
 from stewart_drake.cli.options import EXIT_BAD_INPUT, EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_RUN_FAILED, cli
-from stewart_drake.cli.terminal import drop_output, say
+from stewart_drake.cli.terminal import drop_output, open_output, say
 
 DEBUG = "--debug"
 """Anywhere among the arguments: the traceback of whatever goes wrong."""
@@ -25,7 +25,7 @@ def main() -> None:
         # What `nohup` has shut out stays out.
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
-    arguments = [each for each in sys.argv[1:] if each != DEBUG]
+    arguments, output = [each for each in sys.argv[1:] if each != DEBUG], open_output()
     try:
         with quiet_libraries():
             cli(arguments, prog_name="stewart-drake", standalone_mode=False)
@@ -43,6 +43,9 @@ def main() -> None:
             status = error.code if isinstance(error.code, int) else _end(error)
     except (Exception, KeyboardInterrupt) as error:
         status = _end(error)
+    if output.problem:
+        say(f"disk: standard output: {output.problem}")
+        status = status or EXIT_RUN_FAILED
     sys.exit(status)
 
 

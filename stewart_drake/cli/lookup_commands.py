@@ -24,12 +24,12 @@ from stewart_drake.cli.terminal import print_table, shown_compiling, tell
 from stewart_drake.runs.outputs import write_text
 from stewart_drake.scenario.scenario import Scenario, load_scenario, scenario_schema
 
-_FILES = ("scenarios", "comparisons", "sweeps", "robots")
+_FILES = ("scenarios", "controllers", "comparisons", "sweeps", "robots")
 
 
 @command("list", what={"type": click.Choice([*_FILES, "kinds"])})
 def list_(what: str | None) -> None:
-    """WHAT: scenarios, comparisons, sweeps, robots, or kinds, those of a scenario's sections [default: all]."""
+    """WHAT: scenarios, controllers, comparisons, sweeps, robots, or kinds of a scenario's sections [default: all]."""
     for folder in _FILES:
         if what in (None, folder):
             files = sorted(shipped_folder(folder).glob("*.yaml"))
@@ -44,7 +44,9 @@ def list_(what: str | None) -> None:
 def _about(path: Path) -> str:
     """What a file says of itself, in a sentence."""
     given = read_mapping("file", path, 100).get("about")
-    lines = [line for line in path.read_text().splitlines() if not line.startswith("# yaml-language-server")]
+    lines = [
+        line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("# yaml-language-server")
+    ]
     comment = " ".join(line.removeprefix("#").strip() for line in takewhile(lambda line: line.startswith("#"), lines))
     return str(given or re.split(r"(?<=[.!?]) |: `", comment)[0])
 
@@ -128,7 +130,7 @@ def init(file: Path, study: str | None, scenario: str | None) -> None:
     if file.exists():
         raise ConfigurationError("FILE", str(file), "a new file")
     if study is not None:
-        text = (Path(__file__).with_name("templates") / f"{study}.yaml").read_text()
+        text = (Path(__file__).with_name("templates") / f"{study}.yaml").read_text(encoding="utf-8")
         if scenario is not None:
             text = re.sub(r"(?<=\nscenario: )exact_breathing *", lambda _: f"{json.dumps(scenario)}    ", text)
         write_text(file, text.replace("FILE", str(file)))

@@ -121,4 +121,8 @@ def export(scenario: str, c: Path | None, fmu: Path | None, overrides: tuple[str
         written += [] if fmu is None else write_units(loaded, loaded.name, fmu)
     print_table(loaded.name, [(str(path), f"{path.stat().st_size / 1024.0:.0f} KB") for path in written])
     if c is not None:
+        if c / "board.c" not in written:
+            tell(
+                "no board.c: the controller reads a pose, and packets have angles; --set sensors=encoders gives it one"
+            )
         tell(f"try: make -C {c} check")

@@ -17,7 +17,7 @@ from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_table, say, shown_compiling, tell
 from stewart_drake.references.moves import Move, files_of, move_json, moves_of
 from stewart_drake.robot.robot_files import load_robot
-from stewart_drake.runs.moves import check_move, fix_move, shaped_move
+from stewart_drake.runs.moves import check_move, fix_move, motion_of, shaped_move
 from stewart_drake.runs.outputs import prepare_folder
 from stewart_drake.scenario.scenario import load_driven
 
@@ -71,8 +71,9 @@ def _named(name: str) -> Iterator[None]:
 def check(source: str) -> None:
     """A line a move: what it needs most of, and when. Exit status 2: one of them cannot be done, or is no move."""
     bad: dict[str, ConfigurationError] = {}
+    given = moves_of(source, bad)
     with shown_compiling():
-        found = {name: _cells(move) for name, move in moves_of(source, bad).items()}
+        found = {name: _cells(move) for name, move in given.items()}
     rows = [(name, "yes" if can else "no", *cells) for name, (can, cells, _) in found.items()]
     data = {name: numbers for name, (_, _, numbers) in found.items()}
     for name, error in bad.items():
@@ -80,6 +81,7 @@ def check(source: str) -> None:
         rows.append((name, f"no move: {why}", *["-"] * len(HEADER)))
         data[name] = {"feasible": False, "no_move": why}
     print_table(f"{source} on {ROBOT}", rows, ("move", "can be done", *HEADER), numbers=(), data=data)
+    _tell_notes(given)
     if wrong := sum(not can for can, _, _ in found.values()):
         say(f"{wrong} of {len(rows)} cannot be done; try: stewart-drake moves fix {source}")
     if bad:
@@ -108,6 +110,7 @@ def fix(source: str, out: Path, force: bool) -> None:
     if fixed:
         changes = next(iter(fixed.values()))[1]
         print_table(f"{source} on {ROBOT}, changed", rows, ("move", *changes, *HEADER), range(1, 1 + len(changes)))
+        _tell_notes({name: given[name] for name in fixed})
         _write(folder, {name: move for name, (move, _) in fixed.items()})
     for problem in bad.values():
         say(str(problem))
@@ -130,9 +133,17 @@ def export(source: str, out: Path, force: bool, shaped: str | None, overrides: t
         for name, move in given.items():
             with shown_compiling(), _named(name):
                 given[name], shares = shaped_move(scenario, move)
+            _tell_notes({name: move})
             if less := int((shares < 1.0).sum()):
                 tell(f"{name}: {less} of {len(shares)} poses do not exist as the servos need them")
     _write(folder, given)
+
+
+def _tell_notes(given: dict[str, Move]) -> None:
+    """Tells by how much recorded rows were changed before anything else."""
+    for name, move in given.items():
+        if note := motion_of(move).note:
+            tell(f"{name}: {note}")
 
 
 def _place(source: str, names: Iterable[str], out: Path, force: bool) -> Path:

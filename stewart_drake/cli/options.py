@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import inspect
 from collections.abc import Callable
 from contextlib import suppress
@@ -62,13 +63,17 @@ COMMANDS = {
     "tuner": About("study", "show", "Show and assess tuners that change settings online"),
     "tuner show": About("study", "", "Print a policy: its settings, inputs and training"),
     "tuner judge": About("study", "runs/tuner.json", "Compare a policy with other tuners, in new situations"),
-    "list": About("lookup", "scenarios", "List scenarios, comparisons, sweeps, robots and kinds"),
+    "list": About("lookup", "scenarios", "List scenarios, controllers, comparisons, sweeps, robots and kinds"),
     "explain": About("lookup", "controller.period", "Explain a key: what it does, unit, default, allowed values"),
     "init": About("lookup", "mine.yaml", "Write a first scenario, with a comment on each key"),
     "doctor": About("lookup", "", "Check the installation and its speed"),
     "schema": About("lookup", "> schema.json", "Print the JSON schema of scenario files, for editors"),
     "completion": About("lookup", "bash", "Print a script for shell completion"),
 }
+
+
+TAKE_CONTROLLERS = ("check", "drive", "export", "live")
+"""Commands that take a file of a controller alone too."""
 
 
 def _quiet(context: click.Context, _: click.Parameter, given: bool) -> None:
@@ -187,10 +192,11 @@ def switch(text: str) -> dict[str, Any]:
 def _completed_from(kind: str) -> dict[str, Any]:
     """For a shell to complete: files of a kind that the package has; the shell's own are paths."""
 
-    def complete(_: click.Context, __: click.Parameter, begun: str) -> list[str]:
+    def complete(ctx: click.Context, __: click.Parameter, begun: str) -> list[str]:
         from stewart_drake.base.yaml_files import shipped_folder
 
-        return [path.stem for path in shipped_folder(kind).glob("*.yaml") if path.stem.startswith(begun)]
+        kinds = (kind, "controllers") if ctx.info_name in TAKE_CONTROLLERS else (kind,)
+        return [path.stem for each in kinds for path in shipped_folder(each).glob(f"{glob.escape(begun)}*.yaml")]
 
     return {"shell_complete": complete}
 
@@ -201,7 +207,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "budget": option("Evaluations for each controller, in place of the file's.", click.IntRange(1)),
     "controllers": option("Controller to tune [default: all].", flag="--controller", multiple=True, metavar="NAME"),
     "cranks": option(
-        "Direction of level cranks, if the table has none: outwards, towards the partner, away from it.",
+        "Direction of level cranks, if the table has none: outwards, towards the partner, away from it, tangential.",
         default="outwards",
     ),
     "encoder_bits": option("Encoder resolution, bits per turn.", click.IntRange(4, 40), default=17),
@@ -227,7 +233,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "scheduler": option("Run on a Dask cluster, e.g. tcp://host:8786.", metavar="ADDRESS"),
     "seed": option("Seed of everything random.", click.IntRange(0), default=0),
     "seeds": option("Situations of each kind and robot.", click.IntRange(2), default=14),
-    "unit": option("Unit of all lengths, in the table and after --set: m or mm.", default="m"),
+    "unit": option("Unit of all lengths, in the table and after --set: m, mm, cm or in.", default="m"),
     "validate": option("A log that is predicted, but not fitted.", PATH, multiple=True),
     "video": option("Also write a film of the run: FILE.gif, or FILE.mp4 (needs ffmpeg).", PATH),
     "workers": option("Processes [default: one per core, at most 8].", click.IntRange(1, 1024)),

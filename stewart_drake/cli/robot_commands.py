@@ -13,10 +13,11 @@ import click
 from stewart_drake.base.yaml_files import parse_changes, to_yaml
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
-from stewart_drake.cli.terminal import print_table, progress_bar, tell, working
+from stewart_drake.cli.terminal import print_table, progress_bar, say, tell, working
 from stewart_drake.estimation import geometry, servos, torques
 from stewart_drake.hardware.servos import POSITION_PRESETS
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.geometry import from_table as read_table
 from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
 from stewart_drake.runs.outputs import check_ending, prepare_file, prepared_file, write_text
 from stewart_drake.scenario.scenario import Scenario, load_scenario
@@ -65,11 +66,20 @@ def show(name: str, picture: Path | None) -> None:
 
 @command("robots from-table", out="robot.yaml", example="crank_length=0.025")
 def from_table(table: Path, unit: Any, cranks: Any, overrides: tuple[str, ...], about: str, out: Path) -> None:
-    """TABLE is a CSV file with one row per leg: shaft_x, shaft_y, shaft_z, joint_x, joint_y, joint_z."""
+    """TABLE is a CSV file with one row per leg: shaft_x, shaft_y, shaft_z, joint_x, joint_y, joint_z.
+
+    For points about z also shaft_radius, shaft_deg, shaft_z, joint_radius, joint_deg, joint_z; if need be crank_deg,
+    pair, crank_length, rod_length.
+    """
     parameters = parse_changes(overrides, "crank_length=0.025")
-    robot = RobotParameters.from_table(table, unit=unit, cranks=cranks, **parameters)
+    made = read_table(table, unit, cranks, parameters)
+    robot = RobotParameters(**made.parameters)
     save_robot(robot, out, about)
     tell(f"robot in {out}: home at Z = {robot.home_height:.4g} m")
+    if made.pairs:
+        tell(f"pairs of motors: legs {', '.join(f'{one} and {other}' for one, other in made.pairs)}")
+    if made.warning:
+        say(f"warning: {made.warning}")
     missing = [f"{name} = {getattr(robot, name):g}" for name in _OWN if name not in parameters]
     if missing:
         tell(f"taken from the paper's robot, because not given [kg, kg m^2, N m]: {', '.join(missing)}")
@@ -279,7 +289,7 @@ def excite(
     from stewart_drake.estimation.excitation import excite as design
 
     guess = load_robot(robot)
-    # Readings are logged as they are without an observer.
+    # An observer would have to know the robot already.
     differences = ("estimator={kind: difference, rate_cutoff: 150}", "tuner={kind: block}")
     torque = ("plant.motor_friction=0", "model.friction=null")
     angle = (

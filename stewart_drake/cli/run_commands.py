@@ -22,7 +22,14 @@ from stewart_drake.base.yaml_files import read_mapping, to_yaml
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling, tell, working
-from stewart_drake.control.adaptation import RegressionOptions, last_learnt, model_of, rows_of
+from stewart_drake.control.adaptation import (
+    RegressionOptions,
+    has_learnt,
+    last_learnt,
+    machine_text,
+    model_of,
+    rows_of,
+)
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import metrics_of, run_metrics
 from stewart_drake.logs.outcomes import describe_outcome
@@ -37,7 +44,7 @@ from stewart_drake.runs.outputs import (
 )
 from stewart_drake.scenario.scenario import Scenario, load_driven, load_scenario
 
-_LEARNT_OF = "learnt_of"  # Key of a file of `--keep-model`: the links of the robot.
+_LEARNT_OF = "learnt_of"  # Key of a file of `--keep-model`: see `machine_text`.
 
 
 @command(
@@ -122,11 +129,11 @@ def begin_with(
         )
     if not file.exists():
         return own
-    data, links = read_mapping("model", file, 100), own.robot.links_text
+    data, machine = read_mapping("model", file, 100), machine_text(own.belief)
     if (keys := set(data) - {"name", _LEARNT_OF}) != {"model"}:
         raise ConfigurationError(f"--keep-model {file}", join_or(sorted(map(str, keys))), "a file with `model` alone")
-    if (learnt_of := data.get(_LEARNT_OF, links)) != links:
-        allowed = f"what was learnt of a robot with {links}, or a new file"
+    if (learnt_of := data.get(_LEARNT_OF, machine)) != machine:
+        allowed = f"what was learnt of this robot and its motors, {machine}, or a new file"
         raise ConfigurationError(f"--keep-model {file}", learnt_of, allowed)
     # What is simulated stays what it was.
     begun = load(scenario, (f"model={json.dumps(data['model'])}", *overrides))
@@ -140,8 +147,11 @@ def keep(log: SimulationLog, file: Path | None) -> None:
     if log.status not in ("completed", "interrupted"):
         say(f"nothing kept in {file}: what a run learns that was not completed may be wrong")
         return
+    if not has_learnt(log):
+        say(f"nothing kept in {file}: nothing was learnt; a robot has to move, and `adaptation` must not be frozen")
+        return
     model = log.scenario.model.given() | model_of(last_learnt(log), log.scenario.belief)
-    write_text(file, to_yaml({_LEARNT_OF: log.scenario.robot.links_text, "model": to_plain(model)}))
+    write_text(file, to_yaml({_LEARNT_OF: machine_text(log.scenario.belief), "model": to_plain(model)}))
     tell(f"what was learnt in {file}; the next run with --keep-model {file} starts with it")
     learning = log.scenario.adaptation
     if isinstance(learning, RegressionOptions) and learning.cautious and not learning.frozen:
@@ -168,6 +178,8 @@ def _print_run(log: SimulationLog, place: Path, machine: str) -> None:
         rows.append(("lateness of a tick, median, 99.9 %", f"{late[0]:.3f}  {late[1]:.3f} ms"))
     elif log.scenario.plant.kind != "drake":
         rows.append(("plant", f"{log.scenario.plant.kind}, not Drake's"))
+    if note := getattr(log.scenario.reference, "note", ""):
+        rows.append(("reference", note))
     for metric in metrics_of(log.scenario):
         value = metrics[metric.name]
         # A second half that was not reached is shown as a dash; weights that a run does not have are left out.
@@ -215,6 +227,8 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
         numbers[name] = asdict(worst) | {"unit": worst.unit}
     header = ("limit", "allowed", "smallest margin", "at", "where")
     print_table(f"{loaded.name}, {loaded.duration:g} s", rows, header, numbers=(1, 2, 3), data=numbers)
+    if note := getattr(loaded.reference, "note", ""):
+        tell(f"reference: {note}")
     tell("what each limit is: stewart-drake explain limits")
     machine = ("", "simulated", "believed")
     print_table("the machine, and what `model` believes of it", checks.beliefs(loaded), machine, numbers=())
@@ -280,7 +294,7 @@ def margins(scenario: str, out: Path, poses: int, quick: bool, overrides: tuple[
     numbers = report.document(loops, margins)
     write_atomically(folder / "margins.json", (json.dumps(numbers, indent=1, allow_nan=False) + "\n").encode())
     plot_margins(margins, folder / "margins.png")
-    title = f"{loaded.name}: margins at {len(loops.poses)} poses, beside {loaded.command_delay} ticks of delay"
+    title = f"{loaded.name}: margins at {len(loops.poses)} poses, beside {loaded.loop_delay} ticks of delay"
     print_table(title, report.table(margins, loops.period), report.HEADER, data=numbers)
     print_table("poses", [*report.facts(loops, margins), ("results in", str(folder))])
 

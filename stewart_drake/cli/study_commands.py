@@ -43,6 +43,8 @@ def _under_way(
 def _print_sheets(sheets: Sequence[TextTable], *lines: str | None) -> None:
     for each in sheets:
         print_table(each.title, each.rows, each.header)
+        for note in each.notes:
+            tell(note)
     for line in lines:
         if line is not None:
             tell(line)
@@ -62,7 +64,7 @@ def sweep(sweep: str, out: Path | None, runs: int | None, **options: Any) -> Non
     Writes sweep.parquet and .csv: one row per run, with random values, outcome and metrics. A run that is rejected,
     fails or crashes its worker also has a row, with the reason. sweep.png and .pdf show the error against what varied.
     """
-    from stewart_drake.studies.experiment import run_experiment
+    from stewart_drake.studies.experiment import refusals, run_experiment
     from stewart_drake.studies.sweep import load_sweep, summary, write_picture
 
     loaded = load_sweep(sweep, runs)
@@ -70,7 +72,8 @@ def sweep(sweep: str, out: Path | None, runs: int | None, **options: Any) -> Non
         result = run_experiment(loaded, *way)
         drawn = write_picture(loaded, result)
     print_table(loaded.name, summary(result.rows["sweep"]))
-    _print_sheets((), result.compared, f"table{' and picture' if drawn else ''} in {result.folder}")
+    where = f"table{' and picture' if drawn else ''} in {result.folder}"
+    _print_sheets((), *refusals(result.rows["sweep"]), result.compared, where)
     _exit_if_refused(result)
 
 
@@ -115,14 +118,14 @@ def tune(
 def faults(out: Path, quick: bool, robot: str | None, overrides: tuple[str, ...], **options: Any) -> None:
     """Writes faults.parquet, .csv and .md. --quick runs the platform at rest only, a third of the runs."""
     from stewart_drake.studies.experiment import run_experiment
-    from stewart_drake.studies.faults import fault_study, holdable_lines, sheet
+    from stewart_drake.studies.faults import fault_study, holdable_lines
 
     plan = fault_study(quick, robot, overrides)
     with _under_way(plan.name, plan.runs, out, **options) as way:
         rows = run_experiment(plan, *way).rows["faults"]
     holdable = [f"  {line}" for line in holdable_lines(rows)]
     words = "with a dead motor, the wrench that the other five can hold at rest:"
-    _print_sheets([sheet(rows)], words, *holdable, f"table in {way[0] / 'faults.md'}")
+    _print_sheets([plan.sheet(rows)], words, *holdable, f"table in {way[0] / 'faults.md'}")
 
 
 @command("tuner", kind=opt.Group)
@@ -163,7 +166,7 @@ def judge(file: Path | None, out: Path, seeds: int, plant: Any, only: tuple[str,
     loaded = evaluation({name: named[name] for name in kept}, seeds, plant)
     with _under_way(loaded.name, loaded.runs, out, **options) as way:
         write_picture(run_experiment(loaded, *way).rows["verdict"], way[0])
-    tell((way[0] / "verdict.md").read_text())
+    tell((way[0] / "verdict.md").read_text(encoding="utf-8"))
 
 
 @command("collect", out="runs/dataset.parquet")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import json
 import os
 import signal
+import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -24,7 +26,8 @@ def _asked(option: str) -> Any:
 
 def say(text: str) -> None:
     """One line on standard error."""
-    click.echo(f"stewart-drake: {' '.join(text.split())}", err=True)
+    with suppress(OSError):  # The exit status counts too.
+        click.echo(f"stewart-drake: {' '.join(text.split())}", err=True)
 
 
 def tell(text: str) -> None:
@@ -130,6 +133,32 @@ def _set_interrupt(handler: Any) -> None:
     # Another thread than the first gets no signals, and a handler of C's cannot be set again.
     with suppress(ValueError, TypeError):
         signal.signal(signal.SIGINT, handler)
+
+
+class Output(io.FileIO):
+    """What standard output is written to; where it is full, the rest is dropped, and `problem` says why."""
+
+    problem = ""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            self.problem = error.strerror or str(error)
+            return len(data)
+
+
+def open_output() -> Output:
+    """Puts it under `sys.stdout`, closed or not: a command comes to its end, whatever becomes of what it prints."""
+    before: Any = sys.stdout
+    output = Output(os.open(os.devnull, os.O_WRONLY) if before is None else 1, "w", closefd=False)
+    if before is sys.__stdout__:  # and not what a caller has put there
+        # A sign that the terminal's encoding does not have is a question mark there.
+        encoding = getattr(before, "encoding", "utf-8")
+        sys.stdout = io.TextIOWrapper(io.BufferedWriter(output), encoding, "replace", line_buffering=output.isatty())
+    return output
 
 
 def drop_output() -> None:

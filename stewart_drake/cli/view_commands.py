@@ -95,7 +95,7 @@ def replay(logs: tuple[Path, ...], out: Path, browser: bool) -> None:
         if log.reason == "cut_off":
             tell(f"{path}: {log.message}")
     prepare_file(out)
-    write_replay(shown, out)
+    write_replay(shown, out, logs)
     tell(f"page in {out}")
     if browser:
         webbrowser.open(out.absolute().as_uri())

@@ -6,11 +6,13 @@ The law is in `adaptation_laws`; here are its options, the part that it is in a 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
-from stewart_drake.base.config import Flag, NotNegative, Positive
+from stewart_drake.base.atomic_files import checksum
+from stewart_drake.base.config import Flag, Positive, Real
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import new_record
 from stewart_drake.control import adaptation_laws as law
@@ -47,6 +49,7 @@ ADAPTS = 2.0
 """[s] of motion in which the limit for refused samples widens by a factor of e, if all are refused."""
 SELDOM = 0.016
 """[s] from one forgetting to the next, and of what is shown: both together cost more than a sample."""
+_LEARNT_OF_MOTORS = ("stiffness", "ratios", "torque_constant", "damping", "delay")
 _LEVELS = ("coulomb", "break_away", "viscous")
 _LINKS = ("rod_mass", "rod_inertia", "crank_mass", "crank_inertia")
 _HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inertia")
@@ -61,11 +64,11 @@ class RegressionOptions(AdaptationOptions):
     of the torque that is commanded.
     """
 
+    moved_keys: ClassVar[Mapping[str, str]] = {"reading_age": "model.reading_age"}
     kind: Literal["regression"] = "regression"
-    forgetting: Positive = 8.0
-    """[s] of motion after which a sample counts 37 %; for a push that lasts 2 s."""
-    reading_age: NotNegative = 0.0
-    """[s] of the readings, as believed: commands and angles alone cannot tell it from the motors' delay."""
+    forgetting: Annotated[Real, Field(ge=1.0, le=1e5)] = 8.0
+    """[s] of motion after which a sample counts 37 %; for a push that lasts 2 s. At least 1: samples within 0.6 s count
+    as one, and one alone tells nothing."""
     smoothing: Positive | None = None
     """[s] standard deviation of the kernel; null for 1.5 periods, or more where the noise of the readings needs it."""
     drive: Positive | None = None
@@ -73,8 +76,9 @@ class RegressionOptions(AdaptationOptions):
     take torques 0.03."""
     slowest: Positive = 0.03
     """[rad/s] of a crank below which it counts as resting, and its samples are left out."""
-    noise: Positive = 0.003
-    """[-] standard deviation of a sample, of the motors' torque limit; the least that is assumed."""
+    noise: Annotated[Real, Field(ge=1e-4, le=1.0)] = 0.003
+    """[-] standard deviation of a sample, of the motors' torque limit; the least that is assumed. No model and no motor
+    is right to less than 0.0001 of it, and at 1 no sample tells anything."""
     cautious: Flag = False
     """Whether friction is compensated only as far as it is known by now: too much of it would lose a slow loop."""
     center_of_mass: Flag = True
@@ -105,6 +109,11 @@ class Learnt(NamedTuple):
 def last_learnt(log: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The last row of each signal that tells what was learnt; empty where a log has none."""
     return {name: log[name][-1] for name in LEARNT_SIGNALS if name in log and len(log[name])}
+
+
+def has_learnt(log: Mapping[str, np.ndarray]) -> bool:
+    """Whether anything that was learnt is another than at first, a number or how well it is known."""
+    return any(not np.array_equal(log[name][0], last) for name, last in last_learnt(log).items())
 
 
 def rows_of(known: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
@@ -163,6 +172,14 @@ def model_of(known: Mapping[str, np.ndarray], belief: Any) -> dict[str, Any]:
     return keys | {"robot": {**robot.given(), **head}}
 
 
+def machine_text(belief: Any) -> str:
+    """What of a believed robot and its motors is not learnt: its links, its kind of motors and a digest of it all."""
+    robot, motors = belief.robot, belief.motors
+    learnt = {*robot.heavier(1.0), "platform_center_of_mass", *_LEARNT_OF_MOTORS}
+    fixed = [{key: value for key, value in each.to_dict().items() if key not in learnt} for each in (robot, motors)]
+    return f"{robot.links_text}, {motors.kind} motors, {checksum(fixed)}"
+
+
 def kernel_weights(width: float) -> np.ndarray:
     """Weights (3, n) of a Gaussian of a standard deviation [blocks], its first two derivatives: exact for parabolas."""
     at = np.arange(-HALF, HALF + 1.0)
@@ -217,13 +234,13 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         stride += 1
     block = stride * context.period
     seldom = max(1, int(SELDOM / block))
-    width, late = smoothing / block, (context.latency - 0.5 * context.period + options.reading_age) / block
+    width, late = smoothing / block, (context.latency - 0.5 * context.period) / block
     if not 1.0 <= width <= HALF / 2.0:
         raise ConfigurationError("adaptation.smoothing", smoothing, f"at least {context.period:g} s, a period")
     if late > LATE - 0.5:
-        most, commands = (LATE - 0.5) * block, context.latency - 0.5 * context.period
+        most, commands = (LATE - 0.5) * block, context.latency - context.reading_age - 0.5 * context.period
         allowed = f"at most {most:g} s together with the {commands:g} s by which commands are late"
-        raise ConfigurationError("adaptation.reading_age", options.reading_age, allowed)
+        raise ConfigurationError("model.reading_age", context.reading_age, allowed)
     limit = np.asarray(motors.available(robot, np.zeros(6)), dtype=float)
     friction, coulomb = context.friction[0], context.friction[0]["coulomb"]
     servo_damping = getattr(motors, "damping", 0.0)

@@ -44,7 +44,7 @@ SLIP = 4.0  # [-] the same in break_away / (inertia bandwidth^2): about half of 
 # disk margin of the loop with it is 0.49, without some 0.37.
 WHITE_SHARE = 1.5
 RESTS = 1e-4  # [rad/s] a crank that is to turn more slowly is to rest.
-LONGEST_DELAY = 100  # [ticks] of a command that may be under way; the state has place for so many.
+LONGEST_DELAY = 100  # [ticks] from what is read to a command that acts; the state has place for so many.
 FARTHEST = 0.3  # [s] beyond which a prediction says nothing any more; assumed.
 MISSING = 20  # How a tick may end beside the statuses of `kinematics_laws`.
 
@@ -70,19 +70,20 @@ class ObserverOptions(EstimatorOptions):
         return (observer_part(self, context),)
 
 
-_PARAMS = fields(period=(), gravity=(), noise=(), max_innovation=(), hold_ticks=(), arrived=(), slip=(), delay=())
-"""period [s]. gravity [m/s^2]. noise: of a reading [rad]. max_innovation [rad]. hold_ticks [ticks]. arrived: within
-which a crank stands where it is wanted [rad], negative for motors without friction. slip: of a crank by `SLIP` of the
-largest break-away torque [rad/s^2]. delay: of the commands [ticks]."""
+_PARAMS = fields(period=(), gravity=(), noise=(), max_innovation=(), hold_ticks=(), mobility=(), age=(), ahead=())
+"""period [s]. gravity [m/s^2]. noise: of a reading [rad]. max_innovation [rad]. hold_ticks [ticks]. mobility: largest
+acceleration of a crank for its own torque [1/(kg m^2)]. age: of a reading, ahead: from what it tells to the time when
+the command of its tick acts [ticks]."""
 _STATE = fields(
     measurement=12, predicted=12, disturbance_torque=6, innovation=6, health=2,
-    disturbance=6, missed=6, assembly_sign=(), commands=(LONGEST_DELAY + 1, 6),
+    read=12, disturbance=6, missed=6, assembly_sign=(), commands=(LONGEST_DELAY + 1, 6),
 )  # fmt: skip
 """measurement: pose and rate now [rad, m and 1/s]. predicted: likewise when the command of this tick will act.
 disturbance_torque: against what is not explained, for the command [N m]. innovation: readings less what was expected of
-them, 0 where one is missing [rad]. disturbance: acceleration of the cranks that the model does not explain [rad/s^2].
-missed: ticks in a row without a reading. assembly_sign: of the rods' determinant, 0 before the first tick. commands:
-the last `delay` + 1, oldest first [N m]."""
+them, 0 where one is missing [rad]. read: pose and rate at the time of which the reading tells. disturbance:
+acceleration of the cranks that the model does not explain [rad/s^2]. missed: ticks in a row without a reading.
+assembly_sign: of the rods' determinant, 0 before the first tick. commands: the last `ahead` + 1, oldest first
+[N m]."""
 
 
 @njit
@@ -123,18 +124,19 @@ def predict(robot: Any, params: Any, torque: Any, disturbance: Any, pose: Any, r
 
 @njit
 def observer_tick(
-    robot: Any, params: Any, first_params: Any, reading: Any, net_torque: Any, reference: Any, disturbance: Any,
-    legs: Any, estimate: Any, state: Any,
+    robot: Any, params: Any, first_params: Any, friction: Any, reading: Any, net_torque: Any, reference: Any,
+    disturbance: Any, legs: Any, estimate: Any, state: Any,
 ) -> Any:  # fmt: skip
     """One tick: predicts, corrects by the readings that are accepted, looks ahead; status, leg or -1, margin.
 
-    Takes `ROBOT`, `_PARAMS`, the parameters of the first tick (see `_begin`), then the inputs of `observer_part`,
-    `LEGS` and `estimator.STATE`, both overwritten, and `_STATE`.
+    Takes `ROBOT`, `_PARAMS`, the parameters of the first tick (see `_begin`), `BELIEVED`, then the inputs of
+    `observer_part`, `LEGS` and `estimator.STATE`, both overwritten, and `_STATE`.
     """
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
+    break_away = record(friction).break_away.max()
     if state.assembly_sign == 0.0:
         return _begin(robot, params, record(first_params), reading, legs, record(estimate), state)
-    return _observe(robot, params, reading, net_torque, reference, disturbance[0], legs, state)
+    return _observe(robot, params, break_away, reading, net_torque, reference, disturbance[0], legs, state)
 
 
 @njit
@@ -152,15 +154,17 @@ def _begin(robot: Any, params: Any, first_params: Any, reading: Any, legs: Any, 
     status, leg, margin = pose_of_angles(robot, first_params, angles, legs, estimate)
     if status != OK:
         return status, leg, margin
-    copy_to(state.measurement[:6], estimate.measurement[:6])
+    copy_to(state.read[:6], estimate.measurement[:6])
+    copy_to(state.read[6:], state.measurement[6:])
     state.assembly_sign = estimate.assembly_sign
     return _look_ahead(robot, params, legs, state)
 
 
 @njit
 def _observe(
-    robot: Any, params: Any, reading: Any, net_torque: Any, reference: Any, density: float, legs: Any, state: Any
-) -> Any:
+    robot: Any, params: Any, break_away: float, reading: Any, net_torque: Any, reference: Any, density: float,
+    legs: Any, state: Any,
+) -> Any:  # fmt: skip
     """A tick after the first; status, leg or -1, margin."""
     cosine, sine = np.empty(6), np.empty(6)
     for i in range(6):
@@ -171,12 +175,12 @@ def _observe(
             return UNREACHABLE, bad, legs.reach_margin[bad]
         for i in range(6):
             cosine[i], sine[i] = (legs.cosine[i], legs.sine[i]) if bad < 0 else (np.nan, np.nan)
-    for row in range(int(params.delay)):
+    for row in range(int(params.ahead)):
         copy_to(state.commands[row], state.commands[row + 1])
     # What is not a number no motor gives; the safety layer repeats the last command for it.
     if all_finite(net_torque):
-        copy_to(state.commands[int(params.delay)], net_torque)
-    status, leg, margin = _correct(robot, params, cosine, sine, reference, density, state, legs)
+        copy_to(state.commands[int(params.ahead)], net_torque)
+    status, leg, margin = _correct(robot, params, break_away, cosine, sine, reference, density, state, legs)
     if status != OK:
         return status, leg, margin
     return _look_ahead(robot, params, legs, state)
@@ -184,11 +188,12 @@ def _observe(
 
 @njit
 def _correct(
-    robot: Any, params: Any, cosine: Any, sine: Any, reference: Any, density: float, state: Any, legs: Any
-) -> Any:
-    """Prediction and correction; pose and rate in the state become those of now."""
+    robot: Any, params: Any, break_away: float, cosine: Any, sine: Any, reference: Any, density: float, state: Any,
+    legs: Any,
+) -> Any:  # fmt: skip
+    """Prediction and correction; pose and rate in the state become those of the reading."""
     h = params.period
-    pose, rate = state.measurement[:6].copy(), state.measurement[6:].copy()
+    pose, rate = state.read[:6].copy(), state.read[6:].copy()
     status, leg, margin = predict(robot, params, state.commands[0], state.disturbance[:], pose, rate, legs)
     if status != OK:
         return status, leg, margin
@@ -224,21 +229,21 @@ def _correct(
     pose += change
     laws.rate_of(predicted, turned[:, 1], change)
     rate += change
-    copy_to(state.measurement[:6], pose)
-    copy_to(state.measurement[6:], rate)
-    if not _stands(params, legs, density, pose, reference):
+    copy_to(state.read[:6], pose)
+    copy_to(state.read[6:], rate)
+    if not _stands(params, break_away, legs, density, pose, reference):
         for i in range(6):
             state.disturbance[i] += to_disturbance * state.innovation[i]
     return OK, -1, 0.0
 
 
 @njit
-def _stands(params: Any, legs: Any, density: float, pose: Any, reference: Any) -> bool:
+def _stands(params: Any, break_away: float, legs: Any, density: float, pose: Any, reference: Any) -> bool:
     """Whether a robot with friction in its motors is to rest, and does where it is wanted."""
-    if params.arrived < 0.0:
+    if break_away <= 0.0:
         return False
     turn = bandwidth(params.noise, density, params.period)
-    arrived = max(params.arrived, params.slip / (turn * turn))
+    arrived = max(ARRIVED * params.noise, SLIP * break_away * params.mobility / (turn * turn))
     off, wanted = np.empty(6), np.empty(6)
     laws.angular_velocity(pose[:3], pose[:3] - reference[:3], off[:3])
     laws.angular_velocity(pose[:3], reference[6:9], wanted[:3])
@@ -255,15 +260,18 @@ def _stands(params: Any, legs: Any, density: float, pose: Any, reference: Any) -
 
 @njit
 def _look_ahead(robot: Any, params: Any, legs: Any, state: Any) -> Any:
-    """The rest of a tick: what will be when its command acts, and what the disturbance takes then."""
+    """The rest of a tick: what is now and when its command acts, and what the disturbance takes then."""
     predicted, inertia = state.predicted, np.empty((6, 6))
-    copy_to(predicted[:], state.measurement[:])
-    for row in range(1, int(params.delay) + 1):
-        status, leg, margin = predict(
-            robot, params, state.commands[row], state.disturbance[:], predicted[:6], predicted[6:], legs
-        )
-        if status != OK:
-            return status, leg, margin
+    copy_to(predicted[:], state.read[:])
+    for row in range(int(params.ahead) + 1):
+        if row > 0:
+            status, leg, margin = predict(
+                robot, params, state.commands[row], state.disturbance[:], predicted[:6], predicted[6:], legs
+            )
+            if status != OK:
+                return status, leg, margin
+        if row == int(params.age):
+            copy_to(state.measurement[:], predicted[:])
     bad = legs_at(robot, predicted[:6], legs)
     if bad >= 0:
         return SERIAL, bad, legs.reach_margin[bad]
@@ -291,29 +299,33 @@ def observer_part(options: ObserverOptions, context: LoopContext) -> Part:
     net_torque (6,) [N m] the last command, less what of it the friction takes; reference (18,) wanted now; disturbance
     (1,) [rad/s^2 per sqrt(s)] to expect.
     """
-    robot, period, delay = context.robot, context.period, context.delay
-    if delay > (most := min(int(FARTHEST / period), LONGEST_DELAY)):
-        reason = f"{FARTHEST:g} s or {LONGEST_DELAY} of an observer's ticks; without this key it is command_delay"
-        raise ConfigurationError("model.delay", delay, f"at most {most}, {reason}")
+    robot, period, age = context.robot, context.period, round(context.reading_age / context.period)
+    ahead = age + context.delay
+    if ahead > (most := min(int(FARTHEST / period), LONGEST_DELAY)):
+        reason = f"{FARTHEST:g} s or {LONGEST_DELAY} of an observer's ticks; without this key it is"
+        if age > most:
+            allowed = f"at most {most * period:g} s, {reason} sensors.delay"
+            raise ConfigurationError("model.reading_age", context.reading_age, allowed)
+        raise ConfigurationError("model.delay", context.delay, f"at most {most - age}, {reason} command_delay")
     # [1/(kg m^2)] acceleration of a crank for its own torque, at home.
     mobility = np.diag(pose_jacobian(robot, robot.home_pose) @ pose_acceleration_map(robot, robot.home_pose))
-    break_away = float(context.friction["break_away"].max())
     params = new_record(
         _PARAMS,
         options,
         period=period,
         gravity=context.gravity,
         noise=context.noise,
-        arrived=ARRIVED * context.noise if break_away > 0.0 else -1.0,
-        slip=SLIP * break_away * float(mobility.max()),
-        delay=delay,
+        mobility=mobility.max(),
+        age=age,
+        ahead=ahead,
     )
     start = np.concatenate([context.pose, context.pose_rate])
-    initial = new_record(_STATE, measurement=start, predicted=start, health=HEALTHY)
-    initial["commands"][0, : delay + 1] = context.initial_torque
+    initial = new_record(_STATE, measurement=start, predicted=start, read=start, health=HEALTHY)
+    initial["commands"][0, : ahead + 1] = context.initial_torque
 
     first = difference_params(DifferenceOptions(), period)
     constants = {"robot": laws.robot_record(robot), "params": params, "first_params": first}
+    constants["friction"] = context.friction
     inputs = {"reading": context.reading, "net_torque": 6, "reference": 18, "disturbance": 1}
     outputs, expected = (
         ("measurement", "predicted", "disturbance_torque", "innovation"),

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from stewart_drake.base.code import CodePath, ControllerError, UserCode
 from stewart_drake.base.config import Period
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, drake_guard, one_line, raised_at
 from stewart_drake.base.families import UserMade, user_parts
 from stewart_drake.base.jit import fields, new_record
 from stewart_drake.control.base import ControllerOptions, Measurement, Setpoint
@@ -94,6 +94,19 @@ def _is_system(loaded: Any) -> bool:
 def user_code(section: Any) -> UserCode:
     """The guard around what may call a user's code, see `UserCode`: of a scenario or of a part of it."""
     return UserCode(*(part.code.own_module for part in user_parts(section)))
+
+
+def failure_of(error: BaseException, section: Any) -> RunFailure:
+    """What ends a loop of a section, whatever was raised in it; nothing else passes where this is asked."""
+    try:
+        with drake_guard("a step"), user_code(section):
+            raise error
+    except RunFailure as failure:
+        return failure
+    except (Exception, SystemExit) as other:
+        unexpected = RunFailure(f"{one_line(other)}{raised_at(other)}")
+        unexpected.__cause__ = other
+        return unexpected
 
 
 def function_part(function: Callable[[Measurement, Setpoint, float], Any]) -> Part:

@@ -222,7 +222,7 @@ def load_recording(path: str | Path, guess: RobotParameters, lag: float = 0.0) -
 
 
 def recording_of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> Recording:
-    """Readings of encoders and amplifiers in a run: from the pose that the readings gave, never from the true pose."""
+    """Readings of encoders and amplifiers in a run: what was read, never from the true pose."""
     motors = log.scenario.motors
     if motors.takes != "torque":
         allowed = f"a log of motors that take torque: those of kind {motors.kind} change theirs between two rows; "
@@ -242,11 +242,13 @@ def readings_of_log(log: SimulationLog, guess: RobotParameters, source: str) -> 
         if off > 1e-9:
             got = f"a robot whose {name} differ by up to {off:.3g}"
             raise ConfigurationError(source, got, "a log of the guessed robot")
+    # Between two ticks nothing is read, and the command is held.
+    rows = slice(None, None, max(1, round(log.scenario.controller.period / log.scenario.effective_log_period)))
+    if "reading" in log:
+        return rows, log["reading"][rows]
     if not log.scenario.estimator.exact:
         got = f"poses of estimator.kind {log.scenario.estimator.kind}, which uses the guessed robot"
         raise ConfigurationError(source, got, "poses straight from the encoders; run with estimator.kind=difference")
-    # Between two ticks nothing is read, and the command is held.
-    rows = slice(None, None, max(1, round(log.scenario.controller.period / log.scenario.effective_log_period)))
     return rows, inverse_kinematics(robot, log.signals.get("measured_pose", log["pose"])[rows])
 
 

@@ -36,7 +36,7 @@ def c_name(name: str) -> str:
 
 def from_template(file: str, words: Mapping[str, str]) -> str:
     """A template with words in the places of their names."""
-    return re.sub(r"@(\w+)@", lambda match: words[match[1]], (TEMPLATES / file).read_text())
+    return re.sub(r"@(\w+)@", lambda match: words[match[1]], (TEMPLATES / file).read_text(encoding="utf-8"))
 
 
 def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
@@ -77,6 +77,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
         "NUMBERS": str(loop.numbers),
         "UNIT": side.unit,
         "TAKES": str({"rad": 0, "N m": 1, "A": 2}[side.unit]),
+        "NEEDS": "READING | MEASURED" if side.context.feedback else "READING",
         "MEANS": "angles of the cranks [rad]" if side.context.reading == 6 else "pose [rad, m] and its rate",
         "LIMIT": loop.program.table("command_limit", limit).base,
         "COMMAND": loop.signals[command].text,

@@ -18,7 +18,7 @@ import numpy as np
 from stewart_drake import __version__
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.base.jit import njit
+from stewart_drake.base.jit import njit, record
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.export.controller_c import c_name, controller_files, from_template, readings_along
 from stewart_drake.export.loop import LoopSource
@@ -26,7 +26,8 @@ from stewart_drake.export.values import number
 from stewart_drake.hardware.motors import delay_part
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.kinematics_laws import LEGS, OK, SERIAL
-from stewart_drake.plant.closed_form import ClosedForm, _semi_implicit
+from stewart_drake.mechanics.linear_algebra import all_finite
+from stewart_drake.plant.closed_form import ClosedForm, _rk4, _semi_implicit
 from stewart_drake.scenario.assembly import control_side
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
@@ -44,7 +45,14 @@ class Variable(NamedTuple):
 def plant_tick(robot: Any, friction: Any, params: Any, torque: Any, wrench: Any, legs: Any, state: Any) -> Any:
     """A step of the closed form as the kernel of a part; status, leg, margin."""
     leg, margin = _semi_implicit(robot, friction, params, legs, torque, wrench, state)
-    return OK if leg < 0 else SERIAL, leg, margin
+    return OK if leg < 0 and all_finite(record(state).pose[:]) else SERIAL, leg, margin
+
+
+@njit
+def plant_tick_rk4(robot: Any, friction: Any, params: Any, torque: Any, wrench: Any, legs: Any, state: Any) -> Any:
+    """`plant_tick` by Runge-Kutta of order 4."""
+    leg, margin = _rk4(robot, friction, params, legs, torque, wrench, state)
+    return OK if leg < 0 and all_finite(record(state).pose[:]) else SERIAL, leg, margin
 
 
 def plant_part(scenario: Scenario) -> Part:
@@ -53,7 +61,8 @@ def plant_part(scenario: Scenario) -> Part:
     plant.initial(*scenario.start())
     loaded, friction, params, _ = plant._fixed
     constants, inputs = {"robot": loaded, "friction": friction, "params": params}, {"motor_torque": 6, "wrench": 6}
-    part = Part("plant", plant_tick, constants, inputs, (), plant.save(), (LEGS,), error=lambda *_: None)  # type: ignore[arg-type]
+    kernel = plant_tick_rk4 if getattr(scenario.plant, "integrator", "") == "rk4" else plant_tick
+    part = Part("plant", kernel, constants, inputs, (), plant.save(), (LEGS,), error=lambda *_: None)  # type: ignore[arg-type]
     return part._replace(period=scenario.plant.time_step, end_of_tick=True)
 
 
@@ -153,7 +162,7 @@ def _library(own: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
     with tempfile.TemporaryDirectory() as place:
         folder, library = Path(place), Path(place) / f"{own}.{ending}"
         for file, text in sources.items():
-            (folder / file).write_text(text)
+            (folder / file).write_text(text, encoding="utf-8")
         flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-shared", "-fPIC"]
         names = [file for file in sources if file.endswith(".c")]
         done = subprocess.run(

@@ -28,7 +28,7 @@ _LETTERS = {"double": "d", "int": "i", "bool": "b"}
 TEMPLATES = Path(__file__).parent / "templates"
 _HELPERS = {
     re.findall(r"^static \w+ (\w+)", text, re.MULTILINE)[0]: text
-    for text in (TEMPLATES / "helpers.c").read_text().strip().split("\n\n")
+    for text in (TEMPLATES / "helpers.c").read_text(encoding="utf-8").strip().split("\n\n")
 }
 
 

@@ -28,7 +28,7 @@ class Source(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _parsed(path: str) -> tuple[ast.Module, dict[int, str]]:
-    text = Path(path).read_text()
+    text = Path(path).read_text(encoding="utf-8")
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
     comments = {
         token.start[0]: token.string.lstrip("# ")

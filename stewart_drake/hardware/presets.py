@@ -37,11 +37,14 @@ PRESETS = {
     ),
     # 30 kg cm and 45 rev/min at 12 V, 12 bits: Feetech's data sheet of the STS3215-C018 (gear 1:345). Stiffness,
     # damping and friction: class sts3215_345 of the MJCF in reachy_mini 1.13.0, with which, it says, a walking robot
-    # was simulated well. Play: 0.87 deg as measured by robonine.com; the data sheet has 0.5 deg.
+    # was simulated well. That robot, Open Duck Mini, has the servo at 7.4 V, and a servo's stiffness goes with its
+    # supply: its 17.11 N m/rad are 27.7 at 12 V. Owners at robonine.com measured 1.8 to 2.6 deg under 1.5 kg on 10 cm
+    # at 45 deg, 23 to 33 N m/rad; and of play about 1 deg by hand (issue 134 of TheRobotStudio/SO-ARM100) and 0.87 deg
+    # by an indicator, which is taken; the data sheet has at most 0.5 deg.
     "sts3215": Preset(
         "Feetech STS3215, gear 1:345, at 12 V: 2.94 N m, 270 deg/s",
         coulomb=0.068,
-        position={"stiffness": 17.11, "damping": 0.56, "torque_limit": 2.94, "no_load_speed": math.radians(270.0)}
+        position={"stiffness": 27.7, "damping": 0.56, "torque_limit": 2.94, "no_load_speed": math.radians(270.0)}
         | {"backlash": math.radians(0.87)},
     ),
     # 20 kg cm and 0.16 s for 60 deg at 6.8 V, dead band 3 us of 2000 us for 180 deg: data sheets of 20 kg cm servos

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stewart_drake.analysis.response import step_figures
-from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.atomic_files import write_together
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.yaml_files import to_yaml
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_jacobian, rotation_matrix
@@ -46,7 +47,7 @@ class Knob(NamedTuple):
 def as_instrument(scenario: Scenario) -> Scenario:
     """The scenario with its gains and beliefs said: else they would follow where a slider changes the machine."""
     said = {name: getattr(scenario, name).to_dict() for name in ("controller", "tuner", "estimator")}
-    said["model.delay"] = scenario.belief.delay
+    said |= {"model.delay": scenario.belief.delay, "model.reading_age": scenario.belief.reading_age}
     if scenario.motors.takes != "torque" and scenario.model.motors is None:
         said["model.motors"] = scenario.belief.motors.to_dict()
     return scenario.replace(said)
@@ -280,17 +281,17 @@ class Record:
 
         Its other keys are as they are now.
         """
+        if not self.rows:
+            raise ConfigurationError("save", "no row", "a loop that has run")
         rows = np.array(self.rows)
-        begin, end = rows[0, 0], rows[-1, 0]
+        begin, end = rows[[0, -1], 0].tolist()
         rows[:, 0] -= begin
         pose = [f"pose_{name}" for name in ("roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m")]
         names = ["time_s", *(f"reference_{name[5:]}" for name in pose), *pose]
         names += [f"crank_angle_{leg}_rad" for leg in range(6)] + [f"torque_{leg}_nm" for leg in range(6)]
-        folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(folder / "log.csv", _csv(names, rows))
         # The motion at a hundred rows a second: a spline goes through them.
         every = max(1, round(0.01 / max(1e-6, float(np.median(np.diff(rows[:, 0]))))))
-        write_atomically(folder / "motion.csv", _csv(["time_s", *pose], rows[::every, :7]))
+        motion = _csv(["time_s", *pose], rows[::every, :7])
         pushes = [
             {"kind": "step", "wrench": each["wrench"], "time": each["time"] - begin, "until": until - begin}
             for each in self.pushes
@@ -298,7 +299,7 @@ class Record:
         ]
         changed = scenario.replace({"duration": float(max(rows[-1, 0], 0.1)), "disturbances": pushes})
         data = changed.to_dict()
-        data["reference"] = {"kind": "recorded", "motion_file": "motion.csv"}
+        data["reference"] = {"kind": "recorded", "motion_file": "motion.csv", "cutoff": None}
         began = {key: max(time - begin, 0.0) for time, change in self.changes for key in change}
         dead, frozen = data["motors"].get("dead"), data["sensors"].get("faults", [])
         for key, switched in (("motors.dead", [dead] if dead else []), ("sensors.faults", frozen)):
@@ -312,7 +313,9 @@ class Record:
                 to_yaml(data),
             ]
         )
-        write_atomically(folder / "scenario.yaml", text.encode())
+        folder.mkdir(parents=True, exist_ok=True)
+        files = {"log.csv": _csv(names, rows), "motion.csv": motion, "scenario.yaml": text.encode()}
+        write_together({folder / name: content for name, content in files.items()})
 
 
 def _csv(names: Sequence[str], rows: np.ndarray) -> bytes:

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.errors import RunFailure
+from stewart_drake.base.errors import one_line
 from stewart_drake.base.sampling import on_grid
+from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.live.instrument import Probe, Record, Spring, TurningSpring
-from stewart_drake.live.steering import HandReference, Reached, nearest_allowed
+from stewart_drake.live.steering import GOVERNED, HandReference, Reached
 from stewart_drake.plant.plant_options import ANGLES
 from stewart_drake.runs.stepped_loop import SteppedLoop
 from stewart_drake.scenario.scenario import Scenario
@@ -45,6 +46,7 @@ class LiveLoop:
         self._pulled: dict[str, Any] | None = None
         self._step = on_grid(scenario.plant.time_step)
         self._every = max(1, round(RECORDED / self._step))
+        self._looks = max(1, round(GOVERNED / self._step))
         self.reference = HandReference(scenario.reference, self._step)
         self._loop = self._loop_of(scenario)
         self._loop.begin()
@@ -66,12 +68,7 @@ class LiveLoop:
 
     def aim(self, pose: np.ndarray) -> Reached:
         """Sends the hand to a pose (6,) [rad, m], or as far towards it as the robot can go."""
-        scenario, reference = self.scenario, self.reference
-        around = reference.excursions(scenario.duration)
-        here = reference.hand.state[0]
-        reached = nearest_allowed(scenario.robot, scenario.limits, here, pose, scenario.gravity, around)
-        reference.hand.target[:] = reached.pose
-        return reached
+        return self.reference.aim(self.scenario, pose)
 
     def move(self, on: bool) -> None:
         """Lets the motion of the scenario come or go."""
@@ -87,11 +84,13 @@ class LiveLoop:
         try:
             for _ in range(steps if not self.ended else 0):
                 self._advance_one()
-        except (RunFailure, np.linalg.LinAlgError) as failure:
-            self.ended = " ".join(str(failure).split())
+        except (Exception, SystemExit) as error:  # The page stays, to begin anew.
+            self.ended = one_line(failure_of(error, self.scenario))
 
     def _advance_one(self) -> None:
         self._note_pull()
+        if self.steps % self._looks == 0:
+            self.reference.govern(self.scenario, self.time)
         self._loop.run_parts()
         self._loop.move()
         self.reference.advance()

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError
+from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError, one_line
 from stewart_drake.live.session import SLICE, PageSession, six_of
 from stewart_drake.live.steering import HandMotion, nearest_allowed
 from stewart_drake.logs.log import MAX_ROWS
@@ -58,7 +58,7 @@ class MachineSession(PageSession):
         finally:
             over.set()
             shown.join()
-        self._ended = " ".join(str(why).split()) if isinstance(why, RunFailure) else "stopped"
+        self._ended = one_line(why) if isinstance(why, RunFailure) else "stopped"
         self.publish(self.row())
         time.sleep(LAST_ROW)
         return why
@@ -72,15 +72,11 @@ class MachineSession(PageSession):
     def _show(self, over: threading.Event) -> None:
         while not over.wait(SLICE):
             self.obey()
+            self._hand.reference.govern(self.scenario, self._motion.own_time(self._drive.time))
             self.publish(self.row())
 
     def _aim(self, command: Mapping[str, Any]) -> None:
-        scenario, reference = self.scenario, self._hand.reference
-        around = reference.excursions(scenario.duration)
-        of = scenario.robot, scenario.limits, reference.hand.state[0], six_of(command["pose"])
-        reached = nearest_allowed(*of, scenario.gravity, around)
-        # Whole, for the thread that drives.
-        reference.hand.target = reached.pose
+        reached = self._hand.reference.aim(self.scenario, six_of(command["pose"]))
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
@@ -90,14 +86,14 @@ class MachineSession(PageSession):
             raise ConfigurationError("motion", "on", f"off after the scenario's duration, {scenario.duration:g} s")
         if on:
             # Where the hand has gone meanwhile, the motion may not be possible.
-            of = scenario.robot, scenario.limits, self.home, reference.hand.target, scenario.gravity
+            of = scenario.robot, scenario.limits, self.home, reference.goal, scenario.gravity
             if limit := nearest_allowed(*of, reference.excursions(scenario.duration, on=True)).limit:
                 raise ConfigurationError("motion", "on", f"off here: {limit}")
         reference.share.target = np.array([float(on)])
 
     def row(self) -> dict[str, Any]:
         """What the page shows of the latest tick."""
-        drive, robot, target = self._drive, self.scenario.robot, self._hand.reference.hand.target
+        drive, robot, target = self._drive, self.scenario.robot, self._hand.reference.goal
         row = {
             "session": self.name,
             "obeyed": self._obeyed,
@@ -115,7 +111,7 @@ class MachineSession(PageSession):
             self._pose = forward_kinematics(robot, tick.angles, self._pose)
             wanted = inverse_kinematics(robot, tick.reference)
         except StewartDrakeError as error:
-            return row | {"message": f"no picture: {' '.join(str(error).split())}"}
+            return row | {"message": f"no picture: {one_line(error)}"}
         off = self._pose - tick.reference
         real, ghost = link_poses(
             robot,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.base.atomic_files import plain_json
-from stewart_drake.base.errors import StewartDrakeError
+from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, one_line
 from stewart_drake.live.instrument import (
     AXES,
     Probe,
@@ -47,6 +47,7 @@ CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
     "computed torque": {"controller": "computed_torque"},
 }
 """What can be chosen in the panel: name -> scenario key -> value."""
+LARGEST = 1e6  # Number that a page may send.
 ROWS_KEPT, COMMANDS_KEPT = 50, 200
 """Rows that a page may be late, one that reads more slowly misses some; commands that may wait for the loop."""
 
@@ -87,9 +88,9 @@ class PageSession:
         try:
             self._do[command["do"]](command)
         except StewartDrakeError as error:
-            self.message = " ".join(str(error).split())
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            self.message = f"not understood: {error}"
+            self.message = one_line(error)
+        except Exception as error:  # Whatever a page sends, the loop goes on.
+            self.message = f"not understood: {one_line(error)}"
 
     def publish(self, row: Mapping[str, Any]) -> None:
         """Tells pages how things are."""
@@ -120,10 +121,10 @@ class LiveSession(PageSession):
             "pull": self._pull,
             "turn": self._turn,
             "release": self._release,
-            "payload": lambda command: self._change({"plant.payload_mass": float(command["mass"])}),
+            "payload": lambda command: self._change({"plant.payload_mass": _number(command["mass"])}),
             "dead": lambda command: self._change({"motors.dead": _of_leg(command["leg"])}),
             "freeze": self._freeze,
-            "kappa": lambda command: self.loop.change({"tuner.kappa": float(command["value"])}),
+            "kappa": lambda command: self.loop.change({"tuner.kappa": _number(command["value"])}),
             "knob": self._set_knob,
             "controller": self._choose,
             "ghost": self._haunt,
@@ -160,7 +161,7 @@ class LiveSession(PageSession):
     def _aim(self, command: Mapping[str, Any]) -> None:
         reached = self.loop.aim(six_of(command["pose"]))
         if self.ghost is not None:
-            self.ghost.reference.hand.target[:] = reached.pose
+            self.ghost.reference.goal = reached.pose
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
@@ -173,7 +174,7 @@ class LiveSession(PageSession):
         self._each(lambda loop: loop.change(changes))
 
     def _push(self, command: Mapping[str, Any]) -> None:
-        wrench, duration = six_of(command["wrench"]), float(command["duration"])
+        wrench, duration = six_of(command["wrench"]), _number(command["duration"])
         self._touch()
         self._each(lambda loop: loop.push(wrench, duration))
 
@@ -204,8 +205,10 @@ class LiveSession(PageSession):
 
     def _set_knob(self, command: Mapping[str, Any]) -> None:
         """A slider: only keys that the panel has, within their range; of the controller's side not the ghost's."""
-        knob = next(each for each in knobs_of(self.loop.scenario, self._begun) if each.key == command["key"])
-        change = turned(self.loop.scenario, knob, float(command["value"]))
+        knobs, key = {each.key: each for each in knobs_of(self.loop.scenario, self._begun)}, command["key"]
+        if (knob := knobs.get(key)) is None:
+            raise ConfigurationError("slider", key, f"one that there is now: {', '.join(knobs)}")
+        change = turned(self.loop.scenario, knob, _number(command["value"]))
         (self._change if knob.group == "Machine" else self.loop.change)(change)
 
     def _haunt(self, command: Mapping[str, Any]) -> None:
@@ -218,7 +221,7 @@ class LiveSession(PageSession):
     def _begin_test(self, command: Mapping[str, Any]) -> None:
         axis, robot = AXES.index(command["axis"]), self.loop.scenario.robot
         size = 0.01 * (1.0 if axis < 3 else robot.characteristic_length)
-        frequency = min(max(float(command.get("frequency", 1.0)), 0.2), 20.0)
+        frequency = min(max(_number(command.get("frequency", 1.0)), 0.2), 20.0)
         kind = "step" if command["kind"] == "step" else "sine"
         self._each(lambda loop: setattr(loop, "test", Probe(kind, axis, size, frequency, loop.time)))
         at = f", {frequency:g} Hz" if kind == "sine" else ""
@@ -229,7 +232,7 @@ class LiveSession(PageSession):
         self._each(lambda loop: loop.advance(round(loop.scenario.controller.period / loop.scenario.plant.time_step)))
 
     def _set_speed(self, command: Mapping[str, Any]) -> None:
-        self.speed = min(max(float(command["value"]), 0.1), 2.0)
+        self.speed = min(max(_number(command["value"]), 0.1), 2.0)
 
     def _save(self, _: Mapping[str, Any]) -> None:
         scenario = self.loop.scenario.replace({"name": f"{self.loop.scenario.name}-by-hand"})
@@ -292,7 +295,7 @@ class LiveSession(PageSession):
             "torque": loop.torque.tolist(),
             "setting": None if setting is None else setting.tolist(),
             "safety": None if safety is None else int(safety[0]),
-            "target": loop.reference.hand.target.tolist(),
+            "target": loop.reference.goal.tolist(),
             "pose": pose.tolist(),
             "links": links,
             "pushed": loop.pushed,
@@ -324,16 +327,20 @@ def _errors(pose: np.ndarray, wanted: np.ndarray) -> dict[str, float]:
 
 
 def _of_leg(leg: Any) -> dict[str, int] | None:
-    return None if leg is None else {"leg": int(leg)}
+    return None if leg is None else {"leg": int(_number(leg))}
 
 
 def six_of(values: Any) -> np.ndarray:
-    """Six finite numbers; else a ValueError."""
+    """Six numbers up to `LARGEST`; else a ValueError."""
     return _numbers(values, 6)
 
 
 def _numbers(values: Any, count: int) -> np.ndarray:
     numbers = np.array(values, dtype=float).reshape(count)
-    if not np.isfinite(numbers).all():
-        raise ValueError(f"{numbers} is not finite")
+    if not (np.abs(numbers) <= LARGEST).all():
+        raise ValueError(f"{numbers} is no number up to {LARGEST:g}")
     return numbers
+
+
+def _number(value: Any) -> float:
+    return float(_numbers(float(value), 1)[0])

@@ -11,13 +11,11 @@ from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.machine_session import MachineSession
 from stewart_drake.live.server import LiveServer
 from stewart_drake.live.session import CONTROLLERS, LiveSession
-from stewart_drake.live.steering import nearest_allowed
+from stewart_drake.live.steering import FARTHEST, nearest_allowed
 from stewart_drake.machines.machine import Machine
 from stewart_drake.runs.drive import Start
 from stewart_drake.runs.scene import robot_scene
 from stewart_drake.scenario.scenario import Scenario
-
-_FARTHEST = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
 
 
 def start_live(scenario: Scenario, port: int | None = None) -> tuple[LiveSession, LiveServer]:
@@ -75,7 +73,7 @@ def _room(scenario: Scenario, home: np.ndarray) -> np.ndarray:
     for axis in range(6):
         for sign in (1.0, -1.0):
             wanted = home.copy()
-            wanted[axis] += sign * _FARTHEST[axis]
+            wanted[axis] += sign * FARTHEST[axis]
             end = nearest_allowed(
                 scenario.robot, scenario.limits, home, wanted, scenario.gravity, np.zeros((1, 6))
             ).pose

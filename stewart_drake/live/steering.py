@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from typing import NamedTuple
 
 import numpy as np
 
+from stewart_drake.analysis.feasibility import checked_times
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.references.motions import Reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.limits import PLACES, ReferenceLimits, limit_margins
+from stewart_drake.scenario.scenario import Scenario
 
 BANDWIDTH = 8.0
 """[rad/s] of the filter behind the sliders: a move is over after about a second."""
-SAMPLES = 24
-"""Poses between here and the pose asked for that are checked, and times of the motion."""
+FARTHEST = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
+"""[rad, m] from where the motion begins, within which a pose may be asked for."""
+APART = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])
+"""[rad, m] between two poses that are checked, at most."""
+CRANK_SPEED = 2.0
+"""[rad/s] of the fastest crank at which a hand moves the robot."""
+GOVERNED = 0.02
+"""[s] between two looks at how far the hand may go."""
+_COURSE = np.linspace(0.0, 10.0, 64)  # Times of a move that are looked at, times the bandwidth.
+_BLOCK, _HALVINGS = 8, 10
 
 
 class SmoothValue:
@@ -29,6 +42,7 @@ class SmoothValue:
         # exp(t chain) is exp(-w t) times three terms: the cube of chain + w I is zero.
         rest = chain + w * np.eye(3)
         self._terms = np.stack([np.eye(3), rest, 0.5 * rest @ rest])
+        self._course = np.array([self.transition(each / (w * step)) for each in _COURSE])
         self.target = np.array(value, dtype=float)
         self.state = np.zeros((3, len(self.target)))
         self.state[0] = self.target
@@ -49,6 +63,12 @@ class SmoothValue:
         ahead = np.tensordot([1.0, time, time**2], self._terms, 1)
         return np.asarray(np.exp(-self._bandwidth * time) * ahead)
 
+    def course(self, target: np.ndarray) -> np.ndarray:
+        """Values, rates and accelerations (k, 3, n) of the whole move to a target (n,)."""
+        rest = np.zeros_like(self.state)
+        rest[0] = target
+        return rest + self._course @ (self.state - rest)
+
 
 class HandReference:
     """The pose set by hand, with the motion of the scenario about it.
@@ -58,8 +78,37 @@ class HandReference:
 
     def __init__(self, motion: Reference, step: float, bandwidth: float = BANDWIDTH) -> None:
         self._motion, self._step = motion, step
-        self.home = motion.evaluate(0.0)[0]
+        self.goal = self.home = motion.evaluate(0.0)[0]
+        self._around: tuple[float, np.ndarray] | None = None
         self.hand, self.share = (SmoothValue(value, step, bandwidth) for value in (self.home, np.ones(1)))
+
+    def aim(self, scenario: Scenario, pose: np.ndarray) -> Reached:
+        """Sends the hand to a pose (6,) [rad, m], or as far towards it as the robot can go."""
+        if (np.abs(pose - self.home) > FARTHEST + 1e-9).any():
+            allowed = f"a pose within {FARTHEST[0]:g} rad and {FARTHEST[3]:g} m of {self.home.round(4).tolist()}"
+            raise ConfigurationError("pose", pose.tolist(), allowed)
+        around = self.excursions(scenario.duration)
+        reached = nearest_allowed(scenario.robot, scenario.limits, self.goal, pose, scenario.gravity, around)
+        self.goal = reached.pose
+        return reached
+
+    def govern(self, scenario: Scenario, time: float) -> None:
+        """Takes the hand's target as far towards `goal` as limits and `CRANK_SPEED` allow on the way; time [s] as `at`.
+
+        What the filter makes of a target is known: the whole move is looked at, to its end. A reference governor.
+        """
+        hand, begun = self.hand, self.hand.target
+        if (begun == self.goal).all():
+            return
+        speed = min(scenario.limits.crank_speed or np.inf, CRANK_SPEED)
+        limits = dataclasses.replace(scenario.limits, crank_speed=speed)
+        own = self.at(time)[:6] - hand.state[0]
+        for share in 0.5 ** np.arange(7):
+            target = self.goal if share == 1.0 else begun + share * (self.goal - begun)
+            if _first_broken(scenario.robot, limits, hand.course(target), scenario.gravity, own[None]) is None:
+                # Whole, for a thread that drives.
+                hand.target = target.copy()
+                return
 
     def advance(self) -> None:
         """One step."""
@@ -84,7 +133,12 @@ class HandReference:
         """Samples (n, 6) of what the motion adds to the pose set by hand; zeros (1, 6) once it is off, and not `on`."""
         if self.share.target[0] == 0.0 and not on:
             return np.zeros((1, 6))
-        return self._motion.evaluate(np.linspace(0.0, duration, SAMPLES))[0] - self.home
+        if self._around is None or self._around[0] != duration:
+            poses = (self._motion.evaluate(checked_times(duration))[0] - self.home) / APART
+            # Of those that are near to one another the farthest.
+            poses = poses[np.argsort(-np.linalg.norm(poses, axis=1), kind="stable")]
+            self._around = duration, poses[np.unique(np.floor(poses), axis=0, return_index=True)[1]] * APART
+        return self._around[1]
 
 
 class HandMotion:
@@ -126,28 +180,44 @@ def nearest_allowed(
     Limits are those at rest; `around` (n, 6) [rad, m] is what a motion adds to the pose, zeros (1, 6) for none.
     """
     here, wanted = np.asarray(here, dtype=float), np.asarray(wanted, dtype=float)
-    low, high, limit = 0.0, 1.0, ""
-    # Each round looks closer at the stretch in which the first pose breaks a limit.
-    for _ in range(4):
-        shares = np.linspace(low, high, SAMPLES + 1)[1:]
-        broken = _first_broken(robot, limits, here + shares[:, None] * (wanted - here), gravity, around)
-        if broken is None:
-            return Reached(wanted, "")
-        place, limit = broken
-        low, high = float(shares[place - 1]) if place else low, float(shares[place])
-    return Reached(here + low * (wanted - here), limit)
+    way = wanted - here
+    shares = np.linspace(0.0, 1.0, 1 + max(1, math.ceil((np.abs(way) / APART).max())))
+
+    def broken_at(share: np.ndarray) -> tuple[int, str] | None:
+        at_rest = np.zeros((len(share), 3, 6))
+        at_rest[:, 0] = here + share[:, None] * way
+        return _first_broken(robot, limits, at_rest, gravity, around)
+
+    for at in range(0, len(shares) - 1, _BLOCK):
+        if (broken := broken_at(shares[at : at + _BLOCK + 1])) is not None:
+            break
+    else:
+        return Reached(wanted, "")
+    place, limit = broken
+    low, high = shares[at + place - 1 : at + place + 1].tolist()
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        if (broken := broken_at(np.array([low, middle]))) is None:
+            low = middle
+        else:
+            high, limit = middle, broken[1]
+    return Reached(here + low * way, limit)
 
 
 def _first_broken(
-    robot: RobotParameters, limits: ReferenceLimits, way: np.ndarray, gravity: float, around: np.ndarray
+    robot: RobotParameters, limits: ReferenceLimits, motion: np.ndarray, gravity: float, around: np.ndarray
 ) -> tuple[int, str] | None:
-    """Index of the first pose of a way that breaks a limit, and which; None where all keep to them."""
-    poses = (way[:, None] + around).reshape(-1, 6)
-    still = np.zeros_like(poses)
-    margins = limit_margins(robot, limits, poses, still, still, gravity)
+    """Index of the first row after row 0 that breaks a limit, and which; None where all keep to them.
+
+    Rows (n, 3, 6) of pose, rate, acceleration; `around` (k, 6) is added. Row 0 tells on which side of a singularity.
+    """
+    rows = np.repeat(motion, len(around), axis=0)
+    rows[:, 0] += np.tile(around, (len(motion), 1))
+    margins = limit_margins(robot, limits, rows[:, 0], rows[:, 1], rows[:, 2], gravity)
     first: tuple[int, str] | None = None
     for name, values in margins.items():
         broken = ~(values >= 0.0)
+        broken[: len(around)] = False
         if broken.any():
             row = int(broken.any(axis=1).argmax())
             place = row // len(around)

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 
@@ -81,31 +82,41 @@ class Journal:
                 over = self._over.wait(WRITTEN_EVERY)
                 rows = self._rows[written:]
                 written += len(rows)
-                stream.write(b"".join(row.tobytes() for row in rows))
+                stream.write(b"".join(_sealed(row, written - len(rows) + k) for k, row in enumerate(rows)))
                 stream.flush()
                 if over or time.monotonic() - synced > SYNCED_EVERY:
                     os.fsync(stream.fileno())
                     synced = time.monotonic()
 
 
+def _sealed(row: np.ndarray, number: int) -> bytes:
+    """The bytes of a row with a checksum of these and of the row's place."""
+    content = row.tobytes()
+    return content + np.float64(crc32(content, number)).tobytes()
+
+
 def cut_off(path: Path) -> dict[str, Any]:
-    """The fields of a `SimulationLog` of a journal whose process was killed, without a row that is not whole."""
+    """The fields of a `SimulationLog` of a journal whose process was killed, up to a row that is not as written.
+
+    A disk that lost power may have zeros, or old content, where rows should be.
+    """
     what = f"log {path}"
     with check_file(path, what, _MAX_BYTES).open("rb") as stream:
         about = unseal(stream.readline(_LONGEST_HEAD), what, "drive")
         shapes = {name: tuple(shape) for name, shape in about.pop("shapes").items()}
-        width = sum(int(np.prod(shape)) for shape in shapes.values())
+        width = sum(int(np.prod(shape)) for shape in shapes.values()) + 1
         numbers = np.fromfile(stream)
     rows = numbers[: len(numbers) // width * width].reshape(-1, width)
-    # A disk that lost power may have zeros, or old content, where rows should be; their time does not go on.
-    goes_on = np.isfinite(rows[:, 0]) & (np.diff(rows[:, 0], prepend=-1.0) > 0.0)
-    rows = rows[: len(rows) if goes_on.all() else int(goes_on.argmin())]
-    if not len(rows):
+    good = np.array([row.tobytes() == _sealed(row[:-1], number) for number, row in enumerate(rows)], dtype=bool)
+    whole = len(rows) if good.all() else int(good.argmin())
+    if not whole:
         raise ConfigurationError(what, "no row", "a run that has begun")
-    end = float(rows[-1, 0])
-    why = RunFailure(f"the run was cut off after {end:.1f} s: its process was killed", reason="cut_off")
+    end, why = float(rows[whole - 1, 0]), "its process was killed"
+    if good[whole:].any():
+        why = f"row {whole} of its file is damaged, and {good[whole:].sum()} good ones behind it are left out"
+    failure = RunFailure(f"the run was cut off after {end:.1f} s: {why}", reason="cut_off")
     scenario = Scenario.from_dict(about.pop("scenario"))
-    return fields_of(scenario, _columns(rows, shapes), why, wall_time=end, **about)
+    return fields_of(scenario, _columns(rows[:whole, :-1], shapes), failure, wall_time=end, **about)
 
 
 def _columns(rows: Any, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
@@ -138,8 +149,10 @@ def fields_of(
 
 
 def _signals(scenario: Scenario, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """As of a run: the pose is that which the machine tells, or else that of the angles that it reads."""
-    angles, poses, sent = values.pop("angles"), values.pop("told_pose"), values.pop("sent")
+    """As of a run: the pose is that which the machine tells, or else that of the angles that it reads or is told."""
+    angles, poses, sent = values["reading"], values.pop("told_pose"), values.pop("sent")
+    if scenario.belief.motors.takes == "angle" and not np.isfinite(angles).any():
+        angles = sent
     of_angles, guess = [], values["reference"][0, :6]
     for row in angles:
         # Angles that no pose has are no reason to lose a log.
@@ -149,7 +162,7 @@ def _signals(scenario: Scenario, values: dict[str, np.ndarray]) -> dict[str, np.
     told = bool(np.isfinite(poses).all())
     pose = poses if told else np.array(of_angles)
     rate = np.gradient(pose, values["time"], axis=0) if len(pose) > 1 else np.zeros_like(pose)
-    values |= {"measured": np.concatenate([pose, rate, angles], axis=1), "loop_gap": np.zeros((len(pose), 6))}
+    values |= {"measured": np.concatenate([pose, rate], axis=1), "loop_gap": np.zeros((len(pose), 6))}
     if scenario.belief.motors.takes == "torque":
         values["torque_applied"] = sent
     if told and "measurement" not in values:

@@ -17,7 +17,7 @@ from stewart_drake.base.config import did_you_mean
 from stewart_drake.base.errors import ConfigurationError, installed_with
 from stewart_drake.base.keys import join_or
 from stewart_drake.logs.journal import JOURNAL, cut_off
-from stewart_drake.logs.outcomes import Status, describe_outcome, second_half
+from stewart_drake.logs.outcomes import Status, describe_outcome, is_measured, second_half
 from stewart_drake.logs.signals import SCALES, SIGNALS
 from stewart_drake.scenario.scenario import Scenario
 
@@ -118,8 +118,9 @@ class SimulationLog(Mapping[str, np.ndarray]):
 
     @property
     def error(self) -> np.ndarray:
-        """(n, 6) [rad, m] true pose minus reference at every row."""
-        return self["pose"] - self["reference"]
+        """(n, 6) [rad, m] true pose minus reference at every row; not a number where nothing was measured."""
+        error = self["pose"] - self["reference"]
+        return error if is_measured(self.signals) else np.full_like(error, np.nan)
 
     @property
     def error_norms(self) -> tuple[np.ndarray, np.ndarray]:
@@ -233,9 +234,10 @@ _OUTCOME = tuple(each.name for each in fields(SimulationLog) if each.name not in
 """What a log says besides its signals."""
 
 
-def distinct_names(logs: Sequence[SimulationLog]) -> list[str]:
-    """Names of their scenarios, numbered where several have the same."""
+def distinct_names(logs: Sequence[SimulationLog], places: Sequence[object] = ()) -> list[str]:
+    """Names of their scenarios; where several have the same the places that they are from, or numbers."""
     names = [log.scenario.name for log in logs]
+    names = [str(place) if names.count(name) > 1 else name for name, place in zip(names, places or names, strict=True)]
     return [
         name if names.count(name) == 1 else f"{name} ({names[: place + 1].count(name)})"
         for place, name in enumerate(names)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stewart_drake.base.errors import installed_with
+from stewart_drake.logs.outcomes import is_measured
 from stewart_drake.logs.signals import SIGNALS
 from stewart_drake.mechanics.kinematics import leg_geometry, quaternion
 
@@ -78,8 +79,9 @@ def _topics(log: SimulationLog) -> Iterator[_Topic]:
         if name in log:
             yield f"/{name}_in_base", "foxglove.PoseInFrame", stamped, _poses(stamps, log[name])
     joints = {"timestamp": _TIME, "joints": {"type": "array", "items": _OBJECT}}
-    if "crank_angle" in log:
-        yield "/joint_states", "foxglove.JointStates", joints, _joints(stamps, log)
+    angles = log.signals.get("crank_angle", log.signals.get("reading"))
+    if angles is not None and is_measured(log.signals):
+        yield "/joint_states", "foxglove.JointStates", joints, _joints(stamps, log, angles)
     yield "/scene", "foxglove.SceneUpdate", {"entities": {"type": "array", "items": _OBJECT}}, _scene(stamps, log)
 
 
@@ -101,10 +103,10 @@ def _poses(stamps: list[Any], poses: np.ndarray) -> Iterator[tuple[int, dict[str
             yield row, {"timestamp": stamps[row], "frame_id": _FRAME, "pose": placed}
 
 
-def _joints(stamps: list[Any], log: SimulationLog) -> Iterator[tuple[int, dict[str, Any]]]:
+def _joints(stamps: list[Any], log: SimulationLog, angles: np.ndarray) -> Iterator[tuple[int, dict[str, Any]]]:
     torques = log.signals.get("torque_applied")
-    for row, angles in enumerate(log["crank_angle"].tolist()):
-        joints = [{"name": f"motor_{i}", "position": angle} for i, angle in enumerate(angles)]
+    for row, positions in enumerate(angles.tolist()):
+        joints = [{"name": f"motor_{i}", "position": angle} for i, angle in enumerate(positions)]
         if torques is not None:
             joints = [{**joint, "effort": float(torques[row, i])} for i, joint in enumerate(joints)]
         yield row, {"timestamp": stamps[row], "joints": joints}

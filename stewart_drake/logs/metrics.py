@@ -16,7 +16,7 @@ from stewart_drake.base.families import UserMade
 from stewart_drake.base.tables import AXES
 from stewart_drake.control.features import CostScales, cost
 from stewart_drake.hardware.motors import within_limit
-from stewart_drake.logs.outcomes import RunRows
+from stewart_drake.logs.outcomes import RunRows, is_measured
 from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 
 if TYPE_CHECKING:
@@ -148,7 +148,8 @@ def _peak_speed(rows: RunRows) -> float | None:
     """[deg/s] by differences of the crank angles; None for a single row."""
     if rows.steps < 2:
         return None
-    return float(np.degrees(np.abs(np.diff(rows["crank_angle"], axis=0) / np.diff(rows.time)[:, None]).max()))
+    angle = rows["crank_angle" if "crank_angle" in rows.signals else "reading"]
+    return float(np.degrees(np.abs(np.diff(angle, axis=0) / np.diff(rows.time)[:, None]).max()))
 
 
 def _torque_change(rows: RunRows) -> float | None:
@@ -276,8 +277,9 @@ METRICS: tuple[Metric, ...] = (
         tuple(f"integral_{axis}_at_5s" for axis in AXES), "integral states at 5 s", ".2g",
     ),
     Metric(
-        "finite", "", "every number of the log is finite",
-        lambda t: all(bool(np.isfinite(values).all()) for values in t.signals.values()), "steps", kind="flag",
+        "finite", "", "every number of the log is finite, but for readings that are missing",
+        lambda t: all(bool(np.isfinite(each).all()) for name, each in t.signals.items() if "reading" not in name),
+        "steps", kind="flag",
     ),
 )  # fmt: skip
 """Of every run, from all control ticks, and peaks from every step of the plant, whatever rows the log keeps."""
@@ -355,7 +357,9 @@ def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:
 
 
 def figures_of(rows: RunRows) -> dict[str, Any]:
-    """Every metric of a run by name, in values that JSON has; those that are not finite are named in `not_finite`."""
+    """Every metric of a run by name, in values that JSON has; None of what was not measured, or not finite."""
+    if rows.steps and not is_measured(rows.signals):
+        return plain_json(dict.fromkeys(metric.name for metric in metrics_of(rows.scenario)))
     with np.errstate(all="ignore"):
         return plain_json({metric.name: metric.value(rows) for metric in metrics_of(rows.scenario)})
 

@@ -61,6 +61,13 @@ def second_half(time: np.ndarray, duration: float) -> np.ndarray:
     return time >= 0.5 * duration - 1e-9
 
 
+def is_measured(signals: Mapping[str, np.ndarray]) -> bool:
+    """Whether the pose of a log was measured or simulated: it is that of commands where a machine tells nothing."""
+    if "crank_angle" in signals or "measured_pose" in signals or "reading" not in signals:
+        return True
+    return bool(np.isfinite(signals["reading"]).any())
+
+
 class RunRows:
     """Signals of a run, `rows["pose"]` and so on, with masks over them; errors are true pose minus reference.
 
@@ -323,6 +330,9 @@ def _error_over_motion(rows: RunRows) -> str:
 def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None) -> tuple[dict[str, Any], ...]:
     """What a reader should know beside the outcome: name, time [s], number and text of each."""
     events: list[tuple[str, float, float, str]] = []
+    if rows.steps and not is_measured(rows.signals):
+        text = "the machine does not tell its angles: the pose is that of its commands, and no error is known"
+        return ({"name": "not_measured", "time": 0.0, "number": 1.0, "text": text},)
     if trip is not None and trip["last"] == "none":
         text = f"{trip['monitor']}, {trip['worst']}"
         events.append(("safety_intervention", trip["time"], rows.interventions()[0], text))

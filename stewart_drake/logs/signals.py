@@ -56,7 +56,7 @@ _PLACE = (*"xyz", *(f"{axis}_half_width" for axis in "xyz"))
 _JOINTS = ("viscous", "dry", "viscous_half_width", "dry_half_width")
 SIGNALS: Mapping[str, Signal] = {
     "time": Signal((), ("s",), "simulated time"),
-    "pose": _axes("rad", "m", "pose of the platform, P in B", source="measured", part=POSE),
+    "pose": _axes("rad", "m", "pose of the platform, P in B; measured on a machine", source="measured", part=POSE),
     "pose_rate": _axes("rad/s", "m/s", "Euler rates and velocity of the platform", source="measured", part=RATE),
     "reference": _axes("rad", "m", "reference pose", source="reference", part=slice(0, 6)),
     "reference_rate": _axes("rad/s", "m/s", "rate of the reference", source="reference", part=slice(6, 12)),
@@ -71,7 +71,8 @@ SIGNALS: Mapping[str, Signal] = {
     "commanded_angle": _legs("rad", "angle that motors which take one are told"),
     "commanded_current": _legs("A", "current that motors which take one are told"),
     "torque_applied": _legs("N m", "torque at the motors, delayed and within their limit", title="applied"),
-    "crank_angle": _legs("rad", "theta, from the horizontal", source="measured", part=ANGLES),
+    "crank_angle": _legs("rad", "true angle of a simulated crank, from the horizontal", source="measured", part=ANGLES),
+    "reading": _legs("rad", "angle of a crank as the controller read it; not a number where nothing was read"),
     "weights": _numbers(("omega_q", "omega_r"), "weights in use"),
     "block_weights": _numbers(
         ("q_pose", "q_rate", "q_integral", "r"), "block weights in use, in place of `weights`", source="weights"
@@ -89,6 +90,8 @@ SIGNALS: Mapping[str, Signal] = {
         part=slice(0, 6),
     ),
     "measured_pose_rate": _axes("rad/s", "m/s", "its rate", source="measurement", part=slice(6, 12)),
+    "pose_reading": _axes("rad", "m", "pose as it was read; the true one without it and `reading`", part=slice(0, 6)),
+    "pose_rate_reading": _axes("rad/s", "m/s", "its rate", source="pose_reading", part=slice(6, 12)),
     "innovation": _legs("rad", "readings less what the observer expected"),
     "disturbance": Signal(
         ("mx", "my", "mz", "fx", "fy", "fz"), ("N m",) * 3 + ("N",) * 3, "wrench from outside on the platform"

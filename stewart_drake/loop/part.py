@@ -114,7 +114,8 @@ class LoopContext(NamedTuple):
     pose_rate: np.ndarray  # (6,) [rad/s, m/s] likewise.
     initial_torque: np.ndarray  # (6,) [N m] at the motors until the first command arrives.
     delay: int  # [ticks] of the commands.
-    latency: float  # [s] from a reading to its torque, as believed.
+    reading_age: float  # [s] of a reading when the controller gets it, as believed.
+    latency: float  # [s] from what is read to its torque, as believed.
     reading: int  # Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
     noise: float  # [rad] of a reading, as an observer believes it.
     friction: np.ndarray  # `mechanics.friction.BELIEVED` record of the motors; zeros for none.

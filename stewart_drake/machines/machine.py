@@ -56,6 +56,7 @@ class Reading(NamedTuple):
             whatever the network does. 0 where the machine does not say.
         holding: Whether the machine says that it follows no commands: it has got none yet, or the last is too old.
         pose: (6,) [rad, m] of the platform where the machine tells it; for comparison, no law reads it.
+        arrived: (6,) the last command that is known to have arrived; None where the machine does not say.
     """
 
     angles: np.ndarray
@@ -65,6 +66,7 @@ class Reading(NamedTuple):
     command_age: float = 0.0
     holding: bool = False
     pose: np.ndarray | None = None
+    arrived: np.ndarray | None = None
 
 
 class Machine(Protocol):
@@ -138,6 +140,8 @@ class Homed:
     def read(self) -> Reading:
         """The next or the latest reading."""
         reading = self._machine.read()
+        if reading.arrived is not None and self._machine.takes == "angle":
+            reading = reading._replace(arrived=reading.arrived + self._home)
         return reading._replace(angles=reading.angles + self._home)
 
     def command(self, values: np.ndarray) -> None:

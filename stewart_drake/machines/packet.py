@@ -54,6 +54,13 @@ def flags_of(takes: str, *bits: int) -> int:
     return sum(bits) | TAKES.index(takes) << 2
 
 
+def rounded_inside(limits: np.ndarray) -> np.ndarray:
+    """Limits (2, ...), lowest and highest, as the farthest numbers of the wire that keep to them."""
+    near = limits.astype(np.float32)
+    beyond = [near[0] < limits[0], near[1] > limits[1]]
+    return np.where(beyond, np.nextafter(near, near[::-1]), near).astype(float)
+
+
 def encode(packet: Packet) -> bytes:
     """The bytes (SIZE,) of a packet; numbers are cut to their fields."""
     numbers = packet.number & 0xFFFFFFFF, packet.answers & 0xFFFFFFFF, packet.microseconds & (1 << 64) - 1

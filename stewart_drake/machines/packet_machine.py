@@ -24,7 +24,7 @@ _DROPPED = {
     "range": f"beyond {LARGEST_ANGLE:.3g} rad: are they in rad, and is model.home right?",
     "old": "older than the one before",
 }
-KEPT = 1024  # Commands whose time of sending is kept.
+KEPT = 1024  # Commands that are kept, with the time of sending.
 
 
 class PacketMachine(ABC):
@@ -42,7 +42,8 @@ class PacketMachine(ABC):
     _sent = np.zeros(KEPT)
 
     def __init__(self, scenario: Scenario, name: str) -> None:
-        self._scenario, self._limits, self.name = scenario, machine.command_limits(scenario), name
+        self._scenario, self.name = scenario, name
+        self._limits = wire.rounded_inside(machine.command_limits(scenario))
         self.takes: Takes = scenario.belief.motors.takes  # type: ignore[assignment]
         self.dropped, self._line = Counter[str](), None  # type: Counter[str], Any
         self._forget()
@@ -107,7 +108,9 @@ class PacketMachine(ABC):
         if silent > machine.LOST:
             raise MachineError(self.name, f"has sent no reading for {silent:.1f} s")
         held, ages = not last.flags & wire.ACTIVE, (now - self._arrived, now - self._answered)
-        return Reading(last.values.copy(), last.microseconds * 1e-6, ages[0], self._total, ages[1], held)
+        return Reading(
+            last.values.copy(), last.microseconds * 1e-6, ages[0], self._total, ages[1], held, arrived=self._taken
+        )
 
     def command(self, values: np.ndarray) -> None:
         """Sends commands (6,) that are to be followed."""
@@ -132,6 +135,8 @@ class PacketMachine(ABC):
         self._last: wire.Packet | None = None
         now = time.monotonic()
         self._number, self._counted, self._sent = 0, 0, np.full(KEPT, now)
+        self._values: list[np.ndarray | None] = [None] * KEPT  # None where a packet was no command.
+        self._taken: np.ndarray | None = None
         self._total: int = 0
         self._looked = self._listening = self._arrived = self._answered = now
 
@@ -143,6 +148,7 @@ class PacketMachine(ABC):
     def _tell(self, values: np.ndarray, active: bool) -> None:
         self._number, now = self._number + 1, time.monotonic()
         self._sent[self._number % KEPT] = now
+        self._values[self._number % KEPT] = values if active else None
         answers, flags = 0 if self._last is None else self._last.number, wire.ACTIVE if active else 0
         packet = wire.Packet(wire.flags_of(self.takes, flags), self._number, answers, int(now * 1e6), values)
         with machine.line_errors(self.name):
@@ -167,6 +173,7 @@ class PacketMachine(ABC):
                 self._last, self._arrived, self._counted = packet, time.monotonic(), self._counted + 1
                 if packet.answers > 0 and (self._number - packet.answers) % 2**32 < KEPT:
                     self._answered = float(self._sent[packet.answers % KEPT])
+                    self._taken = self._values[packet.answers % KEPT]
 
 
 def _follows(packet: wire.Packet, last: wire.Packet) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from typing import Any
 
@@ -73,7 +74,8 @@ class ReachyMachine:
             pass
         age = time.monotonic() - self._arrived
         if age > machine.LOST:
-            raise MachineError(self.name, f"the daemon has sent no angles for {age:.1f} s")
+            sent = f"; it sent {self._strange}" if self._strange else ""
+            raise MachineError(self.name, f"the daemon has sent no angles for {age:.1f} s{sent}")
         pose = self._pose.copy() if self._pose_number == self._number else None
         return Reading(self._joints[1:].copy(), self._number * TICK, age, self._number, 0.0, self._off, pose)
 
@@ -91,7 +93,7 @@ class ReachyMachine:
             self._stack.close()
         self._socket = None
         self._number, self._pose_number, self._arrived, self._off = -1, -1, 0.0, False
-        self._joints, self._yaw, self._pose = np.zeros(7), 0.0, np.zeros(6)
+        self._joints, self._yaw, self._pose, self._strange = np.zeros(7), 0.0, np.zeros(6), ""
 
     def _opened(self) -> Any:
         if self._socket is None:
@@ -101,27 +103,33 @@ class ReachyMachine:
     def _take(self, timeout: float) -> bool:
         """Notes what the next message says; False where none comes in a time [s]. Strange ones are passed over."""
         try:
-            message = json.loads(self._opened().recv(timeout=timeout))
+            text = self._opened().recv(timeout=timeout)
         except TimeoutError:
             return False
-        except ValueError:
-            return True
         except self._errors as error:
             raise MachineError(self.name, f"the connection is lost ({error})") from None
-        kind = message.get("type") if isinstance(message, dict) else None
-        if kind == "joint_positions" and (joints := _numbers(message.get("head_joint_positions"), 7)) is not None:
-            self._yaw = float(joints[0]) if self._number < 0 else self._yaw
-            self._joints, self._arrived, self._number = joints, time.monotonic(), self._number + 1
-        elif kind == "head_pose" and (matrix := _numbers(message.get("head_pose"), 16)) is not None:
-            self._pose, self._pose_number = pose_of_head(matrix.reshape(4, 4), float(self._joints[0])), self._number
-        elif kind == "daemon_status":
-            self._off = (message.get("backend_status") or {}).get("motor_control_mode") != "enabled"
+        try:
+            self._note(json.loads(text))
+        except Exception:  # Nothing that comes over a line ends a drive.
+            self._strange = f"{text[:60]!r}"
         return True
 
+    def _note(self, message: Mapping[str, Any]) -> None:
+        """Raises whatever it may where a message is not as the daemon's are."""
+        kind = message["type"]
+        if kind == "joint_positions":
+            joints = _numbers(message["head_joint_positions"], 7)
+            self._yaw = float(joints[0]) if self._number < 0 else self._yaw
+            self._joints, self._arrived, self._number = joints, time.monotonic(), self._number + 1
+        elif kind == "head_pose":
+            matrix = _numbers(message["head_pose"], 16).reshape(4, 4)
+            self._pose, self._pose_number = pose_of_head(matrix, float(self._joints[0])), self._number
+        elif kind == "daemon_status":
+            self._off = (message.get("backend_status") or {}).get("motor_control_mode") != "enabled"
 
-def _numbers(given: Any, count: int) -> np.ndarray | None:
-    try:
-        numbers = np.ravel(np.array(given, dtype=float))
-    except (TypeError, ValueError):
-        return None
-    return numbers if numbers.shape == (count,) and np.isfinite(numbers).all() else None
+
+def _numbers(given: Any, count: int) -> np.ndarray:
+    numbers = np.ravel(np.array(given, dtype=float))
+    if numbers.shape != (count,) or not np.isfinite(numbers).all():
+        raise ValueError(f"expected {count} finite numbers")
+    return numbers

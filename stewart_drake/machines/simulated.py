@@ -1,6 +1,6 @@
 """`sim:`, a scenario's plant and motors in real time, in a process of its own, behind the packet of a real machine.
 
-`python -m stewart_drake.machines.simulated SCENARIO --port N` starts one by hand, for `udp://127.0.0.1:N`.
+`python -P -m stewart_drake.machines.simulated SCENARIO --port N` starts one by hand, for `udp://127.0.0.1:N`.
 
 It is also the example of what a robot's side has to do: it takes commands of one peer alone, in order, of the right
 kind, finite and within limits; it sends a reading in each tick while somebody asks; and 0.1 s after the last active
@@ -66,7 +66,8 @@ class SimulatedMachine(UdpMachine):
         self.counts: dict[str, int] = {}
 
     def _open(self) -> socket.socket:
-        command = [sys.executable, "-m", "stewart_drake.machines.simulated", "-", "--port", "0"]
+        # Without the current folder, whose modules would be taken for Python's.
+        command = [sys.executable, "-P", "-m", "stewart_drake.machines.simulated", "-", "--port", "0"]
         # In a session of its own: Ctrl-C is for who drives, and the robot must still be there while that slows down.
         self._process = process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
@@ -157,8 +158,7 @@ class RobotSide:
 
     def __init__(self, takes: str, limits: np.ndarray, hold_after: float = wire.HOLD_AFTER) -> None:
         self.takes, self.hold_after, self.counts = takes, hold_after, Counter[str]()
-        # In the numbers of the wire, or a limit itself would be beyond it.
-        self._low, self._high = limits.astype(np.float32).astype(float)
+        self._low, self._high = limits
         self.peer: Any = None
         self.values: np.ndarray | None = None
         self._heard = self._active = self._sent = -np.inf

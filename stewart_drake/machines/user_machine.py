@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import inspect
+import queue
+import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
@@ -17,6 +20,7 @@ from stewart_drake.machines.machine import MachineError, Reading, Takes
 from stewart_drake.scenario.scenario import Scenario
 
 METHODS = ("connect", "read", "command", "disconnect")
+_SIXES = ("pose", "arrived")  # What a reading may have besides.
 
 
 class UserMachine:
@@ -39,6 +43,8 @@ class UserMachine:
         machine.check_takes(scenario, self.takes, self.name)
         self._last: Reading | None = None
         self._arrived, self.after = 0.0, "its disconnect was called"
+        self._calls: queue.SimpleQueue[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]] = queue.SimpleQueue()
+        threading.Thread(target=_serve, args=(self._calls,), daemon=True).start()
         self._look()
 
     def connect(self) -> None:
@@ -49,7 +55,7 @@ class UserMachine:
 
     def read(self) -> Reading:
         """What the user's object reads, checked."""
-        given, now = self._ask(self._own.read), time.monotonic()
+        given, now = self._ask(self._watched, self._own.read), time.monotonic()
         if given is not None:
             reading, last = self._checked(given, now), self._last
             if last is not None and reading.time < last.time:
@@ -65,7 +71,7 @@ class UserMachine:
 
     def command(self, values: np.ndarray) -> None:
         """Hands over commands (6,), a copy."""
-        self._ask(self._own.command, machine.within_limits(values, self._limits, self.name))
+        self._ask(self._watched, self._own.command, machine.within_limits(values, self._limits, self.name))
 
     def disconnect(self) -> None:
         """Disconnects; `after` says what the user's object raises."""
@@ -89,22 +95,47 @@ class UserMachine:
         except (OSError, ControllerError) as error:
             raise MachineError(self.name, error) from error
 
+    def _watched(self, method: Callable[..., Any], *given: Any) -> Any:
+        """What a method returns, in a thread that may hang: nobody waits for it longer than `machine.LOST`."""
+        called: Future[Any] = Future()
+        self._calls.put((called, method, given))
+        try:
+            return called.result(machine.LOST)
+        except TimeoutError:
+            if called.done():
+                raise
+            raise MachineError(
+                self.name, f"its {getattr(method, '__name__', method)} has not returned for {machine.LOST:g} s"
+            ) from None
+
     def _checked(self, given: Any, now: float) -> Reading:
         if not isinstance(given, Reading):
             angles, at = given if isinstance(given, tuple) and len(given) == 2 else (given, now)
             given = Reading(angles, at, 0.0, 1 if self._last is None else self._last.number + 1)
         try:
-            pose = None if given.pose is None else np.array(given.pose, dtype=float)
+            more = {
+                name: each if (each := getattr(given, name)) is None else np.array(each, dtype=float) for name in _SIXES
+            }
             numbers = {name: float(getattr(given, name)) for name in ("time", "age", "command_age")}
             reading = given._replace(
-                angles=np.array(given.angles, dtype=float), pose=pose, number=int(given.number), **numbers
+                angles=np.array(given.angles, dtype=float), number=int(given.number), **more, **numbers
             )
-        except (TypeError, ValueError):
-            raise MachineError(self.name, f"read gave {given}, no reading of six angles") from None
+        except (TypeError, ValueError, OverflowError):
+            raise MachineError(self.name, f"read gave {str(given)[:200]}, no reading of six angles") from None
         if reading.angles.shape != (6,) or not np.isfinite([*reading.angles, *numbers.values()]).all():
             raise MachineError(self.name, f"read gave {reading.angles}, no six finite angles [rad], or no finite time")
         if min(reading.age, reading.command_age) < 0.0:
             raise MachineError(self.name, f"read gave an age of {min(reading.age, reading.command_age):g} s")
-        if pose is not None and (pose.shape != (6,) or not np.isfinite(pose).all()):
-            raise MachineError(self.name, f"read gave the pose {pose}, no six finite numbers")
+        for name, each in more.items():
+            if each is not None and (each.shape != (6,) or not np.isfinite(each).all()):
+                raise MachineError(self.name, f"read gave {name} {each}, no six finite numbers")
         return reading
+
+
+def _serve(calls: queue.SimpleQueue[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]]) -> None:
+    while True:
+        called, method, given = calls.get()
+        try:
+            called.set_result(method(*given))
+        except BaseException as error:
+            called.set_exception(error)

@@ -48,7 +48,9 @@ Errors = Mapping[str, Mapping[str, float]]
 
 def unseen_trajectories() -> dict[str, tuple[SineReference, float]]:
     """The eleven motions of trajectories.yaml and how long [s] to follow them; the second half counts."""
-    table = YAML(typ="safe", pure=True).load(files(__package__).joinpath("trajectories.yaml").read_text("utf-8"))
+    table = YAML(typ="safe", pure=True).load(
+        files(__package__).joinpath("trajectories.yaml").read_text(encoding="utf-8")
+    )
     unit, motions = np.repeat([math.radians(1.0), 1e-3], 3), {}
     for name, (duration, axes) in table.items():
         size, frequency, phase = (np.array([axes.get(axis, (0.0, 1.0, 0.0))[i] for axis in AXES]) for i in range(3))

@@ -114,7 +114,7 @@ def reproduce(
 
 def write(out: Path, results: dict[str, Result]) -> None:
     numbers = {name: result.numbers for name, result in results.items()}
-    (out / "numbers.json").write_text(json.dumps(numbers, indent=1, allow_nan=False) + "\n")
+    (out / "numbers.json").write_text(json.dumps(numbers, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     (out / "figures").mkdir(exist_ok=True)
     for result in results.values():
         for name, draw in result.figures.items():

@@ -19,7 +19,7 @@ from stewart_drake.mechanics.friction import SWEEPS, implicit_torque, update_bri
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry, pose_rate_to_twist
 from stewart_drake.mechanics.linear_algebra import copy_to, solve
 from stewart_drake.plant.model_files import home_frames
-from stewart_drake.plant.plant_options import MechanismOptions
+from stewart_drake.plant.plant_options import MechanismOptions, foreign_state
 from stewart_drake.robot import RobotParameters
 
 STATE = fields(pose=6, pose_rate=6, angles=6, crank_rate=6, twist=6, anchor=6, slip=6)
@@ -75,6 +75,8 @@ class ClosedForm:
         return self._state.copy()
 
     def restore(self, state: np.ndarray) -> np.ndarray:
+        if getattr(state, "dtype", None) != STATE:
+            raise foreign_state(state, "a closed form")
         self._state[:] = state
         return self._measured
 
@@ -219,7 +221,7 @@ def _rk4_step(
             rate[3 + k] = twist[3 + k]
         for k in range(6):
             rate[6 + k] = acceleration[k, 0]
-        share, ahead = (1.0 if stage in (0, 3) else 2.0) / 6.0, 0.5 if stage < 2 else 1.0
+        share, ahead = (2.0 if 0 < stage < 3 else 1.0) / 6.0, 0.5 if stage < 2 else 1.0
         for k in range(12):
             mean[k] += share * rate[k]
             change[k] = step * (ahead * rate[k] if stage < 3 else mean[k])

@@ -22,7 +22,7 @@ from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_rate_to_twist, rotation_matrix
 from stewart_drake.plant.model_files import home_frames, mjcf_text
-from stewart_drake.plant.plant_options import MechanismOptions
+from stewart_drake.plant.plant_options import MechanismOptions, foreign_state
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import FrictionOptions, Moderate
 from stewart_drake.robot.robot_files import robot_model
@@ -381,7 +381,10 @@ class MujocoPlant:
         return state
 
     def restore(self, state: np.ndarray) -> np.ndarray:
-        self._mujoco.mj_setState(self._model, self._data, state, self._mujoco.mjtState.mjSTATE_INTEGRATION)
+        kind = self._mujoco.mjtState.mjSTATE_INTEGRATION
+        if getattr(state, "shape", None) != (size := self._mujoco.mj_stateSize(self._model, kind),):
+            raise foreign_state(state, f"a model of MuJoCo with {size} numbers")
+        self._mujoco.mj_setState(self._model, self._data, state, kind)
         return self._arrived()
 
 

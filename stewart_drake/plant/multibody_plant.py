@@ -59,7 +59,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import level, update_bristles
 from stewart_drake.mechanics.linear_algebra import copy_to
 from stewart_drake.plant.model_files import home_frames, sdf_text
-from stewart_drake.plant.plant_options import DrakeOptions, platform_damping_limit
+from stewart_drake.plant.plant_options import DrakeOptions, foreign_state, platform_damping_limit
 from stewart_drake.plant.state_map import StateIndices, StateMap
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
@@ -177,11 +177,14 @@ class StewartRobot(StateMap):
         All else in the plant stays as it is.
         """
         assembled, mine = self.assemble(pose, pose_rate), self.indices.all()
+        state = self.plant.GetPositionsAndVelocities(self.plant.GetMyContextFromRoot(context))
+        state[mine] = assembled[mine]
+        self.put(context, state)
+
+    def put(self, context: Context, state: np.ndarray) -> None:
+        """Puts the plant into a state (nq + nv,), friction without tension; `context` as in `break_rod`."""
         with drake_guard("setting the plant's state"):
-            plant_context = self.plant.GetMyMutableContextFromRoot(context)
-            state = self.plant.GetPositionsAndVelocities(plant_context)
-            state[mine] = assembled[mine]
-            self.plant.SetPositionsAndVelocities(plant_context, state)
+            self.plant.SetPositionsAndVelocities(self.plant.GetMyMutableContextFromRoot(context), state)
             if self._friction is not None:
                 self._friction[1](context, state)
 
@@ -236,9 +239,7 @@ def add_robot(
     with drake_guard("adding the robot"):
         others = set(plant.GetConstraintIds())
         at = base.translation(), base.rotation().ToRollPitchYaw().vector()
-        text = sdf_text(
-            robot, rod_joint=options.rod_joint, collision=options.collision, name=model_instance, base=at
-        )
+        text = sdf_text(robot, rod_joint=options.rod_joint, collision=options.collision, name=model_instance, base=at)
         (instance,) = (Parser(plant) if parser is None else parser).AddModelsFromString(text, "sdf")
         closures = [each for each in plant.GetConstraintIds() if each not in others]
         added = StewartRobot(plant, instance, robot, options, base, closures)
@@ -475,17 +476,24 @@ class SteppedPlant:
         return self._measure()
 
     def save(self) -> tuple[int, list[np.ndarray]]:
-        """Steps done, and the discrete state of the Diagram."""
+        """Steps done, and the discrete state of the Diagram: of the plant, and of its friction where it has some."""
         state = self._context.get_discrete_state()
         return self._steps, [np.array(state.get_vector(k).value()) for k in range(state.num_groups())]
 
     def restore(self, state: tuple[int, list[np.ndarray]]) -> np.ndarray:
+        own = [len(group) for group in self.save()[1]]
+        given = [len(group) for group in state[1]] if isinstance(state, tuple) else []
+        if given[:1] != own[:1]:
+            raise foreign_state(state, f"a MultibodyPlant with {own[0]} numbers")
         self._begin()
         self._steps, groups = state
-        self._context.SetTime(self._steps * self._period)
-        self._simulator.Initialize()
-        for k, values in enumerate(groups):
-            self._context.SetDiscreteState(k, values)
+        with drake_guard("going on from a state"):
+            self._context.SetTime(self._steps * self._period)
+            self._simulator.Initialize()
+            self._stewart.put(self._context, groups[0])
+            # Friction that was not there before begins without tension.
+            for k, values in enumerate(groups[: len(own)]):
+                self._context.SetDiscreteState(k, values)
         return self._measure()
 
     def _begin(self) -> None:

@@ -48,7 +48,12 @@ class Plant(Protocol):
         """A copy of its whole state, which means something to plants of its kind alone."""
 
     def restore(self, state: Any) -> np.ndarray:
-        """Goes on from a state that was saved, by this plant or by another one of its kind."""
+        """Goes on from a state that was saved, by this plant or by another one of its kind; else ConfigurationError."""
+
+
+def foreign_state(state: Any, expected: str) -> ConfigurationError:
+    """The error of a plant that is to go on from a state of another kind."""
+    return ConfigurationError("state of a plant", getattr(state, "shape", type(state).__name__), f"that of {expected}")
 
 
 class PlantOptions(Section, ABC, key="plant"):
@@ -231,10 +236,12 @@ class _UserPlant:
         return self._ask(self._plant.step, torque, wrench)
 
     def save(self) -> Any:
-        return copy.deepcopy(vars(self._plant)), self._measured.copy()
+        return type(self._plant), copy.deepcopy(vars(self._plant)), self._measured.copy()
 
     def restore(self, state: Any) -> np.ndarray:
-        attributes, measured = copy.deepcopy(state)
+        if not isinstance(state, tuple) or state[0] is not type(self._plant):
+            raise foreign_state(state, f"another {type(self._plant).__name__}")
+        _, attributes, measured = copy.deepcopy(state)
         vars(self._plant).update(attributes)
         self._measured[:] = measured
         return self._measured

@@ -31,7 +31,7 @@ class Move(NamedTuple):
     """A move in n rows: the head on its body, and what is no part of the platform."""
 
     description: str
-    time: np.ndarray  # (n,) [s], ascending.
+    time: np.ndarray  # (n,) [s], not going back: stamps may be equal.
     pose: np.ndarray  # (n, 6) [rad, m] of P in the base frame B, which turns with the body.
     antennas: np.ndarray  # (n, 2) [rad].
     body_yaw: np.ndarray  # (n,) [rad].
@@ -89,11 +89,8 @@ def read_move(path: str | Path) -> Move:
     if (back := np.diff(time, prepend=-math.inf) < 0.0).any():
         row = int(back.argmax())
         raise ConfigurationError(key, f"{time[row]:g} s after {time[row - 1]:g} s in time[{row}]", "times that ascend")
-    # Of rows at the same time the first.
-    new = np.diff(time, prepend=-math.inf) != 0.0
-    time, head, antennas, yaw = time[new], head[new], antennas[new], yaw[new]
-    if len(time) < 4:
-        raise ConfigurationError(key, f"{len(time)} rows", "at least 4 rows, each at a time of its own")
+    if (count := len(np.unique(time))) < 4:
+        raise ConfigurationError(key, f"{count} rows", "at least 4 rows, each at a time of its own")
     if (seconds := time[-1] - time[0]) > LONGEST:
         raise ConfigurationError(key, f"{seconds:g} s", f"a move of at most {LONGEST:g} s, with `time` in seconds")
     turn = np.unwrap(np.arctan2(head[:, 1, 0], head[:, 0, 0]))

@@ -18,21 +18,21 @@ from stewart_drake.base.families import UserMade
 from stewart_drake.base.sampling import unwrapped
 from stewart_drake.base.tables import POSE, read_numbers, refuse_back, refuse_cells
 from stewart_drake.references.moves import read_move
+from stewart_drake.references.rows import CUTOFF, MOST_ROWS, SETTLE, RowsMotion
 
 QUANTITIES = (("time", "s"), *POSE)
 MAX_RECORDING_BYTES = 100_000_000
-MAX_RECORDING_ROWS = 1_000_000
 _FAR_APART = 60.0  # [s]
 DIFFERENCE = 1e-4  # [s] of differences of a pose that is given alone.
 
 
 class RecordedReference(Section, key="reference"):
-    """A recorded motion: a cubic spline through the rows of a CSV or Parquet file, the first at t = 0.
+    """A recorded motion: the rows of a CSV or Parquet file, the first at t = 0.
 
-    Times ascend. Angles may wrap: jumps by a
-    whole turn are removed. The spline (not-a-knot) passes through every row, noise included, so filter a recording
-    first. A run starts with the recording's own velocity. After the last row the motion comes to rest with continuous
-    acceleration.
+    Times ascend. Angles may wrap: jumps by a whole turn are removed. Rows of 2.2 times the cutoff or faster are
+    resampled on their median step, with the jitter of their times averaged out, and low-passed without delay; what that
+    changes is told. Through slower rows, the way points of a motion, passes a cubic spline (not-a-knot). A run starts
+    with the recording's own velocity, and slows down on its way, to rest at its last row.
     """
 
     kind: Literal["recorded"] = "recorded"
@@ -43,8 +43,10 @@ class RecordedReference(Section, key="reference"):
     format: its head on its body."""
     time_scale: Positive = 1.0
     """[s] duration of one unit of the file's time: 0.001 for a file in milliseconds, 2 for half the speed."""
-    settle: Annotated[Real, Field(ge=1e-6, le=1e6)] = 0.25
-    """[s] time from the last row to rest."""
+    cutoff: Positive | None = CUTOFF
+    """[Hz] of the low pass, as the motion is played; null takes rows and their times as they are."""
+    settle: Annotated[Real, Field(ge=1e-6, le=1e6)] = SETTLE
+    """[s] in which it slows down to rest at the last row, half of it after the last row's time."""
 
     @property
     def of_head(self) -> bool:
@@ -54,33 +56,24 @@ class RecordedReference(Section, key="reference"):
     @property
     def end(self) -> float:
         """[s] from when on it is at rest."""
-        return float(self._splines[0].x[-1])
+        return self._motion.end
+
+    @property
+    def note(self) -> str:
+        """By how much the rows were changed; empty where it is next to nothing."""
+        return self._motion.note
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        time = np.asarray(time, dtype=float)
-        splines = self._splines
-        end = splines[0].x[-1]
-        pose, rate, acceleration = (spline(np.clip(time, 0.0, end)) for spline in splines)
-        moving = ((time >= 0.0) & (time < end))[..., None]
-        return pose, np.where(moving, rate, 0.0), np.where(moving, acceleration, 0.0)
+        return self._motion.evaluate(time)
 
     @cached_property
-    def _splines(self) -> tuple[Any, Any, Any]:
-        from scipy.interpolate import CubicSpline, PPoly
-
-        data, t = load_recording(self.motion_file), self.settle
+    def _motion(self) -> RowsMotion:
+        data, key = load_recording(self.motion_file), f"recorded motion {self.motion_file}"
         apart = self.time_scale * float(np.median(np.diff(data[:, 0])))
         if apart > _FAR_APART:
             allowed = f"rows less than {_FAR_APART:g} s apart; are the times in ms? name the column time_ms"
-            raise ConfigurationError(f"recorded motion {self.motion_file}", f"rows {apart:g} s apart", allowed)
-        rows = CubicSpline((data[:, 0] - data[0, 0]) * self.time_scale, data[:, 1:], axis=0)
-        pose, rate, acceleration = (rows(rows.x[-1], order) for order in range(3))
-        # The rate goes on as a cubic, with its last value and slope at the last row and neither after `settle`.
-        coast = [0.5 * rate / t**3 + 0.25 * acceleration / t**2, -rate / t**2 - 2.0 / 3.0 * acceleration / t]
-        coast += [0.5 * acceleration, rate, pose]
-        quartics = np.concatenate([np.zeros_like(rows.c[:1]), rows.c])
-        motion = PPoly(np.concatenate([quartics, np.array(coast)[:, None]], axis=1), np.append(rows.x, rows.x[-1] + t))
-        return motion, motion.derivative(1), motion.derivative(2)
+            raise ConfigurationError(key, f"rows {apart:g} s apart", allowed)
+        return RowsMotion(data[:, 0] * self.time_scale, data[:, 1:], self.cutoff, self.settle, key)
 
 
 def _is_move(path: str | Path) -> bool:
@@ -96,7 +89,7 @@ def load_recording(path: str | Path) -> np.ndarray:
         return np.column_stack([move.time, move.pose])
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise ConfigurationError(key, path.suffix, "a file that ends in .csv, .parquet or .json")
-    data = read_numbers(path, key, QUANTITIES, MAX_RECORDING_BYTES, MAX_RECORDING_ROWS)
+    data = read_numbers(path, key, QUANTITIES, MAX_RECORDING_BYTES, MOST_ROWS)
     if len(data) < 4:
         raise ConfigurationError(key, f"{len(data)} rows", "at least 4 rows")
     refuse_cells(key, QUANTITIES, data, ~np.isfinite(data), "a finite number")

@@ -9,13 +9,14 @@ import csv
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
 from stewart_drake.base.atomic_files import read_checked
 from stewart_drake.base.config import check_value
 from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.tables import no_header
 from stewart_drake.robot.leg import (
     DIRECTION_TOLERANCE,
     LARGEST_SIZE,
@@ -92,11 +93,23 @@ def wrapped(angle: Any) -> Any:
 
 # --- from a table ---
 
-Unit = Literal["m", "mm"]
-Cranks = Literal["outwards", "towards", "away"]
+UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
+"""[m] of one of a table's unit."""
+Unit = Literal["m", "mm", "cm", "in"]
+Cranks = Literal["outwards", "towards", "away", "tangential"]
 _POSITIONS = ("shaft_x", "shaft_y", "shaft_z", "joint_x", "joint_y", "joint_z")
 _GROUPS = (("crank_x", "crank_y", "crank_z"), ("up_x", "up_y", "up_z"), ("low", "high"))
-_OTHERS = (*(name for group in _GROUPS for name in group), "crank_length", "rod_length", "branch")
+_OTHERS = (*(name for group in _GROUPS for name in group), "crank_length", "rod_length", "branch", "pair")
+_POLAR = {
+    ("shaft_radius", "shaft_deg"): ("shaft_x", "shaft_y"),
+    ("joint_radius", "joint_deg"): ("joint_x", "joint_y"),
+    ("crank_deg",): ("crank_x", "crank_y", "crank_z"),
+}
+"""Columns about z -> those that they are in place of."""
+_NEARER = 1.5
+"""[-] by which a shaft is nearer to its partner than to any other; else the pairs are not clear."""
+LEVEL_SPREAD = 0.01
+"""[-] of the rod by which the heights may differ at which the legs' cranks are level."""
 _ALL_LENGTHS = ("crank_length", "rod_length", "home_height", "link_radius", "characteristic_length")
 _LENGTHS: dict[str, Any] = {**dict.fromkeys(_ALL_LENGTHS, Size), "platform_center_of_mass": Signed3}
 _CHECKED = _LENGTHS | dict.fromkeys(("platform_mass", "rod_mass", "crank_mass"), Size)
@@ -105,25 +118,36 @@ _LINK_RADIUS = 0.005 / 0.11
 """Of a link, over the characteristic length: as the paper's robot has it."""
 
 
-def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, Any]) -> dict[str, Any]:
+class FromTable(NamedTuple):
+    """What a table gives."""
+
+    parameters: dict[str, Any]  # Of `RobotParameters`.
+    pairs: tuple[tuple[int, int], ...]  # Legs of the motors that are partners; empty where it makes no difference.
+    warning: str  # What is perhaps wrong; empty if nothing.
+
+
+def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, Any]) -> FromTable:
     """Parameters of a robot whose legs stand in a table.
 
-    Columns of a CSV file, by name, in any order: shaft_x to shaft_z (in B) and joint_x to joint_z (in P); if need be
-    crank_x to crank_z (where the crank points at theta = 0) and up_x to up_z (at pi/2), crank_length, rod_length,
-    branch, and low and high [rad], its stops. Lines that begin with # are remarks.
+    Columns of a CSV file, by name, in any order: shaft_x to shaft_z (in B) and joint_x to joint_z (in P), in place of x
+    and y also shaft_radius and shaft_deg, joint_radius and joint_deg; if need be crank_x to crank_z (where the crank
+    points at theta = 0) or crank_deg, its angle seen from above, and up_x to up_z (at pi/2), crank_length, rod_length,
+    branch, pair (one number for the two motors of a pair), and low and high [rad], its stops. Lines that begin with #
+    are remarks.
 
     What neither table nor parameters say: `home_height` is where the cranks are level in the mean; of the branches each
     leg takes the one nearer to level there; `characteristic_length` is the joints' mean distance from the axis of P;
     links are as slender as the paper's; inertias are those of uniform bars and of a disc.
 
     Raises:
-        ConfigurationError: Too few rows, columns or numbers; an unknown choice; a leg that cannot be level.
+        ConfigurationError: Too few rows, columns or numbers; an unknown choice; cranks that point to or from a partner
+            which is not clear; a leg that cannot be level.
     """
     check_value("unit", unit, Unit)
     check_value("cranks", cranks, Cranks)
     for name in parameters.keys() & _CHECKED.keys():
         check_value(f"robot.{name}", parameters[name], _CHECKED[name])
-    scale = 1e-3 if unit == "mm" else 1.0
+    scale = UNITS[unit]
     own = {name: scale * np.array(value) if name in _LENGTHS else value for name, value in parameters.items()}
     columns = _columns(table)
     # Whole millimetres in metres have a tail of rounding, which nobody wants to read.
@@ -135,11 +159,11 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
         if name not in columns and name not in own:
             raise ConfigurationError(f"table: {name}", None, f"a column {name}, or {name} for all legs")
         lengths[name] = np.round(scale * columns[name], 12) if name in columns else np.full(LEG_COUNT, float(own[name]))
-    zero, up = _directions(columns, shafts, cranks)
-    if "home_height" in own:
-        height = float(own["home_height"])
-    else:
-        height = _level(shafts + lengths["crank_length"][:, None] * zero, joints, lengths["rod_length"])
+    pairs = () if "crank_x" in columns or cranks == "outwards" else _pairs(columns, shafts)
+    zero, up = _directions(columns, shafts, cranks, pairs)
+    rods, height = lengths["rod_length"], own.get("home_height")
+    levels = _levels(shafts + lengths["crank_length"][:, None] * zero, joints, rods, height is None)
+    height = float(levels.mean() if height is None else height)
     span = joints + [0.0, 0.0, height] - shafts
     of_legs = {
         "shaft_position": shafts,
@@ -160,7 +184,7 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
         **{name: float(values.mean()) for name, values in lengths.items()},
         **own,
     }
-    return _inertias(known) | known
+    return FromTable(_inertias(known) | known, pairs, _spread(levels, rods))
 
 
 def _vectors(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
@@ -169,7 +193,7 @@ def _vectors(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
 
 def _columns(table: Any) -> dict[str, np.ndarray]:
     """Columns (6,) of a table by name."""
-    names: Sequence[str] = _POSITIONS
+    names: Sequence[str] = _POSITIONS if np.shape(table)[1:] != (len(_POSITIONS) + 1,) else (*_POSITIONS, "pair")
     what = "table"
     if isinstance(table, (str, Path)):
         what = f"table {table}"
@@ -184,10 +208,18 @@ def _columns(table: Any) -> dict[str, np.ndarray]:
         raise ConfigurationError(what, str(error), allowed) from None
     if values.shape != (LEG_COUNT, len(names)):
         raise ConfigurationError(what, values.shape, allowed)
-    if not np.isfinite(values).all():
-        leg, column = np.argwhere(~np.isfinite(values))[0]
-        raise ConfigurationError(f"{what}: {names[column]} of leg {leg}", float(values[leg, column]), "a finite number")
+    if (wrong := ~(np.abs(values) <= LARGEST_SIZE)).any():
+        leg, column = np.argwhere(wrong)[0]
+        allowed = f"a number within {LARGEST_SIZE:g}"
+        raise ConfigurationError(f"{what}: {names[column]} of leg {leg}", float(values[leg, column]), allowed)
     columns = dict(zip(names, values.T, strict=True))
+    for end in ("shaft", "joint"):
+        if f"{end}_radius" in columns:
+            radius, angle = columns.pop(f"{end}_radius"), np.radians(columns.pop(f"{end}_deg"))
+            columns |= {f"{end}_x": radius * np.cos(angle), f"{end}_y": radius * np.sin(angle)}
+    if "crank_deg" in columns:
+        angle = np.radians(columns.pop("crank_deg"))
+        columns |= {"crank_x": np.cos(angle), "crank_y": np.sin(angle), "crank_z": np.zeros(LEG_COUNT)}
     numbers = columns.pop("leg", np.arange(LEG_COUNT))
     if (np.diff(numbers) != 1.0).any() or numbers[0] not in (0.0, 1.0):
         allowed = "0 to 5, or 1 to 6, in this order: the first row is leg 0"
@@ -195,27 +227,59 @@ def _columns(table: Any) -> dict[str, np.ndarray]:
     return columns
 
 
-def _check_header(key: str, names: Sequence[str]) -> None:
+def _check_header(key: str, given: Sequence[str]) -> None:
+    names = list(given)
+    for polar, plain in _POLAR.items():
+        if set(polar) <= set(names):
+            names = [name for name in names if name not in polar] + [*plain]
     groups = [group for group in _GROUPS if set(group) & set(names)]
     missing = [name for group in (_POSITIONS, *groups) for name in group if name not in names]
     strange = [name for name in names if name not in (*_POSITIONS, *_OTHERS, "leg") or names.count(name) > 1]
     if missing or strange:
-        wrong = f"without {', '.join(missing)}" if missing else f"with {', '.join(strange)}"
-        allowed = f"each once: {', '.join(_POSITIONS)}, and optionally, in groups, {', '.join(_OTHERS)}, leg"
+        wrong = f"without {', '.join(missing)}" if missing else f"with {', '.join(dict.fromkeys(strange))}"
+        allowed = f"each once: {', '.join(_POSITIONS)}, and optionally, in groups, {', '.join(_OTHERS)}, leg; "
+        allowed += no_header(given) or "shaft_radius, shaft_deg, joint_radius, joint_deg, crank_deg are read too"
         raise ConfigurationError(key, wrong, allowed)
 
 
-def _directions(columns: Mapping[str, np.ndarray], shafts: np.ndarray, cranks: Cranks) -> tuple[np.ndarray, np.ndarray]:
+def _pairs(columns: Mapping[str, np.ndarray], shafts: np.ndarray) -> tuple[tuple[int, int], ...]:
+    """Legs of the motors that are partners: those of one number in the column `pair`, or clearly beside each other."""
+    if "pair" in columns:
+        pairs = [tuple(np.flatnonzero(columns["pair"] == number).tolist()) for number in np.unique(columns["pair"])]
+        if {len(legs) for legs in pairs} != {2}:
+            allowed = "three numbers, each for the two legs of a pair, such as 0, 0, 1, 1, 2, 2"
+            raise ConfigurationError("table: pair", columns["pair"].tolist(), allowed)
+        return tuple(sorted((one, other) for one, other in pairs))
+    apart = np.linalg.norm(shafts[:, None] - shafts, axis=-1) + np.diag(np.full(LEG_COUNT, np.inf))
+    (near, far), (partner, other) = np.sort(apart)[:, :2].T, apart.argsort(kind="stable")[:, :2].T
+    clear = (far >= _NEARER * near) & (partner[partner] == np.arange(LEG_COUNT))
+    if not clear.all():
+        leg = int(clear.argmin())
+        got = f"none; shaft {partner[leg]} is {near[leg]:.4g} m from shaft {leg}, shaft {other[leg]} {far[leg]:.4g} m"
+        allowed = "a column pair with one number for the two motors of a pair, such as 0, 0, 1, 1, 2, 2"
+        hint = f"which shaft is the partner of shaft {leg}: {partner[leg]} or {other[leg]}?"
+        raise ConfigurationError("table: pair", got, f"{allowed}; {hint}")
+    return tuple((leg, int(partner[leg])) for leg in range(LEG_COUNT) if leg < partner[leg])
+
+
+def _directions(
+    columns: Mapping[str, np.ndarray], shafts: np.ndarray, cranks: Cranks, pairs: Sequence[tuple[int, int]]
+) -> tuple[np.ndarray, np.ndarray]:
     """Unit vectors (6, 3) along the cranks at theta = 0 and pi/2."""
+    outwards, partners = shafts * [1.0, 1.0, 0.0], np.arange(LEG_COUNT)
+    for one, other in pairs:
+        partners[[one, other]] = other, one
+    towards = (shafts[partners] - shafts) * [1.0, 1.0, 0.0]
     if "crank_x" in columns:
         zero = _vectors(columns, "crank")
     elif cranks == "outwards":
-        zero = shafts * [1.0, 1.0, 0.0]
+        zero = outwards
+    elif cranks == "tangential":
+        across = np.cross([0.0, 0.0, 1.0], outwards)
+        zero = -np.sign(np.sum(across * towards, axis=-1, keepdims=True)) * across
     else:
-        apart = np.linalg.norm(shafts[:, None] - shafts, axis=-1) + np.diag(np.full(LEG_COUNT, np.inf))
-        side = 1.0 if cranks == "towards" else -1.0
-        zero = side * (shafts[apart.argmin(axis=1)] - shafts) * [1.0, 1.0, 0.0]
-    zero = _unit(zero, "crank", "a direction: crank_x to crank_z")
+        zero = towards if cranks == "towards" else -towards
+    zero = _unit(zero, "crank", "a direction: crank_x to crank_z, or crank_deg")
     up = _vectors(columns, "up") if "up_x" in columns else np.eye(3)[[2] * LEG_COUNT]
     across = up - np.sum(up * zero, axis=-1, keepdims=True) * zero
     return zero, _unit(across, "up", "a direction not along the crank: up_x to up_z")
@@ -229,15 +293,29 @@ def _unit(vectors: np.ndarray, name: str, allowed: str) -> np.ndarray:
     return unit
 
 
-def _level(tips: np.ndarray, joints: np.ndarray, rods: np.ndarray) -> float:
-    """[m] mean over the legs of the height of P at which a leg's crank is at theta = 0."""
+def _levels(tips: np.ndarray, joints: np.ndarray, rods: np.ndarray, needed: bool) -> np.ndarray:
+    """(6,) [m] heights of P at which a leg's crank is at theta = 0; NaN where a rod is too short and none is needed."""
     across = np.linalg.norm((joints - tips)[:, :2], axis=-1)
-    if (rods <= across).any():
+    if needed and (rods <= across).any():
         leg = int((rods - across).argmin())
         allowed = f"more than {across[leg]:.4g} m from level crank to joint of leg {leg}, or a home_height"
         hint = "; are the positions in millimetres? set unit to mm" if across[leg] > 100.0 * rods[leg] else ""
         raise ConfigurationError(f"table: rod_length of leg {leg}", float(rods[leg]), allowed + hint)
-    return float(np.mean(tips[:, 2] - joints[:, 2] + np.sqrt(rods**2 - across**2)))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(tips[:, 2] - joints[:, 2] + np.sqrt(rods**2 - across**2))
+
+
+def _spread(levels: np.ndarray, rods: np.ndarray) -> str:
+    """What is to say where the cranks are level at heights (6,) [m] that are far apart; empty if they are not."""
+    if not np.ptp(levels) > LEVEL_SPREAD * rods.min():
+        return ""
+    leg = int(np.abs(levels - np.median(levels)).argmax())
+    others, mm = np.delete(levels, leg), 1e3 * levels
+    if np.ptp(others) > LEVEL_SPREAD * rods.min():
+        low, high = int(mm.argmin()), int(mm.argmax())
+        return f"the crank of leg {low} is level at {mm[low]:.4g} mm, of leg {high} at {mm[high]:.4g}: is this meant?"
+    among = f"the others at {1e3 * others.min():.4g} to {1e3 * others.max():.4g}"
+    return f"the crank of leg {leg} is level at {mm[leg]:.4g} mm, {among}: is it mirrored?"
 
 
 def _branches(span: np.ndarray, zero: np.ndarray, up: np.ndarray, lengths: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
@@ -166,17 +167,23 @@ class RobotParameters(Section, key="robot"):
     ) -> RobotParameters:
         """A robot from measured positions, a row a leg; `geometry.from_table` fills in what they leave open.
 
+        Where the legs' cranks are level at heights that differ, a warning names the leg.
+
         Args:
-            table: Path of a CSV file, or an array (6, 6) [m] of motor shafts in B and platform joints in P.
-            unit: Of all lengths in the table and in `parameters`: m or mm.
-            cranks: Where level cranks point, if the table does not say: outwards from the centre, towards the partner
-                (the nearest other shaft), or away from it.
+            table: Path of a CSV file, or an array (6, 6) of motor shafts in B and platform joints in P; in a seventh
+                column the two motors of a pair have one number.
+            unit: Of all lengths in the table and in `parameters`: m, mm, cm or in.
+            cranks: Where level cranks point, if the table does not say: outwards from the centre, towards the other
+                motor of the pair, away from it, or tangential, at right angles to outwards and away from it.
             **parameters: Any of this class.
 
         Raises:
             ConfigurationError: As for the class; a table with too few rows, columns or numbers.
         """
-        return cls(**from_table(table, unit, cranks, parameters))
+        made = from_table(table, unit, cranks, parameters)
+        if made.warning:
+            warnings.warn(made.warning, stacklevel=2)
+        return cls(**made.parameters)
 
     @cached_property
     def home_pose(self) -> np.ndarray:

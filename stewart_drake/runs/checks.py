@@ -35,7 +35,9 @@ _NUDGES = 100
 _SLOWEST = 1e-3  # [-] of its speed at which a motion is tried
 _FEW = 500  # Samples of a motion, beside its worst ones, that a hint looks at
 _FALL = 0.03  # Of the characteristic length, free fall before a command acts: a loop that is slow for its robot.
+_SOON = 30  # Ticks; assumed.
 _PASSED: set[Any] = set()  # Motions that have passed: a search runs the same one a thousand times.
+_KEPT = 64  # Of these.
 
 
 def refuse_unrunnable(scenario: Scenario) -> None:
@@ -68,6 +70,8 @@ def check_scenario(scenario: Scenario) -> None:
         if scenario.safety is not None:
             _check_safety(scenario, scenario.safety)
         if known:
+            if len(_PASSED) >= _KEPT:
+                _PASSED.clear()
             _PASSED.add(subject)
     with np.errstate(all="ignore"):
         start = scenario.start()[0]
@@ -221,6 +225,7 @@ def beliefs(scenario: Scenario) -> list[tuple[str, str, str]]:
         ("gravity", text(scenario.gravity, "m/s^2"), text(belief.gravity, "m/s^2")),
         ("noise of a crank's angle", text(nominal.noise, "rad"), text(belief.noise, "rad")),
         ("delay of a command [ticks]", str(nominal.delay), str(belief.delay)),
+        ("age of a reading", text(nominal.reading_age, "s"), text(belief.reading_age, "s")),
         *([] if kinds == ("torque", "torque") else [("motors", *kinds)]),
         *(
             (f"motors.{key}", of_motors(scenario.motors, key), of_motors(belief.motors, key))
@@ -230,13 +235,21 @@ def beliefs(scenario: Scenario) -> list[tuple[str, str, str]]:
     ]
 
 
-def likely_cause(scenario: Scenario) -> str:
-    """Why a run was perhaps not completed, which its motion does not show; empty where nothing speaks for anything."""
+def likely_cause(scenario: Scenario, ended: float) -> str:
+    """Why a run that ended at a time [s] was perhaps not completed, which its motion does not show; or nothing.
+
+    A loop that is too slow for its robot loses it within `_SOON` ticks.
+    """
     if worst := plant_report(scenario).first_violation:
         return f"{worst.where} needs {worst.value:.4g} N m, its motor has {worst.bound:.4g} N m"
     period, slow = scenario.controller.period, _FALL * scenario.robot.characteristic_length
-    fall = 0.5 * scenario.gravity * (period * (1 + scenario.command_delay)) ** 2
-    if fall < slow or scenario.sensors.faults or not (scenario.link.perfect and scenario.motors.perfect):
+    fall = 0.5 * scenario.gravity * (period * (1 + scenario.loop_delay)) ** 2
+    if (
+        ended > _SOON * period
+        or fall < slow
+        or scenario.sensors.faults
+        or not (scenario.link.perfect and scenario.motors.perfect)
+    ):
         return ""
     return f"a slow loop of {1.0 / period:.4g} Hz: the platform can fall {1e3 * fall:.2g} mm until it reacts"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ import numpy as np
 from stewart_drake.analysis.feasibility import check_reference
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError, RunFailure, StewartDrakeError
 from stewart_drake.base.real_time import real_time
+from stewart_drake.control.user_controller import failure_of
 from stewart_drake.logs.journal import Journal
 from stewart_drake.logs.log import MAX_ROWS, SimulationLog
 from stewart_drake.machines.machine import Machine, Reading
@@ -33,10 +35,15 @@ AT_STOP = 0.02
 CLOCKS_APART = 0.05
 """Share by which the period of a machine that sets the pace may differ from the controller's. Its ticks count as the
 controller's: where they are longer, the motion takes longer."""
-_FRESH = 5  # Readings at most until the first that is used.
+_FRESH = 10  # Readings at most until the first that is used.
 SHORTEST = 0.1  # [s] of a motion.
 HOLD = 0.3
 """[s] for which it is held at the end before it is let go."""
+ON_THE_WAY = 0.03
+"""[s] for which a command may be on its way, three ticks where that is longer: a command that is an angle is no farther
+from the last one that has arrived than the path goes in this time, and `APPROACH_SPEED` besides."""
+HELD = "not_following", "not_moving", "holding"
+"""Reasons for which the robot is held where it reads itself, not slowed down on its path: it is not on it."""
 MOVES, FOLLOWS = 0.1, 0.1
 """[rad] that a crank should have moved by when it is seen whether it moves, and the share of it that it must have."""
 
@@ -79,7 +86,16 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
     if machine.paced and own is not None and abs(own - period) > CLOCKS_APART * period:
         allowed = f"about {own:.4g} s, that of the machine, which sets the pace"
         raise ConfigurationError("controller.period", period, allowed)
-    robot, angles, begin = scenario.belief.robot, machine.read().angles, reference.evaluate(0.0)[0]
+    motion = PacedMotion(reference, reference.evaluate(0.0)[0], RAMP)
+    start = planned(scenario, machine, motion, machine.read().angles, seconds)
+    whole = check_reference(scenario.belief.robot, scenario.limits, motion, start.duration, scenario.gravity)
+    whole.raise_if_infeasible()
+    return start
+
+
+def planned(scenario: Scenario, machine: Machine, motion: PacedMotion, angles: np.ndarray, seconds: float) -> Start:
+    """Plans the way from where a machine reads itself, (6,) [rad], to some seconds of a motion, which begins there."""
+    robot, begin = scenario.belief.robot, motion.goal
     try:
         pose = _standing(robot, angles, scenario.belief.home)
     except ConfigurationError:
@@ -89,23 +105,18 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
         pose = begin
     far = float(np.abs(inverse_kinematics(robot, begin) - inverse_kinematics(robot, pose)).max())
     # The fastest instant of the way is 1.875 times as fast as its mean.
-    motion = PacedMotion(reference, pose, max(RAMP, 1.875 * far / APPROACH_SPEED))
-    duration = motion.duration(seconds)
-    for until in (motion.approach, duration):
-        try:
-            check_reference(robot, scenario.limits, motion, until, scenario.gravity).raise_if_infeasible()
-        except InfeasibleReferenceError as error:
-            if until == duration:
-                raise
-            allowed = f"a pose from which the motion can be reached ({error}){getattr(machine, 'first', '')}"
-            raise ConfigurationError("start", np.round(pose, 4).tolist(), allowed) from None
-    return Start(angles, pose, motion, duration)
+    motion.begin(pose, max(RAMP, 1.875 * far / APPROACH_SPEED))
+    try:
+        check_reference(robot, scenario.limits, motion, motion.approach, scenario.gravity).raise_if_infeasible()
+    except InfeasibleReferenceError as error:
+        allowed = f"a pose from which the motion can be reached ({error}){getattr(machine, 'first', '')}"
+        raise ConfigurationError("start", np.round(pose, 4).tolist(), allowed) from None
+    return Start(angles, pose, motion, motion.duration(seconds))
 
 
 def measured_home(robot: RobotParameters, angles: np.ndarray, home: Sequence[float]) -> np.ndarray:
     """`model.home` (6,) [rad] of a robot that stands in its home pose and reads crank angles (6,) [rad] with a home."""
-    off = inverse_kinematics(robot, robot.home_pose) - angles + np.array(home)
-    return np.round(np.remainder(off + np.pi, 2.0 * np.pi) - np.pi, 4)
+    return np.round(inverse_kinematics(robot, robot.home_pose) - angles + np.array(home), 4) + 0.0
 
 
 def _standing(robot: RobotParameters, angles: np.ndarray, home: Sequence[float]) -> np.ndarray:
@@ -116,11 +127,20 @@ def _standing(robot: RobotParameters, angles: np.ndarray, home: Sequence[float])
             allowed = f"within {low:.4g} to {high:.4g} rad, its stops: is its zero that of the model? {measured}"
             raise ConfigurationError(f"angle of leg {leg}", f"{angle:.4g} rad", allowed)
     try:
-        return forward_kinematics(robot, angles)
+        pose = forward_kinematics(robot, angles)
     except StewartDrakeError as error:
         allowed = f"angles that the believed robot can stand at ({error}): are leg order, signs and zeros its own? "
         allowed += measured
         raise ConfigurationError("angles", np.round(angles, 4).tolist(), allowed) from None
+    # A pose tells no turns, and a motor would make them.
+    turns = np.round((angles - inverse_kinematics(robot, pose)) / (2.0 * np.pi))
+    if turns.any():
+        leg, without = int(np.abs(turns).argmax()), np.round(np.array(home) - 2.0 * np.pi * turns, 4) + 0.0
+        allowed = (
+            f"{angles[leg] - 2.0 * np.pi * turns[leg]:.4g} rad, without whole turns, or model.home={without.tolist()}"
+        )
+        raise ConfigurationError(f"angle of leg {leg}", f"{angles[leg]:.4g} rad, {turns[leg]:g} turns on", allowed)
+    return pose
 
 
 def held_controller(scenario: Scenario, pose: np.ndarray, motion: PacedMotion | None = None) -> Controller:
@@ -161,17 +181,14 @@ class Drive:
     def __init__(
         self, scenario: Scenario, machine: Machine, start: Start, journal: Path | None = None, most: int | None = None
     ) -> None:
-        self._machine, self._start, self._motion = machine, start, start.motion
-        self.scenario = as_logged(scenario).replace(duration=start.duration)
+        self._machine, self._motion, self._driven = machine, start.motion, scenario
         self._robot, self._following = scenario.belief.robot, scenario.bounds.crank_angle or np.inf
-        self._controller, self._ahead = held_controller(scenario, start.pose, start.motion), scenario.preview
-        self._period, self._command = self._controller.period, np.empty(6)
-        self._stale = STALE[machine.takes]
-        # What is compiled or loaded in the first call must not come in the first tick.
-        self._controller.step(start.angles, 0.0, self._command)
-        self._controller.reset()
-        self.latest = Tick(0.0, start.angles, start.pose, np.zeros(6))
-        self._rows, self._last = Journal(self.scenario, journal, most), -1
+        self._ahead, self._command, self._stale = scenario.preview, np.empty(6), STALE[machine.takes]
+        self._journal, self._last = (journal, most), -1
+        self._begin(start)
+        self._period = self._controller.period
+        self._on_the_way = max(ON_THE_WAY, 3.0 * self._period)
+        self._held: np.ndarray | None = None  # (6,) [rad] at which the robot is held.
         self._gives_up = np.inf  # [s] on the monotonic clock.
         self._holding = 0  # Ticks in a row in which the machine said that it follows nothing.
         self._behind = 0  # Ticks by which the motion's clock is behind that of the machine.
@@ -180,6 +197,16 @@ class Drive:
         self._asked = False
         self._ranges = np.tile([np.inf, -np.inf], (2, 6, 1))  # Of the cranks, as read and as wanted [rad].
         self._motion.stop(start.duration - RAMP)
+
+    def _begin(self, start: Start) -> None:
+        """What depends on where the robot stands."""
+        self._start, self.scenario = start, as_logged(self._driven).replace(duration=start.duration)
+        self._controller = held_controller(self._driven, start.pose, start.motion)
+        # What is compiled or loaded in the first call must not come in the first tick.
+        self._controller.step(start.angles, 0.0, self._command)
+        self._controller.reset()
+        self.latest = Tick(0.0, start.angles, start.pose, np.zeros(6))
+        self._rows = Journal(self.scenario, *self._journal)
 
     @property
     def time(self) -> float:
@@ -191,6 +218,8 @@ class Drive:
         """What became of the robot, once it is over."""
         if self.time < self._motion.rests:
             return "it was let go at once"
+        if self._held is not None:
+            return f"it was held where it stood for {RAMP + HOLD:g} s, and let go"
         return f"it was slowed down on its path, held for {HOLD:g} s, and let go"
 
     def run(self, progress: Callable[[float], None] | None = None) -> SimulationLog:
@@ -214,10 +243,7 @@ class Drive:
 
     def _go(self, progress: Callable[[float], None] | None) -> None:
         try:
-            # What came while something was compiled is old.
-            for _ in range(_FRESH):
-                if self._machine.read().age < self._period:
-                    break
+            self._look_again()
             while not self._done():
                 try:
                     if self._asked:
@@ -232,11 +258,28 @@ class Drive:
                     self._stop(end)
         except (RunFailure, KeyboardInterrupt) as end:
             self._stopped_by = self._stopped_by or end
-        except StewartDrakeError as error:
-            self._stopped_by = self._stopped_by or RunFailure(str(error))
+        except (Exception, SystemExit) as error:  # Whatever it is, the log is kept.
+            self._stopped_by = self._stopped_by or failure_of(error, self.scenario)
         finally:
-            self._machine.disconnect()
-            self._rows.close()
+            for last in (self._machine.disconnect, self._rows.close):
+                # Who does not wait for the machine keeps the rows.
+                try:
+                    last()
+                except KeyboardInterrupt as end:
+                    self._stopped_by = self._stopped_by or end
+
+    def _look_again(self) -> None:
+        """Plans the way anew where the robot no longer stands where it stood."""
+        for _ in range(_FRESH):
+            reading = self._machine.read()
+            if moved := self._machine.reads and np.abs(reading.angles - self._start.angles).max() > AT_STOP:
+                seconds = self._start.duration - self._motion.duration(0.0)
+                self._begin(planned(self._driven, self._machine, self._motion, reading.angles, seconds))
+            elif reading.age < self._period:
+                # What came while something was compiled is old.
+                return
+        if moved:
+            raise RunFailure("the robot moves before anything was sent to it; hold it still", reason="not_at_rest")
 
     def stop(self) -> None:
         """Slows down on its path, and ends; from any thread."""
@@ -248,6 +291,10 @@ class Drive:
 
     def _stop(self, why: RunFailure | KeyboardInterrupt) -> None:
         """Slows down from what has been commanded already on; the first reason is the one that is told."""
+        if self._held is None and isinstance(why, RunFailure) and why.reason in HELD:
+            self._held = self._read.angles
+            with suppress(StewartDrakeError):
+                self._motion.hold(forward_kinematics(self._robot, self._held, self.latest.reference))
         if self._stopped_by is None:
             if isinstance(why, RunFailure):
                 why.time = self.time
@@ -257,6 +304,7 @@ class Drive:
 
     def _tick(self) -> None:
         reading, tick, late = self._next()
+        self._read = reading
         if tick <= self._last:
             # A paced machine that has nothing new: only time passes.
             self._look(reading)
@@ -272,8 +320,10 @@ class Drive:
         # A command is on its way for two ticks, and before the first one none was.
         age = max(reading.age, min(reading.command_age, now) - 2.0 * self._period)
         arrived = time.monotonic()
+        self._look(reading)
         self._miss(tick)
         self._controller.step(reading.angles, now, self._command, age)
+        self._bound(reading, now)
         self._machine.command(self._command)
         late += time.monotonic() - arrived
         logged = {
@@ -281,11 +331,29 @@ class Drive:
             for name, of in self._controller.logged.items()
         }
         told = np.full(6, np.nan) if reading.pose is None else reading.pose
-        own = {"angles": reading.angles, "told_pose": told, "reading_age": age, "lateness": late}
+        own = {"told_pose": told, "reading_age": age, "lateness": late}
+        if not self._machine.reads:
+            # Its reading is what it was last told.
+            own["reading"] = np.full(6, np.nan)
         wanted = self._motion.row(now)
         self._rows.append({"time": now, **logged, **own, "sent": self._command, "reference": wanted})
         self._last, self.latest = tick, Tick(now, reading.angles, wanted[:6], self._command.copy())
-        self._look(reading)
+
+    def _bound(self, reading: Reading, now: float) -> None:
+        """Keeps commands that are angles near to those that are read, and nearer to the last that has arrived."""
+        if self._machine.takes != "angle":
+            return
+        if self._held is not None:
+            self._command[:] = self._held
+            return
+        times = now + np.array([0.0, self._ahead, self._ahead - self._on_the_way])
+        here, there, before = inverse_kinematics(self._robot, self._motion.evaluate(np.maximum(times, 0.0))[0])
+        reach = (self._following if self._machine.reads else np.inf) + np.abs(there - here)
+        near = np.clip(self._command, reading.angles - reach, reading.angles + reach)
+        sent = self.latest.sent if self._rows else reading.angles
+        arrived = sent if reading.arrived is None else reading.arrived
+        step = np.abs(there - before) + APPROACH_SPEED * self._on_the_way
+        self._command[:] = np.clip(near, arrived - step, arrived + step)
 
     def _miss(self, tick: int) -> None:
         """Ticks that were lost before this one are ticks without a reading, or its rate would come out too large."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 
@@ -12,12 +12,14 @@ from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.mechanics import kinematics
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.references.moves import STEP, Move
+from stewart_drake.references.rows import RowsMotion
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.controller import Controller
-from stewart_drake.scenario.limits import ReferenceLimits, limit_margins
+from stewart_drake.scenario.limits import ReferenceLimits, limit_bounds, limit_margins
 from stewart_drake.scenario.scenario import Scenario
 
-SPEED, TORQUE = math.radians(618.0), 0.5  # [rad/s] of an XL330-M288-T at 5 V without load, and [N m] of a fixed move.
+TORQUE = 0.5  # [N m] at most in a fixed move.
+RESERVE = 0.002  # [-] of a limit, or [rad] of a stop, that a fixed move keeps: others look at other instants.
 MOVING = ("crank_speed", "torque")  # What a move breaks by how fast it is; the rest it breaks by where it is.
 NEAR = 0.05  # [s] about a place that breaks a limit within which the move changes.
 SMALLER, SMOOTHER, SLOWER = 0.02, 0.004, 0.01  # A step: [-] of the size, [s], [-] of the duration.
@@ -30,21 +32,22 @@ def _of_head(robot: RobotParameters) -> RobotParameters:
     return robot if robot.tool is None else robot.replace(tool=None)
 
 
-def motion_of(move: Move) -> Any:
-    """Spline through the poses of a move, from t = 0."""
-    from scipy.interpolate import CubicSpline
+def motion_of(move: Move) -> RowsMotion:
+    """The motion of a move, from t = 0: as `reference: {kind: recorded}` plays its file."""
+    return RowsMotion(move.time, move.pose)
 
-    return CubicSpline(move.time - move.time[0], move.pose)
+
+def _limits(robot: RobotParameters) -> ReferenceLimits:
+    """The limits of a scenario with that robot."""
+    return Scenario(robot=robot).limits
 
 
 def check_move(robot: RobotParameters, move: Move) -> tuple[feasibility.FeasibilityReport, float]:
-    """All limits along a move, with the speed of the servos; and the share of its ticks [-] out of reach."""
-    robot = _of_head(robot)
-    motion, limits = motion_of(move), ReferenceLimits(crank_speed=SPEED)
-    times = feasibility.checked_times(float(motion.x[-1]))
-    signals = motion(times), motion(times, 1), motion(times, 2)
-    report = feasibility.check_motion(robot, limits, times, *signals, STANDARD_GRAVITY)
-    return report, float((kinematics.reach_margin(robot, move.pose) < 0.0).any(axis=-1).mean())
+    """All limits along a move; and the share of its ticks [-] out of reach."""
+    robot, motion = _of_head(robot), motion_of(move)
+    report = feasibility.check_reference(robot, _limits(robot), motion, motion.end)
+    rows = motion.rows(feasibility.checked_times(motion.length))
+    return report, float((kinematics.reach_margin(robot, rows) < 0.0).any(axis=-1).mean())
 
 
 def averaged(pose: np.ndarray, widths: np.ndarray) -> np.ndarray:
@@ -57,10 +60,11 @@ def averaged(pose: np.ndarray, widths: np.ndarray) -> np.ndarray:
 
 
 def fix_move(robot: RobotParameters, move: Move) -> tuple[Move, dict[str, float]]:
-    """The move changed where it breaks a limit, in small steps until it breaks none; and by how much, for a table.
+    """The move low-passed, and changed where it breaks a limit, in small steps until it breaks none; and by how much.
 
-    Where a pose is outside, the move comes nearer to home; where it is too fast or needs too much torque, it is
-    averaged over a longer time, up to `SMOOTHEST`; then all of it is slowed.
+    It is judged as others read the rows that are written. Where a pose is outside, the move comes nearer to home; where
+    it is too fast or needs too much torque, it is averaged over a longer time, up to `SMOOTHEST`; then all of it is
+    slowed.
     """
     from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
@@ -68,27 +72,30 @@ def fix_move(robot: RobotParameters, move: Move) -> tuple[Move, dict[str, float]
         widest = maximum_filter1d(values, 2 * round(NEAR / STEP) + 1, mode="nearest")
         return np.asarray(gaussian_filter1d(widest, 0.5 * NEAR / STEP, mode="nearest"))
 
-    given = move.at(np.arange(move.time[0], move.time[-1] + 0.5 * STEP, STEP))
-    robot = _of_head(robot)
-    count, home = len(given.time), robot.home_pose
-    if count < 4:
-        raise ConfigurationError("move", f"{move.time[-1] - move.time[0]:.3g} s", f"at least {3.0 * STEP:g} s")
-    limits = ReferenceLimits(crank_speed=SPEED, torque_fraction=TORQUE / robot.effort_limit)
+    signal, robot = motion_of(move), _of_head(robot)
+    if signal.length < 3.0 * STEP:
+        raise ConfigurationError("move", f"{signal.length:.3g} s", f"at least {3.0 * STEP:g} s")
+    time = STEP * np.arange(math.ceil(signal.length / STEP - 1e-6) + 1)
+    until = np.minimum(time, signal.length)
+    given = move.at(move.time[0] + time)._replace(pose=signal.rows(until))
+    count, home, limits = len(time), robot.home_pose, _limits(robot)
+    limits = dataclasses.replace(limits, torque_fraction=TORQUE / robot.effort_limit)
+    bounds = limit_bounds(robot, limits)
     smaller, widths, slowdown = np.zeros(count), np.zeros(count), 1.0
     for _ in range(_STEPS):
         less, wide = near(smaller), near(widths)
         pose = averaged(home + (1.0 - less)[:, None] * (given.pose - home), wide)
         made = given._replace(time=STEP * slowdown * np.arange(count), pose=pose)
         motion = motion_of(made)
-        times = feasibility.checked_times(float(motion.x[-1]))
-        signals = motion(times), motion(times, 1), motion(times, 2)
-        margins = limit_margins(robot, limits, *signals, STANDARD_GRAVITY)
+        times = feasibility.checked_times(motion.end)
+        margins = limit_margins(robot, limits, *motion.evaluate(times), STANDARD_GRAVITY)
         # Where a rod cannot span, the rest is unknown: NaN.
-        outside = np.any([~(margins[name] >= 0.0).all(axis=1) for name in margins if name not in MOVING], axis=0)
-        fast = np.any([(margins[name] < 0.0).any(axis=1) for name in MOVING], axis=0) & ~outside
+        kept = {name: (values >= RESERVE * (bounds[name] or 1.0)).all(axis=1) for name, values in margins.items()}
+        outside = ~np.all([good for name, good in kept.items() if name not in MOVING], axis=0)
+        fast = ~np.all([kept[name] for name in MOVING], axis=0) & ~outside
         if not (outside | fast).any():
             break
-        at = np.rint(times / (STEP * slowdown)).astype(int)
+        at = np.minimum(np.rint(motion.own_time(times)[0] / (STEP * slowdown)).astype(int), count - 1)
         smaller[np.unique(at[outside])] += SMALLER
         np.minimum(smaller, 1.0, out=smaller)
         slowdown *= 1.0 + SLOWER * float((widths[at[fast]] >= SMOOTHEST).any() and not outside.any())
@@ -96,8 +103,9 @@ def fix_move(robot: RobotParameters, move: Move) -> tuple[Move, dict[str, float]
         np.minimum(widths, SMOOTHEST, out=widths)
     else:
         raise ConfigurationError("move", move.description, f"a move that can be done after {_STEPS} small changes")
-    turns = np.swapaxes(kinematics.rotation_matrix(given.pose[:, :3]), 1, 2) @ kinematics.rotation_matrix(pose[:, :3])
-    apart = 1e3 * np.linalg.norm((pose - given.pose)[:, 3:], axis=1), np.degrees(kinematics.rotation_angle(turns))
+    played, recorded = motion.rows(slowdown * time), signal.recorded(until)
+    turns = np.swapaxes(kinematics.rotation_matrix(recorded[:, :3]), 1, 2) @ kinematics.rotation_matrix(played[:, :3])
+    apart = 1e3 * np.linalg.norm((played - recorded)[:, 3:], axis=1), np.degrees(kinematics.rotation_angle(turns))
     changes = {"least size %": 100.0 * (1.0 - less.max()), "averaged ms": 1e3 * wide.max()}
     changes["longer %"] = 100.0 * (slowdown - 1.0)
     for unit, each in zip(("mm", "deg"), apart, strict=True):
@@ -117,11 +125,10 @@ def shaped_move(scenario: Scenario, move: Move) -> tuple[Move, np.ndarray]:
         still = {"reference": {"kind": "hold"}, "initial_offset": [0.0] * 6}
         scenario = scenario.replace({**still, **{f"{section}.tool": None for section in sections}})
     motion = motion_of(move)
-    end, ahead = float(motion.x[-1]), scenario.preview
+    end, ahead = motion.end, scenario.preview
 
     def row(now: float) -> np.ndarray:
-        moving = float(0.0 <= now < end)
-        return np.ravel([motion(min(max(now, 0.0), end), n) * (moving if n else 1.0) for n in range(3)])
+        return np.ravel(motion.evaluate(now))
 
     controller = Controller(scenario, {"reference": row, "reference_ahead": lambda now: row(now + ahead)})
     if controller.unit != "rad" or scenario.controller.feedback:
@@ -135,9 +142,9 @@ def shaped_move(scenario: Scenario, move: Move) -> tuple[Move, np.ndarray]:
             got = f"at {min(time + ahead, end):.2f} s: {error}"
             allowed = "poses that the head can take; try: stewart-drake moves fix"
             raise ConfigurationError("move", got, allowed) from None
-    robot, made = scenario.belief.robot, move.at(move.time[0] + np.minimum(times, end))._replace(time=times)
-    plain = kinematics.inverse_kinematics(robot, motion(np.minimum(times, end)))
-    pose, shares = motion(np.minimum(times, end)), np.zeros(len(times))
+    robot, made = scenario.belief.robot, move.at(move.time[0] + motion.own_time(times)[0])._replace(time=times)
+    pose, shares = motion.evaluate(times)[0], np.zeros(len(times))
+    plain = kinematics.inverse_kinematics(robot, pose)
     for share in np.linspace(1.0, 0.0, _SHARES, endpoint=False):
         left = np.flatnonzero(shares == 0.0)
         asked = np.clip(plain + share * (sent - plain), *robot.crank_angle_ranges.T)[left]

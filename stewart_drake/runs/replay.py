@@ -28,16 +28,17 @@ _STYLES = ("uPlot.min.css", "common.css", "replay.css")
 _SCRIPTS = ("three.min.js", "uPlot.iife.min.js", "scene.js", "plots.js", "replay.js")
 
 
-def write_replay(logs: SimulationLog | Sequence[SimulationLog], path: str | Path) -> None:
+def write_replay(logs: SimulationLog | Sequence[SimulationLog], path: str | Path, places: Sequence[Any] = ()) -> None:
     """Writes the motion of one run or of several side by side as one HTML page that plays in any browser, offline.
 
     The page has play and pause, a time slider, speed and loop, and traces of errors and torques whose cursor follows.
     A green translucent disc shows where the reference wants the platform. Each frame is the row of the log nearest to
     it in time; between frames the browser interpolates. A page has about 0.6 MB, and 0.5 kB for each frame of a run.
+    Runs of one scenario are called by their `places`, or numbered.
     """
     shown = [logs] if isinstance(logs, SimulationLog) else list(logs)
     runs = [_shown(log) for log in shown]
-    for run, name in zip(runs, distinct_names(shown), strict=True):
+    for run, name in zip(runs, distinct_names(shown, places), strict=True):
         run["name"] = name
     # A text in a script element must not end it.
     data = json.dumps(runs).replace("<", "\\u003c")
@@ -49,7 +50,7 @@ def write_replay(logs: SimulationLog | Sequence[SimulationLog], path: str | Path
 
 
 def _page_file(name: str) -> str:
-    return (files("stewart_drake") / "pages" / name).read_text()
+    return (files("stewart_drake") / "pages" / name).read_text(encoding="utf-8")
 
 
 def _shown(log: SimulationLog) -> dict[str, Any]:

@@ -119,7 +119,8 @@ def _simulate(
         if held and ended_by is None:
             outcome = assess(rows, trip, end_time, KeyboardInterrupt())
         warnings = tuple(plain_json(each) for each in find_warnings(outcome.status, rows, trip))
-        if outcome.status in ("failed", "lost", "stopped") and (cause := likely_cause(scenario)):
+        ended = end_time if outcome.outcome_time is None else outcome.outcome_time
+        if outcome.status in ("failed", "lost", "stopped") and (cause := likely_cause(scenario, ended)):
             first, *trace = (outcome.message or "").split("\n")
             outcome = outcome._replace(message="\n".join([f"{first}; likely cause: {cause}", *trace]))
         if outcome.outcome_time is not None:

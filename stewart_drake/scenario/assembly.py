@@ -173,7 +173,8 @@ def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
         pose_rate=rate,
         initial_torque=standing_torque(belief.robot, pose, belief.gravity),
         delay=belief.delay,
-        latency=period * (1 + belief.delay) + belief.motors.dead_time,
+        reading_age=belief.reading_age,
+        latency=belief.reading_age + period * (1 + belief.delay) + belief.motors.dead_time,
         reading=belief.reading_size,
         noise=max(belief.noise, SMALLEST_NOISE),
         friction=np.zeros(1, BELIEVED) if friction is None else friction.record(),
@@ -194,6 +195,8 @@ class _Builder:
         self.friction = options.belief.friction
         self.parts: list[Part] = []
         self.logged: dict[str, str | np.ndarray] = {"reference": "reference"}
+        if reading != "plant_pose":
+            self.logged["reading" if self.context.reading == 6 else "pose_reading"] = reading
         self.at_end: list[Part] = []
 
     def side(self) -> ControlSide:

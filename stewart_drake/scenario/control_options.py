@@ -22,7 +22,7 @@ from stewart_drake.base.config import (
 )
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.families import place_users, placed
-from stewart_drake.base.registry import ADAPTATIONS, CONTROLLERS, ESTIMATORS, MOTORS, TUNERS
+from stewart_drake.base.registry import ADAPTATIONS, CONTROLLERS, ESTIMATORS, MOTORS, SENSORS, TUNERS
 from stewart_drake.base.sampling import on_grid, steps_per
 from stewart_drake.base.yaml_files import to_yaml
 from stewart_drake.control.base import AdaptationOptions, ControllerOptions
@@ -59,6 +59,9 @@ class ModelOptions(Section, key="model"):
     delay: Annotated[Natural, Field(le=100)] | None = None
     """[ticks] delay from a command to the motors; null for `command_delay`. An observer gives the controller state and
     reference at the time when its command acts."""
+    reading_age: Annotated[NotNegative, Field(le=1.0)] | None = None
+    """[s] age of a reading when the controller gets it; null for `sensors.delay`. An observer predicts over it, in
+    whole ticks; defaults of gains, tuners and what learns count it as latency."""
     motors: Annotated[MotorOptions, MOTORS] | None = None
     """The motors that it commands; null for the simulated ones without their faults."""
     home: Vector6 | None = None
@@ -76,6 +79,7 @@ class Belief(NamedTuple):
     noise: float  # [rad] of a crank's angle.
     delay: int  # [ticks] of the commands.
     motors: MotorOptions
+    reading_age: float = 0.0  # [s].
     home: tuple[float, ...] = (0.0,) * 6  # [rad] of the cranks where a machine reads zero.
 
     @property
@@ -238,7 +242,9 @@ def _with_robots(
         delay = data.get("command_delay", 0) if model.get("delay") is None else model["delay"]
         motors = model.get("motors") or data.get("motors", {})
         in_motors = MOTORS.section(motors).dead_time if motors else 0.0
-        latency = CONTROLLERS.section(data.get("controller", {})).period * (1 + delay) + in_motors
+        age = model.get("reading_age")
+        age = SENSORS.section(data.get("sensors", {})).delay if age is None else float(age)
+        latency = CONTROLLERS.section(data.get("controller", {})).period * (1 + delay) + in_motors + age
         friction = _friction(data.get("motors"), model.get("motors"))
     except (ConfigurationError, ValueError, TypeError, OverflowError):
         # The checks will say what is wrong with it.

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure
 from stewart_drake.base.sampling import InBlocks
+from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.motors import within_limit
 from stewart_drake.loop.part import LoopRunner, Part
 from stewart_drake.safety import LEVELS, first_trip
@@ -43,7 +45,7 @@ class Controller:
     def __init__(
         self, options: ControlOptions, sources: Mapping[str, Callable[[float], np.ndarray]] | None = None
     ) -> None:
-        side, self._age = control_side(options, split=True), np.zeros(1)
+        side, self._age, self._options = control_side(options, split=True), np.zeros(1), options
         parts, self._safe = controller_parts(options, side, self._age), side.safety is not None
         self.period, self._tick, self.reading = options.reading_period, side.context.period, side.context.reading
         outside = {side.reading: self.reading, **{source.signal: source.size for source in side.sources}}
@@ -78,21 +80,32 @@ class Controller:
             ConfigurationError: An argument that is not as said; nothing has changed then.
             RunFailure: A part has failed, or the safety layer gives the robot up; `reason` and `leg` say why.
         """
-        given = np.asarray(readings)
+        try:
+            given = np.asarray(readings)
+        except ValueError:  # rows of several lengths
+            given = np.asarray(None)
         if given.shape != self._reading.shape or given.dtype.kind not in "fiu":
             allowed = f"an array of shape ({self.reading},) of real numbers"
             raise ConfigurationError("readings", f"{given.shape} of {given.dtype}", allowed)
         if not (isinstance(out, np.ndarray) and out.dtype == np.float64 and out.shape == (6,) and out.flags.writeable):
             raise ConfigurationError("out", out, "a writable array of shape (6,), dtype float64")
-        if not self._last < time < np.inf:
+        if not self._last < (now := _number(time)) < np.inf:
             raise ConfigurationError("time", time, f"a finite time later than that of the step before, {self._last} s")
-        if not age >= 0.0:
+        if not (late := _number(age)) >= 0.0:
             raise ConfigurationError("age", age, "a number that is not negative [s]")
         self._reading[:] = given
-        self._age[0] = age / self._tick
-        self._running.time[0] = self._last = time
+        self._age[0] = late / self._tick
+        self._running.time[0] = self._last = now
+        try:
+            self._run(now, out)
+        except RunFailure:
+            raise
+        except (Exception, SystemExit) as error:
+            raise failure_of(error, self._options) from error
+
+    def _run(self, now: float, out: np.ndarray) -> None:
         for signal, evaluate in self._sources:
-            signal[:] = evaluate(time)
+            signal[:] = evaluate(now)
         self._running.run(self._ticks)
         if not np.isfinite(self._command).all():
             raise NotFiniteError("command", self._command.copy())
@@ -121,6 +134,14 @@ class Controller:
     def status(self) -> str:
         """Level of the safety layer: `none` where all is well, then `hold`, `ramp`, `safe_hold`, `end`."""
         return LEVELS[int(self._running.signal("safety")[0])] if self._safe else LEVELS[0]
+
+
+def _number(value: Any) -> float:
+    """NaN for what is no number."""
+    try:
+        return float(value) if isinstance(value, (Real, np.ndarray)) else np.nan
+    except (TypeError, ValueError, OverflowError):
+        return np.nan
 
 
 def controller_parts(options: ControlOptions, side: ControlSide, age: np.ndarray) -> list[Part]:

@@ -112,9 +112,8 @@ class Scenario(ControlOptions):
     def nominal(self) -> Belief:
         """The simulated machine as it is meant to be: without faults, friction and payload."""
         readings, motors = self.sensors, self.motors.nominal
-        return Belief(
-            self.robot, self.gravity, None, readings.reading, readings.reading_noise, self.command_delay, motors
-        )
+        read = readings.reading, readings.reading_noise
+        return Belief(self.robot, self.gravity, None, *read, self.command_delay, motors, readings.delay)
 
     def control(self) -> ControlOptions:
         """Its controller's side alone, with `model` written out: what is carried to a machine."""
@@ -126,6 +125,11 @@ class Scenario(ControlOptions):
     def effective_log_period(self) -> float:
         """[s] between log rows."""
         return self.controller.period if self.log_period is None else self.log_period
+
+    @property
+    def loop_delay(self) -> int:
+        """[ticks] that commands and readings are under way, to the nearest tick."""
+        return self.command_delay + round(self.sensors.delay / self.controller.period)
 
     def linearize(self, pose: Any = None) -> Any:
         """The plant and the loop near a pose (6,) [rad, m], as matrices; see `stewart_drake.linearize`."""

@@ -34,6 +34,7 @@ from stewart_drake.studies.experiment import (
     load_experiment,
     not_completed,
     pivot,
+    refusals,
     trial_of,
     with_changes,
     worst,
@@ -157,7 +158,8 @@ class Comparison(Experiment):
                     shown = [failure, *(shown[1:] if _only_lost(group) else ["-"] * (len(shown) - 1))]
                 lines.append((key[0] + _chosen(group), *key[1:], *shown))
             header = ("controller", "motion", "condition", *figures)
-            sheets.append(TextTable(f"{self.name}: RMSE and peak of the length of the error, {_LATE}", header, lines))
+            title = f"{self.name}: RMSE and peak of the length of the error, {_LATE}"
+            sheets.append(TextTable(title, header, lines, refusals(runs)))
         else:
             over_all: dict[str, Show] = {
                 heading: lambda group, column=column: worst(  # type: ignore[misc]

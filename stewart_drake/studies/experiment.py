@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -42,6 +43,7 @@ INCIDENTAL = (
     Column("host", "", "name of the machine", "text"),
     Column("worker", "", "number of the worker process", "integer"),
 )
+MOST = 5  # Reasons below a table.
 COMPARED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
 
 
@@ -242,7 +244,15 @@ def pivot(
         for (name,), group in grouped(rows, line).items()
     ]
     headings = [f"{value:g} Hz" if isinstance(value, float) else value for value in values]
-    return TextTable(title, (line, *headings, *more), lines)
+    return TextTable(title, (line, *headings, *more), lines, refusals(rows))
+
+
+def refusals(rows: Iterable[Row]) -> list[str]:
+    """Why runs were refused or raised an error: a line for each reason, the most frequent first, at most `MOST`."""
+    counts = Counter((row["status"], row["message"]) for row in rows if row["status"] in ("rejected", "raised"))
+    lines = [f"{count} {status}: {' '.join(str(why).split())}" for (status, why), count in counts.most_common(MOST)]
+    rest = sum(counts.values()) - sum(count for _, count in counts.most_common(MOST))
+    return [*lines, f"{rest} more for other reasons: see the column `message`"] if rest else lines
 
 
 def worst(rows: Iterable[Row], column: str) -> str:

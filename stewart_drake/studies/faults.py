@@ -46,7 +46,9 @@ REACTIONS: Mapping[str, str] = {
     "are all that is left.",
 }
 
-_FILE: Mapping[str, Any] = parse_yaml(Path(__file__).with_name("faults.yaml").read_text("utf-8"), "faults.yaml")
+_FILE: Mapping[str, Any] = parse_yaml(
+    Path(__file__).with_name("faults.yaml").read_text(encoding="utf-8"), "faults.yaml"
+)
 ONSET: float = _FILE["onset"]
 DURATION: float = _FILE["duration"]
 MOTIONS: Mapping[str, Mapping[str, Any]] = _FILE["motions"]
@@ -129,6 +131,13 @@ class FaultStudy(Experiment):
         reactions = ("refused" if row["status"] == "rejected" else row["status"] for row in rows)
         return super().tables([{"reaction": each, **row} for each, row in zip(reactions, rows, strict=True)])
 
+    def sheet(self, rows: Sequence[Row]) -> TextTable:
+        """The table, and below it the sizes of faults that are not as their names and texts say."""
+        table, faults = sheet(rows), (FAULTS[name] for name in dict.fromkeys(row["fault"] for row in rows))
+        sizes = {fault.name: _sizes(fault.changes, scale_to_robot(fault.changes, self.base)) for fault in faults}
+        sized = [f"{name} on this robot: {', '.join(each)}" for name, each in sizes.items() if each]
+        return table._replace(notes=[*table.notes, *sized])
+
     def page(self, rows: Mapping[str, list[Row]]) -> str:
         table, lines = rows["faults"], []
         for fault in (FAULTS[name] for name in dict.fromkeys(row["fault"] for row in table)):
@@ -138,10 +147,19 @@ class FaultStudy(Experiment):
             runs=len(table),
             duration=DURATION,
             onset=ONSET,
-            table=sheet(table).markdown(),
+            table=self.sheet(table).markdown(),
             held="\n".join(f"- {line}" for line in holdable_lines(table)),
             faults="\n".join(lines),
         )
+
+
+def _sizes(value: Any, scaled: Any, key: str = "") -> list[str]:
+    """Numbers of plain values that differ from those of a fault as written, each behind its key."""
+    if isinstance(value, Mapping):
+        return [text for name in value for text in _sizes(value[name], scaled[name], f"{key}.{name}".strip("."))]
+    if isinstance(value, list):
+        return [text for at, each in enumerate(value) for text in _sizes(each, scaled[at], f"{key}[{at}]")]
+    return [] if scaled == value else [f"{key} {scaled:.3g}"]
 
 
 def fault_study(

@@ -162,8 +162,8 @@ class SweepFile(StudyFile):
     seed: Seed = 0
     """Seed of everything random."""
     mismatch: Flag = False
-    """Whether the controller goes on believing what it believes in the scenario, of robot, servos, gravity, noise and
-    delay, while these vary: they become keys of `model`, where the scenario has none of its own."""
+    """Whether the controller goes on believing what it believes in the scenario, of robot, servos, gravity, noise,
+    delay and age of readings, while these vary: they become keys of `model`, where the scenario has none of its own."""
     distributions: dict[Text, Annotated[Distribution, DISTRIBUTIONS]]
     """Scenario key -> distribution. A component of a list is `initial_offset[0]`, or `disturbances[0].wrench[3]`."""
 
@@ -254,7 +254,7 @@ def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Experimen
     if file.mismatch:
         belief, model = base.belief, base.model
         kept = {"robot": base.to_dict()["robot"], "gravity": belief.gravity, "noise": belief.noise}
-        kept |= {"delay": belief.delay, "motors": belief.motors.to_dict()}
+        kept |= {"delay": belief.delay, "reading_age": belief.reading_age, "motors": belief.motors.to_dict()}
         if base.motors.takes == "torque":
             # Of these nothing is believed.
             del kept["motors"]

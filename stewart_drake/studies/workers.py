@@ -61,6 +61,8 @@ class Workers(AbstractContextManager["Workers"]):
         if self._client is not None:
             client: Executor = self._client.get_executor(pure=False, retries=0)
             return client
+        # What is started now takes no module of the current folder for Python's own.
+        os.environ["PYTHONSAFEPATH"] = "1"
         return get_reusable_executor(
             self.count,
             context="loky_init_main",

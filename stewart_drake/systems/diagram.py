@@ -31,12 +31,13 @@ _System = TypeVar("_System")
 class ClosedLoop(Diagram):
     """Plant, sensors, reference, controller and what else a scenario has; wired and logged.
 
-    Output ports: plant_state (nq + nv,) [rad, rad/s], measurement (12,) pose [rad, m] and pose rate [rad/s, m/s],
-    reference (18,) pose, pose rate and pose acceleration [rad/s^2, m/s^2], torque (6,) [N m] asked for, torque_applied
-    (6,) [N m] of the motors, error (6,) [rad, m], integral (6,) [rad s, m s]; for controllers that take weights weights
-    (2,) or (4,) [-], density (12,) [-]; with an observer innovation (6,) [rad]; with disturbances disturbance (6,)
-    [N m, N] about P; with a safety layer safety (3,): level, monitor, leg or -1; with motors that take an angle or a
-    current commanded_angle [rad] or commanded_current [A] (6,).
+    Output ports: plant_state (nq + nv,) [rad, rad/s], reading (6,) angles of the cranks [rad], or of a sensor of the
+    pose pose_reading (12,), measurement (12,) pose [rad, m] and pose rate [rad/s, m/s], reference (18,) pose, pose rate
+    and pose acceleration [rad/s^2, m/s^2], torque (6,) [N m] asked for, torque_applied (6,) [N m] of the motors, error
+    (6,) [rad, m], integral (6,) [rad s, m s]; for controllers that take weights weights (2,) or (4,) [-], density (12,)
+    [-]; with an observer innovation (6,) [rad]; with disturbances disturbance (6,) [N m, N] about P; with a safety
+    layer safety (3,): level, monitor, leg or -1; with motors that take an angle or a current commanded_angle [rad] or
+    commanded_current [A] (6,).
 
     Args:
         scenario: The run to build.

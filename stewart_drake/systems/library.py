@@ -84,7 +84,9 @@ class PartSystem(LeafSystem):
         else:
             needs = {self.xd_ticket(), self.all_input_ports_ticket()}
             needs |= {self.time_ticket()} if "time" in part.inputs else set()
-            self.result = self.DeclareVectorOutputPort("result", initial.size, self._answer, prerequisites_of_calc=needs)
+            self.result = self.DeclareVectorOutputPort(
+                "result", initial.size, self._answer, prerequisites_of_calc=needs
+            )
         for name in part.outputs:
             setattr(self, f"{name}_out" if name in part.inputs else name, self._slice(name))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)

@@ -30,7 +30,7 @@ EXAMPLES = [
     MissingPackageError("gymnasium", "stewart-drake[gym]"),
     RunFailure("stopped", leg=2),
     UnreachablePoseError(POSE, 4, -0.125),
-    SingularPoseError("serial", POSE, 1e-4, 0.01, leg=5),
+    SingularPoseError("serial", POSE, -3.9e-6, 0.0, leg=5),
     ForwardKinematicsError(0.02, 30),
     RunFailure("encoder readings", reason="encoder"),
     AssemblyModeError(POSE, 1.1 * POSE),
@@ -54,6 +54,13 @@ def test_every_error_of_the_module_has_a_stable_reason_of_its_own():
     assert kinds == {type(error) for error in EXAMPLES}
     assert len({error.reason for error in EXAMPLES}) == len(EXAMPLES)
     assert all(error.reason.isidentifier() and str(error) for error in EXAMPLES)
+
+
+def test_what_lies_beyond_a_dead_centre_is_no_absolute_value():
+    text = "crank of leg 1 {} at pose [0.1, 0.2, 0.3, 0.01, 0.02, 0.5] (allowed: >= {})"
+    beyond, near = (SingularPoseError("serial", POSE, *each, leg=1) for each in ((-3.9e-6, 0.0), (0.001, 0.02)))
+    assert str(beyond) == text.format("beyond its dead centre: margin = -3.9e-06", 0)
+    assert str(near) == text.format("at its dead centre: transmission |e_l . e_N| = 0.001", 0.02)
 
 
 @pytest.mark.parametrize("error", EXAMPLES, ids=lambda e: type(e).__name__)

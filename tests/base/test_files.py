@@ -1,5 +1,6 @@
 """Files: what is read is regular, bounded and safe; what is written is there whole or not at all."""
 
+import ast
 import os
 import threading
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 from conftest import make_network
 from made_logs import made_log
 
+import stewart_drake
 from stewart_drake.base.atomic_files import digest, locked_folder, write_atomically
 from stewart_drake.base.code import anchored
 from stewart_drake.base.errors import ConfigurationError, DiskError
@@ -197,3 +199,14 @@ def test_overrides_are_taken_from_the_current_folder_and_the_file_from_its_own(t
     for overrides, folder in (((), "there"), (["controller.kind=mine.py:Mine"], "here")):
         loaded = load_scenario(path, overrides, trust_code=True)
         assert Path(loaded.controller.code.place) == tmp_path / folder / "mine.py"
+
+
+def test_every_text_file_of_the_package_is_read_and_written_in_utf_8_whatever_the_locale():
+    others = [
+        f"{path.name}:{node.lineno}"
+        for path in Path(stewart_drake.__file__).parent.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+        if node.func.attr in ("read_text", "write_text") and "encoding" not in [each.arg for each in node.keywords]
+    ]
+    assert others == []

@@ -100,10 +100,17 @@ def test_what_a_run_learns_is_printed_kept_and_where_the_next_one_begins(call):
     status, _, said = call("run", "exact_breathing", *learning, "--keep-model", "first/scenario.yaml")
     assert status == 2
     assert "expected a file with `model` alone" in said
-    other = "robot={crank_length: 0.12}"
-    status, _, said = call("run", "exact_breathing", *learning, "--set", other, "--keep-model", "kept.yaml")
-    assert status == 2
-    assert "expected what was learnt of a robot with cranks 0.12 m, rods 0.404 m, or a new file" in said
+    frozen = ("--set", "adaptation={kind: regression, frozen: true}", "--set", "duration=0.1")
+    status, _, said = call("run", "exact_breathing", *learning, *frozen, "--keep-model", "new.yaml", "--out", "frozen")
+    assert (status, Path("new.yaml").exists()) == (0, False)
+    assert "nothing kept in new.yaml: nothing was learnt" in said
+    for other, links in (
+        ("robot={crank_length: 0.12}", "cranks 0.12 m, rods 0.404 m"),
+        ("robot={crank_plane_angle: 0.01}", "cranks 0.11 m, rods 0.404 m"),
+    ):
+        status, _, said = call("run", "exact_breathing", *learning, "--set", other, "--keep-model", "kept.yaml")
+        assert status == 2
+        assert f"expected what was learnt of this robot and its motors, {links}, torque motors, " in said
     assert Path("kept.yaml").read_bytes() == kept
 
 

@@ -23,8 +23,8 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 def test_what_there_is_to_choose_from_is_listed(call):
     lists = json.loads(call("list", "--json")[1])
-    assert set(lists) == {"scenarios", "comparisons", "sweeps", "robots", "kinds"}
-    for kind in ("scenarios", "comparisons", "sweeps", "robots"):
+    assert set(lists) == {"scenarios", "controllers", "comparisons", "sweeps", "robots", "kinds"}
+    for kind in ("scenarios", "controllers", "comparisons", "sweeps", "robots"):
         names = {path.stem for path in shipped_folder(kind).glob("*.yaml")}
         assert {row["name"] for row in lists[kind]} == names
         assert all(row["what it is"] for row in lists[kind])
@@ -51,7 +51,9 @@ def test_a_key_is_explained(call, key, expected):
 
 def test_of_a_kind_every_key_is_explained_and_of_a_recorded_motion_its_columns(call):
     rows = json.loads(call("explain", "reference.recorded", "--json")[1])
-    assert [row["key"] for row in rows] == [f"reference.{name}" for name in ("motion_file", "time_scale", "settle")]
+    assert [row["key"] for row in rows] == [
+        f"reference.{name}" for name in ("motion_file", "time_scale", "cutoff", "settle")
+    ]
     assert json.loads(call("explain", "recorded", "--json")[1]) == rows
     assert all(name in rows[0]["what it does"] for name in ("time_s", "_ms", "roll_rad", "_deg", "x_m", "_mm"))
 
@@ -131,6 +133,8 @@ def test_a_shell_completes_commands_and_names(call, monkeypatch):
     for words, completed in (
         ("stewart-drake expl", "explain"),
         ("stewart-drake run paper_fig7_u", "paper_fig7_uncompensated"),
+        ("stewart-drake drive hob", "hobby_servos"),
+        ("stewart-drake export reachy_da", "reachy_daemon"),
     ):
         monkeypatch.setenv("COMP_WORDS", words)
         monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
@@ -147,3 +151,12 @@ def test_where_nobody_reads_any_more_a_command_ends_well(key):
     ended = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, check=False)
     os.close(writer)
     assert (ended.returncode, ended.stderr) == (0, b"")
+
+
+@pytest.mark.slow
+def test_where_standard_output_is_full_a_command_says_so_and_comes_to_its_end():
+    command = [sys.executable, "-m", "stewart_drake", "explain", "lost"]
+    with Path("/dev/full").open("wb") as full:
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, check=False)
+    said = b"stewart-drake: disk: standard output: No space left on device\n"
+    assert (ended.returncode, ended.stderr) == (3, said)

@@ -37,10 +37,22 @@ def test_a_robot_from_a_table_is_kept_and_comes_back(call, tmp_path):
     arguments = ["from-table", "points.csv", "--unit", "mm", "--cranks", "towards", "--set", "crank_length=30"]
     status, out, _ = call("robots", *arguments, "--set", "rod_length=180", "--about", "mine", "--out", "mine.yaml")
     assert status == 0
-    assert out.splitlines()[0] == "robot in mine.yaml: home at Z = 0.2002 m"
+    first, second, *_ = out.splitlines()
+    assert first == "robot in mine.yaml: home at Z = 0.2002 m"
+    assert second == "pairs of motors: legs 0 and 1, 2 and 3, 4 and 5"
     assert "because not given [kg, kg m^2, N m]: platform_mass = 1" in out
     assert load_robot("mine.yaml").rod_lengths.tolist() == [0.18] * 6
     assert (tmp_path / "mine.yaml").read_text().startswith("about: mine\n")
+
+
+def test_a_crank_that_is_perhaps_mirrored_is_a_warning_of_the_command(call, tmp_path):
+    lines = (DOCS / "your_robot.csv").read_text().splitlines()[1:]
+    cranks = ("crank_deg", 90, -90, -149.6, 30.4, 149.6, 149.6)  # that of leg 4 should be at -30.4
+    (tmp_path / "points.csv").write_text("\n".join(f"{line}, {end}" for line, end in zip(lines, cranks, strict=True)))
+    lengths = ("--set", "crank_length=30", "--set", "rod_length=180")
+    status, out, err = call("robots", "from-table", "points.csv", "--unit", "mm", *lengths, "--out", "mine.yaml")
+    assert (status, "robot in mine.yaml" in out, "pairs" in out) == (0, True, False)
+    assert err.startswith("stewart-drake: warning: the crank of leg 4 is level at ")
 
 
 def test_a_robot_goes_into_files_for_other_programs(call, tmp_path):

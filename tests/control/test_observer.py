@@ -12,6 +12,8 @@ from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.control.observer import WHITE_SHARE, ObserverOptions, bandwidth, kalman_gains
 from stewart_drake.mechanics.dynamics import forward_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
+from stewart_drake.scenario.assembly import control_side
+from stewart_drake.scenario.scenario import load_scenario
 
 GRAVITY, PERIOD, NOISE = 9.81, 0.001, 2.5e-5
 HOME, STILL = ROBOT.home_pose, np.zeros(6)
@@ -21,11 +23,11 @@ EXPECTED = np.array([ObserverOptions().disturbance])
 AWAY = np.concatenate([HOME + 0.01, np.zeros(12)])
 
 
-def begun(pose=HOME, rate=STILL, delay=0, torque=None, **more):
+def begun(pose=HOME, rate=STILL, delay=0, torque=None, age=0, **more):
     """`tick(reading, net_torque, reference=AWAY, **changes)` of an observer after its first tick; its last state."""
     torque = static_torque(ROBOT, pose, GRAVITY) if torque is None else torque
     place = {"pose": pose, "pose_rate": rate, "initial_torque": torque}
-    (part,) = OPTIONS.parts(setup_for(noise=NOISE, delay=delay, **(ENCODERS | place | more)))
+    (part,) = OPTIONS.parts(setup_for(noise=NOISE, delay=delay, reading_age=age * PERIOD, **(ENCODERS | place | more)))
     state = part.initial.copy()
 
     def tick(reading, net_torque=torque, reference=AWAY, **changes):
@@ -66,14 +68,15 @@ def test_the_gains_are_those_of_the_riccati_equation(noise, disturbance, period)
 
 
 @settings(max_examples=25, deadline=None)
-@given(poses(0.3), vectors(6, 0.2), st.integers(0, 4), st.sampled_from([6, 12]))
-def test_it_sees_where_the_robot_will_be_when_the_command_acts(pose, rate, delay, size):
+@given(poses(0.3), vectors(6, 0.2), st.integers(0, 2), st.integers(0, 2), st.sampled_from([6, 12]))
+def test_it_sees_where_the_robot_will_be_when_the_command_acts(pose, rate, delay, age, size):
     torque = static_torque(ROBOT, pose, GRAVITY) + 0.2
-    tick, _ = begun(pose, rate, delay, torque, reading=size)
-    now = moved(pose, rate, torque, PERIOD)
-    seen = tick(inverse_kinematics(ROBOT, now[0]) if size == 6 else np.concatenate(now))
-    ahead = moved(pose, rate, torque, PERIOD * (1 + delay)) if delay else now
-    np.testing.assert_allclose(seen["measurement"][:6], now[0], atol=1e-7)
+    tick, _ = begun(pose, rate, delay, torque, age, reading=size)
+    read = moved(pose, rate, torque, PERIOD)
+    seen = tick(inverse_kinematics(ROBOT, read[0]) if size == 6 else np.concatenate(read))
+    # Of a reading that is old it makes what is now.
+    now, ahead = (moved(pose, rate, torque, PERIOD * (1 + ticks)) for ticks in (age, age + delay))
+    np.testing.assert_allclose(seen["measurement"][:6], now[0], atol=1e-6 if age else 1e-7)
     np.testing.assert_allclose(seen["predicted"][:6], ahead[0], atol=1e-6)
     np.testing.assert_allclose(seen["predicted"][6:], ahead[1], atol=2e-3)
 
@@ -101,6 +104,12 @@ def test_the_disturbance_stays_while_a_robot_with_friction_rests_where_it_is_wan
     reference = np.concatenate([HOME + off, np.full(6, turning), STILL])
     seen = tick(inverse_kinematics(ROBOT, HOME) + 1e-5, reference=reference)
     assert (seen["disturbance"] != 0.0).all() == grows
+
+
+def test_friction_that_is_learnt_reaches_the_observer():
+    learning = load_scenario("exact_breathing").replace({"adaptation": "regression"})
+    (observer,) = (part for part in control_side(learning).parts if part.name == "observer")
+    assert observer.connections["friction"] == "friction"
 
 
 def test_missing_readings_are_bridged_by_the_model_and_then_end_the_run():

@@ -46,7 +46,7 @@ SERVOS = {
     },
     "reference": {"kind": "sine", "amplitude": [0.0, 0.26, 0.0, 0.0, 0.0, 0.0], "angular_frequency": "1 Hz"},
     "controller": {"kind": "feedforward", "period": 0.02},
-    "adaptation": {"kind": "regression", "reading_age": 0.01},
+    "adaptation": {"kind": "regression"},
     "estimator": "difference",
     "tuner": "block",
     "command_delay": 0,
@@ -581,9 +581,22 @@ def test_all_three_engines_learn_alike():
 
 def test_delays_beyond_what_is_remembered_and_a_kernel_below_a_period_are_refused():
     context = context_of(servos().control())
-    with pytest.raises(
-        ConfigurationError, match=r"^adaptation\.reading_age: expected at most .* commands are late, got 1"
-    ):
-        RegressionOptions(reading_age=1.0).parts(context)
+    late = context._replace(reading_age=1.0, latency=1.0 + context.latency)
+    with pytest.raises(ConfigurationError, match=r"^model\.reading_age: expected at most .* commands are late, got 1"):
+        RegressionOptions().parts(late)
     with pytest.raises(ConfigurationError, match=r"^adaptation\.smoothing: expected at least 0\.02 s"):
         RegressionOptions(smoothing=0.001).parts(context)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("forgetting", 1e-5, "at least 1 and at most 100,000"),
+        ("forgetting", 1e9, "at least 1 and at most 100,000"),
+        ("noise", 1e-12, "at least 0.0001 and at most 1"),
+        ("noise", 1e12, "at least 0.0001 and at most 1"),
+    ],
+)
+def test_numbers_with_which_nothing_could_be_learnt_are_refused(key, value, words):
+    with pytest.raises(ConfigurationError, match=rf"adaptation\.{key}: expected a number .*{words}"):
+        load_scenario("reachy_nod").replace({"adaptation": {"kind": "regression", key: value}})

@@ -21,6 +21,7 @@ from stewart_drake.estimation.torques import (
     SIZE,
     VISCOUS,
     as_robot,
+    load_recording,
     recording_of_log,
     samples_of,
     samples_of_motion,
@@ -171,6 +172,14 @@ def test_a_file_without_a_column(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join(rows))
     assert "column of torque_5: expected " in refused(tmp_path / "log.csv")
     assert "readable" in refused(tmp_path / "none.csv")
+
+
+def test_of_a_log_the_angles_are_those_that_were_read(tmp_path):
+    encoders = {"kind": "encoders", "offset": [0.01] * 6}
+    log = run(Scenario(duration=0.1, sensors=encoders, estimator="observer"))
+    np.testing.assert_allclose(recording_of_log(log, ROBOT).angles, log["crank_angle"] + 0.01, atol=5e-5)
+    log.save(tmp_path / "log.csv")
+    np.testing.assert_allclose(load_recording(tmp_path / "log.csv", ROBOT).angles, log["reading"], atol=1e-12)
 
 
 @pytest.mark.parametrize(

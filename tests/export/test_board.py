@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from compiled import compiled
 
-from stewart_drake import Controller, load_scenario
+from stewart_drake import Controller, load_controller, load_scenario
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.export.controller_c import export_controller
 from stewart_drake.machines.packet import (
@@ -22,11 +22,14 @@ from stewart_drake.machines.packet import (
 )
 
 
+def built(scenario, name, folder):
+    export_controller(scenario, name, folder)
+    return ctypes.CDLL(str(compiled(folder, "board.c", f"{name}.c", f"{name}_reference.c", flags=("-O1",))))
+
+
 @pytest.fixture
 def board(tmp_path):
-    export_controller(load_scenario("reachy_nod"), "reachy_nod", tmp_path)
-    sources = "board.c", "reachy_nod.c", "reachy_nod_reference.c"
-    return ctypes.CDLL(str(compiled(tmp_path, *sources, flags=("-O1",))))
+    return built(load_scenario("reachy_nod"), "reachy_nod", tmp_path)
 
 
 def answered(board, data):
@@ -47,8 +50,16 @@ def test_it_answers_each_reading_with_the_command_of_the_controller(board, tmp_p
         assert (said.flags, said.answers, said.number) == (flags_of("torque", ACTIVE), k + 7, k + 2)
         np.testing.assert_array_equal(said.values, out.astype(np.float32))
         assert answered(board, reading) is None  # once only
-    for wrong in (reading[:-1], b"X" + reading[1:], reading[:20] + b"\x01" + reading[21:], asked.raw):
+    unmeasured = encode(Packet(flags_of("torque", READING, ACTIVE), 1000, 50, 10**6, row))
+    for wrong in (unmeasured, reading[:-1], b"X" + reading[1:], reading[:20] + b"\x01" + reading[21:], asked.raw):
         assert answered(board, wrong) is None
+
+
+def test_a_controller_without_feedback_answers_a_robot_without_encoders(tmp_path):
+    board = built(load_controller("hobby_servos").replace({"adaptation": None}), "hobby", tmp_path)
+    said = decode(answered(board, encode(Packet(flags_of("angle", READING, ACTIVE), 1, 0, 0, np.zeros(6)))))
+    assert said.flags == flags_of("angle", ACTIVE)
+    assert np.abs(said.values).max() > 0.0
 
 
 def test_frames_of_a_serial_line(board):

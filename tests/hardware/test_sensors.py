@@ -5,8 +5,11 @@ from hypothesis import strategies as st
 from strategies import vectors
 
 from stewart_drake import load_scenario, run
+from stewart_drake.analysis.linear_loop import linear_loops
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.hardware.faults import EncoderFault, PoseFault
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part, faulty_sensor_part
+from stewart_drake.scenario.assembly import control_side
 
 
 def read(options, angles, ticks=1):
@@ -94,3 +97,28 @@ def test_an_old_reading_is_that_of_so_many_milliseconds_ago(kind, sensors):
     ticks = np.arange(8, len(log.time), 4)
     np.testing.assert_allclose(log["measured_pose"][ticks], log["pose"][ticks - 7], atol=1e-7)
     np.testing.assert_allclose(log["measured_pose"][:8:4], log["pose"][:1].repeat(2, axis=0), atol=1e-7)
+    # What was read is in the log beside what is true.
+    read, true = ("reading", "crank_angle") if sensors["kind"] == "encoders" else ("pose_reading", "pose")
+    np.testing.assert_allclose(log[read][ticks], log[true][ticks - 7], atol=1e-12)
+
+
+def test_an_observer_that_knows_how_old_its_readings_are_holds_the_robot():
+    scenario = load_scenario("exact_breathing").replace({"plant.kind": "closed_form", "sensors.delay": 0.02})
+    assert scenario.belief.reading_age == scenario.control().belief.reading_age == 0.02
+    known = scenario.replace({"duration": 2.0})
+    log = run(known)
+    assert log.status == "completed"
+    # What was read is up to 2 mrad of roll behind; what is made of it is not.
+    assert np.abs(log["pose"][500:] - log["pose"][480:-20])[:, 0].max() > 1.5e-3
+    np.testing.assert_allclose(log["measured_pose"][500:], log["pose"][500:], atol=3e-4)
+    believed_fresh = known.replace({"model.reading_age": 0.0})
+    assert run(believed_fresh).status in ("failed", "lost")
+    # Margins tell the same, for the truth is in the loop whatever is believed.
+    for each, stable in ((known, True), (believed_fresh, False)):
+        closed = linear_loops(each, each.start()[0][None]).closed[0]
+        assert (np.abs(np.linalg.eigvals(closed)).max() < 1.0) == stable
+
+
+def test_a_reading_too_old_for_an_observer_is_refused():
+    with pytest.raises(ConfigurationError, match=r"^model\.reading_age: expected at most 0\.1 s, "):
+        control_side(load_scenario("exact_breathing").replace({"model.reading_age": 0.15}))

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.session import CONTROLLERS, LiveSession
 from stewart_drake.scenario.scenario import Scenario, load_scenario
@@ -90,6 +91,19 @@ def test_every_controller_of_the_panel_takes_over_without_a_jump(name):
         {"do": "aim", "pose": [np.nan] * 6},
         {"do": "push", "wrench": [0.0] * 6, "duration": np.inf},
         {"do": "dance"},
+        {},
+        "",
+        [],
+        {"do": None},
+        {"do": {}},
+        {"do": "knob", "key": "plant.motor_friction", "value": 10**400},
+        {"do": "knob", "key": [], "value": 1.0},
+        {"do": "speed", "value": np.nan},
+        {"do": "speed", "value": None},
+        {"do": "test", "axis": "roll", "kind": "sine", "frequency": np.nan},
+        {"do": "push", "wrench": [1e308] * 6, "duration": 0.1},
+        {"do": "turn", "turn": [1e300, 0.0, 0.0]},
+        {"do": "turn", "turn": []},
     ],
 )
 def test_what_the_panel_does_not_say_changes_nothing(command):
@@ -99,6 +113,57 @@ def test_what_the_panel_does_not_say_changes_nothing(command):
     session.run(until=0.05)
     assert session.message.startswith("not understood")
     assert session.loop.scenario is scenario
+    assert session.loop.time > 0.0
+
+
+def test_a_slider_of_a_controller_that_is_gone_and_a_save_of_nothing_say_so(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    session, messages = LiveSession(load_scenario("exact_fig7").replace(STILL)), []
+    stale = {"do": "knob", "key": "tuner.q_pose", "value": 1.0}
+    for command in ({"do": "save"}, {"do": "controller", "name": "PID of each motor"}, stale):
+        session.tell(command)
+        session.obey()
+        messages.append(session.message)
+    assert messages[0] == "save: expected a loop that has run, got 'no row'"
+    assert messages[1] == ""
+    assert messages[2].startswith("slider: expected one that there is now: controller.kp, ")
+    assert list(tmp_path.glob("runs/*")) == []
+    session.run(until=0.05)
+    assert session.loop.ended == ""
+
+
+def test_friction_may_come_and_go_on_drakes_plant_and_another_kind_is_refused():
+    loop = LiveLoop(load_scenario("exact_fig7").replace({**STILL, "plant.kind": "drake"}))
+    for friction in (0.02, 0.0, 0.01):
+        loop.advance(20)
+        pose, angles = loop.pose, loop.crank_angles
+        loop.change({"plant.motor_friction": friction})
+        np.testing.assert_array_equal((loop.pose, loop.crank_angles), (pose, angles))
+    loop.advance(20)
+    assert loop.ended == ""
+    with pytest.raises(ConfigurationError, match="state of a plant: expected that of a closed form"):
+        loop.change({"plant": {"kind": "closed_form"}})
+    loop.advance(20)
+    assert (loop.ended, loop.steps) == ("", 100)
+
+
+class Broken:
+    """A monitor that raises once the robot has run for a while."""
+
+    def __init__(self):
+        self.looks = 0
+
+    def look(self, _):
+        self.looks += 1
+        if self.looks > 10:
+            raise StopIteration("no more")
+
+
+def test_a_monitor_that_raises_ends_the_loop_and_not_the_page():
+    session = LiveSession(load_scenario("exact_fig7").replace({**STILL, "safety": {"monitors": [Broken()]}}))
+    session.run(until=0.1)
+    assert session.loop.ended.startswith("the user's code raised StopIteration: no more (test_live_loop.py, line ")
+    assert session.row()["ended"] == session.loop.ended
 
 
 def test_a_row_has_all_that_a_panel_can_set():

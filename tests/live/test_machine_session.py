@@ -134,3 +134,23 @@ def test_a_hand_s_motion_goes_on_where_a_target_changes(change):
     for low in (0, 6):
         slope = np.gradient(rows[:, low : low + 6], step, axis=0)
         np.testing.assert_allclose(slope[2:-2], rows[2:-2, low + 6 : low + 12], atol=2e-2)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [{}, [], None, {"do": "dance"}, {"do": "aim"}, {"do": "aim", "pose": []}, {"do": "aim", "pose": [np.nan] * 6},
+     {"do": "aim", "pose": [1e300] * 6}, {"do": "aim", "pose": [10**400] * 6}, {"do": "move"},
+     {"do": "knob", "key": "plant.motor_friction", "value": 0.1}, {"do": "save"}],
+)  # fmt: skip
+def test_what_a_page_should_not_say_to_a_machine_changes_nothing(machine_session, command):
+    target = machine_session.row()["target"]
+    machine_session.tell(command)
+    machine_session.obey()
+    assert machine_session.message.startswith("not understood: ")
+    assert machine_session.row()["target"] == target
+
+
+@pytest.fixture(scope="module")
+def machine_session():
+    machine = Servos({})
+    return MachineSession(SCENARIO, machine, connected(SCENARIO, machine))

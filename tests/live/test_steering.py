@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stewart_drake.live.start import _FARTHEST, _room
-from stewart_drake.live.steering import HandReference, SmoothValue, nearest_allowed
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.live.start import _room
+from stewart_drake.live.steering import CRANK_SPEED, FARTHEST, HandReference, SmoothValue, nearest_allowed
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.references import SineReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.limits import ReferenceLimits, limit_margins
@@ -79,10 +81,46 @@ def test_the_motion_about_the_hand_stays_within_the_limits() -> None:
     np.testing.assert_array_equal(reference.excursions(6.0), ALONE)
 
 
+def test_the_motion_about_the_hand_is_known_by_its_peaks() -> None:
+    # A sine that is zero at each of 24 times in 6 s.
+    reference = HandReference(SineReference(angular_frequency=(np.pi * 23.0 / 6.0,) * 6), STEP)
+    around = reference.excursions(6.0)
+    np.testing.assert_allclose(np.abs(around).max(axis=0), SineReference().amplitude, rtol=1e-4)
+
+
+def test_whole_turns_are_no_way_around_a_limit() -> None:
+    wanted = HOME + [0.0, 0.0, 48.0 * np.pi, 0.0, 0.0, 0.0]
+    reached = nearest_allowed(ROBOT, ReferenceLimits(), HOME, wanted, STANDARD_GRAVITY, ALONE)
+    assert reached.limit
+    assert reached.pose[2] < 2.0
+    reference = HandReference(SineReference(), STEP)
+    with pytest.raises(ConfigurationError, match=r"pose: expected a pose within 1 rad and 0\.5 m of"):
+        reference.aim(Scenario(), wanted)
+    np.testing.assert_array_equal(reference.goal, HOME)
+
+
+@pytest.mark.parametrize(("axis", "sign"), [(0, 1.0), (2, -1.0), (5, 1.0)])
+def test_a_hand_moves_no_crank_faster_than_it_may_and_arrives(axis: int, sign: float) -> None:
+    scenario, step = Scenario(), 0.02
+    reference = HandReference(SineReference(), step)
+    reference.share.target[0] = reference.share.state[0, 0] = 0.0
+    rows = []
+    for end in (sign, -sign):
+        goal = reference.aim(scenario, HOME + end * FARTHEST * np.eye(6)[axis]).pose
+        for k in range(150):
+            reference.govern(scenario, k * step)
+            reference.advance()
+            rows.append(reference.hand.state[0])
+        np.testing.assert_allclose(rows[-1], goal, atol=1e-3)
+    assert min(map(_margin, rows)) >= -1e-3
+    speeds = np.abs(np.diff(inverse_kinematics(ROBOT, np.array(rows)), axis=0)) / step
+    assert 0.9 * CRANK_SPEED < speeds.max() < 1.01 * CRANK_SPEED
+
+
 def test_sliders_go_as_far_as_each_axis_alone_can() -> None:
     room = _room(Scenario(), HOME)
     for axis in range(6):
         ends = [HOME + sign * room[axis] * np.eye(6)[axis] for sign in (1.0, -1.0)]
         beyond = [HOME + sign * (room[axis] + 2e-3) * np.eye(6)[axis] for sign in (1.0, -1.0)]
         assert max(map(_margin, ends)) >= 0.0
-        assert room[axis] == _FARTHEST[axis] or not max(map(_margin, beyond)) >= 0.0
+        assert room[axis] == FARTHEST[axis] or not max(map(_margin, beyond)) >= 0.0

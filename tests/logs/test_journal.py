@@ -18,7 +18,7 @@ ROWS = 40
 
 
 def row(number):
-    still = {"reference": np.concatenate([HOME, np.zeros(12)]), "angles": ANGLES, "told_pose": np.full(6, np.nan)}
+    still = {"reference": np.concatenate([HOME, np.zeros(12)]), "reading": ANGLES, "told_pose": np.full(6, np.nan)}
     return {
         "time": 0.005 * number,
         **still,
@@ -39,7 +39,7 @@ def journal(tmp_path):
 
 
 def width():
-    return 8 * sum(np.size(value) for value in row(0).values())
+    return 8 * (1 + sum(np.size(value) for value in row(0).values()))
 
 
 def test_the_file_has_what_memory_has(journal, tmp_path):
@@ -71,6 +71,30 @@ def test_a_log_that_was_saved_counts(journal, tmp_path):
     journal.close()
     SimulationLog(**journal.log_fields(None)).save(tmp_path / "log.parquet")
     assert load_log(tmp_path).reason != "cut_off"
+
+
+def test_no_row_of_which_a_bit_has_flipped_is_believed(journal, tmp_path):
+    journal.close()
+    path, chance = tmp_path / JOURNAL, np.random.default_rng(1)
+    content = path.read_bytes()
+    start = len(content) - ROWS * width()
+    for at in chance.integers(start + width(), len(content), 30).tolist():
+        damaged = bytearray(content)
+        damaged[at] ^= 1 << int(chance.integers(8))
+        path.write_bytes(damaged)
+        number = (at - start) // width()
+        log = load_log(tmp_path)
+        assert len(log.time) == number
+        behind = ROWS - number - 1
+        assert (f"row {number} of its file is damaged, and {behind} good ones" in log.message) == (behind > 0)
+
+
+def test_rows_in_another_order_are_not_believed(journal, tmp_path):
+    journal.close()
+    path = tmp_path / JOURNAL
+    content = path.read_bytes()
+    path.write_bytes(content[: -3 * width()] + content[-2 * width() :] + content[-3 * width() : -2 * width()])
+    assert len(load_log(tmp_path).time) == ROWS - 3
 
 
 @pytest.mark.parametrize("content", [b"", b"{}\n", b"\0" * 5000, None])

@@ -8,6 +8,7 @@ from made_logs import made_log
 from stewart_drake.base.errors import NotFiniteError, SafetyStop
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
+from stewart_drake.runs.checks import likely_cause
 from stewart_drake.runs.simulation import run
 from stewart_drake.safety import LEVELS, MONITORS
 from stewart_drake.scenario.scenario import load_scenario
@@ -257,6 +258,13 @@ def test_what_ends_a_run_names_the_likely_cause(scenario, changes, cause):
     log = run(load_scenario(scenario).replace({"plant.kind": "closed_form", **changes}))
     assert log.status != "completed"
     assert re.search(f"^[^\n]*; likely cause: {cause}[^\n]*$", log.message)
+
+
+def test_a_loop_was_too_slow_only_where_it_lost_the_robot_at_once():
+    # Reachy Mini can fall by 2 mm between two ticks at 100 Hz, and does not.
+    scenario = load_scenario("reachy_nod")
+    assert likely_cause(scenario, 0.2).startswith("a slow loop of 100 Hz")
+    assert likely_cause(scenario, 3.0) == ""
 
 
 def test_figures_and_outcome_do_not_depend_on_which_rows_the_log_keeps():

@@ -29,7 +29,7 @@ class Own:
         pass
 
     def read(self):
-        return Reading(self.own.copy(), 0.0, 0.0, 1)
+        return Reading(self.own.copy(), 0.0, 0.0, 1, arrived=self.told[-1] if self.told else None)
 
     def command(self, values):
         self.told.append(values)
@@ -41,6 +41,7 @@ def test_angles_are_the_models_and_commands_the_machines():
     np.testing.assert_allclose(machine.read().angles, ANGLES)
     machine.command(ANGLES)
     np.testing.assert_allclose(own.told, [ANGLES - HOME])
+    np.testing.assert_allclose(machine.read().arrived, ANGLES)
     assert (machine.period, machine.takes) == (0.02, "angle")
     np.testing.assert_allclose(connected(SCENARIO, machine, 1.0).pose, ROBOT.home_pose, atol=1e-9)
     own.takes = "torque"
@@ -63,6 +64,18 @@ def test_it_is_measured_in_the_home_pose():
     np.testing.assert_allclose(
         [float(each) for each in given.split(",")], np.array(HOME) - [2.0, 0, 0, 0, 0, 0], atol=1e-4
     )
+
+
+def test_a_servo_that_woke_up_a_turn_on_is_refused_with_the_home_that_takes_the_turn_off():
+    hobby = load_driven("hobby_servos")
+    home, turned = inverse_kinematics(hobby.belief.robot, hobby.belief.robot.home_pose), Own()
+    turned.own = home + [0.0, 0.0, 2.0 * np.pi, 0.0, -4.0 * np.pi, 0.0]
+    with pytest.raises(ConfigurationError, match=r"angle of leg 4.*-2 turns") as raised:
+        connected(hobby, turned, 1.0)
+    given = [float(each) for each in re.search(r"model\.home=\[(.*?)\]", str(raised.value))[1].split(",")]
+    start = connected(hobby.replace({"model.home": given}), Homed(turned, given), 1.0)
+    np.testing.assert_allclose(start.angles, home, atol=1e-4)
+    assert turned.told == []
 
 
 def test_a_simulated_machine_has_the_same_zero():

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from made_machines import ROOT, docs_module
 
 from stewart_drake.machines import packet as wire
-from stewart_drake.machines.packet import Packet, decode, encode, from_frame, split_frames, to_frame
+from stewart_drake.machines.packet import Packet, decode, encode, from_frame, rounded_inside, split_frames, to_frame
 from stewart_drake.machines.simulated import RobotSide
 
 FLAGS = st.sampled_from([bits | takes << 2 for bits in (0, 1, 2, 3, 16, 19) for takes in (0, 1, 2)])
@@ -116,10 +116,26 @@ def test_what_the_robots_side_takes_and_when_it_holds():
 
 
 @pytest.mark.parametrize("takes", ["angle", "torque", "current"])
-def test_limits_themselves_are_within_limits(takes):
+def test_a_command_at_a_limit_is_within_it_as_a_number_of_the_wire(takes):
     high = np.array([0.1, 0.3, 0.7, 1.1, 1.3963264015955, 5.0])
-    side = RobotSide(takes, np.stack([-high, high]))
-    assert side.take(encode(Packet(wire.flags_of(takes, wire.ACTIVE), 1, 0, 0, high)), "a", 0.0)
+    limits = np.stack([-high, high])
+    side, inside = RobotSide(takes, limits), rounded_inside(limits)
+    assert (np.abs(inside - limits) < 1e-7 * high).all()
+    np.testing.assert_array_equal(inside, inside.astype(np.float32))
+    for number, values in enumerate(inside, start=1):
+        assert side.take(encode(Packet(wire.flags_of(takes, wire.ACTIVE), number, 0, 0, values)), "a", 0.0)
+    # The limit of 0.7 is itself rounded beyond.
+    assert not side.take(encode(Packet(wire.flags_of(takes, wire.ACTIVE), 3, 0, 0, high)), "a", 0.0)
+
+
+def test_a_robot_ticks_on_its_period_however_late_it_wakes():
+    next_tick, due, ticks = docs_module("robot_side").next_tick, 0.0, []
+    for _ in range(1000):
+        due = next_tick(due, due + 0.004, 0.02)
+        ticks.append(due)
+    np.testing.assert_allclose(ticks, 0.02 * np.arange(1, 1001))
+    # What has gone by in a pause is left out.
+    assert next_tick(1.0, 1.07, 0.02) == pytest.approx(1.08)
 
 
 # --- the robot's side in C and in plain Python ---

@@ -116,6 +116,9 @@ def test_other_messages_are_passed_over(daemon, machine):
         '{"type": "joint_positions", "head_joint_positions": [1, 2, 3]}',
         '{"type": "joint_positions", "head_joint_positions": [1, 2, 3, 4, 5, 6, NaN]}',
         '{"type": "joint_positions"}', '{"type": "head_pose", "head_pose": "up"}', '{"type": "daemon_status"}',
+        '{"type": "daemon_status", "backend_status": "broken"}', "[" * 200_000, '{"type": []}', b"\xff",
+        f'{{"type": "joint_positions", "head_joint_positions": [{"9" * 400}, 2, 3, 4, 5, 6, 7]}}',
+        f'{{"type": "head_pose", "head_pose": {[0] * 16}}}',
     ]  # fmt: skip
     numbers = [machine.read().number for _ in range(30)]
     assert 29 <= numbers[-1] - numbers[0] <= 60
@@ -127,6 +130,13 @@ def test_motors_that_are_off_are_told(daemon, machine):
     deadline = time.monotonic() + 5.0
     while not machine.read().holding:
         assert time.monotonic() < deadline
+
+
+def test_a_daemon_that_sends_other_things_alone_is_lost_and_they_are_told(daemon, machine):
+    daemon.silent = True
+    daemon.connection.send('{"type": "joint_positions", "head_joint_positions": "all"}')
+    with pytest.raises(MachineError, match=r"no angles for .* s; it sent '\{\"type\": \"joint_p"):
+        go_on(machine)
 
 
 def test_silence_is_an_older_reading_and_then_a_lost_machine(daemon, machine):

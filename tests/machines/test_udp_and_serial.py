@@ -80,6 +80,7 @@ def test_readings_and_commands_go_both_ways_at_the_robots_pace(robot, machine):
     assert reading.number - before.number >= 50
     assert reading.time - before.time == pytest.approx((reading.number - before.number) * robot.period, rel=0.3)
     np.testing.assert_allclose(reading.angles, wanted, atol=1e-7)
+    np.testing.assert_array_equal(reading.arrived, wanted)
     assert not reading.holding
     assert 0.0 <= reading.age < 0.1
     assert reading.age <= reading.command_age < 0.2
@@ -95,6 +96,7 @@ def test_commands_are_cut_to_the_limits_and_numbers_are_needed(robot, machine):
     for _ in range(5):
         reading = machine.read()
     np.testing.assert_allclose(reading.angles, high, atol=1e-6)
+    assert (reading.angles <= high).all()
     assert robot.side.counts["range"] == 0
     for bad in (np.full(6, np.nan), np.zeros(5), np.array([0, 0, 0, 0, 0, -np.inf])):
         with pytest.raises(MachineError, match="six finite numbers"):
@@ -170,12 +172,16 @@ def test_a_reading_that_is_missing_is_given_again_older(robot, machine):
 
 
 def test_commands_that_no_longer_arrive_show_in_their_age(robot, machine):
+    for angle in (0.1, 0.2):
+        machine.command(np.full(6, angle))
+        machine.read()
     robot.side.take = lambda *_: False
     robot.side.reading = lambda *given, send=robot.side.reading: send(*given)
     for _ in range(20):
         machine.command(np.zeros(6))
         reading = machine.read()
     assert reading.command_age > 15 * robot.period
+    assert reading.arrived.max() in (0.1, 0.2)
     assert reading.age < 0.1
 
 

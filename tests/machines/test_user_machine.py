@@ -1,5 +1,7 @@
 """A machine of the user's own: what it may be, and what is said of one that is not as it should be."""
 
+import threading
+
 import numpy as np
 import pytest
 from made_machines import SERVOS, TORQUES
@@ -112,6 +114,29 @@ def test_no_new_reading_is_the_last_one_older(mine):
     first, second = machine.read(), machine.read()
     assert first.number == second.number
     assert second.age > first.age > 0.0
+
+
+@pytest.mark.parametrize("name", ["read", "command"])
+def test_what_blocks_is_a_machine_that_is_lost(mine, name, monkeypatch):
+    machine = mine("MyMachine")
+    machine.connect()
+    go_on, before = threading.Event(), getattr(machine._own, name)
+
+    def blocks(*given):
+        go_on.wait()
+        return before(*given)
+
+    blocks.__name__ = name
+    setattr(machine._own, name, blocks)
+    monkeypatch.setattr("stewart_drake.machines.machine.LOST", 0.02)
+    with pytest.raises(MachineError, match=rf"mine\.py:MyMachine: its {name} has not returned for 0\.02 s"):
+        machine.read() if name == "read" else machine.command(np.zeros(6))
+    machine.disconnect()
+    go_on.set()
+    monkeypatch.setattr("stewart_drake.machines.machine.LOST", 5.0)
+    # An answer that comes late is not taken for that of the next call.
+    machine.command(np.full(6, 0.1))
+    assert machine.read().angles.tolist() == [0.1] * 6
 
 
 def test_what_it_raises_is_its_own(mine):

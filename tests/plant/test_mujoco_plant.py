@@ -182,6 +182,8 @@ def test_it_goes_on_from_where_it_was_saved_to_the_bit():
     np.testing.assert_array_equal(first, [plant.step(torque, STILL).copy() for _ in range(20)])
     # Another plant of the kind takes the state too.
     np.testing.assert_array_equal(other.restore(state), plant.restore(state))
+    with pytest.raises(ConfigurationError, match="state of a plant"):
+        plant.restore(state[:-1])
 
 
 def test_what_blows_up_is_said_without_a_file_of_mujocos(tmp_path, monkeypatch):

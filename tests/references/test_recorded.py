@@ -32,9 +32,11 @@ def reference(path, **keys):
 
 @pytest.mark.parametrize("name", ["motion.csv", "motion.parquet"])
 def test_a_recording_comes_back_row_by_row_and_smoothly_between(tmp_path, name):
-    motion = reference(save(table(offset=17.0), tmp_path / name))
-    np.testing.assert_allclose(motion.evaluate(TIMES)[0], MOTION.evaluate(TIMES)[0], atol=1e-12)
-    between = np.linspace(0.1, 2.9, 777)
+    path = save(table(offset=17.0), tmp_path / name)
+    motion, rows = reference(path), TIMES[TIMES < 2.8]
+    np.testing.assert_allclose(reference(path, cutoff=None).evaluate(rows)[0], MOTION.evaluate(rows)[0], atol=1e-12)
+    np.testing.assert_allclose(motion.evaluate(rows)[0], MOTION.evaluate(rows)[0], atol=2e-6)
+    between = np.linspace(0.2, 2.6, 777)
     # A cubic spline of step h errs by h^4, h^3 and h^2: 0.02 s of a sine of 2 rad/s and 0.52 rad.
     for values, true, atol in zip(motion.evaluate(between), MOTION.evaluate(between), (1e-7, 2e-5, 2e-3), strict=True):
         np.testing.assert_allclose(values, true, atol=atol)
@@ -60,27 +62,33 @@ def test_angles_that_wrap_are_followed_as_if_they_did_not(tmp_path, middle):
 def test_a_run_is_as_long_as_its_recording_unless_it_is_told(tmp_path):
     motion = {"kind": "recorded", "motion_file": str(save(table(), tmp_path / "motion.csv")), "settle": 0.25}
     scenario = Scenario(reference=motion)
-    assert scenario.duration == 3.25
-    assert scenario.replace({"reference.time_scale": 2.0}).duration == 6.25
+    assert scenario.duration == 3.125
+    assert scenario.replace({"reference.time_scale": 2.0}).duration == 6.125
     assert scenario.replace({"reference": {"kind": "hold"}}).duration == 10.0
     assert Scenario(reference=motion, duration=10.0).duration == 10.0
     fast = {"plant.kind": "closed_form", "tuner": {"kind": "fixed"}, "controller.feedforward": "platform"}
     warnings = [run(scenario.replace({**fast, **more})).warnings for more in ({}, {"duration": 5.0}, {"duration": 1.5})]
     said = ["".join(each["text"] for each in found if each["name"] == "motion_length") for found in warnings]
     assert said[0] == ""
-    assert said[1].startswith("the motion ends at 3.2")
-    assert said[2] == "the recorded motion of 3.25 s is cut at 1.5 s"
+    assert said[1].startswith("the motion ends at 3.1")
+    assert said[2] == "the recorded motion of 3.125 s is cut at 1.5 s"
 
 
-def test_it_starts_with_its_own_velocity_and_coasts_to_rest(tmp_path):
+def test_it_starts_with_its_own_velocity_and_slows_down_within_its_rows(tmp_path):
     motion = reference(save(table(), tmp_path / "motion.csv"), settle=0.4)
     np.testing.assert_allclose(motion.evaluate(0.0)[1], MOTION.evaluate(0.0)[1], atol=1e-3)
-    last, there, later = (motion.evaluate(time) for time in (3.0, 3.4, 1e6))
+    assert motion.end == pytest.approx(3.2)
+    there, later = motion.evaluate(3.2), motion.evaluate(1e6)
     np.testing.assert_allclose(there, later, atol=1e-12)
     np.testing.assert_array_equal(later[1:], 0.0)
-    # Half of the way that the last velocity would have gone, give or take what the last acceleration does.
-    coasted = last[1] * 0.4 / 2.0 + last[2] * 0.4**2 / 12.0
-    np.testing.assert_allclose(there[0] - last[0], coasted, atol=1e-12)
+    np.testing.assert_allclose(later[0], MOTION.evaluate(3.0)[0], atol=1e-4)
+    # The last rows rise, and so it does until it rests, at a rate and an acceleration that do not jump.
+    times = np.linspace(2.7, 3.3, 601)
+    pose, rate, acceleration = (signal[:, 0] for signal in motion.evaluate(times))
+    assert np.diff(pose).min() >= -1e-12
+    np.testing.assert_allclose(np.gradient(pose, times)[1:-1], rate[1:-1], atol=1e-4)
+    np.testing.assert_allclose(np.gradient(rate, times)[1:-1], acceleration[1:-1], atol=2e-2)
+    assert np.abs(np.diff(acceleration)).max() < 0.05
 
 
 def changed(name, row, value):
@@ -97,6 +105,14 @@ BAD = {
     "three rows": (lambda: table(TIMES[:3]), "expected at least 4 rows"),
     "words": (lambda: table(pitch=["a"] * 151), "a table of numbers"),
 }
+
+
+def test_numbers_in_the_first_line_are_a_header_that_is_missing(tmp_path):
+    (tmp_path / "motion.csv").write_text("0.1500,0,0,0,0,0\n0.1515,0,0,0,0,0\n")
+    with pytest.raises(
+        ConfigurationError, match=r"column of time: .*; the first line is numbers: is the header missing"
+    ):
+        reference(tmp_path / "motion.csv").evaluate(0.0)
 
 
 @pytest.mark.parametrize(("make", "words"), BAD.values(), ids=BAD)

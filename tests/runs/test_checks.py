@@ -11,6 +11,7 @@ from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_jacobian
 from stewart_drake.references import AdjustedReference, HeartbeatReference, MinimumJerkReference, SineReference
 from stewart_drake.robot import RobotParameters
+from stewart_drake.runs import checks
 from stewart_drake.runs.checks import adjusted, check_scenario, fit_amplitude, fit_speed, plant_report
 from stewart_drake.scenario.limits import ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
@@ -118,3 +119,11 @@ def test_motors_as_sold_give_less_at_speed_than_the_robots_limit():
     assert worst.bound == pytest.approx(min(scenario.robot.effort_limit, 2.0) * (1.0 - speed / 8.0))
     weak = {**servo, "torque_limit": 0.001}
     assert plant_report(scenario.replace({"motors": weak})).first_violation is not None
+
+
+def test_motions_that_have_passed_are_remembered_and_not_for_ever(monkeypatch):
+    monkeypatch.setattr(checks, "_KEPT", 3)
+    monkeypatch.setattr(checks, "_PASSED", set())
+    for duration in (0.1, 0.2, 0.3, 0.4, 0.4):
+        checks.check_scenario(Scenario(reference="hold", duration=duration))
+        assert 1 <= len(checks._PASSED) <= 3

@@ -1,16 +1,19 @@
 """`drive`: a controller on a machine, here one in the same process whose servos come to their angles by a lag."""
 
+import re
+
 import numpy as np
 import pytest
 
 from stewart_drake import load_scenario, run_metrics
-from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError, RunFailure
 from stewart_drake.logs.log import load_log
 from stewart_drake.machines.machine import MachineError, Reading
 from stewart_drake.machines.simulated import SimulatedRobot
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.references.paced import RAMP
-from stewart_drake.runs.drive import HOLD, Drive, connected
+from stewart_drake.runs.drive import APPROACH_SPEED, HOLD, Drive, connected
+from stewart_drake.runs.replay import write_replay
 
 SERVOS = {
     "motors": {"kind": "position", "preset": "xl330_m288"},
@@ -101,8 +104,29 @@ def test_its_log_is_that_of_a_run(tmp_path):
     log.save(tmp_path / "log.parquet")
     again = load_log(tmp_path / "log.parquet")
     assert set(again) == set(log)
-    assert {"lateness", "reading_age", "commanded_angle", "pose", "reference", "crank_angle"} <= set(log)
+    assert {"lateness", "reading_age", "commanded_angle", "pose", "reference", "reading"} <= set(log)
     assert "torque_rms" in run_metrics(log)
+
+
+def test_what_a_machine_without_encoders_has_done_is_not_known_and_marked(tmp_path):
+    machine = Servos()
+    machine.reads = False
+    machine.read = lambda: Reading((machine.commands or [HOME])[-1].copy(), 0.02 * len(machine.commands), 0.0, 0)
+    machine.paced = False
+    log = driven(machine, seconds=0.5)
+    assert (log.status, [each["name"] for each in log.warnings]) == ("completed", ["not_measured"])
+    assert np.isnan(log["reading"]).all()
+    assert "crank_angle" not in log
+    metrics = run_metrics(log)
+    assert {metrics[name] for name in ("rmse_norm_deg", "peak_norm_mm", "pose_rmse_mm", "motion_ratio")} == {None}
+    assert np.isnan(log.error).all()
+    write_replay([log, log], tmp_path / "replay.html", ["runs/a", "runs/b"])
+    page = (tmp_path / "replay.html").read_text("utf-8")
+    assert "the machine does not tell its angles" in page
+    assert re.search(r"<title>.*runs/a, runs/b", page)
+    assert re.search(r'"rotation_deg": \[null, ', page)
+    log.save(tmp_path / "log.parquet")
+    assert load_log(tmp_path / "log.parquet").warnings == log.warnings
 
 
 def interrupted(_):
@@ -126,9 +150,17 @@ def silent(machine):
     machine.read = lambda: Reading(machine.angles.copy(), 0.0, 0.9, machine.count)
 
 
-def stuck(machine):
-    machine.command = lambda values: machine.commands.append(values.copy())
-    machine.angles = HOME + 0.5
+def slow_to_let_go(machine):
+    def disconnect():
+        machine.gone = True
+        raise KeyboardInterrupt
+
+    machine.disconnect = disconnect
+    raise KeyboardInterrupt
+
+
+def broken(_):
+    raise ZeroDivisionError("odd")
 
 
 @pytest.mark.parametrize(
@@ -136,10 +168,11 @@ def stuck(machine):
     [
         (interrupted, "interrupted", "interrupted", True),
         (late, "failed", "stale_reading", True),
-        (stuck, "failed", "not_following", True),
+        (slow_to_let_go, "interrupted", "interrupted", True),
         (off, "failed", "holding", True),
         (silent, "failed", "stale_reading", False),
         (lost, "failed", "machine", False),
+        (broken, "failed", "run_failure", False),
     ],
 )
 def test_what_goes_wrong_slows_it_down_on_its_path_and_is_told(event, status, reason, rests):
@@ -150,6 +183,98 @@ def test_what_goes_wrong_slows_it_down_on_its_path_and_is_told(event, status, re
     moved = np.abs(np.diff(machine.commands, axis=0)).max(axis=1)
     assert moved.max() < 0.12
     assert bool(moved[-5:].max() < 0.01) == rests
+
+
+@pytest.mark.parametrize("also", [False, True])
+def test_a_robot_that_is_far_from_its_path_is_held_where_it_is_also_while_it_stops(also):
+    def stuck(machine):
+        machine.command = lambda values: machine.commands.append(values.copy())
+        machine.angles = HOME + 0.5
+        if also:
+            raise KeyboardInterrupt
+
+    machine = Servos(at=130, event=stuck)
+    start = connected(BASE.replace({"duration": 10.0}), machine)
+    before, drive = len(machine.commands), Drive(BASE.replace({"duration": 10.0}), machine, start)
+    log = drive.run()
+    assert log.reason == ("interrupted" if also else "not_following")
+    assert "held where it stood" in drive.ending
+    # The guard looks before a command goes out: none is sent along the path any more.
+    went_on = [command for command in machine.commands[before:] if np.abs(command - HOME).max() > 0.45]
+    np.testing.assert_array_equal(went_on, np.tile(HOME + 0.5, (len(went_on), 1)))
+    assert len(machine.commands) - len(went_on) <= 130
+    assert len(went_on) > 50
+
+
+def test_a_robot_that_torques_move_is_held_at_the_pose_that_is_measured():
+    scenario = load_scenario("exact_fig7", ["plant.kind=closed_form", "sensors=encoders", "duration=1", "safety=null"])
+    scenario = scenario.replace({"bounds.crank_angle": 0.02})
+    push = {"kind": "step", "time": 1.0, "wrench": [0.0, 0.0, 0.0, 0.0, 0.0, -90.0], "until": 1.06}
+    log = driven(Exact(scenario.replace({"disturbances": [push]}), 0), scenario)
+    assert log.reason == "not_following"
+    last = log["reference"][-1]
+    np.testing.assert_allclose(log["reference"][-1200:], np.tile(last, (1200, 1)))
+    np.testing.assert_allclose(log["pose"][-1], last, atol=1e-3)
+    at = int(np.abs(log["reference"] - last).max(axis=1).argmin())
+    np.testing.assert_allclose(log["pose"][at - 1], last, atol=1e-3)
+
+
+def test_the_way_begins_where_the_robot_stands_at_the_first_command():
+    machine = Servos()
+    start = connected(BASE, machine)
+    drive = Drive(BASE, machine, start)
+    begun = inverse_kinematics(BASE.robot, ROTATED)
+    machine.angles = begun.copy()
+    log = drive.run()
+    assert log.status == "completed"
+    assert log.scenario.duration == pytest.approx(start.motion.approach + 2.0 + RAMP)
+    speeds = np.abs(np.diff([begun, *machine.commands], axis=0)).max(axis=1) / 0.02
+    assert speeds[: int(start.motion.approach / 0.02)].max() < 0.7
+
+
+def test_a_robot_that_is_still_moved_by_hand_is_not_driven():
+    machine = Servos()
+    drive = Drive(BASE, machine, connected(BASE, machine))
+    read = machine.read
+    shift = np.zeros(6)
+
+    def shaken():
+        shift[:] = 0.05 - shift
+        return read()._replace(angles=HOME + shift)
+
+    machine.read = shaken
+    with pytest.raises(RunFailure, match="hold it still"):
+        drive.run()
+    assert machine.commands == []
+
+
+class Lossy(Servos):
+    """Servos at the end of a line that loses packets, commands and readings; readings say which command arrived."""
+
+    def __init__(self, share):
+        super().__init__()
+        self.share, self.random, self.followed = share, np.random.default_rng(1), [HOME]
+
+    def read(self):
+        while True:
+            self.angles += 0.6 * (self.followed[-1] - self.angles)
+            reading = super().read()
+            if self.random.random() >= self.share:
+                return reading._replace(arrived=self.followed[-1].copy())
+
+    def command(self, values):
+        if self.random.random() >= self.share:
+            self.followed.append(values.copy())
+
+
+def test_on_a_line_that_loses_packets_commands_are_near_to_the_last_that_has_arrived():
+    farthest = {}
+    for share in (0.0, 0.5):
+        machine = Lossy(share)
+        driven(machine, BASE.replace({"bounds.crank_angle": None, "duration": 4.0}))
+        farthest[share] = np.abs(np.diff(machine.followed, axis=0)).max()
+    # As far as the path goes in three ticks, and half a radian a second besides.
+    assert farthest[0.5] < 3.0 * farthest[0.0] + APPROACH_SPEED * 0.06
 
 
 def test_a_second_interrupt_does_not_wait():

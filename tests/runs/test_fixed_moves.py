@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from stewart_drake import ConfigurationError, load_scenario, run
+from stewart_drake.machines.machine import Reading
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.references.moves import HEAD_HEIGHT, STEP, Move, move_json, moves_of, read_move
 from stewart_drake.robot.robot_files import load_robot
+from stewart_drake.runs.checks import check_scenario
+from stewart_drake.runs.drive import connected
 from stewart_drake.runs.moves import SMOOTHEST, TORQUE, averaged, check_move, fix_move, motion_of, shaped_move
-from stewart_drake.scenario.scenario import load_driven
+from stewart_drake.scenario.scenario import Scenario, load_driven
 
 ROBOT = load_robot("reachy_mini")
 SERVO = ["motors={kind: position, preset: xl330_m288, delay: 0.01}", "controller={kind: feedforward}", "safety=null"]
@@ -36,9 +39,9 @@ def test_averaging_leaves_lines_and_makes_waves_smaller_as_a_gaussian_does():
 def test_a_move_that_can_be_done_stays_as_it_is():
     move = moving(1, 0.2 * np.sin(STEP * np.arange(200)))
     fixed, changes = fix_move(ROBOT, move)
-    np.testing.assert_allclose(fixed.pose, move.pose, atol=1e-15)
+    np.testing.assert_allclose(fixed.pose, move.pose, atol=1e-5)
     assert (changes["least size %"], changes["averaged ms"], changes["longer %"]) == (100.0, 0.0, 0.0)
-    assert changes["change deg"] < 1e-6
+    assert changes["change deg"] < 1e-3
 
 
 def test_a_jump_is_averaged_around_it_and_nowhere_else():
@@ -51,7 +54,7 @@ def test_a_jump_is_averaged_around_it_and_nowhere_else():
     assert report.feasible
     assert report.smallest["torque"].value <= TORQUE
     away = np.abs(move.time - 1.5) > 0.3
-    np.testing.assert_allclose(fixed.pose[away], move.pose[away], atol=1e-6)
+    np.testing.assert_allclose(fixed.pose[away], move.pose[away], atol=1e-5)
     assert changes["longer %"] == 0.0
     # Half of the jump, as close to it as a row is.
     assert np.degrees(0.05) < changes["change deg"] <= np.degrees(0.1) + 1e-6
@@ -67,8 +70,82 @@ def test_a_pose_out_of_reach_comes_nearer_to_home_and_no_more_than_a_step_too_ne
     # At the top of what is allowed, to 3 % of the way.
     higher = fixed._replace(pose=fixed.pose + 0.03 * (fixed.pose - ROBOT.home_pose))
     assert not check_move(ROBOT, higher)[0].feasible
-    np.testing.assert_array_equal(fixed.pose[:20], move.pose[:20])
-    assert changes["change mm"] == pytest.approx(1e3 * np.abs(fixed.pose - move.pose).max())
+    np.testing.assert_allclose(fixed.pose[:20], move.pose[:20], atol=1e-5)
+    assert changes["change mm"] == pytest.approx(1e3 * np.abs(fixed.pose - move.pose).max(), rel=0.01)
+
+
+NOD_TIME = STEP * np.arange(300)
+
+
+def recorded_nod(noise=0.0, jitter=0.0):
+    """Nod of 9 deg from rest to rest, its rows with noise [-] of 0.02 deg and 0.05 mm, and stamps that jitter [s]."""
+    rng = np.random.default_rng(7)
+    fade = np.clip(np.minimum(NOD_TIME, NOD_TIME[-1] - NOD_TIME), 0.0, 1.0)
+    move = moving(1, np.radians(9.0) * fade**2 * (3.0 - 2.0 * fade) * np.sin(1.6 * np.pi * NOD_TIME))
+    pose = move.pose + noise * rng.standard_normal((300, 6)) * [*[np.radians(0.02)] * 3, *[5e-5] * 3]
+    return move._replace(pose=pose, time=np.maximum.accumulate(NOD_TIME + jitter * rng.uniform(-1.0, 1.0, 300)))
+
+
+def played(path, move):
+    """A scenario that plays a move through the head's servos."""
+    path.write_bytes(move_json(move))
+    data = {
+        "robot": "reachy_mini",
+        "motors": {"kind": "position", "preset": "xl330_m288", "delay": 0.02},
+        "plant": {"kind": "closed_form", "friction": {"coulomb": 0.0128, "viscous": 0.0037}},
+        "reference": {"kind": "recorded", "motion_file": str(path)},
+        "controller": {"kind": "feedforward", "period": 0.02},
+        "tuner": "fixed",
+        "estimator": "difference",
+        "safety": None,
+    }
+    return Scenario.from_dict(data)
+
+
+class AtHome:
+    """A machine that rests in the home pose."""
+
+    period, takes, reads, paced = 0.02, "angle", True, True
+
+    def connect(self):
+        pass
+
+    def read(self):
+        return Reading(inverse_kinematics(ROBOT, ROBOT.home_pose), 0.0, 0.0, 1)
+
+
+@pytest.mark.parametrize(
+    ("noise", "jitter", "deg", "mm"), [(0, 0, 0.03, 0.02), (1, 0, 0.08, 0.08), (0, 0.003, 0.04, 0.02)]
+)
+def test_noise_and_jitter_of_a_recording_are_not_followed(tmp_path, noise, jitter, deg, mm):
+    move, clean = recorded_nod(noise, jitter), recorded_nod()
+    needed = [check_move(ROBOT, each)[0].smallest["torque"].value for each in (move, clean)]
+    # A quarter of a servo's count of noise, differentiated twice, is 0.62 N m, and jitter 0.41 N m, for 0.05.
+    assert needed[0] < needed[1] + (0.04 if noise else 1e-3)
+    log = run(played(tmp_path / "nod.json", move))
+    after = log.time > 0.5
+    off = (log["pose"] - motion_of(clean).evaluate(log.time)[0])[after]
+    turned, moved = np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1)
+    assert np.degrees(np.sqrt(np.mean(turned**2))) < deg
+    assert 1e3 * np.sqrt(np.mean(moved**2)) < mm
+
+
+RISING = moving(5, 0.0215 * (STEP * np.arange(201) / 2.0) ** 3)
+"""Ends near the end of the reach while it rises at 32 mm/s."""
+JUMPING = moving(0, np.where(np.arange(200) < 100, 0.0, 0.2))
+
+
+@pytest.mark.parametrize("move", [RISING, JUMPING, recorded_nod(1.0, 0.003)], ids=["rising", "jump", "nod"])
+def test_what_fix_passes_check_run_and_drive_pass(tmp_path, move):
+    fixed, _ = fix_move(ROBOT, move)
+    assert check_move(ROBOT, fixed)[0].feasible
+    scenario = played(tmp_path / "fixed.json", fixed)
+    for duration in (0.7, fixed.time[-1], scenario.reference.end, fixed.time[-1] + 1.0):
+        check_scenario(scenario.replace({"duration": duration}))
+    planned = connected(scenario, AtHome())
+    assert planned.duration > scenario.reference.end
+    # It rests at its last row, and goes no further.
+    np.testing.assert_allclose(scenario.reference.evaluate(99.0)[0], fixed.pose[-1], atol=2e-4)
 
 
 def test_what_averaging_cannot_help_is_slowed_with_antennas_and_body():
@@ -114,7 +191,7 @@ def test_an_ordinary_player_of_a_shaped_move_sends_what_the_exact_model_sends(tm
     (tmp_path / "shaped.json").write_bytes(move_json(shaped))
     back = read_move(tmp_path / "shaped.json")
     # The nod alone, as the angles of its inverse kinematics, is not what the servos need.
-    assert np.abs(back.pose - motion_of(move)(np.minimum(back.time, move.time[-1])))[:, 1].max() > 0.02
+    assert np.abs(back.pose - motion_of(move).evaluate(back.time)[0])[:, 1].max() > 0.02
     reference = {"kind": "recorded", "motion_file": str(tmp_path / "nod.json")}
     log = run(scenario.replace({"reference": reference, "duration": 1.4}), check=False)
     sent = np.array([log["commanded_angle"][np.searchsorted(log.time, time - 1e-6)] for time in back.time[:60]])

@@ -215,6 +215,11 @@ REFUSED = {
     "the same time": ("time", {"time": 0.0}),
     "an earlier time": ("time", {"time": -1.0}),
     "no time": ("time", {"time": np.nan}),
+    "a time of words": ("time", {"time": "0"}),
+    "an endless time": ("time", {"time": 10**400}),
+    "two times": ("time", {"time": np.ones(2)}),
+    "rows of two lengths": ("readings", {"readings": [[0.0], [0.0, 1.0]]}),
+    "an age of words": ("age", {"age": "0"}),
     "a reading of the future": ("age", {"age": -0.001}),
 }
 
@@ -232,6 +237,30 @@ def test_what_is_not_as_said_is_refused_and_changes_nothing(by_torque, key, give
     assert "\n" not in str(caught.value)
     np.testing.assert_array_equal(controller._running.values, before)
     controller.step(**usual)
+
+
+class Odd:
+    """A monitor that raises, or answers what is no leg."""
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def look(self, _):
+        return self.answer()
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (lambda: 1 / 0, r"the user's code raised ZeroDivisionError: .* \(test_controller.py, line \d+, in <lambda>\)"),
+        (lambda: exit(3), "the user's code raised SystemExit: 3"),
+        (lambda: 7, "safety.monitors.0.kind: expected a class whose look"),
+    ],
+)
+def test_whatever_a_monitor_does_is_a_failure_of_the_run(answer, words):
+    controller = Controller(Scenario(reference="hold", safety={"monitors": [Odd(answer)]}))
+    with pytest.raises(RunFailure, match=words):
+        controller.step(np.concatenate([HOME, np.zeros(6)]), 0.0, np.empty(6))
 
 
 def test_readings_that_are_too_old_reach_the_deadline():

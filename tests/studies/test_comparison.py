@@ -6,7 +6,7 @@ from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.markdown import number
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.comparison import Comparison, _rank
-from stewart_drake.studies.experiment import run_experiment
+from stewart_drake.studies.experiment import MOST, pivot, refusals, run_experiment
 from stewart_drake.studies.runs import settling_time, sine_response
 from stewart_drake.studies.workers import Workers
 
@@ -44,6 +44,18 @@ def done(tmp_path_factory):
     folder = tmp_path_factory.mktemp("comparison")
     comparison = small()
     return comparison, run_experiment(comparison, folder, Workers(0)), folder
+
+
+def test_below_a_table_is_why_runs_were_refused_a_line_for_each_reason():
+    rows = [{"status": "rejected", "message": "no model"}] * 3 + [{"status": "completed", "message": None}] * 9
+    rows += [{"status": "rejected", "message": f"got {number}"} for number in range(MOST + 3)]
+    lines = refusals(rows)
+    assert lines[0] == "3 rejected: no model"
+    assert lines[-1] == "4 more for other reasons: see the column `message`"
+    assert len(lines) == MOST + 1
+    named = [{**row, "a": "x", "b": str(number)} for number, row in enumerate(rows[:2])]
+    text = pivot("title", named, "a", "b", lambda _: "-").markdown()
+    assert text.endswith("| x | - | - |\n\n- 2 rejected: no model\n")
 
 
 @pytest.mark.slow

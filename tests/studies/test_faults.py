@@ -19,6 +19,13 @@ from stewart_drake.studies.workers import Workers
 IN_TURN = [(fault, tuple(MOTIONS)[number % len(MOTIONS)]) for number, fault in enumerate(FAULTS.values())]
 
 
+def test_the_sizes_of_faults_of_another_robot_are_told():
+    row = {"fault": "push_150N", "motion": "hold", "reaction": "refused", "status": "rejected", "message": "x"}
+    size = fault_study(robot="reachy_mini").sheet([row]).notes[-1]
+    assert size == "push_150N on this robot: disturbances[0].wrench[3] 57.2"
+    assert fault_study().sheet([row]).notes == ["1 rejected: x"]
+
+
 def fault_row(fault, motion):
     study = fault_study(pairs=[(fault, motion)])
     (row,) = study.tables([run_here(study.trials[0])])["faults"][1]

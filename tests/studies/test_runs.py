@@ -140,7 +140,11 @@ def test_a_run_that_kills_its_worker_twice_is_a_row_and_the_runs_beside_it_are_w
 
 
 @pytest.mark.slow
-def test_a_worker_with_another_version_and_one_that_cannot_start_are_told(monkeypatch):
+def test_a_worker_with_another_version_and_one_that_cannot_start_are_told(monkeypatch, tmp_path):
+    # Files of the current folder are no code that was trusted.
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "argparse.py").write_text("raise SystemExit", encoding="utf-8")
+    Workers(2).replace()
     monkeypatch.setattr(versions, "source_digest", lambda: "another")
     with pytest.raises(StewartDrakeError, match="another version of stewart-drake"):
         run_jobs([0], lambda _: (int, ()), lambda *_: None, Workers(2))

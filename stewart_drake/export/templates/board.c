@@ -12,6 +12,7 @@
 #include <string.h>
 
 enum { SIZE = 48, FRAME = SIZE + 2, READING = 1, ACTIVE = 2, MEASURED = 16, TAKES = @TAKES@ << 2 };
+enum { NEEDS = @NEEDS@ }; /* of a reading: measured angles, where the controller has feedback */
 
 static struct @NAME@_controller controller;
 static long steps = -1;       /* done; before the first reading the controller begins anew */
@@ -75,7 +76,7 @@ int board_answer(const uint8_t *data, unsigned size, uint64_t now_us, uint8_t *o
     if (size != SIZE || data[0] != 'S' || data[1] != 'D' || data[2] != 1 || get(data + 44) != crc32(data, 44)) {
         return 0;
     }
-    if ((data[3] & 0xE0) || (data[3] & 0xC) != TAKES || (data[3] & (READING | MEASURED)) != (READING | MEASURED)) {
+    if ((data[3] & 0xE0) || (data[3] & 0xC) != TAKES || (data[3] & NEEDS) != NEEDS) {
         return 0;
     }
     const uint32_t ahead = get(data + 4) - last;

@@ -13,12 +13,14 @@
 #endif
 
 enum { OK, WARNING, DISCARD, ERROR };
+#define MOST_STEPS 1e7 /* of one call: more would seem never to return */
 static const double period = @PERIOD@; /* [s] of a step */
 
 typedef struct {
     struct @STRUCT@ inner;
 @FIELDS@
     double steps; /* done */
+    double now;   /* [s] the communication point that was reached last */
 } unit;
 
 /* Variables by their references, from 1; 0 is the time. */
@@ -133,17 +135,23 @@ EXPORTED int fmi3DoStep(
     void *of, double now, double size, bool final, bool *event, bool *terminate, bool *early, double *last)
 {
     unit *u = of;
+    const double end = now + size, about = 1e-3 * period;
     (void)final;
     *event = *terminate = *early = false;
+    *last = u->now;
+    /* A step goes on from the last one, and forwards: comparisons with what is no number are false. */
+    if (!(now > u->now - about && now < u->now + about && size > 0.0 && size <= MOST_STEPS * period)) {
+        return ERROR;
+    }
     /* So many steps that the next communication point is reached; a point may be off by rounding. */
-    while (u->steps * period < now + size - 0.5 * period) {
+    while (u->steps * period < end - 0.5 * period) {
         if (!step(u)) {
             *terminate = true;
             *last = u->steps * period;
             return ERROR;
         }
     }
-    *last = now + size;
+    *last = u->now = end;
     return OK;
 }
 
