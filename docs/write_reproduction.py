@@ -17,7 +17,9 @@ HEAD = """# The paper, claim by claim
 
 What `stewart-drake reproduce` prints at full size. The claims are those of *Intelligent Optimal Feed-Back Torque
 Control of a 6DOF Surgical Rotary Robot*; numbers in brackets are its equations, roman numbers its sections. Claims
-about runs are on (37), (38) unless they say otherwise. The notebooks under `notebooks/paper/` show the evidence and
+about runs are on (37), (38) unless they say otherwise. Without gravity the loop with the network is chaotic: the first
+two rows of Fig. 7 have the worst of six starts that differ by 1e-10. A run counts as followed if it is
+[completed](../promises.md#outcomes-tell-the-truth). The notebooks under `notebooks/paper/` show the evidence and
 explain it; [departures.md](../departures.md) lists each departure from the print. `make reproduction` writes this page,
 and the numbers with which the command compares.
 

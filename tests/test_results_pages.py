@@ -189,6 +189,9 @@ def test_integrators(page, friction):
         plant = integrators.stepped(ClosedFormOptions(integrator=integrator, **keys))
         error = integrators.measured("", 1e-3, friction, plant, integrators.truth(friction, 1e-5)).error
         assert_says(page.cell(f"closed form, {integrator}", "1 ms", column="error", under=under), error, within=0.05)
+    if friction:  # And that of a scenario's motors, in its loop.
+        error = 1e3 * run_metrics(run(load_scenario("exact_heart", ["plant=closed_form"])))["rmse_norm_mm"]
+        assert_says(page.cell("`exact_heart`", column="semi_implicit, 1 ms"), error, within=NOISY)
 
 
 def test_robots(page):

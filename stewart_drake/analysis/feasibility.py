@@ -16,7 +16,7 @@ from stewart_drake.mechanics.kinematics import reach_margin
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import PAPER
-from stewart_drake.scenario.limits import PLACES, RULES, ReferenceLimits, limit_bounds, limit_margins
+from stewart_drake.scenario.limits import PLACES, LimitMargin, ReferenceLimits, limit_bounds, limit_margins
 
 SEARCH_RTOL = 1e-4  # Relative width at which the searches for the largest amplitude and scale stop.
 SAMPLES_PER_SECOND = 500.0
@@ -24,31 +24,6 @@ _HALF_PERIOD_SAMPLES = 257
 _SCALE_STEPS = 16
 _DRAWN, _MOST_DRAWS = 4096, 500  # Poses of a box that are drawn at a time, and times at most.
 _WHOLE_TURN = 1e-3  # [rad] within which an angle counts as a number of whole turns.
-
-
-@dataclass(frozen=True)
-class LimitMargin:
-    """The margin to one limit at one instant and place."""
-
-    limit: str  # Name of the limit, one of `limits.RULES`.
-    bound: float  # The limit's value in `unit`.
-    margin: float  # Signed distance to it in `unit`; negative is outside, -inf where the quantity itself is infinite.
-    time: float  # [s].
-    leg: int | None  # Leg 0..5, for `clearance` the first of the two; None where the limit belongs to the platform.
-    where: str  # The place in words, such as `rod 1 to rod 2`.
-
-    @property
-    def unit(self) -> str:
-        return RULES[self.limit][0]
-
-    @property
-    def value(self) -> float:
-        """What is limited, in `unit`; for what has a sign or a length its size."""
-        return self.bound + self.margin if ">=" in RULES[self.limit][1] else self.bound - self.margin
-
-    @property
-    def allowed(self) -> str:
-        return f"{RULES[self.limit][1].format(self.bound)} ({self.where})"
 
 
 @dataclass(frozen=True)

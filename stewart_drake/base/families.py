@@ -219,6 +219,7 @@ class UserMade(Section):
     object may replace the whole section.
     """
 
+    own_keys = frozenset({"arguments"})
     asked: ClassVar[str]
     """What an object of the class does, such as `evaluate(t) returns ...`; begins with its method."""
 

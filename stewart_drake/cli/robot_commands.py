@@ -122,10 +122,10 @@ def _model_options(write: Callable[[Scenario], str]) -> Callable[..., None]:
 @command("write-sdf", **_MODEL)
 @_model_options
 def write_sdf(scenario: Scenario) -> str:
-    """Uses the scenario's plant.rod_joint."""
+    """Uses the scenario's plant.rod_joint and limits.joint_swing."""
     from stewart_drake.plant.model_files import sdf_text
 
-    return sdf_text(scenario.robot, rod_joint=scenario.plant.rod_joint)
+    return sdf_text(scenario.robot, rod_joint=scenario.plant.rod_joint, joint_swing=scenario.limits.joint_swing)
 
 
 @command("write-mjcf", **_MODEL)

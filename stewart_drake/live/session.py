@@ -40,7 +40,8 @@ LATEST = 0.5
 CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
     "as in the scenario": {},
     "LQI, exact model": {
-        "controller": {"kind": "lqi", "model": "exact", "feedforward": "full", "feedforward_at": "reference"},
+        "controller": "lqi",
+        **{"controller.model": "exact", "controller.feedforward": "full", "controller.feedforward_at": "reference"},
         "tuner": "block",
     },
     "PID of each motor": {"controller": "pid"},

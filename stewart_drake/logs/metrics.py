@@ -257,6 +257,10 @@ METRICS: tuple[Metric, ...] = (
         lambda t: int(t.at_limit.sum()) / (6 * t.ticks), "ticks", label="share of torques at the limit", form=".2%",
     ),
     Metric(
+        "beyond_limits", "1", "share of the run in which the platform's motion was beyond one of the scenario's limits",
+        lambda t: 0.0 if t.excursion is None else t.excursion[1], "ticks", label="share beyond a limit", form=".2%",
+    ),
+    Metric(
         "loop_gap_max_m", "m", "largest distance from a rod end to its platform joint",
         lambda t: t.largest["loop_gap"], "steps", label="largest loop gap", form=".2e",
     ),

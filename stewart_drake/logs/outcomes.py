@@ -13,6 +13,7 @@ from stewart_drake.base.errors import RunFailure, SafetyStop
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix
 from stewart_drake.safety import MONITORS, RAMP
+from stewart_drake.scenario.limits import LimitMargin, longest_excursion
 
 if TYPE_CHECKING:
     from stewart_drake.scenario.scenario import Scenario
@@ -47,6 +48,7 @@ RIPPLE_PERIODS = 4.0  # Of that frequency, which a second half must have.
 NOISES = 3.0  # Standard deviations of a reading that add to what a robot which holds its place may be off.
 AT_REST = 1e-6  # Of a motion's largest rate, below which it rests.
 EXCURSION = 10.0  # Times that by which it may be off for a moment.
+LOOK, MOST_LOOKS = 0.005, 100_000  # [s] between two poses that are held against the limits, at least; and how many.
 REST, CUT = 0.25, 2.0  # Share of a run that may follow on its motion, and motion over run, beyond which that is said.
 
 
@@ -221,6 +223,14 @@ class RunRows:
             return end, end / duration, f"the motion ends at {end:.4g} s; figures of the second half are mostly of rest"
         return None
 
+    @cached_property
+    def excursion(self) -> tuple[LimitMargin, float, float] | None:
+        """What the motion made of the scenario's limits, see `longest_excursion`; None where it kept to them."""
+        rows, scenario = np.flatnonzero(self.tick), self.scenario
+        rows = rows[:: max(1, round(LOOK / scenario.controller.period), len(rows) // MOST_LOOKS)]
+        motion = self.time[rows], self["pose"][rows], self["pose_rate"][rows]
+        return longest_excursion(scenario.robot, scenario.limits, *motion) if len(rows) else None
+
     @property
     def error_ratio(self) -> float | None:
         return None if self.worst_window is None else self.worst_window[0]
@@ -348,6 +358,10 @@ def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None)
             size = f"{gap:.2g} m, {ratio:.0%} of the RMSE of the position"
             text = f"rods end off their joints by up to {size}: errors so small may depend on plant.time_step"
             events.append(("loop_gap", when, ratio, text))
+        if rows.excursion is not None and status == "completed":
+            margin, share, since = rows.excursion
+            text = f"{margin.limit}: {margin.value:.4g} {margin.unit} at {margin.time:.4g} s, for {margin.allowed}"
+            events.append(("beyond_limits", since, share, f"{text}; beyond it for {share:.1%} of the run"))
         for name, said in (("motion_length", rows.wrong_length()), ("poorly_held", rows.poorly_held())):
             if status == "completed" and said is not None:
                 events.append((name, *said))

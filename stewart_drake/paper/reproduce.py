@@ -185,6 +185,21 @@ def outcome(log: SimulationLog) -> str:
     return "completed" if log.status == "completed" else f"{reason}, leg {log.leg}, {log.end_time:.3f} s"
 
 
+def followed(logs: Iterable[SimulationLog]) -> int:
+    """How many of some runs are completed: a run that is lost comes to its end too, off its motion."""
+    return sum(log.status == "completed" for log in logs)
+
+
+NEAR_ZERO = 0.1
+"""Share of its largest value of the run below which an integral state is near zero."""
+
+
+def integral_share(log: SimulationLog) -> float:
+    """|z| at 5 s over its largest of the run, the larger of roll and Z; NaN where the run ended before."""
+    z, largest = run_metrics(log)["integral_at_5s"], np.abs(log["integral"]).max(axis=0)
+    return math.nan if z is None else float(max(abs(z[axis]) / largest[axis] for axis in (0, 5)))
+
+
 def largest_integral(log: SimulationLog) -> float | None:
     """Largest |z| at 5 s [rad s, m s]; None where the run ended before."""
     z = run_metrics(log)["integral_at_5s"]

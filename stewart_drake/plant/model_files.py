@@ -6,14 +6,13 @@ All joint angles are zero at home, Drake's motor angle too; theta of a crank is 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.config import check_value
@@ -21,7 +20,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import cross, leg_geometry, roll_pitch_yaw, rotation_matrix
 from stewart_drake.plant.plant_options import DrakeOptions, PlantOptions, RodJoint
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LARGEST_SIZE, LEG_COUNT
+from stewart_drake.robot.leg import JOINT_SWING, LARGEST_SIZE, LEG_COUNT
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -95,14 +94,16 @@ def sdf_text(
     *,
     rod_joint: RodJoint = "universal",
     collision: bool = True,
+    joint_swing: float | None = JOINT_SWING,
     name: str = "stewart",
-    base: tuple[ArrayLike, ArrayLike] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    base: Sequence[Sequence[float]] | None = None,
 ) -> str:
     """The robot as an SDF model for Drake's parser; pictures are written always.
 
-    `base` is position [m] and roll, pitch, yaw [rad] of B in the world.
     Links `base` (welded to the world), `crank_0..5`, `rod_0..5`, `platform`; joints `motor_0..5` and `universal_0..5`
-    or `ball_0..5`; six `drake:ball_constraint` close the loops.
+    or `ball_0..5`; six `drake:ball_constraint` close the loops. A universal joint has stops at -`joint_swing` and
+    `joint_swing` [rad] about either axis, None for none. `base` is position [m] and roll, pitch, yaw [rad] of B in the
+    world; None for the world's frame.
     """
     check_value("rod_joint", rod_joint, RodJoint)
     frames, radius = home_frames(robot), robot.link_radius
@@ -124,8 +125,9 @@ def sdf_text(
         default=RobotParameters(),
         rod_joint=rod_joint,
         collision=collision,
+        joint_swing=joint_swing,
         name=name,
-        base=base if np.any(base) else None,
+        base=base,
         frames=frames,
         crank_turns=crank_turns,
         platform_inertia=_moments_and_products(robot),

@@ -238,8 +238,15 @@ def add_robot(
         )
     with drake_guard("adding the robot"):
         others = set(plant.GetConstraintIds())
-        at = base.translation(), base.rotation().ToRollPitchYaw().vector()
-        text = sdf_text(robot, rod_joint=options.rod_joint, collision=options.collision, name=model_instance, base=at)
+        at = None if base.IsExactlyIdentity() else (base.translation(), base.rotation().ToRollPitchYaw().vector())
+        text = sdf_text(
+            robot,
+            rod_joint=options.rod_joint,
+            collision=options.collision,
+            joint_swing=None,
+            name=model_instance,
+            base=at,
+        )
         (instance,) = (Parser(plant) if parser is None else parser).AddModelsFromString(text, "sdf")
         closures = [each for each in plant.GetConstraintIds() if each not in others]
         added = StewartRobot(plant, instance, robot, options, base, closures)

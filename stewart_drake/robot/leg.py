@@ -17,6 +17,8 @@ SMALLEST_SIZE, LARGEST_SIZE = 1e-12, 1e6
 """Sizes, masses and inertias beyond these, in SI units, are slips of the pen; squares of them leave floating point."""
 DIRECTION_TOLERANCE = 1e-6
 """How far directions may be from unit length and from perpendicular to each other; what is left is taken away."""
+JOINT_SWING = math.radians(65.0)
+"""[rad] largest swing of a rod from home that joints allow; assumed, the paper's motion needs 63.1 deg."""
 Size = Annotated[Real, Field(ge=SMALLEST_SIZE, le=LARGEST_SIZE)]
 Length = Annotated[
     Real, Field(ge=SMALLEST_SIZE, le=30.0), with_message("a length above 0 and at most 30 m; in millimetres?")

@@ -26,7 +26,7 @@ from stewart_drake.references import AdjustedReference, Reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import FrictionOptions
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
-from stewart_drake.scenario.limits import ReferenceLimits
+from stewart_drake.scenario.limits import LimitMargin, ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
 
 _LARGEST = {"rad": math.tau, "m": 2.0}
@@ -183,7 +183,7 @@ def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
         margins = available - np.abs(torque)
         sample, leg = divmod(int(margins.argmin()), 6)
         numbers = float(available[sample, leg]), float(margins[sample, leg]), float(time[sample])
-        worst = feasibility.LimitMargin("torque", *numbers, leg, f"leg {leg} with {', '.join(names)}")
+        worst = LimitMargin("torque", *numbers, leg, f"leg {leg} with {', '.join(names)}")
         return feasibility.FeasibilityReport({"plant_torque": worst}, worst if worst.margin < 0.0 else None)
     return feasibility.FeasibilityReport({}, None)
 

@@ -135,7 +135,8 @@ class ControlOptions(Section):
     def replace(self, changes: Mapping[str, Any] | None = None, **keys: Any) -> Self:
         """The keys that were given with some of them changed, checked again: what was but a default is one anew.
 
-        Another `kind` drops the keys that only the old kind has; of plant and motors they are an error.
+        Another kind, `{"plant": "closed_form"}` or `{"plant.kind": "closed_form"}`, keeps the keys that it has too; a
+        line of the log names the others, and of plant and motors they are an error. A section replaces a section.
 
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, TypeVar
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from stewart_drake.base.code import ROBOT_KEY
 from stewart_drake.base.config import Section, shorten, unknown_key
@@ -62,55 +64,87 @@ def _refuse_part(key: str, here: Any, part: str | int, inside: str) -> None:
 
 def with_keys(kind: type[_Options], data: dict[str, Any], changes: Mapping[str, Any]) -> _Options:
     """A section of given keys and values with some of them changed."""
-    families = {
-        name: family
-        for name, field in kind.__pydantic_fields__.items()
-        for family in field.metadata
-        if isinstance(family, Family)
-    }
     components = {key: value for key, value in changes.items() if "[" in key}
     for key, value in changes.items():
         if key not in components:
-            _assign(data, key, value, {}, families)
+            _assign(kind, data, key, value, {})
     section = kind.from_dict(data)
     if not components:
         return section
     # Components are those of lists in full, defaults included.
     data, full = section.given(), section.in_full()
     for key, value in components.items():
-        _assign(data, key, value, full, families)
+        _assign(kind, data, key, value, full)
     return kind.from_dict(data)
 
 
-def _assign(data: dict[str, Any], key: str, value: Any, full: Any, families: Mapping[str, Family]) -> None:
+def _assign(section: type[Section], data: dict[str, Any], key: str, value: Any, full: Any) -> None:
     """Sets a key; what is changed inside is a copy, and a list that was not given is filled from `full`."""
     *parents, last = path = split_key(key)
     here: Any = data
+    inner: Any = section
+    found, filled = None, full
     for depth, part in enumerate(parents):
         at = isinstance(full, list) and isinstance(part, int)
         full = full.get(part) if isinstance(full, dict) else full[part] if at else None
-        inside = _opened(part, families if depth == 0 else {}, here.get(part) if isinstance(here, dict) else here[part])
+        found = _type_at(inner, part) if isinstance(part, str) else found
+        inside = _opened(part, found, here.get(part) if isinstance(here, dict) else here[part])
         if inside is None:
             inside = [{} if isinstance(each, dict) else each for each in full] if isinstance(full, list) else {}
         _refuse_part(key, inside, path[depth + 1], str(part))
         here[part] = inside
-        here = inside
-    if last == "kind" and len(parents) == 1 and parents[0] in families:
-        family = families[str(parents[0])]
-        old, new = family.resolve(here), family.resolve({"kind": value})
-        if old is not None and new is not None:
-            for name in set(old.__pydantic_fields__) - (set(new.__pydantic_fields__) - new.own_keys):
-                if old.drops_keys or here.get(name) == old.__pydantic_fields__[name].default:
-                    here.pop(name, None)
+        here, inner = inside, found.resolve(inside) if isinstance(found, Family) else found
+    if last == "kind" and isinstance(found, Family):
+        _change_kind(key, here, value, found)
+        return
+    found = _type_at(inner, last) if isinstance(last, str) else found
+    if isinstance(found, Family) and not isinstance(value, (Mapping, Section)):
+        # A kind alone, where there is a section, is another kind of it.
+        alone, present = found.normalise(value), here.get(last) if isinstance(here, dict) else here[last]
+        if isinstance(alone, Mapping) and isinstance(found.normalise(present), (Mapping, Section)):
+            _assign(section, data, f"{key}.kind", alone["kind"], filled)
+            return
     here[last] = value
 
 
-def _opened(name: str | int, families: Mapping[str, Family], value: Any) -> Any:
-    """A copy of what stands at a key, to change something in it; `families` are those of keys here."""
+def _change_kind(key: str, here: dict[str, Any], kind: Any, family: Family) -> None:
+    """Sets the kind of a section; keys that the new one has stay, and a line names those that are dropped."""
+    old, new = family.resolve(here), family.resolve({"kind": kind})
+    if old is not None and new is not None and here.get("kind", family.default) != kind:
+        fields = old.__pydantic_fields__
+        lost = set(here) & set(fields) - (set(new.__pydantic_fields__) - new.own_keys)
+        defaults = {name for name in lost if here[name] == fields[name].default}
+        for name in lost if old.drops_keys else defaults:
+            del here[name]
+        if old.drops_keys and lost != defaults:
+            dropped, name = ", ".join(sorted(lost - defaults)), getattr(kind, "__name__", kind)
+            _say_once(f"{key}: dropped {dropped}, which {name} lacks or takes for something else")
+    here["kind"] = kind
+
+
+@lru_cache(maxsize=256)
+def _say_once(line: str) -> None:
+    logging.getLogger("stewart_drake").warning(f"stewart-drake: {line}")
+
+
+def _type_at(section: Any, name: str) -> Any:
+    """The family of what stands at a key of a section, also as an element of a list; else its section; else None."""
+    field = getattr(section, "__pydantic_fields__", {}).get(name)
+    types: list[Any] = [] if field is None else [field.annotation, *field.metadata]
+    while types:
+        each = types.pop()
+        if isinstance(each, Family) or (isinstance(each, type) and issubclass(each, Section)):
+            return each
+        types += get_args(each)
+    return None
+
+
+def _opened(name: str | int, family: Any, value: Any) -> Any:
+    """A copy of what stands at a key, to change something in it; `family` is that of its kinds, if it has some."""
     if name == ROBOT_KEY and isinstance(value, str):
         value = robot_section(value)
-    elif name in families:
-        value = families[str(name)].normalise(value)
+    elif isinstance(family, Family):
+        value = family.normalise(value)
     if isinstance(value, Section):
         return value.given()
     return list(value) if isinstance(value, (list, tuple)) else dict(value) if isinstance(value, Mapping) else value

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Any
 
@@ -31,6 +32,7 @@ from stewart_drake.mechanics.kinematics_laws import (
 )
 from stewart_drake.mechanics.singularities import PLANNED, measure_pose
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import JOINT_SWING
 from stewart_drake.robot.robot_scale import LENGTH
 
 Ratio = Annotated[Positive, Field(le=1.0)]
@@ -53,7 +55,7 @@ class ReferenceLimits(Section, key="limits"):
     transmission: Ratio | None = PLANNED.transmission
     """[-] smallest distance of a crank from its dead centre, in line with its rod: |e_l . e_N|, the cosine of the angle
     between the rod and the velocity of the crank's end."""
-    joint_swing: Annotated[Positive, Field(le=math.pi)] | None = math.radians(65.0)
+    joint_swing: Annotated[Positive, Field(le=math.pi)] | None = JOINT_SWING
     """[rad] largest swing of a rod from home, at the platform (ball joint) and at its crank (universal joint). The
     paper's own reference (37), (38) needs 63.1 deg at the universal joint of leg 2."""
     clearance: Annotated[Positive | None, LENGTH] = 0.005
@@ -113,6 +115,33 @@ PLACES: dict[str, list[tuple[int | None, str]]] = {
 """Leg and name of each column of a limit's margins."""
 
 
+@dataclass(frozen=True)
+class LimitMargin:
+    """The margin to one limit at one instant and place."""
+
+    limit: str  # Name of the limit, one of `RULES`.
+    bound: float  # The limit's value in `unit`.
+    margin: float  # Signed distance to it in `unit`; negative is outside, -inf where the quantity itself is infinite.
+    time: float  # [s].
+    leg: int | None  # Leg 0..5, for `clearance` the first of the two; None where the limit belongs to the platform.
+    where: str  # The place in words, such as `rod 1 to rod 2`.
+
+    @property
+    def unit(self) -> str:
+        """Of value, bound and margin."""
+        return RULES[self.limit][0]
+
+    @property
+    def value(self) -> float:
+        """What is limited, in `unit`; for what has a sign or a length its size."""
+        return self.bound + self.margin if ">=" in RULES[self.limit][1] else self.bound - self.margin
+
+    @property
+    def allowed(self) -> str:
+        """What is allowed, and where, in words."""
+        return f"{RULES[self.limit][1].format(self.bound)} ({self.where})"
+
+
 def limit_bounds(robot: RobotParameters, limits: ReferenceLimits) -> dict[str, float]:
     """Value of each limit that is on, in the unit of its margin; `reach` always is."""
     given = {name: getattr(limits, name, None) for name in RULES}
@@ -145,6 +174,28 @@ def limit_margins(
         "torque": lambda bound: bound * robot.effort_shares - m["torque"],
     }
     return {name: margins[name](bound) for name, bound in limit_bounds(robot, limits).items()}
+
+
+SLACK = 0.01
+"""Share of a limit by which a motion that was made may be beyond it: a small error of following is no excursion."""
+
+
+def longest_excursion(
+    robot: RobotParameters, limits: ReferenceLimits, time: np.ndarray, pose: np.ndarray, pose_rate: np.ndarray
+) -> tuple[LimitMargin, float, float] | None:
+    """Of a motion (n, 6) that was made: its worst margin to the limit that it was beyond most of the time.
+
+    With the share of the time, and when [s] that began; None for a motion within its limits. Torques are those of the
+    motors, and of the reach of what was reached `transmission` tells.
+    """
+    bounds, excursions = limit_bounds(robot, limits), {}
+    for limit, margins in limit_margins(robot, limits, pose, pose_rate, np.zeros_like(pose), 0.0).items():
+        if limit not in ("reach", "torque") and (margins < -SLACK * bounds[limit]).any():
+            beyond = (margins < 0.0).any(axis=1)
+            row, column = np.unravel_index(np.nanargmin(margins), margins.shape)
+            worst = LimitMargin(limit, bounds[limit], margins[row, column], time[row], *PLACES[limit][column])
+            excursions[limit] = worst, float(beyond.mean()), float(time[beyond.argmax()])
+    return max(excursions.values(), key=lambda each: each[1], default=None)
 
 
 MEASURES = fields(

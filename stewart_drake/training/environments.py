@@ -110,7 +110,7 @@ class TrackEnvironment(_Environment):
     ) -> None:
         loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
         # One tick a step of the plant; whoever decides sees what is.
-        plain = {"estimator": "difference", "sensors": "ideal", "controller": self._torque, "plant.kind": "closed_form"}
+        plain = {"estimator": {}, "sensors": {}, "controller": {"kind": self._torque}, "plant.kind": "closed_form"}
         self._scenario = loaded.replace({**plain, "duration": duration, "safety": None, "model.friction": None})
         times = times_of(np.arange(round(duration / loaded.plant.time_step) + 2), loaded.plant.time_step)
         self._needed = inverse_dynamics(loaded.belief.robot, *loaded.reference.evaluate(times), loaded.belief.gravity)

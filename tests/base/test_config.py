@@ -181,7 +181,30 @@ def test_a_kind_alone_is_one_on_the_command_line_in_python_and_in_a_list(tmp_pat
         tuner={"kind": "block", "q_rate": 7.0},
         estimator={"kind": "observer"},
     )
-    assert Scenario(tuner={"kind": "fixed", "omega_q": 3.0}).replace({"tuner": "fixed"}).tuner == FixedTuner()
+    assert Scenario(tuner={"kind": "fixed", "omega_q": 3.0}).replace({"tuner": {"kind": "fixed"}}).tuner == FixedTuner()
+
+
+def test_a_change_of_kind_keeps_what_the_new_kind_has_and_names_what_it_drops(caplog):
+    rubs = {"time_step": 5e-4, "motor_friction": 0.01, "payload_mass": 0.2}
+    parts = [{"kind": "sine", "center": [0.0, 0.0, 0.0, 0.0, 0.0, 0.31], "amplitude": [0.1, 0, 0, 0, 0, 0]}]
+    base = Scenario(
+        plant=rubs, controller={"period": 0.002, "model": "exact"}, reference={"kind": "sum", "parts": parts},
+        adaptation={"cautious": True}, model={"motors": {"kind": "position", "stiffness": 9.0}},
+        motors={"kind": "position"},
+    )  # fmt: skip
+    for way in ("{}", "{}.kind"):
+        changed = base.replace({way.format("plant"): "closed_form", way.format("controller"): "pid"})
+        assert changed.plant.given() == {"kind": "closed_form", **rubs}
+        assert changed.controller.given() == {"kind": "pid", "period": 0.002}
+        # The same kind is no change, and sections inside others and in lists are changed likewise.
+        assert base.replace({way.format("adaptation"): "regression"}).adaptation.cautious
+        part = base.replace({way.format("reference.parts[0]"): "breathing"}).reference.parts[0]
+        assert (part.kind, part.center) == ("breathing", (0.0, 0.0, 0.0, 0.0, 0.0, 0.31))
+        with pytest.raises(ConfigurationError, match=r"^model\.motors\.stiffness: no such key"):
+            base.replace({way.format("model.motors"): "torque"})
+        assert "controller.kind: dropped model, which pid lacks or" in caplog.text
+    assert "plant.kind:" not in caplog.text
+    assert base.replace({"plant": {"kind": "closed_form"}}).plant.given() == {"kind": "closed_form"}
 
 
 @pytest.mark.parametrize(

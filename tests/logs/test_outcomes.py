@@ -216,6 +216,19 @@ def test_a_place_that_is_not_held_is_said_in_the_scale_of_robot_and_sensors(robo
     assert "poorly_held" not in warned(scenario=scenario, pose=away)
 
 
+def test_a_motion_that_was_made_beyond_a_limit_is_said_though_it_was_followed():
+    pose = np.tile(HOME, (101, 1))
+    pose[20:30, [0, 5]] = [0.56, 0.355]
+    found = warned(pose=pose, reference=pose)["beyond_limits"]
+    assert (found["time"], found["number"]) == pytest.approx((2.0, 10 / 101))
+    assert re.match(r"joint_swing: 1\.2.* rad at 2 s, for swing .* \(universal joint of leg 2\); beyond", found["text"])
+    assert run_metrics(made_log(pose=pose, reference=pose))["beyond_limits"] == pytest.approx(10 / 101)
+    off = {"limits": {"joint_swing": None, "transmission": None, "conditioning": None}}
+    assert "beyond_limits" not in warned(pose=pose, reference=pose, scenario=off)
+    pose[20:30, [0, 5]] = [math.pi / 6.0, 0.35]  # The paper's own motion: 63.1 deg.
+    assert "beyond_limits" not in warned(pose=pose, reference=pose)
+
+
 def test_a_motion_that_is_over_long_before_the_run_is_said():
     rate = np.zeros((101, 6))
     rate[:31, 5] = 0.01

@@ -1,5 +1,7 @@
 import json
+import math
 import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,8 @@ from stewart_drake.base.errors import ConfigurationError, SingularPoseError, Unr
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian, pose_rate_to_twist, reach_margin
 from stewart_drake.plant.model_files import sdf_text
 from stewart_drake.plant.plant_options import DrakeOptions, platform_damping_limit
+from stewart_drake.runs.simulation import run
+from stewart_drake.scenario.scenario import load_scenario
 
 FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]
 HOME = ROBOT.home_pose
@@ -140,6 +144,25 @@ def test_file_in_the_repository_is_the_generated_one():
     assert NUMBER.sub("#", on_disk) == NUMBER.sub("#", generated)
     numbers = [list(map(float, NUMBER.findall(text))) for text in (on_disk, generated)]
     np.testing.assert_allclose(*numbers, rtol=0.0, atol=1e-14)
+
+
+def test_nothing_touches_where_the_paper_s_motion_swings_a_joint_beyond_its_limit():
+    free, colliding = (
+        run(load_scenario("paper_fig7", ["duration=0.8", *keys])) for keys in ((), ["plant.collision=true"])
+    )
+    assert "beyond_limits" in {each["name"] for each in free.warnings}
+    np.testing.assert_allclose(colliding["pose"], free["pose"], rtol=0.0, atol=1e-12)
+
+
+def test_the_file_has_the_stops_of_the_universal_joints_and_a_run_has_none():
+    text = sdf_text(ROBOT)
+    ends = (ET.fromstring(text).iterfind(f".//limit/{end}") for end in ("lower", "upper"))
+    stops = [[float(stop.text) for stop in each] for each in ends]
+    np.testing.assert_allclose(stops, [[-math.radians(65.0)] * 12, [math.radians(65.0)] * 12])
+    # Of a universal joint Drake would pass over them; a later one might not.
+    assert "<lower>" not in sdf_text(ROBOT, joint_swing=None)
+    joint = built()[1].plant.GetJointByName("universal_2")
+    assert not np.isfinite([joint.position_lower_limits(), joint.position_upper_limits()]).any()
 
 
 def test_python_of_the_readme_runs(monkeypatch):
