@@ -35,8 +35,9 @@ from stewart_drake.mechanics.kinematics import forward_kinematics as forward_kin
 from stewart_drake.mechanics.kinematics import inverse_kinematics as inverse_kinematics
 from stewart_drake.mechanics.kinematics import leg_geometry as leg_geometry
 from stewart_drake.plant.model_files import write_sdf as write_sdf
-from stewart_drake.plant.multibody_plant import StewartPlant as StewartPlant
+from stewart_drake.plant.multibody_plant import StewartRobot as StewartRobot
 from stewart_drake.plant.multibody_plant import add_plant as add_plant
+from stewart_drake.plant.multibody_plant import add_robot as add_robot
 from stewart_drake.plant.multibody_plant import build_plant as build_plant
 from stewart_drake.plant.plant_options import DrakeOptions as DrakeOptions
 from stewart_drake.plotting import plot_states as plot_states

@@ -1,4 +1,4 @@
-"""MuJoCo's simulation of a robot, with the state of `StewartPlant.assemble` to start from: an oracle beside Drake."""
+"""MuJoCo's simulation of a robot, with the state of `StewartRobot.assemble` to start from: an oracle beside Drake."""
 
 import mujoco
 import numpy as np

@@ -13,10 +13,12 @@ _PER_SECOND = 192_000_000
 """Units in a second: microseconds, their thirds and their sixty-fourths (so 1/4096 s too) are whole numbers of it."""
 _UNIT = math.ceil(2.0**56 / _PER_SECOND) / 2.0**56
 """[s] the unit, rounded up to 29 bits, 1.4e-10 of itself too long."""
+_EARLY_UNIT = math.floor(2.0**60 / _PER_SECOND) / 2.0**60
+"""[s] the unit, rounded down, 2.7e-11 of itself too short."""
 _STRETCH = 1.0 + 2.0**-32
 """More than the unit's own."""
 _SAME = 1e-9
-"""[s] that two instants may be apart and still be the same, for a function of time."""
+"""[s], or share of the time, that two instants may be apart and still be the same, for a function of time."""
 _TOLERANCE = 1e-11
 """What two decimal numbers may be apart, as a share, and still mean the same sample time."""
 
@@ -40,6 +42,21 @@ def on_grid(seconds: float) -> float:
     if abs(seconds * _PER_SECOND - count) <= _TOLERANCE * count:
         return count * _UNIT
     return math.ceil(seconds * _STRETCH * 2.0**40) / 2.0**40
+
+
+def just_before(seconds: float) -> float:
+    """Sample time a little shorter than `seconds`, whose multiples come just before those of `seconds`, stretched or not.
+
+    What ticks at these multiples reads a plant that steps in decimal times before its step, whatever their rounding,
+    and its result is there for that step. Multiples of such periods coincide as those of `on_grid` do.
+
+    Raises:
+        ConfigurationError: See `on_grid`.
+    """
+    count = round(on_grid(seconds) / _UNIT)
+    if abs(seconds * _PER_SECOND - count) <= _TOLERANCE * count:
+        return count * _EARLY_UNIT
+    return math.floor(seconds / _STRETCH * 2.0**40) / 2.0**40
 
 
 def times_of(steps: np.ndarray, time_step: float) -> np.ndarray:
@@ -84,7 +101,7 @@ class InBlocks:
     def at_time(self, time: float) -> np.ndarray:
         """Value (k,) at a time [s]; at multiples it is fastest."""
         at, value = self._row(round(time / self.period))
-        return value if abs(at - time) < _SAME else self._function(np.array([time]))[0]
+        return value if abs(at - time) < _SAME * max(1.0, at) else self._function(np.array([time]))[0]
 
     def _row(self, step: int) -> tuple[float, np.ndarray]:
         block, row = divmod(step, self._ROWS)

@@ -6,7 +6,7 @@ All joint angles are zero at home, Drake's motor angle too; theta of a crank is 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -95,12 +95,15 @@ def sdf_text(
     rod_joint: RodJoint = "universal",
     collision: bool = True,
     joint_swing: float | None = JOINT_SWING,
+    name: str = "stewart",
+    base: Sequence[Sequence[float]] | None = None,
 ) -> str:
-    """The robot as an SDF model named `stewart` for Drake's parser; pictures are written always.
+    """The robot as an SDF model for Drake's parser; pictures are written always.
 
     Links `base` (welded to the world), `crank_0..5`, `rod_0..5`, `platform`; joints `motor_0..5` and `universal_0..5`
     or `ball_0..5`; six `drake:ball_constraint` close the loops. A universal joint has stops at -`joint_swing` and
-    `joint_swing` [rad] about either axis, None for none.
+    `joint_swing` [rad] about either axis, None for none. `base` is position [m] and roll, pitch, yaw [rad] of B in the
+    world; None for the world's frame.
     """
     check_value("rod_joint", rod_joint, RodJoint)
     frames, radius = home_frames(robot), robot.link_radius
@@ -123,6 +126,8 @@ def sdf_text(
         rod_joint=rod_joint,
         collision=collision,
         joint_swing=joint_swing,
+        name=name,
+        base=base,
         frames=frames,
         crank_turns=crank_turns,
         platform_inertia=_moments_and_products(robot),

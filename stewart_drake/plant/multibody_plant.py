@@ -1,7 +1,7 @@
 """The 14-body robot as a discrete SAP `MultibodyPlant`.
 
 Drake holds the loops closed by six ball constraints. Their gap grows with the square of the step, about 6e-7 m at 1 ms;
-the motion itself is first order in the step. Report `StewartPlant.loop_gap` with every run.
+the motion itself is first order in the step. Report `StewartRobot.loop_gap` with every run.
 
 Friction that sticks is servos on the anchors of bristles: a second actuator on each motor pulls its crank towards the
 anchor, implicitly, cut at its effort limit, break-away. The level in sliding lies below that: the rest, the Stribeck
@@ -11,13 +11,14 @@ does.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.geometry import SceneGraph
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import (
@@ -29,8 +30,12 @@ from pydrake.multibody.plant import (
 )
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
+    Frame,
+    Joint,
     LinearBushingRollPitchYaw,
+    ModelInstanceIndex,
     PdControllerGains,
+    QuaternionFloatingJoint,
     SpatialInertia,
     UnitInertia,
 )
@@ -54,7 +59,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import level, update_bristles
 from stewart_drake.mechanics.linear_algebra import copy_to
 from stewart_drake.plant.model_files import home_frames, sdf_text
-from stewart_drake.plant.plant_options import DrakeOptions, RodJoint, foreign_state, platform_damping_limit
+from stewart_drake.plant.plant_options import DrakeOptions, foreign_state, platform_damping_limit
 from stewart_drake.plant.state_map import StateIndices, StateMap
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
@@ -63,33 +68,93 @@ ResetFriction = Callable[[Context, np.ndarray], None]
 """Takes the tension off in a Context of the whole Diagram, at a state (nq + nv,) of the plant."""
 
 
-class StewartPlant(StateMap):
-    """A finalised plant in a Diagram, its two ports, and the maps to and from its state; made by `add_plant`.
+class StewartRobot(StateMap):
+    """One robot in a `MultibodyPlant`, which may have other bodies and robots too; made by `add_robot` or `add_plant`.
+
+    What needs the finished plant raises a ConfigurationError before `plant.Finalize()`.
 
     Attributes:
-        plant, scene_graph: The multibody plant (nq 25, nv 24, or 31 and 30 with ball joints); the SceneGraph, or None.
-        torque_input_port: (6,) [N m] motor torques, clipped to the effort limit; it must be connected or fixed.
-        state_output_port, state_names, indices: (nq + nv,) the state, Drake's names of its entries, where things are.
+        plant, instance: The multibody plant, and the model instance of the robot in it.
+        options, gravity: How its joints are, and gravity [m/s^2] as it was when the robot was added.
+        scene_graph: The SceneGraph that `add_plant` made, or None.
     """
+
+    scene_graph: SceneGraph | None = None
 
     def __init__(
         self,
+        plant: MultibodyPlant,
+        instance: ModelInstanceIndex,
         robot: RobotParameters,
         options: DrakeOptions,
-        gravity: float,
-        plant: MultibodyPlant,
-        scene_graph: SceneGraph | None,
-        torque_input_port: InputPort,
-        reset_friction: ResetFriction | None = None,
+        base: RigidTransform,
+        closures: Sequence[Any],
     ) -> None:
-        super().__init__(robot, options.rod_joint, _state_indices(plant, options.rod_joint))
-        self.options, self.gravity = options, gravity
-        self.plant, self.scene_graph = plant, scene_graph
-        self.torque_input_port, self._reset_friction = torque_input_port, reset_friction
-        # The SDF has them leg by leg, and no other constraints.
-        self._closures = tuple(plant.GetConstraintIds())
-        self.state_output_port: OutputPort = plant.get_state_output_port()
-        self.state_names: tuple[str, ...] = tuple(plant.GetStateNames(add_model_instance_prefix=False))
+        super().__init__(robot, options.rod_joint)
+        self.plant, self.instance, self.options = plant, instance, options
+        self.gravity = float(np.linalg.norm(plant.gravity_field().gravity_vector()))
+        self._base, self._closures = base.rotation().matrix(), tuple(closures)
+        self._law = options.friction_law(robot)
+        self._friction: tuple[InputPort, ResetFriction] | None = None
+
+    @cached_property
+    def indices(self) -> StateIndices:  # type: ignore[override]
+        """Where things are in a state of the plant."""
+        self._finished()
+        nq = self.plant.num_positions()
+        motors = [self.joint(f"motor_{leg}") for leg in range(LEG_COUNT)]
+        rods = [self.joint(f"{self.rod_joint}_{leg}") for leg in range(LEG_COUNT)]
+        platform = self.joint("platform")
+        first_q, first_v = platform.position_start(), platform.velocity_start()
+        return StateIndices(
+            crank=np.array([joint.position_start() for joint in motors]),
+            rod=np.array([joint.position_start() + np.arange(joint.num_positions()) for joint in rods]),
+            quaternion=first_q + np.arange(4),
+            position=first_q + np.arange(4, 7),
+            crank_rate=nq + np.array([joint.velocity_start() for joint in motors]),
+            rod_rate=nq + np.array([joint.velocity_start() + np.arange(joint.num_velocities()) for joint in rods]),
+            twist=nq + first_v + np.arange(6),
+        )
+
+    @cached_property
+    def default(self) -> np.ndarray:  # type: ignore[override]
+        """(nq + nv,) the plant's default state, without motion."""
+        self._finished()
+        return np.append(self.plant.GetDefaultPositions(), np.zeros(self.plant.num_velocities()))
+
+    @property
+    def torque_input_port(self) -> InputPort:
+        """(6,) [N m] motor torques, clipped to the effort limit; it must be connected or fixed."""
+        self._finished()
+        if self._friction is not None:
+            return self._friction[0]
+        if self._law["break_away"].any():
+            raise ConfigurationError("friction", "motors that stick", "a call of connect_friction(builder) first")
+        return self.plant.get_actuation_input_port(self.instance)
+
+    @property
+    def state_output_port(self) -> OutputPort:
+        """(nq + nv,) the state of the plant."""
+        return self.plant.get_state_output_port()
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Drake's names of the entries of a state, with that of the model where there are several."""
+        several = self.plant.num_model_instances() > 3  # Beside the world's and the default one.
+        return tuple(self.plant.GetStateNames(add_model_instance_prefix=several))
+
+    def joint(self, name: str) -> Joint:
+        """A joint of this robot."""
+        return self.plant.GetJointByName(name, self.instance)
+
+    def frame(self, name: str) -> Frame:
+        """A frame of this robot: of a link, `base`, `crank_0`, `rod_0`, `platform` and so on."""
+        return self.plant.GetFrameByName(name, self.instance)
+
+    def connect_friction(self, builder: DiagramBuilder) -> None:
+        """Adds the systems by which motors stick, where they do; the plant is finalised and in the builder."""
+        if self._friction is None and self._law["break_away"].any():
+            self._friction = _wire_friction(builder, self, self._law)
 
     def break_rod(self, context: Context) -> None:
         """Takes `options.broken_rod` off the platform, from the next step on; `context` of the Diagram."""
@@ -101,21 +166,104 @@ class StewartPlant(StateMap):
     def push(self, wrench: np.ndarray) -> ExternallyAppliedSpatialForce:
         """A wrench (6,) [N m, N] in B about P, the origin of the link `platform`, for `applied_spatial_force`."""
         force = ExternallyAppliedSpatialForce()
-        force.body_index, force.p_BoBq_B = self.plant.GetBodyByName("platform").index(), np.zeros(3)
-        force.F_Bq_W = SpatialForce(tau=wrench[:3], f=wrench[3:])
+        force.body_index = self.plant.GetBodyByName("platform", self.instance).index()
+        force.p_BoBq_B = np.zeros(3)
+        force.F_Bq_W = SpatialForce(tau=self._base @ wrench[:3], f=self._base @ wrench[3:])
         return force
 
     def set_state(self, context: Context, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
-        """Puts the plant into `assemble(pose, pose_rate)`, friction without tension; `context` as in `break_rod`."""
-        state = self.assemble(pose, pose_rate)
+        """Puts the robot into `assemble(pose, pose_rate)`, friction without tension; `context` as in `break_rod`.
+
+        All else in the plant stays as it is.
+        """
+        assembled, mine = self.assemble(pose, pose_rate), self.indices.all()
+        state = self.plant.GetPositionsAndVelocities(self.plant.GetMyContextFromRoot(context))
+        state[mine] = assembled[mine]
         self.put(context, state)
 
     def put(self, context: Context, state: np.ndarray) -> None:
         """Puts the plant into a state (nq + nv,), friction without tension; `context` as in `break_rod`."""
         with drake_guard("setting the plant's state"):
             self.plant.SetPositionsAndVelocities(self.plant.GetMyMutableContextFromRoot(context), state)
-            if self._reset_friction is not None:
-                self._reset_friction(context, state)
+            if self._friction is not None:
+                self._friction[1](context, state)
+
+    def _finished(self) -> None:
+        if not self.plant.is_finalized():
+            raise ConfigurationError("plant", "one under construction", "one that is finalised; call plant.Finalize()")
+
+
+def add_robot(
+    plant: MultibodyPlant,
+    robot: RobotParameters,
+    options: DrakeOptions | None = None,
+    *,
+    model_instance: str = "stewart",
+    base: RigidTransform | None = None,
+    parser: Parser | None = None,
+) -> StewartRobot:
+    """Adds a robot to a plant of yours that is not finalised yet, beside whatever else it has.
+
+    The loops are closed by ball constraints, which need a discrete plant, and Drake's contact approximation kLagged,
+    kSimilar or kSap. Gravity is the plant's.
+
+    Args:
+        plant: Receives the model; register it with a SceneGraph before, for pictures and contact.
+        robot: Geometry and masses.
+        options: Joints, friction, payload, and whether its links collide; the time step is the plant's.
+        model_instance: Name of its model instance, by which several robots differ.
+        base: X_WB, where the robot's base stands; None for the world's origin.
+        parser: A parser of this plant; None makes one.
+
+    Raises:
+        ConfigurationError: A plant that is finalised or continuous, a name that it has already, or damping of the
+            platform's joints that the plant cannot have.
+        DrakeCheckError: Drake refuses the model.
+    """
+    options, base = DrakeOptions() if options is None else options, RigidTransform() if base is None else base
+    if plant.is_finalized():
+        raise ConfigurationError("plant", "a finalised one", "one before Finalize()")
+    if plant.time_step() <= 0.0:
+        raise ConfigurationError("plant", "a continuous one", "a discrete one, which ball constraints need")
+    if plant.HasModelInstanceNamed(model_instance):
+        raise ConfigurationError("model_instance", model_instance, "a name that the plant does not have yet")
+    if plant.time_step() != on_grid(options.time_step):
+        options = DrakeOptions.from_dict({**options.to_dict(), "time_step": plant.time_step()})
+    limit = platform_damping_limit(robot, options)
+    if options.platform_joint_damping > limit:
+        raise ConfigurationError(
+            "plant.platform_joint_damping",
+            options.platform_joint_damping,
+            f"at most {limit:.3g} N m s/rad for this robot at a time step of {options.time_step:g} s",
+        )
+    with drake_guard("adding the robot"):
+        others = set(plant.GetConstraintIds())
+        at = None if base.IsExactlyIdentity() else (base.translation(), base.rotation().ToRollPitchYaw().vector())
+        text = sdf_text(
+            robot,
+            rod_joint=options.rod_joint,
+            collision=options.collision,
+            joint_swing=None,
+            name=model_instance,
+            base=at,
+        )
+        (instance,) = (Parser(plant) if parser is None else parser).AddModelsFromString(text, "sdf")
+        closures = [each for each in plant.GetConstraintIds() if each not in others]
+        added = StewartRobot(plant, instance, robot, options, base, closures)
+        # Its coordinates are then pose and twist in B, wherever the base stands.
+        floating = QuaternionFloatingJoint("platform", added.frame("base"), added.frame("platform"))
+        home = RollPitchYaw(robot.home_pose[:3]).ToRotationMatrix()
+        plant.AddJoint(floating).SetDefaultPose(RigidTransform(home, robot.home_pose[3:]))
+        law = options.friction_law(robot)
+        _add_damping(added, law["viscous"][0])
+        _add_servos(added, law)
+        if options.payload_mass > 0.0:
+            # A body of its own, welded on: the robot's numbers stay those of `RobotParameters` and the SDF.
+            point = SpatialInertia(options.payload_mass, np.zeros(3), UnitInertia(0.0, 0.0, 0.0))
+            payload = plant.AddRigidBody("payload", instance, point)
+            place = RigidTransform(np.array(options.payload_position))
+            plant.WeldFrames(added.frame("platform"), payload.body_frame(), place)
+    return added
 
 
 def add_plant(
@@ -125,10 +273,12 @@ def add_plant(
     gravity: float = STANDARD_GRAVITY,
     *,
     visuals: bool = False,
-) -> StewartPlant:
-    """Adds the robot's plant to a Diagram under construction; its default state is the home pose at rest.
+    before_finalize: Callable[[StewartRobot], None] | None = None,
+    name: str = "plant",
+) -> StewartRobot:
+    """Adds a finished plant with the robot to a Diagram under construction: `add_robot`, its friction, a SceneGraph.
 
-    It also connects the systems for friction, and a SceneGraph for pictures or collision.
+    Its default state is the home pose at rest.
 
     Args:
         builder: Receives the system `plant`, and as needed `scene_graph`, `friction` and its `friction_...`.
@@ -136,25 +286,21 @@ def add_plant(
         options: Options of the plant; None takes the defaults.
         gravity: [m/s^2] magnitude, along -z.
         visuals: Register the geometry with a SceneGraph even where nothing collides, for visualisers and cameras.
+        before_finalize: Adds what else there shall be to the `plant` of the robot that it is given.
+        name: Of the plant in the Diagram.
 
     Raises:
-        ConfigurationError: Gravity, or damping of the platform's joints, that the plant cannot have.
+        ConfigurationError: Gravity, or a name, that the plant cannot have; see `add_robot`.
         DrakeCheckError: Drake refuses the model.
     """
     options = DrakeOptions() if options is None else options
     check_value("gravity", gravity, NotNegative)
-    limit = platform_damping_limit(robot, options)
-    if options.platform_joint_damping > limit:
-        raise ConfigurationError(
-            "plant.platform_joint_damping",
-            options.platform_joint_damping,
-            f"at most {limit:.3g} N m s/rad for this robot at a time step of {options.time_step:g} s",
-        )
+    if builder.HasSubsystemNamed(name):
+        raise ConfigurationError("name", name, "one that no other system of the Diagram has")
     with drake_guard("building the plant"):
         plant = MultibodyPlant(on_grid(options.time_step))
-        plant.set_name("plant")
-        # Sampled outputs would make the step an unrestricted update, which Drake takes before the discrete updates of
-        # the same instant: a discrete controller or sensor would then read the state after the step.
+        plant.set_name(name)
+        # A plant with sampled outputs steps in an unrestricted update, which costs a copy of all states.
         plant.SetUseSampledOutputPorts(False)
         plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
         plant.set_contact_model(ContactModel.kPoint)
@@ -163,23 +309,15 @@ def add_plant(
             _, scene_graph = AddMultibodyPlantSceneGraph(builder, plant)
         else:
             builder.AddSystem(plant)
-        text = sdf_text(robot, rod_joint=options.rod_joint, collision=options.collision, joint_swing=None)
-        Parser(plant).AddModelsFromString(text, "sdf")
         plant.mutable_gravity_field().set_gravity_vector(np.array([0.0, 0.0, -gravity]))
-        law = options.friction_law(robot)
-        _add_damping(plant, robot, options, law["viscous"][0])
-        _add_servos(plant, law)
-        if options.payload_mass > 0.0:
-            # A body of its own, welded on: the robot's numbers stay those of `RobotParameters` and the SDF.
-            point = SpatialInertia(options.payload_mass, np.zeros(3), UnitInertia(0.0, 0.0, 0.0))
-            payload = plant.AddRigidBody("payload", plant.GetModelInstanceByName("stewart"), point)
-            at = RigidTransform(np.array(options.payload_position))
-            plant.WeldFrames(plant.GetFrameByName("platform"), payload.body_frame(), at)
+    added = add_robot(plant, robot, options)
+    added.scene_graph = scene_graph
+    if before_finalize is not None:
+        before_finalize(added)
+    with drake_guard("building the plant"):
         plant.Finalize()
-        torque_input_port, reset_friction = plant.get_actuation_input_port(), None
-        if law["break_away"].any():
-            torque_input_port, reset_friction = _wire_friction(builder, plant, law)
-    return StewartPlant(robot, options, float(gravity), plant, scene_graph, torque_input_port, reset_friction)
+        added.connect_friction(builder)
+    return added
 
 
 def build_plant(
@@ -188,7 +326,7 @@ def build_plant(
     gravity: float = STANDARD_GRAVITY,
     *,
     visuals: bool = False,
-) -> tuple[Diagram, StewartPlant]:
+) -> tuple[Diagram, StewartRobot]:
     """A Diagram that holds `add_plant` and nothing else, with its ports exported as `torque` and `state`."""
     builder = DiagramBuilder()
     stewart = add_plant(builder, robot, options, gravity, visuals=visuals)
@@ -198,43 +336,27 @@ def build_plant(
         return builder.Build(), stewart
 
 
-def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: DrakeOptions, viscous: np.ndarray) -> None:
+def _add_damping(added: StewartRobot, viscous: np.ndarray) -> None:
     """Damping in the tree's joints, which SAP takes implicitly, and in the loop closures, which are no joints.
 
     There a bushing without stiffness resists the rates of the platform's roll, pitch, yaw in the rod, zero at home.
     Drake takes its torque from the state before the step; `MultibodyPlant.CalcPotentialEnergy` raises on such a plant.
     """
+    plant, robot, options = added.plant, added.robot, added.options
     for leg in range(LEG_COUNT):
         for name, damping in (("motor", viscous[leg]), (options.rod_joint, options.universal_damping)):
-            joint = plant.GetJointByName(f"{name}_{leg}")
+            joint = added.joint(f"{name}_{leg}")
             joint.set_default_damping_vector(np.full(joint.num_velocities(), damping))
     if options.platform_joint_damping == 0.0:
         return
-    platform = plant.GetFrameByName("platform")
+    platform = added.frame("platform")
     zero, resistance = np.zeros(3), np.full(3, options.platform_joint_damping)
     for leg, (rotation, joint) in enumerate(zip(home_frames(robot).rod_rotation, robot.platform_joints, strict=True)):
         at_end = RigidTransform(RotationMatrix(rotation.T), [0.0, 0.0, robot.rod_lengths[leg]])
-        rod = plant.GetFrameByName(f"rod_{leg}")
+        rod = added.frame(f"rod_{leg}")
         rod_end = plant.AddFrame(FixedOffsetFrame(f"rod_end_{leg}", rod, at_end))
         seat = plant.AddFrame(FixedOffsetFrame(f"platform_joint_{leg}", platform, RigidTransform(joint)))
         plant.AddForceElement(LinearBushingRollPitchYaw(rod_end, seat, zero, resistance, zero, zero))
-
-
-def _state_indices(plant: MultibodyPlant, rod_joint: RodJoint) -> StateIndices:
-    nq = plant.num_positions()
-    motors = [plant.GetJointByName(f"motor_{leg}") for leg in range(LEG_COUNT)]
-    rods = [plant.GetJointByName(f"{rod_joint}_{leg}") for leg in range(LEG_COUNT)]
-    platform = plant.GetBodyByName("platform")
-    first_q, first_v = platform.floating_positions_start(), platform.floating_velocities_start_in_v()
-    return StateIndices(
-        crank=np.array([joint.position_start() for joint in motors]),
-        rod=np.array([joint.position_start() + np.arange(joint.num_positions()) for joint in rods]),
-        quaternion=first_q + np.arange(4),
-        position=first_q + np.arange(4, 7),
-        crank_rate=nq + np.array([joint.velocity_start() for joint in motors]),
-        rod_rate=nq + np.array([joint.velocity_start() + np.arange(joint.num_velocities()) for joint in rods]),
-        twist=nq + first_v + np.arange(6),
-    )
 
 
 class MotorFriction(LeafSystem):
@@ -243,11 +365,10 @@ class MotorFriction(LeafSystem):
     The output `pull` (18,) has anchors, slips and stribeck_torque [N m] until the next step.
     """
 
-    def __init__(self, plant: MultibodyPlant, friction: np.ndarray) -> None:
+    def __init__(self, robot: StewartRobot, friction: np.ndarray) -> None:
         super().__init__()
-        self._friction, self._step = friction, plant.time_step()
-        joints = [plant.GetJointByName(f"motor_{leg}") for leg in range(LEG_COUNT)]
-        self.cranks = np.array([joint.position_start() for joint in joints])
+        plant = robot.plant
+        self._friction, self._step, self.cranks = friction, plant.time_step(), robot.indices.crank
         self.plant_state = self.DeclareVectorInputPort("plant_state", plant.num_multibody_states())
         self.bristles = self.DeclareVectorInputPort("bristles", 2 * LEG_COUNT)
         inputs = {self.all_input_ports_ticket()}
@@ -269,49 +390,52 @@ def _servo_inputs(friction: Any, before: Any, state: Any, cranks: Any, step: flo
         out[12 + i] = np.sign(slip) * (friction.break_away[i] - level(friction, i, slip))
 
 
-def _add_servos(plant: MultibodyPlant, law: np.ndarray) -> None:
+def _add_servos(added: StewartRobot, law: np.ndarray) -> None:
     """Of motors without dry friction none; before the plant is finalised."""
+    plant = added.plant
     for leg in np.flatnonzero(law["break_away"][0]).tolist():
-        joint = plant.GetJointByName(f"motor_{leg}")
-        actuator = plant.AddJointActuator(f"friction_{leg}", joint, law["break_away"][0, leg])
+        actuator = plant.AddJointActuator(f"friction_{leg}", added.joint(f"motor_{leg}"), law["break_away"][0, leg])
         # Drake takes the rotor of a joint from its last actuator alone.
-        actuator.set_default_rotor_inertia(plant.GetJointActuatorByName(f"motor_{leg}").default_rotor_inertia())
+        motor = plant.GetJointActuatorByName(f"motor_{leg}", added.instance)
+        actuator.set_default_rotor_inertia(motor.default_rotor_inertia())
         actuator.set_controller_gains(PdControllerGains(p=law["stiffness"][0, leg], d=law["damping"][0, leg]))
 
 
-def _wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: np.ndarray) -> tuple[InputPort, ResetFriction]:
+def _wire_friction(builder: DiagramBuilder, robot: StewartRobot, law: np.ndarray) -> tuple[InputPort, ResetFriction]:
     """Feeds motors and servos of a finalised plant; gives the port of torques (6,), and what takes the tension off."""
+    plant, instance = robot.plant, robot.instance
+    model = plant.GetModelInstanceName(instance)
+    prefix = "friction" if model == "stewart" else f"{model}_friction"
     # What is remembered is stored by a system of Drake's: an update in Python right after the plant's step is slow.
     stored, sent = 2 * LEG_COUNT, 3 * LEG_COUNT
     store = LinearSystem(
         A=np.zeros((stored, stored)), B=np.eye(stored, sent), C=np.eye(stored), D=[], time_period=plant.time_step()
     )
-    memory = builder.AddNamedSystem("friction_memory", store)
-    friction = builder.AddNamedSystem("friction", MotorFriction(plant, law))
+    memory = builder.AddNamedSystem(f"{prefix}_memory", store)
+    friction = builder.AddNamedSystem(prefix, MotorFriction(robot, law))
     builder.Connect(plant.get_state_output_port(), friction.plant_state)
     builder.Connect(memory.get_output_port(), friction.bristles)
     builder.Connect(friction.pull, memory.get_input_port())
-    home = plant.GetPositionsAndVelocities(plant.CreateDefaultContext())
-    memory.configure_default_state(np.append(home[friction.cranks], np.zeros(LEG_COUNT)))
-    actuators = plant.num_actuators()
-    torque, desired = np.zeros((actuators, 4 * LEG_COUNT)), np.zeros((2 * actuators, 3 * LEG_COUNT))
+    memory.configure_default_state(np.append(robot.default[friction.cranks], np.zeros(LEG_COUNT)))
+    actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices(instance)]
+    row = {actuator.name(): place for place, actuator in enumerate(actuators)}
+    torque, desired = np.zeros((len(row), 4 * LEG_COUNT)), np.zeros((2 * len(row), 3 * LEG_COUNT))
     force = np.zeros((plant.num_velocities(), 3 * LEG_COUNT))
     for leg in range(LEG_COUNT):
-        torque[plant.GetJointActuatorByName(f"motor_{leg}").input_start(), leg] = 1.0
-        force[plant.GetJointByName(f"motor_{leg}").velocity_start(), 2 * LEG_COUNT + leg] = 1.0
+        torque[row[f"motor_{leg}"], leg] = 1.0
+        force[robot.joint(f"motor_{leg}").velocity_start(), 2 * LEG_COUNT + leg] = 1.0
     for leg in np.flatnonzero(law["break_away"][0]).tolist():
-        servo = plant.GetJointActuatorByName(f"friction_{leg}").input_start()
+        servo = row[f"friction_{leg}"]
         torque[servo, 3 * LEG_COUNT + leg], desired[servo, leg] = -1.0, 1.0
-    both = builder.AddNamedSystem("friction_inputs", Multiplexer([LEG_COUNT, 3 * LEG_COUNT]))
+    both = builder.AddNamedSystem(f"{prefix}_inputs", Multiplexer([LEG_COUNT, 3 * LEG_COUNT]))
     builder.Connect(friction.pull, both.get_input_port(1))
-    instance = plant.GetModelInstanceByName("stewart")
     for name, matrix, source, target in (
-        ("friction_torque", torque, both.get_output_port(), plant.get_actuation_input_port()),
+        ("torque", torque, both.get_output_port(), plant.get_actuation_input_port(instance)),
         # A desired state left unconnected would disarm the servos without a word.
-        ("friction_anchor", desired, friction.pull, plant.get_desired_state_input_port(instance)),
-        ("friction_relief", force, friction.pull, plant.get_applied_generalized_force_input_port()),
+        ("anchor", desired, friction.pull, plant.get_desired_state_input_port(instance)),
+        ("relief", force, friction.pull, plant.get_applied_generalized_force_input_port()),
     ):
-        gain = builder.AddNamedSystem(name, MatrixGain(matrix))
+        gain = builder.AddNamedSystem(f"{prefix}_{name}", MatrixGain(matrix))
         builder.Connect(source, gain.get_input_port())
         builder.Connect(gain.get_output_port(), target)
 

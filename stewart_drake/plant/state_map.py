@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -20,7 +21,7 @@ from stewart_drake.robot import RobotParameters
 
 @dataclass(frozen=True, eq=False)
 class StateIndices:
-    """Where things are in a state [positions; velocities] of the plant."""
+    """Where things of the robot are in a state [positions; velocities] of the plant, which may have other bodies too."""
 
     crank: np.ndarray  # (6,) motor angles, zero at home.
     rod: np.ndarray  # (6, 2 or 3) angles of the joints between crank and rod.
@@ -30,24 +31,38 @@ class StateIndices:
     rod_rate: np.ndarray  # (6, 2 or 3) velocities of the joints between crank and rod.
     twist: np.ndarray  # (6,) w_BP, v_BP of the platform, both in B.
 
-    @property
-    def size(self) -> int:
-        return sum(array.size for array in vars(self).values())
+    def all(self) -> np.ndarray:
+        """Indices of all that is the robot's."""
+        return np.concatenate([array.ravel() for array in vars(self).values()])
 
 
 class StateMap:
-    """The state of one robot, read and composed; vectorised over leading axes."""
+    """The state of one robot, read and composed; vectorised over leading axes.
 
-    def __init__(self, robot: RobotParameters, rod_joint: RodJoint, indices: StateIndices) -> None:
-        self.robot, self.rod_joint, self.indices = robot, rod_joint, indices
+    A subclass has `indices`, and the state (n,) `default` of a plant, of which the robot's part is replaced.
+    """
+
+    indices: StateIndices
+    default: np.ndarray
+
+    def __init__(self, robot: RobotParameters, rod_joint: RodJoint) -> None:
+        self.robot, self.rod_joint = robot, rod_joint
         self._home = home_frames(robot)
         self._lateral = crank_lateral(robot)
-        self._crank_index = np.concatenate([indices.crank, indices.crank_rate])
-        self._platform_index = np.concatenate([indices.quaternion, indices.position, indices.twist])
         self._crank_zero = np.concatenate([self._home.crank_angles, np.zeros(6)])
 
+    @cached_property
+    def _crank_index(self) -> np.ndarray:
+        return np.concatenate([self.indices.crank, self.indices.crank_rate])
+
+    @cached_property
+    def _platform_index(self) -> np.ndarray:
+        return np.concatenate([self.indices.quaternion, self.indices.position, self.indices.twist])
+
     def assemble(self, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> np.ndarray:
-        """State (..., nq + nv) of the closed robot at a pose [rad, m], moving, rods not spinning; in closed form.
+        """State (..., nq + nv) of the plant with the closed robot at a pose [rad, m], moving, rods not spinning.
+
+        In closed form; what else the plant has is as by default.
 
         Raises:
             UnreachablePoseError: A rod cannot span.
@@ -84,7 +99,7 @@ class StateMap:
             rates = _times(to_joint, cross(legs.e_l, e_l_rate) - w_crank)
 
         index = self.indices
-        state = np.zeros((*pose.shape[:-1], index.size))
+        state = np.tile(self.default, (*pose.shape[:-1], 1))
         state[..., index.crank] = self._home.motor_angles(legs.crank_angles)
         state[..., index.rod] = angles
         state[..., index.quaternion] = quaternion(pose[..., :3])

@@ -19,7 +19,7 @@ from stewart_drake.base.errors import ConfigurationError, drake_guard
 from stewart_drake.base.sampling import InBlocks, on_grid
 from stewart_drake.hardware.motors import limit_torque
 from stewart_drake.loop.part import Part
-from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
+from stewart_drake.plant.multibody_plant import StewartRobot, add_plant
 from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.scenario.assembly import Source, loop_of
 from stewart_drake.scenario.scenario import Scenario, require_scenario
@@ -71,7 +71,7 @@ class ClosedLoop(Diagram):
         with drake_guard("building the diagram"):
             wiring.builder.BuildInto(self)
         self.set_name(scenario.name)
-        self.plant: StewartPlant = wiring.plant
+        self.plant: StewartRobot = wiring.plant
         self.systems = wiring.systems
 
     def create_start_context(self) -> Context:
@@ -93,7 +93,7 @@ class _Wiring:
         self.builder = DiagramBuilder()
         if not isinstance(scenario.plant, DrakeOptions):
             raise ConfigurationError("plant.kind", scenario.plant.kind, "drake, for a Diagram")
-        self.plant: StewartPlant = add_plant(self.builder, scenario.robot, scenario.plant, scenario.gravity)
+        self.plant: StewartRobot = add_plant(self.builder, scenario.robot, scenario.plant, scenario.gravity)
         sensor = self.add("sensor", TaskSpaceSensor(self.plant))
         self.builder.Connect(self.plant.state_output_port, sensor.plant_state)
         self.signals: dict[str, OutputPort] = {"plant_pose": sensor.measurement, "crank_state": sensor.crank_state}

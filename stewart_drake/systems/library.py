@@ -13,35 +13,41 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
-from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort
+from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort, State
 
 from stewart_drake.base.errors import ConfigurationError, RunFailure
-from stewart_drake.base.sampling import on_grid
+from stewart_drake.base.sampling import just_before, on_grid
 from stewart_drake.control.base import TRACKING_ERROR
 from stewart_drake.control.features import DensityKind, density_part
 from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.control.network import TunerNetwork, network_part
 from stewart_drake.loop.part import BoundPart, Part
-from stewart_drake.plant.multibody_plant import StewartPlant
+from stewart_drake.plant.multibody_plant import StewartRobot
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.assembly import loop_of
 from stewart_drake.scenario.scenario import Scenario, require_scenario
 
-_AHEAD = 1.0 + 4e-10
-"""A tick's instant begins a little early: decimal times, at which others may ask, come before the stretched ones."""
+_SAME_TICK = 1e-6
+"""Share of a period by which an instant may come before a tick and still belong to it."""
+_SHOWN = 1e-9
+"""Share of a period, and of the time, after which what a part of the end of a tick gave is shown."""
 
 
 class PartSystem(LeafSystem):
     """Runs a part at its ticks, at multiples of its own period or else of `period` [s]; its state is in the Context.
 
-    What a part says at a tick is computed from the inputs of that very instant, as soon as somebody asks for it, and
-    the discrete update then stores it: a torque in discrete state alone would reach the plant one plant step late. A
-    part of the end of a tick runs in the update. The plant must step in a discrete update too, as `plant.add_plant`
-    makes it.
+    What a tick gives is held to the next one: a plant gets one torque a tick, without delay, whether it steps in a
+    discrete or in an unrestricted update or is continuous. Ticks come just before the multiples of the period (2.7e-11
+    of the time), and so before a plant's step at the same decimal time.
 
-    Ports: those of the part by name and as attributes, and `result`, its state and the number of ticks done; an output
-    with the name of an input is the attribute `NAME_out`. An input whose part has an array for it may be left alone.
+    A tick has two stages, since parts read one another at the same instant. An unrestricted update opens it: until it
+    is closed, outputs are computed from the inputs as soon as somebody asks. The discrete update, which Drake does
+    after it, closes it and stores them. A Simulator that begins opens a tick that this Context has not had, also where
+    its time was set back. A part of the end of a tick shows its result from the next one on.
+
+    Ports: those of the part by name and as attributes, and `result`, its state; an output with the name of an input is
+    the attribute `NAME_out`. An input whose part has an array for it may be left alone.
     """
 
     if TYPE_CHECKING:
@@ -50,10 +56,14 @@ class PartSystem(LeafSystem):
 
     def __init__(self, part: Part, period: float) -> None:
         super().__init__()
-        self.part, self.period = part, on_grid(part.period or period)
+        self.part, self.period = part, part.period or period
+        self._early, self._nominal = just_before(self.period), on_grid(self.period)
         self._kind = part.initial.dtype
-        initial = np.append(part.initial.view(np.float64), 0.0)
-        index = self.DeclareDiscreteState(initial)
+        initial = part.initial.view(np.float64)
+        # What is shown, what a tick of a part of the end has found, and: number of the tick, whether it is open.
+        shown = self.DeclareDiscreteState(initial)
+        self._found = int(self.DeclareDiscreteState(initial)) if part.end_of_tick else int(shown)
+        self._tick = int(self.DeclareDiscreteState(np.array([-1.0, 1.0])))
         self._time = np.zeros(1)
         # What stands at a port: its value, and for one that may be left alone what stands there then.
         self._ports: list[tuple[InputPort | None, np.ndarray | None]] = []
@@ -70,29 +80,31 @@ class PartSystem(LeafSystem):
         self._bound = BoundPart(part, [None] * len(part.inputs), part.initial.copy())
         self.result: OutputPort
         if part.end_of_tick:
-            self.result = self.DeclareStateOutputPort("result", index)
+            self.result = self.DeclareStateOutputPort("result", shown)
         else:
-            needs = {self.time_ticket(), self.xd_ticket(), self.all_input_ports_ticket()}
+            needs = {self.xd_ticket(), self.all_input_ports_ticket()}
+            needs |= {self.time_ticket()} if "time" in part.inputs else set()
             self.result = self.DeclareVectorOutputPort(
-                "result", len(initial), self._answer, prerequisites_of_calc=needs
+                "result", initial.size, self._answer, prerequisites_of_calc=needs
             )
         for name in part.outputs:
             setattr(self, f"{name}_out" if name in part.inputs else name, self._slice(name))
-        self.DeclarePeriodicDiscreteUpdateEvent(period_sec=self.period, offset_sec=0.0, update=self._store)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
+        self.DeclareInitializationDiscreteUpdateEvent(self._close_first)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(self._early, 0.0, self._open)
+        self.DeclarePeriodicDiscreteUpdateEvent(self._early, 0.0, self._close)
+        if part.end_of_tick:
+            self.DeclarePeriodicDiscreteUpdateEvent(self._nominal * (1.0 + _SHOWN), _SHOWN * self.period, self._show)
 
     def state(self, context: Context) -> np.ndarray:
-        """The part's record (1,), of the tick asked for, though nothing has stored it; `context` of the Diagram."""
+        """The part's record (1,), of the tick that is done; `context` of the Diagram."""
         mine = self.GetMyContextFromRoot(context)
-        if not self.part.end_of_tick:
-            entry = self.get_output_port(self.result.get_index()).cache_entry()
-            if not entry.is_out_of_date(mine):
-                return np.array(self.result.Eval(mine)[:-1]).view(self._kind)
-        return np.array(mine.get_discrete_state(0).value()[:-1]).view(self._kind)
+        return np.array(mine.get_discrete_state(self._found).value()).view(self._kind)
 
     def split(self) -> tuple[list[int], list[int]]:
         """How a Demultiplexer splits `result`: sizes, and at which of them each output of the part is."""
         names = self._kind.names or ()
-        return [*(self.part.size(name) for name in names), 1], [names.index(name) for name in self.part.outputs]
+        return [self.part.size(name) for name in names], [names.index(name) for name in self.part.outputs]
 
     def _slice(self, name: str) -> OutputPort:
         start, size = int(self._kind.fields[name][1]) // 8, self.part.size(name)  # type: ignore[index]
@@ -104,33 +116,61 @@ class PartSystem(LeafSystem):
         needs = {self.xd_ticket()} if self.part.end_of_tick else {ticket}
         return self.DeclareVectorOutputPort(name, size, calc, prerequisites_of_calc=needs)
 
+    def _number(self, context: Context) -> int:
+        """Of the tick to which an instant belongs."""
+        return int(context.get_time() / self._early + _SAME_TICK)
+
+    def _answer(self, context: Context, output: Any) -> None:
+        output.set_value(context.get_discrete_state(0).value())
+        if context.get_discrete_state(self._tick).value()[1]:
+            self._ticked(context, output.get_mutable_value())
+
     def _ticked(self, context: Context, values: np.ndarray) -> None:
-        """Ticks on values (n + 1,) that hold the state of the tick before."""
-        self._time[0] = context.get_time()
+        """Ticks on values (n,) that hold the state of the tick before."""
+        self._time[0] = self._number(context) * self._nominal
         inputs = [
             otherwise if port is None or (otherwise is not None and not port.HasValue(context)) else port.Eval(context)
             for port, otherwise in self._ports
         ]
         try:
             signals = {name: port.Eval(context) for name, port in self._signals.items()}
-            self._bound.bind(inputs, values[:-1].view(self._kind), signals)
+            self._bound.bind(inputs, values.view(self._kind), signals)
             self._bound()
         except RunFailure as error:
-            error.time = context.get_time()
+            error.time = float(self._time[0])
             raise
-        values[-1] = int(context.get_time() / self.period + 1e-6) + 1.0
 
-    def _answer(self, context: Context, output: Any) -> None:
-        values, held = output.get_mutable_value(), context.get_discrete_state(0).value()
-        values[:] = held
-        if context.get_time() / self.period * _AHEAD + 1e-6 >= held[-1]:
-            self._ticked(context, values)
+    def _begin(self, context: Context, state: State) -> None:
+        held = context.get_discrete_state(self._tick).value()
+        if self._number(context) != held[0]:
+            state.get_mutable_discrete_state().get_mutable_value(self._tick)[1] = 1.0
 
-    def _store(self, context: Context, discrete_state: DiscreteValues) -> None:
-        if self.part.end_of_tick:
-            self._ticked(context, discrete_state.get_mutable_value(0))
+    def _open(self, context: Context, state: State) -> None:
+        if context.get_discrete_state(self._tick).value()[1]:
+            # The first tick at 0: a plant that steps in an unrestricted update does so now.
+            self._store(context, state.get_mutable_discrete_state())
         else:
-            discrete_state.set_value(0, self.result.Eval(context))
+            state.get_mutable_discrete_state().get_mutable_value(self._tick)[1] = 1.0
+
+    def _show(self, context: Context, values: DiscreteValues) -> None:
+        values.set_value(0, context.get_discrete_state(self._found).value())
+
+    def _close_first(self, context: Context, values: DiscreteValues) -> None:
+        if context.get_time() != self._number(context) * self._early:  # Else a tick is due at once.
+            self._close(context, values)
+
+    def _close(self, context: Context, values: DiscreteValues) -> None:
+        if context.get_discrete_state(self._tick).value()[1]:
+            self._store(context, values)
+
+    def _store(self, context: Context, values: DiscreteValues) -> None:
+        if self.part.end_of_tick:
+            found = np.array(context.get_discrete_state(self._found).value())
+            self._ticked(context, found)
+            values.set_value(self._found, found)
+        else:
+            values.set_value(0, self.result.Eval(context))
+        values.set_value(self._tick, [self._number(context), 0.0])
 
 
 class LqiController(PartSystem):
@@ -144,7 +184,7 @@ class LqiController(PartSystem):
         weights: in (2,), omega_Q, omega_R; or, for block weights, (4,), q_e, q_v, q_z, r; all > 0.
         torque: out (6,) [N m].
         integral: out (6,) [rad s, m s], z after the tick.
-        result: out, the part's whole state and the number of ticks done.
+        result: out, the part's whole state.
     """
 
     def __init__(self, robot: RobotParameters, options: LqiOptions, gravity: float, weights: int = 2) -> None:
@@ -160,7 +200,7 @@ class TrackingError(PartSystem):
         measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s] (Euler rates).
         reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
         error: out (6,) [rad, m].
-        result: out, the part's whole state and the number of ticks done.
+        result: out, the part's whole state.
     """
 
     def __init__(self, period: float) -> None:
@@ -176,7 +216,7 @@ class DensityFeatures(PartSystem):
         error: in (6,) [rad, m], pose minus reference at the tick.
         torque: in (6,) [N m].
         density: out (12,) [-], of the errors, then of the torques.
-        result: out, the part's whole state and the number of ticks done.
+        result: out, the part's whole state.
     """
 
     def __init__(self, window: int, period: float, kind: DensityKind = "magnitude") -> None:
@@ -191,7 +231,7 @@ class AnnTuner(PartSystem):
     Ports:
         density: in (12,) [-], of the errors, then of the torques.
         weights: out (2,), omega_Q, omega_R; all > 0.
-        result: out, the part's whole state and the number of ticks done.
+        result: out, the part's whole state.
     """
 
     def __init__(self, network: TunerNetwork, period: float, initial: Sequence[float] = (1.0, 1.0)) -> None:
@@ -317,7 +357,7 @@ class TaskSpaceSensor(LeafSystem):
         crank_state: out (12,), angles of the cranks [rad] from the horizontal, not wrapped, then their rates [rad/s].
     """
 
-    def __init__(self, plant: StewartPlant) -> None:
+    def __init__(self, plant: StewartRobot) -> None:
         super().__init__()
         self._plant = plant
         self.plant_state = self.DeclareVectorInputPort("plant_state", plant.plant.num_multibody_states())
@@ -340,7 +380,7 @@ class PlatformWrench(LeafSystem):
         spatial_force: out, for the plant's port `applied_spatial_force`.
     """
 
-    def __init__(self, plant: StewartPlant) -> None:
+    def __init__(self, plant: StewartRobot) -> None:
         super().__init__()
         self._plant = plant
         self.wrench = self.DeclareVectorInputPort("wrench", 6)

@@ -26,7 +26,7 @@ def scenario(**keys):
 def test_every_signal_is_an_exported_port_by_its_name():
     loop = build_diagram(scenario())
     ports = [loop.get_output_port(i) for i in range(loop.num_output_ports())]
-    assert {port.get_name(): port.size() for port in ports} == {**PORTS, "plant_state": loop.plant.indices.size}
+    assert {port.get_name(): port.size() for port in ports} == {**PORTS, "plant_state": loop.plant.default.size}
     assert loop.num_input_ports() == 0
     assert set(loop.sinks) == {*PORTS, "plant_state"}
     names = {"tracking_error", "controller", "density", "motors"}

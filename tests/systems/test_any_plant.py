@@ -1,0 +1,225 @@
+"""The controller's systems on plants of other people: one torque a tick, that which `Controller` gives for readings."""
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.tree import SpatialInertia, default_model_instance
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import ConstantVectorSource
+from strategies import ROBOT
+
+from stewart_drake import Controller, LqiOptions, Scenario, add_plant, add_robot, paper_reference
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.sampling import on_grid
+from stewart_drake.control.lqi import lqi_part
+from stewart_drake.mechanics.dynamics import forward_dynamics
+from stewart_drake.systems import PartSystem, ReferenceSource, TaskSpaceSensor
+
+PERIOD = 0.005
+OPTIONS = LqiOptions(period=PERIOD, solver="split", feedforward="gravity")
+SCENARIO = Scenario.from_dict({"controller": OPTIONS.to_dict(), "tuner": "fixed"})
+START = paper_reference().evaluate(0.0)[:2]
+
+
+class Watched:
+    """An LQI that notes what its kernel is given and gives, each time that it runs."""
+
+    def __init__(self, builder, measurement):
+        part, self.calls = lqi_part(OPTIONS, ROBOT, 9.81, 2), []
+        names = [*part.constants, *part.inputs]
+
+        def kernel(*arguments):
+            result = part.kernel(*arguments)
+            given = dict(zip(names, arguments, strict=False))
+            self.calls.append((given["measurement"].copy(), arguments[-1]["torque"][0].copy()))
+            return result
+
+        self.system = builder.AddNamedSystem("controller", PartSystem(part._replace(kernel=kernel), PERIOD))
+        reference = builder.AddNamedSystem("reference", ReferenceSource(paper_reference()))
+        weights = builder.AddNamedSystem("weights", ConstantVectorSource([1.0, 1.0]))
+        builder.Connect(measurement, self.system.measurement)
+        builder.Connect(reference.reference, self.system.reference)
+        builder.Connect(weights.get_output_port(), self.system.weights)
+
+    def assert_ticks_are_those_of_the_controller(self, count):
+        assert len(self.calls) == count
+        controller, torque = Controller(SCENARIO), np.empty(6)
+        for tick, (measurement, given) in enumerate(self.calls):
+            controller.step(measurement, tick * on_grid(PERIOD), torque)
+            # A tick's time, at which the reference is asked, is 1.7e-10 of it before that of `on_grid`.
+            np.testing.assert_allclose(given, torque, rtol=1e-10)
+
+
+class ClosedForm(LeafSystem):
+    """The robot as a continuous plant: pose and twist follow from the equations of motion."""
+
+    def __init__(self):
+        super().__init__()
+        self.torque = self.DeclareVectorInputPort("torque", 6)
+        state = self.DeclareContinuousState(6, 6, 0)
+        self.DeclareStateOutputPort("state", state)
+
+    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802 - Drake's name
+        state = context.get_continuous_state_vector().CopyToVector()
+        acceleration = forward_dynamics(ROBOT, state[:6], state[6:], self.torque.Eval(context), 9.81)
+        derivatives.get_mutable_vector().SetFromVector(np.concatenate([state[6:], acceleration]))
+
+
+def on_multibody(sampled=False, step=0.001):
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(MultibodyPlant(step))
+    plant.SetUseSampledOutputPorts(sampled)
+    robot = add_robot(plant, ROBOT)
+    plant.Finalize()
+    sensor = builder.AddSystem(TaskSpaceSensor(robot))
+    builder.Connect(robot.state_output_port, sensor.plant_state)
+    watched = Watched(builder, sensor.measurement)
+    builder.Connect(watched.system.torque, robot.torque_input_port)
+    diagram = builder.Build()
+    return diagram, watched, lambda context: robot.set_state(context, *START)
+
+
+def on_closed_form(scheme):
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(ClosedForm())
+    watched = Watched(builder, plant.get_output_port())
+    builder.Connect(watched.system.torque, plant.torque)
+    diagram = builder.Build()
+
+    def start(context):
+        plant.GetMyMutableContextFromRoot(context).SetContinuousState(np.concatenate(START))
+
+    return diagram, watched, start, scheme
+
+
+PLANTS = {
+    "Drake's defaults": lambda: on_multibody(sampled=True),
+    "without sampled ports": lambda: on_multibody(),
+    "stretched step, sampled": lambda: on_multibody(True, on_grid(0.001)),
+    "stretched step": lambda: on_multibody(False, on_grid(0.001)),
+    "a step that does not divide the tick": lambda: on_multibody(True, 0.0007),
+}
+
+
+@pytest.mark.parametrize("make", PLANTS.values(), ids=PLANTS)
+@pytest.mark.parametrize("caching", [True, False])
+def test_one_torque_a_tick_on_a_discrete_plant(make, caching):
+    diagram, watched, start = make()
+    simulator = Simulator(diagram)
+    if not caching:
+        simulator.get_mutable_context().DisableCaching()
+    start(simulator.get_mutable_context())
+    held = []
+    for end in np.arange(1, 31) * 0.001:
+        simulator.AdvanceTo(end)
+        held.append(watched.system.torque.Eval(watched.system.GetMyContextFromRoot(simulator.get_context())))
+    # Ticks at 0, 5, ... 30 ms, the last just before.
+    if caching:
+        watched.assert_ticks_are_those_of_the_controller(7)
+        assert len(np.unique(held, axis=0)) == 7
+    else:
+        assert len(np.unique([given for _, given in watched.calls], axis=0)) == 7
+
+
+@pytest.mark.parametrize("scheme", ["runge_kutta2", "runge_kutta3", "explicit_euler"])
+def test_one_torque_a_tick_on_a_continuous_plant(scheme):
+    from pydrake.systems.analysis import ResetIntegratorFromFlags
+
+    diagram, watched, start, scheme = on_closed_form(scheme)
+    simulator = Simulator(diagram)
+    ResetIntegratorFromFlags(simulator, scheme, 0.005)
+    simulator.get_mutable_integrator().set_fixed_step_mode(scheme != "runge_kutta3")
+    start(simulator.get_mutable_context())
+    simulator.AdvanceTo(0.1)
+    watched.assert_ticks_are_those_of_the_controller(21)
+
+
+def test_a_context_whose_time_is_set_back_and_a_clone_begin_anew():
+    diagram, watched, start = on_multibody(sampled=True)
+    simulator, runs = Simulator(diagram), []
+    fresh = simulator.get_context().Clone()
+    for _ in range(2):
+        context = simulator.get_mutable_context()
+        context.SetTimeStateAndParametersFrom(fresh)
+        start(context)
+        simulator.Initialize()
+        watched.calls.clear()
+        simulator.AdvanceTo(0.05)
+        watched.assert_ticks_are_those_of_the_controller(11)
+        runs.append([given for _, given in watched.calls])
+    np.testing.assert_array_equal(*runs)
+    # With what the controller remembers, but from the start again: it goes on, tick by tick.
+    simulator.get_mutable_context().SetTime(0.0)
+    start(simulator.get_mutable_context())
+    simulator.Initialize()
+    watched.calls.clear()
+    simulator.AdvanceTo(0.05)
+    assert len(watched.calls) == 11
+    twin = Simulator(diagram, simulator.get_context().Clone())
+    watched.calls.clear()
+    twin.AdvanceTo(0.1)
+    assert len(watched.calls) == 10
+
+
+def test_a_robot_beside_other_bodies_and_another_robot():
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, 0.001)
+    aside = RigidTransform([1.0, 0.5, 0.2])
+    robots = [add_robot(plant, ROBOT), add_robot(plant, ROBOT, model_instance="second", base=aside)]
+    ball = plant.AddRigidBody("ball", default_model_instance(), SpatialInertia.SolidSphereWithMass(0.1, 0.02))
+    plant.Finalize()
+    for robot in robots:
+        sensor = builder.AddSystem(TaskSpaceSensor(robot))
+        builder.Connect(robot.state_output_port, sensor.plant_state)
+        watched = Watched(builder, sensor.measurement) if robot is robots[0] else watched
+        builder.Connect(watched.system.torque, robot.torque_input_port)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    context = simulator.get_mutable_context()
+    mine = plant.GetMyMutableContextFromRoot(context)
+    plant.SetFreeBodyPose(mine, ball, RigidTransform([0.0, 0.0, 3.0]))
+    for robot in robots:
+        robot.set_state(context, *START)
+    # The same torques move both alike, each in its own frame, and nobody touched the ball.
+    simulator.AdvanceTo(0.05)
+    state = plant.GetPositionsAndVelocities(mine)
+    poses = [robot.pose_and_rate(state)[0] for robot in robots]
+    np.testing.assert_allclose(poses[1], poses[0], atol=1e-9)
+    assert np.abs(poses[0] - START[0]).max() > 1e-4
+    assert max(robot.loop_gap(state).max() for robot in robots) < 1e-5
+    fallen = plant.EvalBodyPoseInWorld(mine, ball).translation()
+    np.testing.assert_allclose(fallen, [0.0, 0.0, 3.0 - 0.5 * 9.81 * 0.05**2], atol=3e-4)
+    world = plant.EvalBodyPoseInWorld(mine, plant.GetBodyByName("platform", robots[1].instance)).translation()
+    np.testing.assert_allclose(world, poses[1][3:] + [1.0, 0.5, 0.2], atol=1e-9)
+    push = robots[1].push(np.array([0.0, 0.0, 0.0, 1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(push.F_Bq_W.translational(), [1.0, 2.0, 3.0])
+
+
+def test_a_plant_is_opened_before_it_is_finished():
+    def load(robot):
+        body = robot.plant.AddRigidBody("load", robot.instance, SpatialInertia.SolidSphereWithMass(0.3, 0.02))
+        robot.plant.WeldFrames(robot.frame("platform"), body.body_frame(), RigidTransform([0.0, 0.0, 0.03]))
+
+    builder = DiagramBuilder()
+    robot = add_plant(builder, ROBOT, before_finalize=load)
+    assert robot.plant.HasBodyNamed("load")
+    with pytest.raises(ConfigurationError, match=r"^name: expected one that no other system .* got 'plant'"):
+        add_plant(builder, ROBOT)
+    add_plant(builder, ROBOT, name="other")
+
+
+def test_what_cannot_be_is_one_line():
+    plant = MultibodyPlant(0.001)
+    robot = add_robot(plant, ROBOT)
+    for ask in (lambda: robot.torque_input_port, lambda: robot.indices, lambda: robot.assemble(ROBOT.home_pose)):
+        with pytest.raises(ConfigurationError, match=r"^plant: expected one that is finalised"):
+            ask()
+    with pytest.raises(ConfigurationError, match=r"^model_instance: expected a name that the plant does not have"):
+        add_robot(plant, ROBOT)
+    plant.Finalize()
+    with pytest.raises(ConfigurationError, match=r"^plant: expected one before Finalize"):
+        add_robot(plant, ROBOT, model_instance="late")
+    with pytest.raises(ConfigurationError, match=r"^plant: expected a discrete one"):
+        add_robot(MultibodyPlant(0.0), ROBOT)
