@@ -45,7 +45,7 @@ def on_grid(seconds: float) -> float:
 
 
 def just_before(seconds: float) -> float:
-    """Sample time a little shorter than `seconds`, whose multiples come just before those of `seconds`, stretched or not.
+    """Sample time a little shorter than `seconds`: its multiples come just before those of `seconds`, stretched or not.
 
     What ticks at these multiples reads a plant that steps in decimal times before its step, whatever their rounding,
     and its result is there for that step. Multiples of such periods coincide as those of `on_grid` do.

@@ -21,7 +21,7 @@ from stewart_drake.robot import RobotParameters
 
 @dataclass(frozen=True, eq=False)
 class StateIndices:
-    """Where things of the robot are in a state [positions; velocities] of the plant, which may have other bodies too."""
+    """Where things of the robot are in a state [positions; velocities] of the plant, which may have more."""
 
     crank: np.ndarray  # (6,) motor angles, zero at home.
     rod: np.ndarray  # (6, 2 or 3) angles of the joints between crank and rod.

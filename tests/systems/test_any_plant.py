@@ -170,10 +170,10 @@ def test_a_robot_beside_other_bodies_and_another_robot():
     robots = [add_robot(plant, ROBOT), add_robot(plant, ROBOT, model_instance="second", base=aside)]
     ball = plant.AddRigidBody("ball", default_model_instance(), SpatialInertia.SolidSphereWithMass(0.1, 0.02))
     plant.Finalize()
+    sensor = builder.AddSystem(TaskSpaceSensor(robots[0]))
+    builder.Connect(robots[0].state_output_port, sensor.plant_state)
+    watched = Watched(builder, sensor.measurement)
     for robot in robots:
-        sensor = builder.AddSystem(TaskSpaceSensor(robot))
-        builder.Connect(robot.state_output_port, sensor.plant_state)
-        watched = Watched(builder, sensor.measurement) if robot is robots[0] else watched
         builder.Connect(watched.system.torque, robot.torque_input_port)
     diagram = builder.Build()
     simulator = Simulator(diagram)
