@@ -49,7 +49,7 @@ def main() -> None:
     simulator = Simulator(diagram)
     pose, rate, _ = reference.evaluate(0.0)
     robot.set_state(simulator.get_mutable_context(), pose, rate)
-    simulator.AdvanceTo(round(DURATION / options.period) * controller.period)
+    simulator.AdvanceTo(DURATION)
 
     context = simulator.get_context()
     log = errors.FindLog(context)

@@ -36,7 +36,7 @@ def main() -> None:
     simulator = Simulator(diagram)
     pose, rate, _ = reference.evaluate(0.0)
     robot.set_state(simulator.get_mutable_context(), pose, rate)
-    simulator.AdvanceTo(round(DURATION / options.period) * controller.period)
+    simulator.AdvanceTo(DURATION)
 
     log = errors.FindLog(simulator.get_context())
     rms = np.sqrt(np.mean(log.data()[:, log.sample_times() >= DURATION / 2] ** 2, axis=1))

@@ -6,7 +6,6 @@ from stewart_drake.analysis.response import bode as bode
 from stewart_drake.base.code import trusting_code as trusting_code
 from stewart_drake.base.errors import ConfigurationError as ConfigurationError
 from stewart_drake.base.errors import StewartDrakeError as StewartDrakeError
-from stewart_drake.base.sampling import on_grid as on_grid
 from stewart_drake.control.base import Measurement as Measurement
 from stewart_drake.control.base import Setpoint as Setpoint
 from stewart_drake.control.lqi import LqiOptions as LqiOptions
