@@ -22,35 +22,6 @@ from stewart_drake.plant.model_files import home_frames
 from stewart_drake.robot import RobotParameters
 
 
-class _Equations:
-    """Equations of motion and measurements as functions of vectors, of numbers or of AutoDiffXd alike."""
-
-    def __init__(self, robot: RobotParameters, options: ClosedFormOptions, gravity: float) -> None:
-        check_value("gravity", gravity, NotNegative)
-        friction = options.friction_law(robot)
-        if friction["break_away"].any():
-            raise ConfigurationError("friction", "motors that stick", "viscous friction alone, of a continuous state")
-        self._robot, self._home, self._legs = robot, home_frames(robot), np.empty(1, LEGS)
-        self._fixed = options.loaded(robot), friction, gravity, self._legs
-
-    def rate(self, given: np.ndarray) -> np.ndarray:
-        """Time derivative (12,) of the state, of state, torque and wrench (24,)."""
-        return _of(self._rate, given)
-
-    def cranks(self, state: np.ndarray) -> np.ndarray:
-        """Angles of the cranks and their rates (12,) of a state (12,)."""
-        return _of(lambda state: np.concatenate(crank_motion(self._robot, self._home, state[:6], state[6:])), state)
-
-    def _rate(self, given: np.ndarray) -> np.ndarray:
-        torque, result = within_limit(given[12:18], self._robot.effort_limits), np.empty(12)
-        leg, margin = motion_rate(*self._fixed, given[:12], torque, given[18:], result)
-        if leg >= 0:
-            raise SingularPoseError("serial", given[:6].copy(), margin, 0.0, leg)
-        if not np.isfinite(result).all():
-            raise NotFiniteError("the plant's acceleration", result[6:])
-        return result
-
-
 def _of(function: Any, given: np.ndarray) -> np.ndarray:
     """A function of numbers, of AutoDiffXd too: by central differences."""
     if given.dtype != object:
@@ -85,43 +56,56 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
             *,
             converter: Any = None,
         ) -> None:
-            equations = _Equations(robot, ClosedFormOptions() if options is None else options, gravity)
-            self._declare(robot, equations, converter)
-
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            self._declare(other.robot, other._equations, converter)
-
-        def _declare(self, robot: RobotParameters, equations: _Equations, converter: Any) -> None:
             base.__init__(self, converter=converter)
-            self.robot, self._equations = robot, equations
+            options = ClosedFormOptions() if options is None else options
+            check_value("gravity", gravity, NotNegative)
+            friction = options.friction_law(robot)
+            if friction["break_away"].any():
+                raise ConfigurationError("friction", "motors that stick", "viscous friction alone, in continuous time")
+            self._given, self._home = (robot, options, gravity), home_frames(robot)
+            self._fixed = options.loaded(robot), friction, gravity
             self.torque = self.DeclareVectorInputPort("torque", 6)
             self.wrench = self.DeclareVectorInputPort("wrench", 6)
             home = BasicVector_[T](np.append(robot.home_pose, np.zeros(6)))
             self.measurement = self.DeclareStateOutputPort("measurement", self.DeclareContinuousState(home, 6, 6, 0))
+            needs = {self.xc_ticket()}
             self.crank_state = self.DeclareVectorOutputPort(
-                "crank_state", 12, self._cranks, prerequisites_of_calc={self.xc_ticket()}
+                "crank_state", 12, self._cranks, prerequisites_of_calc=needs
             )
             # As `StewartRobot` names them.
             self.torque_input_port, self.state_output_port = self.torque, self.measurement
 
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, *other._given, converter=converter)
+
         def set_state(self, context: Any, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
             """Puts the robot at a pose (6,) [rad, m], moving; `context` of the Diagram."""
-            at = np.asarray(pose, dtype=float)
-            rate = np.zeros(6) if pose_rate is None else np.asarray(pose_rate, dtype=float)
+            at, rate = np.asarray(pose), np.zeros(6) if pose_rate is None else np.asarray(pose_rate)
             check_value("pose", at, Vector6)
             check_value("pose_rate", rate, Vector6)
-            leg_geometry(self.robot, at)
-            self.GetMyMutableContextFromRoot(context).SetContinuousState(np.concatenate([at, rate]))
+            leg_geometry(self._given[0], at)  # Which refuses what is out of reach.
+            self.GetMyMutableContextFromRoot(context).SetContinuousState(np.append(at, rate))
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:  # noqa: N802 - Drake's name
             state = context.get_continuous_state_vector().CopyToVector()
             wrench = self.wrench.Eval(context) if self.wrench.HasValue(context) else np.zeros(6)
-            given = np.concatenate([state, self.torque.Eval(context), wrench])
-            derivatives.get_mutable_vector().SetFromVector(self._equations.rate(given))
+            rate = _of(self._rate, np.concatenate([state, self.torque.Eval(context), wrench]))
+            derivatives.get_mutable_vector().SetFromVector(rate)
+
+        def _rate(self, given: np.ndarray) -> np.ndarray:
+            torque, result = within_limit(given[12:18], self._given[0].effort_limits), np.empty(12)
+            leg, margin = motion_rate(*self._fixed, np.empty(1, LEGS), given[:12], torque, given[18:], result)
+            if leg >= 0:
+                raise SingularPoseError("serial", given[:6].copy(), margin, 0.0, leg)
+            if not np.isfinite(result).all():
+                raise NotFiniteError("the plant's acceleration", result[6:])
+            return result
 
         def _cranks(self, context: Any, output: Any) -> None:
-            state = context.get_continuous_state_vector().CopyToVector()
-            output.SetFromVector(self._equations.cranks(state))
+            def cranks(state: np.ndarray) -> np.ndarray:
+                return np.concatenate(crank_motion(self._given[0], self._home, state[:6], state[6:]))
+
+            output.SetFromVector(_of(cranks, context.get_continuous_state_vector().CopyToVector()))
 
     return Impl
 

@@ -105,13 +105,17 @@ def test_with_a_payload_and_viscous_friction_it_is_the_closed_form_of_a_scenario
     np.testing.assert_allclose(plant.crank_state.Eval(context), expected[12:], atol=1e-7)
 
 
-def test_motors_that_stick_are_refused():
+def test_what_cannot_be_is_one_line():
     with pytest.raises(ConfigurationError, match=r"^friction: expected viscous friction alone"):
         ClosedFormPlant(ROBOT, ClosedFormOptions(motor_friction=0.1))
     with pytest.raises(ConfigurationError, match=r"^gravity"):
         ClosedFormPlant(ROBOT, gravity=-1.0)
     plant = ClosedFormPlant(ROBOT)
-    for pose, error in (([0.0] * 5, ConfigurationError), ([0.0, 0.0, 0.0, 0.0, 0.0, 2.0], UnreachablePoseError)):
+    for pose, error in (
+        ([0.0] * 5, ConfigurationError),
+        ([POSE, POSE], ConfigurationError),
+        ([0.0, 0.0, 0.0, 0.0, 0.0, 2.0], UnreachablePoseError),
+    ):
         with pytest.raises(error):
             plant.set_state(plant.CreateDefaultContext(), pose)
     context = at(plant, POSE)
