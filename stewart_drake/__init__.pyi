@@ -58,6 +58,7 @@ from stewart_drake.scenario.limits import ReferenceLimits as ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario as Scenario
 from stewart_drake.scenario.scenario import load_controller as load_controller
 from stewart_drake.scenario.scenario import load_scenario as load_scenario
+from stewart_drake.systems.continuous_plant import ClosedFormPlant as ClosedFormPlant
 from stewart_drake.systems.diagram import ClosedLoop as ClosedLoop
 from stewart_drake.systems.diagram import build_diagram as build_diagram
 

@@ -23,11 +23,11 @@ from stewart_drake.control.decoupled import DecoupledPidOptions
 from stewart_drake.loop.part import LoopRunner, Part
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
+from stewart_drake.mechanics.linear_algebra import STEP, derivatives
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.assembly import control_side
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
-_STEP = 1e-5  # Of differences, in SI units: poses bend over a tenth of a metre, torques have sixteen digits.
 _STILL = 1e-7  # In SI units, by which a state may move in a tick where the loop stands still.
 _NEWTON_STEPS = 8
 
@@ -110,9 +110,9 @@ def plant_at(robots: np.ndarray, poses: np.ndarray, gravity: float, period: floa
     """The robot, a `ROBOT` record with what it carries, at poses (m, 6) under torques that are held over a period."""
     torque, whole = static_torque(robots, poses, gravity), np.zeros((len(poses), 18, 18))
     whole[:, :6, 6:12], whole[:, 6:12, 12:] = np.eye(6), pose_acceleration_map(robots, poses)
-    for k, way in enumerate(_STEP * np.eye(6)):
+    for k, way in enumerate(STEP * np.eye(6)):
         ahead, behind = forward_dynamics(robots, np.stack([poses + way, poses - way]), np.zeros(6), torque, gravity)
-        whole[:, 6:12, k] = (ahead - behind) / (2.0 * _STEP)
+        whole[:, 6:12, k] = (ahead - behind) / (2.0 * STEP)
     moves = expm(period * whole)
     return PlantAt(moves[:, :12, :12], moves[:, :12, 12:], torque)
 
@@ -176,7 +176,7 @@ class _ControllersSide:
 
     def _leading(self) -> np.ndarray:
         n, columns = len(self._start), []
-        for way in _STEP * np.eye(n):
+        for way in STEP * np.eye(n):
             try:
                 ahead, behind = (self(np.concatenate([self.reading, self._start + step])) for step in (way, -way))
                 columns.append(ahead - behind)
@@ -208,7 +208,7 @@ def _loop(
     a[:12, :12], b[:12] = robot.a, robot.b
     a[end + 6 :, end : n - 6] = np.eye(max(0, n - 6 - end))
     for _ in range(_NEWTON_STEPS):
-        value, by = _derivatives(side, np.concatenate([side.reading + by_state @ x[:12], x[12:end]]))
+        value, by = derivatives(side, np.concatenate([side.reading + by_state @ x[:12], x[12:end]]))
         by = np.concatenate([by[:, :read] @ by_state, by[:, read:]], axis=1)
         a[12:end, :end] = by[:-6]
         after = np.concatenate([robot.a @ x[:12], value, x[end:]])[:n]
@@ -229,15 +229,6 @@ def _loop(
         if not np.isfinite(x).all():
             break
     raise RunFailure(f"the loop has no equilibrium at {pose.tolist()}", reason="standstill")
-
-
-def _derivatives(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Value (m,) and derivative (m, n), by central differences."""
-    columns = []
-    for k, way in enumerate(_STEP * np.eye(len(at))):
-        ahead, behind = at + way, at - way
-        columns.append((function(ahead) - function(behind)) / (ahead[k] - behind[k]))
-    return function(at), np.stack(columns, axis=-1)
 
 
 def _observable(a: np.ndarray, c: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from stewart_drake.mechanics.dynamics_laws import loads, task_inertia
 from stewart_drake.mechanics.friction import SWEEPS, implicit_torque, update_bristles
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry, pose_rate_to_twist
 from stewart_drake.mechanics.linear_algebra import copy_to, solve
-from stewart_drake.plant.model_files import home_frames
+from stewart_drake.plant.model_files import HomeFrames, home_frames
 from stewart_drake.plant.plant_options import MechanismOptions, foreign_state
 from stewart_drake.robot import RobotParameters
 
@@ -57,9 +57,7 @@ class ClosedForm:
 
     def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
         """Begins at a pose (6,) and its rate (6,), friction without tension."""
-        home = self._home
-        angles = home.crank_angles + home.motor_angles(inverse_kinematics(self._robot, pose))
-        rates = crank_rates(self._robot, leg_geometry(self._robot, pose), pose, pose_rate)
+        angles, rates = crank_motion(self._robot, self._home, pose, pose_rate)
         moving = {"pose": pose, "pose_rate": pose_rate, "angles": angles, "crank_rate": rates}
         twist = pose_rate_to_twist(pose, pose_rate)
         return self.restore(new_record(STATE, **moving, twist=twist, anchor=angles))
@@ -79,6 +77,14 @@ class ClosedForm:
             raise foreign_state(state, "a closed form")
         self._state[:] = state
         return self._measured
+
+
+def crank_motion(
+    robot: RobotParameters, home: HomeFrames, pose: np.ndarray, pose_rate: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angles of the cranks [rad], within half a turn of home, and their rates [rad/s], (6,) of a pose and its rate."""
+    angles = home.crank_angles + home.motor_angles(inverse_kinematics(robot, pose))
+    return angles, crank_rates(robot, leg_geometry(robot, pose), pose, pose_rate)
 
 
 @njit
@@ -209,12 +215,7 @@ def _rk4_step(
             if _has_friction(friction):
                 _hold_dry_friction(robot, friction, params, legs, wrench, step, state, given)
         with_viscous = given.copy()
-        for i in range(6):
-            with_viscous[i] -= (
-                friction.viscous[i]
-                * (laws.dot(legs.line[i, :3], twist[:3]) + laws.dot(legs.line[i, 3:], twist[3:]))
-                / legs.lever[i]
-            )
+        _add_viscous(friction, legs, twist, with_viscous)
         _accelerated(robot, legs, twist, params.gravity, with_viscous, wrench, jacobian, acceleration)
         _turn_rate(change[:3], twist[:3], rate[:3])
         for k in range(3):
@@ -230,6 +231,41 @@ def _rk4_step(
         twist[k] = state.twist[k] + change[6 + k]
     bad = _arrive(robot, friction, legs, step, pose, twist, state)
     return bad, legs.reach_margin[max(bad, 0)]
+
+
+@njit
+def _add_viscous(friction: Any, legs: Any, twist: Any, torque: Any) -> None:
+    """Adds to torques (6,) the viscous friction at a twist (6,)."""
+    for i in range(6):
+        torque[i] -= (
+            friction.viscous[i]
+            * (laws.dot(legs.line[i, :3], twist[:3]) + laws.dot(legs.line[i, 3:], twist[3:]))
+            / legs.lever[i]
+        )
+
+
+@njit
+def motion_rate(
+    robot: Any, friction: Any, gravity: float, legs: Any, motion: Any, torque: Any, wrench: Any, out: Any
+) -> Any:
+    """Time derivative (12,) of pose and rate (12,) in Euler angles, for other people's integrators.
+
+    Of friction the viscous one counts. Returns leg and margin as `_semi_implicit`.
+    """
+    robot, friction, legs = record(robot), record(friction), record(legs)
+    twist, given, jacobian, acceleration = np.empty(6), torque.copy(), np.empty((6, 6)), np.empty((6, 1))
+    bad = laws.legs_at(robot, motion[:6], legs)
+    if bad >= 0:
+        return bad, legs.reach_margin[bad]
+    laws.twist_of(motion[:6], motion[6:], twist)
+    _add_viscous(friction, legs, twist, given)
+    _accelerated(robot, legs, twist, gravity, given, wrench, jacobian, acceleration)
+    laws.euler_drift(motion[:3], motion[6:], out[6:9])
+    for k in range(6):
+        out[k] = motion[6 + k]
+        out[6 + k] = acceleration[k, 0] - (out[6 + k] if k < 3 else 0.0)
+    laws.euler_rates(motion[:3], out[6:9], out[6:9])
+    return -1, 0.0
 
 
 @njit

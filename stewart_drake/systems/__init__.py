@@ -1,5 +1,6 @@
 """The LeafSystems of the loop: parts in one shell, and what connects them."""
 
+from stewart_drake.systems.continuous_plant import ClosedFormPlant as ClosedFormPlant
 from stewart_drake.systems.library import AnnTuner as AnnTuner
 from stewart_drake.systems.library import DensityFeatures as DensityFeatures
 from stewart_drake.systems.library import LqiController as LqiController

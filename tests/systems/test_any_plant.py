@@ -6,15 +6,14 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import SpatialInertia, default_model_instance
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 from strategies import ROBOT
 
-from stewart_drake import Controller, LqiOptions, Scenario, add_plant, add_robot, paper_reference
+from stewart_drake import ClosedFormPlant, Controller, LqiOptions, Scenario, add_plant, add_robot, paper_reference
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.lqi import lqi_part
-from stewart_drake.mechanics.dynamics import forward_dynamics
 from stewart_drake.systems import PartSystem, ReferenceSource, TaskSpaceSensor
 
 PERIOD = 0.005
@@ -52,21 +51,6 @@ class Watched:
             np.testing.assert_allclose(given, torque, rtol=1e-10)
 
 
-class ClosedForm(LeafSystem):
-    """The robot as a continuous plant: pose and twist follow from the equations of motion."""
-
-    def __init__(self):
-        super().__init__()
-        self.torque = self.DeclareVectorInputPort("torque", 6)
-        state = self.DeclareContinuousState(6, 6, 0)
-        self.DeclareStateOutputPort("state", state)
-
-    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802 - Drake's name
-        state = context.get_continuous_state_vector().CopyToVector()
-        acceleration = forward_dynamics(ROBOT, state[:6], state[6:], self.torque.Eval(context), 9.81)
-        derivatives.get_mutable_vector().SetFromVector(np.concatenate([state[6:], acceleration]))
-
-
 def on_multibody(sampled=False, step=0.001):
     builder = DiagramBuilder()
     plant = builder.AddSystem(MultibodyPlant(step))
@@ -83,15 +67,10 @@ def on_multibody(sampled=False, step=0.001):
 
 def on_closed_form(scheme):
     builder = DiagramBuilder()
-    plant = builder.AddSystem(ClosedForm())
-    watched = Watched(builder, plant.get_output_port())
+    plant = builder.AddSystem(ClosedFormPlant(ROBOT))
+    watched = Watched(builder, plant.measurement)
     builder.Connect(watched.system.torque, plant.torque)
-    diagram = builder.Build()
-
-    def start(context):
-        plant.GetMyMutableContextFromRoot(context).SetContinuousState(np.concatenate(START))
-
-    return diagram, watched, start, scheme
+    return builder.Build(), watched, lambda context: plant.set_state(context, *START), scheme
 
 
 PLANTS = {

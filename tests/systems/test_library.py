@@ -33,7 +33,12 @@ EVERY = [
     systems.TrackingError(PERIOD),
     systems.LqiController(ROBOT, LqiOptions(solver="split", period=PERIOD), GRAVITY),
 ]
-PLAIN = [PlatformWrench(PLANT), systems.ReferenceSource(paper_reference()), systems.TaskSpaceSensor(PLANT)]
+PLAIN = [
+    PlatformWrench(PLANT),
+    systems.ReferenceSource(paper_reference()),
+    systems.TaskSpaceSensor(PLANT),
+    systems.ClosedFormPlant(ROBOT),
+]
 """Those without a part."""
 
 

@@ -1,0 +1,114 @@
+"""The robot as a continuous System, for Drake's integrators, its linearisations and AutoDiff."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.systems.framework import BasicVector_, LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from stewart_drake.base.config import NotNegative, Vector6, check_value
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError, SingularPoseError
+from stewart_drake.hardware.motors import within_limit
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.kinematics import leg_geometry
+from stewart_drake.mechanics.kinematics_laws import LEGS
+from stewart_drake.mechanics.linear_algebra import derivatives
+from stewart_drake.plant.closed_form import ClosedFormOptions, crank_motion, motion_rate
+from stewart_drake.plant.model_files import home_frames
+from stewart_drake.robot import RobotParameters
+
+
+def _of(function: Any, given: np.ndarray) -> np.ndarray:
+    """A function of numbers, of AutoDiffXd too: by central differences."""
+    if given.dtype != object:
+        return np.asarray(function(given))
+    value, by = derivatives(function, ExtractValue(given).ravel())
+    return np.asarray(InitializeAutoDiff(value, by @ ExtractGradient(given))).ravel()
+
+
+def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
+    base: Any = LeafSystem_[T]
+
+    class Impl(base):
+        """The closed form of the robot, a continuous plant of 12 states; `ClosedFormPlant(robot, options, gravity)`.
+
+        `options` are `ClosedFormOptions`, of which payload and viscous friction count: friction that sticks is no
+        continuous state. gravity is in [m/s^2]. It begins at home at rest; pitch stays off +-pi/2. Derivatives with
+        respect to AutoDiffXd are central differences.
+
+        Ports:
+            torque: in (6,) [N m], of the motors; cut to their effort limit.
+            wrench: in (6,) [N m, N], moment about P and force, in B; none where left alone.
+            measurement: out (12,), pose [rad, m], pose rate [rad/s, m/s] (Euler rates); the state.
+            crank_state: out (12,), angles of the cranks [rad] from the horizontal, within half a turn of home, then
+                their rates [rad/s].
+        """
+
+        def _construct(
+            self,
+            robot: RobotParameters,
+            options: ClosedFormOptions | None = None,
+            gravity: float = STANDARD_GRAVITY,
+            *,
+            converter: Any = None,
+        ) -> None:
+            base.__init__(self, converter=converter)
+            options = ClosedFormOptions() if options is None else options
+            check_value("gravity", gravity, NotNegative)
+            friction = options.friction_law(robot)
+            if friction["break_away"].any():
+                raise ConfigurationError("friction", "motors that stick", "viscous friction alone, in continuous time")
+            self._given, self._home = (robot, options, gravity), home_frames(robot)
+            self._fixed = options.loaded(robot), friction, gravity
+            self.torque = self.DeclareVectorInputPort("torque", 6)
+            self.wrench = self.DeclareVectorInputPort("wrench", 6)
+            home = BasicVector_[T](np.append(robot.home_pose, np.zeros(6)))
+            self.measurement = self.DeclareStateOutputPort("measurement", self.DeclareContinuousState(home, 6, 6, 0))
+            needs = {self.xc_ticket()}
+            self.crank_state = self.DeclareVectorOutputPort(
+                "crank_state", 12, self._cranks, prerequisites_of_calc=needs
+            )
+            # As `StewartRobot` names them.
+            self.torque_input_port, self.state_output_port = self.torque, self.measurement
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, *other._given, converter=converter)
+
+        def set_state(self, context: Any, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
+            """Puts the robot at a pose (6,) [rad, m], moving; `context` of the Diagram."""
+            at, rate = np.asarray(pose), np.zeros(6) if pose_rate is None else np.asarray(pose_rate)
+            check_value("pose", at, Vector6)
+            check_value("pose_rate", rate, Vector6)
+            leg_geometry(self._given[0], at)  # Which refuses what is out of reach.
+            self.GetMyMutableContextFromRoot(context).SetContinuousState(np.append(at, rate))
+
+        def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:  # noqa: N802 - Drake's name
+            state = context.get_continuous_state_vector().CopyToVector()
+            wrench = self.wrench.Eval(context) if self.wrench.HasValue(context) else np.zeros(6)
+            rate = _of(self._rate, np.concatenate([state, self.torque.Eval(context), wrench]))
+            derivatives.get_mutable_vector().SetFromVector(rate)
+
+        def _rate(self, given: np.ndarray) -> np.ndarray:
+            torque, result = within_limit(given[12:18], self._given[0].effort_limits), np.empty(12)
+            leg, margin = motion_rate(*self._fixed, np.empty(1, LEGS), given[:12], torque, given[18:], result)
+            if leg >= 0:
+                raise SingularPoseError("serial", given[:6].copy(), margin, 0.0, leg)
+            if not np.isfinite(result).all():
+                raise NotFiniteError("the plant's acceleration", result[6:])
+            return result
+
+        def _cranks(self, context: Any, output: Any) -> None:
+            def cranks(state: np.ndarray) -> np.ndarray:
+                return np.concatenate(crank_motion(self._given[0], self._home, state[:6], state[6:]))
+
+            output.SetFromVector(_of(cranks, context.get_continuous_state_vector().CopyToVector()))
+
+    return Impl
+
+
+ClosedFormPlant_: Any = TemplateSystem.define("ClosedFormPlant_", T_list=[float, AutoDiffXd])(_of_scalar)
+ClosedFormPlant: Any = ClosedFormPlant_[None]
