@@ -19,7 +19,6 @@ from stewart_drake.control.riccati import (
     input_matrix,
     mass_diagonal,
     output_matrix,
-    riccati_gain,
     solve_drake,
     split_gain,
     state_matrix,
@@ -128,8 +127,7 @@ def gain_of_ratio(at_pose: np.ndarray, period: float, ratio: float, method: Disc
 
 def gain_without_discretisation(at_pose: np.ndarray, ratio: float) -> np.ndarray:
     """K (6, 18) of the discrete (31) with the continuous A, B of (25) in it, as the paper's text has it."""
-    a, b, r = state_matrix(), input_matrix(at_pose), np.eye(AXES)
-    return riccati_gain(a, b, r, solve_drake(a, b, ratio * np.eye(STATES), r))
+    return solve_drake(state_matrix(), input_matrix(at_pose), ratio * np.eye(STATES), np.eye(AXES))
 
 
 def decay_limit(weights: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> float:
