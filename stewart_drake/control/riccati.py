@@ -5,7 +5,6 @@ State order is the paper's: [phi, phi', theta, theta', psi, psi', X, X', Y, Y', 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import cache
 from typing import Any, Literal
@@ -92,44 +91,46 @@ SMALLEST_SINGULAR_VALUE = 1e-13
 """Of M^-1 tau, as a share of the largest; below it the map counts as singular."""
 
 
-def solve_drake(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """K (..., m, n) of (31) for u = -K x, with the stabilising P of the discrete Riccati equation, by Drake.
+@cache  # An import from pydrake.math takes longer than a solution.
+def equation_of_drake() -> Any:
+    """Drake's DiscreteAlgebraicRiccatiEquation; a ConfigurationError where Drake is not installed.
 
-    K = (R + B' P B)^-1 B' P A. Deviation: (32) as printed has sizes that do not fit and lacks a factor; this is the
-    standard equation with Q of (27).
-
-    Args: A (n, n) and B (..., n, m) of x+ = A x + B u; Q (n, n) positive semidefinite, R (m, m) positive definite.
-
-    Raises:
-        RiccatiError: Drake finds none, or one that does not stabilise, as where weights lie too far apart for it; or
-            R + B' P B is singular, as far as floating point can tell.
-        ConfigurationError: Drake is not installed.
+    Deviation: (32) as printed has sizes that do not fit and lacks a factor; it solves the standard equation.
     """
     try:
         from pydrake.math import DiscreteAlgebraicRiccatiEquation
     except ImportError:
         raise ConfigurationError("controller.solver", "drake", "split, where Drake is not installed") from None
+    return DiscreteAlgebraicRiccatiEquation
 
-    try:
-        with drake_guard("discrete Riccati equation"):
-            solutions = [DiscreteAlgebraicRiccatiEquation(a, each, q, r) for each in b.reshape(-1, *b.shape[-2:])]
-    except Exception as error:
-        raise RiccatiError(str(error)) from error
-    pb = np.array(solutions).reshape(*b.shape[:-2], *a.shape) @ b
-    # Drake loses digits with the spread of Q and R, and does not look at what is left.
-    with np.errstate(all="ignore"):
-        try:
-            gain = np.linalg.solve(r + np.swapaxes(b, -1, -2) @ pb, np.swapaxes(pb, -1, -2) @ a)
-        except np.linalg.LinAlgError:
-            raise RiccatiError("R + B' P B is singular: masses or weights differ by too much") from None
-        closed = a - b @ gain
-    radius = float(np.abs(np.linalg.eigvals(closed)).max()) if np.isfinite(closed).all() else math.inf
-    if not radius < 1.0:
-        raise RiccatiError(
-            f"Drake's solution does not stabilise (spectral radius {radius:.6g}): the weights lie too far apart for "
-            "it; solver: split bears them"
-        )
-    return gain
+
+@njit
+def chain_gain_of(p: Any, a: Any, b: Any, r: float, gain: Any) -> bool:
+    """K = (r + b' P b)^-1 b' P A, (31), of a chain, see `chain_gain`; whether A - b K is stable.
+
+    N = A - I is nilpotent, so that the closed loop's polynomial in d = z - 1 is d^3 + d^2 K b + d K N b + K N^2 b;
+    stable by Routh's criterion for z = (1 + w) / (1 - w). P (3, 3), A (3, 3), b (3,); gain: (3,) out.
+    """
+    pb, row = np.zeros(3), np.zeros(3)
+    for i in range(3):
+        for k in range(3):
+            pb[i] += p[i, k] * b[k]
+    for i in range(3):
+        r += b[i] * pb[i]
+    for k in range(3):
+        for i in range(3):
+            row[k] += pb[i] * a[i, k]
+        gain[k] = row[k] / r
+    c, power, moved = np.zeros(3), b.copy(), np.zeros(3)
+    for j in range(3):
+        for k in range(3):
+            c[j] += gain[k] * power[k]
+            moved[k] = -power[k]
+            for i in range(3):
+                moved[k] += a[k, i] * power[i]
+        power[:] = moved
+    w3, w2, w1 = 8.0 - 4.0 * c[0] + 2.0 * c[1] - c[2], 4.0 * c[0] - 4.0 * c[1] + 3.0 * c[2], 2.0 * c[1] - 3.0 * c[2]
+    return w3 > 0.0 and w2 > 0.0 and w1 > 0.0 and c[2] > 0.0 and w2 * w1 > w3 * c[2]
 
 
 @njit
@@ -226,13 +227,30 @@ def drake_gain(
     method: Discretization = "exact",
     length: float = 1.0,
 ) -> np.ndarray:
-    """K (6, 18) as of `split_gain`, its six chains solved by Drake, which takes a fifth of one of 18 states."""
+    """K (6, 18) as of `split_gain`, its six chains solved by Drake: a sixth of the time of one equation of 18 states.
+
+    Raises:
+        RiccatiError: The map is singular; Drake finds no solution, or one that does not stabilise, as where weights lie
+            too far apart for it.
+        ConfigurationError: Drake is not installed.
+    """
     left, s, right, gain = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty((6, 18))
     if not decouple(acceleration_map, length, left, s, right):
         raise _no_gain(acceleration_map, length, weights)
-    a, b = _chain(period, method)
-    chains = solve_drake(a, s[:, None, None] * b, np.diag(weights[:3]), np.array([weights[3:]]))
-    join(left, s, right, length, chains[:, 0], gain)
+    a, unit = _chain(period, method)
+    q, r, chains, solve = np.diag(weights[:3]), np.array([weights[3:]]), np.empty((6, 3)), equation_of_drake()
+    for i in range(6):
+        b = s[i] * unit
+        try:
+            with drake_guard("discrete Riccati equation"):
+                p = solve(a, b, q, r)
+        except Exception as error:
+            raise RiccatiError(str(error)) from error
+        # Drake loses digits with the spread of Q and R, and does not look at what is left.
+        if not chain_gain_of(p, a, b[:, 0], weights[3], chains[i]):
+            allowed = "the weights lie too far apart for it; solver: split bears them"
+            raise RiccatiError(f"Drake's solution does not stabilise: {allowed}")
+    join(left, s, right, length, chains, gain)
     return gain
 
 
