@@ -20,7 +20,7 @@ class DiagramRun(Run):
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
-        self._loop = ClosedLoop(scenario, log_period=scenario.plant.time_step)
+        self._loop = ClosedLoop(scenario, sparse=True)
         self.state_names = self._loop.plant.state_names
 
     def begin(self) -> None:
@@ -35,7 +35,6 @@ class DiagramRun(Run):
             integrator.request_initial_step_size_target(step)
             integrator.set_maximum_step_size(step)
         self._context = self._simulator.get_mutable_context()
-        self._logs = {name: sink.FindMutableLog(self._context) for name, sink in loop.sinks.items()}
 
     def advance(self, step: int) -> None:
         status = self._simulator.AdvanceTo(step * self._step)
@@ -49,11 +48,8 @@ class DiagramRun(Run):
         return time
 
     def rows(self) -> tuple[int, dict[str, np.ndarray]]:
-        # A row is complete once the slowest sink has it: a failure can stop a publish halfway.
-        count = min(log.num_samples() for log in self._logs.values())
-        values = {name: np.array(log.data().T[:count]) for name, log in self._logs.items()}
-        plant, state = self._loop.plant, values["plant_state"]
-        return count, {**values, "measured": plant.measure(state), "loop_gap": plant.loop_gap(state)}
+        count, values = self._loop.rows(self._context)
+        return count, {**values, "loop_gap": self._loop.plant.loop_gap(values["plant_state"])}
 
     def safety_state(self) -> Any:
         return self._loop.systems["safety"].state(self._context)

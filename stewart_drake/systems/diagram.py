@@ -20,7 +20,7 @@ from pydrake.systems.primitives import (
 
 from stewart_drake.base.errors import ConfigurationError, drake_guard
 from stewart_drake.base.keys import join_or
-from stewart_drake.base.sampling import InBlocks, on_grid
+from stewart_drake.base.sampling import InBlocks, on_grid, steps_per
 from stewart_drake.hardware.motors import limit_torque
 from stewart_drake.loop.part import Part
 from stewart_drake.plant.multibody_plant import StewartRobot, add_plant
@@ -48,7 +48,8 @@ class ClosedLoop(Diagram):
 
     Args:
         scenario: The run to build.
-        log_period: [s] between two rows of the sinks; None takes that of the scenario.
+        sparse: Log for `rows`, a row for each step of the plant: what changes at ticks alone is logged at ticks, what
+            follows from the time or the plant's state not at all. Else each signal is logged at `scenario.log_period`.
         inputs: Input ports; left alone, a signal is the scenario's. `wrench` (6,) [N m, N] about P is added to its
             disturbances, `reference` (18,) and `weights` (2,) or (4,) take the place of its own.
         outputs: Fields of the parts' records that are exported and logged too: `controller.gain`.
@@ -65,8 +66,8 @@ class ClosedLoop(Diagram):
     def __init__(
         self,
         scenario: Scenario,
-        log_period: float | None = None,
         *,
+        sparse: bool = False,
         inputs: Sequence[str] = (),
         outputs: Sequence[str] = (),
         visuals: bool = False,
@@ -88,11 +89,17 @@ class ClosedLoop(Diagram):
         for part in self.loop.parts:
             wiring.connect(part)
         wiring.builder.Connect(wiring.signals[self.loop.torque], wiring.plant.torque_input_port)
-        period = on_grid(scenario.effective_log_period if log_period is None else log_period)
+        step = on_grid(scenario.plant.time_step if sparse else scenario.effective_log_period)
         self.sinks: dict[str, VectorLogSink] = {}
-        ports = {name: wiring.port(name, source) for name, source in logged.items()}
-        for name, port in {"plant_state": wiring.plant.state_output_port, **ports}.items():
+        self._tables, self._strides, self._logged = wiring.tables, {}, logged
+        wiring.signals["plant_state"] = wiring.plant.state_output_port
+        for name, source in {"plant_state": "plant_state", **logged}.items():
+            port = wiring.port(name, source)
             wiring.builder.ExportOutput(port, name)
+            if sparse and (not isinstance(source, str) or source == "plant_pose" or source in self._tables):
+                continue
+            self._strides[name] = wiring.strides.get(str(source), 1) if sparse else 1
+            period = self._strides[name] * step
             self.sinks[name] = LogVectorOutput(port, wiring.builder, publish_period=period)
             self.sinks[name].set_name(f"log_{name}")
         if meshcat is not None:
@@ -110,6 +117,24 @@ class ClosedLoop(Diagram):
         context = self.CreateDefaultContext()
         self.plant.set_state(context, *self.scenario.start())
         return context
+
+    def rows(self, context: Context) -> tuple[int, dict[str, np.ndarray]]:
+        """Of a sparse log: how many rows are complete, all that was logged (n, k), and what the plant measures."""
+        logs = {name: sink.FindLog(context) for name, sink in self.sinks.items()}
+        # A failure can stop a publish halfway.
+        count = min(log.num_samples() * self._strides[name] for name, log in logs.items())
+        values = {
+            name: np.repeat(log.data().T, self._strides[name], axis=0)[:count].copy() for name, log in logs.items()
+        }
+        values["measured"] = self.plant.measure(values["plant_state"])
+        for name, source in self._logged.items():
+            if not isinstance(source, str):
+                values[name] = np.tile(source, (count, 1))
+            elif source in self._tables:
+                values[name] = self._tables[source].rows(count)
+            elif name not in values:
+                values[name] = values["measured"][:, :12]
+        return count, values
 
     def graph(self) -> str:
         """Graphviz text of the diagram, with plain class names."""
@@ -145,12 +170,15 @@ class _Wiring:
         self.builder.Connect(self.plant.state_output_port, sensor.plant_state)
         self.signals: dict[str, OutputPort] = {"plant_pose": sensor.measurement, "crank_state": sensor.crank_state}
         self.systems: dict[str, Any] = {}
+        self.tables: dict[str, InBlocks] = {}
+        # Of signals that change at ticks alone: how many steps of the plant a tick takes.
+        self.strides: dict[str, int] = {}
 
     def add(self, name: str, system: _System) -> _System:
         return cast(_System, self.builder.AddNamedSystem(name, system))
 
     def add_source(self, source: Source) -> None:
-        table = InBlocks(source.evaluate, self.scenario.plant.time_step)
+        table = self.tables[source.signal] = InBlocks(source.evaluate, self.scenario.plant.time_step)
         system = self.add(source.signal, TimeSource(source.signal, source.size, table.at_time))
         self.signals[source.signal] = system.get_output_port()
 
@@ -167,6 +195,7 @@ class _Wiring:
             self.builder.Connect(scenario, system.scenario)
             self.builder.ExportInput(system.outside, name)
             self.signals[name] = system.signal
+            self.tables.pop(name, None)
         logged = {"disturbance": "wrench", "reference": "reference", "weights": "weights"}
         return {log: signal for log, signal in logged.items() if signal in names}
 
@@ -183,6 +212,7 @@ class _Wiring:
             limit = part.constants["limit"]
             saturation = self.systems[part.name] = self.add(part.name, Saturation(-limit, limit))
             self.signals[part.signal("torque")] = saturation.get_output_port()
+            self.strides[part.signal("torque")] = self.strides.get(str(part.source("command")), 1)
             return
         if part.system is not None:
             self.systems[part.name] = self.add(part.name, part.system)
@@ -195,7 +225,12 @@ class _Wiring:
         self.builder.Connect(system.result, split.get_input_port())
         for place, name in enumerate(fields):
             self.signals[f"{part.name}.{name}"] = split.get_output_port(place)
-        self.signals |= {part.signal(name): self.signals[f"{part.name}.{name}"] for name in part.outputs}
+            if not part.end_of_tick:  # Which shows what it found only after the log of its tick.
+                step = self.scenario.plant.time_step
+                self.strides[f"{part.name}.{name}"] = steps_per(f"{part.name}.period", system.period, step)
+        for output in part.outputs:
+            field, signal = f"{part.name}.{output}", part.signal(output)
+            self.signals[signal], self.strides[signal] = self.signals[field], self.strides.get(field, 1)
 
     def connect(self, part: Part) -> None:
         """Connects the inputs of a part."""
