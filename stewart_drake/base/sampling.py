@@ -103,12 +103,20 @@ class InBlocks:
         at, value = self._row(round(time / self.period))
         return value if abs(at - time) < _SAME * max(1.0, at) else self._function(np.array([time]))[0]
 
+    def rows(self, count: int) -> np.ndarray:
+        """Values (count, k) at the first multiples, to the bit those of `at`."""
+        starts = range(0, max(count, 1), self._ROWS)
+        return np.concatenate([self._block(start)[1] for start in starts])[:count]
+
+    def _block(self, start: int) -> tuple[np.ndarray, np.ndarray]:
+        times = np.arange(start, start + self._ROWS) * self.period
+        return times, self._function(times)
+
     def _row(self, step: int) -> tuple[float, np.ndarray]:
         block, row = divmod(step, self._ROWS)
         # Read once: another thread's run may replace it meanwhile.
         kept, times, values = self._table
         if block != kept:
-            times = np.arange(block * self._ROWS, (block + 1) * self._ROWS) * self.period
-            values = self._function(times)
+            times, values = self._block(block * self._ROWS)
             self._table = block, times, values
         return times[row], values[row]

@@ -60,8 +60,8 @@ class LqiOptions(ControllerOptions):
     discretization: Discretization = "exact"
     """Discretization of (25). exact: zero-order hold. euler: first order."""
     solver: RiccatiSolver | None = None
-    """Solver of the Riccati equation. drake: one equation of 18 states, with `plant.kind: drake` alone. split: six
-    equations of 3 states, without Drake. null: drake with `plant.kind: drake`, split elsewhere."""
+    """Solver of the Riccati equation, which decouples into six of 3 states. drake: Drake's, with `plant.kind: drake`
+    alone. split: compiled, without Drake. null: drake with `plant.kind: drake`, split elsewhere."""
     saturation: Literal["none", "clamp", "back_calculation"] = "none"
     """Torque limit and anti-windup. none: commands may exceed the motors' limit. clamp: commands are limited and the
     integral z waits. back_calculation: commands are limited and z is corrected by the excess."""

@@ -10,17 +10,17 @@ import numpy as np
 from scipy.optimize import brentq
 
 from stewart_drake.analysis.feasibility import NEAR, sample_poses
+from stewart_drake.base.errors import drake_guard
 from stewart_drake.control.riccati import (
     AXES,
     STATES,
     Discretization,
     acceleration_map,
     discretize,
+    equation_of_drake,
     input_matrix,
     mass_diagonal,
     output_matrix,
-    riccati_gain,
-    solve_drake,
     split_gain,
     state_matrix,
 )
@@ -126,10 +126,16 @@ def gain_of_ratio(at_pose: np.ndarray, period: float, ratio: float, method: Disc
     return split_gain(at_pose, period, (ratio, ratio, ratio, 1.0), method)
 
 
+def whole_gain(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """K (6, 18) of (31) with P of one Riccati equation of 18 states by Drake, for matrices as of `discretize`."""
+    with drake_guard("discrete Riccati equation"):
+        p = equation_of_drake()(a, b, q, r)
+    return np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
+
+
 def gain_without_discretisation(at_pose: np.ndarray, ratio: float) -> np.ndarray:
     """K (6, 18) of the discrete (31) with the continuous A, B of (25) in it, as the paper's text has it."""
-    a, b, r = state_matrix(), input_matrix(at_pose), np.eye(AXES)
-    return riccati_gain(a, b, r, solve_drake(a, b, ratio * np.eye(STATES), r))
+    return whole_gain(state_matrix(), input_matrix(at_pose), ratio * np.eye(STATES), np.eye(AXES))
 
 
 def decay_limit(weights: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> float:

@@ -11,9 +11,10 @@ does.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import weakref
+from collections.abc import Callable
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,6 +42,7 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import (
+    BasicVector,
     Context,
     Diagram,
     DiagramBuilder,
@@ -48,6 +50,7 @@ from pydrake.systems.framework import (
     InputPort,
     LeafSystem,
     OutputPort,
+    State,
 )
 from pydrake.systems.primitives import LinearSystem, MatrixGain, Multiplexer
 
@@ -64,8 +67,19 @@ from stewart_drake.plant.state_map import StateIndices, StateMap
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
-ResetFriction = Callable[[Context, np.ndarray], None]
-"""Takes the tension off in a Context of the whole Diagram, at a state (nq + nv,) of the plant."""
+_ONCE = 1e12
+"""[s] of the period of what happens once."""
+
+
+class _Friction(NamedTuple):
+    """Of motors that stick: the port of torques (6,), what remembers anchors and slips, and the cranks in a state."""
+
+    torque: InputPort
+    memory: LinearSystem
+    cranks: np.ndarray
+
+    def without_tension(self, state: np.ndarray) -> np.ndarray:
+        return np.append(state[self.cranks], np.zeros(LEG_COUNT))
 
 
 class StewartRobot(StateMap):
@@ -88,14 +102,14 @@ class StewartRobot(StateMap):
         robot: RobotParameters,
         options: DrakeOptions,
         base: RigidTransform,
-        closures: Sequence[Any],
     ) -> None:
         super().__init__(robot, options.rod_joint)
         self.plant, self.instance, self.options = plant, instance, options
         self.gravity = float(np.linalg.norm(plant.gravity_field().gravity_vector()))
-        self._base, self._closures = base.rotation().matrix(), tuple(closures)
+        self._base = base.rotation().matrix()
         self._law = options.friction_law(robot)
-        self._friction: tuple[InputPort, ResetFriction] | None = None
+        self._start: list[np.ndarray] = []  # The default state of the robot, at rest and in motion.
+        self._friction: _Friction | None = None
 
     @cached_property
     def indices(self) -> StateIndices:  # type: ignore[override]
@@ -116,7 +130,7 @@ class StewartRobot(StateMap):
             twist=nq + first_v + np.arange(6),
         )
 
-    @cached_property
+    @property
     def default(self) -> np.ndarray:  # type: ignore[override]
         """(nq + nv,) the plant's default state, without motion."""
         self._finished()
@@ -127,7 +141,7 @@ class StewartRobot(StateMap):
         """(6,) [N m] motor torques, clipped to the effort limit; it must be connected or fixed."""
         self._finished()
         if self._friction is not None:
-            return self._friction[0]
+            return self._friction.torque
         if self._law["break_away"].any():
             raise ConfigurationError("friction", "motors that stick", "a call of connect_friction(builder) first")
         return self.plant.get_actuation_input_port(self.instance)
@@ -156,12 +170,30 @@ class StewartRobot(StateMap):
         if self._friction is None and self._law["break_away"].any():
             self._friction = _wire_friction(builder, self, self._law)
 
-    def break_rod(self, context: Context) -> None:
-        """Takes `options.broken_rod` off the platform, from the next step on; `context` of the Diagram."""
-        if self.options.broken_rod is not None:
-            with drake_guard("breaking a rod"):
-                mine = self.plant.GetMyMutableContextFromRoot(context)
-                self.plant.SetConstraintActiveStatus(mine, self._closures[self.options.broken_rod.leg], False)
+    def set_default_state(self, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
+        """Makes `assemble(pose, pose_rate)` what a Context begins with, before the first one is made.
+
+        Drake has default positions alone. The rates come at `Simulator.Initialize`, where the robot is still in its
+        default positions and at rest, and nobody has called `set_state` or `put`.
+        """
+        plant, mine, start = self.plant, self.indices.all(), self.assemble(pose, pose_rate)
+        positions, own = plant.GetDefaultPositions(), mine[mine < plant.num_positions()]
+        positions[own] = start[own]
+        with drake_guard("setting the default state"):
+            plant.SetDefaultPositions(positions)
+        if self._friction is not None:
+            self._friction.memory.configure_default_state(self._friction.without_tension(self.default))
+        if not self._start:
+            begins = self._start  # An event that held this object would keep the plant for ever.
+            still = self._still = plant.DeclareNumericParameter(BasicVector(np.ones(1)))
+
+            def begin(context: Context, state: State) -> None:
+                values, (resting, moving) = state.get_mutable_discrete_state().get_mutable_value(0), begins
+                if context.get_numeric_parameter(still)[0] and (values[mine] == resting).all():
+                    values[mine] = moving
+
+            plant.DeclareInitializationUnrestrictedUpdateEvent(begin)
+        self._start[:] = self.default[mine], start[mine]
 
     def push(self, wrench: np.ndarray) -> ExternallyAppliedSpatialForce:
         """A wrench (6,) [N m, N] in B about P, the origin of the link `platform`, for `applied_spatial_force`."""
@@ -172,7 +204,7 @@ class StewartRobot(StateMap):
         return force
 
     def set_state(self, context: Context, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
-        """Puts the robot into `assemble(pose, pose_rate)`, friction without tension; `context` as in `break_rod`.
+        """Puts the robot into `assemble(pose, pose_rate)`, friction without tension; `context` of the Diagram.
 
         All else in the plant stays as it is.
         """
@@ -182,11 +214,15 @@ class StewartRobot(StateMap):
         self.put(context, state)
 
     def put(self, context: Context, state: np.ndarray) -> None:
-        """Puts the plant into a state (nq + nv,), friction without tension; `context` as in `break_rod`."""
+        """Puts the plant into a state (nq + nv,), friction without tension; `context` as in `set_state`."""
         with drake_guard("setting the plant's state"):
-            self.plant.SetPositionsAndVelocities(self.plant.GetMyMutableContextFromRoot(context), state)
+            mine = self.plant.GetMyMutableContextFromRoot(context)
+            self.plant.SetPositionsAndVelocities(mine, state)
+            if self._start:
+                mine.get_mutable_numeric_parameter(self._still).SetAtIndex(0, 0.0)
             if self._friction is not None:
-                self._friction[1](context, state)
+                memory = self._friction.memory.GetMyMutableContextFromRoot(context)
+                memory.SetDiscreteState(self._friction.without_tension(state))
 
     def _finished(self) -> None:
         if not self.plant.is_finalized():
@@ -248,8 +284,7 @@ def add_robot(
             base=at,
         )
         (instance,) = (Parser(plant) if parser is None else parser).AddModelsFromString(text, "sdf")
-        closures = [each for each in plant.GetConstraintIds() if each not in others]
-        added = StewartRobot(plant, instance, robot, options, base, closures)
+        added = StewartRobot(plant, instance, robot, options, base)
         # Its coordinates are then pose and twist in B, wherever the base stands.
         floating = QuaternionFloatingJoint("platform", added.frame("base"), added.frame("platform"))
         home = RollPitchYaw(robot.home_pose[:3]).ToRotationMatrix()
@@ -257,6 +292,9 @@ def add_robot(
         law = options.friction_law(robot)
         _add_damping(added, law["viscous"][0])
         _add_servos(added, law)
+        if options.broken_rod is not None and options.break_step is not None:
+            closures = [each for each in plant.GetConstraintIds() if each not in others]
+            _break(plant, closures[options.broken_rod.leg], options.break_step * plant.time_step())
         if options.payload_mass > 0.0:
             # A body of its own, welded on: the robot's numbers stay those of `RobotParameters` and the SDF.
             point = SpatialInertia(options.payload_mass, np.zeros(3), UnitInertia(0.0, 0.0, 0.0))
@@ -336,6 +374,18 @@ def build_plant(
         return builder.Build(), stewart
 
 
+def _break(plant: MultibodyPlant, closure: Any, time: float) -> None:
+    """Takes a rod off the platform at a time [s], in every Context that passes it or begins beyond it."""
+    # An event that held the plant would keep it for ever.
+    there: Any = weakref.ref(plant)
+
+    def set_closed(context: Context, _: State) -> None:
+        there().SetConstraintActiveStatus(context, closure, context.get_time() < time)
+
+    plant.DeclareInitializationUnrestrictedUpdateEvent(set_closed)
+    plant.DeclarePeriodicUnrestrictedUpdateEvent(_ONCE, time, set_closed)
+
+
 def _add_damping(added: StewartRobot, viscous: np.ndarray) -> None:
     """Damping in the tree's joints, which SAP takes implicitly, and in the loop closures, which are no joints.
 
@@ -401,8 +451,8 @@ def _add_servos(added: StewartRobot, law: np.ndarray) -> None:
         actuator.set_controller_gains(PdControllerGains(p=law["stiffness"][0, leg], d=law["damping"][0, leg]))
 
 
-def _wire_friction(builder: DiagramBuilder, robot: StewartRobot, law: np.ndarray) -> tuple[InputPort, ResetFriction]:
-    """Feeds motors and servos of a finalised plant; gives the port of torques (6,), and what takes the tension off."""
+def _wire_friction(builder: DiagramBuilder, robot: StewartRobot, law: np.ndarray) -> _Friction:
+    """Feeds motors and servos of a finalised plant."""
     plant, instance = robot.plant, robot.instance
     model = plant.GetModelInstanceName(instance)
     prefix = "friction" if model == "stewart" else f"{model}_friction"
@@ -416,7 +466,6 @@ def _wire_friction(builder: DiagramBuilder, robot: StewartRobot, law: np.ndarray
     builder.Connect(plant.get_state_output_port(), friction.plant_state)
     builder.Connect(memory.get_output_port(), friction.bristles)
     builder.Connect(friction.pull, memory.get_input_port())
-    memory.configure_default_state(np.append(robot.default[friction.cranks], np.zeros(LEG_COUNT)))
     actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices(instance)]
     row = {actuator.name(): place for place, actuator in enumerate(actuators)}
     torque, desired = np.zeros((len(row), 4 * LEG_COUNT)), np.zeros((2 * len(row), 3 * LEG_COUNT))
@@ -439,24 +488,17 @@ def _wire_friction(builder: DiagramBuilder, robot: StewartRobot, law: np.ndarray
         builder.Connect(source, gain.get_input_port())
         builder.Connect(gain.get_output_port(), target)
 
-    def reset_friction(context: Context, state: np.ndarray) -> None:
-        # Anchors and slips without tension.
-        memory.GetMyMutableContextFromRoot(context).SetDiscreteState(
-            np.append(state[friction.cranks], np.zeros(LEG_COUNT))
-        )
-
-    port: InputPort = both.get_input_port(0)
-    return port, reset_friction
+    wired = _Friction(both.get_input_port(0), memory, friction.cranks)
+    memory.configure_default_state(wired.without_tension(robot.default))
+    return wired
 
 
 class SteppedPlant:
     """The `MultibodyPlant` as a `Plant`, for a loop that is not a Diagram: a step at a call."""
 
-    _break_step: int | None
-
     def __init__(self, robot: RobotParameters, options: DrakeOptions, gravity: float) -> None:
         builder = DiagramBuilder()
-        self._options, self._stewart = options, add_plant(builder, robot, options, gravity)
+        self._stewart = add_plant(builder, robot, options, gravity)
         plant = self._stewart.plant
         with drake_guard("building the plant"):
             builder.ExportInput(self._stewart.torque_input_port, "torque")
@@ -472,9 +514,6 @@ class SteppedPlant:
 
     def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         with drake_guard("a step of the plant"):
-            if self._break_step is not None and self._steps >= self._break_step:
-                self._stewart.break_rod(self._context)
-                self._break_step = None
             self._torque.GetMutableData().get_mutable_value().SetFromVector(torque)
             if (wrench != self._wrench).any():
                 self._push(wrench)
@@ -505,7 +544,6 @@ class SteppedPlant:
 
     def _begin(self) -> None:
         self._simulator, self._steps = Simulator(self._diagram), 0
-        self._break_step = self._options.break_step
         self._context: Context = self._simulator.get_mutable_context()
         self._plant_context = self._stewart.plant.GetMyMutableContextFromRoot(self._context)
         self._torque: FixedInputPortValue = self._diagram.GetInputPort("torque").FixValue(self._context, np.zeros(6))

@@ -13,7 +13,6 @@ from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.systems.diagram import ClosedLoop
 
 SUBSTEPS = 10  # Parts of the plant's step in which continuous state of a user's controller is integrated.
-_PEERS = "_pydrake_internal_ref_cycle_peers"
 
 
 class DiagramRun(Run):
@@ -21,12 +20,12 @@ class DiagramRun(Run):
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
-        self._loop = ClosedLoop(scenario, log_period=scenario.plant.time_step)
-        self.state_names, self._break_step = self._loop.plant.state_names, self._loop.plant.options.break_step
+        self._loop = ClosedLoop(scenario, sparse=True)
+        self.state_names = self._loop.plant.state_names
 
     def begin(self) -> None:
         loop = self._loop
-        self._simulator, self._now = Simulator(loop, loop.create_start_context()), -1
+        self._simulator = Simulator(loop, loop.create_start_context())
         if loop.num_continuous_states() > 0:
             # Only a user's controller has them. Steps as error control wants them would end nowhere once a derivative
             # is not a number.
@@ -36,18 +35,12 @@ class DiagramRun(Run):
             integrator.request_initial_step_size_target(step)
             integrator.set_maximum_step_size(step)
         self._context = self._simulator.get_mutable_context()
-        self._logs = {name: sink.FindMutableLog(self._context) for name, sink in loop.sinks.items()}
 
     def advance(self, step: int) -> None:
-        stops = {step} if self._break_step is None or not self._now < self._break_step else {step, self._break_step}
-        for stop in sorted(each for each in stops if each <= step):
-            status = self._simulator.AdvanceTo(stop * self._step)
-            if status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition:
-                # A user's system has ended the run.
-                raise RunFailure(" ".join(status.FormatMessage().split()), reason="controller_stopped")
-            if stop == self._break_step:
-                self._loop.plant.break_rod(self._context)
-        self._now = step
+        status = self._simulator.AdvanceTo(step * self._step)
+        if status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition:
+            # A user's system has ended the run.
+            raise RunFailure(" ".join(status.FormatMessage().split()), reason="controller_stopped")
 
     @property
     def time(self) -> float:
@@ -55,11 +48,8 @@ class DiagramRun(Run):
         return time
 
     def rows(self) -> tuple[int, dict[str, np.ndarray]]:
-        # A row is complete once the slowest sink has it: a failure can stop a publish halfway.
-        count = min(log.num_samples() for log in self._logs.values())
-        values = {name: np.array(log.data().T[:count]) for name, log in self._logs.items()}
-        plant, state = self._loop.plant, values["plant_state"]
-        return count, {**values, "measured": plant.measure(state), "loop_gap": plant.loop_gap(state)}
+        count, values = self._loop.rows(self._context)
+        return count, {**values, "loop_gap": self._loop.plant.loop_gap(values["plant_state"])}
 
     def safety_state(self) -> Any:
         return self._loop.systems["safety"].state(self._context)
@@ -70,12 +60,9 @@ class DiagramRun(Run):
     def close(self) -> None:
         """Lets go of the Diagram, which Python's garbage collector would keep for ever.
 
-        pydrake ties systems, ports and diagrams together in cycles, which CPython takes for held from outside: it
-        visits the attributes of a system that is written in Python twice, once for each base.
+        pydrake ties systems, ports and diagrams together in cycles, by attributes of these objects, which CPython takes
+        for held from outside: it visits the attributes of a system that is written in Python twice, once for each base.
         """
         super().close()
-        waiting: list[Any] = [self._loop]
-        while waiting:
-            peers: set[Any] = getattr(waiting.pop(), _PEERS, set())
-            waiting.extend(peers)
-            peers.clear()
+        for system in (*self._loop.GetSystems(), self._loop):
+            vars(system).clear()

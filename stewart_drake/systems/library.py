@@ -1,26 +1,27 @@
 """The LeafSystems of the loop, to wire by hand: parts in one shell, `PartSystem`, and what has no tick.
 
 The systems of the paper's controller take their own options. The others take a scenario, and are the part that its loop
-has: `PlatformObserver(Scenario(sensors="encoders", estimator="observer"))`. A part of your own is `PartSystem(part,
+has: `PlatformObserver(scenario)`, `ScenarioSystem(scenario, "encoders")`. A part of your own is `PartSystem(part,
 period)`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort, State
 
-from stewart_drake.base.errors import ConfigurationError, RunFailure
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure
+from stewart_drake.base.keys import join_or
 from stewart_drake.base.sampling import just_before, on_grid
 from stewart_drake.control.base import TRACKING_ERROR
 from stewart_drake.control.features import DensityKind, density_part
-from stewart_drake.control.lqi import LqiOptions, lqi_part
-from stewart_drake.control.network import TunerNetwork, network_part
+from stewart_drake.control.lqi import LQI_STATE, LqiOptions, lqi_part
+from stewart_drake.control.network import TunerNetwork, network_part, network_tick
 from stewart_drake.loop.part import BoundPart, Part
 from stewart_drake.plant.multibody_plant import StewartRobot
 from stewart_drake.references import Reference
@@ -46,8 +47,9 @@ class PartSystem(LeafSystem):
     after it, closes it and stores them. A Simulator that begins opens a tick that this Context has not had, also where
     its time was set back. A part of the end of a tick shows its result from the next one on.
 
-    Ports: those of the part by name and as attributes, and `result`, its state; an output with the name of an input is
-    the attribute `NAME_out`. An input whose part has an array for it may be left alone.
+    Ports: those of the part by name and as attributes, and `result`, its state, of which `field` gives a port for what
+    else is in it and `state` the record; an output with the name of an input is the attribute `NAME_out`. An input
+    whose part has an array for it may be left alone.
     """
 
     if TYPE_CHECKING:
@@ -101,10 +103,13 @@ class PartSystem(LeafSystem):
         mine = self.GetMyContextFromRoot(context)
         return np.array(mine.get_discrete_state(self._found).value()).view(self._kind)
 
-    def split(self) -> tuple[list[int], list[int]]:
-        """How a Demultiplexer splits `result`: sizes, and at which of them each output of the part is."""
+    def field(self, name: str) -> OutputPort:
+        """Output port of a field of the part's record, `gain` of an LQI say; until the Diagram is built."""
         names = self._kind.names or ()
-        return [self.part.size(name) for name in names], [names.index(name) for name in self.part.outputs]
+        if name not in names:
+            raise ConfigurationError("field", name, join_or(names))
+        port: OutputPort = self.GetOutputPort(name) if self.HasOutputPort(name) else self._slice(name)
+        return port
 
     def _slice(self, name: str) -> OutputPort:
         start, size = int(self._kind.fields[name][1]) // 8, self.part.size(name)  # type: ignore[index]
@@ -239,84 +244,92 @@ class AnnTuner(PartSystem):
 
 
 class ScenarioSystem(PartSystem):
-    """The part of that name in the loop of a scenario; its ports are the part's.
+    """A part of the loop of a scenario, by its name; its ports are the part's.
+
+    controller: measurement, reference -> torque; by kind also weights, integral.
+    encoders: crank_state -> reading, angles of the cranks as they are read.
+    estimator: reading -> measurement, by forward kinematics and differences.
+    friction_compensation: reference -> friction_torque, against the motors' friction.
+    command: control_torque, disturbance_torque, friction_torque -> torque, that is asked for.
+    net_torque: torque, friction_torque -> net_torque, what an observer takes for the last command.
+    command_delay: value -> value, a command and that of so many ticks ago.
+    link: torque -> torque, age; loses, delays and spoils commands at every step of the plant.
+    motors: command, crank_state -> torque of imperfect motors, at every step of the plant.
 
     Raises:
-        ConfigurationError: The loop has no such part, or another controller.
+        ConfigurationError: The loop has no such part.
     """
 
-    name: ClassVar[str]
-    controller: ClassVar[str]
-
-    def __init_subclass__(cls, part: str, controller: str = "") -> None:
-        super().__init_subclass__()
-        cls.name, cls.controller = part, controller
-
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, name: str) -> None:
         require_scenario(scenario)
-        if self.controller and scenario.controller.kind != self.controller:
-            raise ConfigurationError("controller.kind", scenario.controller.kind, self.controller)
         parts = {part.name: part for part in loop_of(scenario).parts}
-        if self.name not in parts:
-            allowed = f"a scenario with the part {self.name}; it has {', '.join(parts)}"
+        if name not in parts:
+            allowed = f"a scenario with the part {name}; it has {', '.join(parts)}"
             raise ConfigurationError("scenario", scenario.name, allowed)
-        part = parts[self.name]
-        super().__init__(part, scenario.controller.period)
+        super().__init__(parts[name], scenario.controller.period)
 
 
-class JointPid(ScenarioSystem, part="controller", controller="pid"):
-    """`controller: pid`; measurement, reference -> torque."""
-
-
-class ComputedTorque(ScenarioSystem, part="controller", controller="computed_torque"):
-    """`controller: computed_torque`; measurement, reference -> torque, integral."""
-
-
-class MotorEncoders(ScenarioSystem, part="encoders"):
-    """`sensors: encoders`, angles of the cranks as they are read; crank_state -> reading."""
-
-
-class PoseEstimator(ScenarioSystem, part="estimator"):
-    """`estimator: difference`, forward kinematics and differences; reading -> measurement."""
-
-
-class PlatformObserver(ScenarioSystem, part="observer"):
+class PlatformObserver(ScenarioSystem):
     """`estimator: observer`.
 
-    reading, net_torque, reference, disturbance -> measurement, predicted, disturbance_torque, innovation.
+    observer: reading, net_torque, reference, disturbance -> measurement, predicted, disturbance_torque, innovation.
     """
 
-
-class FrictionFeedforward(ScenarioSystem, part="friction_compensation"):
-    """`model.friction`, torque against the motors' friction; reference -> friction_torque."""
-
-
-class CommandSum(ScenarioSystem, part="command"):
-    """The torque asked for; control_torque, disturbance_torque, friction_torque -> torque."""
+    def __init__(self, scenario: Scenario) -> None:
+        super().__init__(scenario, "observer")
 
 
-class NetTorque(ScenarioSystem, part="net_torque"):
-    """What an observer takes for the last command; torque, friction_torque -> net_torque."""
+class SafetyLayer(ScenarioSystem):
+    """`safety`, which passes on what may go to the motors; a port for which there is no signal may be left alone.
 
-
-class CommandDelay(ScenarioSystem, part="command_delay"):
-    """`command_delay`, whole ticks; value -> value: a command, and that of so many ticks ago."""
-
-
-class CommandLink(ScenarioSystem, part="link"):
-    """`link`, which loses, delays and spoils commands at every step of the plant; torque -> torque, age."""
-
-
-class MotorDrive(ScenarioSystem, part="motors"):
-    """`motors`, the torque of imperfect motors at every step of the plant; command, crank_state -> torque."""
-
-
-class SafetyLayer(ScenarioSystem, part="safety"):
-    """`safety`, which passes on what may go to the motors.
-
-    command, measurement, reference, age, sensor_health, controller_health, angles, pose_reading -> torque, safety; a
-    port for which there is no signal may be left alone.
+    safety: command, measurement, reference, age, sensor_health, controller_health, angles, pose_reading -> torque,
+    safety.
     """
+
+    def __init__(self, scenario: Scenario) -> None:
+        super().__init__(scenario, "safety")
+
+
+_NAMED = {"tracking_error": TrackingError, "density": DensityFeatures, "observer": PlatformObserver}
+_NAMED |= {"safety": SafetyLayer}
+
+
+def system_of(part: Part, period: float) -> PartSystem:
+    """A `PartSystem`, of the class that bears the part's name where there is one."""
+    kind: Any = _NAMED.get(part.name, PartSystem)
+    if part.initial.dtype == LQI_STATE:
+        kind = LqiController
+    elif part.kernel is network_tick:
+        kind = AnnTuner
+    system: PartSystem = kind.__new__(kind)
+    PartSystem.__init__(system, part, period)
+    return system
+
+
+class ScenarioInput(LeafSystem):
+    """A signal of a scenario that comes from outside; left alone it is the scenario's.
+
+    Ports:
+        outside: in (size,), may be left alone.
+        scenario: in (size,).
+        signal: out (size,); both together where they are `added`.
+    """
+
+    def __init__(self, name: str, size: int, added: bool = False) -> None:
+        super().__init__()
+        self.outside = self.DeclareVectorInputPort("outside", size)
+        self.scenario = self.DeclareVectorInputPort("scenario", size)
+
+        def calc(context: Context, output: Any) -> None:
+            if not self.outside.HasValue(context):
+                return output.SetFromVector(self.scenario.Eval(context))
+            given = self.outside.Eval(context)
+            if not np.isfinite(given).all():
+                raise NotFiniteError(name, given.copy())
+            return output.SetFromVector(given + self.scenario.Eval(context) if added else given)
+
+        needs = {self.all_input_ports_ticket()}
+        self.signal = self.DeclareVectorOutputPort("signal", size, calc, prerequisites_of_calc=needs)
 
 
 class TimeSource(LeafSystem):

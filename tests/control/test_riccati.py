@@ -12,16 +12,17 @@ from stewart_drake.control.riccati import (
     RATE,
     SMALLEST_SINGULAR_VALUE,
     chain_gain,
+    chain_gain_of,
     discretize,
+    drake_gain,
     input_matrix,
     mass_diagonal,
     output_matrix,
-    riccati_gain,
-    solve_drake,
     split_gain,
     state_matrix,
 )
 from stewart_drake.mechanics.dynamics import force_map, pose_acceleration_map
+from stewart_drake.paper.state_space import whole_gain
 
 PERIOD = 0.005
 HOME_MAP = force_map(ROBOT, ROBOT.home_pose) / mass_diagonal(ROBOT)[:, None]
@@ -56,15 +57,16 @@ wide_maps = st.one_of(
     period=st.sampled_from([0.001, 0.005]),
 )
 def test_split_is_drakes_gain_over_eight_decades_of_weights(acceleration_map, q, r, method, length, period):
-    # Rotations are weighed by the square of a length, in Drake's Q, and by scaling in the split solution.
+    # Rotations are weighed by the square of a length, in Q of 18 states, and by scaling where it decouples.
     a, b = discretize(state_matrix(), input_matrix(acceleration_map), period, method)
-    scale, diagonal, cost = np.array([length**2] * 3 + [1.0] * 3), np.empty(18), r * np.eye(6)
+    scale, diagonal = np.array([length**2] * 3 + [1.0] * 3), np.empty(18)
     for part, each in zip((POSITION, RATE, INTEGRAL), q, strict=True):
         diagonal[part] = r * each * scale
-    expected = riccati_gain(a, b, cost, solve_drake(a, b, np.diag(diagonal), cost))
+    expected = whole_gain(a, b, np.diag(diagonal), r * np.eye(6))
     # Only the ratios of the weights matter.
-    found = split_gain(acceleration_map, period, (*(r * each for each in q), r), method, length)
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
+    for solved in (split_gain, drake_gain):
+        found = solved(acceleration_map, period, (*(r * each for each in q), r), method, length)
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
 
 
 DIGITS = 60
@@ -128,19 +130,35 @@ def test_a_map_is_singular_from_a_share_on():
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("at_pose", "weight", "words"),
     [
-        ({"b": np.zeros((18, 6))}, None),
-        ({"q": np.full((18, 18), np.nan)}, None),
-        ({"q": 1e20 * np.eye(18)}, "does not stabilise.*solver: split"),
+        (np.zeros((6, 6)), 1.0, "singular"),
+        (HOME_MAP, np.nan, None),
+        (HOME_MAP, 1e20, "does not stabilise.*solver: split"),
     ],
     ids=["not stabilisable", "not a number", "beyond the digits of Drake"],
 )
-def test_unusable_matrices_raise_our_error_and_never_leave_the_process(change, words):
-    a, b = discretize(state_matrix(), input_matrix(HOME_MAP), PERIOD, "exact")
+def test_what_drake_cannot_solve_raises_our_error_and_never_leaves_the_process(at_pose, weight, words):
     with pytest.raises(RiccatiError, match=words) as caught:
-        solve_drake(**{"a": a, "b": b, "q": np.eye(18), "r": np.eye(6)} | change)
+        drake_gain(at_pose, PERIOD, (weight, weight, weight, 1.0))
     assert caught.value.reason == "riccati"
+
+
+@settings(max_examples=200)
+@given(
+    s=logs(-2.0, 3.0),
+    period=logs(-3.0, -1.0),
+    p=st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6),
+    method=st.sampled_from(["exact", "euler"]),
+)
+def test_a_chain_is_stable_where_its_eigenvalues_are(s, period, p, method):
+    a = np.eye(3) + period * np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.5 * period * (method == "exact"), 0]])
+    b = s * np.array([0.5 * period**2 * (method == "exact"), period, period**3 / 6.0 * (method == "exact")])
+    cost, gain = np.empty((3, 3)), np.empty(3)
+    cost[np.triu_indices(3)] = cost.T[np.triu_indices(3)] = np.array(p) / np.outer(b, b)[1, 1]
+    stable = chain_gain_of(cost, a, b, 1.0, gain)
+    radius = np.abs(np.linalg.eigvals(a - np.outer(b, gain))).max()
+    assert stable == (radius < 1.0) or abs(radius - 1.0) < 1e-4
 
 
 A, C = state_matrix(), output_matrix()

@@ -6,7 +6,10 @@ from contextlib import redirect_stdout
 import numpy as np
 import pytest
 from conftest import ROOT, make_network
+from pydrake.systems.analysis import Simulator
 
+from stewart_drake import HoldReference
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.control.network import load_network
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario.scenario import Scenario
@@ -31,6 +34,102 @@ def test_every_signal_is_an_exported_port_by_its_name():
     assert set(loop.sinks) == {*PORTS, "plant_state"}
     names = {"tracking_error", "controller", "density", "motors"}
     assert set(loop.systems) == names == {part.name for part in loop.loop.parts}
+
+
+def logs(loop, end, begin=None):
+    """Of a plain Simulator on the Diagram."""
+    simulator = Simulator(loop)
+    if begin is not None:
+        begin(simulator.get_mutable_context())
+    simulator.AdvanceTo(end + 1e-6)
+    return {name: sink.FindLog(simulator.get_context()).data().T for name, sink in loop.sinks.items()}
+
+
+STICKING = {"friction": {"coulomb": 0.02, "break_away": 0.03}}
+
+
+@pytest.mark.parametrize(
+    "plant", [{}, STICKING, {"broken_rod": {"leg": 3, "time": 0.0305}}, {"broken_rod": {"leg": 3, "time": 0.0}}]
+)
+def test_a_plain_simulator_does_what_a_run_does(plant):
+    changes = {"initial_offset": [0.02, 0, 0, 0, 0, 0], "log_period": 0.001, "controller": {"solver": "split"}}
+    case = scenario(duration=0.06, plant=plant, **changes)
+    log, loop = run(case), build_diagram(case)
+    got = logs(loop, 0.06)
+    np.testing.assert_array_equal(got["plant_state"][: len(log.time)], log["plant_state"])
+    gap = loop.plant.loop_gap(got["plant_state"])
+    broken = gap[:, 3] > 1e-6
+    after = round(1e3 * plant["broken_rod"]["time"]) if "broken_rod" in plant else 60
+    assert not broken[: after + 1].any()
+    assert broken[-1] == ("broken_rod" in plant)
+    # A rod is whole again where time was set back.
+    simulator = Simulator(loop)
+    simulator.AdvanceTo(0.05)
+    simulator.get_mutable_context().SetTimeStateAndParametersFrom(loop.CreateDefaultContext())
+    simulator.Initialize()
+    simulator.AdvanceTo(0.06 + 1e-6)
+    sink = loop.sinks["plant_state"].FindLog(simulator.get_context())
+    np.testing.assert_array_equal(sink.data().T[-61:], got["plant_state"])
+
+
+def test_systems_have_the_names_of_their_classes_and_fields_those_of_their_records():
+    changes = {"sensors": "encoders", "estimator": "observer", "safety": {}, "controller": {"solver": "split"}}
+    loop = build_diagram(scenario(**changes), outputs=["controller.gain", "safety.good"])
+    names = {name: type(system).__name__ for name, system in loop.systems.items()}
+    assert names == {
+        **dict.fromkeys(["encoders", "net_torque", "command"], "PartSystem"),
+        "observer": "PlatformObserver",
+        "tracking_error": "TrackingError",
+        "controller": "LqiController",
+        "density": "DensityFeatures",
+        "safety": "SafetyLayer",
+        "motors": "Saturation",
+    }
+    got = logs(loop, 0.01)
+    gain = loop.systems["controller"].part.initial["gain"].shape[1:]
+    assert np.prod(gain) == got["controller.gain"].shape[1] == 108
+    assert np.abs(got["controller.gain"][-1]).max() > 0.0
+    np.testing.assert_array_equal(got["safety.good"][-1], got["torque"][-1])
+    with pytest.raises(ConfigurationError, match=r"^outputs: expected controller\.bridged, .*, got 'controller\.K'"):
+        build_diagram(scenario(), outputs=["controller.K"])
+
+
+def test_inputs_left_alone_are_the_scenario_and_given_ones_act():
+    push = {"kind": "constant", "wrench": [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]}
+    split = {"solver": "split"}
+    plain = scenario(controller=split)
+    loop = build_diagram(plain, inputs=["wrench", "reference", "weights"])
+    alone = logs(loop, 0.05)
+    for name, values in logs(build_diagram(plain), 0.05).items():
+        np.testing.assert_array_equal(alone[name], values)
+
+    def given(context):
+        for name, value in values.items():
+            loop.GetInputPort(name).FixValue(context, value)
+
+    hold = np.concatenate(HoldReference().evaluate(0.0))
+    values = {"wrench": push["wrench"], "weights": [10.0, 0.1], "reference": hold}
+    other = scenario(
+        controller=split,
+        reference="hold",
+        tuner={"kind": "fixed", "omega_q": 10.0, "omega_r": 0.1},
+        disturbances=[push],
+    )
+    expected = logs(build_diagram(other), 0.05)
+    start = Simulator(loop)
+    given(start.get_mutable_context())
+    loop.plant.set_state(start.get_mutable_context(), *other.start())
+    start.AdvanceTo(0.05 + 1e-6)
+    for name in ("plant_state", "torque", "weights", "disturbance", "reference"):
+        got = loop.sinks[name].FindLog(start.get_context()).data().T
+        np.testing.assert_allclose(got, expected[name], atol=1e-12)
+    for name, size in (("weights", 2), ("wrench", 6)):
+        values = {name: np.full(size, np.nan)}
+        with pytest.raises(NotFiniteError, match=f"^{name} is not finite"):
+            logs(loop, 0.01, given)
+    for names, case in ((["torque"], plain), (["weights"], scenario(controller="pid"))):
+        with pytest.raises(ConfigurationError, match=r"^inputs: expected reference.* or wrench, got "):
+            build_diagram(case, inputs=names)
 
 
 @pytest.mark.slow

@@ -1,0 +1,58 @@
+"""The page docs/in_drake.md, and the two scripts that it names, headless."""
+
+import ast
+import re
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from stewart_drake import run
+from stewart_drake.base.errors import ConfigurationError
+
+PAGE = (ROOT / "docs" / "in_drake.md").read_text()
+
+
+def test_the_page_runs_and_what_it_says_is_so():
+    names = {}
+    for block in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):
+        exec(compile(block, "in_drake.md", "exec"), names)
+    assert names["gap"] < 1e-6
+    np.testing.assert_allclose(names["pose"], names["parameters"].home_pose, atol=5e-4)
+    # [m] Half of the platform's thickness and the ball's radius.
+    assert names["height"] == pytest.approx(names["pose"][5] + 0.014, abs=1e-4)
+    # A log of a run has the same numbers.
+    log = run(names["scenario"])
+    np.testing.assert_array_equal(names["quiet"][:40], log["error"][:40])
+    np.testing.assert_array_equal(names["quiet"], names["again"])
+    assert np.abs(names["pushed"] - names["quiet"]).max() > 1e-4
+    assert names["gain"].shape == (6, 18)
+    assert names["log"].shape == (108, 40)
+    assert len(names["page"]) > 1e5
+    assert names["fastest"] > 0.0  # It falls over.
+    with pytest.raises(ConfigurationError):
+        names["build_diagram"](names["scenario"], inputs=["wrenches"])
+
+
+def printed(name, capsys):
+    *head, guard = ast.parse((ROOT / "diagrams" / f"{name}.py").read_text()).body
+    script = {"__name__": "__main__"}
+    exec(compile(ast.Module(head, []), name, "exec"), script)
+    script["DURATION"] = 0.1
+    exec(compile(ast.Module([guard], []), name, "exec"), script)
+    rows = capsys.readouterr().out.splitlines()
+    return [[float(number) for number in re.findall(r"-?\d+\.\d*(?:e[-+]\d+)?", row)] for row in rows]
+
+
+def test_the_ball_stays_on_the_platform_above_the_table(capsys):
+    errors, place, gap = printed("robot_on_a_table", capsys)
+    assert max(errors[:3]) < 0.2
+    assert max(errors[3:]) < 1.0
+    assert -5.0 < place[1] < -1.0  # [mm] It rolls down.
+    assert place[2] == pytest.approx(14.0, abs=0.1)
+    assert gap[0] < 1e-6
+
+
+def test_only_the_robot_with_the_load_is_pulled_down(capsys):
+    first, second = printed("two_robots", capsys)
+    assert 5.0 * max(first[3:]) < max(second[3:]) < 10.0
