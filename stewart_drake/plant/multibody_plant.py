@@ -209,7 +209,8 @@ class StewartRobot(StateMap):
         All else in the plant stays as it is.
         """
         assembled, mine = self.assemble(pose, pose_rate), self.indices.all()
-        state = self.plant.GetPositionsAndVelocities(self.plant.GetMyContextFromRoot(context))
+        with drake_guard("setting the plant's state"):
+            state = self.plant.GetPositionsAndVelocities(self.plant.GetMyContextFromRoot(context))
         state[mine] = assembled[mine]
         self.put(context, state)
 

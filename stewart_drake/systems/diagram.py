@@ -188,7 +188,7 @@ class _Wiring:
         own |= {port: part.source(port) for part in parts for port in part.inputs if port == "weights"}
         if "reference_ahead" in self.signals:
             del own["reference"]  # Nobody knows what comes.
-        for name in names:
+        for name in dict.fromkeys(names):
             _one_of("inputs", name, own)
             scenario = self.port(f"scenario_{name}", name if name in self.signals else own[name])
             system = self.add(f"{name}_input", ScenarioInput(name, scenario.size(), added=name == "wrench"))

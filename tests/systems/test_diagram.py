@@ -9,7 +9,7 @@ from conftest import ROOT, make_network
 from pydrake.systems.analysis import Simulator
 
 from stewart_drake import HoldReference
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError
+from stewart_drake.base.errors import ConfigurationError, DrakeCheckError, NotFiniteError
 from stewart_drake.control.network import load_network
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario.scenario import Scenario
@@ -98,7 +98,7 @@ def test_inputs_left_alone_are_the_scenario_and_given_ones_act():
     push = {"kind": "constant", "wrench": [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]}
     split = {"solver": "split"}
     plain = scenario(controller=split)
-    loop = build_diagram(plain, inputs=["wrench", "reference", "weights"])
+    loop = build_diagram(plain, inputs=["wrench", "reference", "weights", "wrench"])
     alone = logs(loop, 0.05)
     for name, values in logs(build_diagram(plain), 0.05).items():
         np.testing.assert_array_equal(alone[name], values)
@@ -127,6 +127,8 @@ def test_inputs_left_alone_are_the_scenario_and_given_ones_act():
         values = {name: np.full(size, np.nan)}
         with pytest.raises(NotFiniteError, match=f"^{name} is not finite"):
             logs(loop, 0.01, given)
+    with pytest.raises(DrakeCheckError, match="passed the Context of a system named '::scenario' instead"):
+        build_diagram(plain).plant.set_state(loop.CreateDefaultContext(), plain.robot.home_pose)
     for names, case in ((["torque"], plain), (["weights"], scenario(controller="pid"))):
         with pytest.raises(ConfigurationError, match=r"^inputs: expected reference.* or wrench, got "):
             build_diagram(case, inputs=names)
