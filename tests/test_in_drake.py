@@ -1,4 +1,4 @@
-"""The page docs/in_drake.md, and the two scripts that it names, headless."""
+"""The page docs/in_drake.md, and the scripts that it names, headless."""
 
 import ast
 import re
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from stewart_drake import run
+from stewart_drake import load_scenario, run
 from stewart_drake.base.errors import ConfigurationError
 
 PAGE = (ROOT / "docs" / "in_drake.md").read_text()
@@ -34,11 +34,11 @@ def test_the_page_runs_and_what_it_says_is_so():
         names["build_diagram"](names["scenario"], inputs=["wrenches"])
 
 
-def printed(name, capsys):
+def printed(name, capsys, **names):
     *head, guard = ast.parse((ROOT / "diagrams" / f"{name}.py").read_text()).body
     script = {"__name__": "__main__"}
     exec(compile(ast.Module(head, []), name, "exec"), script)
-    script["DURATION"] = 0.1
+    script |= {"DURATION": 0.1, **names}
     exec(compile(ast.Module([guard], []), name, "exec"), script)
     rows = capsys.readouterr().out.splitlines()
     return [[float(number) for number in re.findall(r"-?\d+\.\d*(?:e[-+]\d+)?", row)] for row in rows]
@@ -56,3 +56,14 @@ def test_the_ball_stays_on_the_platform_above_the_table(capsys):
 def test_only_the_robot_with_the_load_is_pulled_down(capsys):
     first, second = printed("two_robots", capsys)
     assert 5.0 * max(first[3:]) < max(second[3:]) < 10.0
+
+
+def test_a_realistic_loop_wired_by_hand_is_that_of_its_scenario(capsys):
+    offset = "initial_offset=[0.05, 0.0, -0.02, 0.004, 0.0, -0.005]"
+    changes = ("tuner=block", "command_delay=0", "safety={}", offset)
+    errors, level = printed("observer_and_safety", capsys, CHANGES=changes)
+    log = run(load_scenario("exact_breathing", (*changes, "duration=0.1", "log_period=0.001")), check=False)
+    rms = np.sqrt(np.mean((log["pose"] - log["reference"])[:101] ** 2, axis=0))
+    assert np.degrees(rms[0]) > 0.5
+    np.testing.assert_allclose(errors, [*np.degrees(rms[:3]), *(1e3 * rms[3:])], atol=6e-5)
+    assert level[0] == log["safety"][:101, 0].max()
