@@ -135,6 +135,7 @@ def test_a_shell_completes_commands_and_names(call, monkeypatch):
         ("stewart-drake run paper_fig7_u", "paper_fig7_uncompensated"),
         ("stewart-drake drive hob", "hobby_servos"),
         ("stewart-drake export reachy_da", "reachy_daemon"),
+        ("stewart-drake export reachy_sl", "reachy_slow_bus"),
     ):
         monkeypatch.setenv("COMP_WORDS", words)
         monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
