@@ -186,6 +186,11 @@ def test_cranks_point_to_the_other_motor_of_the_pair_that_is_named(tmp_path):
     made = RobotParameters.from_table(named, cranks="tangential", **lengths)
     turned = plan_angles(made) - 60.0 * np.arange(6) - 90.0 * np.array([1, -1, 1, -1, 1, -1])
     np.testing.assert_allclose((turned + 180.0) % 360.0 - 180.0, 0.0, atol=1e-6)
+    # A partner straight across, or nearly, is on neither side.
+    nearly = circle(60.0 * np.arange(6) + [1, 2, 1, 0, 0, 0], 0.07)
+    across = np.column_stack([nearly, EVEN[:, 3:], [0, 1, 2, 0, 1, 2]])
+    with pytest.raises(ConfigurationError, match=r"crank of leg 0: expected a direction"):
+        RobotParameters.from_table(across, cranks="tangential", **lengths)
     rows[0, -1] = 1
     with pytest.raises(ConfigurationError, match=r"pair: expected three numbers, each for the two legs"):
         RobotParameters.from_table(table(tmp_path / "odd.csv", rows, f"{HEADER}, pair"), cranks="away", **lengths)

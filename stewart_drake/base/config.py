@@ -121,8 +121,6 @@ class Section:
     """Of sections with a `kind`: keys that mean something else in each kind, which a change of kind drops."""
     adapts: ClassVar[bool] = True
     """Whether it, or a section in it, may have defaults that depend on the scenario, see `FILL`."""
-    drops_keys: ClassVar[bool] = True
-    """Of sections with a `kind`: whether a change of kind drops keys that the new one lacks, or they are an error."""
     moved_keys: ClassVar[Mapping[str, str]] = {}
     """Keys that were here -> where they are now, for messages."""
     kinds_with: ClassVar[Callable[[str], list[str]]] = lambda _: []

@@ -136,7 +136,7 @@ def _set_interrupt(handler: Any) -> None:
 
 
 class Output(io.FileIO):
-    """What standard output is written to; where it is full, the rest is dropped, and `problem` says why."""
+    """What standard output or error is written to; where it is full, the rest is dropped, and `problem` says why."""
 
     problem = ""
 
@@ -151,13 +151,21 @@ class Output(io.FileIO):
 
 
 def open_output() -> Output:
-    """Puts it under `sys.stdout`, closed or not: a command comes to its end, whatever becomes of what it prints."""
-    before: Any = sys.stdout
-    output = Output(os.open(os.devnull, os.O_WRONLY) if before is None else 1, "w", closefd=False)
-    if before is sys.__stdout__:  # and not what a caller has put there
+    """Puts it under `sys.stdout` and `sys.stderr`, closed or not; the first of these.
+
+    A command comes to its end, whatever becomes of what it prints.
+    """
+    _opened("stderr", 2)
+    return _opened("stdout", 1)
+
+
+def _opened(name: str, place: int) -> Output:
+    before: Any = getattr(sys, name)
+    output = Output(os.open(os.devnull, os.O_WRONLY) if before is None else place, "w", closefd=False)
+    if before is getattr(sys, f"__{name}__"):  # and not what a caller has put there
         # A sign that the terminal's encoding does not have is a question mark there.
-        encoding = getattr(before, "encoding", "utf-8")
-        sys.stdout = io.TextIOWrapper(io.BufferedWriter(output), encoding, "replace", line_buffering=output.isatty())
+        encoding, lines = getattr(before, "encoding", "utf-8"), place == 2 or output.isatty()
+        setattr(sys, name, io.TextIOWrapper(io.BufferedWriter(output), encoding, "replace", line_buffering=lines))
     return output
 
 

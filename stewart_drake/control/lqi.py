@@ -118,14 +118,12 @@ def block_weights(weights: np.ndarray) -> np.ndarray:
     return weights
 
 
-def lqi_gain(
-    acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndarray, solver: RiccatiSolver | None = None
-) -> np.ndarray:
+def lqi_gain(acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndarray) -> np.ndarray:
     """K (6, 18) of (31) for M^-1 tau (6, 6), u = -K [e; z] in the paper's state order; RiccatiError where none is.
 
-    `weights` are two or four, see `block_weights`; `solver` another than the options'.
+    `weights` are two or four, see `block_weights`.
     """
-    solve_for = split_gain if (solver or options.solver) == "split" else drake_gain
+    solve_for = split_gain if options.solver == "split" else drake_gain
     blocks = block_weights(weights).tolist()
     return solve_for(acceleration_map, options.period, blocks, options.discretization, options.length)
 
@@ -356,11 +354,12 @@ def _tick_by_drake(
     """`lqi_tick` with the gains of Drake's solver."""
     result: Any = pose_problem(robot, params, measurement, reference, weights, legs, problem, state)
     if result[0] == laws.OK:
-        entry = problem[0]
+        at_pose, weights, length = problem["map"][0], problem["weights"][0].tolist(), float(params["length"][0])
         try:
-            entry["gain"] = lqi_gain(entry["map"], options, entry["weights"], "drake")
-            if entry["changed"]:
-                entry["before"] = lqi_gain(entry["map"], options, state["weights"][0], "drake")
+            problem["gain"] = drake_gain(at_pose, options.period, weights, options.discretization, length)
+            if problem["changed"][0]:
+                before = state["weights"][0].tolist()
+                problem["before"] = drake_gain(at_pose, options.period, before, options.discretization, length)
         except RiccatiError:
             result = (laws.NO_GAIN, -1, 0.0)
     return cast(Any, command)(robot, params, measurement, reference, legs, problem, *result, state)

@@ -111,26 +111,31 @@ def chain_gain_of(p: Any, a: Any, b: Any, r: float, gain: Any) -> bool:
     N = A - I is nilpotent, so that the closed loop's polynomial in d = z - 1 is d^3 + d^2 K b + d K N b + K N^2 b;
     stable by Routh's criterion for z = (1 + w) / (1 - w). P (3, 3), A (3, 3), b (3,); gain: (3,) out.
     """
-    pb, row = np.zeros(3), np.zeros(3)
+    c, power = np.zeros(3), b.copy()
+    gain[:] = 0.0
     for i in range(3):
+        pb = p[i, 0] * b[0] + p[i, 1] * b[1] + p[i, 2] * b[2]
+        r += b[i] * pb
         for k in range(3):
-            pb[i] += p[i, k] * b[k]
-    for i in range(3):
-        r += b[i] * pb[i]
+            gain[k] += pb * a[i, k]
     for k in range(3):
-        for i in range(3):
-            row[k] += pb[i] * a[i, k]
-        gain[k] = row[k] / r
-    c, power, moved = np.zeros(3), b.copy(), np.zeros(3)
+        gain[k] /= r
     for j in range(3):
+        before = power.copy()
         for k in range(3):
-            c[j] += gain[k] * power[k]
-            moved[k] = -power[k]
-            for i in range(3):
-                moved[k] += a[k, i] * power[i]
-        power[:] = moved
+            c[j] += gain[k] * before[k]
+            power[k] = a[k, 0] * before[0] + a[k, 1] * before[1] + a[k, 2] * before[2] - before[k]
     w3, w2, w1 = 8.0 - 4.0 * c[0] + 2.0 * c[1] - c[2], 4.0 * c[0] - 4.0 * c[1] + 3.0 * c[2], 2.0 * c[1] - 3.0 * c[2]
     return w3 > 0.0 and w2 > 0.0 and w1 > 0.0 and c[2] > 0.0 and w2 * w1 > w3 * c[2]
+
+
+@njit
+def chain_gains_of(p: Any, a: Any, b: Any, r: float, gains: Any) -> bool:
+    """`chain_gain_of` for solutions (6, 3, 3) and inputs (6, 3, 1), until one is not stable; gains: (6, 3) out."""
+    done = True
+    for i in range(6):
+        done = done and chain_gain_of(p[i], a, b[i, :, 0], r, gains[i])
+    return done
 
 
 @njit
@@ -237,19 +242,19 @@ def drake_gain(
     left, s, right, gain = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty((6, 18))
     if not decouple(acceleration_map, length, left, s, right):
         raise _no_gain(acceleration_map, length, weights)
-    a, unit = _chain(period, method)
-    q, r, chains, solve = np.diag(weights[:3]), np.array([weights[3:]]), np.empty((6, 3)), equation_of_drake()
-    for i in range(6):
-        b = s[i] * unit
-        try:
-            with drake_guard("discrete Riccati equation"):
-                p = solve(a, b, q, r)
-        except Exception as error:
-            raise RiccatiError(str(error)) from error
-        # Drake loses digits with the spread of Q and R, and does not look at what is left.
-        if not chain_gain_of(p, a, b[:, 0], weights[3], chains[i]):
-            allowed = "the weights lie too far apart for it; solver: split bears them"
-            raise RiccatiError(f"Drake's solution does not stabilise: {allowed}")
+    (a, unit), q, r = _chain(period, method), np.zeros((3, 3)), np.full((1, 1), weights[3])
+    q[0, 0], q[1, 1], q[2, 2] = weights[:3]
+    b, p, chains, solve = s[:, None, None] * unit, np.empty((6, 3, 3)), np.empty((6, 3)), equation_of_drake()
+    try:
+        with drake_guard("discrete Riccati equation"):
+            for i in range(6):
+                p[i] = solve(a, b[i], q, r)
+    except Exception as error:
+        raise RiccatiError(str(error)) from error
+    # Drake loses digits with the spread of Q and R, and does not look at what is left.
+    if not chain_gains_of(p, a, b, weights[3], chains):
+        allowed = "the weights lie too far apart for it; solver: split bears them"
+        raise RiccatiError(f"Drake's solution does not stabilise: {allowed}")
     join(left, s, right, length, chains, gain)
     return gain
 

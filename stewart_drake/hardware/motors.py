@@ -126,11 +126,11 @@ def within_limit(torque: Any, limit: Any) -> Any:
 class MotorOptions(Section, ABC, key="motors"):
     """Base of the options of motors; the loop asks these, not which kind it is."""
 
+    own_keys = frozenset({"resolution"})
     takes: ClassVar[str] = "torque"
     """What its command is."""
     unit: ClassVar[str] = "N m"
     """Of its command."""
-    drops_keys: ClassVar[bool] = False
 
     kind: str
     """Kind of motor."""

@@ -105,7 +105,9 @@ def _poses(stamps: list[Any], poses: np.ndarray) -> Iterator[tuple[int, dict[str
 
 def _joints(stamps: list[Any], log: SimulationLog, angles: np.ndarray) -> Iterator[tuple[int, dict[str, Any]]]:
     torques = log.signals.get("torque_applied")
-    for row, positions in enumerate(angles.tolist()):
+    # JSON has no NaN.
+    for row in np.flatnonzero(np.isfinite(angles).all(axis=1)).tolist():
+        positions = angles[row].tolist()
         joints = [{"name": f"motor_{i}", "position": angle} for i, angle in enumerate(positions)]
         if torques is not None:
             joints = [{**joint, "effort": float(torques[row, i])} for i, joint in enumerate(joints)]

@@ -17,6 +17,7 @@ from stewart_drake.scenario.scenario import Scenario
 
 LOCALHOST = "127.0.0.1"
 LOST = 1.0  # [s] without a reading after which a machine is lost.
+LARGEST_ANGLE = 4.0 * np.pi  # [rad] of a reading that is believed.
 PATIENCE = 3  # Periods for which `read` waits for the next reading of a machine that sets the pace.
 Takes = Literal["angle", "torque", "current"]
 _URLS = "reachy://HOST:PORT, udp://HOST:PORT, serial:DEVICE, sim: or mine.py:MyMachine"

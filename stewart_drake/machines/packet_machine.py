@@ -17,11 +17,10 @@ from stewart_drake.scenario.scenario import Scenario
 
 ASK_EVERY, ANSWER_WITHIN, COUNTED = 0.05, 3.0, 20
 """[s] between two requests while a connection opens, and until it is given up; readings that give the period."""
-LARGEST_ANGLE = 4.0 * np.pi  # [rad] of a reading that is believed.
 _DROPPED = {
     "garbage": "no packets",
     "foreign": "commands",
-    "range": f"beyond {LARGEST_ANGLE:.3g} rad: are they in rad, and is model.home right?",
+    "range": f"beyond {machine.LARGEST_ANGLE:.3g} rad: are they in rad, and is model.home right?",
     "old": "older than the one before",
 }
 KEPT = 1024  # Commands that are kept, with the time of sending.
@@ -163,7 +162,7 @@ class PacketMachine(ABC):
                 self.dropped["garbage"] += 1
             elif not packet.flags & wire.READING:
                 self.dropped["foreign"] += 1
-            elif np.abs(packet.values).max() > LARGEST_ANGLE:
+            elif np.abs(packet.values).max() > machine.LARGEST_ANGLE:
                 self.dropped["range"] += 1
             elif self._last is not None and not _follows(packet, self._last):
                 self.dropped["old"] += 1

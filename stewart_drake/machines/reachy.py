@@ -121,7 +121,7 @@ class ReachyMachine:
         """Raises whatever it may where a message is not as the daemon's are."""
         kind = message["type"]
         if kind == "joint_positions":
-            joints = _numbers(message["head_joint_positions"], 7)
+            joints = _numbers(message["head_joint_positions"], 7, machine.LARGEST_ANGLE)
             self._yaw = float(joints[0]) if self._number < 0 else self._yaw
             self._joints, self._arrived, self._number = joints, time.monotonic(), self._number + 1
         elif kind == "head_pose":
@@ -131,8 +131,8 @@ class ReachyMachine:
             self._off = (message.get("backend_status") or {}).get("motor_control_mode") != "enabled"
 
 
-def _numbers(given: Any, count: int) -> np.ndarray:
+def _numbers(given: Any, count: int, largest: float = 1e6) -> np.ndarray:
     numbers = np.ravel(np.array(given, dtype=float))
-    if numbers.shape != (count,) or not np.isfinite(numbers).all():
-        raise ValueError(f"expected {count} finite numbers")
+    if numbers.shape != (count,) or not (np.abs(numbers) <= largest).all():
+        raise ValueError(f"expected {count} numbers up to {largest:g}")
     return numbers

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
+from statistics import median
 
 from stewart_drake.machines.machine import Reading
 
 SPAN, RECENT, CHANGED = 2.0, 0.2, 0.25
-"""[s] of readings of which the tick is the mean; [s] of the latest ones, and share by which their mean may differ: from
-there on they alone count. No line is fitted to times of arrival: one that is late bends it."""
+"""[s] of readings of which the tick is the mean; [s] of the latest ones, and share by which their mean and median may
+differ: from there on they alone count. No line is fitted to times of arrival: one that is late bends it."""
 KNOWN = 0.5
 """[s] of readings that the tick counts for with which it begins."""
 PAUSE = 0.1
@@ -68,10 +69,17 @@ class TickClock:
         self._late += gap > (count - 1 + LATE) * self.tick
         self._long.add(count, gap)
         self._short.add(count, gap)
-        if abs(self._short.value - self._long.value) > CHANGED * self._long.value:
+        if self._changed():
             self._long = _Mean(SPAN, self._short.gaps)
         if (tick := self._long.value) > 0.0:
             self.tick, self._range = tick, (min(self._range[0], tick), max(self._range[1], tick))
+
+    def _changed(self) -> bool:
+        """Whether the latest gaps differ as a whole, and not by one that was late, or by those that made up for it."""
+        before, most = self._long.value, CHANGED * self._long.value
+        if abs(self._short.value - before) <= most:
+            return False
+        return abs(median(gap / count for count, gap in self._short.gaps) - before) > most
 
     def report(self, expected: float) -> str | None:
         """How it differs from the tick [s] that was expected, in words; None where it does not."""

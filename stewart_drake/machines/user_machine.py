@@ -62,6 +62,9 @@ class UserMachine:
                 raise MachineError(self.name, f"its clock goes back from {last.time:g} to {reading.time:g} s")
             # What has the time of the reading before is that one.
             if last is None or reading.time > last.time:
+                if last is not None and reading.number <= last.number:
+                    allowed = f"after {last.number}, as its time is"
+                    raise MachineError(self.name, f"read gave reading number {reading.number}, not one {allowed}")
                 self._last, self._arrived = reading, now
         if self._last is None:
             raise MachineError(self.name, "read gave no reading yet")
@@ -77,7 +80,7 @@ class UserMachine:
         """Disconnects; `after` says what the user's object raises."""
         try:
             self._own.disconnect()
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             self.after = f"its disconnect raised {type(error).__name__}: {' '.join(str(error).split())}".removesuffix(
                 ": "
             )

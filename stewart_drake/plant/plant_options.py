@@ -64,7 +64,6 @@ class PlantOptions(Section, ABC, key="plant"):
     compared_with: ClassVar[str | None] = None
     """The kind that it is a fast replacement of; studies run one of their scenarios on that too."""
     moved_keys: ClassVar[dict[str, str]] = {"engine": "plant.kind: drake, closed_form or module:Class"}
-    drops_keys: ClassVar[bool] = False
 
     kind: str
     """Kind of plant."""

@@ -116,6 +116,10 @@ class StateMap:
         _platform_motion(platform.reshape(-1, 13), pose.reshape(-1, 6), rate.reshape(-1, 6))
         return pose, rate
 
+    def read_pose(self, state: np.ndarray, out: np.ndarray) -> None:
+        """As `pose_and_rate`, of one state (nq + nv,) into (12,), in a third of the time."""
+        _platform_motion(state[self._platform_index][None], out[None, :6], out[None, 6:])
+
     def crank_state(self, state: np.ndarray) -> np.ndarray:
         """Angles [rad] of the cranks, not wrapped, and their rates [rad/s] of states, (..., 12)."""
         return state[..., self._crank_index] + self._crank_zero

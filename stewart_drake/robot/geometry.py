@@ -108,6 +108,8 @@ _POLAR = {
 """Columns about z -> those that they are in place of."""
 _NEARER = 1.5
 """[-] by which a shaft is nearer to its partner than to any other; else the pairs are not clear."""
+_SIDE = 0.05
+"""[-] sine of the angle by which a partner is to one side of the middle, at least."""
 LEVEL_SPREAD = 0.01
 """[-] of the rod by which the heights may differ at which the legs' cranks are level."""
 _ALL_LENGTHS = ("crank_length", "rod_length", "home_height", "link_radius", "characteristic_length")
@@ -276,7 +278,10 @@ def _directions(
         zero = outwards
     elif cranks == "tangential":
         across = np.cross([0.0, 0.0, 1.0], outwards)
-        zero = -np.sign(np.sum(across * towards, axis=-1, keepdims=True)) * across
+        side = np.sum(across * towards, axis=-1, keepdims=True)
+        sizes = np.linalg.norm(across, axis=-1, keepdims=True) * np.linalg.norm(towards, axis=-1, keepdims=True)
+        # A partner straight across the middle is on neither side.
+        zero = -np.where(np.abs(side) > _SIDE * sizes, np.sign(side), 0.0) * across
     else:
         zero = towards if cranks == "towards" else -towards
     zero = _unit(zero, "crank", "a direction: crank_x to crank_z, or crank_deg")

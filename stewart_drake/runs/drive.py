@@ -44,6 +44,8 @@ HOLD = 0.3
 ON_THE_WAY = 0.03
 """[s] for which a command may be on its way, three ticks where that is longer: a command that is an angle is no farther
 from the last one that has arrived than the path goes in this time, and `APPROACH_SPEED` besides."""
+FAR = 2
+"""Readings in a row that are too far from where they should be: one alone may be wrong, and is not commanded."""
 HELD = "not_following", "not_moving", "holding"
 """Reasons for which the robot is held where it reads itself, not slowed down on its path: it is not on it."""
 
@@ -200,7 +202,7 @@ class Drive:
         self._on_the_way = max(ON_THE_WAY, 3.0 * self._period)
         self._held: np.ndarray | None = None  # (6,) [rad] at which the robot is held.
         self._gives_up = np.inf  # [s] on the monotonic clock.
-        self._holding = 0  # Ticks in a row in which the machine said that it follows nothing.
+        self._holding = self._far = 0  # Ticks in a row in which the machine followed nothing, was too far away.
         self._behind = 0  # Ticks by which the motion's clock is behind that of the machine.
         self._origin = 0.0  # [s], or a machine's number of its reading, at the beginning.
         self._stopped_by: RunFailure | KeyboardInterrupt | None = None
@@ -309,7 +311,7 @@ class Drive:
 
     def _stop(self, why: RunFailure | KeyboardInterrupt) -> None:
         """Slows down from what has been commanded already on; the first reason is the one that is told."""
-        if self._held is None and isinstance(why, RunFailure) and why.reason in HELD:
+        if isinstance(why, RunFailure) and (why.reason == HELD[0] or (self._held is None and why.reason in HELD)):
             self._held = self._read.angles
             with suppress(StewartDrakeError):
                 self._motion.hold(forward_kinematics(self._robot, self._held, self.latest.reference))
@@ -361,16 +363,14 @@ class Drive:
         """Keeps commands that are angles near to those that are read, and nearer to the last that has arrived."""
         if self._machine.takes != "angle":
             return
-        if self._held is not None:
-            self._command[:] = self._held
-            return
+        wanted = self._command if self._held is None else self._held
         times = now + np.array([0.0, self._ahead, self._ahead - self._on_the_way])
         here, there, before = inverse_kinematics(self._robot, self._motion.evaluate(np.maximum(times, 0.0))[0])
         reach = (self._following if self._machine.reads else np.inf) + np.abs(there - here)
-        near = np.clip(self._command, reading.angles - reach, reading.angles + reach)
+        near = np.clip(wanted, reading.angles - reach, reading.angles + reach)
         sent = self.latest.sent if self._rows else reading.angles
         arrived = sent if reading.arrived is None else reading.arrived
-        step = np.abs(there - before) + APPROACH_SPEED * self._on_the_way
+        step = np.inf if self._far >= FAR else np.abs(there - before) + APPROACH_SPEED * self._on_the_way
         self._command[:] = np.clip(near, arrived - step, arrived + step)
 
     def _miss(self, tick: int) -> None:
@@ -409,11 +409,14 @@ class Drive:
             self._stop(RunFailure(text, reason="stale_reading"))
         elif self._machine.reads and self._controller.status == LEVELS[0]:
             # Else the safety layer stops it, and says why.
-            wanted = inverse_kinematics(self._robot, self._motion.evaluate(self.time)[0])
+            wanted = self._held
+            if wanted is None:
+                wanted = inverse_kinematics(self._robot, self._motion.evaluate(self.time)[0])
             apart = np.abs(reading.angles - wanted)
-            if (still := self._controller.standstill) is not None:
+            self._far = self._far + 1 if apart.max() > self._following else 0
+            if self._held is None and (still := self._controller.standstill) is not None:
                 self._stop(RunFailure(standstill_text(*still), still[1], still[0]))
-            elif apart.max() > self._following:
+            elif self._far >= FAR:
                 leg = int(apart.argmax())
                 text = f"leg {leg} is {apart[leg]:.3g} rad from where it should be, at most {self._following:.3g} rad"
                 self._stop(RunFailure(text, leg, "not_following"))

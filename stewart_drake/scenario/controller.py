@@ -83,7 +83,7 @@ class Controller:
         """
         try:
             given = np.asarray(readings)
-        except ValueError:  # rows of several lengths
+        except Exception:  # rows of several lengths, or whatever an object makes of it
             given = np.asarray(None)
         if given.shape != self._reading.shape or given.dtype.kind not in "fiu":
             allowed = f"an array of shape ({self.reading},) of real numbers"
@@ -153,7 +153,7 @@ def _number(value: Any) -> float:
     """NaN for what is no number."""
     try:
         return float(value) if isinstance(value, (Real, np.ndarray)) else np.nan
-    except (TypeError, ValueError, OverflowError):
+    except Exception:
         return np.nan
 
 

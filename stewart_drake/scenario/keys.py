@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from stewart_drake.base.code import ROBOT_KEY
-from stewart_drake.base.config import Section, shorten, unknown_key
+from stewart_drake.base.config import Section, shorten, to_plain, unknown_key
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.families import Family
 from stewart_drake.robot.robot_files import robot_section
@@ -113,12 +113,9 @@ def _change_kind(key: str, here: dict[str, Any], kind: Any, family: Family) -> N
     if old is not None and new is not None and here.get("kind", family.default) != kind:
         fields = old.__pydantic_fields__
         lost = set(here) & set(fields) - (set(new.__pydantic_fields__) - new.own_keys)
-        defaults = {name for name in lost if here[name] == fields[name].default}
-        for name in lost if old.drops_keys else defaults:
-            del here[name]
-        if old.drops_keys and lost != defaults:
-            dropped, name = ", ".join(sorted(lost - defaults)), getattr(kind, "__name__", kind)
-            _say_once(f"{key}: dropped {dropped}, which {name} lacks or takes for something else")
+        if dropped := sorted(name for name in lost if to_plain(here.pop(name)) != to_plain(fields[name].default)):
+            name = getattr(kind, "__name__", kind)
+            _say_once(f"{key}: dropped {', '.join(dropped)}, which {name} lacks or takes for something else")
     here["kind"] = kind
 
 

@@ -62,10 +62,9 @@ class PartSystem(LeafSystem):
         self._early, self._nominal = just_before(self.period), on_grid(self.period)
         self._kind = part.initial.dtype
         initial = part.initial.view(np.float64)
-        # What is shown, what a tick of a part of the end has found, and: number of the tick, whether it is open.
-        shown = self.DeclareDiscreteState(initial)
-        self._found = int(self.DeclareDiscreteState(initial)) if part.end_of_tick else int(shown)
-        self._tick = int(self.DeclareDiscreteState(np.array([-1.0, 1.0])))
+        # The state, and: number of its tick, whether it is open. What a part of the end shows stands apart.
+        shown = self.DeclareDiscreteState(initial) if part.end_of_tick else None
+        self._own = int(self.DeclareDiscreteState(np.append(initial, [-1.0, 1.0])))
         self._time = np.zeros(1)
         # What stands at a port: its value, and for one that may be left alone what stands there then.
         self._ports: list[tuple[InputPort | None, np.ndarray | None]] = []
@@ -81,7 +80,7 @@ class PartSystem(LeafSystem):
         }
         self._bound = BoundPart(part, [None] * len(part.inputs), part.initial.copy())
         self.result: OutputPort
-        if part.end_of_tick:
+        if shown is not None:
             self.result = self.DeclareStateOutputPort("result", shown)
         else:
             needs = {self.xd_ticket(), self.all_input_ports_ticket()}
@@ -101,7 +100,7 @@ class PartSystem(LeafSystem):
     def state(self, context: Context) -> np.ndarray:
         """The part's record (1,), of the tick that is done; `context` of the Diagram."""
         mine = self.GetMyContextFromRoot(context)
-        return np.array(mine.get_discrete_state(self._found).value()).view(self._kind)
+        return np.array(mine.get_discrete_state(self._own).value()[:-2]).view(self._kind)
 
     def field(self, name: str) -> OutputPort:
         """Output port of a field of the part's record, `gain` of an LQI say; until the Diagram is built."""
@@ -126,9 +125,10 @@ class PartSystem(LeafSystem):
         return int(context.get_time() / self._early + _SAME_TICK)
 
     def _answer(self, context: Context, output: Any) -> None:
-        output.set_value(context.get_discrete_state(0).value())
-        if context.get_discrete_state(self._tick).value()[1]:
-            self._ticked(context, output.get_mutable_value())
+        held, result = context.get_discrete_state(self._own).value(), output.get_mutable_value()
+        result[:] = held[:-2]
+        if held[-1]:
+            self._ticked(context, result)
 
     def _ticked(self, context: Context, values: np.ndarray) -> None:
         """Ticks on values (n,) that hold the state of the tick before."""
@@ -145,37 +145,39 @@ class PartSystem(LeafSystem):
             error.time = float(self._time[0])
             raise
 
+    # Drake begins an update with a copy of the state, so that each has what it reads and what it writes in one place.
+
     def _begin(self, context: Context, state: State) -> None:
-        held = context.get_discrete_state(self._tick).value()
-        if self._number(context) != held[0]:
-            state.get_mutable_discrete_state().get_mutable_value(self._tick)[1] = 1.0
+        own = state.get_mutable_discrete_state().get_mutable_value(self._own)
+        if self._number(context) != own[-2]:
+            own[-1] = 1.0
 
     def _open(self, context: Context, state: State) -> None:
-        if context.get_discrete_state(self._tick).value()[1]:
+        own = state.get_mutable_discrete_state().get_mutable_value(self._own)
+        if own[-1]:
             # The first tick at 0: a plant that steps in an unrestricted update does so now.
-            self._store(context, state.get_mutable_discrete_state())
+            self._store(context, own)
         else:
-            state.get_mutable_discrete_state().get_mutable_value(self._tick)[1] = 1.0
+            own[-1] = 1.0
 
-    def _show(self, context: Context, values: DiscreteValues) -> None:
-        values.set_value(0, context.get_discrete_state(self._found).value())
+    def _show(self, _: Context, values: DiscreteValues) -> None:
+        values.set_value(0, values.value(self._own)[:-2])
 
     def _close_first(self, context: Context, values: DiscreteValues) -> None:
         if context.get_time() != self._number(context) * self._early:  # Else a tick is due at once.
             self._close(context, values)
 
     def _close(self, context: Context, values: DiscreteValues) -> None:
-        if context.get_discrete_state(self._tick).value()[1]:
-            self._store(context, values)
+        own = values.get_mutable_value(self._own)
+        if own[-1]:
+            self._store(context, own)
 
-    def _store(self, context: Context, values: DiscreteValues) -> None:
+    def _store(self, context: Context, own: np.ndarray) -> None:
         if self.part.end_of_tick:
-            found = np.array(context.get_discrete_state(self._found).value())
-            self._ticked(context, found)
-            values.set_value(self._found, found)
+            self._ticked(context, own[:-2])
         else:
-            values.set_value(0, self.result.Eval(context))
-        values.set_value(self._tick, [self._number(context), 0.0])
+            own[:-2] = self.result.Eval(context)
+        own[-2:] = self._number(context), 0.0
 
 
 class LqiController(PartSystem):
@@ -379,7 +381,7 @@ class TaskSpaceSensor(LeafSystem):
         self.crank_state = self.DeclareVectorOutputPort("crank_state", 12, self._cranks, prerequisites_of_calc=needs)
 
     def _pose(self, context: Context, output: Any) -> None:
-        output.SetFromVector(np.concatenate(self._plant.pose_and_rate(self.plant_state.Eval(context))))
+        self._plant.read_pose(self.plant_state.Eval(context), output.get_mutable_value())
 
     def _cranks(self, context: Context, output: Any) -> None:
         output.SetFromVector(self._plant.crank_state(self.plant_state.Eval(context)))

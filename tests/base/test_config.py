@@ -200,9 +200,16 @@ def test_a_change_of_kind_keeps_what_the_new_kind_has_and_names_what_it_drops(ca
         assert base.replace({way.format("adaptation"): "regression"}).adaptation.cautious
         part = base.replace({way.format("reference.parts[0]"): "breathing"}).reference.parts[0]
         assert (part.kind, part.center) == ("breathing", (0.0, 0.0, 0.0, 0.0, 0.0, 0.31))
-        with pytest.raises(ConfigurationError, match=r"^model\.motors\.stiffness: no such key"):
-            base.replace({way.format("model.motors"): "torque"})
-        assert "controller.kind: dropped model, which pid lacks or" in caplog.text
+        torque = {way.format("motors"): "torque", way.format("model.motors"): "torque"}
+        assert base.replace(torque).model.motors.given() == {"kind": "torque"}
+        # What is of another unit or shape is not taken over either.
+        coarse = Scenario(motors={"resolution": 0.01}, reference={"phase": [1, 0, 0, 0, 0, 0]})
+        other = coarse.replace({way.format("motors"): "current", way.format("reference"): "breathing"})
+        assert (other.motors.given(), other.reference.given()) == ({"kind": "current"}, {"kind": "breathing"})
+        lines = ("controller.kind: dropped model, which pid", "model.motors.kind: dropped stiffness, which torque")
+        more = "motors.kind: dropped resolution, which", "reference.kind: dropped phase, which breathing"
+        for line in (*lines, *more):
+            assert line in caplog.text
     assert "plant.kind:" not in caplog.text
     assert base.replace({"plant": {"kind": "closed_form"}}).plant.given() == {"kind": "closed_form"}
 

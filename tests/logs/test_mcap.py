@@ -22,6 +22,10 @@ def log():
 
 @pytest.fixture
 def topics(log, tmp_path):
+    return read(log, tmp_path)
+
+
+def read(log, tmp_path):
     log.save(tmp_path / "run.mcap")
     made = defaultdict(list)
     with (tmp_path / "run.mcap").open("rb") as file:
@@ -53,6 +57,14 @@ def test_poses_and_joints_are_messages_that_foxglove_knows(log, topics):
     joints = topics["/joint_states"][row][2]["joints"]
     assert [each["position"] for each in joints] == log["crank_angle"][row].tolist()
     assert [each["effort"] for each in joints] == log["torque_applied"][row].tolist()
+
+
+def test_a_reading_that_is_missing_is_no_message(log, tmp_path):
+    signals = {**log.signals, "reading": log["crank_angle"].copy()}
+    del signals["crank_angle"]
+    signals["reading"][1::2, 3] = np.nan
+    sent = read(replace(log, signals=signals), tmp_path)["/joint_states"]
+    assert [time for _, time, _ in sent] == [round(1e9 * time) for time in log.time[::2]]
 
 
 def test_the_scene_has_cranks_and_rods_of_their_lengths(log, topics):

@@ -118,6 +118,7 @@ def test_other_messages_are_passed_over(daemon, machine):
         '{"type": "imu_data", "quaternion": [1, 0, 0, 0]}', "[1, 2]", "null", "no json", "5",
         '{"type": "joint_positions", "head_joint_positions": [1, 2, 3]}',
         '{"type": "joint_positions", "head_joint_positions": [1, 2, 3, 4, 5, 6, NaN]}',
+        '{"type": "joint_positions", "head_joint_positions": [0, 0, 0, 0, 0, 0, 99]}',
         '{"type": "joint_positions"}', '{"type": "head_pose", "head_pose": "up"}', '{"type": "daemon_status"}',
         '{"type": "daemon_status", "backend_status": "broken"}', "[" * 200_000, '{"type": []}', b"\xff",
         f'{{"type": "joint_positions", "head_joint_positions": [{"9" * 400}, 2, 3, 4, 5, 6, 7]}}',

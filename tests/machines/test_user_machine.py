@@ -11,7 +11,12 @@ from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.machines.machine import MachineError, open_machine
 
 MINE = """
+import sys
+import time
+
 import numpy as np
+
+from stewart_drake.machines.machine import Reading
 
 
 class MyMachine:
@@ -44,6 +49,14 @@ class WithClock(MyMachine):
 class Now(MyMachine):
     def read(self):
         return {answer}
+
+
+class Counts(MyMachine):
+    def read(self):
+        return Reading(self.angles, time.monotonic(), 0.0, 7)
+
+    def disconnect(self):
+        sys.exit("gone")
 
 
 class NoCommand:
@@ -114,6 +127,15 @@ def test_no_new_reading_is_the_last_one_older(mine):
     first, second = machine.read(), machine.read()
     assert first.number == second.number
     assert second.age > first.age > 0.0
+
+
+def test_readings_that_are_not_counted_and_an_exit_at_the_end_are_lines(mine):
+    machine = mine("Counts")
+    machine.connect()
+    with pytest.raises(MachineError, match="reading number 7, not one after 7, as its time is"):
+        machine.read()
+    machine.disconnect()
+    assert machine.after == "its disconnect raised SystemExit: gone"
 
 
 @pytest.mark.parametrize("name", ["read", "command"])

@@ -86,15 +86,8 @@ def test_a_crank_at_its_dead_centre_ends_it_and_angles_go_on_beyond_half_a_turn(
 
 @pytest.mark.parametrize(("key", "value"), [("rod_joint", "ball"), ("broken_rod", {"leg": 1, "time": 0.5})])
 def test_what_it_cannot_have_is_an_error_that_names_the_kind_which_has_it(key, value):
-    drake = Scenario(plant={key: value})
-    for refused in (
-        lambda: Scenario(plant={"kind": "closed_form", key: value}),
-        lambda: drake.replace({"plant.kind": "closed_form"}),
-    ):
-        with pytest.raises(
-            ConfigurationError, match=rf"^plant.{key}: no such key, got .*; kind drake has it\. The keys"
-        ):
-            refused()
+    with pytest.raises(ConfigurationError, match=rf"^plant.{key}: no such key, got .*; kind drake has it\. The keys"):
+        Scenario(plant={"kind": "closed_form", key: value})
     # A default that was written out is nothing that could be lost.
     full = Scenario.from_dict(Scenario().to_dict())
     assert full.replace({"plant.kind": "closed_form"}).plant == ClosedFormOptions()

@@ -206,6 +206,42 @@ def test_a_robot_that_is_far_from_its_path_is_held_where_it_is_also_while_it_sto
     assert len(went_on) > 50
 
 
+@pytest.mark.parametrize("off", [2.0 * np.pi, -1.0])
+def test_one_reading_that_is_wrong_is_not_where_the_robot_is_sent(off):
+    def wrong(machine):
+        read, bad = machine.read, machine.count
+
+        def other():
+            reading = read()
+            reading.angles[2] += off if machine.count == bad + 1 else 0.0
+            return reading
+
+        machine.read = other
+
+    machine = Servos(at=130, event=wrong)
+    log = driven(machine)
+    assert log.reason != "not_following"
+    assert np.abs(np.diff(machine.commands, axis=0)).max() < 0.12
+
+
+def test_a_crank_that_reads_one_value_does_not_jump_there():
+    def stuck(machine):
+        read, held = machine.read, machine.angles[1]
+
+        def other():
+            reading = read()
+            reading.angles[1] = held
+            return reading
+
+        machine.read = other
+
+    nod = {"kind": "sine", "amplitude": [0, 0.1745, 0, 0, 0, 0], "angular_frequency": 3.1416}
+    machine = Servos(at=180, event=stuck)
+    log = driven(machine, BASE.replace({"duration": 10.0, "reference": nod}))
+    assert (log.reason, log.leg) == ("not_moving", 1)
+    assert np.abs(np.diff(machine.commands, axis=0)).max() < 0.06
+
+
 def test_a_robot_that_torques_move_is_held_at_the_pose_that_is_measured():
     scenario = load_scenario("exact_fig7", ["plant.kind=closed_form", "sensors=encoders", "duration=1", "safety=null"])
     scenario = scenario.replace({"bounds.crank_angle": 0.02})

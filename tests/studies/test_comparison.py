@@ -2,10 +2,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from stewart_drake.base.code import trusting_code
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.markdown import number
 from stewart_drake.runs.simulation import run
-from stewart_drake.studies.comparison import Comparison, _rank
+from stewart_drake.studies.comparison import Comparison, _rank, load_comparison
 from stewart_drake.studies.experiment import MOST, pivot, refusals, run_experiment
 from stewart_drake.studies.runs import settling_time, sine_response
 from stewart_drake.studies.workers import Workers
@@ -44,6 +45,14 @@ def done(tmp_path_factory):
     folder = tmp_path_factory.mktemp("comparison")
     comparison = small()
     return comparison, run_experiment(comparison, folder, Workers(0)), folder
+
+
+def test_controllers_of_a_comparison_may_change_the_kind_of_motors():
+    with trusting_code():
+        comparison = load_comparison("reachy")
+        # Of each controller the first motion and condition.
+        motors = [comparison.scenario(k).motors.kind for k in range(0, comparison.runs, 12)]
+    assert motors == ["position"] * 10 + ["torque"] * 3
 
 
 def test_below_a_table_is_why_runs_were_refused_a_line_for_each_reason():
