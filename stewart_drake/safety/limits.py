@@ -31,7 +31,7 @@ MONITORS = (
 )  # fmt: skip
 """Stable names of the monitors, by their number in the log: new ones come last. `innovation` is in old logs alone."""
 MEANINGS = {
-    "reading_stuck": "a sensor repeats itself",
+    "reading_stuck": "a sensor repeats itself, or no crank moves at all",
     "not_moving": "a crank stands, or its reading does, while its reference moves",
     "unexplained_torque": "a reading or a motor is wrong, or load and friction exceed safety.unexplained_torque",
 }

@@ -41,10 +41,10 @@ def test_a_torque_that_is_no_number_never_ends_in_success(kind, safety, ends):
 
 
 @pytest.mark.slow
-def test_a_motor_that_sticks_is_no_reading_that_is_wrong_for_sure():
+def test_cranks_that_all_stick_read_like_frozen_sensors_and_the_message_names_both():
     log = run(load_scenario("sway", ["robot=servo_hexapod", "plant.motor_friction=0.5", "duration=1.0"]))
-    assert (log.reason, log.safety["monitor"]) == ("unexplained_torque", "unexplained_torque")
-    assert "friction exceed safety.unexplained_torque" in log.message
+    assert (log.status, log.reason, log.safety["leg"]) == ("stopped", "reading_stuck", None)
+    assert "a sensor repeats itself, or no crank moves at all" in log.message
 
 
 # That one falls over on purpose.
