@@ -207,7 +207,11 @@ def test_a_change_of_kind_keeps_what_the_new_kind_has_and_names_what_it_drops(ca
         other = coarse.replace({way.format("motors"): "current", way.format("reference"): "breathing"})
         assert (other.motors.given(), other.reference.given()) == ({"kind": "current"}, {"kind": "breathing"})
         lines = ("controller.kind: dropped model, which pid", "model.motors.kind: dropped stiffness, which torque")
-        for line in (*lines, "motors.kind: dropped resolution, which", "reference.kind: dropped phase, which breathing"):
+        for line in (
+            *lines,
+            "motors.kind: dropped resolution, which",
+            "reference.kind: dropped phase, which breathing",
+        ):
             assert line in caplog.text
     assert "plant.kind:" not in caplog.text
     assert base.replace({"plant": {"kind": "closed_form"}}).plant.given() == {"kind": "closed_form"}
