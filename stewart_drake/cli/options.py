@@ -196,9 +196,8 @@ def _completed_from(kind: str) -> dict[str, Any]:
         from stewart_drake.base.yaml_files import shipped_folder
 
         kinds = (kind, "controllers") if ctx.info_name in TAKE_CONTROLLERS else (kind,)
-        return sorted(
-            {path.stem for each in kinds for path in shipped_folder(each).glob(f"{glob.escape(begun)}*.yaml")}
-        )
+        files = (path for each in kinds for path in shipped_folder(each).glob(f"{glob.escape(begun)}*.yaml"))
+        return sorted({path.stem for path in files})
 
     return {"shell_complete": complete}
 

@@ -106,7 +106,7 @@ def _poses(stamps: list[Any], poses: np.ndarray) -> Iterator[tuple[int, dict[str
 def _joints(stamps: list[Any], log: SimulationLog, angles: np.ndarray) -> Iterator[tuple[int, dict[str, Any]]]:
     torques = log.signals.get("torque_applied")
     # JSON has no NaN.
-    for row in np.flatnonzero(np.isfinite(angles).all(axis=1)):
+    for row in np.flatnonzero(np.isfinite(angles).all(axis=1)).tolist():
         positions = angles[row].tolist()
         joints = [{"name": f"motor_{i}", "position": angle} for i, angle in enumerate(positions)]
         if torques is not None:
