@@ -223,6 +223,7 @@ def test_a_change_of_kind_keeps_what_the_new_kind_has_and_names_what_it_drops(ca
         ({"tuner": "fixd"}, r"tuner: expected fixed, .* or schedule, got 'fixd'; did you mean fixed\?"),
         ({"reference": {"center": 2}}, r"reference.center: expected a list of 6 numbers \[rad, m\], got 2"),
         ({"reference": "spline"}, "reference.times: expected .*, got None; this key is required\n.*poses: .*"),
+        ({"tuner": np.array([1.0, 2.0])}, "tuner: expected a section with kind .* or such a kind alone, got .*"),
         ({"reference": ["hold"]}, "reference: expected a section with kind .* or such a kind alone, got .*"),
     ],
 )
