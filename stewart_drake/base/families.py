@@ -142,7 +142,7 @@ class Family(Table):
         """A section as written, in full; what stands for one is a kind, or a user's class or object."""
         if isinstance(data, type) and issubclass(data, Section):
             return data()
-        if not isinstance(data, Mapping) and (self._is_own(data) or data in self.kinds):
+        if not isinstance(data, Mapping) and (self._is_own(data) or (isinstance(data, str) and data in self.kinds)):
             data = {"kind": data}
         kind = data.get("kind") if isinstance(data, Mapping) else None
         if kind == "python" and self._own is not None and "system" in data:

@@ -195,8 +195,9 @@ def _completed_from(kind: str) -> dict[str, Any]:
     def complete(ctx: click.Context, __: click.Parameter, begun: str) -> list[str]:
         from stewart_drake.base.yaml_files import shipped_folder
 
-        kinds, begins = (kind, "controllers") if ctx.info_name in TAKE_CONTROLLERS else (kind,), glob.escape(begun)
-        return sorted({path.stem for each in kinds for path in shipped_folder(each).glob(f"{begins}*.yaml")})
+        kinds = (kind, "controllers") if ctx.info_name in TAKE_CONTROLLERS else (kind,)
+        files = (path for each in kinds for path in shipped_folder(each).glob(f"{glob.escape(begun)}*.yaml"))
+        return sorted({path.stem for path in files})
 
     return {"shell_complete": complete}
 

@@ -215,13 +215,11 @@ def _columns(table: Any) -> dict[str, np.ndarray]:
         allowed = f"a number within {LARGEST_SIZE:g}"
         raise ConfigurationError(f"{what}: {names[column]} of leg {leg}", float(values[leg, column]), allowed)
     columns = dict(zip(names, values.T, strict=True))
-    for end in ("shaft", "joint"):
-        if f"{end}_radius" in columns:
-            radius, angle = columns.pop(f"{end}_radius"), np.radians(columns.pop(f"{end}_deg"))
-            columns |= {f"{end}_x": radius * np.cos(angle), f"{end}_y": radius * np.sin(angle)}
-    if "crank_deg" in columns:
-        angle = np.radians(columns.pop("crank_deg"))
-        columns |= {"crank_x": np.cos(angle), "crank_y": np.sin(angle), "crank_z": np.zeros(LEG_COUNT)}
+    for polar, plain in _POLAR.items():
+        if polar[-1] in columns:
+            *radius, angle = (columns.pop(name) for name in polar)
+            x, y = math.prod(radius) * np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
+            columns |= dict(zip(plain, (x, y, 0.0 * x), strict=False))
     numbers = columns.pop("leg", np.arange(LEG_COUNT))
     if (np.diff(numbers) != 1.0).any() or numbers[0] not in (0.0, 1.0):
         allowed = "0 to 5, or 1 to 6, in this order: the first row is leg 0"

@@ -177,7 +177,8 @@ def limit_margins(
 
 
 SLACK = 0.01
-"""Share of a limit by which a motion that was made may be beyond it: a small error of following is no excursion."""
+"""Share of a limit, or [rad] of a stop, by which a motion that was made may be beyond it: a small error of following is
+no excursion."""
 
 
 def longest_excursion(
@@ -190,7 +191,7 @@ def longest_excursion(
     """
     bounds, excursions = limit_bounds(robot, limits), {}
     for limit, margins in limit_margins(robot, limits, pose, pose_rate, np.zeros_like(pose), 0.0).items():
-        if limit not in ("reach", "torque") and (margins < -SLACK * bounds[limit]).any():
+        if limit not in ("reach", "torque") and (margins < -SLACK * (bounds[limit] or 1.0)).any():
             beyond = (margins < 0.0).any(axis=1)
             row, column = np.unravel_index(np.nanargmin(margins), margins.shape)
             worst = LimitMargin(limit, bounds[limit], margins[row, column], time[row], *PLACES[limit][column])

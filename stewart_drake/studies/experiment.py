@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -248,10 +249,12 @@ def pivot(
 
 
 def refusals(rows: Iterable[Row]) -> list[str]:
-    """Why runs were refused or raised an error: a line for each reason, the most frequent first, at most `MOST`."""
-    counts = Counter((row["status"], row["message"]) for row in rows if row["status"] in ("rejected", "raised"))
-    lines = [f"{count} {status}: {' '.join(str(why).split())}" for (status, why), count in counts.most_common(MOST)]
-    rest = sum(counts.values()) - sum(count for _, count in counts.most_common(MOST))
+    """Why runs were refused or raised an error: a line for each reason, whatever its numbers, at most `MOST`."""
+    texts = [f"{row['status']}: {row['message']}" for row in rows if row["status"] in ("rejected", "raised")]
+    reasons = [re.sub(r"-?\d[\d.]*(e[+-]\d+)?", "", text) for text in texts]
+    counts = Counter(reasons).most_common(MOST)
+    lines = [f"{count} {' '.join(texts[reasons.index(reason)].split())}" for reason, count in counts]
+    rest = len(texts) - sum(count for _, count in counts)
     return [*lines, f"{rest} more for other reasons: see the column `message`"] if rest else lines
 
 

@@ -207,8 +207,11 @@ def test_a_change_of_kind_keeps_what_the_new_kind_has_and_names_what_it_drops(ca
         other = coarse.replace({way.format("motors"): "current", way.format("reference"): "breathing"})
         assert (other.motors.given(), other.reference.given()) == ({"kind": "current"}, {"kind": "breathing"})
         lines = ("controller.kind: dropped model, which pid", "model.motors.kind: dropped stiffness, which torque")
-        more = "motors.kind: dropped resolution, which", "reference.kind: dropped phase, which breathing"
-        for line in (*lines, *more):
+        for line in (
+            *lines,
+            "motors.kind: dropped resolution, which",
+            "reference.kind: dropped phase, which breathing",
+        ):
             assert line in caplog.text
     assert "plant.kind:" not in caplog.text
     assert base.replace({"plant": {"kind": "closed_form"}}).plant.given() == {"kind": "closed_form"}
@@ -220,6 +223,7 @@ def test_a_change_of_kind_keeps_what_the_new_kind_has_and_names_what_it_drops(ca
         ({"tuner": "fixd"}, r"tuner: expected fixed, .* or schedule, got 'fixd'; did you mean fixed\?"),
         ({"reference": {"center": 2}}, r"reference.center: expected a list of 6 numbers \[rad, m\], got 2"),
         ({"reference": "spline"}, "reference.times: expected .*, got None; this key is required\n.*poses: .*"),
+        ({"tuner": np.array([1.0, 2.0])}, "tuner: expected a section with kind .* or such a kind alone, got .*"),
         ({"reference": ["hold"]}, "reference: expected a section with kind .* or such a kind alone, got .*"),
     ],
 )

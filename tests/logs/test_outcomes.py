@@ -8,9 +8,12 @@ from made_logs import made_log
 from stewart_drake.base.errors import NotFiniteError, SafetyStop
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
+from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.checks import likely_cause
 from stewart_drake.runs.simulation import run
 from stewart_drake.safety import LEVELS, MONITORS
+from stewart_drake.scenario.limits import ReferenceLimits, longest_excursion
 from stewart_drake.scenario.scenario import load_scenario
 
 TRIP = {"monitor": "deadline", "level": "hold", "time": 0.4, "leg": 2, "cause": None, "worst": "safe_hold"}
@@ -227,6 +230,15 @@ def test_a_motion_that_was_made_beyond_a_limit_is_said_though_it_was_followed():
     assert "beyond_limits" not in warned(pose=pose, reference=pose, scenario=off)
     pose[20:30, [0, 5]] = [math.pi / 6.0, 0.35]  # The paper's own motion: 63.1 deg.
     assert "beyond_limits" not in warned(pose=pose, reference=pose)
+
+
+@pytest.mark.parametrize(("beyond", "is_told"), [(0.009, False), (0.011, True)])
+def test_a_crank_that_touches_its_stop_with_an_error_of_following_is_not_beyond_it(beyond, is_told):
+    stop = float(inverse_kinematics(RobotParameters(), HOME)[0]) - beyond
+    robot = RobotParameters(home_height=0.29, legs=[{"crank_angle_range": [-1.5, stop]}, *[{}] * 5])
+    pose = np.tile(HOME, (3, 1))
+    found = longest_excursion(robot, ReferenceLimits(), np.arange(3.0), pose, 0.0 * pose)
+    assert (found is not None and found[0].limit == "crank_range") == is_told
 
 
 def test_a_motion_that_is_over_long_before_the_run_is_said():

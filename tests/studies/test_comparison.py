@@ -57,9 +57,11 @@ def test_controllers_of_a_comparison_may_change_the_kind_of_motors():
 
 def test_below_a_table_is_why_runs_were_refused_a_line_for_each_reason():
     rows = [{"status": "rejected", "message": "no model"}] * 3 + [{"status": "completed", "message": None}] * 9
-    rows += [{"status": "rejected", "message": f"got {number}"} for number in range(MOST + 3)]
+    rows += [{"status": "rejected", "message": f"got {letter}"} for letter in "abcdefghijk"[: MOST + 2]]
+    rows += [{"status": "rejected", "message": f"leg {leg}, got {-1.5e-7 * leg}"} for leg in range(4)]
     lines = refusals(rows)
-    assert lines[0] == "3 rejected: no model"
+    # Reasons of random runs differ in their numbers alone.
+    assert lines[:2] == ["4 rejected: leg 0, got -0.0", "3 rejected: no model"]
     assert lines[-1] == "4 more for other reasons: see the column `message`"
     assert len(lines) == MOST + 1
     named = [{**row, "a": "x", "b": str(number)} for number, row in enumerate(rows[:2])]
