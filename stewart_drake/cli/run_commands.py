@@ -99,9 +99,7 @@ def run(
     end(log, place == claimed)
 
 
-def leave(
-    log: SimulationLog, claimed: Path, graph: str | None = None, machine: str = "", plots: bool = True
-) -> Path:
+def leave(log: SimulationLog, claimed: Path, graph: str | None = None, machine: str = "", plots: bool = True) -> Path:
     """Saves a log in a folder, prints its figures and draws its pictures; where they are."""
     place, problem = save_run(log, claimed)
     _print_run(log, place, machine)

@@ -180,7 +180,7 @@ def _put(files: Mapping[str, bytes], place: Path, old: tuple[str, ...] = ()) -> 
 
 
 def draw_run(log: SimulationLog, place: Path, graph: str | None = None, plots: bool = True) -> str | None:
-    """Writes diagram.dot, diagram.svg, replay.html, and as `plots` states.png, torques.png, learnt.png where a robot learns.
+    """Writes diagram.dot, diagram.svg, replay.html, and as plots states.png, torques.png, learnt.png of what it learns.
 
     Returns what is missing and why, or None.
     """
