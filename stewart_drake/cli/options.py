@@ -220,6 +220,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "overrides": option("Change a key, e.g. --set {example}.", flag="--set", multiple=True, metavar="KEY=VALUE"),
     "picture": option("Write a picture of it at home: FILE.png.", OUT_FILE),
     "plan": option("Write the N most informative poses to measure; without POSES.", int, metavar="N"),
+    "plots": switch("Also draw the signals over time: states.png, torques.png, learnt.png."),
     "poses": option("Number of random poses.", click.IntRange(1, 100_000), default=1000),
     "position_noise": option("Standard deviation of the tracker [m].", float, default=2e-5),
     "quick": switch("Few and short runs, for a first look."),

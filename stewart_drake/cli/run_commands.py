@@ -57,6 +57,7 @@ def run(
     overrides: tuple[str, ...],
     force: bool,
     keep_model: Path | None,
+    plots: bool,
     video: Path | None,
 ) -> None:
     """SCENARIO is a YAML file, or the name of a shipped one such as paper_fig7."""
@@ -84,7 +85,7 @@ def run(
     with claimed_place(loaded, out, force) as claimed:
         with shown_compiling(), progress_bar(loaded.name, loaded.duration) as advance:
             log = simulate(loaded, progress=advance, check=False, prepared=prepared)
-        place = leave(log, claimed, graph)
+        place = leave(log, claimed, graph, plots=plots)
     keep(log, keep_model)
     if (place / "replay.html").exists():
         other = "run exact_fig7" if loaded.name == "paper_fig7" else "live"
@@ -98,12 +99,12 @@ def run(
     end(log, place == claimed)
 
 
-def leave(log: SimulationLog, claimed: Path, graph: str | None = None, machine: str = "") -> Path:
+def leave(log: SimulationLog, claimed: Path, graph: str | None = None, machine: str = "", plots: bool = True) -> Path:
     """Saves a log in a folder, prints its figures and draws its pictures; where they are."""
     place, problem = save_run(log, claimed)
     _print_run(log, place, machine)
     try:
-        problem = problem or draw_run(log, place, graph)
+        problem = problem or draw_run(log, place, graph, plots)
     except KeyboardInterrupt:
         say("pictures: interrupted")
         raise

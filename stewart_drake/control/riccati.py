@@ -131,11 +131,11 @@ def chain_gain_of(p: Any, a: Any, b: Any, r: float, gain: Any) -> bool:
 
 @njit
 def chain_gains_of(p: Any, a: Any, b: Any, r: float, gains: Any) -> bool:
-    """`chain_gain_of` for solutions (6, 3, 3) and inputs (6, 3, 1), until one is not stable; gains: (6, 3) out."""
-    done = True
+    """`chain_gain_of` for solutions (6, 3, 3) and inputs (6, 3, 1), whether all are stable; gains: (6, 3) out."""
+    stable = True
     for i in range(6):
-        done = done and chain_gain_of(p[i], a, b[i, :, 0], r, gains[i])
-    return done
+        stable = chain_gain_of(p[i], a, b[i, :, 0], r, gains[i]) and stable
+    return stable
 
 
 @njit

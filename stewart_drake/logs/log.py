@@ -146,7 +146,9 @@ class SimulationLog(Mapping[str, np.ndarray]):
             columns = _columns(signal, self.state_names)
             for column, (name, unit) in zip(np.atleast_2d(values.T), columns, strict=True):
                 about = {"unit": unit, "text": SIGNALS[signal].text}
-                arrays.append(pa.array(column))
+                # pa.array would import pandas, to see whether it is one of its series.
+                data = pa.py_buffer(np.ascontiguousarray(column))
+                arrays.append(pa.Array.from_buffers(pa.float64(), len(column), [None, data]))
                 named.append(pa.field(tables.column_name(name, unit), pa.float64(), nullable=False, metadata=about))
         return pa.Table.from_arrays(arrays, schema=pa.schema(named))
 

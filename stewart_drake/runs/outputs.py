@@ -29,7 +29,8 @@ _AS_RUN = "# As run by stewart-drake: every key, defaults included.\n"
 _ROOM = 10_000  # [byte] that a disk has at least
 _CODE = "code"  # Folder with the files of the user's classes.
 _RESULTS = ("log.parquet", "metrics.json", "run.mcap")
-_PICTURES = ("diagram.dot", "diagram.svg", "states.png", "torques.png", "learnt.png", "replay.html")
+_PLOTS = ("states.png", "torques.png", "learnt.png")
+_PICTURES = ("diagram.dot", "diagram.svg", "replay.html", *_PLOTS)
 """What a run may leave or not; else what is in a results folder is the user's own, and stays."""
 
 
@@ -178,8 +179,8 @@ def _put(files: Mapping[str, bytes], place: Path, old: tuple[str, ...] = ()) -> 
         (place / _CODE).rmdir()
 
 
-def draw_run(log: SimulationLog, place: Path, graph: str | None = None) -> str | None:
-    """Writes states.png, torques.png, learnt.png where a robot learns, replay.html, diagram.dot and diagram.svg.
+def draw_run(log: SimulationLog, place: Path, graph: str | None = None, plots: bool = True) -> str | None:
+    """Writes diagram.dot, diagram.svg, replay.html, and as plots states.png, torques.png, learnt.png of what it learns.
 
     Returns what is missing and why, or None.
     """
@@ -187,9 +188,9 @@ def draw_run(log: SimulationLog, place: Path, graph: str | None = None) -> str |
         if graph is not None:
             _draw_graph(graph, place)
         if len(log.time):
-            _draw(log, place)
+            _draw(log, place, plots)
     except (StewartDrakeError, OSError, MemoryError) as error:
-        wanted = [name for name in _PICTURES[2:] if name != "learnt.png" or log.learns]
+        wanted = [*_PLOTS[: 2 + log.learns], "replay.html"] if plots else ["replay.html"]
         missing = ", ".join(name for name in wanted if not (place / name).exists())
         return f"pictures: {error or 'no memory is left'}; missing: {missing}"
     return None
@@ -202,15 +203,15 @@ def _draw_graph(graph: str, folder: Path) -> None:
         write_atomically(folder / "diagram.svg", done.stdout)
 
 
-def _draw(log: SimulationLog, folder: Path) -> None:
-    # matplotlib takes a second to load; a sweep that wants numbers alone does without.
-    from stewart_drake.plotting import plot_learnt, plot_states, plot_torques, save_figure
+def _draw(log: SimulationLog, folder: Path, plots: bool) -> None:
     from stewart_drake.runs.replay import write_replay
 
-    save_figure(plot_states(log), folder / "states.png")
-    save_figure(plot_torques(log), folder / "torques.png")
-    if log.learns:
-        save_figure(plot_learnt(log), folder / "learnt.png")
+    if plots:
+        # matplotlib takes as long as a run of seconds.
+        from stewart_drake.plotting import plot_learnt, plot_states, plot_torques, save_figure
+
+        for name, plot in zip(_PLOTS[: 2 + log.learns], (plot_states, plot_torques, plot_learnt), strict=False):
+            save_figure(plot(log), folder / name)
     # Of a run without a finite state there is nothing to replay.
     if np.isfinite(log.signals.get("plant_state", log["pose"])).all(axis=1).any():
         write_replay(log, folder / "replay.html")

@@ -93,12 +93,12 @@ class ClosedLoop(Diagram):
         self.sinks: dict[str, VectorLogSink] = {}
         self._tables, self._strides, self._logged = wiring.tables, {}, logged
         wiring.signals["plant_state"] = wiring.plant.state_output_port
-        for name, of in {"plant_state": "plant_state", **logged}.items():
-            port = wiring.port(name, of)
+        for name, signal in {"plant_state": "plant_state", **logged}.items():
+            port = wiring.port(name, signal)
             wiring.builder.ExportOutput(port, name)
-            if sparse and (not isinstance(of, str) or of == "plant_pose" or of in self._tables):
+            if sparse and (not isinstance(signal, str) or signal == "plant_pose" or signal in self._tables):
                 continue
-            self._strides[name] = wiring.strides.get(str(of), 1) if sparse else 1
+            self._strides[name] = wiring.strides.get(str(signal), 1) if sparse else 1
             period = self._strides[name] * step
             self.sinks[name] = LogVectorOutput(port, wiring.builder, publish_period=period)
             self.sinks[name].set_name(f"log_{name}")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from stewart_drake import Controller, RobotParameters, build_diagram, build_plant, load_scenario
+from stewart_drake import Controller, RobotParameters, build_plant, load_scenario
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.riccati import (
     INTEGRAL,
@@ -78,8 +78,8 @@ class Loop:
     A step of a moving plant costs a fifth more than one at rest, so the plant alone must move alike.
     """
 
-    def __init__(self, *changes):
-        self.loop = build_diagram(load_scenario("exact_fig7", changes))
+    def __init__(self, *changes, scenario="exact_fig7", sparse=False):
+        self.loop = diagram.ClosedLoop(load_scenario(scenario, changes), sparse=sparse)
         self.simulator = Simulator(self.loop, self.loop.create_start_context())
         self.simulator.AdvanceTo(0.02)
         self.alone, self.plant = build_plant(ROBOT)
@@ -101,6 +101,12 @@ def test_closed_loop(compare):
     """tick_ratio: plant and control at 1 kHz."""
     loop = Loop(*ALL)
     compare("closed loop", loop.step, "plant alone", loop.plant_alone, per=STEPS, base_per=STEPS)
+
+
+def test_default_run(compare):
+    """run_ratio: `run paper_fig7`, with Drake's Riccati equation and the network every 5 ms, logged as a run is."""
+    loop = Loop(scenario="paper_fig7", sparse=True)
+    compare("default run", loop.step, "plant alone", loop.plant_alone, per=STEPS, base_per=STEPS)
 
 
 def test_the_same_systems_doing_nothing(compare, monkeypatch):

@@ -40,7 +40,7 @@ def without_pictures(monkeypatch):
 
 @pytest.mark.slow
 def test_a_run_from_the_shell_leaves_its_files_and_prints_its_table(shell, tmp_path):
-    status, out, err = shell("run", "exact_fig7", *QUICK)
+    status, out, err = shell("run", "exact_fig7", "--plots", *QUICK)
     assert status == 0, err
     assert [path.name for path in tmp_path.iterdir()] == ["runs"]
     folder = tmp_path / "runs" / "exact_fig7"

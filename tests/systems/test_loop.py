@@ -41,6 +41,27 @@ def logged(loop, context):
     return {name: sink.FindLog(context).data().T.copy() for name, sink in loop.sinks.items()}
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"tuner": {"kind": "paper"}, "disturbances": [{"kind": "noise", "rms": [0, 0, 0, 1, 0, 0]}]},
+        pytest.param({"sensors": {"kind": "encoders"}, "command_delay": 1, "safety": {}}, marks=pytest.mark.slow),
+    ],
+    ids=["exact", "encoders"],
+)
+def test_rows_of_a_sparse_log_are_those_of_a_full_one_to_the_bit(changes):
+    case, end = paper(**changes), 0.053
+    full, sparse = simulate(ClosedLoop(case), end), ClosedLoop(case, sparse=True)
+    simulator = Simulator(sparse, sparse.create_start_context())
+    simulator.AdvanceTo(end + 1e-6)
+    count, rows = sparse.rows(simulator.get_context())
+    assert count == 54
+    assert rows.keys() == full.keys() | {"measured"}
+    for name, values in full.items():
+        np.testing.assert_array_equal(rows[name], values, name)
+    assert sparse.sinks["torque"].FindLog(simulator.get_context()).num_samples() == 11
+
+
 def by_hand(scenario, steps, command):
     """The plant alone, stepped one by one: states (n, nq + nv) and torques (n, 6) of `command(pose, rate, step)`."""
     diagram, plant = build_plant(scenario.robot, scenario.plant, scenario.gravity)
