@@ -71,9 +71,12 @@ class MachineSession(PageSession):
 
     def _show(self, over: threading.Event) -> None:
         while not over.wait(SLICE):
-            self.obey()
-            self._hand.reference.govern(self.scenario, self._motion.own_time(self._drive.time))
-            self.publish(self.row())
+            try:
+                self.obey()
+                self._hand.reference.govern(self.scenario, self._motion.own_time(self._drive.time))
+                self.publish(self.row())
+            except Exception as error:  # Who has no picture can stop it still.
+                self.message = one_line(error)
 
     def _aim(self, command: Mapping[str, Any]) -> None:
         reached = self._hand.reference.aim(self.scenario, six_of(command["pose"]))

@@ -21,8 +21,8 @@ SLACK, TREMBLE = 0.015, 0.003
 """[rad] half width of a motion that is no travel. Of a reference: play and friction take it, of servos that are sold up
 to 1 deg each. Of a reading: noise, and one count of 10 bits to and fro."""
 REPEATED, FROZEN_AFTER = 6, 0.05
-"""Ticks in a row of readings that all repeat to the last bit, and [rad] travel of the reference meanwhile, with which
-they are frozen. Friction that nobody believed in held all six cranks of a robot for up to 0.037 rad."""
+"""Ticks in a row of readings that all repeat to the last bit, at least half a block, and [rad] travel of the reference
+meanwhile, with which they are frozen. Friction that nobody believed in held all six cranks for up to 0.037 rad."""
 MOVING, STANDS, FROZEN = range(3)
 NAMES = ("none", "not_moving", "reading_stuck")
 
@@ -82,7 +82,7 @@ def watch(robot: Any, params: Any, angles: Any, reference: Any, legs: Any, state
         state.cosine[i], state.sine[i], state.seen[i] = c, s, angles[i]
     state.ahead = state.ahead + gone if repeats else 0.0
     state.moved = state.moved + (1.0 if moves else 0.0) if repeats else 0.0
-    if state.moved >= REPEATED and state.ahead > params.frozen:
+    if state.moved >= max(REPEATED, 0.5 * params.block) and state.ahead > params.frozen:
         return FROZEN, -1
     state.elapsed += 1.0
     if state.elapsed >= params.block:

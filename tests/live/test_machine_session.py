@@ -10,7 +10,7 @@ from stewart_drake import forward_kinematics, inverse_kinematics, load_scenario
 from stewart_drake.base.errors import RunFailure
 from stewart_drake.live.machine_session import MachineSession
 from stewart_drake.live.start import start_machine
-from stewart_drake.live.steering import HandMotion
+from stewart_drake.live.steering import HandMotion, HandReference
 from stewart_drake.machines.machine import MachineError, Reading
 from stewart_drake.runs.drive import connected
 
@@ -63,6 +63,10 @@ def steered(**at):
     return session, machine, why
 
 
+def interrupted():
+    raise KeyboardInterrupt
+
+
 def test_a_slider_moves_the_robot_slowly_and_the_motion_ends_with_what_was_checked():
     wanted = HOME + [0.0, 0.0, 0.1, 0.003, 0.0, 0.005]
     session, machine, why = steered(_10={"do": "aim", "pose": wanted.tolist()}, _700={"do": "stop"})
@@ -75,6 +79,14 @@ def test_a_slider_moves_the_robot_slowly_and_the_motion_ends_with_what_was_check
     assert (row["ended"], row["motion"], len(row["links"])) == ("stopped", False, 7 * (14 + 13))
     # The ghost stands where the robot should be.
     np.testing.assert_allclose(row["links"][7 * 12 : 7 * 12 + 3], row["links"][7 * 26 : 7 * 26 + 3], atol=2e-3)
+
+
+def test_what_breaks_the_picture_does_not_break_the_stop(monkeypatch):
+    monkeypatch.setattr(HandReference, "govern", lambda *_: 1 / 0)
+    session, machine, why = steered(_60={"do": "stop"}, _900=interrupted)
+    assert isinstance(why, KeyboardInterrupt)
+    assert machine.count < 300
+    assert session.message == "ZeroDivisionError: division by zero"
 
 
 def test_it_goes_as_far_as_the_robot_can_and_names_the_limit():

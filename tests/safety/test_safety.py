@@ -268,10 +268,10 @@ def test_a_pose_that_stands_while_the_reference_moves_is_frozen():
     def of(poses, wanted):
         return frozen([inputs(reference=w, pose_reading=p) for p, w in zip(poses, wanted, strict=True)])
 
-    moving, still = HOME + np.arange(100)[:, None] * 1e-4 * np.eye(6)[5], np.tile(HOME, (100, 1))
+    moving, still = HOME + np.arange(150)[:, None] * 1e-4 * np.eye(6)[5], np.tile(HOME, (150, 1))
     assert (of(still, moving), of(moving, moving), of(still, still)) == (-1, None, None)
     # One last bit of one axis is a sign of life.
-    alive = still + np.spacing(0.3) * (np.arange(100) % 2)[:, None] * np.eye(6)[5]
+    alive = still + np.spacing(0.3) * (np.arange(150) % 2)[:, None] * np.eye(6)[5]
     assert of(alive, moving) is None
 
 

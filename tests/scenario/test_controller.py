@@ -205,13 +205,13 @@ def test_a_torque_that_is_no_number_never_comes_out():
 HOME = RobotParameters().home_pose
 
 
-class Odd:
+class NoArray:
     def __array__(self, *given, **named):
         raise ZeroDivisionError
 
 
 REFUSED = {
-    "an object that is no array": ("readings", {"readings": Odd()}),
+    "an object that is no array": ("readings", {"readings": NoArray()}),
     "five readings": ("readings", {"readings": np.zeros(5)}),
     "one reading for all": ("readings", {"readings": 0.0}),
     "complex readings": ("readings", {"readings": np.zeros(12, dtype=complex)}),
