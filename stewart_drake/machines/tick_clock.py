@@ -69,17 +69,12 @@ class TickClock:
         self._late += gap > (count - 1 + LATE) * self.tick
         self._long.add(count, gap)
         self._short.add(count, gap)
-        if self._changed():
+        # Not for one gap that was late, nor for those that make up for it.
+        before, most, gaps = self._long.value, CHANGED * self._long.value, self._short.gaps
+        if abs(self._short.value - before) > most and abs(median(gap / count for count, gap in gaps) - before) > most:
             self._long = _Mean(SPAN, self._short.gaps)
         if (tick := self._long.value) > 0.0:
             self.tick, self._range = tick, (min(self._range[0], tick), max(self._range[1], tick))
-
-    def _changed(self) -> bool:
-        """Whether the latest gaps differ as a whole, and not by one that was late, or by those that made up for it."""
-        before, most = self._long.value, CHANGED * self._long.value
-        if abs(self._short.value - before) <= most:
-            return False
-        return abs(median(gap / count for count, gap in self._short.gaps) - before) > most
 
     def report(self, expected: float) -> str | None:
         """How it differs from the tick [s] that was expected, in words; None where it does not."""

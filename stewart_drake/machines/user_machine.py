@@ -63,8 +63,7 @@ class UserMachine:
             # What has the time of the reading before is that one.
             if last is None or reading.time > last.time:
                 if last is not None and reading.number <= last.number:
-                    allowed = f"after {last.number}, as its time is"
-                    raise MachineError(self.name, f"read gave reading number {reading.number}, not one {allowed}")
+                    raise MachineError(self.name, f"a newer reading has number {reading.number} after {last.number}")
                 self._last, self._arrived = reading, now
         if self._last is None:
             raise MachineError(self.name, "read gave no reading yet")

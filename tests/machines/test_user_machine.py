@@ -132,7 +132,7 @@ def test_no_new_reading_is_the_last_one_older(mine):
 def test_readings_that_are_not_counted_and_an_exit_at_the_end_are_lines(mine):
     machine = mine("Counts")
     machine.connect()
-    with pytest.raises(MachineError, match="reading number 7, not one after 7, as its time is"):
+    with pytest.raises(MachineError, match="a newer reading has number 7 after 7"):
         machine.read()
     machine.disconnect()
     assert machine.after == "its disconnect raised SystemExit: gone"
