@@ -16,7 +16,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 .PHONY: demo install test compiled test-all check newest golden processors results lint bench docs docs-quick picture gallery robots calibration calibration-example identification integrators margins plan reproduction montecarlo random_faults random_beliefs reachy drive fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three tab format clean servo_identification adaptation
 
 demo: $(BASE)
-	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
+	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --plots --out runs/paper_fig7
 
 install: $(STAMP)
 
