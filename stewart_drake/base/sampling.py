@@ -104,12 +104,16 @@ class InBlocks:
         return value if abs(at - time) < _SAME * max(1.0, at) else self._function(np.array([time]))[0]
 
     def rows(self, count: int) -> np.ndarray:
-        """Values (count, k) at the first multiples, to the bit those of `at`."""
-        starts = range(0, max(count, 1), self._ROWS)
-        return np.concatenate([self._block(start)[1] for start in starts])[:count]
+        """Values (count, k) at the first multiples, to the bit those of `at`; none later is asked for."""
+        whole, rest = divmod(max(count, 1), self._ROWS)
+        parts = [self._block(block)[1] for block in range(whole)]
+        kept, _, values = self._table
+        if rest:
+            parts.append(values[:rest] if kept == whole else self._block(whole, rest)[1])
+        return np.concatenate(parts)[:count]
 
-    def _block(self, start: int) -> tuple[np.ndarray, np.ndarray]:
-        times = np.arange(start, start + self._ROWS) * self.period
+    def _block(self, block: int, rows: int = _ROWS) -> tuple[np.ndarray, np.ndarray]:
+        times = np.arange(block * self._ROWS, block * self._ROWS + rows) * self.period
         return times, self._function(times)
 
     def _row(self, step: int) -> tuple[float, np.ndarray]:
@@ -117,6 +121,6 @@ class InBlocks:
         # Read once: another thread's run may replace it meanwhile.
         kept, times, values = self._table
         if block != kept:
-            times, values = self._block(block * self._ROWS)
+            times, values = self._block(block)
             self._table = block, times, values
         return times[row], values[row]

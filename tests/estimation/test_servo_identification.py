@@ -154,9 +154,9 @@ def test_logs_that_cannot_be_used(trial):
     assert "reading_ages" in refused(recording, hold=["reading_ages"])
     with pytest.raises(ConfigurationError, match="at least one log"):
         identify_servos(GUESS, [])
-    # Commands twice as far from the angles as these servos can push.
+    # Commands twice as far from the angles as these servos can push: the head falls.
     limited = scenario(trial[0], NOMINAL, FADED, 20.0).replace({"motors.torque_limit": 0.05})
-    assert "no servo at its torque limit" in refused(run(limited, check=False))
+    assert "angles at which the robot cannot be assembled" in refused(run(limited, check=False))
     torque = dataclasses.replace(log, scenario=load_scenario("reachy_nod"))
     assert "expected a log of motors that take angles" in refused(torque)
     for name in ("angles", "commands"):

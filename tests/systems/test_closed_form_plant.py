@@ -180,7 +180,7 @@ def test_gradients_of_a_user_chain_and_may_be_none():
 def test_lqi_by_drake_alone():
     script = runpy.run_path(str(ROOT / "diagrams" / "lqi_by_drake.py"))
     gain, options, pose = script["lqi_gain"](), script["OPTIONS"], script["POSE"]
-    ours = lqi_gain(pose_acceleration_map(ROBOT, pose), options, script["WEIGHTS"], "split")
+    ours = lqi_gain(pose_acceleration_map(ROBOT, pose), options, script["WEIGHTS"])
     np.testing.assert_allclose(gain, ours[:, [*range(0, 12, 2), *range(1, 12, 2), *range(12, 18)]], atol=1e-9)
     by_drake, by_us = (script["off"](each, (0.0, 0.5)) for each in (gain, None))
     assert by_drake[1] < 0.5 * by_drake[0]
