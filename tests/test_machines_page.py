@@ -18,6 +18,7 @@ COMMANDS = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_machine_of_the_page_is_driven(call, tmp_path):
     (mine,) = re.findall(r"```python\n([^`]*class MyMachine.*?)```", PAGE, re.DOTALL)

@@ -112,6 +112,7 @@ def test_from_a_log_to_an_identified_robot(call, tmp_path):
     np.testing.assert_allclose(believed.plant.friction.coulomb, truth[COULOMB], rtol=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_designed_motion_is_a_scenario(call):
     status, out, err = call("excite", "--robot", "paper", "--duration", "6s", "--out", "excite.yaml")

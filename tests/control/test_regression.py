@@ -99,6 +99,7 @@ def test_arrows_are_dense_least_squares(seed):
     assert not shared[:, -1].any()
 
 
+@pytest.mark.long
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 10**6))
 def test_numbers_that_are_held_move_the_others_to_where_they_are_likeliest(seed):
@@ -273,6 +274,7 @@ def test_what_was_kept_is_what_the_next_run_believes():
     assert second.scenario.belief.motors.dead_time == pytest.approx(0.03 + value.delay)
 
 
+@pytest.mark.long
 def test_much_damping_that_an_earlier_run_has_learnt_is_not_cut():
     believed = {"coulomb": DRY, "viscous": 0.4, "width": 0.004}
     log = run(servos(duration=3.0, **{"plant.friction.viscous": 0.4, "model.friction": believed}), check=False)
@@ -543,6 +545,7 @@ def test_hidden_friction_of_ball_joints_is_found():
     assert set(part.outputs) - set(learnt_of_a_model(JOINTS)[0].outputs) == {"joints", "learnt_joints"}
 
 
+@pytest.mark.long
 def test_what_was_learnt_of_ball_joints_is_kept():
     _, state = learnt_of_a_model(JOINTS, ball_joints=True)
     scenario = servos(**{"model.friction.joints": JOINTS.to_dict() | {"viscous": 0.0, "coulomb": 0.0}})
@@ -569,6 +572,7 @@ def test_ball_joints_that_turn_freely_are_found_to_be_free(makes):
     assert late_error(log) < 3.0 * late_error(run(alone, check=False))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_all_three_engines_learn_alike():
     changes = {"duration": 3.0, "adaptation": "regression", "plant.motor_friction": 0.05}

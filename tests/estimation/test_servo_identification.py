@@ -80,6 +80,7 @@ def test_age_and_delay_are_told_as_their_sum(trial, found):
     assert "reading_age (undetermined): with each s more of it delay by -1 s" in repr(other)
 
 
+@pytest.mark.long
 def test_a_head_that_was_weighed_tells_the_rotors_inertia(trial):
     real, _, recording = trial
     off = GUESS.replace(rotor_inertia=1.3 * GUESS.rotor_inertia, platform_mass=real.robot.platform_mass)

@@ -56,6 +56,7 @@ def drive(machine, controller, ticks, out, begun=None):
     return reading
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_controller_drives_it_in_real_time():
     scenario = TORQUES.replace({"reference": "hold"})
