@@ -1,5 +1,5 @@
 # make demo   the main job on a bare clone: makes .venv, installs, runs diagrams/scenarios/paper_fig7.yaml
-# make test   the same set-up, then the tests but the long ones: some three minutes on two cores
+# make test   the same set-up, then the tests but the long ones: some four minutes on two cores
 # make check  the fast part of them, a quarter of the random examples, for daily work: less than a minute
 PYTHON ?= python3
 VENV := .venv
