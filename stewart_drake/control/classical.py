@@ -95,7 +95,7 @@ def pid_tick(robot: Any, params: Any, measurement: Any, reference: Any, legs: An
         state: `PID_STATE` of the tick before; that of this one where the status is OK.
 
     Returns:
-        Status; leg or -1, or which signal is NOT_FINITE; margin.
+        Status of `base.STATUSES`; leg or -1; margin.
     """
     robot, params, state = record(robot), record(params), record(state)
     legs, target = record(legs), record(target_legs)

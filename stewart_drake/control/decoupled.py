@@ -20,8 +20,8 @@ from stewart_drake.base.config import NotNegative, Period, Positive
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.control.base import (
     AT_REFERENCE,
+    STATUSES,
     ControllerOptions,
-    failure,
     limit_and_integrate,
     measured_legs,
     saturation_params,
@@ -78,7 +78,7 @@ class DecoupledPidOptions(ControllerOptions):
         )  # fmt: skip
         constants = {"robot": robot_record(context.robot), "doubt": np.ones(6), "params": params}
         inputs, legs = {"measurement": 12, "reference": 18, "reference_now": 18}, (LEGS, LEGS, LEGS)
-        return (Part("controller", decoupled_tick, constants, inputs, ("torque",), new_record(_STATE), legs, failure),)
+        return (Part("controller", decoupled_tick, constants, inputs, ("torque",), new_record(_STATE), legs, STATUSES),)
 
 
 _PARAMS = fields(

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.base.config import Natural, NotNegative, Positive, Text, one_for_six
-from stewart_drake.base.errors import ConfigurationError, UnreachablePoseError
+from stewart_drake.base.errors import ConfigurationError, Status
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.hardware.motors import MotorOptions
@@ -148,8 +147,9 @@ class PositionServos(_SoldMotors):
         constants = {"robot": robot_record(context.robot), "gain": self.gains, "params": params}
         first = new_record(fields(command=6), command=self.initial_command(context))
         inputs = {"torque": 6, "measurement": 12, "reference": 18}
-        outputs, scratch = ("command",), (LEGS,)
-        angles = Part("servo_command", servo_command, constants, inputs, outputs, first, scratch, _unreachable)
+        aim = "measurement" if context.feedback else "reference"
+        statuses = {UNREACHABLE: Status("unreachable_pose", aim, of_leg=True)}
+        angles = Part("servo_command", servo_command, constants, inputs, ("command",), first, (LEGS,), statuses)
         if context.feedback or self.count == 0.0:
             return (angles,)
         rounding = rounding_part(context, float(self.gains.mean()), self.damping, self.count)
@@ -294,9 +294,3 @@ def servo_command(
             wound += params.play * np.tanh(wound / (PLAY_WIDTH * params.play))
         state.command[i] = angle + wound
     return OK, -1, 0.0
-
-
-def _unreachable(result: Any, arguments: Mapping[str, Any]) -> UnreachablePoseError:
-    _, leg, margin = result
-    aim = arguments["measurement" if arguments["params"]["feedback"][0] == 1.0 else "reference"]
-    return UnreachablePoseError(np.array(aim[:6]), leg, margin)

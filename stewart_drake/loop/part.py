@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.errors import RunFailure, failure_code
+from stewart_drake.base.errors import RunFailure, Status, failure, failure_code
 from stewart_drake.base.jit import specialised
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.robot import RobotParameters
@@ -28,9 +28,9 @@ class Part(NamedTuple):
     """A part of the loop.
 
     Its kernel is called as `kernel(*constants, *inputs, *scratch, state)` and changes the state in place. It returns
-    nothing, or a tuple that begins with a status, 0 where all is well; who runs the part raises `error` for another.
-    The state is then worthless. A kernel of our own is compiled; a user's may be plain Python, and may raise
-    RunFailure.
+    nothing, or status, leg or -1, and margin; the status is 0 where all is well, and of another `statuses` gives the
+    error that is raised. The state is then worthless. A kernel of our own is compiled; a user's may be plain Python,
+    and may raise RunFailure.
 
     An input is the last signal of its name: of the same instant by a part before it in the list, or of the tick before
     by a part after it, or by one that runs at the end of a tick.
@@ -44,7 +44,9 @@ class Part(NamedTuple):
         outputs: Fields of its state that are signals; they come first in the state, in this order.
         initial: State before the first tick: a record (1,) of float64 fields, see `jit.fields`.
         scratch: Kinds of records that the kernel overwrites.
-        error: The error of a result of the kernel and of its arguments by name, with `scratch` and `state`.
+        statuses: Status other than 0 -> what it means. The arguments have the names of constants and inputs, and
+            `state`.
+        error: In the place of `statuses`: result and arguments -> the error.
         connections: Port or constant -> name of the signal, where that is not the port's own; or an array that stays,
             for a port that this loop has no signal for.
         output_names: Output -> name of the signal, where that is not its own.
@@ -62,6 +64,7 @@ class Part(NamedTuple):
     outputs: tuple[str, ...]
     initial: np.ndarray
     scratch: tuple[np.dtype, ...] = ()
+    statuses: Mapping[int, Status] = MappingProxyType({})
     error: Callable[[Any, Mapping[str, Any]], RunFailure] | None = None
     connections: Mapping[str, str | np.ndarray] = NOTHING
     output_names: Mapping[str, str] = NOTHING
@@ -178,14 +181,16 @@ class BoundPart:
             self.state["health"] = failure_code(error.reason), -1.0 if error.leg is None else error.leg
 
     def _error(self, result: Any) -> RunFailure:
-        assert self.part.error is not None
         named = dict(zip((*self.part.constants, *self.part.inputs), self.arguments, strict=False))
-        return self.part.error(result, {**named, "scratch": self._scratch, "state": self.state})
+        named["state"] = self.state
+        if self.part.error is not None:
+            return self.part.error(result, named)
+        return failure(self.part.statuses[result[0]], result[1], result[2], named)
 
     def fixed(self) -> Callable[[], Any]:
         """The same tick with the arguments that are bound now and no others, by the shortest way."""
         self._kernel = specialised(self.part.kernel, self.arguments)
-        plain = self.part.error is None and not self.part.fault_tolerant
+        plain = self.part.error is None and not self.part.statuses and not self.part.fault_tolerant
         return partial(self._kernel, *self.arguments) if plain else self
 
 
