@@ -9,7 +9,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,8 +45,8 @@ from pydrake.systems.framework import (
 )
 
 from stewart_drake.base.config import NotNegative, check_value
-from stewart_drake.base.errors import ConfigurationError, drake_guard
-from stewart_drake.base.sampling import on_grid
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError, drake_guard
+from stewart_drake.base.sampling import decimal, on_grid
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.plant.model_files import home_frames, sdf_text
 from stewart_drake.plant.plant_options import DrakeOptions, platform_damping_limit
@@ -107,6 +107,12 @@ class StewartRobot(StateMap):
             twist=nq + first_v + np.arange(6),
         )
 
+    @cached_property
+    def size(self) -> int:  # type: ignore[override]
+        """Numbers in a state of the plant."""
+        self._finished()
+        return int(self.plant.num_multibody_states())
+
     @property
     def default(self) -> np.ndarray:  # type: ignore[override]
         """(nq + nv,) the plant's default state, without motion."""
@@ -115,7 +121,7 @@ class StewartRobot(StateMap):
 
     @property
     def torque_input_port(self) -> InputPort:
-        """(6,) [N m] motor torques, clipped to the effort limit; it must be connected or fixed."""
+        """(6,) [N m] motor torques, clipped to the effort limit; zero where left alone."""
         self._finished()
         if self._friction is not None:
             return self._friction.torque
@@ -126,6 +132,7 @@ class StewartRobot(StateMap):
     @property
     def state_output_port(self) -> OutputPort:
         """(nq + nv,) the state of the plant."""
+        self._finished()
         return self.plant.get_state_output_port()
 
     @property
@@ -145,7 +152,9 @@ class StewartRobot(StateMap):
     def connect_friction(self, builder: DiagramBuilder) -> None:
         """Adds the systems by which motors stick, where they do; the plant is finalised and in the builder."""
         if self._friction is None and self._law["break_away"].any():
-            self._friction = wire_friction(builder, self, self._law)
+            self._finished()
+            with drake_guard("connecting the friction"):
+                self._friction = wire_friction(builder, self, self._law)
 
     def set_default_state(self, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
         """Makes `assemble(pose, pose_rate)` what a Context begins with, before the first one is made.
@@ -172,8 +181,13 @@ class StewartRobot(StateMap):
             plant.DeclareInitializationUnrestrictedUpdateEvent(begin)
         self._start[:] = self.default[mine], start[mine]
 
-    def push(self, wrench: np.ndarray) -> ExternallyAppliedSpatialForce:
+    def push(self, wrench: ArrayLike) -> ExternallyAppliedSpatialForce:
         """A wrench (6,) [N m, N] in B about P, the origin of the link `platform`, for `applied_spatial_force`."""
+        wrench = np.asarray(wrench, dtype=float)
+        if wrench.shape != (6,):
+            raise ConfigurationError("wrench", wrench, "(6,) moment [N m] and force [N]")
+        if not np.isfinite(wrench).all():
+            raise NotFiniteError("wrench", wrench)
         force = ExternallyAppliedSpatialForce()
         force.body_index = self.plant.GetBodyByName("platform", self.instance).index()
         force.p_BoBq_B = np.zeros(3)
@@ -193,6 +207,7 @@ class StewartRobot(StateMap):
 
     def put(self, context: Context, state: np.ndarray) -> None:
         """Puts the plant into a state (nq + nv,), friction without tension; `context` as in `set_state`."""
+        state = self.checked(state)
         with drake_guard("setting the plant's state"):
             mine = self.plant.GetMyMutableContextFromRoot(context)
             self.plant.SetPositionsAndVelocities(mine, state)
@@ -205,6 +220,17 @@ class StewartRobot(StateMap):
     def _finished(self) -> None:
         if not self.plant.is_finalized():
             raise ConfigurationError("plant", "one under construction", "one that is finalised; call plant.Finalize()")
+
+
+def require_robot(value: object) -> StewartRobot:
+    """The robot; anything else, a plain MultibodyPlant say, is refused."""
+    _require("robot", value, StewartRobot, "; add_robot and add_plant return one")
+    return cast(StewartRobot, value)
+
+
+def _require(key: str, value: object, kind: type, hint: str = "") -> None:
+    if not isinstance(value, kind):
+        raise ConfigurationError(key, value, f"a {kind.__name__}{hint}")
 
 
 def add_robot(
@@ -235,6 +261,11 @@ def add_robot(
         DrakeCheckError: Drake refuses the model.
     """
     options, base = DrakeOptions() if options is None else options, RigidTransform() if base is None else base
+    _require("plant", plant, MultibodyPlant)
+    _require("robot", robot, RobotParameters)
+    _require("base", base, RigidTransform)
+    if parser is not None and parser.plant() is not plant:
+        raise ConfigurationError("parser", parser, "a parser of this plant")
     if plant.is_finalized():
         raise ConfigurationError("plant", "a finalised one", "one before Finalize()")
     if plant.time_step() <= 0.0:
@@ -242,7 +273,7 @@ def add_robot(
     if plant.HasModelInstanceNamed(model_instance):
         raise ConfigurationError("model_instance", model_instance, "a name that the plant does not have yet")
     if plant.time_step() != on_grid(options.time_step):
-        options = DrakeOptions.from_dict({**options.to_dict(), "time_step": plant.time_step()})
+        options = DrakeOptions.from_dict({**options.to_dict(), "time_step": decimal(plant.time_step())})
     limit = platform_damping_limit(robot, options)
     if options.platform_joint_damping > limit:
         raise ConfigurationError(
@@ -310,6 +341,7 @@ def add_plant(
         DrakeCheckError: Drake refuses the model.
     """
     options = DrakeOptions() if options is None else options
+    _require("builder", builder, DiagramBuilder)
     check_value("gravity", gravity, NotNegative)
     if builder.HasSubsystemNamed(name):
         raise ConfigurationError("name", name, "one that no other system of the Diagram has")

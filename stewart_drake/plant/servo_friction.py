@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from pydrake.multibody.tree import PdControllerGains
-from pydrake.systems.framework import Context, DiagramBuilder, InputPort, LeafSystem
-from pydrake.systems.primitives import LinearSystem, MatrixGain, Multiplexer
+from pydrake.systems.framework import Context, DiagramBuilder, InputPort, LeafSystem, OutputPort, System
+from pydrake.systems.primitives import Adder, LinearSystem, MatrixGain, Multiplexer
 
 from stewart_drake.base.jit import njit, record
 from stewart_drake.mechanics.friction import level, update_bristles
@@ -112,8 +112,21 @@ def wire_friction(builder: DiagramBuilder, robot: StewartRobot, law: np.ndarray)
     ):
         gain = builder.AddNamedSystem(f"{prefix}_{name}", MatrixGain(matrix))
         builder.Connect(source, gain.get_input_port())
-        builder.Connect(gain.get_output_port(), target)
+        connect_besides(builder, gain.get_output_port(), target, Adder(2, len(matrix)))
 
     wired = Friction(both.get_input_port(0), memory, friction.cranks)
     memory.configure_default_state(wired.without_tension(robot.default))
     return wired
+
+
+def connect_besides(builder: DiagramBuilder, source: OutputPort, target: InputPort, both: System) -> None:
+    """Connects a port, beside what it is connected to already, if it is: `both` adds two signals then."""
+    place = target.get_system(), target.get_index()
+    before = [start.get_output_port(port) for end, (start, port) in builder.connection_map().items() if end == place]
+    if before:
+        builder.AddSystem(both)
+        builder.Disconnect(before[0], target)
+        for port, signal in enumerate((before[0], source)):
+            builder.Connect(signal, both.get_input_port(port))
+        source = both.get_output_port()
+    builder.Connect(source, target)
