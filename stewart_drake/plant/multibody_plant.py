@@ -45,7 +45,7 @@ from pydrake.systems.framework import (
 )
 
 from stewart_drake.base.config import NotNegative, check_value
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError, drake_guard
+from stewart_drake.base.errors import ConfigurationError, drake_guard
 from stewart_drake.base.sampling import decimal, on_grid
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.plant.model_files import home_frames, sdf_text
@@ -106,12 +106,6 @@ class StewartRobot(StateMap):
             rod_rate=nq + np.array([joint.velocity_start() + np.arange(joint.num_velocities()) for joint in rods]),
             twist=nq + first_v + np.arange(6),
         )
-
-    @cached_property
-    def size(self) -> int:  # type: ignore[override]
-        """Numbers in a state of the plant."""
-        self._finished()
-        return int(self.plant.num_multibody_states())
 
     @property
     def default(self) -> np.ndarray:  # type: ignore[override]
@@ -184,10 +178,8 @@ class StewartRobot(StateMap):
     def push(self, wrench: ArrayLike) -> ExternallyAppliedSpatialForce:
         """A wrench (6,) [N m, N] in B about P, the origin of the link `platform`, for `applied_spatial_force`."""
         wrench = np.asarray(wrench, dtype=float)
-        if wrench.shape != (6,):
-            raise ConfigurationError("wrench", wrench, "(6,) moment [N m] and force [N]")
-        if not np.isfinite(wrench).all():
-            raise NotFiniteError("wrench", wrench)
+        if wrench.shape != (6,) or not np.isfinite(wrench).all():
+            raise ConfigurationError("wrench", wrench, "moment [N m] and force [N], six finite numbers")
         force = ExternallyAppliedSpatialForce()
         force.body_index = self.plant.GetBodyByName("platform", self.instance).index()
         force.p_BoBq_B = np.zeros(3)
@@ -263,7 +255,6 @@ def add_robot(
     options, base = DrakeOptions() if options is None else options, RigidTransform() if base is None else base
     _require("plant", plant, MultibodyPlant)
     _require("robot", robot, RobotParameters)
-    _require("base", base, RigidTransform)
     if parser is not None and parser.plant() is not plant:
         raise ConfigurationError("parser", parser, "a parser of this plant")
     if plant.is_finalized():
@@ -341,7 +332,6 @@ def add_plant(
         DrakeCheckError: Drake refuses the model.
     """
     options = DrakeOptions() if options is None else options
-    _require("builder", builder, DiagramBuilder)
     check_value("gravity", gravity, NotNegative)
     if builder.HasSubsystemNamed(name):
         raise ConfigurationError("name", name, "one that no other system of the Diagram has")

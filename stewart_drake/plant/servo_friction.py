@@ -121,12 +121,11 @@ def wire_friction(builder: DiagramBuilder, robot: StewartRobot, law: np.ndarray)
 
 def connect_besides(builder: DiagramBuilder, source: OutputPort, target: InputPort, both: System) -> None:
     """Connects a port, beside what it is connected to already, if it is: `both` adds two signals then."""
-    place = target.get_system(), target.get_index()
-    before = [start.get_output_port(port) for end, (start, port) in builder.connection_map().items() if end == place]
-    if before:
+    if before := builder.connection_map().get((target.get_system(), target.get_index())):
+        other = before[0].get_output_port(before[1])
         builder.AddSystem(both)
-        builder.Disconnect(before[0], target)
-        for port, signal in enumerate((before[0], source)):
-            builder.Connect(signal, both.get_input_port(port))
+        builder.Disconnect(other, target)
+        builder.Connect(other, both.get_input_port(0))
+        builder.Connect(source, both.get_input_port(1))
         source = both.get_output_port()
     builder.Connect(source, target)

@@ -39,10 +39,9 @@ class StateIndices:
 class StateMap:
     """The state of one robot, read and composed; vectorised over leading axes.
 
-    A subclass has `indices`, and the state (size,) `default` of a plant, of which the robot's part is replaced.
+    A subclass has `indices`, and the state (n,) `default` of a plant, of which the robot's part is replaced.
     """
 
-    size: int
     indices: StateIndices
     default: np.ndarray
 
@@ -51,6 +50,11 @@ class StateMap:
         self._home = home_frames(robot)
         self._lateral = crank_lateral(robot)
         self._crank_zero = np.concatenate([self._home.crank_angles, np.zeros(6)])
+
+    @cached_property
+    def size(self) -> int:
+        """Numbers in a state of the plant."""
+        return self.default.size
 
     @cached_property
     def _crank_index(self) -> np.ndarray:

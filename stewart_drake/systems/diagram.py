@@ -106,12 +106,6 @@ class ClosedLoop(Diagram):
             builder.BuildInto(self)
         self.set_name(scenario.name)
 
-    def create_start_context(self) -> Context:
-        """A Context at the scenario's start, in motion; a default Context gets its rates at `Initialize`."""
-        context = self.CreateDefaultContext()
-        self.plant.set_state(context, *self.scenario.start())
-        return context
-
     def rows(self, context: Context) -> tuple[int, dict[str, np.ndarray]]:
         """Of a sparse log: how many rows are complete, all that was logged (n, k), and what the plant measures."""
         with drake_guard("reading the logs"):
@@ -144,34 +138,67 @@ def _one_of(key: str, name: str, known: Iterable[str], inside: str = "") -> str:
 
 
 class LoopSystems:
-    """The systems of a scenario's loop in a Diagram, wired to a robot in it; made by `add_loop`.
+    """All systems of a scenario but the plant, in a Diagram under construction, wired to a robot; made by `add_loop`.
+
+    The scenario's `plant` and `gravity` give way to those of the robot's plant, which is finalised. The scenario's
+    start becomes the robot's default state: a Simulator on the Diagram begins as `run(scenario)` does.
+
+    Args:
+        builder: Receives the systems, and the friction of the robot's motors where it has none yet.
+        scenario: Of the same robot.
+        robot: Made by `add_robot` or `add_plant`.
+        inputs: As of `ClosedLoop`.
+        outputs: Likewise.
+        name: Begins the names of the systems, so that several loops have room in a Diagram.
 
     Attributes:
-        scenario, loop, plant: What it was made from, its parts, and the robot.
+        scenario, loop: What it was made from, with the plant's options, and its parts.
         systems: The System of each part, by name.
-        inputs: Input ports that were asked for, by name; one that is left alone has the scenario's signal.
-        outputs: Ports of all signals by the names that `ClosedLoop` has for them, but for `plant_state`.
+        inputs, outputs: Ports by name; the outputs are those of `ClosedLoop` but for `plant_state`.
         logged, tables, strides: For the log of a run: what each output is; signals that follow from the time; of those
             that change at ticks alone, how many steps of the plant a tick takes.
+
+    Raises:
+        ConfigurationError: Another robot than the scenario's, or one that has a loop; a plant whose steps do not make
+            up the loop's periods; a name that is taken.
     """
 
     def __init__(
         self,
         builder: DiagramBuilder,
         scenario: Scenario,
-        plant: StewartRobot,
-        inputs: Sequence[str],
-        outputs: Sequence[str],
-        name: str,
+        robot: StewartRobot,
+        *,
+        inputs: Sequence[str] = (),
+        outputs: Sequence[str] = (),
+        name: str = "",
     ) -> None:
-        self.scenario, self.loop, self.plant = scenario, loop_of(scenario), plant
+        require_scenario(scenario)
+        require_robot(robot)
+        if scenario.robot != robot.robot:
+            here, there = scenario.robot.to_dict(), robot.robot.to_dict()
+            others = ", ".join(key for key in here if here[key] != there[key])
+            raise ConfigurationError("scenario.robot", f"another {others}", "the robot of the plant")
+        gravity = float(np.linalg.norm(robot.plant.gravity_field().gravity_vector()))
+        if scenario.plant != robot.options or scenario.gravity != gravity:
+            scenario = scenario.replace({"plant": robot.options, "gravity": gravity})
+        self.scenario, self.loop = scenario, loop_of(scenario)
         self._builder, self._prefix = builder, f"{name}_" if name else ""
         self.systems: dict[str, Any] = {}
         self.inputs: dict[str, InputPort] = {}
         self.tables: dict[str, InBlocks] = {}
         self.strides: dict[str, int] = {}
-        sensor = self._add("sensor", TaskSpaceSensor(plant))
-        builder.Connect(plant.state_output_port, sensor.plant_state)
+        with drake_guard("wiring the loop"):
+            self._wire(robot, inputs, outputs)
+            robot.set_default_state(*scenario.start())
+
+    def _wire(self, robot: StewartRobot, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+        builder = self._builder
+        robot.connect_friction(builder)
+        if builder.IsConnectedOrExported(robot.torque_input_port):
+            raise ConfigurationError("robot", "one whose torques are connected already", "a robot for each loop")
+        sensor = self._add("sensor", TaskSpaceSensor(robot))
+        builder.Connect(robot.state_output_port, sensor.plant_state)
         self._signals: dict[str, OutputPort] = {"plant_pose": sensor.measurement, "crank_state": sensor.crank_state}
         for source in self.loop.sources:
             self._add_source(source)
@@ -180,13 +207,13 @@ class LoopSystems:
         self.logged: dict[str, str | np.ndarray] = {**self.loop.logged, **self._add_inputs(inputs)}
         self.logged |= {output: _one_of("outputs", output, self._signals, ".") for output in outputs}
         if "wrench" in self._signals:
-            push = self._add("push", PlatformWrench(plant))
+            push = self._add("push", PlatformWrench(robot))
             builder.Connect(self._signals["wrench"], push.wrench)
             both = ExternallyAppliedSpatialForceMultiplexer(2)
-            connect_besides(builder, push.spatial_force, plant.plant.get_applied_spatial_force_input_port(), both)
+            connect_besides(builder, push.spatial_force, robot.plant.get_applied_spatial_force_input_port(), both)
         for part in self.loop.parts:
             self._connect(part)
-        builder.Connect(self._signals[self.loop.torque], plant.torque_input_port)
+        builder.Connect(self._signals[self.loop.torque], robot.torque_input_port)
         self.outputs = {output: self._port(output, signal) for output, signal in self.logged.items()}
 
     def _add(self, name: str, system: _System) -> _System:
@@ -260,49 +287,9 @@ class LoopSystems:
         return self._add(name, ConstantVectorSource(source)).get_output_port()
 
 
-def add_loop(
-    builder: DiagramBuilder,
-    scenario: Scenario,
-    robot: StewartRobot,
-    *,
-    inputs: Sequence[str] = (),
-    outputs: Sequence[str] = (),
-    name: str = "",
-) -> LoopSystems:
-    """Adds the loop of a scenario to a Diagram under construction, and wires it to a robot in a plant of it.
-
-    Sensors, estimator, controller, tuner, safety layer, motors, disturbances: all but the plant. The scenario's `plant`
-    and `gravity` give way to those of the robot's plant, which is finalised. The scenario's start becomes the robot's
-    default state, so that a Simulator on your Diagram begins as `run(scenario)` does.
-
-    Args:
-        builder: Receives the systems, and the friction of the robot's motors where it has none yet.
-        scenario: Of the same robot.
-        robot: Made by `add_robot` or `add_plant`.
-        inputs: As of `ClosedLoop`; the ports are `LoopSystems.inputs`.
-        outputs: Likewise; the ports are `LoopSystems.outputs`.
-        name: Begins the names of the systems, so that several loops have room in a Diagram.
-
-    Raises:
-        ConfigurationError: A builder that has built, another robot than the scenario's, a plant whose steps do not make
-            up the periods of the loop, a name that is taken.
-        DrakeCheckError: Drake refuses a connection.
-    """
-    require_scenario(scenario)
-    there = require_robot(robot).robot.to_dict()
-    if others := [key for key, value in scenario.robot.to_dict().items() if value != there[key]]:
-        raise ConfigurationError("scenario.robot", f"another {', '.join(others)}", "the robot of the plant")
-    with drake_guard("wiring the loop"):
-        robot.connect_friction(builder)
-        if builder.IsConnectedOrExported(robot.torque_input_port):
-            raise ConfigurationError("robot", "one whose torques are connected already", "a robot for each loop")
-    gravity = float(np.linalg.norm(robot.plant.gravity_field().gravity_vector()))
-    if scenario.plant != robot.options or scenario.gravity != gravity:
-        scenario = scenario.replace({"plant": robot.options, "gravity": gravity})
-    with drake_guard("wiring the loop"):
-        added = LoopSystems(builder, scenario, robot, inputs, outputs, name)
-        robot.set_default_state(*scenario.start())
-    return added
+def add_loop(builder: DiagramBuilder, scenario: Scenario, robot: StewartRobot, **options: Any) -> LoopSystems:
+    """Adds the loop of `scenario` around a robot in a plant of yours; for options as name see `LoopSystems`."""
+    return LoopSystems(builder, scenario, robot, **options)
 
 
 def build_diagram(scenario: Scenario, **options: Any) -> ClosedLoop:

@@ -175,7 +175,6 @@ CONFIGURATION = (
         lambda: add_robot(MultibodyPlant(0.001), "paper"),
         "robot: expected a RobotParameters, got 'paper'",
     ),
-    ("no transform", lambda: added(base=[0, 0, 1]), "base: expected a RigidTransform, got"),
     ("another parser", lambda: added(parser=Parser(finalised())), "parser: expected a parser of this plant"),
     ("finalised too early", lambda: added(finalised()), "plant: expected one before Finalize"),
     ("not finalised", lambda: TaskSpaceSensor(added()), "plant: expected one that is finalised, .*; call plant.Final"),
@@ -193,12 +192,12 @@ CONFIGURATION = (
     ),
     ("two loops for a robot", lambda: around(again=True), "robot: .* torques are connected already"),
     ("two loops of a name", lambda: around(again=False), "name: expected another .* sensor already"),
-    ("no builder", lambda: add_plant(None, ROBOT), "builder: expected a DiagramBuilder, got None"),
     ("a pose of too few", lambda: built()[1].pose_and_rate(np.zeros(3)), "state: expected .* 49.* got .*shape"),
     ("cranks of too few", lambda: built()[1].crank_state(np.zeros(3)), "state: expected .* 49.* got .*shape"),
     ("gaps of too many", lambda: built()[1].loop_gap(np.zeros(50)), "state: expected .* 49.* got .*shape"),
     ("a state of too few", lambda: put(3), "state: expected .* 49.* got .*shape"),
-    ("a push of too few", lambda: built()[1].push(np.zeros(3)), r"wrench: expected \(6,\) moment"),
+    ("a push of too few", lambda: built()[1].push(np.zeros(3)), "wrench: expected moment .* six finite numbers"),
+    ("a push that is none", lambda: built()[1].push(np.full(6, np.nan)), "wrench: expected moment .* six finite numb"),
 )
 DRAKE = (
     (
@@ -234,7 +233,6 @@ DRAKE = (
     ),
 )
 NUMBERS = (
-    ("a push that is none", lambda: built()[1].push(np.full(6, np.nan)), "wrench is not finite"),
     ("a wrench that is none", lambda: fixed("wrench", np.full(6, np.inf)), "wrench is not finite"),
     ("weights that are none", lambda: fixed("weights", [np.nan, 1.0]), "weights is not finite"),
     ("weights below 0", lambda: fixed("weights", [-1.0, 1.0]), "no gain for weights .*: .* positive and finite"),
