@@ -9,7 +9,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -216,13 +216,9 @@ class StewartRobot(StateMap):
 
 def require_robot(value: object) -> StewartRobot:
     """The robot; anything else, a plain MultibodyPlant say, is refused."""
-    _require("robot", value, StewartRobot, "; add_robot and add_plant return one")
-    return cast(StewartRobot, value)
-
-
-def _require(key: str, value: object, kind: type, hint: str = "") -> None:
-    if not isinstance(value, kind):
-        raise ConfigurationError(key, value, f"a {kind.__name__}{hint}")
+    if not isinstance(value, StewartRobot):
+        raise ConfigurationError("robot", value, "a StewartRobot; add_robot and add_plant return one")
+    return value
 
 
 def add_robot(
@@ -253,8 +249,6 @@ def add_robot(
         DrakeCheckError: Drake refuses the model.
     """
     options, base = DrakeOptions() if options is None else options, RigidTransform() if base is None else base
-    _require("plant", plant, MultibodyPlant)
-    _require("robot", robot, RobotParameters)
     if parser is not None and parser.plant() is not plant:
         raise ConfigurationError("parser", parser, "a parser of this plant")
     if plant.is_finalized():

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, DiagramBuilder, FixedInputPortValue
+from pydrake.systems.framework import Context, FixedInputPortValue
 
 from stewart_drake.base.errors import drake_guard
-from stewart_drake.plant.multibody_plant import add_plant
+from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import DrakeOptions, foreign_state
 from stewart_drake.robot import RobotParameters
 
@@ -16,12 +16,8 @@ class SteppedPlant:
     """The `MultibodyPlant` as a `Plant`, for a loop that is not a Diagram: a step at a call."""
 
     def __init__(self, robot: RobotParameters, options: DrakeOptions, gravity: float) -> None:
-        builder = DiagramBuilder()
-        self._stewart = add_plant(builder, robot, options, gravity)
+        self._diagram, self._stewart = build_plant(robot, options, gravity)
         plant = self._stewart.plant
-        with drake_guard("building the plant"):
-            builder.ExportInput(self._stewart.torque_input_port, "torque")
-            self._diagram = builder.Build()
         self._force_port, self._period = plant.get_applied_spatial_force_input_port(), plant.time_step()
         self._begin()
 

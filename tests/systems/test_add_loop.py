@@ -162,34 +162,18 @@ def loop_in(builder, robot, _):
     add_loop(builder, PLAIN, robot)
 
 
+OTHER = finalised()
 CONFIGURATION = (
     ("a plant without our model", lambda: TaskSpaceSensor(finalised()), "robot: expected a StewartRobot, got .*Plant"),
-    (
-        "a loop around it",
-        lambda: add_loop(DiagramBuilder(), PLAIN, finalised()),
-        "robot: .*; add_robot and add_plant re",
-    ),
-    ("another kind", lambda: add_robot(ClosedFormPlant(ROBOT), ROBOT), "plant: expected a MultibodyPlant, got"),
-    (
-        "no parameters",
-        lambda: add_robot(MultibodyPlant(0.001), "paper"),
-        "robot: expected a RobotParameters, got 'paper'",
-    ),
-    ("another parser", lambda: added(parser=Parser(finalised())), "parser: expected a parser of this plant"),
+    ("a loop around it", lambda: add_loop(DiagramBuilder(), PLAIN, finalised()), "robot: .*; add_robot and add_plant"),
+    ("another kind", lambda: TaskSpaceSensor(ClosedFormPlant(ROBOT)), "robot: expected a StewartRobot, got"),
+    ("another parser", lambda: added(parser=Parser(OTHER)), "parser: expected a parser of this plant"),
     ("finalised too early", lambda: added(finalised()), "plant: expected one before Finalize"),
     ("not finalised", lambda: TaskSpaceSensor(added()), "plant: expected one that is finalised, .*; call plant.Final"),
     ("nor for a loop", lambda: add_loop(DiagramBuilder(), PLAIN, added()), "plant: expected one that is finalised"),
     ("two of one name", twice, "model_instance: expected a name that .* got 'stewart'"),
-    (
-        "another robot",
-        lambda: around(LONGER),
-        "scenario.robot: expected the robot of the plant, got 'another crank_len",
-    ),
-    (
-        "a step beyond the tick",
-        lambda: around(time_step=0.01),
-        "controller.period: .* multiple of the plant's time step",
-    ),
+    ("another robot", lambda: around(LONGER), "scenario.robot: expected the robot of the plant, got 'another crank_le"),
+    ("a step beyond the tick", lambda: around(time_step=0.01), "controller.period: .* multiple of the plant's time st"),
     ("two loops for a robot", lambda: around(again=True), "robot: .* torques are connected already"),
     ("two loops of a name", lambda: around(again=False), "name: expected another .* sensor already"),
     ("a pose of too few", lambda: built()[1].pose_and_rate(np.zeros(3)), "state: expected .* 49.* got .*shape"),
@@ -200,37 +184,17 @@ CONFIGURATION = (
     ("a push that is none", lambda: built()[1].push(np.full(6, np.nan)), "wrench: expected moment .* six finite numb"),
 )
 DRAKE = (
-    (
-        "finalised by what opens it",
-        lambda: add_plant(DiagramBuilder(), ROBOT, before_finalize=finish),
-        "building the pla",
-    ),
+    ("finalised by what opens it", lambda: add_plant(DiagramBuilder(), ROBOT, before_finalize=finish), "building the"),
     ("a name that is none", lambda: added(model_instance="a::b"), "adding the robot: .*delimiter '::'"),
     ("TAMSI", lambda: added(tamsi()), "adding the robot: .*TAMSI does not support ball constraints"),
     ("a builder that has built", lambda: add_plant(built()[0], ROBOT, name="other"), "building the plant: .*already"),
     ("a loop in it", lambda: loop_in(*built()), "wiring the loop: .*already been called"),
-    (
-        "friction in it",
-        lambda: sticking().connect_friction(built()[0]),
-        "connecting the friction: .*already been called",
-    ),
+    ("friction in it", lambda: sticking().connect_friction(built()[0]), "connecting the friction: .*already been call"),
     ("another builder", lambda: loop_in(DiagramBuilder(), *built()[1:]), "wiring the loop: .*has not been registered"),
-    (
-        "set_state elsewhere",
-        lambda: built()[1].set_state(foreign(), ROBOT.home_pose),
-        "setting .*the Context of a system",
-    ),
+    ("set_state elsewhere", lambda: built()[1].set_state(foreign(), ROBOT.home_pose), "setting .*the Context of a sys"),
     ("rows elsewhere", lambda: build_diagram(PLAIN, sparse=True).rows(foreign()), "reading .*the Context of a system"),
-    (
-        "a state elsewhere",
-        lambda: build_diagram(PLAIN).systems["controller"].state(foreign()),
-        "the .*Context of a system",
-    ),
-    (
-        "a continuous one",
-        lambda: ClosedFormPlant(ROBOT).set_state(foreign(), ROBOT.home_pose),
-        "setting .*Context of a",
-    ),
+    ("a state elsewhere", lambda: build_diagram(PLAIN).systems["controller"].state(foreign()), "the .*Context of a sy"),
+    ("a continuous one", lambda: ClosedFormPlant(ROBOT).set_state(foreign(), ROBOT.home_pose), "setting .*Context of"),
 )
 NUMBERS = (
     ("a wrench that is none", lambda: fixed("wrench", np.full(6, np.inf)), "wrench is not finite"),
