@@ -21,6 +21,7 @@ from strategies import ROBOT
 
 from stewart_drake import ClosedFormPlant, DrakeOptions, Scenario, add_loop, add_plant, add_robot, build_diagram
 from stewart_drake.base.errors import ConfigurationError, DrakeCheckError, RunFailure
+from stewart_drake.base.sampling import on_grid
 from stewart_drake.systems import TaskSpaceSensor
 from stewart_drake.systems.library import PlatformWrench
 
@@ -91,6 +92,19 @@ def test_two_loops_in_a_plant_with_a_ball_and_a_push_of_the_user():
     assert np.abs(other[4]) < 1e-5 < 1e-4 < min(pushed[3], other[3])
     assert plant.EvalBodyPoseInWorld(mine, ball).translation()[2] == pytest.approx(pushed[5] + 0.014, abs=1e-3)
     assert second.systems["motors"].get_name() == "second_motors"
+
+
+def test_a_robot_knows_the_decimal_step_of_a_plant_on_the_grid():
+    for step in (0.0005, 0.0007):
+        builder = DiagramBuilder()
+        plant = builder.AddSystem(MultibodyPlant(on_grid(step)))
+        robot = add_robot(plant, ROBOT)
+        plant.Finalize()
+        if step == 0.0005:
+            assert add_loop(builder, PLAIN, robot).scenario.plant.time_step == step
+        else:
+            with pytest.raises(ConfigurationError, match=r"whole multiple of the plant's time step 0\.0007 s"):
+                add_loop(builder, PLAIN, robot)
 
 
 # --- bad input -------------------------------------------------------------------------------------------------------
