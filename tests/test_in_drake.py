@@ -29,6 +29,9 @@ def test_the_page_runs_and_what_it_says_is_so():
     assert names["gain"].shape == (6, 18)
     assert names["log"].shape == (108, 40)
     assert len(names["page"]) > 1e5
+    # On Drake's default contact approximation; at 0.1 s.
+    torque = names["both"].get_system().GetOutputPort("torque").Eval(names["both"].get_context())
+    np.testing.assert_allclose(torque, log["torque"][20], atol=1e-5)
     assert names["fastest"] > 0.0  # It falls over.
     with pytest.raises(ConfigurationError):
         names["build_diagram"](names["scenario"], inputs=["wrenches"])

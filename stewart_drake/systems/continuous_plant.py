@@ -11,7 +11,7 @@ from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from stewart_drake.base.config import NotNegative, Vector6, check_value
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError, SingularPoseError
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError, SingularPoseError, drake_guard
 from stewart_drake.hardware.motors import within_limit
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import leg_geometry
@@ -84,7 +84,10 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
             check_value("pose", at, Vector6)
             check_value("pose_rate", rate, Vector6)
             leg_geometry(self._given[0], at)  # Which refuses what is out of reach.
-            self.GetMyMutableContextFromRoot(context).SetContinuousState(np.append(at, rate))
+            with drake_guard("setting the plant's state"):
+                mine = self.GetMyMutableContextFromRoot(context)
+                self.ValidateContext(mine)
+            mine.SetContinuousState(np.append(at, rate))
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:  # noqa: N802 - Drake's name
             state = context.get_continuous_state_vector().CopyToVector()

@@ -15,7 +15,7 @@ from pydrake.common.value import Value
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort, State
 
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, drake_guard
 from stewart_drake.base.keys import join_or
 from stewart_drake.base.sampling import just_before, on_grid
 from stewart_drake.control.base import TRACKING_ERROR
@@ -23,7 +23,7 @@ from stewart_drake.control.features import DensityKind, density_part
 from stewart_drake.control.lqi import LQI_STATE, LqiOptions, lqi_part
 from stewart_drake.control.network import TunerNetwork, network_part, network_tick
 from stewart_drake.loop.part import BoundPart, Part
-from stewart_drake.plant.multibody_plant import StewartRobot
+from stewart_drake.plant.multibody_plant import StewartRobot, require_robot
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.assembly import loop_of
@@ -99,8 +99,9 @@ class PartSystem(LeafSystem):
 
     def state(self, context: Context) -> np.ndarray:
         """The part's record (1,), of the tick that is done; `context` of the Diagram."""
-        mine = self.GetMyContextFromRoot(context)
-        return np.array(mine.get_discrete_state(self._own).value()[:-2]).view(self._kind)
+        with drake_guard(f"the state of {self.part.name}"):
+            own = self.GetMyContextFromRoot(context).get_discrete_state(self._own).value()
+        return np.array(own[:-2]).view(self._kind)
 
     def field(self, name: str) -> OutputPort:
         """Output port of a field of the part's record, `gain` of an LQI say; until the Diagram is built."""
@@ -375,8 +376,8 @@ class TaskSpaceSensor(LeafSystem):
 
     def __init__(self, plant: StewartRobot) -> None:
         super().__init__()
-        self._plant = plant
-        self.plant_state = self.DeclareVectorInputPort("plant_state", plant.plant.num_multibody_states())
+        self._plant = require_robot(plant)
+        self.plant_state = self.DeclareVectorInputPort("plant_state", self._plant.size)
         needs = {self.input_port_ticket(self.plant_state.get_index())}
         self.measurement = self.DeclareVectorOutputPort("measurement", 12, self._pose, prerequisites_of_calc=needs)
         self.crank_state = self.DeclareVectorOutputPort("crank_state", 12, self._cranks, prerequisites_of_calc=needs)
@@ -398,7 +399,7 @@ class PlatformWrench(LeafSystem):
 
     def __init__(self, plant: StewartRobot) -> None:
         super().__init__()
-        self._plant = plant
+        self._plant = require_robot(plant)
         self.wrench = self.DeclareVectorInputPort("wrench", 6)
         needs, forces = {self.input_port_ticket(self.wrench.get_index())}, Value[list[ExternallyAppliedSpatialForce]]
         self.spatial_force = self.DeclareAbstractOutputPort(
