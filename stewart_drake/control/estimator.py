@@ -162,10 +162,11 @@ def difference_part(options: DifferenceOptions, context: LoopContext) -> Part:
         rates = crank_rates(robot, leg_geometry(robot, context.pose), context.pose, context.pose_rate)
         initial["crank_rate"] = rates if np.isfinite(rates).all() else 0.0
 
-    constants = {"robot": laws.robot_record(robot), "params": difference_params(options, context.period)}
-    return Part(
-        "estimator", difference_tick, constants, {"reading": 6}, ("measurement",), initial, (laws.LEGS,), encoder_error
+    numbers = {"robot": laws.robot_record(robot), "params": difference_params(options, context.period)}
+    part = Part(
+        "estimator", difference_tick, {}, {"reading": 6}, ("measurement",), initial, (laws.LEGS,), encoder_error
     )
+    return part._replace(parameters=numbers)
 
 
 def singular_pose(status: int, leg: int, margin: float, pose: np.ndarray) -> errors.SingularPoseError:

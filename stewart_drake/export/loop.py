@@ -40,7 +40,7 @@ class LoopSource:
     """The parts of a loop in C; arguments are those of `LoopRunner`.
 
     `given` are arrays that stand at ports, by the names of members of the record that take their places; `variable`
-    names constants that are to be members too, as `part.constant`.
+    names parameters that are to be members too, as `part.parameter`.
 
     Attributes:
         program: The laws that have been printed.
@@ -111,8 +111,8 @@ class LoopSource:
 
     def _add(self, k: int, part: Part) -> None:
         arguments: list[Any] = []
-        for name, value in part.constants.items():
-            arguments.append(self._constant(part, name, value))
+        for name, value in part.leading.items():
+            arguments.append(self._leading(part, name, value))
         for name, size in part.inputs.items():
             arguments.append(self._input(part, name, size))
         for n, scratch in enumerate(part.scratch):
@@ -159,7 +159,7 @@ class LoopSource:
                 lines += [f"    return result.first == 0 ? 0 : {k + 1};"]
         self._runs.append(f"static int run_{part.name}(struct loop *loop)\n{{\n" + "\n".join(lines) + "\n}")
 
-    def _constant(self, part: Part, name: str, value: Any) -> Any:
+    def _leading(self, part: Part, name: str, value: Any) -> Any:
         if name in part.connections:
             signal = self.signals[str(part.connections[name])]
             kind = self.program.record(value.dtype, f"{part.name}_{name}", part.kernel)
@@ -195,7 +195,7 @@ class LoopSource:
         state = part.initial.copy()
         if "assembly_sign" in (state.dtype.names or ()):
             state["assembly_sign"] = 1.0
-        named: dict[str, Any] = {**part.constants, **{name: np.zeros(size) for name, size in part.inputs.items()}}
+        named: dict[str, Any] = {**part.leading, **{name: np.zeros(size) for name, size in part.inputs.items()}}
         named |= {"scratch": tuple(np.zeros(1, kind) for kind in part.scratch), "state": state}
         causes, of_leg = np.ones(_STATUSES, dtype=int), np.zeros(_STATUSES, dtype=int)
         for status in range(1, _STATUSES):

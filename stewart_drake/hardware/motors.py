@@ -228,8 +228,9 @@ class TorqueMotors(MotorOptions):
     def part(self, robot: RobotParameters, time_step: float) -> Part:
         if not self.perfect:
             return _motor_part(self.torque, robot, time_step)
-        constants, first = {"limit": robot.effort_limits}, new_record(fields(torque=6))
-        return Part("motors", limit_torque, constants, {"command": 6}, ("torque",), first, period=time_step)
+        first, numbers = new_record(fields(torque=6)), {"limit": robot.effort_limits}
+        part = Part("motors", limit_torque, {}, {"command": 6}, ("torque",), first, period=time_step)
+        return part._replace(parameters=numbers)
 
 
 class UserMotors(UserMade, MotorOptions, key="motors"):

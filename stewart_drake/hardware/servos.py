@@ -141,15 +141,17 @@ class PositionServos(_SoldMotors):
             most=robot.effort_limits,
         )  # fmt: skip
         first, inputs = new_record(_STATE), {"command": 6, "crank_state": 12}
-        return Part("motors", servo_tick, {"params": params}, inputs, ("torque",), first, period=time_step)
+        part = Part("motors", servo_tick, {}, inputs, ("torque",), first, period=time_step)
+        return part._replace(parameters={"params": params})
 
     def inverse_parts(self, context: LoopContext) -> tuple[Part, ...]:
         params = new_record(_BELIEVED, self, play=0.5 * self.backlash, feedback=float(context.feedback))
-        constants = {"robot": robot_record(context.robot), "gain": self.gains, "params": params}
+        numbers = {"robot": robot_record(context.robot), "gain": self.gains, "params": params}
         first = new_record(fields(command=6), command=self.initial_command(context))
         inputs = {"torque": 6, "measurement": 12, "reference": 18}
         outputs, scratch = ("command",), (LEGS,)
-        angles = Part("servo_command", servo_command, constants, inputs, outputs, first, scratch, _unreachable)
+        angles = Part("servo_command", servo_command, {}, inputs, outputs, first, scratch, _unreachable)
+        angles = angles._replace(parameters=numbers)
         if context.feedback or self.count == 0.0:
             return (angles,)
         rounding = rounding_part(context, float(self.gains.mean()), self.damping, self.count)
@@ -201,12 +203,13 @@ class CurrentMotors(_SoldMotors):
         limit = np.minimum(self.limits(robot), most)
         params = new_record(_CURRENT, self, limit=limit, slope=self.slope)
         first, inputs = new_record(fields(torque=6)), {"command": 6, "crank_state": 12}
-        return Part("motors", current_tick, {"params": params}, inputs, ("torque",), first, period=time_step)
+        part = Part("motors", current_tick, {}, inputs, ("torque",), first, period=time_step)
+        return part._replace(parameters={"params": params})
 
     def inverse_parts(self, context: LoopContext) -> tuple[Part, ...]:
-        constants = {"gain": self.gains}
         first = new_record(fields(command=6), command=self.initial_command(context))
-        return (Part("motor_current", current_command, constants, {"torque": 6}, ("command",), first),)
+        part = Part("motor_current", current_command, {}, {"torque": 6}, ("command",), first)
+        return (part._replace(parameters={"gain": self.gains}),)
 
     def initial_command(self, context: LoopContext) -> np.ndarray:
         return context.initial_torque / self.torque_constant

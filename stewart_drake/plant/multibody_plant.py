@@ -61,6 +61,7 @@ from stewart_drake.base.sampling import on_grid
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import level, update_bristles
 from stewart_drake.mechanics.linear_algebra import copy_to
+from stewart_drake.plant.context_parameters import ContextParameters
 from stewart_drake.plant.model_files import home_frames, sdf_text
 from stewart_drake.plant.plant_options import DrakeOptions, foreign_state, platform_damping_limit
 from stewart_drake.plant.state_map import StateIndices, StateMap
@@ -108,7 +109,7 @@ class StewartRobot(StateMap):
         self.gravity = float(np.linalg.norm(plant.gravity_field().gravity_vector()))
         self._base = base.rotation().matrix()
         self._law = options.friction_law(robot)
-        self._start: list[np.ndarray] = []  # The default state of the robot, at rest and in motion.
+        self._start: list[np.ndarray] = []  # The default state of the robot, at rest and in motion, and its pose rate.
         self._friction: _Friction | None = None
 
     @cached_property
@@ -174,7 +175,8 @@ class StewartRobot(StateMap):
         """Makes `assemble(pose, pose_rate)` what a Context begins with, before the first one is made.
 
         Drake has default positions alone. The rates come at `Simulator.Initialize`, where the robot is still in its
-        default positions and at rest, and nobody has called `set_state` or `put`.
+        default positions and at rest, and nobody has called `set_state` or `put`. Where the platform alone is another,
+        by a random distribution of its joint, the loops are closed there too.
         """
         plant, mine, start = self.plant, self.indices.all(), self.assemble(pose, pose_rate)
         positions, own = plant.GetDefaultPositions(), mine[mine < plant.num_positions()]
@@ -186,14 +188,20 @@ class StewartRobot(StateMap):
         if not self._start:
             begins = self._start  # An event that held this object would keep the plant for ever.
             still = self._still = plant.DeclareNumericParameter(BasicVector(np.ones(1)))
+            states, is_leg = StateMap(self.robot, self.rod_joint), ~np.isin(mine, self._platform_index)
+            states.indices, states.default = self.indices, self.default
 
             def begin(context: Context, state: State) -> None:
-                values, (resting, moving) = state.get_mutable_discrete_state().get_mutable_value(0), begins
-                if context.get_numeric_parameter(still)[0] and (values[mine] == resting).all():
-                    values[mine] = moving
+                values, (resting, moving, rate) = state.get_mutable_discrete_state().get_mutable_value(0), begins
+                as_by_default = values[mine] == resting
+                if not context.get_numeric_parameter(still)[0] or not as_by_default[is_leg].all():
+                    return
+                if not as_by_default.all():
+                    moving = states.assemble(states.pose_and_rate(values)[0], rate)[mine]
+                values[mine] = moving
 
             plant.DeclareInitializationUnrestrictedUpdateEvent(begin)
-        self._start[:] = self.default[mine], start[mine]
+        self._start[:] = self.default[mine], start[mine], np.zeros(6) if pose_rate is None else np.asarray(pose_rate)
 
     def push(self, wrench: np.ndarray) -> ExternallyAppliedSpatialForce:
         """A wrench (6,) [N m, N] in B about P, the origin of the link `platform`, for `applied_spatial_force`."""
@@ -419,15 +427,21 @@ class MotorFriction(LeafSystem):
     def __init__(self, robot: StewartRobot, friction: np.ndarray) -> None:
         super().__init__()
         plant = robot.plant
-        self._friction, self._step, self.cranks = friction, plant.time_step(), robot.indices.crank
+        self._step, self.cranks = plant.time_step(), robot.indices.crank
+        self._numbers = ContextParameters(self, {"friction": friction})
         self.plant_state = self.DeclareVectorInputPort("plant_state", plant.num_multibody_states())
         self.bristles = self.DeclareVectorInputPort("bristles", 2 * LEG_COUNT)
-        inputs = {self.all_input_ports_ticket()}
-        self.pull = self.DeclareVectorOutputPort("pull", 3 * LEG_COUNT, self._calc, prerequisites_of_calc=inputs)
+        needs = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
+        self.pull = self.DeclareVectorOutputPort("pull", 3 * LEG_COUNT, self._calc, prerequisites_of_calc=needs)
+
+    def parameter(self, context: Context, name: str) -> np.ndarray:
+        """`friction`, a `FRICTION` record (1,), as a view. The plant holds break_away and viscous of its own."""
+        return self._numbers.view(self, context, name)
 
     def _calc(self, context: Context, output: Any) -> None:
+        numbers: Any = self._numbers.read(context)
         state, before = self.plant_state.Eval(context), self.bristles.Eval(context)
-        _servo_inputs(self._friction, before, state, self.cranks, self._step, output.get_mutable_value())
+        _servo_inputs(numbers["friction"], before, state, self.cranks, self._step, output.get_mutable_value())
 
 
 @njit

@@ -23,6 +23,7 @@ from stewart_drake.control.features import DensityKind, density_part
 from stewart_drake.control.lqi import LQI_STATE, LqiOptions, lqi_part
 from stewart_drake.control.network import TunerNetwork, network_part, network_tick
 from stewart_drake.loop.part import BoundPart, Part
+from stewart_drake.plant.context_parameters import ContextParameters
 from stewart_drake.plant.multibody_plant import StewartRobot
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
@@ -50,6 +51,8 @@ class PartSystem(LeafSystem):
     Ports: those of the part by name and as attributes, and `result`, its state, of which `field` gives a port for what
     else is in it and `state` the record; an output with the name of an input is the attribute `NAME_out`. An input
     whose part has an array for it may be left alone.
+
+    The part's parameters, and the arrays at inputs that are left alone, are numeric parameters of Drake's: `parameter`.
     """
 
     if TYPE_CHECKING:
@@ -66,24 +69,28 @@ class PartSystem(LeafSystem):
         shown = self.DeclareDiscreteState(initial) if part.end_of_tick else None
         self._own = int(self.DeclareDiscreteState(np.append(initial, [-1.0, 1.0])))
         self._time = np.zeros(1)
-        # What stands at a port: its value, and for one that may be left alone what stands there then.
-        self._ports: list[tuple[InputPort | None, np.ndarray | None]] = []
+        numbers = {name: value for name, value in part.parameters.items() if name not in part.replaced}
+        # A port, and for one that may be left alone the name of the parameter that counts then.
+        self._ports: list[tuple[InputPort | None, str | None]] = []
         for name, size in part.inputs.items():
             if name == "time":
-                self._ports.append((None, self._time))
+                self._ports.append((None, None))
                 continue
             port, otherwise = self.DeclareVectorInputPort(name, size), part.source(name)
-            self._ports.append((port, None if isinstance(otherwise, str) else otherwise))
+            if not isinstance(otherwise, str):
+                numbers[name] = np.asarray(otherwise, dtype=np.float64)
+            self._ports.append((port, name if name in numbers else None))
             setattr(self, name, port)
+        self._numbers = ContextParameters(self, numbers)
         self._signals = {
-            name: self.DeclareVectorInputPort(name, part.constants[name].nbytes // 8) for name in part.replaced
+            name: self.DeclareVectorInputPort(name, part.parameters[name].nbytes // 8) for name in part.replaced
         }
         self._bound = BoundPart(part, [None] * len(part.inputs), part.initial.copy())
         self.result: OutputPort
         if shown is not None:
             self.result = self.DeclareStateOutputPort("result", shown)
         else:
-            needs = {self.xd_ticket(), self.all_input_ports_ticket()}
+            needs = {self.xd_ticket(), self.all_input_ports_ticket(), self.all_parameters_ticket()}
             needs |= {self.time_ticket()} if "time" in part.inputs else set()
             self.result = self.DeclareVectorOutputPort(
                 "result", initial.size, self._answer, prerequisites_of_calc=needs
@@ -101,6 +108,10 @@ class PartSystem(LeafSystem):
         """The part's record (1,), of the tick that is done; `context` of the Diagram."""
         mine = self.GetMyContextFromRoot(context)
         return np.array(mine.get_discrete_state(self._own).value()[:-2]).view(self._kind)
+
+    def parameter(self, context: Context, name: str) -> np.ndarray:
+        """A parameter, a record (1,) or an array, as a view; what is written counts from the next tick on."""
+        return self._numbers.view(self, context, name)
 
     def field(self, name: str) -> OutputPort:
         """Output port of a field of the part's record, `gain` of an LQI say; until the Diagram is built."""
@@ -133,14 +144,22 @@ class PartSystem(LeafSystem):
     def _ticked(self, context: Context, values: np.ndarray) -> None:
         """Ticks on values (n,) that hold the state of the tick before."""
         self._time[0] = self._number(context) * self._nominal
+        numbers: Any = self._numbers.read(context)
         inputs = [
-            otherwise if port is None or (otherwise is not None and not port.HasValue(context)) else port.Eval(context)
-            for port, otherwise in self._ports
+            self._time
+            if port is None
+            else numbers[name]
+            if name is not None and not port.HasValue(context)
+            else port.Eval(context)
+            for port, name in self._ports
         ]
+        parameters = [
+            self._signals[name].Eval(context).view(value.dtype) if name in self._signals else numbers[name]
+            for name, value in self.part.parameters.items()
+        ]
+        # A record in the same place; `view` takes three times as long.
+        self._bound.bind(parameters, inputs, np.ndarray(1, self._kind, values))
         try:
-            signals = {name: port.Eval(context) for name, port in self._signals.items()}
-            # A record in the same place; `view` takes three times as long.
-            self._bound.bind(inputs, np.ndarray(1, self._kind, values), signals)
             self._bound()
         except RunFailure as error:
             error.time = float(self._time[0])
