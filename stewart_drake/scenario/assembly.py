@@ -341,22 +341,19 @@ class _Builder:
 
 def _written(parts: Sequence[Part], options: AdaptationOptions, laws: Sequence[Part]) -> list[Part]:
     """The parts, with what adaptive laws find in the places of the parameters that `options.writes` lists."""
-    changed = {part.name: part for part in parts}
+    changed, is_of_use = {part.name: part for part in parts}, False
     known = sorted(f"{part.name}.{parameter}" for part in parts for parameter in part.parameters)
-    places = [
-        (law, output, *place.split("."))
-        for law in laws
-        for output in law.outputs
-        for place in options.writes.get(output, ())
-        # A controller or an estimator of another kind may do without.
-        if place in known or place.split(".")[0] in changed.keys() - {"controller", "estimator"}
-    ]
-    for law, output, name, parameter in places:
-        if parameter not in changed[name].parameters:
-            raise ConfigurationError(f"adaptation.writes.{output}", f"{name}.{parameter}", join_or(known))
-        changed[name].check_signal(parameter, law.initial.dtype[output])
-        changed[name] = changed[name].connected(**{parameter: law.signal(output)})
-    if not places:
+    listed = (
+        (law, output, place) for law in laws for output in law.outputs for place in options.writes.get(output, ())
+    )
+    for law, output, place in listed:
+        name, _, parameter = place.partition(".")
+        if place in known:
+            changed[name].check_signal(parameter, law.initial.dtype[output])
+            changed[name], is_of_use = changed[name].connected(**{parameter: law.signal(output)}), True
+        elif name in changed and name not in ("controller", "estimator"):  # Of which some kinds do without.
+            raise ConfigurationError(f"adaptation.writes.{output}", place, join_or(known))
+    if not is_of_use:
         allowed = f"one that writes parameters that are in this loop: {join_or(known)}"
         raise ConfigurationError("adaptation.kind", options.kind, allowed)
     return list(changed.values())
