@@ -70,15 +70,7 @@ class ControllerOptions(Section, ABC, key="controller"):
         """The controller in a loop, one part: measurement and reference to `torque`, and `integral` if it has one."""
 
 
-_WITH_MODEL = (
-    "estimator",
-    "observer",
-    "controller",
-    "friction_compensation",
-    "servo_command",
-    "rounding",
-    "safety",
-)
+_WITH_MODEL = "estimator", "observer", "controller", "friction_compensation", "servo_command", "rounding", "safety"
 """Parts that compute with the controller's model of the robot."""
 
 

@@ -125,13 +125,11 @@ def _read(params: Any, drawn: Any, crank_state: Any, state: Any) -> None:
 def encoder_part(options: EncoderOptions) -> Part:
     """Encoders without faults: `crank_state` (12,), angles [rad] and rates, -> `reading` (6,) [rad]."""
     params, initial = new_record(_ENCODERS, options), new_record(_ENCODER_STATE)
-    kernel: Any
-    constants: dict[str, Any]
     if options.noise == 0.0:
-        kernel, constants = _read, {"drawn": np.zeros(6)}
+        part = Part("encoders", _read, {"drawn": np.zeros(6)}, {"crank_state": 12}, ("reading",), initial)
     else:
-        kernel, constants = _read_with_noise, {"seed": options.noise_seed}
-    part = Part("encoders", kernel, constants, {"crank_state": 12}, ("reading",), initial)
+        seed = {"seed": options.noise_seed}
+        part = Part("encoders", _read_with_noise, seed, {"crank_state": 12}, ("reading",), initial)
     return part._replace(parameters={"params": params})
 
 

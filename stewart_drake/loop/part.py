@@ -163,13 +163,12 @@ class BoundPart:
         self.part = part
         self._scratch = tuple(np.zeros(1, kind) for kind in part.scratch)
         self._before = part.initial.copy()
-        # Copies: a kernel is compiled for arrays that may be written, as a signal or a Context's numbers are.
-        parameters = [signals[name] if name in signals else value.copy() for name, value in part.parameters.items()]
         for name, array in signals.items():
             part.check_signal(name, np.dtype((array.dtype, array.shape)))
+        # Copies: a kernel is compiled for arrays that may be written, as a signal or a Context's numbers are.
+        numbers = [signals.get(name, value.copy()).view(value.dtype) for name, value in part.parameters.items()]
         self._constants = tuple(part.constants.values())
-        kinds = [value.dtype for value in part.parameters.values()]
-        self.bind([each.view(kind) for each, kind in zip(parameters, kinds, strict=True)], inputs, state)
+        self.bind(numbers, inputs, state)
 
     def bind(self, parameters: Sequence[np.ndarray], inputs: Sequence[Any], state: np.ndarray) -> None:
         """Other arrays in the place of those that were given."""

@@ -7,41 +7,33 @@ from typing import Any
 
 import numpy as np
 from pydrake.autodiffutils import ExtractValue
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
 from stewart_drake.base.errors import ConfigurationError, drake_guard
 from stewart_drake.base.keys import join_or
 
 
-class ContextParameters:
-    """Records and arrays of float64 as one numeric parameter of Drake's; with AutoDiff their derivatives are none.
+class WithParameters:
+    """What a LeafSystem with records and arrays of float64 as numeric parameters inherits from."""
 
-    Args:
-        system: Under construction.
-        values: What a Context begins with, by name.
-        vector: `BasicVector` of the system's scalar.
-    """
-
-    def __init__(self, system: Any, values: Mapping[str, np.ndarray], vector: Any = BasicVector) -> None:
-        self._kind = np.dtype([(name, value.dtype, value.shape) for name, value in values.items()])
+    def declare_parameters(self: Any, values: Mapping[str, np.ndarray], vector: Any = BasicVector) -> None:
+        """Declares what a Context begins with, by name, as one parameter of Drake's; `vector` is of its scalar."""
+        self._parameter_kind = np.dtype([(name, value.dtype, value.shape) for name, value in values.items()])
         start = [np.ascontiguousarray(value).view(np.float64).ravel() for value in values.values()]
-        self._index = system.DeclareNumericParameter(vector(np.concatenate(start))) if start else None
+        self._parameter_index = self.DeclareNumericParameter(vector(np.concatenate([*start, np.empty(0)])))
 
-    def read(self, context: Any) -> np.ndarray | None:
-        """All of them, a record (), in the Context of the system; not to be written to."""
-        if self._index is None:
-            return None
-        vector = context.get_numeric_parameter(self._index)
+    def parameter(self: Any, context: Context, name: str) -> np.ndarray:
+        """A parameter, a record (1,) or an array, as a view to be read and written; `context` of the Diagram."""
+        if name not in (names := self._parameter_kind.names or ()):
+            raise ConfigurationError("parameter", name, join_or(names) or "nothing: this system has none")
+        with drake_guard("finding a parameter"):
+            vector = self.GetMyMutableContextFromRoot(context).get_mutable_numeric_parameter(self._parameter_index)
+            parameter: np.ndarray = np.ndarray((), self._parameter_kind, vector.get_mutable_value())[name]
+        return parameter
+
+    def read_parameters(self: Any, context: Any) -> Any:
+        """All parameters, a record () that is not to be written to; without derivatives; `context` of the system."""
+        vector = context.get_numeric_parameter(self._parameter_index)
         is_plain = isinstance(vector, BasicVector)
         numbers = vector.get_mutable_value() if is_plain else ExtractValue(vector.CopyToVector()).ravel()
-        return np.ndarray((), self._kind, numbers)
-
-    def view(self, system: LeafSystem, context: Context, name: str) -> np.ndarray:
-        """One of them, to be read and written; `context` of the Diagram."""
-        if name not in (names := self._kind.names or ()):
-            raise ConfigurationError("parameter", name, join_or(names) or "no name; this system has no parameters")
-        with drake_guard("finding a parameter"):
-            mine = system.GetMyMutableContextFromRoot(context)
-            numbers = mine.get_mutable_numeric_parameter(self._index).get_mutable_value()
-        parameter: np.ndarray = np.ndarray((), self._kind, numbers)[name]
-        return parameter
+        return np.ndarray((), self._parameter_kind, numbers)

@@ -61,7 +61,7 @@ from stewart_drake.base.sampling import on_grid
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import level, update_bristles
 from stewart_drake.mechanics.linear_algebra import copy_to
-from stewart_drake.plant.context_parameters import ContextParameters
+from stewart_drake.plant.context_parameters import WithParameters
 from stewart_drake.plant.model_files import home_frames, sdf_text
 from stewart_drake.plant.plant_options import DrakeOptions, foreign_state, platform_damping_limit
 from stewart_drake.plant.state_map import StateIndices, StateMap
@@ -418,30 +418,27 @@ def _add_damping(added: StewartRobot, viscous: np.ndarray) -> None:
         plant.AddForceElement(LinearBushingRollPitchYaw(rod_end, seat, zero, resistance, zero, zero))
 
 
-class MotorFriction(LeafSystem):
+class MotorFriction(LeafSystem, WithParameters):
     """What friction asks of the servos, from `plant_state` and `bristles` (12,): anchors [rad], slips [rad/s] before.
 
-    The output `pull` (18,) has anchors, slips and stribeck_torque [N m] until the next step.
+    The output `pull` (18,) has anchors, slips and stribeck_torque [N m] until the next step. The parameter `friction`
+    is a `FRICTION` record; its break_away and viscous count in the plant, where they are a motor's limit and damping.
     """
 
     def __init__(self, robot: StewartRobot, friction: np.ndarray) -> None:
         super().__init__()
         plant = robot.plant
         self._step, self.cranks = plant.time_step(), robot.indices.crank
-        self._numbers = ContextParameters(self, {"friction": friction})
+        self.declare_parameters({"friction": friction})
         self.plant_state = self.DeclareVectorInputPort("plant_state", plant.num_multibody_states())
         self.bristles = self.DeclareVectorInputPort("bristles", 2 * LEG_COUNT)
         needs = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
         self.pull = self.DeclareVectorOutputPort("pull", 3 * LEG_COUNT, self._calc, prerequisites_of_calc=needs)
 
-    def parameter(self, context: Context, name: str) -> np.ndarray:
-        """`friction`, a `FRICTION` record (1,), as a view. The plant holds break_away and viscous of its own."""
-        return self._numbers.view(self, context, name)
-
     def _calc(self, context: Context, output: Any) -> None:
-        numbers: Any = self._numbers.read(context)
         state, before = self.plant_state.Eval(context), self.bristles.Eval(context)
-        _servo_inputs(numbers["friction"], before, state, self.cranks, self._step, output.get_mutable_value())
+        friction = self.read_parameters(context)["friction"]
+        _servo_inputs(friction, before, state, self.cranks, self._step, output.get_mutable_value())
 
 
 @njit

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field
@@ -37,9 +37,6 @@ from stewart_drake.studies.experiment import (
     with_changes,
 )
 from stewart_drake.studies.runs import Row, Trial
-
-if TYPE_CHECKING:
-    from pydrake.systems.analysis import Simulator
 
 BEFORE = (
     Column("index", "", "number of the run, from 0", "integer"),
@@ -332,7 +329,7 @@ def load_sweep(path: str | Path, runs: int | None = None) -> Experiment:
     return load_experiment("sweep", path, lambda data, folder: make_sweep({**data, **more}, folder))
 
 
-def make_simulator(sweep: Experiment, **options: Any) -> Callable[[Callable[[], int]], Simulator]:
+def make_simulator(sweep: Experiment, **options: Any) -> Callable[[Callable[[], int]], Any]:
     """A function `make_simulator(generator)` for Drake's `MonteCarloSimulation`: the loop of a run of a sweep.
 
     The run is the one whose number is the generator's next number, so that `sweep.trials.trial(number)` is it again.

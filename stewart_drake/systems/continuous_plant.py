@@ -19,7 +19,7 @@ from stewart_drake.mechanics.kinematics import leg_geometry
 from stewart_drake.mechanics.kinematics_laws import LEGS
 from stewart_drake.mechanics.linear_algebra import derivatives
 from stewart_drake.plant.closed_form import ClosedFormOptions, crank_motion, motion_rate
-from stewart_drake.plant.context_parameters import ContextParameters
+from stewart_drake.plant.context_parameters import WithParameters
 from stewart_drake.plant.model_files import home_frames
 from stewart_drake.robot import RobotParameters
 
@@ -35,7 +35,7 @@ def _of(function: Any, given: np.ndarray) -> np.ndarray:
 def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
     base: Any = LeafSystem_[T]
 
-    class Impl(base):
+    class Impl(base, WithParameters):
         """The closed form of the robot, a continuous plant of 12 states; `ClosedFormPlant(robot, options, gravity)`.
 
         `options` are `ClosedFormOptions`, of which payload and viscous friction count: friction that sticks is no
@@ -69,7 +69,7 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
                 raise ConfigurationError("friction", "motors that stick", "viscous friction alone, in continuous time")
             self._given, self._home = (robot, options, gravity), home_frames(robot)
             numbers = {"robot": options.loaded(robot), "friction": friction, "gravity": np.array([gravity])}
-            self._numbers = ContextParameters(self, numbers, BasicVector_[T])
+            self.declare_parameters(numbers, BasicVector_[T])
             self.torque = self.DeclareVectorInputPort("torque", 6)
             self.wrench = self.DeclareVectorInputPort("wrench", 6)
             home = BasicVector_[T](np.append(robot.home_pose, np.zeros(6)))
@@ -92,15 +92,11 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
             leg_geometry(self._given[0], at)  # Which refuses what is out of reach.
             self.GetMyMutableContextFromRoot(context).SetContinuousState(np.append(at, rate))
 
-        def parameter(self, context: Any, name: str) -> np.ndarray:
-            """A parameter as a view; `context` of the Diagram."""
-            return self._numbers.view(self, context, name)
-
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:  # noqa: N802 - Drake's name
             state = context.get_continuous_state_vector().CopyToVector()
             wrench = self.wrench.Eval(context) if self.wrench.HasValue(context) else np.zeros(6)
             given = np.concatenate([state, self.torque.Eval(context), wrench])
-            rate = _of(partial(self._rate, self._numbers.read(context)), given)
+            rate = _of(partial(self._rate, self.read_parameters(context)), given)
             derivatives.get_mutable_vector().SetFromVector(rate)
 
         def _rate(self, numbers: Any, given: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ from stewart_drake.control.features import DensityKind, density_part
 from stewart_drake.control.lqi import LQI_STATE, LqiOptions, lqi_part
 from stewart_drake.control.network import TunerNetwork, network_part, network_tick
 from stewart_drake.loop.part import BoundPart, Part
-from stewart_drake.plant.context_parameters import ContextParameters
+from stewart_drake.plant.context_parameters import WithParameters
 from stewart_drake.plant.multibody_plant import StewartRobot
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
@@ -36,7 +36,7 @@ _SHOWN = 1e-9
 """Share of a period, and of the time, after which what a part of the end of a tick gave is shown."""
 
 
-class PartSystem(LeafSystem):
+class PartSystem(LeafSystem, WithParameters):
     """Runs a part at its ticks, at multiples of its own period or else of `period` [s]; its state is in the Context.
 
     What a tick gives is held to the next one: a plant gets one torque a tick, without delay, whether it steps in a
@@ -52,7 +52,8 @@ class PartSystem(LeafSystem):
     else is in it and `state` the record; an output with the name of an input is the attribute `NAME_out`. An input
     whose part has an array for it may be left alone.
 
-    The part's parameters, and the arrays at inputs that are left alone, are numeric parameters of Drake's: `parameter`.
+    The part's parameters, and the arrays at inputs that are left alone, are numeric parameters in the Context. What
+    `parameter` is given there counts from the next tick on.
     """
 
     if TYPE_CHECKING:
@@ -81,7 +82,7 @@ class PartSystem(LeafSystem):
                 numbers[name] = np.asarray(otherwise, dtype=np.float64)
             self._ports.append((port, name if name in numbers else None))
             setattr(self, name, port)
-        self._numbers = ContextParameters(self, numbers)
+        self.declare_parameters(numbers)
         self._signals = {
             name: self.DeclareVectorInputPort(name, part.parameters[name].nbytes // 8) for name in part.replaced
         }
@@ -108,10 +109,6 @@ class PartSystem(LeafSystem):
         """The part's record (1,), of the tick that is done; `context` of the Diagram."""
         mine = self.GetMyContextFromRoot(context)
         return np.array(mine.get_discrete_state(self._own).value()[:-2]).view(self._kind)
-
-    def parameter(self, context: Context, name: str) -> np.ndarray:
-        """A parameter, a record (1,) or an array, as a view; what is written counts from the next tick on."""
-        return self._numbers.view(self, context, name)
 
     def field(self, name: str) -> OutputPort:
         """Output port of a field of the part's record, `gain` of an LQI say; until the Diagram is built."""
@@ -144,7 +141,7 @@ class PartSystem(LeafSystem):
     def _ticked(self, context: Context, values: np.ndarray) -> None:
         """Ticks on values (n,) that hold the state of the tick before."""
         self._time[0] = self._number(context) * self._nominal
-        numbers: Any = self._numbers.read(context)
+        numbers: Any = self.read_parameters(context) if self._parameter_kind.names else None
         inputs = [
             self._time
             if port is None
