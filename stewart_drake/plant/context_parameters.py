@@ -32,8 +32,10 @@ class WithParameters:
         return parameter
 
     def read_parameters(self: Any, context: Any) -> Any:
-        """All parameters, a record () that is not to be written to; without derivatives; `context` of the system."""
-        vector = context.get_numeric_parameter(self._parameter_index)
-        is_plain = isinstance(vector, BasicVector)
-        numbers = vector.get_mutable_value() if is_plain else ExtractValue(vector.CopyToVector()).ravel()
-        return np.ndarray((), self._parameter_kind, numbers)
+        """All parameters, a record (), without derivatives; `context` of the system."""
+        # A copy: who kept a view would keep Python's name for a Context that may be gone, and pydrake give it to the
+        # next Context at that address.
+        numbers = context.get_numeric_parameter(self._parameter_index).CopyToVector()
+        return np.ndarray(
+            (), self._parameter_kind, numbers if numbers.dtype == float else ExtractValue(numbers).ravel()
+        )

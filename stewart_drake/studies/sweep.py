@@ -339,7 +339,8 @@ def make_simulator(sweep: Experiment, **options: Any) -> Callable[[Callable[[], 
 
     from stewart_drake.systems.diagram import build_diagram
 
-    draws: Any = sweep.trials
+    if not isinstance(draws := sweep.trials, Draws):
+        raise ConfigurationError("sweep", f"a {sweep.kind}", "a sweep")
     return lambda generator: Simulator(build_diagram(draws.trial(generator()).scenario(), **options))
 
 
