@@ -429,7 +429,7 @@ class MotorFriction(LeafSystem, WithParameters):
         super().__init__()
         plant = robot.plant
         self._step, self.cranks = plant.time_step(), robot.indices.crank
-        self.declare_parameters({"friction": friction})
+        self._friction = self.declare_parameters({"friction": friction})["friction"]
         self.plant_state = self.DeclareVectorInputPort("plant_state", plant.num_multibody_states())
         self.bristles = self.DeclareVectorInputPort("bristles", 2 * LEG_COUNT)
         needs = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
@@ -437,8 +437,8 @@ class MotorFriction(LeafSystem, WithParameters):
 
     def _calc(self, context: Context, output: Any) -> None:
         state, before = self.plant_state.Eval(context), self.bristles.Eval(context)
-        friction = self.read_parameters(context)["friction"]
-        _servo_inputs(friction, before, state, self.cranks, self._step, output.get_mutable_value())
+        self.read_parameters(context)
+        _servo_inputs(self._friction, before, state, self.cranks, self._step, output.get_mutable_value())
 
 
 @njit

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -69,7 +68,7 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
                 raise ConfigurationError("friction", "motors that stick", "viscous friction alone, in continuous time")
             self._given, self._home = (robot, options, gravity), home_frames(robot)
             numbers = {"robot": options.loaded(robot), "friction": friction, "gravity": np.array([gravity])}
-            self.declare_parameters(numbers, BasicVector_[T])
+            self._numbers = self.declare_parameters(numbers, BasicVector_[T])
             self.torque = self.DeclareVectorInputPort("torque", 6)
             self.wrench = self.DeclareVectorInputPort("wrench", 6)
             home = BasicVector_[T](np.append(robot.home_pose, np.zeros(6)))
@@ -95,12 +94,12 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:  # noqa: N802 - Drake's name
             state = context.get_continuous_state_vector().CopyToVector()
             wrench = self.wrench.Eval(context) if self.wrench.HasValue(context) else np.zeros(6)
-            given = np.concatenate([state, self.torque.Eval(context), wrench])
-            rate = _of(partial(self._rate, self.read_parameters(context)), given)
+            self.read_parameters(context)
+            rate = _of(self._rate, np.concatenate([state, self.torque.Eval(context), wrench]))
             derivatives.get_mutable_vector().SetFromVector(rate)
 
-        def _rate(self, numbers: Any, given: np.ndarray) -> np.ndarray:
-            robot, friction, (gravity,) = numbers["robot"], numbers["friction"], numbers["gravity"].tolist()
+        def _rate(self, given: np.ndarray) -> np.ndarray:
+            robot, friction, (gravity,) = self._numbers["robot"], self._numbers["friction"], self._numbers["gravity"]
             torque, result = within_limit(given[12:18], robot["effort_limit"][0]), np.empty(12)
             leg, margin = motion_rate(
                 robot, friction, gravity, np.empty(1, LEGS), given[:12], torque, given[18:], result

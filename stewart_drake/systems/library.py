@@ -71,21 +71,24 @@ class PartSystem(LeafSystem, WithParameters):
         self._own = int(self.DeclareDiscreteState(np.append(initial, [-1.0, 1.0])))
         self._time = np.zeros(1)
         numbers = {name: value for name, value in part.parameters.items() if name not in part.replaced}
-        # A port, and for one that may be left alone the name of the parameter that counts then.
-        self._ports: list[tuple[InputPort | None, str | None]] = []
+        sources = ((name, part.source(name)) for name in part.inputs)
+        numbers |= {name: np.array(source, float) for name, source in sources if not isinstance(source, str)}
+        record = self.declare_parameters(numbers)
+        # What stands at a port: its value, and for one that may be left alone what stands there then.
+        self._ports: list[tuple[InputPort | None, np.ndarray | None]] = []
         for name, size in part.inputs.items():
             if name == "time":
-                self._ports.append((None, None))
+                self._ports.append((None, self._time))
                 continue
-            port, otherwise = self.DeclareVectorInputPort(name, size), part.source(name)
-            if not isinstance(otherwise, str):
-                numbers[name] = np.asarray(otherwise, dtype=np.float64)
-            self._ports.append((port, name if name in numbers else None))
+            port = self.DeclareVectorInputPort(name, size)
+            self._ports.append((port, record[name] if name in numbers else None))
             setattr(self, name, port)
-        self.declare_parameters(numbers)
-        self._signals = {
-            name: self.DeclareVectorInputPort(name, part.parameters[name].nbytes // 8) for name in part.replaced
-        }
+        self._parameters = [record[name] if name in numbers else value for name, value in part.parameters.items()]
+        self._signals = [
+            (place, self.DeclareVectorInputPort(name, value.nbytes // 8), value.dtype)
+            for place, (name, value) in enumerate(part.parameters.items())
+            if name in part.replaced
+        ]
         self._bound = BoundPart(part, [None] * len(part.inputs), part.initial.copy())
         self.result: OutputPort
         if shown is not None:
@@ -141,22 +144,16 @@ class PartSystem(LeafSystem, WithParameters):
     def _ticked(self, context: Context, values: np.ndarray) -> None:
         """Ticks on values (n,) that hold the state of the tick before."""
         self._time[0] = self._number(context) * self._nominal
-        numbers: Any = self.read_parameters(context) if self._parameter_kind.names else None
+        self.read_parameters(context)
         inputs = [
-            self._time
-            if port is None
-            else numbers[name]
-            if name is not None and not port.HasValue(context)
-            else port.Eval(context)
-            for port, name in self._ports
+            otherwise if port is None or (otherwise is not None and not port.HasValue(context)) else port.Eval(context)
+            for port, otherwise in self._ports
         ]
-        parameters = [
-            self._signals[name].Eval(context).view(value.dtype) if name in self._signals else numbers[name]
-            for name, value in self.part.parameters.items()
-        ]
-        # A record in the same place; `view` takes three times as long.
-        self._bound.bind(parameters, inputs, np.ndarray(1, self._kind, values))
         try:
+            for place, port, kind in self._signals:
+                self._parameters[place] = port.Eval(context).view(kind)
+            # A record in the same place; `view` takes three times as long.
+            self._bound.bind(self._parameters, inputs, np.ndarray(1, self._kind, values))
             self._bound()
         except RunFailure as error:
             error.time = float(self._time[0])
