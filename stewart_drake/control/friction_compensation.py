@@ -49,8 +49,7 @@ class FrictionCompensation(FrictionOptions, key="model.friction"):
         robot, joints = robot_record(context.robot), joints_record(self.joints)
         numbers = {"robot": robot, "friction": self.record(), "joints": joints}
         inputs, outputs, first = {"reference": 18}, ("friction_torque",), new_record(fields(friction_torque=6))
-        part = Part("friction_compensation", friction_tick, {}, inputs, outputs, first, (LEGS,))
-        return part._replace(parameters=numbers)
+        return Part("friction_compensation", friction_tick, {}, inputs, outputs, first, (LEGS,), parameters=numbers)
 
 
 @njit

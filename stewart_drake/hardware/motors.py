@@ -228,9 +228,8 @@ class TorqueMotors(MotorOptions):
     def part(self, robot: RobotParameters, time_step: float) -> Part:
         if not self.perfect:
             return _motor_part(self.torque, robot, time_step)
-        first, numbers = new_record(fields(torque=6)), {"limit": robot.effort_limits}
-        part = Part("motors", limit_torque, {}, {"command": 6}, ("torque",), first, period=time_step)
-        return part._replace(parameters=numbers)
+        first, inputs, numbers = new_record(fields(torque=6)), {"command": 6}, {"limit": robot.effort_limits}
+        return Part("motors", limit_torque, {}, inputs, ("torque",), first, period=time_step, parameters=numbers)
 
 
 class UserMotors(UserMade, MotorOptions, key="motors"):

@@ -47,8 +47,7 @@ def rounding_part(context: LoopContext, stiffness: float, damping: float, count:
     shares = shaping(stiffness, damping, inertia, context.period)
     params = new_record(_PARAMS, count=count, shares=shares, length=robot.characteristic_length)
     numbers, inputs = {"robot": robot_record(robot), "params": params}, {"command": 6, "reference": 18}
-    part = Part("rounding", round_together, {}, inputs, ("command",), new_record(_STATE), (LEGS,))
-    return part._replace(parameters=numbers)
+    return Part("rounding", round_together, {}, inputs, ("command",), new_record(_STATE), (LEGS,), parameters=numbers)
 
 
 _PARAMS = fields(count=(), shares=2, length=())

@@ -124,13 +124,12 @@ def _read(params: Any, drawn: Any, crank_state: Any, state: Any) -> None:
 
 def encoder_part(options: EncoderOptions) -> Part:
     """Encoders without faults: `crank_state` (12,), angles [rad] and rates, -> `reading` (6,) [rad]."""
-    params, initial = new_record(_ENCODERS, options), new_record(_ENCODER_STATE)
+    numbers, inputs = {"params": new_record(_ENCODERS, options)}, {"crank_state": 12}
+    initial = new_record(_ENCODER_STATE)
     if options.noise == 0.0:
-        part = Part("encoders", _read, {"drawn": np.zeros(6)}, {"crank_state": 12}, ("reading",), initial)
-    else:
-        seed = {"seed": options.noise_seed}
-        part = Part("encoders", _read_with_noise, seed, {"crank_state": 12}, ("reading",), initial)
-    return part._replace(parameters={"params": params})
+        return Part("encoders", _read, {"drawn": np.zeros(6)}, inputs, ("reading",), initial, parameters=numbers)
+    seed = {"seed": options.noise_seed}
+    return Part("encoders", _read_with_noise, seed, inputs, ("reading",), initial, parameters=numbers)
 
 
 def _read_with_noise(params: np.ndarray, seed: int, crank_state: np.ndarray, state: np.ndarray) -> None:

@@ -140,9 +140,8 @@ class PositionServos(_SoldMotors):
             slope=self.slope / self.supply, count=self.count, stride=stride, play=0.5 * self.backlash,
             most=robot.effort_limits,
         )  # fmt: skip
-        first, inputs = new_record(_STATE), {"command": 6, "crank_state": 12}
-        part = Part("motors", servo_tick, {}, inputs, ("torque",), first, period=time_step)
-        return part._replace(parameters={"params": params})
+        numbers, first, inputs = {"params": params}, new_record(_STATE), {"command": 6, "crank_state": 12}
+        return Part("motors", servo_tick, {}, inputs, ("torque",), first, period=time_step, parameters=numbers)
 
     def inverse_parts(self, context: LoopContext) -> tuple[Part, ...]:
         params = new_record(_BELIEVED, self, play=0.5 * self.backlash, feedback=float(context.feedback))
@@ -202,14 +201,13 @@ class CurrentMotors(_SoldMotors):
         most = np.inf if self.current_limit is None else self.torque_constant * self.current_limit
         limit = np.minimum(self.limits(robot), most)
         params = new_record(_CURRENT, self, limit=limit, slope=self.slope)
-        first, inputs = new_record(fields(torque=6)), {"command": 6, "crank_state": 12}
-        part = Part("motors", current_tick, {}, inputs, ("torque",), first, period=time_step)
-        return part._replace(parameters={"params": params})
+        numbers, first, inputs = {"params": params}, new_record(fields(torque=6)), {"command": 6, "crank_state": 12}
+        return Part("motors", current_tick, {}, inputs, ("torque",), first, period=time_step, parameters=numbers)
 
     def inverse_parts(self, context: LoopContext) -> tuple[Part, ...]:
+        numbers = {"gain": self.gains}
         first = new_record(fields(command=6), command=self.initial_command(context))
-        part = Part("motor_current", current_command, {}, {"torque": 6}, ("command",), first)
-        return (part._replace(parameters={"gain": self.gains}),)
+        return (Part("motor_current", current_command, {}, {"torque": 6}, ("command",), first, parameters=numbers),)
 
     def initial_command(self, context: LoopContext) -> np.ndarray:
         return context.initial_torque / self.torque_constant
