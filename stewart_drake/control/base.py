@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
@@ -69,13 +69,27 @@ class ControllerOptions(Section, ABC, key="controller"):
         """The controller in a loop, one part: measurement and reference to `torque`, and `integral` if it has one."""
 
 
+_WITH_MODEL = "estimator", "observer", "controller", "friction_compensation", "servo_command", "rounding", "safety"
+"""Parts that compute with the controller's model of the robot."""
+
+
 class AdaptationOptions(Section, ABC, key="adaptation"):
     """Base of the options of laws that learn while the robot runs.
 
-    An output of such a law takes the place of the constants of other parts that have its name, from the next tick on:
-    `friction` that of the friction compensation, `robot` those of all that computes with the robot's model. The numbers
-    are those of the constant, in its order; the law's state begins with what is believed.
+    An output of such a law takes the place of parameters of other parts, from the next tick on; which ones is in
+    `writes`. Its numbers are those of the parameter, in that order; the law's state begins with what is believed.
     """
+
+    writes: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "robot": tuple(f"{part}.robot" for part in _WITH_MODEL),
+        "friction": ("observer.friction", "friction_compensation.friction", "safety.friction"),
+        "friction_unknown": ("safety.friction_unknown",),
+        "doubt": ("controller.doubt",),
+        "gain": ("servo_command.gain", "motor_current.gain"),
+        "lead": ("lead.lead",),
+        "joints": ("friction_compensation.joints",),
+    }
+    """Output -> the parameters that it writes, as `part.parameter`. Parts that a loop does not have are passed over."""
 
     kind: str
     """Kind of law."""
@@ -199,8 +213,8 @@ def controller_part(
     it returns one of `STATUSES`, leg and margin.
     """
     outputs = tuple(name for name in ("torque", "integral") if name in (state.names or ()))
-    constants, inputs = {"robot": robot_record(robot), "params": params}, {"measurement": 12, "reference": 18}
-    return Part("controller", kernel, constants, inputs, outputs, new_record(state), scratch, STATUSES)
+    numbers, inputs = {"robot": robot_record(robot), "params": params}, {"measurement": 12, "reference": 18}
+    return Part("controller", kernel, {}, inputs, outputs, new_record(state), scratch, STATUSES, parameters=numbers)
 
 
 # --- tracking error, torque limit and anti-windup ---------------------------------------------------------------------

@@ -76,9 +76,10 @@ class DecoupledPidOptions(ControllerOptions):
             _PARAMS, self, gravity=context.gravity, count=count, fade=np.exp(-self.period / FADES),
             **saturation_params(self, context.robot),
         )  # fmt: skip
-        constants = {"robot": robot_record(context.robot), "doubt": np.ones(6), "params": params}
+        numbers = {"robot": robot_record(context.robot), "doubt": np.ones(6), "params": params}
         inputs, legs = {"measurement": 12, "reference": 18, "reference_now": 18}, (LEGS, LEGS, LEGS)
-        return (Part("controller", decoupled_tick, constants, inputs, ("torque",), new_record(_STATE), legs, STATUSES),)
+        part = Part("controller", decoupled_tick, {}, inputs, ("torque",), new_record(_STATE), legs, STATUSES)
+        return (part._replace(parameters=numbers),)
 
 
 _PARAMS = fields(

@@ -174,6 +174,7 @@ def difference_part(options: DifferenceOptions, context: LoopContext) -> Part:
         rates = crank_rates(robot, leg_geometry(robot, context.pose), context.pose, context.pose_rate)
         initial["crank_rate"] = rates if np.isfinite(rates).all() else 0.0
 
-    constants = {"robot": laws.robot_record(robot), "params": difference_params(options, context.period)}
+    numbers = {"robot": laws.robot_record(robot), "params": difference_params(options, context.period)}
     outputs, scratch = ("measurement",), (laws.LEGS,)
-    return Part("estimator", difference_tick, constants, {"reading": 6}, outputs, initial, scratch, STATUSES)
+    part = Part("estimator", difference_tick, {}, {"reading": 6}, outputs, initial, scratch, STATUSES)
+    return part._replace(parameters=numbers)

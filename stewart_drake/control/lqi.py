@@ -348,7 +348,7 @@ def lqi_part(
     part = controller_part(lqi_tick, robot, params, LQI_STATE, laws.LEGS, PROBLEM)
     part = part._replace(inputs={**part.inputs, "weights": weights}, statuses=_STATUSES)
     if (solver or options.solver) != "split":
-        part = part._replace(kernel=_tick_by_drake, constants={**part.constants, "options": options})
+        part = part._replace(kernel=_tick_by_drake, constants={"options": options})
     return part
 
 

@@ -279,5 +279,5 @@ def network_part(network: TunerNetwork, initial: Sequence[float]) -> Part:
     """
     check_value("initial", list(initial), tuple[Real, Real])
     first = new_record(fields(weights=OUTPUTS), weights=np.clip(initial, network.omega_min, network.omega_max))
-    constants, inputs = {"network": network.params()}, {"density": INPUTS}
-    return Part("tuner", network_tick, constants, inputs, ("weights",), first, statuses=_STATUSES, end_of_tick=True)
+    part = Part("tuner", network_tick, {}, {"density": INPUTS}, ("weights",), first, statuses=_STATUSES)
+    return part._replace(end_of_tick=True, parameters={"network": network.params()})

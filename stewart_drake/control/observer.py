@@ -337,12 +337,11 @@ def observer_part(options: ObserverOptions, context: LoopContext) -> Part:
     initial["commands"][0, : ahead + 1] = context.initial_torque
 
     first = difference_params(DifferenceOptions(), period)
-    constants = {"robot": laws.robot_record(robot), "params": params, "first_params": first}
-    constants["friction"] = context.friction
+    numbers = {"robot": laws.robot_record(robot), "params": params, "first_params": first, "friction": context.friction}
     inputs = {"reading": context.reading, "net_torque": 6, "reference": 18, "disturbance": 1}
     outputs, expected = (
         ("measurement", "predicted", "disturbance_torque", "innovation"),
         np.array([options.disturbance]),
     )
-    part = Part("observer", observer_tick, constants, inputs, outputs, initial, (laws.LEGS, STATE), _STATUSES)
-    return part._replace(connections={"disturbance": expected})
+    part = Part("observer", observer_tick, {}, inputs, outputs, initial, (laws.LEGS, STATE), _STATUSES)
+    return part._replace(connections={"disturbance": expected}, parameters=numbers)

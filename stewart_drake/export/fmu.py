@@ -60,10 +60,10 @@ def plant_part(scenario: Scenario) -> Part:
     plant = ClosedForm(scenario.robot, scenario.plant, scenario.gravity)  # type: ignore[arg-type]
     plant.initial(*scenario.start())
     loaded, friction, params, _ = plant._fixed
-    constants, inputs = {"robot": loaded, "friction": friction, "params": params}, {"motor_torque": 6, "wrench": 6}
+    numbers, inputs = {"robot": loaded, "friction": friction, "params": params}, {"motor_torque": 6, "wrench": 6}
     kernel = plant_tick_rk4 if getattr(scenario.plant, "integrator", "") == "rk4" else plant_tick
     statuses = {SERIAL: Status("crank_dead_centre", of_leg=True)}
-    part = Part("plant", kernel, constants, inputs, (), plant.save(), (LEGS,), statuses)
+    part = Part("plant", kernel, {}, inputs, (), plant.save(), (LEGS,), statuses, parameters=numbers)
     return part._replace(period=scenario.plant.time_step, end_of_tick=True)
 
 

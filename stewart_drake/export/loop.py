@@ -39,7 +39,7 @@ class LoopSource:
     """The parts of a loop in C; arguments are those of `LoopRunner`.
 
     `given` are arrays that stand at ports, by the names of members of the record that take their places; `variable`
-    names constants that are to be members too, as `part.constant`.
+    names parameters that are to be members too, as `part.parameter`.
 
     Attributes:
         program: The laws that have been printed.
@@ -110,8 +110,8 @@ class LoopSource:
 
     def _add(self, k: int, part: Part) -> None:
         arguments: list[Any] = []
-        for name, value in part.constants.items():
-            arguments.append(self._constant(part, name, value))
+        for name, value in part.leading.items():
+            arguments.append(self._leading(part, name, value))
         for name, size in part.inputs.items():
             arguments.append(self._input(part, name, size))
         for n, scratch in enumerate(part.scratch):
@@ -165,7 +165,7 @@ class LoopSource:
                 ]
         self._runs.append(f"static int run_{part.name}(struct loop *loop)\n{{\n" + "\n".join(lines) + "\n}")
 
-    def _constant(self, part: Part, name: str, value: Any) -> Any:
+    def _leading(self, part: Part, name: str, value: Any) -> Any:
         if name in part.connections:
             signal = self.signals[str(part.connections[name])]
             kind = self.program.record(value.dtype, f"{part.name}_{name}", part.kernel)

@@ -85,7 +85,7 @@ class StewartRobot(StateMap):
         self.gravity = float(np.linalg.norm(plant.gravity_field().gravity_vector()))
         self._base = base.rotation().matrix()
         self._law = options.friction_law(robot)
-        self._start: list[np.ndarray] = []  # The default state of the robot, at rest and in motion.
+        self._start: list[np.ndarray] = []  # The default state of the robot, at rest and in motion, and its pose rate.
         self._friction: Friction | None = None
 
     @cached_property
@@ -154,7 +154,8 @@ class StewartRobot(StateMap):
         """Makes `assemble(pose, pose_rate)` what a Context begins with, before the first one is made.
 
         Drake has default positions alone. The rates come at `Simulator.Initialize`, where the robot is still in its
-        default positions and at rest, and nobody has called `set_state` or `put`.
+        default positions and at rest, and nobody has called `set_state` or `put`. Where the platform alone is another,
+        by a random distribution of its joint, the loops are closed there too.
         """
         plant, mine, start = self.plant, self.indices.all(), self.assemble(pose, pose_rate)
         positions, own = plant.GetDefaultPositions(), mine[mine < plant.num_positions()]
@@ -166,14 +167,20 @@ class StewartRobot(StateMap):
         if not self._start:
             begins = self._start  # An event that held this object would keep the plant for ever.
             still = self._still = plant.DeclareNumericParameter(BasicVector(np.ones(1)))
+            states, is_leg = StateMap(self.robot, self.rod_joint), ~np.isin(mine, self._platform_index)
+            states.indices, states.default = self.indices, self.default
 
             def begin(context: Context, state: State) -> None:
-                values, (resting, moving) = state.get_mutable_discrete_state().get_mutable_value(0), begins
-                if context.get_numeric_parameter(still)[0] and (values[mine] == resting).all():
-                    values[mine] = moving
+                values, (resting, moving, rate) = state.get_mutable_discrete_state().get_mutable_value(0), begins
+                as_by_default = values[mine] == resting
+                if not context.get_numeric_parameter(still)[0] or not as_by_default[is_leg].all():
+                    return
+                if not as_by_default.all():
+                    moving = states.assemble(states.pose_and_rate(values)[0], rate)[mine]
+                values[mine] = moving
 
             plant.DeclareInitializationUnrestrictedUpdateEvent(begin)
-        self._start[:] = self.default[mine], start[mine]
+        self._start[:] = self.default[mine], start[mine], np.zeros(6) if pose_rate is None else np.asarray(pose_rate)
 
     def push(self, wrench: ArrayLike) -> ExternallyAppliedSpatialForce:
         """A wrench (6,) [N m, N] in B about P, the origin of the link `platform`, for `applied_spatial_force`."""

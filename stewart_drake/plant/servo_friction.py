@@ -18,6 +18,7 @@ from pydrake.systems.primitives import Adder, LinearSystem, MatrixGain, Multiple
 from stewart_drake.base.jit import njit, record
 from stewart_drake.mechanics.friction import level, update_bristles
 from stewart_drake.mechanics.linear_algebra import copy_to
+from stewart_drake.plant.context_parameters import WithParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
 if TYPE_CHECKING:
@@ -35,23 +36,26 @@ class Friction(NamedTuple):
         return np.append(state[self.cranks], np.zeros(LEG_COUNT))
 
 
-class MotorFriction(LeafSystem):
+class MotorFriction(LeafSystem, WithParameters):
     """What friction asks of the servos, from `plant_state` and `bristles` (12,): anchors [rad], slips [rad/s] before.
 
-    The output `pull` (18,) has anchors, slips and stribeck_torque [N m] until the next step.
+    The output `pull` (18,) has anchors, slips and stribeck_torque [N m] until the next step. The parameter `friction`
+    is a `FRICTION` record; its break_away and viscous count in the plant, where they are a motor's limit and damping.
     """
 
     def __init__(self, robot: StewartRobot, friction: np.ndarray) -> None:
         super().__init__()
         plant = robot.plant
-        self._friction, self._step, self.cranks = friction, plant.time_step(), robot.indices.crank
+        self._step, self.cranks = plant.time_step(), robot.indices.crank
+        self._friction = self.declare_parameters({"friction": friction})["friction"]
         self.plant_state = self.DeclareVectorInputPort("plant_state", plant.num_multibody_states())
         self.bristles = self.DeclareVectorInputPort("bristles", 2 * LEG_COUNT)
-        inputs = {self.all_input_ports_ticket()}
-        self.pull = self.DeclareVectorOutputPort("pull", 3 * LEG_COUNT, self._calc, prerequisites_of_calc=inputs)
+        needs = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
+        self.pull = self.DeclareVectorOutputPort("pull", 3 * LEG_COUNT, self._calc, prerequisites_of_calc=needs)
 
     def _calc(self, context: Context, output: Any) -> None:
         state, before = self.plant_state.Eval(context), self.bristles.Eval(context)
+        self.read_parameters(context)
         _servo_inputs(self._friction, before, state, self.cranks, self._step, output.get_mutable_value())
 
 

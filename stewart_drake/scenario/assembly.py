@@ -7,7 +7,7 @@ estimator, controller and tuner gives its own parts, see `LoopContext`; nothing 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.base.keys import join_or
-from stewart_drake.control.base import LEARNT_SIGNALS, TRACKING_ERROR
+from stewart_drake.control.base import LEARNT_SIGNALS, TRACKING_ERROR, AdaptationOptions
 from stewart_drake.control.feedforward import lead_part
 from stewart_drake.control.friction_compensation import standing_torque
 from stewart_drake.control.observer import SMALLEST_NOISE
@@ -214,10 +214,13 @@ class _Builder:
         self.add_command()
         command = self.add_inverse()
         self.add_tuner()
-        learnt = self.add_adaptation(command)
-        safety = None if options.safety is None else self.safety(options.safety).connected(**learnt)
+        last = [] if options.safety is None else [self.safety(options.safety)]
+        if options.adaptation is not None:
+            laws, before = self.add_adaptation(options.adaptation, command), len(self.parts)
+            written = _written([*self.parts, *last], options.adaptation, laws)
+            self.parts, last = written[:before], written[before:]
         parts, at_end, initial = tuple(self.parts), tuple(self.at_end), options.belief.motors.initial_command(context)
-        names = self.reading, "torque", command, options.belief.motors.unit
+        names, safety = (self.reading, "torque", command, options.belief.motors.unit), last[0] if last else None
         return ControlSide(context, parts, at_end, tuple(sources), *names, initial, safety, self.logged)
 
     def add_estimator(self) -> None:
@@ -309,24 +312,14 @@ class _Builder:
                 # The tuner says what the observer is to expect.
                 self.parts = [each.connected(disturbance=part.signal("disturbance")) for each in self.parts]
 
-    def add_adaptation(self, command: str) -> dict[str, str]:
-        """What learns while it runs; its outputs, which take the places of constants that have their names."""
-        options = self.options.adaptation
-        if options is None:
-            return {}
+    def add_adaptation(self, options: AdaptationOptions, command: str) -> list[Part]:
+        """What learns while it runs."""
         at = self.sees | {"reading": self.reading, "command": command}
-        parts = [part.connected(**at) for part in options.parts(self.context)]
-        learnt = {output: part.signal(output) for part in parts for output in part.outputs}
-        places = {name for part in (*self.parts, *self.at_end) for name in part.constants}
-        if not learnt.keys() & places:
-            allowed = f"one of whose outputs is called as a constant of a part of this loop: {join_or(sorted(places))}"
-            raise ConfigurationError("adaptation.kind", options.kind, allowed)
-        self.parts = [
-            part.connected(**{name: learnt[name] for name in part.constants if name in learnt}) for part in self.parts
-        ]
-        self.at_end.extend(part._replace(end_of_tick=True) for part in parts)
+        laws = [law.connected(**at)._replace(end_of_tick=True) for law in options.parts(self.context)]
+        self.at_end.extend(laws)
+        learnt = {output: law.signal(output) for law in laws for output in law.outputs}
         self.logged |= {name: learnt[name] for name in LEARNT_SIGNALS if name in learnt}
-        return learnt
+        return laws
 
     def safety(self, options: SafetyOptions) -> Part:
         """The safety layer, which gets the command that arrives at the motors."""
@@ -344,6 +337,26 @@ class _Builder:
         if self.options.safety is None or part.system is not None:
             return part
         return part._replace(outputs=(*part.outputs, "health"), fault_tolerant=True).named(health=health)
+
+
+def _written(parts: Sequence[Part], options: AdaptationOptions, laws: Sequence[Part]) -> list[Part]:
+    """The parts, with what adaptive laws find in the places of the parameters that `options.writes` lists."""
+    changed, is_of_use = {part.name: part for part in parts}, False
+    known = sorted(f"{part.name}.{parameter}" for part in parts for parameter in part.parameters)
+    listed = (
+        (law, output, place) for law in laws for output in law.outputs for place in options.writes.get(output, ())
+    )
+    for law, output, place in listed:
+        name, _, parameter = place.partition(".")
+        if place in known:
+            changed[name].check_signal(parameter, law.initial.dtype[output])
+            changed[name], is_of_use = changed[name].connected(**{parameter: law.signal(output)}), True
+        elif name in changed and name not in ("controller", "estimator"):  # Of which some kinds do without.
+            raise ConfigurationError(f"adaptation.writes.{output}", place, join_or(known))
+    if not is_of_use:
+        allowed = f"one that writes parameters that are in this loop: {join_or(known)}"
+        raise ConfigurationError("adaptation.kind", options.kind, allowed)
+    return list(changed.values())
 
 
 # --- parts that no room has ---
@@ -378,7 +391,8 @@ def _net_torque_part(limit: np.ndarray, initial: np.ndarray) -> Part:
     What the motors cannot give is cut by them, or by the safety layer, which has to see it.
     """
     first, inputs = new_record(fields(net_torque=6), net_torque=initial), {"torque": 6, "friction_torque": 6}
-    return Part("net_torque", _store_net_torque, {"limit": limit}, inputs, ("net_torque",), first, end_of_tick=True)
+    part = Part("net_torque", _store_net_torque, {}, inputs, ("net_torque",), first, end_of_tick=True)
+    return part._replace(parameters={"limit": limit})
 
 
 def _finite_tick(what: str, asked: np.ndarray, state: np.ndarray) -> None:

@@ -248,7 +248,7 @@ class LoopSystems:
         """Adds the system of a part; its signals are split in C++, a port of its own would be a call of Python."""
         if part.kernel is limit_torque:
             # Drake has it in C++: at every step of the plant a call of Python costs a tenth of the step.
-            limit = part.constants["limit"]
+            limit = part.parameters["limit"]
             saturation = self.systems[part.name] = self._add(part.name, Saturation(-limit, limit))
             self._signals[part.signal("torque")] = saturation.get_output_port()
             self.strides[part.signal("torque")] = self.strides.get(str(part.source("command")), 1)
