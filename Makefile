@@ -29,7 +29,7 @@ $(BASE): pyproject.toml constraints.txt
 
 # Reachy Mini's model for MuJoCo and its dances are in its maker's packages, which would bring all that drives the real one.
 MODEL := $(shell sed -n 's|^mjcf: package:\([^/]*\)/.*|\1|p' stewart_drake/robots/reachy_mini.yaml)
-DANCES := $(shell sed -n 's|^DANCES = "\(.*\)"|\1|p' stewart_drake/references/moves.py)
+DANCES := $(shell sed -n 's|^DANCES = "\(.*\)"|\1|p' stewart_drake/reachy/moves.py)
 $(STAMP): $(BASE)
 	$(PIP) -e '.[$(EXTRA)]'
 	$(PIP) --no-deps '$(MODEL)' '$(DANCES)'

@@ -23,12 +23,12 @@ from stewart_drake.base.markdown import markdown_table
 from stewart_drake.control.adaptation import last_learnt, model_of, rows_of
 from stewart_drake.logs.outcomes import RunRows
 from stewart_drake.machines.machine import MachineError, Reading, open_machine
-from stewart_drake.machines.reachy import ReachyMachine
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.plotting.style import save_figure, styled
-from stewart_drake.references.moves import Move
+from stewart_drake.reachy.machine import ReachyMachine
+from stewart_drake.reachy.moves import Move
+from stewart_drake.reachy.possible_moves import motion_of, shaped_move
 from stewart_drake.runs.drive import Drive, connected
-from stewart_drake.runs.moves import motion_of, shaped_move
 from stewart_drake.scenario.scenario import load_driven
 
 ROOT = Path(__file__).parents[1]

@@ -24,7 +24,7 @@ from stewart_drake.plotting.style import (
     save_figure,
     styled,
 )
-from stewart_drake.references.moves import dances as makers_dances
+from stewart_drake.reachy.moves import dances as makers_dances
 from stewart_drake.studies.comparison import Comparison
 from stewart_drake.studies.experiment import run_experiment
 

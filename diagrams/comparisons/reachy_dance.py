@@ -5,7 +5,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from stewart_drake import ConfigurationError
-from stewart_drake.references.moves import dances
+from stewart_drake.reachy.moves import dances
 
 SAMPLE = 0.002  # [s].
 

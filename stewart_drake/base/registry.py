@@ -1,4 +1,4 @@
-"""Every kind of plant, motor, controller, tuner, sensor, reference, disturbance, monitor and fault, and its place.
+"""Every kind of plant, motor, controller, tuner, sensor, reference, disturbance, monitor, fault, machine and recording.
 
 A kind is one line here: its section, which also makes its part of the loop, see `part.LoopContext`; for faults one
 object. Names are texts, imported when a kind is asked for: to read a scenario takes neither Drake nor what the scenario
@@ -90,6 +90,10 @@ DISTURBANCES = Family(
     own="hardware.disturbances:UserDisturbance",
     methods=("evaluate",),
 )
+MACHINES = Table({"reachy": "reachy.machine:ReachyMachine", "udp": "machines.udp:UdpMachine"})
+"""By the scheme of an address: a class that is made of scenario, host and port; `default_port` where it has one."""
+RECORDINGS = Table({".json": "reachy.moves:read_rows"})
+"""Of recorded motions by the ending of a file, besides tables: a function from a path to rows (n, 7) [s, rad, m]."""
 
 
 def _faults(*kinds: str, **others: str) -> Table:

@@ -18,13 +18,14 @@ EXIT_DIFFERENT, EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERNAL, EXIT_INTERRUPTED
 
 
 class About(NamedTuple):
-    """Where a command stands, the arguments of an example, and what it does, in a line."""
+    """The module of a command, in `cli` or elsewhere, the arguments of an example, and what it does, in a line."""
 
     module: str
     example: str
     summary: str
 
 
+_MOVES = "reachy.commands"
 COMMANDS = {
     "run": About("run", "exact_fig7 --set duration=2", "Simulate a scenario"),
     "live": About("view", "exact_breathing", "Steer a robot in the browser, in real time"),
@@ -34,10 +35,14 @@ COMMANDS = {
     "export": About("machine", "reachy_nod --c nod", "Write a controller as C99, for a microcontroller or C++"),
     "replay": About("view", "runs/exact_fig7 runs/exact_fig7-2", "Show runs side by side as one page"),
     "check": About("run", "paper_fig7 --retime", "Check a motion against every limit, without a run"),
-    "moves": About("move", "check dances", "Moves and dances of Reachy Mini: check them, make them possible"),
-    "moves check": About("move", "dances", "Check recorded moves against every limit of the head"),
-    "moves fix": About("move", "dances", "Change moves, as little as possible, until they can be done"),
-    "moves export": About("move", "dance:simple_nod", "Write moves as the maker's JSON, also shaped for the servos"),
+    "moves": About(
+        "reachy.commands", "check dances", "Moves and dances of Reachy Mini: check them, make them possible"
+    ),
+    "moves check": About(_MOVES, "dances", "Check recorded moves against every limit of the head"),
+    "moves fix": About(_MOVES, "dances", "Change moves, as little as possible, until they can be done"),
+    "moves export": About(
+        "reachy.commands", "dance:simple_nod", "Write moves as the maker's JSON, also shaped for the servos"
+    ),
     "compare": About("study", "tracking --quick", "Compare controllers over motions and conditions"),
     "tune": About("study", "fair --quick", "Search the gains with the least cost for each controller"),
     "sweep": About("study", "initial_offset --runs 20", "Run a scenario many times with random values"),
@@ -125,7 +130,8 @@ class Group(Command, click.Group):
         known = self._known()
         # For a name that is not there, all: click says which one is close to it.
         for about in [known[cmd_name]] if cmd_name in known else known.values():
-            import_module(f"stewart_drake.cli.{about.module}_commands")
+            place = about.module if "." in about.module else f"cli.{about.module}_commands"
+            import_module(f"stewart_drake.{place}")
         return super().get_command(ctx, cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002

@@ -13,6 +13,7 @@ import numpy as np
 from stewart_drake.base.code import CLASS_PATH
 from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.base.families import imported
+from stewart_drake.base.registry import MACHINES
 from stewart_drake.scenario.scenario import Scenario
 
 LOCALHOST = "127.0.0.1"
@@ -21,7 +22,6 @@ LARGEST_ANGLE = 4.0 * np.pi  # [rad] of a reading that is believed.
 PATIENCE = 3  # Periods for which `read` waits for the next reading of a machine that sets the pace.
 Takes = Literal["angle", "torque", "current"]
 _URLS = "reachy://HOST:PORT, udp://HOST:PORT, serial:DEVICE, sim: or mine.py:MyMachine"
-_AT_ADDRESS = {"reachy": ("reachy:ReachyMachine", 8000), "udp": ("udp:UdpMachine", None)}  # With their default ports.
 
 
 class MachineError(RunFailure):
@@ -115,9 +115,9 @@ def open_machine(url: str, scenario: Scenario) -> Machine:
         ConfigurationError: A URL that names no machine, code that is not trusted, a machine that takes something else.
     """
     kind, _, rest = url.partition(":")
-    if kind in _AT_ADDRESS:
-        place, default_port = _AT_ADDRESS[kind]
-        machine: Machine = imported(f"machines.{place}")(scenario, *_address(url, default_port))
+    if kind in MACHINES.names:
+        made = MACHINES[kind]
+        machine: Machine = made(scenario, *_address(url, getattr(made, "default_port", None)))
     elif kind == "serial" and (parts := re.fullmatch(r"(.+?)(?::(\d{1,8}))?", rest)):
         machine = imported("machines.serial_line:SerialMachine")(scenario, parts[1], int(parts[2] or 1_000_000))
     elif kind == "sim":

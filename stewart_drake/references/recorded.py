@@ -15,9 +15,9 @@ from pydantic import Field
 from stewart_drake.base.config import Positive, Real, Section, Text
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.families import UserMade
+from stewart_drake.base.registry import RECORDINGS
 from stewart_drake.base.sampling import unwrapped
 from stewart_drake.base.tables import POSE, read_numbers, refuse_back, refuse_cells
-from stewart_drake.references.moves import read_move
 from stewart_drake.references.rows import CUTOFF, MOST_ROWS, SETTLE, RowsMotion
 
 QUANTITIES = (("time", "s"), *POSE)
@@ -49,9 +49,9 @@ class RecordedReference(Section, key="reference"):
     """[s] in which it slows down to rest at the last row, half of it after the last row's time."""
 
     @property
-    def of_head(self) -> bool:
-        """Whether it is a move of Reachy Mini, which tells of the platform, whatever tool there is."""
-        return _is_move(self.motion_file)
+    def of_platform(self) -> bool:
+        """Whether its format is that of a product, which tells of the platform, whatever tool there is."""
+        return Path(self.motion_file).suffix.lower() in RECORDINGS.names
 
     @property
     def end(self) -> float:
@@ -76,17 +76,13 @@ class RecordedReference(Section, key="reference"):
         return RowsMotion(data[:, 0] * self.time_scale, data[:, 1:], self.cutoff, self.settle, key)
 
 
-def _is_move(path: str | Path) -> bool:
-    return Path(path).suffix.lower() == ".json"
-
-
 def load_recording(path: str | Path) -> np.ndarray:
     """A recorded motion (n, 7) [s, rad, m] of a file with `QUANTITIES`, checked; wrapped angles without jumps."""
     path = Path(path)
     key = f"recorded motion {path}"
-    if _is_move(path):
-        move = read_move(path)
-        return np.column_stack([move.time, move.pose])
+    if (ending := path.suffix.lower()) in RECORDINGS.names:
+        rows: np.ndarray = RECORDINGS[ending](path)
+        return rows
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise ConfigurationError(key, path.suffix, "a file that ends in .csv, .parquet or .json")
     data = read_numbers(path, key, QUANTITIES, MAX_RECORDING_BYTES, MOST_ROWS)

@@ -209,7 +209,7 @@ class ControlOptions(Section):
         place_users(self)
         if self.belief.robot.tool is not None:
             for place, motion in placed(self.reference, RecordedReference, "reference"):
-                if motion.of_head:
+                if motion.of_platform:
                     allowed = "a motion of the tool; a move tells of the head: robot.tool null plays it"
                     raise ConfigurationError(f"{place}.motion_file", motion.motion_file, allowed)
         period = self.controller.period

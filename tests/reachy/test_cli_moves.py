@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from stewart_drake.references.moves import HEAD_HEIGHT, Move, move_json, read_move
+from stewart_drake.reachy.moves import HEAD_HEIGHT, Move, move_json, read_move
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from stewart_drake.base.errors import installed_with
 from stewart_drake.machines import machine
 from stewart_drake.machines.machine import MachineError, Reading, Takes
 from stewart_drake.machines.tick_clock import TickClock
-from stewart_drake.references.moves import pose_of_head
+from stewart_drake.reachy.moves import pose_of_head
 from stewart_drake.scenario.scenario import Scenario
 
 TICK = 0.02  # [s] that the daemon wants between two messages of a kind: one in each of its ticks, without a time stamp.
@@ -29,6 +29,7 @@ class ReachyMachine:
     move or wakes up it drops commands without a word. With motors that are off, readings say `holding`.
     """
 
+    default_port = 8000
     period: float | None = TICK
     takes: Takes = "angle"
     reads = True

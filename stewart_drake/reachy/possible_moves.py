@@ -11,7 +11,7 @@ from stewart_drake.analysis import feasibility
 from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.mechanics import kinematics
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.references.moves import STEP, Move
+from stewart_drake.reachy.moves import STEP, Move
 from stewart_drake.references.rows import RowsMotion
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.controller import Controller

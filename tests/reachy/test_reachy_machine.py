@@ -12,8 +12,8 @@ from made_machines import SERVOS, go_on
 
 from stewart_drake.base.errors import MissingPackageError
 from stewart_drake.machines.machine import MachineError, open_machine
-from stewart_drake.machines.reachy import COUNTED
 from stewart_drake.mechanics.kinematics import forward_kinematics
+from stewart_drake.reachy.machine import COUNTED
 
 websockets = pytest.importorskip("websockets")
 STATUS, *MESSAGES = (Path(__file__).parent / "reachy_messages.jsonl").read_text(encoding="utf-8").splitlines()

@@ -100,6 +100,12 @@ def read_move(path: str | Path) -> Move:
     return Move(about, time, pose, antennas, yaw)
 
 
+def read_rows(path: Path) -> np.ndarray:
+    """The head in a recorded move, (n, 7) [s, rad, m]."""
+    move = read_move(path)
+    return np.column_stack([move.time, move.pose])
+
+
 def _place(name: str, wrong: np.ndarray) -> str:
     """Where in a file the first wrong row (n,) of a column stands."""
     row = int(wrong.argmax())

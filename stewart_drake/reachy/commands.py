@@ -15,9 +15,9 @@ from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_table, say, shown_compiling, tell
-from stewart_drake.references.moves import Move, files_of, move_json, moves_of
+from stewart_drake.reachy.moves import Move, files_of, move_json, moves_of
+from stewart_drake.reachy.possible_moves import check_move, fix_move, motion_of, shaped_move
 from stewart_drake.robot.robot_files import load_robot
-from stewart_drake.runs.moves import check_move, fix_move, motion_of, shaped_move
 from stewart_drake.runs.outputs import prepare_folder
 from stewart_drake.scenario.scenario import load_driven
 

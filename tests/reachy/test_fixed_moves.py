@@ -8,11 +8,19 @@ import pytest
 from stewart_drake import ConfigurationError, load_scenario, run
 from stewart_drake.machines.machine import Reading
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.references.moves import HEAD_HEIGHT, STEP, Move, move_json, moves_of, read_move
+from stewart_drake.reachy.moves import HEAD_HEIGHT, STEP, Move, move_json, moves_of, read_move
+from stewart_drake.reachy.possible_moves import (
+    SMOOTHEST,
+    TORQUE,
+    averaged,
+    check_move,
+    fix_move,
+    motion_of,
+    shaped_move,
+)
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.runs.checks import check_scenario
 from stewart_drake.runs.drive import connected
-from stewart_drake.runs.moves import SMOOTHEST, TORQUE, averaged, check_move, fix_move, motion_of, shaped_move
 from stewart_drake.scenario.scenario import Scenario, load_driven
 
 ROBOT = load_robot("reachy_mini")
