@@ -15,6 +15,7 @@ import numpy as np
 
 from stewart_drake.base.atomic_files import plain_json
 from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, one_line
+from stewart_drake.base.real_time import Pace
 from stewart_drake.live.instrument import (
     AXES,
     Probe,
@@ -34,10 +35,9 @@ from stewart_drake.runs.scene import link_poses
 from stewart_drake.safety import standstill_text
 from stewart_drake.scenario.scenario import Scenario
 
-SLICE = 0.02
-"""[s] of simulated time between two looks at the clock and at what the browser asks for."""
-LATEST = 0.5
-"""[s] behind the clock from which on the loop gives up catching up: the robot then runs slower than it should."""
+SLICE, LATEST = 0.02, 0.5
+"""[s] of simulated time between two looks at the clock and at what the browser asks for; [s] behind the clock from
+which on the loop gives up catching up: the robot then runs slower than it should."""
 CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
     "as in the scenario": {},
     "LQI, exact model": {
@@ -140,25 +140,19 @@ class LiveSession(PageSession):
 
     def run(self, until: float = np.inf) -> None:
         """Runs for some seconds of the clock [s]; by default until KeyboardInterrupt."""
-        loop, began = self.loop, time.monotonic()
+        loop, began, pace = self.loop, time.monotonic(), Pace(SLICE, LATEST)
         steps = max(1, round(SLICE / loop.scenario.plant.time_step))
-        due = time.monotonic()
-        window = (due, loop.time)
+        window = (began, loop.time)
         while time.monotonic() - began < until:
             self.obey()
             if not self.paused:
                 self._each(lambda loop: loop.advance(max(1, round(steps * self.speed))))
-            due += SLICE
-            late = time.monotonic() - due
-            if late > LATEST:
-                due = time.monotonic()
-            now = time.monotonic()
-            if now - window[0] >= 1.0:
+            pace.advance()
+            if (now := time.monotonic()) - window[0] >= 1.0:
                 self.factor = (loop.time - window[1]) / (now - window[0])
                 window = (now, loop.time)
             self.publish(self.row())
-            if (rest := due - time.monotonic()) > 0.0:
-                time.sleep(rest)
+            pace.wait()
 
     def _aim(self, command: Mapping[str, Any]) -> None:
         reached = self.loop.aim(six_of(command["pose"]))

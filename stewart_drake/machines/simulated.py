@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.base.errors import StewartDrakeError
-from stewart_drake.base.real_time import real_time
+from stewart_drake.base.real_time import Pace, real_time
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.control.friction_compensation import standing_torque
 from stewart_drake.hardware.disturbances import total_wrench
@@ -208,10 +208,10 @@ def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
     with real_time():
         print(line.getsockname()[1], flush=True)
         line.setblocking(False)
-        begun = time.monotonic()
+        pace = Pace(robot.period, LATEST)
         while True:
             # A step is simulated when it is over, with the commands that have come until then.
-            due = begun + robot.now * robot.step
+            due = pace.due
             if packet := side.reading(robot.reading(), robot.now * robot.step, time.monotonic()):
                 with suppress(OSError):
                     line.sendto(packet, side.peer)
@@ -229,8 +229,7 @@ def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
                 while arrived and arrived[0][0] < due + (k + 1) * robot.step:
                     robot.follow(arrived.popleft()[1])
                 robot.advance(brakes and side.holds(due + k * robot.step))
-            if time.monotonic() - (begun + robot.now * robot.step) > LATEST:
-                begun = time.monotonic() - robot.now * robot.step
+            pace.advance()
 
 
 def main() -> None:

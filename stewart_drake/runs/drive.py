@@ -12,7 +12,7 @@ import numpy as np
 
 from stewart_drake.analysis.feasibility import check_reference
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError, RunFailure, StewartDrakeError
-from stewart_drake.base.real_time import real_time
+from stewart_drake.base.real_time import Pace, real_time
 from stewart_drake.control.user_controller import failure_of
 from stewart_drake.logs.journal import Journal
 from stewart_drake.logs.log import MAX_ROWS, SimulationLog
@@ -204,7 +204,7 @@ class Drive:
         self._gives_up = np.inf  # [s] on the monotonic clock.
         self._holding = self._far = 0  # Ticks in a row in which the machine followed nothing, was too far away.
         self._behind = 0  # Ticks by which the motion's clock is behind that of the machine.
-        self._origin = 0.0  # [s], or a machine's number of its reading, at the beginning.
+        self._pace, self._origin = Pace(self._period), 0  # And a machine's number of its reading at the beginning.
         self._stopped_by: RunFailure | KeyboardInterrupt | None = None
         self._asked = False
         self._motion.stop(start.duration - RAMP)
@@ -389,14 +389,12 @@ class Drive:
             self._clock.take(reading)
             self._origin = reading.number if first else self._origin
             return reading, int(reading.number - self._origin) - self._behind, reading.age
-        self._origin = time.monotonic() if first else self._origin
-        # Ticks that have gone by are left out, not made up for.
-        passed = int((time.monotonic() - self._origin) / self._period)
-        due = 0 if first else max(self._last + self._behind + 1, passed)
-        if (rest := self._origin + due * self._period - time.monotonic()) > 0.0:
-            time.sleep(rest)
-        late = time.monotonic() - self._origin - due * self._period
-        return machine.read(), due - self._behind, late
+        if first:
+            self._pace = Pace(self._period)
+        else:
+            self._pace.advance(leave_out=True)
+        late = self._pace.wait()
+        return machine.read(), self._pace.tick - self._behind, late
 
     def _look(self, reading: Reading) -> None:
         """What makes it slow down and stop."""
