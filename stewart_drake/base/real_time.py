@@ -14,7 +14,6 @@ from pathlib import Path
 TURN = 0.0005  # [s] after which a thread that has Python's lock gives it to one that waits.
 
 
-
 class Pace:
     """Equal ticks [s] on the monotonic clock: tick 0 is now, and no tick is later because one before it was.
 

@@ -13,19 +13,22 @@ from scipy.spatial.transform import Rotation
 from stewart_drake.analysis.response import step_figures
 from stewart_drake.base.atomic_files import write_together
 from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.tables import COORDINATES, POSE, numbers_to_csv
 from stewart_drake.base.yaml_files import to_yaml
+from stewart_drake.logs.log import SimulationLog
+from stewart_drake.logs.rows import Rows, side_by_side
+from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_jacobian, rotation_matrix
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.keys import value_at
 from stewart_drake.scenario.scenario import Scenario
 
-AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
 _PULL = 0.15, 0.2  # [-] of the characteristic length, at which the spring has its largest force, of `largest_force`.
 _TURN = 0.3  # [rad] at which a spring that turns has its largest moment, of `largest_moment` the same share.
 _WATCHED = 2.0  # [s] of a step.
 _PERIODS = 3  # Of a sine, after one that is left out.
-_MOST = 120.0  # [s] that the record keeps.
+_RECORDED, _EVERY = 120.0, 0.001  # [s] that a recorder keeps, and between two of its rows.
 
 
 # --- sliders of keys ---
@@ -242,8 +245,8 @@ class Probe:
 
     def _sentence(self) -> str:
         t, y = np.array(self.times), np.array(self.values)
-        scale, unit = (180.0 / math.pi, "deg") if self.axis < 3 else (1e3, "mm")
-        what = f"{self.kind} of {AXES[self.axis]}, {self.size * scale:.2g} {unit}"
+        size = f"{SCALES[self.axis] * self.size:.2g} {DISPLAY_UNITS[self.axis]}"
+        what = f"{self.kind} of {COORDINATES[self.axis]}, {size}"
         if self.kind == "step":
             found = step_figures(t, y)
             rise, settling = (
@@ -259,22 +262,21 @@ class Probe:
         return f"{what}, {self.frequency / (2.0 * math.pi):.3g} Hz: gain {gain:.3f}, phase {phase:.1f} deg"
 
 
-# --- a record ---
+# --- what was done ---
 
 
-class Record:
-    """What was wanted and what came in the last `_MOST` seconds, and the pushes and changes meanwhile."""
+class Recorder:
+    """What was wanted and what came lately, and the pushes and changes meanwhile; `step` is the plant's [s]."""
 
-    def __init__(self) -> None:
-        self.rows: list[np.ndarray] = []
+    def __init__(self, step: float) -> None:
+        self.every = max(1, round(_EVERY / step))
+        self.rows = Rows(side_by_side(_COLUMNS), round(_RECORDED / (self.every * step)))
         self.pushes: list[dict[str, Any]] = []
         self.changes: list[tuple[float, Mapping[str, Any]]] = []
 
-    def add(self, time: float, reference: np.ndarray, pose: np.ndarray, angles: np.ndarray, torque: np.ndarray) -> None:
-        """A tick."""
-        self.rows.append(np.concatenate([[time], reference[:6], pose, angles, torque]))
-        if len(self.rows) > 1000 and self.rows[-1][0] - self.rows[0][0] > 1.1 * _MOST:
-            self.rows = [row for row in self.rows if row[0] >= time - _MOST]
+    def add(self, *values: Any) -> None:
+        """The `_COLUMNS` at every so many steps of the plant."""
+        self.rows.append(np.hstack(values))
 
     def save(self, folder: Path, scenario: Scenario) -> None:
         """log.csv, motion.csv, and a scenario.yaml that repeats reference, pushes, dead motors and frozen encoders.
@@ -283,21 +285,18 @@ class Record:
         """
         if not self.rows:
             raise ConfigurationError("save", "no row", "a loop that has run")
-        rows = np.array(self.rows)
-        begin, end = rows[[0, -1], 0].tolist()
-        rows[:, 0] -= begin
-        pose = [f"pose_{name}" for name in ("roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m")]
-        names = ["time_s", *(f"reference_{name[5:]}" for name in pose), *pose]
-        names += [f"crank_angle_{leg}_rad" for leg in range(6)] + [f"torque_{leg}_nm" for leg in range(6)]
+        signals = self.rows.columns()
+        begin, end = signals["time"][[0, -1]].tolist()
+        signals["time"] -= begin
         # The motion at a hundred rows a second: a spline goes through them.
-        every = max(1, round(0.01 / max(1e-6, float(np.median(np.diff(rows[:, 0]))))))
-        motion = _csv(["time_s", *pose], rows[::every, :7])
+        rows = np.column_stack([signals["time"], signals["reference"]])
+        rows = rows[:: max(1, round(0.01 / max(1e-6, float(np.median(np.diff(rows[:, 0]))))))]
         pushes = [
             {"kind": "step", "wrench": each["wrench"], "time": each["time"] - begin, "until": until - begin}
             for each in self.pushes
             if each["time"] >= begin and (until := min(each["until"], end)) > each["time"]
         ]
-        changed = scenario.replace({"duration": float(max(rows[-1, 0], 0.1)), "disturbances": pushes})
+        changed = scenario.replace({"duration": float(max(end - begin, 0.1)), "disturbances": pushes})
         data = changed.to_dict()
         data["reference"] = {"kind": "recorded", "motion_file": "motion.csv", "cutoff": None}
         began = {key: max(time - begin, 0.0) for time, change in self.changes for key in change}
@@ -305,19 +304,15 @@ class Record:
         for key, switched in (("motors.dead", [dead] if dead else []), ("sensors.faults", frozen)):
             for each in switched:
                 each["time"] = began.get(key, each["time"])
-        lines = [f"# At {time - begin:.2f} s: {dict(change)}" for time, change in self.changes if time >= begin]
-        text = "\n".join(
-            [
-                "# What was done by hand. Keys are as they were at the end:",
-                *lines,
-                to_yaml(data),
-            ]
-        )
+        lines = ["# What was done by hand. Keys are as they were at the end:"]
+        lines += [f"# At {time - begin:.2f} s: {dict(change)}" for time, change in self.changes if time >= begin]
+        files = {
+            "log.csv": SimulationLog(changed, signals).to_csv(),
+            "motion.csv": numbers_to_csv([("time", "s"), *POSE], rows).encode(),
+            "scenario.yaml": "\n".join([*lines, to_yaml(data)]).encode(),
+        }
         folder.mkdir(parents=True, exist_ok=True)
-        files = {"log.csv": _csv(names, rows), "motion.csv": motion, "scenario.yaml": text.encode()}
         write_together({folder / name: content for name, content in files.items()})
 
 
-def _csv(names: Sequence[str], rows: np.ndarray) -> bytes:
-    lines = [",".join(names), *(",".join(f"{value:.10g}" for value in row) for row in rows)]
-    return ("\n".join(lines) + "\n").encode()
+_COLUMNS = {"time": (), "reference": (6,), "pose": (6,), "torque_applied": (6,), "crank_angle": (6,)}

@@ -16,8 +16,8 @@ import numpy as np
 from stewart_drake.base.atomic_files import plain_json
 from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, one_line
 from stewart_drake.base.real_time import Pace
+from stewart_drake.base.tables import COORDINATES
 from stewart_drake.live.instrument import (
-    AXES,
     Probe,
     Spring,
     TurningSpring,
@@ -215,13 +215,13 @@ class LiveSession(PageSession):
             self.ghost, self._ghosts = self.loop.beside({**self._own, **CONTROLLERS[name]}), name
 
     def _begin_test(self, command: Mapping[str, Any]) -> None:
-        axis, robot = AXES.index(command["axis"]), self.loop.scenario.robot
+        axis, robot = COORDINATES.index(command["axis"]), self.loop.scenario.robot
         size = 0.01 * (1.0 if axis < 3 else robot.characteristic_length)
         frequency = min(max(_number(command.get("frequency", 1.0)), 0.2), 20.0)
         kind = "step" if command["kind"] == "step" else "sine"
         self._each(lambda loop: setattr(loop, "test", Probe(kind, axis, size, frequency, loop.time)))
         at = f", {frequency:g} Hz" if kind == "sine" else ""
-        self._test = f"{kind} of {AXES[axis]}{at}: under way"
+        self._test = f"{kind} of {COORDINATES[axis]}{at}: under way"
 
     def _one_tick(self, _: Mapping[str, Any]) -> None:
         self.paused = True

@@ -19,6 +19,7 @@ from stewart_drake.base.code import file_digests
 from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError
 from stewart_drake.logs.metrics import figures_of
 from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
+from stewart_drake.logs.rows import Rows, side_by_side
 from stewart_drake.logs.signals import signals_of
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.mechanics.kinematics import forward_kinematics
@@ -42,10 +43,9 @@ class Journal:
 
     def __init__(self, scenario: Scenario, path: Path | None = None, most: int | None = None) -> None:
         self._about = {"versions": collect_versions(), "files": file_digests(scenario.to_dict())}
-        self.scenario, self._path, self._most = scenario, path, most
+        self.scenario, self._path = scenario, path
         self._shapes: dict[str, tuple[int, ...]] = {}
-        # Arrays, which the garbage collector need not look into.
-        self._rows: list[np.ndarray] = []
+        self._rows = Rows({}, most)
         self._over, self._thread = threading.Event(), threading.Thread(target=self._write, daemon=True)
 
     def __len__(self) -> int:
@@ -53,11 +53,10 @@ class Journal:
 
     def append(self, row: Mapping[str, Any]) -> None:
         """Adds a row: `time` [s] first, then numbers or arrays of the names and shapes of the first row."""
-        self._rows.append(np.concatenate([np.ravel(value) for value in row.values()]).astype(float))
-        if self._most is not None and len(self._rows) > 2 * self._most:
-            del self._rows[: -self._most]
+        self._rows.append(np.concatenate([np.ravel(value) for value in row.values()]))
         if not self._shapes:
             self._shapes = {name: np.shape(value) for name, value in row.items()}
+            self._rows.places = side_by_side(self._shapes)
             if self._path is not None:
                 self._thread.start()
 
@@ -69,7 +68,7 @@ class Journal:
 
     def log_fields(self, ended_by: RunFailure | KeyboardInterrupt | None, **known: Any) -> dict[str, Any]:
         """The fields of a `SimulationLog` of the rows, see `fields_of`."""
-        return fields_of(self.scenario, _columns(self._rows, self._shapes), ended_by, **self._about, **known)
+        return fields_of(self.scenario, self._rows.columns(), ended_by, **self._about, **known)
 
     def _write(self) -> None:
         head = {"scenario": self.scenario.to_dict(), "shapes": self._shapes, **self._about}
@@ -80,9 +79,9 @@ class Journal:
             written, synced, over = 0, -np.inf, False
             while not over:
                 over = self._over.wait(WRITTEN_EVERY)
-                rows = self._rows[written:]
+                rows = self._rows.since(written)
+                stream.write(b"".join(_sealed(row, written + k) for k, row in enumerate(rows)))
                 written += len(rows)
-                stream.write(b"".join(_sealed(row, written - len(rows) + k) for k, row in enumerate(rows)))
                 stream.flush()
                 if over or time.monotonic() - synced > SYNCED_EVERY:
                     os.fsync(stream.fileno())
@@ -116,16 +115,8 @@ def cut_off(path: Path) -> dict[str, Any]:
         why = f"row {whole} of its file is damaged, and {good[whole:].sum()} good ones behind it are left out"
     failure = RunFailure(f"the run was cut off after {end:.1f} s: {why}", reason="cut_off")
     scenario = Scenario.from_dict(about.pop("scenario"))
-    return fields_of(scenario, _columns(rows[:whole, :-1], shapes), failure, wall_time=end, **about)
-
-
-def _columns(rows: Any, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
-    """The rows (n, k) by name, (n, ...) each."""
-    if not len(rows):
-        return {}
-    ends = np.cumsum([int(np.prod(shape)) for shape in shapes.values()])
-    parts = np.split(np.asarray(rows), ends[:-1], axis=1)
-    return {name: part.reshape(-1, *shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
+    columns = {name: rows[:whole, place] for name, place in side_by_side(shapes).items()}
+    return fields_of(scenario, columns, failure, wall_time=end, **about)
 
 
 def fields_of(
