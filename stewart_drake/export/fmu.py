@@ -23,12 +23,11 @@ from stewart_drake.base.sampling import on_grid
 from stewart_drake.export.controller_c import c_name, controller_files, from_template, readings_along
 from stewart_drake.export.loop import LoopSource
 from stewart_drake.export.values import number
-from stewart_drake.hardware.motors import delay_part
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.kinematics_laws import LEGS, OK, SERIAL
 from stewart_drake.mechanics.linear_algebra import all_finite
 from stewart_drake.plant.closed_form import ClosedForm, _rk4, _semi_implicit
-from stewart_drake.scenario.assembly import control_side
+from stewart_drake.scenario.assembly import context_of, control_side, way_to_motors
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
 
@@ -68,12 +67,8 @@ def plant_part(scenario: Scenario) -> Part:
 
 def robot_files(scenario: Scenario, name: str) -> dict[str, str]:
     """Header and source of the robot with its motors, by name."""
-    step, parts, command = scenario.plant.time_step, [], "command"
-    first = scenario.motors.initial_command(control_side(scenario, split=True).context)
-    if (ticks := round(scenario.motors.dead_time / step)) > 0:
-        parts.append(delay_part(ticks, first, "motor_delay").connected(value=command).named(value="delayed"))
-        command = "delayed"
-    parts.append(scenario.motors.part(scenario.robot, step).connected(command=command).named(torque="motor_torque"))
+    step, first = scenario.plant.time_step, scenario.motors.initial_command(context_of(scenario, split=True))
+    parts = way_to_motors(scenario, "command", first, step, bus=False)
     outside = {"time": 1, "command": 6, "wrench": 6, "crank_state": 12}
     loop = LoopSource([*parts, plant_part(scenario)], outside, {}, step, step, {})
     words = {"NAME": name, "UPPER": name.upper(), "SCENARIO": scenario.name, "VERSION": __version__}
@@ -102,7 +97,7 @@ def robot_unit(scenario: Scenario, name: str) -> bytes:
     own = f"{c_name(name)}_robot"
     pose, rate = scenario.start()
     variables = [
-        Variable("command", scenario.motors.initial_command(control_side(scenario, split=True).context), True),
+        Variable("command", scenario.motors.initial_command(context_of(scenario, split=True)), True),
         Variable("wrench", np.zeros(6), True),
         Variable("measured", ClosedForm(scenario.robot, scenario.plant, scenario.gravity).initial(pose, rate), False),  # type: ignore[arg-type]
     ]

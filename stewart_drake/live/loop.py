@@ -16,9 +16,9 @@ from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.live.instrument import Probe, Recorder, Spring, TurningSpring
 from stewart_drake.live.steering import GOVERNED, HandReference, Reached
 from stewart_drake.plant.plant_options import ANGLES
-from stewart_drake.runs.stepped_loop import SteppedLoop
 from stewart_drake.safety import Stillness
 from stewart_drake.scenario.scenario import Scenario
+from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 PULLED = 0.02
 """Share of the largest force by which a pull is followed in what is recorded."""

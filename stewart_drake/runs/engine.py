@@ -12,8 +12,8 @@ from stewart_drake.base.errors import StewartDrakeError, drake_guard
 from stewart_drake.base.sampling import on_grid, times_of
 from stewart_drake.logs.rows import Rows
 from stewart_drake.logs.signals import signals_of
-from stewart_drake.runs.stepped_loop import SteppedLoop
 from stewart_drake.scenario.scenario import Scenario
+from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 
 class Run(ABC):
