@@ -42,6 +42,8 @@ class ControllerOptions(Section, ABC, key="controller"):
     own_keys = frozenset({"feedforward", "saturation"})
     feedback: ClassVar[bool] = True
     """Whether it uses what is measured."""
+    weighted: ClassVar[bool] = False
+    """Whether it takes the weights of the tuner."""
     looks_ahead: ClassVar[bool] = False
     """Whether its `reference` is that of when its command acts, and `reference_now` that of now."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -42,6 +42,8 @@ class PidOptions(ControllerOptions):
     4e5, 30, 4e7, 1 and a weight length of 0.11 m. With the inertia M of heave and J = d(theta)/dZ, an acceleration gain
     k becomes k M / (6 J^2) at each crank. A scenario scales the gains to another robot by its M / sum J^2.
     """
+
+    knobs: ClassVar = {"kp": "proportional", "ki": "integral", "kd": "derivative"}
 
     kind: Literal["pid"] = "pid"
     period: Period = 0.001
@@ -131,6 +133,11 @@ class ComputedTorqueOptions(ControllerOptions):
     length of 0.11 m.
     """
 
+    knobs: ClassVar = {
+        "natural_frequency": "natural frequency",
+        "damping": "damping",
+        "integral_frequency": "integral",
+    }
     kind: Literal["computed_torque"] = "computed_torque"
     period: Period = 0.001
     natural_frequency: Annotated[Positive, FREQUENCY] = 93.8

@@ -49,6 +49,13 @@ class _SoldMotors(MotorOptions):
     def nominal(self) -> MotorOptions:
         return self
 
+    def torque_of(self, signals: Mapping[str, np.ndarray]) -> np.ndarray | None:
+        # Their own loop asks for it, and a machine may not tell.
+        return signals.get("torque_applied")
+
+    def signals_of(self, commands: np.ndarray) -> dict[str, np.ndarray]:  # noqa: ARG002
+        return {}
+
     def limits(self, robot: RobotParameters) -> np.ndarray:
         """(6,) [N m] largest torques at rest."""
         most = np.inf if self.torque_limit is None else self.torque_limit
@@ -80,6 +87,8 @@ class PositionServos(_SoldMotors):
 
     takes: ClassVar[str] = "angle"
     unit: ClassVar[str] = "rad"
+    holds: ClassVar[bool] = True
+    knobs: ClassVar = {"stiffness": "servo stiffness"}
     presets: ClassVar[Presets] = POSITION_PRESETS
 
     kind: Literal["position"] = "position"
@@ -119,6 +128,13 @@ class PositionServos(_SoldMotors):
     @property
     def gains(self) -> np.ndarray:
         return self.supply * self.stiffness * np.array(self.ratios)
+
+    def command_limits(self, robot: RobotParameters) -> np.ndarray:
+        """The stops; a turn both ways without."""
+        return np.clip(robot.crank_angle_ranges, -2.0 * np.pi, 2.0 * np.pi).T
+
+    def signals_of(self, commands: np.ndarray) -> dict[str, np.ndarray]:
+        return {"crank_angle": commands}
 
     def with_gains(self, gains: np.ndarray) -> dict[str, Any]:
         """The keys that were given, and those of other gains (6,)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from stewart_drake.analysis.response import step_figures
 from stewart_drake.base.atomic_files import write_together
+from stewart_drake.base.config import Section
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.tables import COORDINATES, POSE, numbers_to_csv
 from stewart_drake.base.yaml_files import to_yaml
@@ -21,7 +22,6 @@ from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_jacobian, rotation_matrix
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scenario.keys import value_at
 from stewart_drake.scenario.scenario import Scenario
 
 _PULL = 0.15, 0.2  # [-] of the characteristic length, at which the spring has its largest force, of `largest_force`.
@@ -51,60 +51,37 @@ def as_instrument(scenario: Scenario) -> Scenario:
     """The scenario with its gains and beliefs said: else they would follow where a slider changes the machine."""
     said = {name: getattr(scenario, name).to_dict() for name in ("controller", "tuner", "estimator")}
     said |= {"model.delay": scenario.belief.delay, "model.reading_age": scenario.belief.reading_age}
-    if scenario.motors.takes != "torque" and scenario.model.motors is None:
+    if scenario.motors.knobs and scenario.model.motors is None:
         said["model.motors"] = scenario.belief.motors.to_dict()
     return scenario.replace(said)
 
 
-def _around(scenario: Scenario, key: str) -> float:
-    return float(value_at(scenario.in_full(), key))
-
-
-_GAINS: Mapping[str, Sequence[tuple[str, str, str]]] = {
-    "pid": (("kp", "proportional", "N m/rad"), ("ki", "integral", "N m/(rad s)"), ("kd", "derivative", "N m s/rad")),
-    "computed_torque": (
-        ("natural_frequency", "natural frequency", "rad/s"),
-        ("damping", "damping", "-"),
-        ("integral_frequency", "integral", "rad/s"),
-    ),
-}
-_WEIGHTS = {
-    "block": (
-        ("q_pose", "weight: pose", ""),
-        ("q_rate", "weight: rate", ""),
-        ("q_integral", "weight: integral", ""),
-    ),
-    "fixed": (("omega_q", "weight Q", ""), ("omega_r", "weight R", "")),
-}
-_DECADES = 1.5
+_SPREAD, _MOTORS_SPREAD = 10.0**1.5, 10.0**0.5  # Of a slider's ends, from where it began.
 
 
 def knobs_of(scenario: Scenario, begun: Scenario) -> list[Knob]:
     """The sliders of a scenario as it is now; gains go around where they began."""
     found: list[Knob] = []
-    sections = [("controller", _GAINS.get(scenario.controller.kind, ()))]
-    if scenario.controller.kind == "lqi":
-        sections.append(("tuner", _WEIGHTS.get(scenario.tuner.kind, ())))
-    if scenario.estimator.kind == "observer":
-        sections.append(("estimator", (("disturbance", "observer: disturbance", ""),)))
-    for section, keys in sections:
-        own = begun if getattr(begun, section).kind == getattr(scenario, section).kind else scenario
-        for key, label, unit in keys:
-            centre = _around(own, f"{section}.{key}")
-            if centre > 0.0:
-                low, high = centre * 10.0**-_DECADES, centre * 10.0**_DECADES
-                found.append(Knob("Gains", f"{section}.{key}", label, unit, low, high, logarithmic=True))
+
+    def around(group: str, place: str, options: Section, first: Section, spread: float) -> None:
+        if getattr(first, "kind", "") != getattr(options, "kind", ""):
+            first = options
+        for key, label in options.knobs.items():
+            if (centre := float(np.max(getattr(first, key)))) > 0.0:
+                ends = centre / spread, centre * spread
+                found.append(Knob(group, f"{place}.{key}", label, options.unit_of(key), *ends, logarithmic=True))
+
+    tuner = ("tuner",) if scenario.controller.weighted else ()
+    for name in ("controller", *tuner, "estimator"):
+        around("Gains", name, getattr(scenario, name), getattr(begun, name), _SPREAD)
     most = 0.2 * float(scenario.robot.effort_limits.min())
     found.append(Knob("Machine", "plant.motor_friction", "friction", "N m", 0.0, most))
     found.append(Knob("Machine", "command_delay", "delay", "ticks", 0, 8, whole=True))
     found.append(Knob("Belief", "model.friction.coulomb", "friction", "N m", 0.0, most))
     found.append(Knob("Belief", "model.delay", "delay", "ticks", 0, 8, whole=True))
-    for group, prefix in (("Machine", "motors"), ("Belief", "model.motors")):
-        motors = scenario.motors if group == "Machine" else scenario.model.motors
-        if (stiffness := getattr(motors, "stiffness", None)) is not None:
-            centre = float(np.max(getattr(begun.motors, "stiffness", stiffness)))
-            ends = 0.3 * centre, 3.0 * centre
-            found.append(Knob(group, f"{prefix}.stiffness", "servo stiffness", "N m/rad", *ends, logarithmic=True))
+    around("Machine", "motors", scenario.motors, begun.motors, _MOTORS_SPREAD)
+    if scenario.model.motors is not None:
+        around("Belief", "model.motors", scenario.model.motors, begun.motors, _MOTORS_SPREAD)
     return found
 
 

@@ -38,7 +38,7 @@ class MachineSession(PageSession):
         self._hand = HandMotion(scenario.reference, BANDWIDTH)
         self._motion = PacedMotion(self._hand, start.pose, start.motion.approach)
         own = start._replace(motion=self._motion, duration=min(MAX_ROWS * scenario.reading_period, 1e6))
-        self._drive, self._torques = Drive(scenario, machine, own, most=KEPT), machine.takes == "torque"
+        self._drive, self._motors = Drive(scenario, machine, own, most=KEPT), scenario.belief.motors
         self._pose, self._ended = start.pose, ""
         self._do = {"aim": self._aim, "move": self._move, "stop": lambda _: self._drive.stop()}
         self.row()  # Compiles.
@@ -126,7 +126,9 @@ class MachineSession(PageSession):
             "pose": self._pose.tolist(),
             "rotation_deg": float(np.degrees(np.linalg.norm(off[:3]))),
             "position_m": float(np.linalg.norm(off[3:])),
-            "torque": tick.sent.tolist() if self._torques else None,
+            "torque": None
+            if (torque := self._motors.signals_of(tick.sent).get("torque_applied")) is None
+            else torque.tolist(),
             # The disc of the reference is the ghost's platform.
             "links": np.concatenate([real, ghost[:-1]]).round(6).ravel().tolist(),
         }

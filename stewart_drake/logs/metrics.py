@@ -154,10 +154,10 @@ def _peak_speed(rows: RunRows) -> float | None:
 
 def _torque_change(rows: RunRows) -> float | None:
     """[N m] RMS of the torque asked for, or that servos give, tick to tick of the second half; None without such."""
-    asked = "torque" if rows.scenario.motors.takes == "torque" else "torque_applied"
-    if asked not in rows.signals:
+    asked = rows.scenario.motors.torque_of(rows.signals)
+    if asked is None:
         return None
-    torque = within_limit(rows[asked][rows.second_half_tick], rows.scenario.robot.effort_limits)
+    torque = within_limit(asked[rows.second_half_tick], rows.scenario.robot.effort_limits)
     change = np.diff(torque, axis=0)[np.diff(rows.tick_number[rows.second_half_tick]) == 1]
     return _rms(change) if change.size else None
 
@@ -254,7 +254,7 @@ METRICS: tuple[Metric, ...] = (
     Metric(
         "saturated_fraction", "1",
         "share of torques at their limit, over ticks and motors; none while the safety layer is in charge",
-        lambda t: int(t.at_limit.sum()) / (6 * t.ticks), "ticks", label="share of torques at the limit", form=".2%",
+        lambda t: t.saturated_share, "ticks", label="share of torques at the limit", form=".2%",
     ),
     Metric(
         "beyond_limits", "1", "share of the run in which the platform's motion was beyond one of the scenario's limits",

@@ -142,15 +142,18 @@ class RunRows:
     @cached_property
     def at_limit(self) -> np.ndarray:
         """(n, 6) whether a torque is at its limit, at ticks at which the controller was in charge."""
-        limit = self.scenario.robot.effort_limits
-        if self.scenario.motors.takes != "torque":
-            # Their own loop asks for it, and a machine may not tell.
-            given = self.signals.get("torque_applied", np.zeros((len(self.time), 6)))
-            return (np.abs(given) >= limit) & (self.tick & self.in_charge)[:, None]
-        size = np.abs(self["torque"])
+        limit, asked = self.scenario.robot.effort_limits, self.scenario.motors.torque_of(self.signals)
+        if asked is None:
+            return np.zeros((self.steps, 6), bool)
         # A controller that limits the torque itself asks for the limit and no more.
-        full = size > limit if self.scenario.controller.asks_for_more else size >= limit
+        more = asked is self.signals.get("torque") and self.scenario.controller.asks_for_more
+        full = np.abs(asked) > limit if more else np.abs(asked) >= limit
         return full & (self.tick & self.in_charge)[:, None]
+
+    @property
+    def saturated_share(self) -> float:
+        """Of the torques at ticks."""
+        return int(self.at_limit.sum()) / (6 * self.ticks)
 
     @cached_property
     def motion_sizes(self) -> tuple[float, float]:
@@ -363,7 +366,7 @@ def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None)
         text = f"{trip['monitor']}, {trip['worst']}"
         events.append(("safety_intervention", trip["time"], rows.interventions()[0], text))
     if rows.steps:
-        share = int(rows.at_limit.sum()) / (6 * rows.ticks)
+        share = rows.saturated_share
         if share > MUCH_SATURATION:
             when = rows.time[int(rows.at_limit.any(axis=1).argmax())]
             events.append(("saturation", when, share, f"{share:.1%} of the torques are at their limit"))

@@ -108,7 +108,7 @@ class SimulatedRobot:
         self.steps, self.command = steps_per("period", self.period, self.step), loop.runner.signal("command")
         reads_angles = scenario.sensors.reading == "angles"
         self._angles = loop.runner.signal("reading") if reads_angles else loop.measured[ANGLES]
-        self._home, self._takes_angles = np.array(scenario.belief.home), scenario.motors.takes == "angle"
+        self._home, self._takes_angles = np.array(scenario.belief.home), scenario.motors.holds
         loop.begin()
         loop.run_parts()
 
@@ -192,7 +192,7 @@ def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
     compiled = SimulatedRobot(scenario)
     compiled.reading()
     compiled.advance(False)
-    robot, brakes = SimulatedRobot(scenario), side.takes != "angle"
+    robot, brakes = SimulatedRobot(scenario), not scenario.motors.holds
     with real_time():
         print(line.getsockname()[1], flush=True)
         line.setblocking(False)
