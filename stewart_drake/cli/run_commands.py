@@ -366,11 +366,10 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
     A third part shows which states and torques some motions visit.
     """
     from stewart_drake.analysis.workspace import KINDS, check_center, slices, study_poses
-    from stewart_drake.paper.reproduce import Reproduction
-    from stewart_drake.paper.workspace import motion_numbers
     from stewart_drake.plotting import save_figure
     from stewart_drake.plotting.workspace_plots import plot_capability
     from stewart_drake.runs.checks import check_scenario
+    from stewart_drake.studies.visited import motion_numbers
 
     base = load_scenario(scenario, overrides)
     check_center(base.robot, base.robot.home_pose)
@@ -386,7 +385,7 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
         numbers, surveys = study_poses(
             *of_base, base.robot.home_pose, samples, 20_000, lambda share: advance(60.0 * share)
         )
-        motions, draw = motion_numbers(Reproduction(base=base, progress=lambda share: advance(60.0 + 40.0 * share)))
+        motions, draw = motion_numbers(base, progress=lambda share: advance(60.0 + 40.0 * share))
     numbers |= {"motions": motions}
     write_atomically(out / "workspace.json", (json.dumps(numbers, indent=1, allow_nan=False) + "\n").encode())
     save_figure(draw(), figures / "torques.png")

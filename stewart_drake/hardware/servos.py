@@ -144,9 +144,12 @@ class PositionServos(_SoldMotors):
     def part(self, robot: RobotParameters, time_step: float) -> Part:
         stride = steps_per("motors.period", self.period, time_step)
         stiffest = STIFFEST * robot.crank_axis_inertias.min() / self.period**2
-        if self.gains.max() > stiffest:
-            allowed = f"at most {stiffest:.3g} N m/rad, with motors.period {self.period:g} s"
-            raise ConfigurationError("motors.stiffness", self.stiffness, allowed)
+        if (largest := self.gains.max()) > stiffest:
+            by_supply = self.supply * self.stiffness > stiffest
+            key = "stiffness" if self.stiffness > stiffest else "supply" if by_supply else "ratios"
+            most = np.max(getattr(self, key)) * stiffest / largest
+            allowed = f"at most {most:.3g}: no motor above {stiffest:.3g} N m/rad, with motors.period {self.period:g} s"
+            raise ConfigurationError(f"motors.{key}", getattr(self, key), allowed)
         most = np.linalg.eigvalsh(crank_inertia(robot, robot.home_pose))[0] / time_step
         if self.damping > most:
             allowed = f"at most {most:.3g} N m s/rad, with plant.time_step {time_step:g} s"

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError, one_line
-from stewart_drake.live.session import SLICE, PageSession, six_of
+from stewart_drake.live.session import SLICE, PageSession, drawn, six_of
 from stewart_drake.live.steering import HandMotion, nearest_allowed
 from stewart_drake.logs.log import MAX_ROWS
 from stewart_drake.machines.machine import Machine
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.references.paced import RAMP, PacedMotion
 from stewart_drake.runs.drive import Drive, Start, as_logged
-from stewart_drake.runs.scene import link_poses
 from stewart_drake.scenario.scenario import Scenario
 
 BANDWIDTH = 3.0
@@ -115,20 +114,7 @@ class MachineSession(PageSession):
             wanted = inverse_kinematics(robot, tick.reference)
         except StewartDrakeError as error:
             return row | {"message": f"no picture: {one_line(error)}"}
-        off = self._pose - tick.reference
-        real, ghost = link_poses(
-            robot,
-            np.stack([self._pose, tick.reference]),
-            np.stack([tick.angles, wanted]),
-            np.stack([tick.reference] * 2),
+        torque = self._motors.signals_of(tick.sent).get("torque_applied")
+        return (
+            row | drawn(robot, tick.reference, (self._pose, tick.angles), (tick.reference, wanted)) | {"torque": torque}
         )
-        return row | {
-            "pose": self._pose.tolist(),
-            "rotation_deg": float(np.degrees(np.linalg.norm(off[:3]))),
-            "position_m": float(np.linalg.norm(off[3:])),
-            "torque": None
-            if (torque := self._motors.signals_of(tick.sent).get("torque_applied")) is None
-            else torque.tolist(),
-            # The disc of the reference is the ghost's platform.
-            "links": np.concatenate([real, ghost[:-1]]).round(6).ravel().tolist(),
-        }

@@ -30,6 +30,7 @@ from stewart_drake.live.instrument import (
 )
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.mechanics.kinematics import rotation_matrix
+from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.outputs import claimed_place
 from stewart_drake.runs.scene import link_poses
 from stewart_drake.safety import standstill_text
@@ -262,38 +263,29 @@ class LiveSession(PageSession):
     def row(self) -> dict[str, Any]:
         """What the browser shows of this instant: robot, loop, and everything that a panel can set."""
         loop, scenario = self.loop, self.loop.scenario
-        pose, angles, wanted = loop.pose, loop.crank_angles, loop.wanted
-        links = None
-        if np.isfinite(pose).all() and np.isfinite(angles).all():
-            links = link_poses(scenario.robot, pose, angles, wanted).round(6).ravel().tolist()
-            if (ghost := self.ghost) is not None and np.isfinite(ghost.pose).all():
-                # Without its own reference, which is the same.
-                beside = link_poses(scenario.robot, ghost.pose, ghost.crank_angles, wanted)[:-1]
-                links += beside.round(6).ravel().tolist()
+        robots = [(each.pose, each.crank_angles) for each in (loop, self.ghost) if each is not None]
         pull = moment = None
         if isinstance(loop.spring, TurningSpring):
-            moment = loop.spring.moment(pose).tolist()
+            moment = loop.spring.moment(loop.pose)
         elif loop.spring is not None:
-            at, force = loop.spring.force(pose)
-            pull = {"at": at.tolist(), "place": loop.spring.place.tolist(), "force": float(np.linalg.norm(force))}
+            at, force = loop.spring.force(loop.pose)
+            pull = {"at": at, "place": loop.spring.place, "force": np.linalg.norm(force)}
         if loop.test is not None and loop.test.result:
             self._test = loop.test.result
             if self.ghost is not None and self.ghost.test is not None and self.ghost.test.result:
                 self._test += f"; pale, {self._ghosts}: {self.ghost.test.result.partition(': ')[2]}"
-        setting, safety = loop.logged("setting"), loop.logged("safety")
+        safety = loop.logged("safety")
         frozen = [fault.leg for fault in scenario.sensors.faults if fault.kind == "freeze"]
         return {
             "session": self.name,
             "obeyed": self._obeyed,
             "time": loop.time,
             "factor": 0.0 if self.paused else self.factor,
-            **_errors(pose, wanted),
-            "torque": loop.torque.tolist(),
-            "setting": None if setting is None else setting.tolist(),
+            **drawn(scenario.robot, loop.wanted, *robots),
+            "torque": loop.torque,
+            "setting": loop.logged("setting"),
             "safety": None if safety is None else int(safety[0]),
-            "target": loop.reference.goal.tolist(),
-            "pose": pose.tolist(),
-            "links": links,
+            "target": loop.reference.goal,
             "pushed": loop.pushed,
             "motion": bool(loop.reference.share.target[0]),
             "payload": scenario.plant.payload_mass,
@@ -312,6 +304,14 @@ class LiveSession(PageSession):
             "ended": loop.ended,
             "message": self.message if (still := loop.stillness.latest) is None else standstill_text(*still),
         }
+
+
+def drawn(robot: RobotParameters, wanted: np.ndarray, *robots: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
+    """Pose, errors and links of a robot, by its pose (6,) and crank angles (6,), and links of a second one, pale."""
+    links = [link_poses(robot, *each, wanted) if np.isfinite(each).all() else np.empty((0, 7)) for each in robots]
+    # The disc of the reference comes once.
+    flat = np.concatenate([links[0], *(each[:-1] for each in links[1:])]).round(6).ravel() if len(links[0]) else None
+    return {"pose": robots[0][0], **_errors(robots[0][0], wanted), "links": flat}
 
 
 def _errors(pose: np.ndarray, wanted: np.ndarray) -> dict[str, float]:

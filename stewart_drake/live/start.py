@@ -54,16 +54,8 @@ def start_machine(
 ) -> tuple[MachineSession, LiveServer]:
     """The same for a connected machine, which the page steers."""
     session = MachineSession(scenario, machine, start)
-    about = {
-        "name": scenario.name,
-        "session": session.name,
-        "scene": robot_scene(session.scenario.robot, ghost=True),
-        "home": session.home.tolist(),
-        "room": _room(session.scenario, session.home).tolist(),
-        "machine": url,
-        "payload_most": 1.0,
-        "controllers": [],
-    }
+    about = about_robot(session.scenario, session.home, ghost=True)
+    about |= {"session": session.name, "machine": url, "controllers": []}
     return session, LiveServer(session, about, port)
 
 

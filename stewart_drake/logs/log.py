@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -169,15 +168,6 @@ class SimulationLog(Mapping[str, np.ndarray]):
         ]
         return "\n".join(lines)
 
-    def _repr_html_(self) -> str:
-        """For a notebook: how it ended, its figures and the error over time."""
-        lines = [html.escape(line.strip()) for line in repr(self).splitlines()]
-        plots = ""
-        if len(self.time) > 1 and "reference" in self:
-            for size, unit in zip(self.error_norms, ("deg", "mm"), strict=True):
-                plots += _sparkline(self.time, size, unit)
-        return f"<div><b>{lines[0]}</b><br>{plots}<br>{'<br>'.join(lines[1:])}</div>"
-
     def to_pandas(self) -> Any:
         """The signals as a pandas.DataFrame, a column per component."""
         with installed_with("pandas", "table() gives the same as an Arrow table"):
@@ -215,21 +205,6 @@ class SimulationLog(Mapping[str, np.ndarray]):
         if ending not in formats:
             raise ConfigurationError("log file", str(path), f"a name that ends in {join_or(list(formats))}")
         write_atomically(Path(path), formats[ending]())
-
-
-def _sparkline(time: np.ndarray, values: np.ndarray, unit: str) -> str:
-    """A small plot as SVG, which needs no plotting library."""
-    width, height, rows = 300, 60, np.linspace(0, len(time) - 1, 300).astype(int)
-    finite = values[np.isfinite(values)]
-    top = float(finite.max(initial=0.0)) or 1.0
-    shown = [row for row in rows if np.isfinite(values[row])]
-    span = float(time[-1] - time[0]) or 1.0
-    points = (f"{width * (time[k] - time[0]) / span:.1f},{height * (1.0 - values[k] / top):.1f}" for k in shown)
-    return (
-        f'<svg width="{width + 8}" height="{height + 22}" font-size="11" font-family="sans-serif">'
-        f'<polyline fill="none" stroke="#0072b2" points="{" ".join(points)}" transform="translate(4 18)"/>'
-        f'<text x="4" y="12">error [{unit}], at most {top:.3g}, to {time[-1]:.3g} s</text></svg>'
-    )
 
 
 _OUTCOME = tuple(each.name for each in fields(SimulationLog) if each.name not in ("scenario", "signals", "state_names"))

@@ -16,7 +16,7 @@ from stewart_drake.base.families import UserMade
 from stewart_drake.base.tables import AXES
 from stewart_drake.control.features import CostScales, cost
 from stewart_drake.hardware.motors import within_limit
-from stewart_drake.logs.outcomes import RunRows, is_measured
+from stewart_drake.logs.outcomes import MissingSignal, RunRows, is_measured
 from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Metric:
         unit: Of its numbers, separated by commas where they differ.
         text: What it measures; `over` adds the part of the run.
         of: Computes it from the rows of a run, see `outcomes.RunRows`; called only where there are such rows.
-        over: The rows that it uses; without any it is None.
+        over: The rows that it uses; without any, or without a signal that it asks for, it is None.
         parts: Columns of a metric that is a list, one for each of its numbers.
         label: In tables that are read; empty for those that are not shown there.
         form: How its numbers are shown.
@@ -80,6 +80,8 @@ class Metric:
             return None
         try:
             value = self.of(rows)
+        except MissingSignal:
+            return None
         except Exception as error:
             raise MetricError(f"metric {self.name}: {type(error).__name__}: {error}{raised_at(error)}") from error
         value = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
@@ -169,21 +171,14 @@ def _integral(rows: RunRows) -> np.ndarray | None:
     return rows["integral"][np.flatnonzero(rows.tick & (rows.time <= INTEGRAL_TIME + 1e-9))[-1]]
 
 
-def _of_weights(function: Callable[[np.ndarray], float]) -> Callable[[RunRows], float | None]:
-    """A function of the two weights (n, 2) at the ticks; None where a run has none."""
-    return lambda rows: float(function(rows["weights"][rows.tick])) if "weights" in rows.signals else None
+def _of_weights(function: Callable[[np.ndarray], float]) -> Callable[[RunRows], float]:
+    """A function of the two weights (n, 2) at the ticks."""
+    return lambda rows: float(function(rows["weights"][rows.tick]))
 
 
-def _of_torque(function: Callable[[np.ndarray], float], rows: str = "") -> Callable[[RunRows], float | None]:
-    """A function of the motors' torques (n, 6), in a mask of rows; None where a machine does not tell them."""
-
-    def of(table: RunRows) -> float | None:
-        if "torque_applied" not in table.signals:
-            return None
-        torque = table["torque_applied"]
-        return float(function(torque[getattr(table, rows)] if rows else torque))
-
-    return of
+def _of_torque(function: Callable[[np.ndarray], float], rows: str = "") -> Callable[[RunRows], float]:
+    """A function of the motors' torques (n, 6), in a mask of rows; a machine may not tell them."""
+    return lambda table: float(function(table["torque_applied"][getattr(table, rows) if rows else slice(None)]))
 
 
 def _rms(values: np.ndarray) -> float:

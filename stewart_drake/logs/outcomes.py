@@ -70,6 +70,10 @@ def is_measured(signals: Mapping[str, np.ndarray]) -> bool:
     return bool(np.isfinite(signals["reading"]).any())
 
 
+class MissingSignal(KeyError):
+    """A log, such as one from a CSV file, has no signal of this name."""
+
+
 class RunRows:
     """Signals of a run, `rows["pose"]` and so on, with masks over them; errors are true pose minus reference.
 
@@ -92,11 +96,17 @@ class RunRows:
         self.second_half_steps, self.second_half_ticks = int(self.second_half.sum()), int(self.second_half_tick.sum())
         self._level = signals["safety"][:, 0] if "safety" in signals else np.zeros(len(self.time))
         self.in_charge = self._level < RAMP
-        self.error = signals["pose"] - signals["reference"] if len(self.time) else np.empty((0, 6))
         self._scale = np.array([scenario.robot.characteristic_length] * 3 + [1.0] * 3)
 
     def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self.signals:
+            raise MissingSignal(name)
         return self.signals[name]
+
+    @cached_property
+    def error(self) -> np.ndarray:
+        """(n, 6) [rad, m] of every row."""
+        return self["pose"] - self["reference"] if self.steps else np.empty((0, 6))
 
     @property
     def second_half_rms(self) -> np.ndarray:

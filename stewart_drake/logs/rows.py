@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 _BLOCK = 1024  # Rows that are allocated together: those that are there are never moved, which would take a tick's time.
+_NONE = np.empty((0, 10**9))
 
 
 class Rows:
@@ -49,8 +50,8 @@ class Rows:
         for name, place in self.places.items():
             if isinstance(place, np.ndarray):
                 columns[name] = np.tile(place, (count, 1))
-            elif self._blocks:
-                columns[name] = np.concatenate([block[:, place] for block in self._blocks])[:count]
+            else:
+                columns[name] = np.concatenate([block[:, place] for block in (_NONE, *self._blocks)])[:count]
         return columns
 
 

@@ -39,4 +39,13 @@ def test_another_thread_gets_each_row_once():
     read += rows.since(len(read))[:, 0].tolist()
     assert read == list(range(2500))
     assert len(rows.since(2500)) == 0
-    assert len(Rows(PLACES).since(0)) == 0
+
+
+def test_without_rows_columns_have_their_widths():
+    rows = Rows(PLACES)
+    assert len(rows.since(0)) == 0
+    assert {name: column.shape for name, column in rows.columns().items()} == {
+        "time": (0,),
+        "pose": (0, 6),
+        "weights": (0, 2),
+    }
