@@ -131,14 +131,10 @@ def _unit(
     starts = [f"    u->{each.name}[{k}] = {number(x).text};" for each in variables for k, x in enumerate(each.start)]
     words |= {"TABLE": "\n".join(rows), "START": "\n".join(starts)}
     sources = {**files, "fmu.c": from_template("fmu.c", words)}
-    content = {"modelDescription.xml": _description(own, sources, variables, period)}
+    words |= _described(own, sources, variables)
+    content = {"modelDescription.xml": from_template("modelDescription.xml", words)}
     content |= {f"sources/{file}": text for file, text in sources.items()}
-    compiled = "".join(f'<SourceFile name="{file}"/>' for file in sources if file.endswith(".c"))
-    content["sources/buildDescription.xml"] = (
-        f'<?xml version="1.0" encoding="UTF-8"?>\n<fmiBuildDescription fmiVersion="3.0"><BuildConfiguration '
-        f'modelIdentifier="{own}"><SourceFileSet language="C99">{compiled}</SourceFileSet></BuildConfiguration>'
-        "</fmiBuildDescription>\n"
-    )
+    content["sources/buildDescription.xml"] = from_template("buildDescription.xml", words)
     archive = BytesIO()
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as unit:
         for file, text in content.items():
@@ -168,10 +164,9 @@ def _library(own: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
         return f"binaries/{machine}-{system}/{library.name}", library.read_bytes()
 
 
-def _description(own: str, sources: dict[str, str], variables: list[Variable], period: float) -> str:
-    token = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:32]
+def _described(own: str, sources: dict[str, str], variables: list[Variable]) -> dict[str, str]:
+    """What its two descriptions say of a unit."""
     rows = ['<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>']
-    outputs = []
     for k, each in enumerate(variables, start=1):
         start = f" start={quoteattr(' '.join(repr(float(x)) for x in each.start))}" if each.is_input else ""
         kind = "input" if each.is_input else "output"
@@ -179,15 +174,9 @@ def _description(own: str, sources: dict[str, str], variables: list[Variable], p
             f'<Float64 name="{each.name}" valueReference="{k}" causality="{kind}" variability="discrete"{start}>'
             f'<Dimension start="{each.start.size}"/></Float64>'
         )
-        outputs += [] if each.is_input else [k]
+    outputs = [k for k, each in enumerate(variables, start=1) if not each.is_input]
     structure = "".join(f'<{tag} valueReference="{k}"/>' for tag in ("Output", "InitialUnknown") for k in outputs)
-    step = number(on_grid(period)).text
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?>\n'
-        f'<fmiModelDescription fmiVersion="3.0" modelName="{own}" instantiationToken="{token}" '
-        f'generationTool="stewart-drake {__version__}">\n'
-        f'<CoSimulation modelIdentifier="{own}" canHandleVariableCommunicationStepSize="true" '
-        f'fixedInternalStepSize="{step}"/>\n<DefaultExperiment startTime="0" stepSize="{step}"/>\n'
-        f"<ModelVariables>\n{chr(10).join(rows)}\n</ModelVariables>\n<ModelStructure>{structure}</ModelStructure>\n"
-        "</fmiModelDescription>\n"
-    )
+    compiled = "".join(f'<SourceFile name="{file}"/>' for file in sources if file.endswith(".c"))
+    token = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:32]
+    words = {"NAME": own, "TOKEN": token, "VERSION": __version__, "COMPILED": compiled}
+    return words | {"VARIABLES": "\n".join(rows), "STRUCTURE": structure}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stewart_drake.analysis.response import step_figures
+from stewart_drake.analysis.response import sine_response, step_figures
 from stewart_drake.base.atomic_files import write_together
 from stewart_drake.base.config import Section
 from stewart_drake.base.errors import ConfigurationError
@@ -230,13 +231,11 @@ class Probe:
                 f"{1e3 * each:.0f} ms" if np.isfinite(each) else "-" for each in (found.rise_time, found.settling_time)
             )
             return f"{what}: rise {rise}, overshoot {100.0 * found.overshoot:.0f} %, settled after {settling}"
-        last = t >= t[-1] - _PERIODS * 2.0 * math.pi / self.frequency
-        waves = np.stack(
-            [np.sin(self.frequency * t[last]), np.cos(self.frequency * t[last]), np.ones(last.sum())], axis=-1
-        )
-        sine, cosine, _ = np.linalg.lstsq(waves, y[last], rcond=None)[0]
-        gain, phase = math.hypot(sine, cosine), math.degrees(math.atan2(cosine, sine))
-        return f"{what}, {self.frequency / (2.0 * math.pi):.3g} Hz: gain {gain:.3f}, phase {phase:.1f} deg"
+        frequency = self.frequency / (2.0 * math.pi)
+        last = t >= t[-1] - _PERIODS / frequency
+        ratio, _ = sine_response(t[last], np.sin(self.frequency * t[last]), y[last], frequency)
+        phase = math.degrees(cmath.phase(ratio))
+        return f"{what}, {frequency:.3g} Hz: gain {abs(ratio):.3f}, phase {phase:.1f} deg"
 
 
 # --- what was done ---

@@ -14,11 +14,11 @@ from zlib import crc32
 
 import numpy as np
 
-from stewart_drake.base.atomic_files import check_file, plain_json, seal, unseal
+from stewart_drake.base.atomic_files import check_file, seal, unseal
 from stewart_drake.base.code import file_digests
 from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError
-from stewart_drake.logs.metrics import figures_of
-from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
+from stewart_drake.logs.metrics import assessed
+from stewart_drake.logs.outcomes import RunRows
 from stewart_drake.logs.rows import Rows, side_by_side
 from stewart_drake.logs.signals import signals_of
 from stewart_drake.logs.versions import collect_versions
@@ -130,13 +130,8 @@ def fields_of(
     with np.errstate(all="ignore"):
         rows = RunRows(scenario, _signals(scenario, dict(columns)) if columns else {})
         end = float(rows.time[-1]) if len(rows.time) else 0.0
-        outcome = assess(rows, safety, end, ended_by)
-        told = {
-            "figures": figures_of(rows),
-            "warnings": tuple(plain_json(each) for each in find_warnings(outcome.status, rows, safety)),
-        }
-    more = {"end_time": end, "safety": safety, **outcome._asdict(), **told, **known}
-    return {"scenario": scenario, "signals": rows.signals, **more}
+        told = assessed(rows, safety, end, ended_by)
+    return {"scenario": scenario, "signals": rows.signals, **told, **known}
 
 
 def _signals(scenario: Scenario, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

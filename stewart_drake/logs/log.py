@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from stewart_drake.base.config import did_you_mean
 from stewart_drake.base.errors import ConfigurationError, installed_with
 from stewart_drake.base.keys import join_or
 from stewart_drake.logs.journal import JOURNAL, cut_off
-from stewart_drake.logs.outcomes import Status, describe_outcome, is_measured, second_half
+from stewart_drake.logs.outcomes import RunRows, Status, describe_outcome, is_measured
 from stewart_drake.logs.signals import SCALES, SIGNALS
 from stewart_drake.scenario.scenario import Scenario
 
@@ -110,6 +111,11 @@ class SimulationLog(Mapping[str, np.ndarray]):
         told = {"learnt", "learnt_half_width"} <= self.signals.keys()
         return told and not getattr(self.scenario.adaptation, "frozen", False)
 
+    @cached_property
+    def rows(self) -> RunRows:
+        """What metrics and outcome are computed from, of the rows of this log."""
+        return RunRows(self.scenario, self.signals)
+
     @property
     def time(self) -> np.ndarray:
         """(n,) [s] of each row."""
@@ -118,7 +124,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
     @property
     def error(self) -> np.ndarray:
         """(n, 6) [rad, m] true pose minus reference at every row; not a number where nothing was measured."""
-        error = self["pose"] - self["reference"]
+        error = self.rows.error
         return error if is_measured(self.signals) else np.full_like(error, np.nan)
 
     @property
@@ -130,7 +136,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
     @property
     def second_half(self) -> np.ndarray:
         """(n,) whether a row is in the second half of the planned duration."""
-        return second_half(self.time, self.scenario.duration)
+        return self.rows.second_half
 
     def outcome(self) -> dict[str, Any]:
         """What the log says besides its signals, in values that JSON has."""

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from stewart_drake.base.atomic_files import NOT_FINITE, plain_json
-from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, raised_at
+from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError, raised_at
 from stewart_drake.base.families import UserMade
 from stewart_drake.base.tables import AXES
 from stewart_drake.control.features import CostScales, cost
 from stewart_drake.hardware.motors import within_limit
-from stewart_drake.logs.outcomes import MissingSignal, RunRows, is_measured
+from stewart_drake.logs.outcomes import MissingSignal, RunRows, assess, find_warnings, is_measured
 from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 
 if TYPE_CHECKING:
@@ -355,6 +355,15 @@ def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:
     return {**row, NOT_FINITE: {named.get(name, name): what for name, what in metrics[NOT_FINITE].items()}}
 
 
+def assessed(
+    rows: RunRows, trip: Mapping[str, Any] | None, end_time: float, ended_by: RunFailure | KeyboardInterrupt | None
+) -> dict[str, Any]:
+    """Outcome, warnings and metrics of a run, as fields of a `SimulationLog`; see `assess`."""
+    outcome, told = assess(rows, trip, end_time, ended_by), {"end_time": end_time, "safety": trip}
+    warnings = tuple(plain_json(each) for each in find_warnings(outcome.status, rows, trip))
+    return {**outcome._asdict(), **told, "warnings": warnings, "figures": figures_of(rows)}
+
+
 def figures_of(rows: RunRows) -> dict[str, Any]:
     """Every metric of a run by name, in values that JSON has; None of what was not measured, or not finite."""
     if rows.steps and not is_measured(rows.signals):
@@ -374,7 +383,7 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
         infinite, and are None; real_time_factor; git_revision; versions; files: sha256 of each file that the scenario
         names.
     """
-    figures = figures_of(RunRows(log.scenario, log.signals)) if log.figures is None else log.figures
+    figures = figures_of(log.rows) if log.figures is None else log.figures
     outcome = log.outcome()
     wall, versions, files, _ = (outcome.pop(name) for name in ("wall_time", "versions", "files", "figures"))
     return {

@@ -58,11 +58,6 @@ def pose_distance(pose: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.n
     return rotation_angle(relative), np.linalg.norm(pose[:, 3:] - other[:, 3:], axis=1)
 
 
-def second_half(time: np.ndarray, duration: float) -> np.ndarray:
-    """(n,) whether times (n,) [s] are in the second half of a planned duration [s]."""
-    return time >= 0.5 * duration - 1e-9
-
-
 def is_measured(signals: Mapping[str, np.ndarray]) -> bool:
     """Whether the pose of a log was measured or simulated: it is that of commands where a machine tells nothing."""
     if "crank_angle" in signals or "measured_pose" in signals or "reading" not in signals:
@@ -90,7 +85,7 @@ class RunRows:
         if not np.allclose(self.time, step * scenario.plant.time_step, rtol=0.0, atol=1e-6):
             # On a machine each row is a tick, of the length that it has there.
             self.tick, self.tick_number = np.ones(len(self.time), bool), np.arange(len(self.time))
-        self.second_half = second_half(self.time, scenario.duration)
+        self.second_half = self.time >= 0.5 * scenario.duration - 1e-9
         self.second_half_tick = self.second_half & self.tick
         self.steps, self.ticks = len(self.time), int(self.tick.sum())
         self.second_half_steps, self.second_half_ticks = int(self.second_half.sum()), int(self.second_half_tick.sum())

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from stewart_drake.analysis.feasibility import largest_amplitude, largest_scale
 from stewart_drake.analysis.workspace import LIMIT_NAMES, governing_limit, utilisation
@@ -25,6 +24,9 @@ from stewart_drake.runs.simulation import run
 from stewart_drake.scenario.limits import measure_poses
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.workers import Workers, run_all
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 AMPLITUDE_SHARE = 0.5
 """Of the largest feasible amplitude, for motions of our own: the controller's lag must have room."""
