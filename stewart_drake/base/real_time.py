@@ -15,12 +15,9 @@ TURN = 0.0005  # [s] after which a thread that has Python's lock gives it to one
 
 
 class Pace:
-    """Equal ticks [s] on the monotonic clock: tick 0 is now, and no tick is later because one before it was.
+    """Equal ticks on the monotonic clock; tick 0 is now, and one that is late makes no other late.
 
-    A loop that is late makes up for it, but for more than `most_late` [s]: all further ticks are that much later then.
-
-    Attributes:
-        tick: Number of the present one.
+    A loop that is more than `most_late` [s] late need not catch up: all further ticks are that much later.
     """
 
     def __init__(self, period: float, most_late: float = math.inf) -> None:

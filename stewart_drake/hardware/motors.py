@@ -133,6 +133,8 @@ class MotorOptions(Section, ABC, key="motors"):
     """Of its command."""
     holds: ClassVar[bool] = False
     """Whether a command is an angle, which a motor holds by itself."""
+    by_torque: ClassVar[bool] = True
+    """Whether a command is a torque."""
 
     kind: str
     """Kind of motor."""
@@ -157,12 +159,8 @@ class MotorOptions(Section, ABC, key="motors"):
         return np.stack([-robot.effort_limits, robot.effort_limits]) / self.gains
 
     def torque_of(self, signals: Mapping[str, np.ndarray]) -> np.ndarray | None:
-        """Of the signals of a run the torque (n, 6) [N m] that was asked of the motors; None where none tells."""
-        return signals.get("torque")
-
-    def signals_of(self, commands: np.ndarray) -> dict[str, np.ndarray]:
-        """Signals that commands (n, 6) to a machine tell of it, where nothing tells more."""
-        return {"torque_applied": commands}
+        """Of a run's signals the torque (n, 6) [N m] that the motors were asked for, if by their own loop."""
+        return signals.get("torque" if self.by_torque else "torque_applied")
 
     def available(self, robot: RobotParameters, rates: np.ndarray) -> np.ndarray:
         """Largest torque (..., 6) [N m] of motors that drive cranks at rates (..., 6) [rad/s]; below 0 for none."""

@@ -34,6 +34,7 @@ PLAY_WIDTH = 0.25
 class _SoldMotors(MotorOptions):
     """What is common to motors as they are sold."""
 
+    by_torque: ClassVar[bool] = False
     presets: ClassVar[Presets]
 
     torque_limit: Positive | None = None
@@ -48,13 +49,6 @@ class _SoldMotors(MotorOptions):
     @property
     def nominal(self) -> MotorOptions:
         return self
-
-    def torque_of(self, signals: Mapping[str, np.ndarray]) -> np.ndarray | None:
-        # Their own loop asks for it, and a machine may not tell.
-        return signals.get("torque_applied")
-
-    def signals_of(self, commands: np.ndarray) -> dict[str, np.ndarray]:  # noqa: ARG002
-        return {}
 
     def limits(self, robot: RobotParameters) -> np.ndarray:
         """(6,) [N m] largest torques at rest."""
@@ -132,9 +126,6 @@ class PositionServos(_SoldMotors):
     def command_limits(self, robot: RobotParameters) -> np.ndarray:
         """The stops; a turn both ways without."""
         return np.clip(robot.crank_angle_ranges, -2.0 * np.pi, 2.0 * np.pi).T
-
-    def signals_of(self, commands: np.ndarray) -> dict[str, np.ndarray]:
-        return {"crank_angle": commands}
 
     def with_gains(self, gains: np.ndarray) -> dict[str, Any]:
         """The keys that were given, and those of other gains (6,)."""

@@ -49,7 +49,7 @@ class LiveLoop:
         self._looks = max(1, round(GOVERNED / self._step))
         self._tick = max(1, round(scenario.controller.period / self._step))
         self.stillness = Stillness(scenario.belief.robot, self._tick * self._step)
-        self.reference = HandReference(scenario.reference, self._step)
+        self.reference = HandReference(scenario.reference)
         self._loop = self._loop_of(scenario)
         self._loop.begin()
 
@@ -98,7 +98,7 @@ class LiveLoop:
             runner = self._loop.runner
             self.stillness.look(runner.signal("reading" if "reading" in runner.places else "plant_pose"), self.wanted)
         self._loop.move()
-        self.reference.advance()
+        self.reference.advance(self.time)
         if self.test is not None:
             self.test.watch(self.time, self._loop.pose, float(self.reference.at(self.time)[self.test.axis]))
         if self.steps % self.record.every == 0:
@@ -165,15 +165,15 @@ class LiveLoop:
         self._pulled = None if self.spring is None else self._note(wrench, math.inf)
 
     def _wanted(self, step: int, ahead: float = 0.0) -> np.ndarray:
-        """(18,) pose, rate and acceleration at a step of the plant, `ahead` steps from it."""
-        time = step * self._step
-        wanted = self.reference.at(time, ahead)
-        return wanted if self.test is None else wanted + self.test.added(time + ahead * self._step)
+        """(18,) pose, rate and acceleration at a step of the plant, or `ahead` [s] from it."""
+        time = step * self._step + ahead
+        wanted = self.reference.at(time)
+        return wanted if self.test is None else wanted + self.test.added(time)
 
     def _loop_of(self, scenario: Scenario) -> SteppedLoop:
         """The loop of a scenario, on the plant that there is where it would be the same."""
         plant = self._loop.plant if _plant_keys(scenario) == _plant_keys(self.scenario) else None
-        ahead = scenario.preview / self._step
+        ahead = scenario.preview
         pushes = scenario.disturbances
 
         def wrench(step: int) -> np.ndarray:

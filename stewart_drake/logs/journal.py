@@ -137,21 +137,21 @@ def fields_of(
 def _signals(scenario: Scenario, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """As of a run: the pose is that which the machine tells, or else that of the angles that it reads or is told."""
     angles, poses, sent = values["reading"], values.pop("told_pose"), values.pop("sent")
-    told = scenario.belief.motors.signals_of(sent)
-    commanded = told.pop("crank_angle", angles)
-    if not np.isfinite(angles).any():
-        angles = commanded
+    motors = scenario.belief.motors
+    if motors.holds and not np.isfinite(angles).any():
+        angles = sent
     of_angles, guess = [], values["reference"][0, :6]
     for row in angles:
         # Angles that no pose has are no reason to lose a log.
         with suppress(StewartDrakeError):
             guess = forward_kinematics(scenario.robot, row, guess)
         of_angles.append(guess)
-    has_poses = bool(np.isfinite(poses).all())
-    pose = poses if has_poses else np.array(of_angles)
+    told = bool(np.isfinite(poses).all())
+    pose = poses if told else np.array(of_angles)
     rate = np.gradient(pose, values["time"], axis=0) if len(pose) > 1 else np.zeros_like(pose)
     values |= {"measured": np.concatenate([pose, rate], axis=1), "loop_gap": np.zeros((len(pose), 6))}
-    values |= told
-    if has_poses and "measurement" not in values:
+    if motors.by_torque:
+        values["torque_applied"] = sent
+    if told and "measurement" not in values:
         values["measured_pose"] = np.array(of_angles)
     return signals_of(values)

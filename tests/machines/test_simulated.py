@@ -175,3 +175,12 @@ def test_readings_and_commands_are_as_old_as_the_scenario_says():
         robot.advance(False)
     moved = np.abs(np.diff(true, axis=0)).max(axis=1)
     assert moved[: stride + 1].max() < 1e-5 < moved[stride + 1 : stride + 4].max()
+
+
+def test_a_bus_that_drops_all_commands_moves_nothing():
+    robot = SimulatedRobot(SERVOS.replace({"link.stop_time": 0.0}))
+    before = robot.reading()
+    robot.follow(robot.command + 0.1)
+    for _ in range(200):
+        robot.advance(False)
+    np.testing.assert_allclose(robot.reading(), before, atol=2e-3)
