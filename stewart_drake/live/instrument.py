@@ -153,26 +153,20 @@ def _stretched(way: np.ndarray, length: float, most: float) -> np.ndarray:
 def spring(robot: RobotParameters, gravity: float, point: np.ndarray, place: np.ndarray) -> Spring:
     """A spring with which a hand can play without tripping the safety layer."""
     stretch, share = _PULL
-    return Spring(point, place, share * largest_force(robot, gravity), stretch * robot.characteristic_length)
+    return Spring(point, place, share * largest(robot, gravity, FORCE), stretch * robot.characteristic_length)
 
 
 def turning_spring(robot: RobotParameters, gravity: float, held: np.ndarray, turn: np.ndarray) -> TurningSpring:
     """The same, which turns by a rotation vector (3,) [rad] in B."""
     wanted = Rotation.from_rotvec(turn).as_matrix() @ held
-    return TurningSpring(held, wanted, _PULL[1] * largest_moment(robot, gravity))
+    return TurningSpring(held, wanted, _PULL[1] * largest(robot, gravity, MOMENT))
 
 
-def largest_force(robot: RobotParameters, gravity: float) -> float:
-    """[N] sideways or along z at home for which the motors have room, with half of it left; in two digits."""
-    return _largest(robot, gravity, slice(3, 6))
+MOMENT, FORCE = slice(0, 3), slice(3, 6)  # Of a wrench.
 
 
-def largest_moment(robot: RobotParameters, gravity: float) -> float:
-    """[N m] about x, y or z at home, likewise."""
-    return _largest(robot, gravity, slice(0, 3))
-
-
-def _largest(robot: RobotParameters, gravity: float, axes: slice) -> float:
+def largest(robot: RobotParameters, gravity: float, axes: slice) -> float:
+    """`MOMENT` [N m] or `FORCE` [N] along one axis at home for which motors have room, half of it left; two digits."""
     holds = static_torque(robot, robot.home_pose, gravity)
     per_unit = np.linalg.inv(pose_jacobian(robot, robot.home_pose)).T[:, axes]
     room = (robot.effort_limits - np.abs(holds))[:, None] / np.maximum(np.abs(per_unit), 1e-12)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.live.instrument import largest_force
+from stewart_drake.live.instrument import FORCE, largest
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.machine_session import MachineSession
 from stewart_drake.live.server import LiveServer
@@ -42,7 +42,7 @@ def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> di
         "home": home.tolist(),
         "room": _room(scenario, home).tolist(),
         "payload_most": max(float(f"{0.5 * robot.platform_mass:.1g}"), scenario.plant.payload_mass),
-        "force_most": largest_force(robot, scenario.gravity),
+        "force_most": largest(robot, scenario.gravity, FORCE),
         "encoders": scenario.sensors.reading == "angles",
         "may_fail": "dead" in scenario.motors.to_dict(),
         "controllers": list(CONTROLLERS),

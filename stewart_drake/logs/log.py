@@ -13,11 +13,10 @@ import numpy as np
 
 from stewart_drake.base import tables
 from stewart_drake.base.atomic_files import write_atomically
-from stewart_drake.base.config import did_you_mean
 from stewart_drake.base.errors import ConfigurationError, installed_with
 from stewart_drake.base.keys import join_or
 from stewart_drake.logs.journal import JOURNAL, cut_off
-from stewart_drake.logs.outcomes import RunRows, Status, describe_outcome, is_measured
+from stewart_drake.logs.outcomes import MissingSignal, RunRows, Status, describe_outcome, is_measured
 from stewart_drake.logs.signals import SCALES, SIGNALS
 from stewart_drake.scenario.scenario import Scenario
 
@@ -93,12 +92,9 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return len(self.signals)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        try:
-            return self.signals[name]
-        except KeyError:
-            raise KeyError(
-                f"{name}{did_you_mean(name, self.signals)}; this log has {', '.join(self.signals)}"
-            ) from None
+        if name not in self.signals:
+            raise MissingSignal(name, self.signals)
+        return self.signals[name]
 
     @property
     def reached_end(self) -> bool:

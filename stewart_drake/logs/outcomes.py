@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.errors import RunFailure, SafetyStop, StewartDrakeError
+from stewart_drake.base.config import did_you_mean
+from stewart_drake.base.errors import ConfigurationError, RunFailure, SafetyStop, StewartDrakeError
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.mechanics.kinematics import inverse_kinematics, rotation_angle, rotation_matrix
 from stewart_drake.safety import MONITORS, RAMP, first_standstill, standstill_text
@@ -65,8 +66,13 @@ def is_measured(signals: Mapping[str, np.ndarray]) -> bool:
     return bool(np.isfinite(signals["reading"]).any())
 
 
-class MissingSignal(KeyError):
+class MissingSignal(ConfigurationError, KeyError):
     """A log, such as one from a CSV file, has no signal of this name."""
+
+    def __init__(self, name: str, signals: Iterable[str]) -> None:
+        super().__init__("log", ", ".join(signals), f"one with the signal {name}{did_you_mean(name, signals)}")
+
+    __str__ = Exception.__str__
 
 
 class RunRows:
@@ -95,7 +101,7 @@ class RunRows:
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name not in self.signals:
-            raise MissingSignal(name)
+            raise MissingSignal(name, self.signals)
         return self.signals[name]
 
     @cached_property

@@ -189,9 +189,7 @@ class RobotSide:
 def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
     """Simulates a scenario behind a socket, for ever; says its port once everything is compiled."""
     # What is compiled in the first call must not come in the first tick.
-    compiled = SimulatedRobot(scenario)
-    compiled.reading()
-    compiled.advance(False)
+    SimulatedRobot(scenario).advance(False)
     robot, brakes = SimulatedRobot(scenario), not scenario.motors.holds
     with real_time():
         print(line.getsockname()[1], flush=True)

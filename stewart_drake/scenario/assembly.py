@@ -93,7 +93,7 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
 def machine_side(scenario: Scenario) -> Loop:
     """All but the controller's side: from an input `command` (6,), which may change at any step, to the reading.
 
-    Sensors run at the begin of a step of the plant, what takes the command at its end.
+    Sensors run at the beginning of a step of the plant, what takes the command at its end.
     """
     sensors, step = sensor_parts(scenario), scenario.plant.time_step
     first = scenario.belief.motors.initial_command(context_of(scenario, split=True))
@@ -117,23 +117,18 @@ def sensor_parts(scenario: Scenario) -> list[Part]:
     legs = leg_geometry(scenario.robot, pose)
     cranks = legs.crank_angles, crank_rates(scenario.robot, legs, pose, rate)
     true = {"plant_pose": np.concatenate([pose, rate]), "crank_state": np.concatenate(cranks)}
-    late: dict[str, str] = {}
-    delays: list[Part] = []
-    for source, first in true.items():
-        if any(source == part.source(port) for part in parts for port in part.inputs):
-            late[source] = f"late_{source}"
-        elif not parts and source == "plant_pose":
-            late[source] = "reading"
-        else:
-            continue
-        delay = delay_part(steps, first, f"{source}_delay")._replace(period=step)
-        delays.append(delay.connected(value=source).named(value=late[source]))
-
-    def delayed(part: Part) -> Part:
-        ports = {port: part.source(port) for port in part.inputs}
-        return part.connected(**{port: late[str(source)] for port, source in ports.items() if source in late})
-
-    return [*delays, *map(delayed, parts)]
+    read = {str(part.source(port)) for part in parts for port in part.inputs} if parts else {"plant_pose"}
+    late = {source: f"late_{source}" if parts else "reading" for source in true if source in read}
+    delays = [
+        delay_part(steps, true[source], f"{source}_delay")
+        ._replace(period=step)
+        .connected(value=source)
+        .named(value=name)
+        for source, name in late.items()
+    ]
+    ports = [{port: str(part.source(port)) for port in part.inputs} for part in parts]
+    moved = [{port: late[source] for port, source in each.items() if source in late} for each in ports]
+    return [*delays, *(part.connected(**each) for part, each in zip(parts, moved, strict=True))]
 
 
 def way_to_motors(

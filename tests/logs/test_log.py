@@ -67,7 +67,7 @@ def test_a_log_saved_as_csv_loads_back_with_the_scenario_that_it_does_not_have(l
 
 def test_a_log_is_a_mapping_and_shows_itself_in_six_lines(log):
     assert (list(log), len(log)) == (list(SIGNALS), len(SIGNALS))
-    with pytest.raises(KeyError, match=r"pos.*; this log has time, pose, "):
+    with pytest.raises(KeyError, match=r"^log: expected one with the signal pos.*, got 'time, pose, "):
         log["pos"]
     lines = repr(log).splitlines()
     assert len(lines) == 6
