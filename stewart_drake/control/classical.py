@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -43,7 +43,7 @@ class PidOptions(ControllerOptions):
     k becomes k M / (6 J^2) at each crank. A scenario scales the gains to another robot by its M / sum J^2.
     """
 
-    knobs: ClassVar = {"kp": "proportional", "ki": "integral", "kd": "derivative"}
+    knobs = {"kp": "proportional", "ki": "integral", "kd": "derivative"}
 
     kind: Literal["pid"] = "pid"
     period: Period = 0.001
@@ -133,7 +133,7 @@ class ComputedTorqueOptions(ControllerOptions):
     length of 0.11 m.
     """
 
-    knobs: ClassVar = {
+    knobs = {
         "natural_frequency": "natural frequency",
         "damping": "damping",
         "integral_frequency": "integral",

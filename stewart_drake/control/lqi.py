@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, cast, get_args
+from typing import Annotated, Any, Literal, cast, get_args
 
 import numpy as np
 from pydantic import Field
@@ -38,7 +38,7 @@ NONE, GRAVITY, PLATFORM, FULL = range(4)
 class LqiOptions(ControllerOptions):
     """Linear quadratic regulator with integral action (LQI); the defaults are the paper's, with gravity compensated."""
 
-    weighted: ClassVar[bool] = True
+    weighted = True
 
     kind: Literal["lqi"] = "lqi"
     """The default kind."""
