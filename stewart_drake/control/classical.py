@@ -43,7 +43,7 @@ class PidOptions(ControllerOptions):
     k becomes k M / (6 J^2) at each crank. A scenario scales the gains to another robot by its M / sum J^2.
     """
 
-    knobs = {"kp": "proportional", "ki": "integral", "kd": "derivative"}
+    knobs = (("kp", "proportional"), ("ki", "integral"), ("kd", "derivative"))
 
     kind: Literal["pid"] = "pid"
     period: Period = 0.001
@@ -133,11 +133,7 @@ class ComputedTorqueOptions(ControllerOptions):
     length of 0.11 m.
     """
 
-    knobs = {
-        "natural_frequency": "natural frequency",
-        "damping": "damping",
-        "integral_frequency": "integral",
-    }
+    knobs = (("natural_frequency", "natural frequency"), ("damping", "damping"), ("integral_frequency", "integral"))
     kind: Literal["computed_torque"] = "computed_torque"
     period: Period = 0.001
     natural_frequency: Annotated[Positive, FREQUENCY] = 93.8

@@ -82,7 +82,7 @@ class PositionServos(_SoldMotors):
     takes: ClassVar[str] = "angle"
     unit: ClassVar[str] = "rad"
     holds: ClassVar[bool] = True
-    knobs = {"stiffness": "servo stiffness"}
+    knobs = (("stiffness", "servo stiffness"),)
     presets: ClassVar[Presets] = POSITION_PRESETS
 
     kind: Literal["position"] = "position"

@@ -67,7 +67,7 @@ def knobs_of(scenario: Scenario, begun: Scenario) -> list[Knob]:
     def around(group: str, place: str, options: Section, first: Section, spread: float) -> None:
         if getattr(first, "kind", "") != getattr(options, "kind", ""):
             first = options
-        for key, label in options.knobs.items():
+        for key, label in options.knobs:
             if (centre := float(np.max(getattr(first, key)))) > 0.0:
                 ends = centre / spread, centre * spread
                 found.append(Knob(group, f"{place}.{key}", label, options.unit_of(key), *ends, logarithmic=True))
