@@ -43,10 +43,9 @@ class PidOptions(ControllerOptions):
     k becomes k M / (6 J^2) at each crank. A scenario scales the gains to another robot by its M / sum J^2.
     """
 
-    knobs = (("kp", "proportional"), ("ki", "integral"), ("kd", "derivative"))
-
     kind: Literal["pid"] = "pid"
     period: Period = 0.001
+    knobs = (("kp", "proportional"), ("ki", "integral"), ("kd", "derivative"))
     kp: Annotated[NotNegative, PROPORTIONAL] = 37.3
     """[N m/rad] proportional gain, on the error of a crank's angle."""
     ki: Annotated[NotNegative, INTEGRAL] = 316.0
