@@ -25,8 +25,8 @@ from stewart_drake.mechanics.kinematics import pose_jacobian, rotation_matrix
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.scenario import Scenario
 
-_PULL = 0.15, 0.2  # [-] of the characteristic length, at which the spring has its largest force, of that of `largest`.
-_TURN = 0.3  # [rad] at which a spring that turns has its largest moment, of that of `largest` the same share.
+_PULL = 0.15, 0.2  # [-] of the characteristic length, where the spring has its largest force, as a share of `largest`.
+_TURN = 0.3  # [rad] at which a spring that turns has its largest moment, the same share of `largest`.
 _WATCHED = 2.0  # [s] of a step.
 _PERIODS = 3  # Of a sine, after one that is left out.
 _RECORDED, _EVERY = 120.0, 0.001  # [s] that a recorder keeps, and between two of its rows.
