@@ -286,7 +286,7 @@ def _fixed(scenario: Scenario) -> np.ndarray:
 def robot_data(name: str, scenario: Scenario) -> dict[str, Any]:
     """What the page has of a robot."""
     step = on_grid(scenario.plant.time_step)
-    ahead, smooth = scenario.preview / step, SmoothValue(np.zeros(1), step)
+    smooth = SmoothValue(np.zeros(1))
     modules = {}
     for choice, changed in choices(scenario).items():
         source = loop_source(changed)
@@ -308,8 +308,8 @@ def robot_data(name: str, scenario: Scenario) -> dict[str, Any]:
         "modules": modules,
         "step": step,
         "stride": round(SCENE_PERIOD / scenario.plant.time_step),
-        "ahead": ahead,
-        "transitions": [smooth.transition(steps).tolist() for steps in (1.0, ahead or 1.0)],
+        "ahead": scenario.preview / step,
+        "transitions": [smooth.transition(time).tolist() for time in (step, scenario.preview or step)],
         "motion": {key: list(getattr(motion, key)) for key in ("center", "amplitude", "angular_frequency", "phase")},
         "payload": _change(scenario, "plant.payload_mass"),
         "friction": _change(scenario, "plant.motor_friction"),

@@ -114,3 +114,18 @@ def step_figures(time: np.ndarray, value: np.ndarray) -> StepResponse:
     last = outside[-1] + 1 if len(outside) else 0
     settling = time[last] - time[0] if last < len(time) else np.nan
     return StepResponse(time, value, float(rise), float(max(0.0, value.max() - 1.0)), float(settling))
+
+
+def sine_response(
+    time: np.ndarray, reference: np.ndarray, response: np.ndarray, frequency: float
+) -> tuple[complex, float]:
+    """Ratio of a response (n,) to a sine (n,) of `frequency` [Hz]: amplitude and, as its angle, phase.
+
+    Also the RMS of what the least-squares fit leaves of the response, as a part of the RMS of the fitted sine.
+    """
+    angle = 2.0 * np.pi * frequency * np.asarray(time)
+    basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=1)
+    solution, *_ = np.linalg.lstsq(basis, np.stack([reference, response], axis=1), rcond=None)
+    wanted, actual = solution[0] + 1j * solution[1]
+    rest = response - basis @ solution[:, 1]
+    return complex(actual / wanted), float(np.sqrt(2.0 * np.mean(rest**2)) / abs(actual))

@@ -149,6 +149,7 @@ def plain_json(document: Mapping[str, Any]) -> dict[str, Any]:
     not_finite: dict[str, str] = {}
 
     def plain(value: Any, name: str) -> Any:
+        value = value.tolist() if hasattr(value, "tolist") else value
         if isinstance(value, float) and not math.isfinite(value):
             not_finite[name.removeprefix(".")] = repr(float(value))
             return None

@@ -123,6 +123,8 @@ class Section:
     """Whether it, or a section in it, may have defaults that depend on the scenario, see `FILL`."""
     moved_keys: ClassVar[Mapping[str, str]] = {}
     """Keys that were here -> where they are now, for messages."""
+    knobs: ClassVar[tuple[tuple[str, str], ...]] = ()
+    """Keys of positive numbers that a slider of the live page sets, and what the page calls them."""
     kinds_with: ClassVar[Callable[[str], list[str]]] = lambda _: []
     """The other kinds that have a key."""
     __pydantic_validator__: ClassVar[Any]

@@ -1,15 +1,46 @@
-"""What makes a loop in real time late: other processes, other threads, and the garbage collector."""
+"""A loop in real time: its clock, and what makes it late: other processes and threads, and the garbage collector."""
 
 from __future__ import annotations
 
 import gc
+import math
 import os
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 TURN = 0.0005  # [s] after which a thread that has Python's lock gives it to one that waits.
+
+
+class Pace:
+    """Equal ticks on the monotonic clock; tick 0 is now, and one that is late makes no other late.
+
+    A loop that is more than `most_late` [s] late need not catch up: all further ticks are that much later.
+    """
+
+    def __init__(self, period: float, most_late: float = math.inf) -> None:
+        self.period, self.tick = period, 0
+        self._most_late, self._begun = most_late, time.monotonic()
+
+    @property
+    def due(self) -> float:
+        """[s] of the monotonic clock, of the present tick."""
+        return self._begun + self.tick * self.period
+
+    def advance(self, leave_out: bool = False) -> None:
+        """To the next tick, or with `leave_out` to the latest one that is due, where several are."""
+        now = time.monotonic()
+        self.tick = max(self.tick + 1, int((now - self._begun) / self.period) if leave_out else 0)
+        if now - self.due > self._most_late:
+            self._begun += now - self.due
+
+    def wait(self) -> float:
+        """Until the present tick is due; how late it is then [s]."""
+        if (rest := self.due - time.monotonic()) > 0.0:
+            time.sleep(rest)
+        return time.monotonic() - self.due
 
 
 @contextmanager

@@ -12,38 +12,33 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from stewart_drake.base.atomic_files import check_file, seal, unseal
 from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.units import UNITS
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-ENDINGS: Mapping[str, Mapping[str, float]] = {
-    "s": {"s": 1.0, "ms": 1e-3},
-    "rad": {"rad": 1.0, "deg": math.pi / 180.0},
-    "m": {"m": 1.0, "mm": 1e-3},
-    "N m": {"Nm": 1.0, "mNm": 1e-3},
-    "N m s/rad": {"Nms_per_rad": 1.0},
-    "N": {"N": 1.0},
-    "kg": {"kg": 1.0},
-    "A": {"A": 1.0, "mA": 1e-3},
-    "rad/s": {"rad_per_s": 1.0, "deg_per_s": math.pi / 180.0},
-    "m/s": {"m_per_s": 1.0, "mm_per_s": 1e-3},
-    "rad/s^2": {"rad_per_s2": 1.0},
-    "m/s^2": {"m_per_s2": 1.0},
-    "rad s": {"rad_s": 1.0},
-    "m s": {"m_s": 1.0},
-    "1": {"": 1.0},
-    "": {"": 1.0},
-}
+_READ = (
+    *("s", "ms", "rad", "deg", "m", "mm", "N m", "mN m", "N m s/rad", "N", "kg", "A", "mA", "Hz", "rad/s", "deg/s"),
+    *("m/s", "mm/s", "rad/s^2", "m/s^2", "rad s", "m s", "1", ""),
+)
+_ENDING = {"rad s": "rad_s", "m s": "m_s", "Hz": "hz", "1": ""}
+ENDINGS: dict[str, dict[str, float]] = {}
+for _unit in _READ:
+    _base, _size = UNITS.get(_unit, (_unit, 1.0))
+    _name = _ENDING.get(_unit, _unit.replace(" ", "").replace("/", "_per_").replace("^", ""))
+    ENDINGS.setdefault(_base, {})[_name] = _size
 """Unit -> endings of a column's name, the first that of what is written, and what one of each is in the unit."""
 
-AXES = ("roll", "pitch", "yaw", "x", "y", "z")
-"""Of a pose."""
+Coordinate = Literal["roll", "pitch", "yaw", "X", "Y", "Z"]
+COORDINATES: tuple[Coordinate, ...] = get_args(Coordinate)
+AXES = tuple(map(str.lower, COORDINATES))
+"""Of a pose: for a reader, and in names of columns and metrics."""
 POSE = tuple((f"pose_{axis}", unit) for axis, unit in zip(AXES, ("rad",) * 3 + ("m",) * 3, strict=True))
 CRANK_ANGLES = tuple((f"crank_angle_{leg}", "rad") for leg in range(6))
 """Quantities of poses and of cranks with their units."""

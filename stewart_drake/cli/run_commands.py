@@ -18,6 +18,7 @@ from stewart_drake.base.config import number_in, to_plain
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.base.families import user_parts
 from stewart_drake.base.keys import join_or
+from stewart_drake.base.tables import COORDINATES, numbers_to_csv
 from stewart_drake.base.yaml_files import read_mapping, to_yaml
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
@@ -317,10 +318,9 @@ def bode(scenario: str, out: Path, overrides: tuple[str, ...]) -> None:
     plot_bode(found, folder / "bode.png")
     names = ("loop", "sensitivity", "complementary")
     gains = {name: found.gains(name) for name in names}
-    header = ",".join(["frequency_hz", *(f"{name}_{k}" for name in names for k in range(6))])
-    values = np.column_stack([found.frequency, *gains.values()])
-    lines = [header, *(",".join(f"{each:.10g}" for each in row) for row in values)]
-    write_atomically(folder / "bode.csv", ("\n".join(lines) + "\n").encode())
+    columns = [("frequency", "Hz"), *((f"{name}_{k}", "1") for name in names for k in range(6))]
+    table = numbers_to_csv(columns, np.column_stack([found.frequency, *gains.values()]))
+    write_text(folder / "bode.csv", table)
     low, high = found.crossover
     rows = [("gains of the loop fall below 1 at", f"{low:.3g} to {high:.3g} Hz")]
     rows += [(f"largest {name}", f"{gains[name].max():.3g}") for name in names[1:]]
@@ -331,7 +331,7 @@ def bode(scenario: str, out: Path, overrides: tuple[str, ...]) -> None:
     "step",
     scenario="exact_breathing",
     out="runs/step",
-    axis=opt.option("Coordinate.", click.Choice(["roll", "pitch", "yaw", "X", "Y", "Z"]), default="Z"),
+    axis=opt.option("Coordinate.", click.Choice(COORDINATES), default="Z"),
     size=opt.option("Size, e.g. '1 mm' or '1 deg' [default: 0.01 rad, or 0.01 of the robot's size]."),
 )
 def step(scenario: str, out: Path, axis: str, size: str | None, overrides: tuple[str, ...]) -> None:
@@ -343,7 +343,7 @@ def step(scenario: str, out: Path, axis: str, size: str | None, overrides: tuple
     from stewart_drake.runs import step_response
 
     loaded = load_scenario(scenario, overrides)
-    unit = "rad" if axis in step_response.AXES[:3] else "m"
+    unit = "rad" if axis in COORDINATES[:3] else "m"
     with shown_compiling():
         found = step_response.step(loaded, axis, None if size is None else number_in("--size", size, unit))
     folder = prepare_folder(out)
@@ -366,11 +366,10 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
     A third part shows which states and torques some motions visit.
     """
     from stewart_drake.analysis.workspace import KINDS, check_center, slices, study_poses
-    from stewart_drake.paper.reproduce import Reproduction
-    from stewart_drake.paper.workspace import motion_numbers
     from stewart_drake.plotting import save_figure
     from stewart_drake.plotting.workspace_plots import plot_capability
     from stewart_drake.runs.checks import check_scenario
+    from stewart_drake.studies.visited import motion_numbers
 
     base = load_scenario(scenario, overrides)
     check_center(base.robot, base.robot.home_pose)
@@ -386,7 +385,7 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
         numbers, surveys = study_poses(
             *of_base, base.robot.home_pose, samples, 20_000, lambda share: advance(60.0 * share)
         )
-        motions, draw = motion_numbers(Reproduction(base=base, progress=lambda share: advance(60.0 + 40.0 * share)))
+        motions, draw = motion_numbers(base, progress=lambda share: advance(60.0 + 40.0 * share))
     numbers |= {"motions": motions}
     write_atomically(out / "workspace.json", (json.dumps(numbers, indent=1, allow_nan=False) + "\n").encode())
     save_figure(draw(), figures / "torques.png")

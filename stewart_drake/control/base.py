@@ -39,6 +39,8 @@ class ControllerOptions(Section, ABC, key="controller"):
     """Base of the options of controllers; wiring, checks, logs and plots ask these, not which kind it is."""
 
     own_keys = frozenset({"feedforward", "saturation"})
+    weighted: ClassVar[bool] = False
+    """Whether it takes the weights of the tuner."""
     feedback: ClassVar[bool] = True
     """Whether it uses what is measured."""
     looks_ahead: ClassVar[bool] = False

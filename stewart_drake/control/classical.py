@@ -45,6 +45,7 @@ class PidOptions(ControllerOptions):
 
     kind: Literal["pid"] = "pid"
     period: Period = 0.001
+    knobs = (("kp", "proportional"), ("ki", "integral"), ("kd", "derivative"))
     kp: Annotated[NotNegative, PROPORTIONAL] = 37.3
     """[N m/rad] proportional gain, on the error of a crank's angle."""
     ki: Annotated[NotNegative, INTEGRAL] = 316.0
@@ -131,6 +132,7 @@ class ComputedTorqueOptions(ControllerOptions):
     length of 0.11 m.
     """
 
+    knobs = (("natural_frequency", "natural frequency"), ("damping", "damping"), ("integral_frequency", "integral"))
     kind: Literal["computed_torque"] = "computed_torque"
     period: Period = 0.001
     natural_frequency: Annotated[Positive, FREQUENCY] = 93.8

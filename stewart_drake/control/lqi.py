@@ -37,6 +37,8 @@ NONE, GRAVITY, PLATFORM, FULL = range(4)
 class LqiOptions(ControllerOptions):
     """Linear quadratic regulator with integral action (LQI); the defaults are the paper's, with gravity compensated."""
 
+    weighted = True
+
     kind: Literal["lqi"] = "lqi"
     """The default kind."""
     period: Period = 0.005

@@ -65,6 +65,7 @@ class ObserverOptions(EstimatorOptions):
     """A Kalman filter with the exact model of the robot, see docs/observer.md."""
 
     moved_keys: ClassVar[Mapping[str, str]] = {"delay": "model.delay"}
+    knobs = (("disturbance", "observer: disturbance"),)
     kind: Literal["observer"] = "observer"
     disturbance: Annotated[Positive, Field(le=1e6)] = 16.0
     """[rad/s^2 per sqrt(s)] expected change in a second of each crank's unmodelled acceleration; low is quiet, high is

@@ -88,6 +88,7 @@ class PairTuner(Tuner):
 class FixedTuner(PairTuner):
     """Constant weights omega_Q and omega_R; densities are logged all the same."""
 
+    knobs = (("omega_q", "weight Q"), ("omega_r", "weight R"))
     kind: Literal["fixed"] = "fixed"
 
 
@@ -116,6 +117,7 @@ class BlockWeights(Tuner):
 class BlockTuner(BlockWeights):
     """Constant block weights; `controller.weight_length` sets how rotations count in them."""
 
+    knobs = (("q_pose", "weight: pose"), ("q_rate", "weight: rate"), ("q_integral", "weight: integral"))
     kind: Literal["block"] = "block"
 
 

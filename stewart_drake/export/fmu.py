@@ -23,12 +23,11 @@ from stewart_drake.base.sampling import on_grid
 from stewart_drake.export.controller_c import REASONS, c_name, controller_files, from_template, readings_along
 from stewart_drake.export.loop import LoopSource
 from stewart_drake.export.values import number
-from stewart_drake.hardware.motors import delay_part
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.kinematics_laws import LEGS, OK, SERIAL
 from stewart_drake.mechanics.linear_algebra import all_finite
 from stewart_drake.plant.closed_form import ClosedForm, _rk4, _semi_implicit
-from stewart_drake.scenario.assembly import control_side
+from stewart_drake.scenario.assembly import context_of, control_side, way_to_motors
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
 
@@ -69,12 +68,8 @@ def plant_part(scenario: Scenario) -> Part:
 
 def robot_files(scenario: Scenario, name: str) -> dict[str, str]:
     """Header and source of the robot with its motors, by name."""
-    step, parts, command = scenario.plant.time_step, [], "command"
-    first = scenario.motors.initial_command(control_side(scenario, split=True).context)
-    if (ticks := round(scenario.motors.dead_time / step)) > 0:
-        parts.append(delay_part(ticks, first, "motor_delay").connected(value=command).named(value="delayed"))
-        command = "delayed"
-    parts.append(scenario.motors.part(scenario.robot, step).connected(command=command).named(torque="motor_torque"))
+    step, first = scenario.plant.time_step, scenario.motors.initial_command(context_of(scenario, split=True))
+    parts = way_to_motors(scenario, "command", first, step, bus=False)
     outside = {"time": 1, "command": 6, "wrench": 6, "crank_state": 12}
     loop = LoopSource([*parts, plant_part(scenario)], outside, {}, step, step, {})
     words = {"NAME": name, "UPPER": name.upper(), "SCENARIO": scenario.name, "VERSION": __version__}
@@ -103,7 +98,7 @@ def robot_unit(scenario: Scenario, name: str) -> bytes:
     own = f"{c_name(name)}_robot"
     pose, rate = scenario.start()
     variables = [
-        Variable("command", scenario.motors.initial_command(control_side(scenario, split=True).context), True),
+        Variable("command", scenario.motors.initial_command(context_of(scenario, split=True)), True),
         Variable("wrench", np.zeros(6), True),
         Variable("measured", ClosedForm(scenario.robot, scenario.plant, scenario.gravity).initial(pose, rate), False),  # type: ignore[arg-type]
     ]
@@ -137,14 +132,10 @@ def _unit(
     starts = [f"    u->{each.name}[{k}] = {number(x).text};" for each in variables for k, x in enumerate(each.start)]
     words |= {"TABLE": "\n".join(rows), "START": "\n".join(starts)}
     sources = {**files, "fmu.c": from_template("fmu.c", words)}
-    content = {"modelDescription.xml": _description(own, sources, variables, period)}
+    words |= _described(own, sources, variables)
+    content = {"modelDescription.xml": from_template("modelDescription.xml", words)}
     content |= {f"sources/{file}": text for file, text in sources.items()}
-    compiled = "".join(f'<SourceFile name="{file}"/>' for file in sources if file.endswith(".c"))
-    content["sources/buildDescription.xml"] = (
-        f'<?xml version="1.0" encoding="UTF-8"?>\n<fmiBuildDescription fmiVersion="3.0"><BuildConfiguration '
-        f'modelIdentifier="{own}"><SourceFileSet language="C99">{compiled}</SourceFileSet></BuildConfiguration>'
-        "</fmiBuildDescription>\n"
-    )
+    content["sources/buildDescription.xml"] = from_template("buildDescription.xml", words)
     archive = BytesIO()
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as unit:
         for file, text in content.items():
@@ -174,10 +165,9 @@ def _library(own: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
         return f"binaries/{machine}-{system}/{library.name}", library.read_bytes()
 
 
-def _description(own: str, sources: dict[str, str], variables: list[Variable], period: float) -> str:
-    token = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:32]
+def _described(own: str, sources: dict[str, str], variables: list[Variable]) -> dict[str, str]:
+    """What its two descriptions say of a unit."""
     rows = ['<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>']
-    outputs = []
     for k, each in enumerate(variables, start=1):
         start = f" start={quoteattr(' '.join(repr(float(x)) for x in each.start))}" if each.is_input else ""
         kind = "input" if each.is_input else "output"
@@ -185,15 +175,9 @@ def _description(own: str, sources: dict[str, str], variables: list[Variable], p
             f'<Float64 name="{each.name}" valueReference="{k}" causality="{kind}" variability="discrete"{start}>'
             f'<Dimension start="{each.start.size}"/></Float64>'
         )
-        outputs += [] if each.is_input else [k]
+    outputs = [k for k, each in enumerate(variables, start=1) if not each.is_input]
     structure = "".join(f'<{tag} valueReference="{k}"/>' for tag in ("Output", "InitialUnknown") for k in outputs)
-    step = number(on_grid(period)).text
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?>\n'
-        f'<fmiModelDescription fmiVersion="3.0" modelName="{own}" instantiationToken="{token}" '
-        f'generationTool="stewart-drake {__version__}">\n'
-        f'<CoSimulation modelIdentifier="{own}" canHandleVariableCommunicationStepSize="true" '
-        f'fixedInternalStepSize="{step}"/>\n<DefaultExperiment startTime="0" stepSize="{step}"/>\n'
-        f"<ModelVariables>\n{chr(10).join(rows)}\n</ModelVariables>\n<ModelStructure>{structure}</ModelStructure>\n"
-        "</fmiModelDescription>\n"
-    )
+    compiled = "".join(f'<SourceFile name="{file}"/>' for file in sources if file.endswith(".c"))
+    token = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:32]
+    words = {"NAME": own, "TOKEN": token, "VERSION": __version__, "COMPILED": compiled}
+    return words | {"VARIABLES": "\n".join(rows), "STRUCTURE": structure}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -131,6 +131,10 @@ class MotorOptions(Section, ABC, key="motors"):
     """What its command is."""
     unit: ClassVar[str] = "N m"
     """Of its command."""
+    holds: ClassVar[bool] = False
+    """Whether a command is an angle, which a motor holds by itself."""
+    by_torque: ClassVar[bool] = True
+    """Whether a command is a torque."""
 
     kind: str
     """Kind of motor."""
@@ -149,6 +153,14 @@ class MotorOptions(Section, ABC, key="motors"):
     def initial_command(self, context: LoopContext) -> np.ndarray:
         """Command (6,) in force until the first one arrives."""
         return context.initial_torque
+
+    def command_limits(self, robot: RobotParameters) -> np.ndarray:
+        """(2, 6) lowest and highest commands."""
+        return np.stack([-robot.effort_limits, robot.effort_limits]) / self.gains
+
+    def torque_of(self, signals: Mapping[str, np.ndarray]) -> np.ndarray | None:
+        """Of a run's signals the torque (n, 6) [N m] that the motors were asked for, if by their own loop."""
+        return signals.get("torque" if self.by_torque else "torque_applied")
 
     def available(self, robot: RobotParameters, rates: np.ndarray) -> np.ndarray:
         """Largest torque (..., 6) [N m] of motors that drive cranks at rates (..., 6) [rad/s]; below 0 for none."""

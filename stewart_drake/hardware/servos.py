@@ -33,6 +33,7 @@ PLAY_WIDTH = 0.25
 class _SoldMotors(MotorOptions):
     """What is common to motors as they are sold."""
 
+    by_torque: ClassVar[bool] = False
     presets: ClassVar[Presets]
 
     torque_limit: Positive | None = None
@@ -79,6 +80,8 @@ class PositionServos(_SoldMotors):
 
     takes: ClassVar[str] = "angle"
     unit: ClassVar[str] = "rad"
+    holds: ClassVar[bool] = True
+    knobs = (("stiffness", "servo stiffness"),)
     presets: ClassVar[Presets] = POSITION_PRESETS
 
     kind: Literal["position"] = "position"
@@ -119,6 +122,10 @@ class PositionServos(_SoldMotors):
     def gains(self) -> np.ndarray:
         return self.supply * self.stiffness * np.array(self.ratios)
 
+    def command_limits(self, robot: RobotParameters) -> np.ndarray:
+        """The stops; a turn both ways without."""
+        return np.clip(robot.crank_angle_ranges, -2.0 * np.pi, 2.0 * np.pi).T
+
     def with_gains(self, gains: np.ndarray) -> dict[str, Any]:
         """The keys that were given, and those of other gains (6,)."""
         mean = float(gains.mean())
@@ -127,9 +134,12 @@ class PositionServos(_SoldMotors):
     def part(self, robot: RobotParameters, time_step: float) -> Part:
         stride = steps_per("motors.period", self.period, time_step)
         stiffest = STIFFEST * robot.crank_axis_inertias.min() / self.period**2
-        if self.gains.max() > stiffest:
-            allowed = f"at most {stiffest:.3g} N m/rad, with motors.period {self.period:g} s"
-            raise ConfigurationError("motors.stiffness", self.stiffness, allowed)
+        if (largest := self.gains.max()) > stiffest:
+            by_supply = self.supply * self.stiffness > stiffest
+            key = "stiffness" if self.stiffness > stiffest else "supply" if by_supply else "ratios"
+            most = np.max(getattr(self, key)) * stiffest / largest
+            allowed = f"at most {most:.3g}: no motor above {stiffest:.3g} N m/rad, with motors.period {self.period:g} s"
+            raise ConfigurationError(f"motors.{key}", getattr(self, key), allowed)
         most = np.linalg.eigvalsh(crank_inertia(robot, robot.home_pose))[0] / time_step
         if self.damping > most:
             allowed = f"at most {most:.3g} N m s/rad, with plant.time_step {time_step:g} s"

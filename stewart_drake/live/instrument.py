@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
+import cmath
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stewart_drake.analysis.response import step_figures
+from stewart_drake.analysis.response import sine_response, step_figures
 from stewart_drake.base.atomic_files import write_together
+from stewart_drake.base.config import Section
 from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.tables import COORDINATES, POSE, numbers_to_csv
 from stewart_drake.base.yaml_files import to_yaml
+from stewart_drake.logs.log import SimulationLog
+from stewart_drake.logs.rows import Rows, side_by_side
+from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_jacobian, rotation_matrix
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scenario.keys import value_at
 from stewart_drake.scenario.scenario import Scenario
 
-AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
-_PULL = 0.15, 0.2  # [-] of the characteristic length, at which the spring has its largest force, of `largest_force`.
-_TURN = 0.3  # [rad] at which a spring that turns has its largest moment, of `largest_moment` the same share.
+_PULL = 0.15, 0.2  # [-] of the characteristic length, where the spring has its largest force, as a share of `largest`.
+_TURN = 0.3  # [rad] at which a spring that turns has its largest moment, the same share of `largest`.
 _WATCHED = 2.0  # [s] of a step.
 _PERIODS = 3  # Of a sine, after one that is left out.
-_MOST = 120.0  # [s] that the record keeps.
+_RECORDED, _EVERY = 120.0, 0.001  # [s] that a recorder keeps, and between two of its rows.
 
 
 # --- sliders of keys ---
@@ -48,60 +52,37 @@ def as_instrument(scenario: Scenario) -> Scenario:
     """The scenario with its gains and beliefs said: else they would follow where a slider changes the machine."""
     said = {name: getattr(scenario, name).to_dict() for name in ("controller", "tuner", "estimator")}
     said |= {"model.delay": scenario.belief.delay, "model.reading_age": scenario.belief.reading_age}
-    if scenario.motors.takes != "torque" and scenario.model.motors is None:
+    if scenario.motors.knobs and scenario.model.motors is None:
         said["model.motors"] = scenario.belief.motors.to_dict()
     return scenario.replace(said)
 
 
-def _around(scenario: Scenario, key: str) -> float:
-    return float(value_at(scenario.in_full(), key))
-
-
-_GAINS: Mapping[str, Sequence[tuple[str, str, str]]] = {
-    "pid": (("kp", "proportional", "N m/rad"), ("ki", "integral", "N m/(rad s)"), ("kd", "derivative", "N m s/rad")),
-    "computed_torque": (
-        ("natural_frequency", "natural frequency", "rad/s"),
-        ("damping", "damping", "-"),
-        ("integral_frequency", "integral", "rad/s"),
-    ),
-}
-_WEIGHTS = {
-    "block": (
-        ("q_pose", "weight: pose", ""),
-        ("q_rate", "weight: rate", ""),
-        ("q_integral", "weight: integral", ""),
-    ),
-    "fixed": (("omega_q", "weight Q", ""), ("omega_r", "weight R", "")),
-}
-_DECADES = 1.5
+_SPREAD, _MOTORS_SPREAD = 10.0**1.5, 10.0**0.5  # Of a slider's ends, from where it began.
 
 
 def knobs_of(scenario: Scenario, begun: Scenario) -> list[Knob]:
     """The sliders of a scenario as it is now; gains go around where they began."""
     found: list[Knob] = []
-    sections = [("controller", _GAINS.get(scenario.controller.kind, ()))]
-    if scenario.controller.kind == "lqi":
-        sections.append(("tuner", _WEIGHTS.get(scenario.tuner.kind, ())))
-    if scenario.estimator.kind == "observer":
-        sections.append(("estimator", (("disturbance", "observer: disturbance", ""),)))
-    for section, keys in sections:
-        own = begun if getattr(begun, section).kind == getattr(scenario, section).kind else scenario
-        for key, label, unit in keys:
-            centre = _around(own, f"{section}.{key}")
-            if centre > 0.0:
-                low, high = centre * 10.0**-_DECADES, centre * 10.0**_DECADES
-                found.append(Knob("Gains", f"{section}.{key}", label, unit, low, high, logarithmic=True))
+
+    def around(group: str, place: str, options: Section, first: Section, spread: float) -> None:
+        if getattr(first, "kind", "") != getattr(options, "kind", ""):
+            first = options
+        for key, label in options.knobs:
+            if (centre := float(np.max(getattr(first, key)))) > 0.0:
+                ends = centre / spread, centre * spread
+                found.append(Knob(group, f"{place}.{key}", label, options.unit_of(key), *ends, logarithmic=True))
+
+    tuner = ("tuner",) if scenario.controller.weighted else ()
+    for name in ("controller", *tuner, "estimator"):
+        around("Gains", name, getattr(scenario, name), getattr(begun, name), _SPREAD)
     most = 0.2 * float(scenario.robot.effort_limits.min())
     found.append(Knob("Machine", "plant.motor_friction", "friction", "N m", 0.0, most))
     found.append(Knob("Machine", "command_delay", "delay", "ticks", 0, 8, whole=True))
     found.append(Knob("Belief", "model.friction.coulomb", "friction", "N m", 0.0, most))
     found.append(Knob("Belief", "model.delay", "delay", "ticks", 0, 8, whole=True))
-    for group, prefix in (("Machine", "motors"), ("Belief", "model.motors")):
-        motors = scenario.motors if group == "Machine" else scenario.model.motors
-        if (stiffness := getattr(motors, "stiffness", None)) is not None:
-            centre = float(np.max(getattr(begun.motors, "stiffness", stiffness)))
-            ends = 0.3 * centre, 3.0 * centre
-            found.append(Knob(group, f"{prefix}.stiffness", "servo stiffness", "N m/rad", *ends, logarithmic=True))
+    around("Machine", "motors", scenario.motors, begun.motors, _MOTORS_SPREAD)
+    if scenario.model.motors is not None:
+        around("Belief", "model.motors", scenario.model.motors, begun.motors, _MOTORS_SPREAD)
     return found
 
 
@@ -172,26 +153,20 @@ def _stretched(way: np.ndarray, length: float, most: float) -> np.ndarray:
 def spring(robot: RobotParameters, gravity: float, point: np.ndarray, place: np.ndarray) -> Spring:
     """A spring with which a hand can play without tripping the safety layer."""
     stretch, share = _PULL
-    return Spring(point, place, share * largest_force(robot, gravity), stretch * robot.characteristic_length)
+    return Spring(point, place, share * largest(robot, gravity, FORCE), stretch * robot.characteristic_length)
 
 
 def turning_spring(robot: RobotParameters, gravity: float, held: np.ndarray, turn: np.ndarray) -> TurningSpring:
     """The same, which turns by a rotation vector (3,) [rad] in B."""
     wanted = Rotation.from_rotvec(turn).as_matrix() @ held
-    return TurningSpring(held, wanted, _PULL[1] * largest_moment(robot, gravity))
+    return TurningSpring(held, wanted, _PULL[1] * largest(robot, gravity, MOMENT))
 
 
-def largest_force(robot: RobotParameters, gravity: float) -> float:
-    """[N] sideways or along z at home for which the motors have room, with half of it left; in two digits."""
-    return _largest(robot, gravity, slice(3, 6))
+MOMENT, FORCE = slice(0, 3), slice(3, 6)  # Of a wrench.
 
 
-def largest_moment(robot: RobotParameters, gravity: float) -> float:
-    """[N m] about x, y or z at home, likewise."""
-    return _largest(robot, gravity, slice(0, 3))
-
-
-def _largest(robot: RobotParameters, gravity: float, axes: slice) -> float:
+def largest(robot: RobotParameters, gravity: float, axes: slice) -> float:
+    """`MOMENT` [N m] or `FORCE` [N] along one axis at home for which motors have room, half of it left; two digits."""
     holds = static_torque(robot, robot.home_pose, gravity)
     per_unit = np.linalg.inv(pose_jacobian(robot, robot.home_pose)).T[:, axes]
     room = (robot.effort_limits - np.abs(holds))[:, None] / np.maximum(np.abs(per_unit), 1e-12)
@@ -242,39 +217,36 @@ class Probe:
 
     def _sentence(self) -> str:
         t, y = np.array(self.times), np.array(self.values)
-        scale, unit = (180.0 / math.pi, "deg") if self.axis < 3 else (1e3, "mm")
-        what = f"{self.kind} of {AXES[self.axis]}, {self.size * scale:.2g} {unit}"
+        size = f"{SCALES[self.axis] * self.size:.2g} {DISPLAY_UNITS[self.axis]}"
+        what = f"{self.kind} of {COORDINATES[self.axis]}, {size}"
         if self.kind == "step":
             found = step_figures(t, y)
             rise, settling = (
                 f"{1e3 * each:.0f} ms" if np.isfinite(each) else "-" for each in (found.rise_time, found.settling_time)
             )
             return f"{what}: rise {rise}, overshoot {100.0 * found.overshoot:.0f} %, settled after {settling}"
-        last = t >= t[-1] - _PERIODS * 2.0 * math.pi / self.frequency
-        waves = np.stack(
-            [np.sin(self.frequency * t[last]), np.cos(self.frequency * t[last]), np.ones(last.sum())], axis=-1
-        )
-        sine, cosine, _ = np.linalg.lstsq(waves, y[last], rcond=None)[0]
-        gain, phase = math.hypot(sine, cosine), math.degrees(math.atan2(cosine, sine))
-        return f"{what}, {self.frequency / (2.0 * math.pi):.3g} Hz: gain {gain:.3f}, phase {phase:.1f} deg"
+        frequency = self.frequency / (2.0 * math.pi)
+        last = t >= t[-1] - _PERIODS / frequency
+        ratio, _ = sine_response(t[last], np.sin(self.frequency * t[last]), y[last], frequency)
+        phase = math.degrees(cmath.phase(ratio))
+        return f"{what}, {frequency:.3g} Hz: gain {abs(ratio):.3f}, phase {phase:.1f} deg"
 
 
-# --- a record ---
+# --- what was done ---
 
 
-class Record:
-    """What was wanted and what came in the last `_MOST` seconds, and the pushes and changes meanwhile."""
+class Recorder:
+    """What was wanted and what came lately, and the pushes and changes meanwhile; `step` is the plant's [s]."""
 
-    def __init__(self) -> None:
-        self.rows: list[np.ndarray] = []
+    def __init__(self, step: float) -> None:
+        self.every = max(1, round(_EVERY / step))
+        self.rows = Rows(side_by_side(_COLUMNS), round(_RECORDED / (self.every * step)))
         self.pushes: list[dict[str, Any]] = []
         self.changes: list[tuple[float, Mapping[str, Any]]] = []
 
-    def add(self, time: float, reference: np.ndarray, pose: np.ndarray, angles: np.ndarray, torque: np.ndarray) -> None:
-        """A tick."""
-        self.rows.append(np.concatenate([[time], reference[:6], pose, angles, torque]))
-        if len(self.rows) > 1000 and self.rows[-1][0] - self.rows[0][0] > 1.1 * _MOST:
-            self.rows = [row for row in self.rows if row[0] >= time - _MOST]
+    def add(self, *values: Any) -> None:
+        """The `_COLUMNS` at every so many steps of the plant."""
+        self.rows.append(np.hstack(values))
 
     def save(self, folder: Path, scenario: Scenario) -> None:
         """log.csv, motion.csv, and a scenario.yaml that repeats reference, pushes, dead motors and frozen encoders.
@@ -283,21 +255,18 @@ class Record:
         """
         if not self.rows:
             raise ConfigurationError("save", "no row", "a loop that has run")
-        rows = np.array(self.rows)
-        begin, end = rows[[0, -1], 0].tolist()
-        rows[:, 0] -= begin
-        pose = [f"pose_{name}" for name in ("roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m")]
-        names = ["time_s", *(f"reference_{name[5:]}" for name in pose), *pose]
-        names += [f"crank_angle_{leg}_rad" for leg in range(6)] + [f"torque_{leg}_nm" for leg in range(6)]
+        signals = self.rows.columns()
+        begin, end = signals["time"][[0, -1]].tolist()
+        signals["time"] -= begin
         # The motion at a hundred rows a second: a spline goes through them.
-        every = max(1, round(0.01 / max(1e-6, float(np.median(np.diff(rows[:, 0]))))))
-        motion = _csv(["time_s", *pose], rows[::every, :7])
+        rows = np.column_stack([signals["time"], signals["reference"]])
+        rows = rows[:: max(1, round(0.01 / max(1e-6, float(np.median(np.diff(rows[:, 0]))))))]
         pushes = [
             {"kind": "step", "wrench": each["wrench"], "time": each["time"] - begin, "until": until - begin}
             for each in self.pushes
             if each["time"] >= begin and (until := min(each["until"], end)) > each["time"]
         ]
-        changed = scenario.replace({"duration": float(max(rows[-1, 0], 0.1)), "disturbances": pushes})
+        changed = scenario.replace({"duration": float(max(end - begin, 0.1)), "disturbances": pushes})
         data = changed.to_dict()
         data["reference"] = {"kind": "recorded", "motion_file": "motion.csv", "cutoff": None}
         began = {key: max(time - begin, 0.0) for time, change in self.changes for key in change}
@@ -305,19 +274,15 @@ class Record:
         for key, switched in (("motors.dead", [dead] if dead else []), ("sensors.faults", frozen)):
             for each in switched:
                 each["time"] = began.get(key, each["time"])
-        lines = [f"# At {time - begin:.2f} s: {dict(change)}" for time, change in self.changes if time >= begin]
-        text = "\n".join(
-            [
-                "# What was done by hand. Keys are as they were at the end:",
-                *lines,
-                to_yaml(data),
-            ]
-        )
+        lines = ["# What was done by hand. Keys are as they were at the end:"]
+        lines += [f"# At {time - begin:.2f} s: {dict(change)}" for time, change in self.changes if time >= begin]
+        files = {
+            "log.csv": SimulationLog(changed, signals).to_csv(),
+            "motion.csv": numbers_to_csv([("time", "s"), *POSE], rows).encode(),
+            "scenario.yaml": "\n".join([*lines, to_yaml(data)]).encode(),
+        }
         folder.mkdir(parents=True, exist_ok=True)
-        files = {"log.csv": _csv(names, rows), "motion.csv": motion, "scenario.yaml": text.encode()}
         write_together({folder / name: content for name, content in files.items()})
 
 
-def _csv(names: Sequence[str], rows: np.ndarray) -> bytes:
-    lines = [",".join(names), *(",".join(f"{value:.10g}" for value in row) for row in rows)]
-    return ("\n".join(lines) + "\n").encode()
+_COLUMNS = {"time": (), "reference": (6,), "pose": (6,), "torque_applied": (6,), "crank_angle": (6,)}

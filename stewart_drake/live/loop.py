@@ -13,15 +13,15 @@ from stewart_drake.base.errors import one_line
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.disturbances import total_wrench
-from stewart_drake.live.instrument import Probe, Record, Spring, TurningSpring
+from stewart_drake.live.instrument import Probe, Recorder, Spring, TurningSpring
 from stewart_drake.live.steering import GOVERNED, HandReference, Reached
 from stewart_drake.plant.plant_options import ANGLES
-from stewart_drake.runs.stepped_loop import SteppedLoop
 from stewart_drake.safety import Stillness
 from stewart_drake.scenario.scenario import Scenario
+from stewart_drake.scenario.stepped_loop import SteppedLoop
 
-RECORDED, PULLED = 0.001, 0.02
-"""[s] between two rows of the record; share of the largest force by which a pull is followed in it."""
+PULLED = 0.02
+"""Share of the largest force by which a pull is followed in what is recorded."""
 
 
 class LiveLoop:
@@ -43,14 +43,13 @@ class LiveLoop:
         self.ended, self._push, self._push_ends = "", np.zeros(6), -1
         self.spring: Spring | TurningSpring | None = None
         self.test: Probe | None = None
-        self.record = Record()
         self._pulled: dict[str, Any] | None = None
         self._step = on_grid(scenario.plant.time_step)
-        self._every = max(1, round(RECORDED / self._step))
+        self.record = Recorder(self._step)
         self._looks = max(1, round(GOVERNED / self._step))
         self._tick = max(1, round(scenario.controller.period / self._step))
         self.stillness = Stillness(scenario.belief.robot, self._tick * self._step)
-        self.reference = HandReference(scenario.reference, self._step)
+        self.reference = HandReference(scenario.reference)
         self._loop = self._loop_of(scenario)
         self._loop.begin()
 
@@ -99,11 +98,11 @@ class LiveLoop:
             runner = self._loop.runner
             self.stillness.look(runner.signal("reading" if "reading" in runner.places else "plant_pose"), self.wanted)
         self._loop.move()
-        self.reference.advance()
+        self.reference.advance(self.time)
         if self.test is not None:
             self.test.watch(self.time, self._loop.pose, float(self.reference.at(self.time)[self.test.axis]))
-        if self.steps % self._every == 0:
-            self.record.add(self.time, self.wanted, self._loop.pose, self._loop.measured[ANGLES], self._loop.torque)
+        if self.steps % self.record.every == 0:
+            self.record.add(self.time, self.wanted, self._loop.pose, self._loop.torque, self._loop.measured[ANGLES])
 
     @property
     def scenario(self) -> Scenario:
@@ -166,15 +165,15 @@ class LiveLoop:
         self._pulled = None if self.spring is None else self._note(wrench, math.inf)
 
     def _wanted(self, step: int, ahead: float = 0.0) -> np.ndarray:
-        """(18,) pose, rate and acceleration at a step of the plant, `ahead` steps from it."""
-        time = step * self._step
-        wanted = self.reference.at(time, ahead)
-        return wanted if self.test is None else wanted + self.test.added(time + ahead * self._step)
+        """(18,) pose, rate and acceleration at a step of the plant, or `ahead` [s] from it."""
+        time = step * self._step + ahead
+        wanted = self.reference.at(time)
+        return wanted if self.test is None else wanted + self.test.added(time)
 
     def _loop_of(self, scenario: Scenario) -> SteppedLoop:
         """The loop of a scenario, on the plant that there is where it would be the same."""
         plant = self._loop.plant if _plant_keys(scenario) == _plant_keys(self.scenario) else None
-        ahead = scenario.preview / self._step
+        ahead = scenario.preview
         pushes = scenario.disturbances
 
         def wrench(step: int) -> np.ndarray:

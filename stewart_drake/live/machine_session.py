@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError, one_line
-from stewart_drake.live.session import SLICE, PageSession, six_of
-from stewart_drake.live.steering import HandMotion, nearest_allowed
+from stewart_drake.live.session import SLICE, PageSession, drawn, six_of
+from stewart_drake.live.steering import HandReference, nearest_allowed
 from stewart_drake.logs.log import MAX_ROWS
 from stewart_drake.machines.machine import Machine
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.references.paced import RAMP, PacedMotion
 from stewart_drake.runs.drive import Drive, Start, as_logged
-from stewart_drake.runs.scene import link_poses
 from stewart_drake.scenario.scenario import Scenario
 
 BANDWIDTH = 3.0
@@ -35,10 +34,10 @@ class MachineSession(PageSession):
     def __init__(self, scenario: Scenario, machine: Machine, start: Start) -> None:
         super().__init__()
         self.scenario = as_logged(scenario)
-        self._hand = HandMotion(scenario.reference, BANDWIDTH)
+        self._hand = HandReference(scenario.reference, BANDWIDTH)
         self._motion = PacedMotion(self._hand, start.pose, start.motion.approach)
         own = start._replace(motion=self._motion, duration=min(MAX_ROWS * scenario.reading_period, 1e6))
-        self._drive, self._torques = Drive(scenario, machine, own, most=KEPT), machine.takes == "torque"
+        self._drive, self._motors = Drive(scenario, machine, own, most=KEPT), scenario.belief.motors
         self._pose, self._ended = start.pose, ""
         self._do = {"aim": self._aim, "move": self._move, "stop": lambda _: self._drive.stop()}
         self.row()  # Compiles.
@@ -46,7 +45,7 @@ class MachineSession(PageSession):
     @property
     def home(self) -> np.ndarray:
         """(6,) [rad, m] where the motion begins."""
-        return self._hand.reference.home
+        return self._hand.home
 
     def run(self) -> RunFailure | KeyboardInterrupt | None:
         """Until Ctrl-C, a stop on the page, or what ends a `Drive`; why."""
@@ -67,24 +66,24 @@ class MachineSession(PageSession):
         own = self._motion.own_time(now)
         self._hand.advance(own)
         if own > self.scenario.duration - RAMP:
-            self._hand.reference.share.target = np.zeros(1)
+            self._hand.share.target = np.zeros(1)
 
     def _show(self, over: threading.Event) -> None:
         while not over.wait(SLICE):
             try:
                 self.obey()
-                self._hand.reference.govern(self.scenario, self._motion.own_time(self._drive.time))
+                self._hand.govern(self.scenario, self._motion.own_time(self._drive.time))
                 self.publish(self.row())
             except Exception as error:  # Who has no picture can stop it still.
                 self.message = one_line(error)
 
     def _aim(self, command: Mapping[str, Any]) -> None:
-        reached = self._hand.reference.aim(self.scenario, six_of(command["pose"]))
+        reached = self._hand.aim(self.scenario, six_of(command["pose"]))
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
     def _move(self, command: Mapping[str, Any]) -> None:
-        on, reference, scenario = bool(command["on"]), self._hand.reference, self.scenario
+        on, reference, scenario = bool(command["on"]), self._hand, self.scenario
         if on and self._motion.own_time(self._drive.time) > scenario.duration - 2.0 * RAMP:
             raise ConfigurationError("motion", "on", f"off after the scenario's duration, {scenario.duration:g} s")
         if on:
@@ -96,14 +95,14 @@ class MachineSession(PageSession):
 
     def row(self) -> dict[str, Any]:
         """What the page shows of the latest tick."""
-        drive, robot, target = self._drive, self.scenario.robot, self._hand.reference.goal
+        drive, robot, target = self._drive, self.scenario.robot, self._hand.goal
         row = {
             "session": self.name,
             "obeyed": self._obeyed,
             "time": drive.time,
             "factor": 1.0,
             "paused": False,
-            "motion": bool(self._hand.reference.share.target[0]),
+            "motion": bool(self._hand.share.target[0]),
             "target": target.tolist(),
             "message": self.message or drive.odd_tick or "",
             "ended": self._ended,
@@ -115,18 +114,5 @@ class MachineSession(PageSession):
             wanted = inverse_kinematics(robot, tick.reference)
         except StewartDrakeError as error:
             return row | {"message": f"no picture: {one_line(error)}"}
-        off = self._pose - tick.reference
-        real, ghost = link_poses(
-            robot,
-            np.stack([self._pose, tick.reference]),
-            np.stack([tick.angles, wanted]),
-            np.stack([tick.reference] * 2),
-        )
-        return row | {
-            "pose": self._pose.tolist(),
-            "rotation_deg": float(np.degrees(np.linalg.norm(off[:3]))),
-            "position_m": float(np.linalg.norm(off[3:])),
-            "torque": tick.sent.tolist() if self._torques else None,
-            # The disc of the reference is the ghost's platform.
-            "links": np.concatenate([real, ghost[:-1]]).round(6).ravel().tolist(),
-        }
+        row |= drawn(robot, tick.reference, (self._pose, tick.angles), (tick.reference, wanted))
+        return row | {"torque": tick.sent if self._motors.by_torque else None}

@@ -15,8 +15,9 @@ import numpy as np
 
 from stewart_drake.base.atomic_files import plain_json
 from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, one_line
+from stewart_drake.base.real_time import Pace
+from stewart_drake.base.tables import COORDINATES
 from stewart_drake.live.instrument import (
-    AXES,
     Probe,
     Spring,
     TurningSpring,
@@ -29,15 +30,15 @@ from stewart_drake.live.instrument import (
 )
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.mechanics.kinematics import rotation_matrix
+from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.outputs import claimed_place
 from stewart_drake.runs.scene import link_poses
 from stewart_drake.safety import standstill_text
 from stewart_drake.scenario.scenario import Scenario
 
-SLICE = 0.02
-"""[s] of simulated time between two looks at the clock and at what the browser asks for."""
-LATEST = 0.5
-"""[s] behind the clock from which on the loop gives up catching up: the robot then runs slower than it should."""
+SLICE, LATEST = 0.02, 0.5
+"""[s] of simulated time between two looks at the clock and at what the browser asks for; [s] behind the clock from
+which on the loop gives up catching up: the robot then runs slower than it should."""
 CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
     "as in the scenario": {},
     "LQI, exact model": {
@@ -140,25 +141,19 @@ class LiveSession(PageSession):
 
     def run(self, until: float = np.inf) -> None:
         """Runs for some seconds of the clock [s]; by default until KeyboardInterrupt."""
-        loop, began = self.loop, time.monotonic()
+        loop, began, pace = self.loop, time.monotonic(), Pace(SLICE, LATEST)
         steps = max(1, round(SLICE / loop.scenario.plant.time_step))
-        due = time.monotonic()
-        window = (due, loop.time)
+        window = (began, loop.time)
         while time.monotonic() - began < until:
             self.obey()
             if not self.paused:
                 self._each(lambda loop: loop.advance(max(1, round(steps * self.speed))))
-            due += SLICE
-            late = time.monotonic() - due
-            if late > LATEST:
-                due = time.monotonic()
-            now = time.monotonic()
-            if now - window[0] >= 1.0:
+            pace.advance()
+            if (now := time.monotonic()) - window[0] >= 1.0:
                 self.factor = (loop.time - window[1]) / (now - window[0])
                 window = (now, loop.time)
             self.publish(self.row())
-            if (rest := due - time.monotonic()) > 0.0:
-                time.sleep(rest)
+            pace.wait()
 
     def _aim(self, command: Mapping[str, Any]) -> None:
         reached = self.loop.aim(six_of(command["pose"]))
@@ -221,13 +216,13 @@ class LiveSession(PageSession):
             self.ghost, self._ghosts = self.loop.beside({**self._own, **CONTROLLERS[name]}), name
 
     def _begin_test(self, command: Mapping[str, Any]) -> None:
-        axis, robot = AXES.index(command["axis"]), self.loop.scenario.robot
+        axis, robot = COORDINATES.index(command["axis"]), self.loop.scenario.robot
         size = 0.01 * (1.0 if axis < 3 else robot.characteristic_length)
         frequency = min(max(_number(command.get("frequency", 1.0)), 0.2), 20.0)
         kind = "step" if command["kind"] == "step" else "sine"
         self._each(lambda loop: setattr(loop, "test", Probe(kind, axis, size, frequency, loop.time)))
         at = f", {frequency:g} Hz" if kind == "sine" else ""
-        self._test = f"{kind} of {AXES[axis]}{at}: under way"
+        self._test = f"{kind} of {COORDINATES[axis]}{at}: under way"
 
     def _one_tick(self, _: Mapping[str, Any]) -> None:
         self.paused = True
@@ -268,38 +263,29 @@ class LiveSession(PageSession):
     def row(self) -> dict[str, Any]:
         """What the browser shows of this instant: robot, loop, and everything that a panel can set."""
         loop, scenario = self.loop, self.loop.scenario
-        pose, angles, wanted = loop.pose, loop.crank_angles, loop.wanted
-        links = None
-        if np.isfinite(pose).all() and np.isfinite(angles).all():
-            links = link_poses(scenario.robot, pose, angles, wanted).round(6).ravel().tolist()
-            if (ghost := self.ghost) is not None and np.isfinite(ghost.pose).all():
-                # Without its own reference, which is the same.
-                beside = link_poses(scenario.robot, ghost.pose, ghost.crank_angles, wanted)[:-1]
-                links += beside.round(6).ravel().tolist()
+        robots = [(each.pose, each.crank_angles) for each in (loop, self.ghost) if each is not None]
         pull = moment = None
         if isinstance(loop.spring, TurningSpring):
-            moment = loop.spring.moment(pose).tolist()
+            moment = loop.spring.moment(loop.pose)
         elif loop.spring is not None:
-            at, force = loop.spring.force(pose)
-            pull = {"at": at.tolist(), "place": loop.spring.place.tolist(), "force": float(np.linalg.norm(force))}
+            at, force = loop.spring.force(loop.pose)
+            pull = {"at": at, "place": loop.spring.place, "force": np.linalg.norm(force)}
         if loop.test is not None and loop.test.result:
             self._test = loop.test.result
             if self.ghost is not None and self.ghost.test is not None and self.ghost.test.result:
                 self._test += f"; pale, {self._ghosts}: {self.ghost.test.result.partition(': ')[2]}"
-        setting, safety = loop.logged("setting"), loop.logged("safety")
+        safety = loop.logged("safety")
         frozen = [fault.leg for fault in scenario.sensors.faults if fault.kind == "freeze"]
         return {
             "session": self.name,
             "obeyed": self._obeyed,
             "time": loop.time,
             "factor": 0.0 if self.paused else self.factor,
-            **_errors(pose, wanted),
-            "torque": loop.torque.tolist(),
-            "setting": None if setting is None else setting.tolist(),
+            **drawn(scenario.robot, loop.wanted, *robots),
+            "torque": loop.torque,
+            "setting": loop.logged("setting"),
             "safety": None if safety is None else int(safety[0]),
-            "target": loop.reference.goal.tolist(),
-            "pose": pose.tolist(),
-            "links": links,
+            "target": loop.reference.goal,
             "pushed": loop.pushed,
             "motion": bool(loop.reference.share.target[0]),
             "payload": scenario.plant.payload_mass,
@@ -318,6 +304,14 @@ class LiveSession(PageSession):
             "ended": loop.ended,
             "message": self.message if (still := loop.stillness.latest) is None else standstill_text(*still),
         }
+
+
+def drawn(robot: RobotParameters, wanted: np.ndarray, *robots: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
+    """Pose, errors and links of a robot, by its pose (6,) and crank angles (6,), and links of a second one, pale."""
+    links = [link_poses(robot, *each, wanted) if np.isfinite(each).all() else np.empty((0, 7)) for each in robots]
+    # The disc of the reference comes once.
+    flat = np.concatenate([links[0], *(each[:-1] for each in links[1:])]).round(6).ravel() if len(links[0]) else None
+    return {"pose": robots[0][0], **_errors(robots[0][0], wanted), "links": flat}
 
 
 def _errors(pose: np.ndarray, wanted: np.ndarray) -> dict[str, float]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.live.instrument import largest_force
+from stewart_drake.live.instrument import FORCE, largest
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.machine_session import MachineSession
 from stewart_drake.live.server import LiveServer
@@ -42,7 +42,7 @@ def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> di
         "home": home.tolist(),
         "room": _room(scenario, home).tolist(),
         "payload_most": max(float(f"{0.5 * robot.platform_mass:.1g}"), scenario.plant.payload_mass),
-        "force_most": largest_force(robot, scenario.gravity),
+        "force_most": largest(robot, scenario.gravity, FORCE),
         "encoders": scenario.sensors.reading == "angles",
         "may_fail": "dead" in scenario.motors.to_dict(),
         "controllers": list(CONTROLLERS),
@@ -54,16 +54,8 @@ def start_machine(
 ) -> tuple[MachineSession, LiveServer]:
     """The same for a connected machine, which the page steers."""
     session = MachineSession(scenario, machine, start)
-    about = {
-        "name": scenario.name,
-        "session": session.name,
-        "scene": robot_scene(session.scenario.robot, ghost=True),
-        "home": session.home.tolist(),
-        "room": _room(session.scenario, session.home).tolist(),
-        "machine": url,
-        "payload_most": 1.0,
-        "controllers": [],
-    }
+    about = about_robot(session.scenario, session.home, ghost=True)
+    about |= {"session": session.name, "machine": url, "controllers": []}
     return session, LiveServer(session, about, port)
 
 

@@ -33,33 +33,28 @@ class SmoothValue:
     """A value (n,) that follows a target through a filter with three equal poles; it never overshoots.
 
     Its rate is continuous and its acceleration too, so that a controller with feedforward can follow it. At first it
-    rests; `step` [s] is the time between two calls of `advance`, `bandwidth` [rad/s] that of the filter.
+    rests; `bandwidth` [rad/s] is that of the filter.
     """
 
-    def __init__(self, value: np.ndarray, step: float, bandwidth: float = BANDWIDTH) -> None:
-        w, self._step, self._bandwidth = bandwidth, step, bandwidth
+    def __init__(self, value: np.ndarray, bandwidth: float = BANDWIDTH) -> None:
+        w = self._bandwidth = bandwidth
         chain = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-(w**3), -3.0 * w**2, -3.0 * w]])
         # exp(t chain) is exp(-w t) times three terms: the cube of chain + w I is zero.
         rest = chain + w * np.eye(3)
         self._terms = np.stack([np.eye(3), rest, 0.5 * rest @ rest])
-        self._course = np.array([self.transition(each / (w * step)) for each in _COURSE])
+        self._course = np.array([self.transition(each / w) for each in _COURSE])
         self.target = np.array(value, dtype=float)
         self.state = np.zeros((3, len(self.target)))
         self.state[0] = self.target
 
-    def advance(self) -> None:
-        """One step."""
-        self.state = self.after(1)
-
-    def after(self, steps: float) -> np.ndarray:
-        """Value, rate and acceleration (3, n) after some steps, whole or not, if the target stays."""
+    def after(self, time: float) -> np.ndarray:
+        """Value, rate and acceleration (3, n) after a time [s], if the target stays."""
         rest = np.zeros_like(self.state)
         rest[0] = self.target
-        return rest + self.transition(steps) @ (self.state - rest)
+        return rest + self.transition(time) @ (self.state - rest)
 
-    def transition(self, steps: float) -> np.ndarray:
-        """(3, 3): what some steps make of the distance from the target and its rates."""
-        time = steps * self._step
+    def transition(self, time: float) -> np.ndarray:
+        """(3, 3): what a time [s] makes of the distance from the target and its rates."""
         ahead = np.tensordot([1.0, time, time**2], self._terms, 1)
         return np.asarray(np.exp(-self._bandwidth * time) * ahead)
 
@@ -71,16 +66,16 @@ class SmoothValue:
 
 
 class HandReference:
-    """The pose set by hand, with the motion of the scenario about it.
+    """The pose set by hand, with the motion of the scenario about it: a motion that goes on from its latest time.
 
     reference(t) = hand(t) + share(t) (motion(t) - motion(0)), hand and share each a `SmoothValue`.
     """
 
-    def __init__(self, motion: Reference, step: float, bandwidth: float = BANDWIDTH) -> None:
-        self._motion, self._step = motion, step
+    def __init__(self, motion: Reference, bandwidth: float = BANDWIDTH) -> None:
+        self._motion, self._now = motion, 0.0
         self.goal = self.home = motion.evaluate(0.0)[0]
         self._around: tuple[float, np.ndarray] | None = None
-        self.hand, self.share = (SmoothValue(value, step, bandwidth) for value in (self.home, np.ones(1)))
+        self.hand, self.share = (SmoothValue(value, bandwidth) for value in (self.home, np.ones(1)))
 
     def aim(self, scenario: Scenario, pose: np.ndarray) -> Reached:
         """Sends the hand to a pose (6,) [rad, m], or as far towards it as the robot can go."""
@@ -110,16 +105,24 @@ class HandReference:
                 hand.target = target.copy()
                 return
 
-    def advance(self) -> None:
-        """One step."""
-        self.hand.advance()
-        self.share.advance()
+    def advance(self, time: float) -> None:
+        """To a later time [s]."""
+        for each in (self.hand, self.share):
+            each.state = each.after(time - self._now)
+        self._now = time
 
-    def at(self, time: float, ahead: float = 0.0) -> np.ndarray:
-        """Pose, rate and acceleration (18,) at a time [s], `ahead` steps from now."""
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pose, rate and acceleration (..., 6) at times [s] near the latest one, if the targets stay."""
+        rows = np.array([self.at(each) for each in np.ravel(time)])
+        pose, rate, acceleration = np.moveaxis(rows.reshape(*np.shape(time), 3, 6), -2, 0)
+        return pose, rate, acceleration
+
+    def at(self, time: float) -> np.ndarray:
+        """The same in one, (18,), at one time [s]."""
+        ahead = time - self._now
         hand, share = (each.after(ahead) if ahead else each.state for each in (self.hand, self.share))
         s, rate, acceleration = share[:, 0]
-        pose, velocity, force = self._motion.evaluate(time + ahead * self._step)
+        pose, velocity, force = self._motion.evaluate(time)
         own = pose - self.home
         return np.concatenate(
             [
@@ -139,25 +142,6 @@ class HandReference:
             poses = poses[np.argsort(-np.linalg.norm(poses, axis=1), kind="stable")]
             self._around = duration, poses[np.unique(np.floor(poses), axis=0, return_index=True)[1]] * APART
         return self._around[1]
-
-
-class HandMotion:
-    """A `HandReference` as a motion, which goes on from its latest time; a hand on the page sets its targets."""
-
-    def __init__(self, motion: Reference, bandwidth: float) -> None:
-        self.reference, self._now = HandReference(motion, 1.0, bandwidth), 0.0
-
-    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pose, rate and acceleration (..., 6) at times [s] near the latest one, if the targets stay."""
-        rows = np.array([self.reference.at(self._now, each - self._now) for each in np.ravel(time)])
-        pose, rate, acceleration = np.moveaxis(rows.reshape(*np.shape(time), 3, 6), -2, 0)
-        return pose, rate, acceleration
-
-    def advance(self, time: float) -> None:
-        """Its latest time [s]."""
-        for each in (self.reference.hand, self.reference.share):
-            each.state = each.after(time - self._now)
-        self._now = time
 
 
 class Reached(NamedTuple):

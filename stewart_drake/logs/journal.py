@@ -14,11 +14,12 @@ from zlib import crc32
 
 import numpy as np
 
-from stewart_drake.base.atomic_files import check_file, plain_json, seal, unseal
+from stewart_drake.base.atomic_files import check_file, seal, unseal
 from stewart_drake.base.code import file_digests
 from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError
-from stewart_drake.logs.metrics import figures_of
-from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
+from stewart_drake.logs.metrics import assessed
+from stewart_drake.logs.outcomes import RunRows
+from stewart_drake.logs.rows import Rows, side_by_side
 from stewart_drake.logs.signals import signals_of
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.mechanics.kinematics import forward_kinematics
@@ -42,10 +43,9 @@ class Journal:
 
     def __init__(self, scenario: Scenario, path: Path | None = None, most: int | None = None) -> None:
         self._about = {"versions": collect_versions(), "files": file_digests(scenario.to_dict())}
-        self.scenario, self._path, self._most = scenario, path, most
+        self.scenario, self._path = scenario, path
         self._shapes: dict[str, tuple[int, ...]] = {}
-        # Arrays, which the garbage collector need not look into.
-        self._rows: list[np.ndarray] = []
+        self._rows = Rows({}, most)
         self._over, self._thread = threading.Event(), threading.Thread(target=self._write, daemon=True)
 
     def __len__(self) -> int:
@@ -53,11 +53,10 @@ class Journal:
 
     def append(self, row: Mapping[str, Any]) -> None:
         """Adds a row: `time` [s] first, then numbers or arrays of the names and shapes of the first row."""
-        self._rows.append(np.concatenate([np.ravel(value) for value in row.values()]).astype(float))
-        if self._most is not None and len(self._rows) > 2 * self._most:
-            del self._rows[: -self._most]
+        self._rows.append(np.concatenate([np.ravel(value) for value in row.values()]))
         if not self._shapes:
             self._shapes = {name: np.shape(value) for name, value in row.items()}
+            self._rows.places = side_by_side(self._shapes)
             if self._path is not None:
                 self._thread.start()
 
@@ -69,7 +68,7 @@ class Journal:
 
     def log_fields(self, ended_by: RunFailure | KeyboardInterrupt | None, **known: Any) -> dict[str, Any]:
         """The fields of a `SimulationLog` of the rows, see `fields_of`."""
-        return fields_of(self.scenario, _columns(self._rows, self._shapes), ended_by, **self._about, **known)
+        return fields_of(self.scenario, self._rows.columns(), ended_by, **self._about, **known)
 
     def _write(self) -> None:
         head = {"scenario": self.scenario.to_dict(), "shapes": self._shapes, **self._about}
@@ -80,9 +79,9 @@ class Journal:
             written, synced, over = 0, -np.inf, False
             while not over:
                 over = self._over.wait(WRITTEN_EVERY)
-                rows = self._rows[written:]
+                rows = self._rows.since(written)
+                stream.write(b"".join(_sealed(row, written + k) for k, row in enumerate(rows)))
                 written += len(rows)
-                stream.write(b"".join(_sealed(row, written - len(rows) + k) for k, row in enumerate(rows)))
                 stream.flush()
                 if over or time.monotonic() - synced > SYNCED_EVERY:
                     os.fsync(stream.fileno())
@@ -116,16 +115,8 @@ def cut_off(path: Path) -> dict[str, Any]:
         why = f"row {whole} of its file is damaged, and {good[whole:].sum()} good ones behind it are left out"
     failure = RunFailure(f"the run was cut off after {end:.1f} s: {why}", reason="cut_off")
     scenario = Scenario.from_dict(about.pop("scenario"))
-    return fields_of(scenario, _columns(rows[:whole, :-1], shapes), failure, wall_time=end, **about)
-
-
-def _columns(rows: Any, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
-    """The rows (n, k) by name, (n, ...) each."""
-    if not len(rows):
-        return {}
-    ends = np.cumsum([int(np.prod(shape)) for shape in shapes.values()])
-    parts = np.split(np.asarray(rows), ends[:-1], axis=1)
-    return {name: part.reshape(-1, *shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
+    columns = {name: rows[:whole, place] for name, place in side_by_side(shapes).items()}
+    return fields_of(scenario, columns, failure, wall_time=end, **about)
 
 
 def fields_of(
@@ -139,19 +130,15 @@ def fields_of(
     with np.errstate(all="ignore"):
         rows = RunRows(scenario, _signals(scenario, dict(columns)) if columns else {})
         end = float(rows.time[-1]) if len(rows.time) else 0.0
-        outcome = assess(rows, safety, end, ended_by)
-        told = {
-            "figures": figures_of(rows),
-            "warnings": tuple(plain_json(each) for each in find_warnings(outcome.status, rows, safety)),
-        }
-    more = {"end_time": end, "safety": safety, **outcome._asdict(), **told, **known}
-    return {"scenario": scenario, "signals": rows.signals, **more}
+        told = assessed(rows, safety, end, ended_by)
+    return {"scenario": scenario, "signals": rows.signals, **told, **known}
 
 
 def _signals(scenario: Scenario, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """As of a run: the pose is that which the machine tells, or else that of the angles that it reads or is told."""
     angles, poses, sent = values["reading"], values.pop("told_pose"), values.pop("sent")
-    if scenario.belief.motors.takes == "angle" and not np.isfinite(angles).any():
+    motors = scenario.belief.motors
+    if motors.holds and not np.isfinite(angles).any():
         angles = sent
     of_angles, guess = [], values["reference"][0, :6]
     for row in angles:
@@ -163,7 +150,7 @@ def _signals(scenario: Scenario, values: dict[str, np.ndarray]) -> dict[str, np.
     pose = poses if told else np.array(of_angles)
     rate = np.gradient(pose, values["time"], axis=0) if len(pose) > 1 else np.zeros_like(pose)
     values |= {"measured": np.concatenate([pose, rate], axis=1), "loop_gap": np.zeros((len(pose), 6))}
-    if scenario.belief.motors.takes == "torque":
+    if motors.by_torque:
         values["torque_applied"] = sent
     if told and "measurement" not in values:
         values["measured_pose"] = np.array(of_angles)

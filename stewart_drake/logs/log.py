@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import html
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +13,10 @@ import numpy as np
 
 from stewart_drake.base import tables
 from stewart_drake.base.atomic_files import write_atomically
-from stewart_drake.base.config import did_you_mean
 from stewart_drake.base.errors import ConfigurationError, installed_with
 from stewart_drake.base.keys import join_or
 from stewart_drake.logs.journal import JOURNAL, cut_off
-from stewart_drake.logs.outcomes import Status, describe_outcome, is_measured, second_half
+from stewart_drake.logs.outcomes import MissingSignal, RunRows, Status, describe_outcome, is_measured
 from stewart_drake.logs.signals import SCALES, SIGNALS
 from stewart_drake.scenario.scenario import Scenario
 
@@ -93,12 +92,9 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return len(self.signals)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        try:
-            return self.signals[name]
-        except KeyError:
-            raise KeyError(
-                f"{name}{did_you_mean(name, self.signals)}; this log has {', '.join(self.signals)}"
-            ) from None
+        if name not in self.signals:
+            raise MissingSignal(name, self.signals)
+        return self.signals[name]
 
     @property
     def reached_end(self) -> bool:
@@ -111,6 +107,11 @@ class SimulationLog(Mapping[str, np.ndarray]):
         told = {"learnt", "learnt_half_width"} <= self.signals.keys()
         return told and not getattr(self.scenario.adaptation, "frozen", False)
 
+    @cached_property
+    def rows(self) -> RunRows:
+        """What metrics and outcome are computed from, of the rows of this log."""
+        return RunRows(self.scenario, self.signals)
+
     @property
     def time(self) -> np.ndarray:
         """(n,) [s] of each row."""
@@ -119,7 +120,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
     @property
     def error(self) -> np.ndarray:
         """(n, 6) [rad, m] true pose minus reference at every row; not a number where nothing was measured."""
-        error = self["pose"] - self["reference"]
+        error = self.rows.error
         return error if is_measured(self.signals) else np.full_like(error, np.nan)
 
     @property
@@ -131,7 +132,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
     @property
     def second_half(self) -> np.ndarray:
         """(n,) whether a row is in the second half of the planned duration."""
-        return second_half(self.time, self.scenario.duration)
+        return self.rows.second_half
 
     def outcome(self) -> dict[str, Any]:
         """What the log says besides its signals, in values that JSON has."""
@@ -168,15 +169,6 @@ class SimulationLog(Mapping[str, np.ndarray]):
             f"  warnings: {', '.join(warning['name'] for warning in self.warnings) or 'none'}",
         ]
         return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        """For a notebook: how it ended, its figures and the error over time."""
-        lines = [html.escape(line.strip()) for line in repr(self).splitlines()]
-        plots = ""
-        if len(self.time) > 1 and "reference" in self:
-            for size, unit in zip(self.error_norms, ("deg", "mm"), strict=True):
-                plots += _sparkline(self.time, size, unit)
-        return f"<div><b>{lines[0]}</b><br>{plots}<br>{'<br>'.join(lines[1:])}</div>"
 
     def to_pandas(self) -> Any:
         """The signals as a pandas.DataFrame, a column per component."""
@@ -215,21 +207,6 @@ class SimulationLog(Mapping[str, np.ndarray]):
         if ending not in formats:
             raise ConfigurationError("log file", str(path), f"a name that ends in {join_or(list(formats))}")
         write_atomically(Path(path), formats[ending]())
-
-
-def _sparkline(time: np.ndarray, values: np.ndarray, unit: str) -> str:
-    """A small plot as SVG, which needs no plotting library."""
-    width, height, rows = 300, 60, np.linspace(0, len(time) - 1, 300).astype(int)
-    finite = values[np.isfinite(values)]
-    top = float(finite.max(initial=0.0)) or 1.0
-    shown = [row for row in rows if np.isfinite(values[row])]
-    span = float(time[-1] - time[0]) or 1.0
-    points = (f"{width * (time[k] - time[0]) / span:.1f},{height * (1.0 - values[k] / top):.1f}" for k in shown)
-    return (
-        f'<svg width="{width + 8}" height="{height + 22}" font-size="11" font-family="sans-serif">'
-        f'<polyline fill="none" stroke="#0072b2" points="{" ".join(points)}" transform="translate(4 18)"/>'
-        f'<text x="4" y="12">error [{unit}], at most {top:.3g}, to {time[-1]:.3g} s</text></svg>'
-    )
 
 
 _OUTCOME = tuple(each.name for each in fields(SimulationLog) if each.name not in ("scenario", "signals", "state_names"))

@@ -82,7 +82,8 @@ def _topics(log: SimulationLog) -> Iterator[_Topic]:
     angles = log.signals.get("crank_angle", log.signals.get("reading"))
     if angles is not None and is_measured(log.signals):
         yield "/joint_states", "foxglove.JointStates", joints, _joints(stamps, log, angles)
-    yield "/scene", "foxglove.SceneUpdate", {"entities": {"type": "array", "items": _OBJECT}}, _scene(stamps, log)
+    if "pose" in log:
+        yield "/scene", "foxglove.SceneUpdate", {"entities": {"type": "array", "items": _OBJECT}}, _scene(stamps, log)
 
 
 def _numbers(columns: tuple[str, ...], values: np.ndarray) -> Iterator[tuple[int, dict[str, Any]]]:

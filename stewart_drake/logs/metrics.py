@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from stewart_drake.base.atomic_files import NOT_FINITE, plain_json
-from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, raised_at
+from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError, raised_at
 from stewart_drake.base.families import UserMade
 from stewart_drake.base.tables import AXES
 from stewart_drake.control.features import CostScales, cost
 from stewart_drake.hardware.motors import within_limit
-from stewart_drake.logs.outcomes import RunRows, is_measured
+from stewart_drake.logs.outcomes import MissingSignal, RunRows, assess, find_warnings, is_measured
 from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Metric:
         unit: Of its numbers, separated by commas where they differ.
         text: What it measures; `over` adds the part of the run.
         of: Computes it from the rows of a run, see `outcomes.RunRows`; called only where there are such rows.
-        over: The rows that it uses; without any it is None.
+        over: The rows that it uses; without any, or without a signal that it asks for, it is None.
         parts: Columns of a metric that is a list, one for each of its numbers.
         label: In tables that are read; empty for those that are not shown there.
         form: How its numbers are shown.
@@ -80,6 +80,8 @@ class Metric:
             return None
         try:
             value = self.of(rows)
+        except MissingSignal:
+            return None
         except Exception as error:
             raise MetricError(f"metric {self.name}: {type(error).__name__}: {error}{raised_at(error)}") from error
         value = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
@@ -154,10 +156,10 @@ def _peak_speed(rows: RunRows) -> float | None:
 
 def _torque_change(rows: RunRows) -> float | None:
     """[N m] RMS of the torque asked for, or that servos give, tick to tick of the second half; None without such."""
-    asked = "torque" if rows.scenario.motors.takes == "torque" else "torque_applied"
-    if asked not in rows.signals:
+    asked = rows.scenario.motors.torque_of(rows.signals)
+    if asked is None:
         return None
-    torque = within_limit(rows[asked][rows.second_half_tick], rows.scenario.robot.effort_limits)
+    torque = within_limit(asked[rows.second_half_tick], rows.scenario.robot.effort_limits)
     change = np.diff(torque, axis=0)[np.diff(rows.tick_number[rows.second_half_tick]) == 1]
     return _rms(change) if change.size else None
 
@@ -169,21 +171,14 @@ def _integral(rows: RunRows) -> np.ndarray | None:
     return rows["integral"][np.flatnonzero(rows.tick & (rows.time <= INTEGRAL_TIME + 1e-9))[-1]]
 
 
-def _of_weights(function: Callable[[np.ndarray], float]) -> Callable[[RunRows], float | None]:
-    """A function of the two weights (n, 2) at the ticks; None where a run has none."""
-    return lambda rows: float(function(rows["weights"][rows.tick])) if "weights" in rows.signals else None
+def _of_weights(function: Callable[[np.ndarray], float]) -> Callable[[RunRows], float]:
+    """A function of the two weights (n, 2) at the ticks."""
+    return lambda rows: float(function(rows["weights"][rows.tick]))
 
 
-def _of_torque(function: Callable[[np.ndarray], float], rows: str = "") -> Callable[[RunRows], float | None]:
-    """A function of the motors' torques (n, 6), in a mask of rows; None where a machine does not tell them."""
-
-    def of(table: RunRows) -> float | None:
-        if "torque_applied" not in table.signals:
-            return None
-        torque = table["torque_applied"]
-        return float(function(torque[getattr(table, rows)] if rows else torque))
-
-    return of
+def _of_torque(function: Callable[[np.ndarray], float], rows: str = "") -> Callable[[RunRows], float]:
+    """A function of the motors' torques (n, 6), in a mask of rows; a machine may not tell them."""
+    return lambda table: float(function(table["torque_applied"][getattr(table, rows) if rows else slice(None)]))
 
 
 def _rms(values: np.ndarray) -> float:
@@ -254,7 +249,7 @@ METRICS: tuple[Metric, ...] = (
     Metric(
         "saturated_fraction", "1",
         "share of torques at their limit, over ticks and motors; none while the safety layer is in charge",
-        lambda t: int(t.at_limit.sum()) / (6 * t.ticks), "ticks", label="share of torques at the limit", form=".2%",
+        lambda t: t.saturated_share, "ticks", label="share of torques at the limit", form=".2%",
     ),
     Metric(
         "beyond_limits", "1", "share of the run in which the platform's motion was beyond one of the scenario's limits",
@@ -360,6 +355,15 @@ def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:
     return {**row, NOT_FINITE: {named.get(name, name): what for name, what in metrics[NOT_FINITE].items()}}
 
 
+def assessed(
+    rows: RunRows, trip: Mapping[str, Any] | None, end_time: float, ended_by: RunFailure | KeyboardInterrupt | None
+) -> dict[str, Any]:
+    """Outcome, warnings and metrics of a run, as fields of a `SimulationLog`; see `assess`."""
+    outcome, told = assess(rows, trip, end_time, ended_by), {"end_time": end_time, "safety": trip}
+    warnings = tuple(plain_json(each) for each in find_warnings(outcome.status, rows, trip))
+    return {**outcome._asdict(), **told, "warnings": warnings, "figures": figures_of(rows)}
+
+
 def figures_of(rows: RunRows) -> dict[str, Any]:
     """Every metric of a run by name, in values that JSON has; None of what was not measured, or not finite."""
     if rows.steps and not is_measured(rows.signals):
@@ -379,7 +383,7 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
         infinite, and are None; real_time_factor; git_revision; versions; files: sha256 of each file that the scenario
         names.
     """
-    figures = figures_of(RunRows(log.scenario, log.signals)) if log.figures is None else log.figures
+    figures = figures_of(log.rows) if log.figures is None else log.figures
     outcome = log.outcome()
     wall, versions, files, _ = (outcome.pop(name) for name in ("wall_time", "versions", "files", "figures"))
     return {

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.errors import RunFailure, SafetyStop, StewartDrakeError
+from stewart_drake.base.config import did_you_mean
+from stewart_drake.base.errors import ConfigurationError, RunFailure, SafetyStop, StewartDrakeError
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.mechanics.kinematics import inverse_kinematics, rotation_angle, rotation_matrix
 from stewart_drake.safety import MONITORS, RAMP, first_standstill, standstill_text
@@ -58,16 +59,20 @@ def pose_distance(pose: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.n
     return rotation_angle(relative), np.linalg.norm(pose[:, 3:] - other[:, 3:], axis=1)
 
 
-def second_half(time: np.ndarray, duration: float) -> np.ndarray:
-    """(n,) whether times (n,) [s] are in the second half of a planned duration [s]."""
-    return time >= 0.5 * duration - 1e-9
-
-
 def is_measured(signals: Mapping[str, np.ndarray]) -> bool:
     """Whether the pose of a log was measured or simulated: it is that of commands where a machine tells nothing."""
     if "crank_angle" in signals or "measured_pose" in signals or "reading" not in signals:
         return True
     return bool(np.isfinite(signals["reading"]).any())
+
+
+class MissingSignal(ConfigurationError, KeyError):
+    """A log, such as one from a CSV file, has no signal of this name."""
+
+    def __init__(self, name: str, signals: Iterable[str]) -> None:
+        super().__init__("log", ", ".join(signals), f"one with the signal {name}{did_you_mean(name, signals)}")
+
+    __str__ = Exception.__str__
 
 
 class RunRows:
@@ -86,17 +91,23 @@ class RunRows:
         if not np.allclose(self.time, step * scenario.plant.time_step, rtol=0.0, atol=1e-6):
             # On a machine each row is a tick, of the length that it has there.
             self.tick, self.tick_number = np.ones(len(self.time), bool), np.arange(len(self.time))
-        self.second_half = second_half(self.time, scenario.duration)
+        self.second_half = self.time >= 0.5 * scenario.duration - 1e-9
         self.second_half_tick = self.second_half & self.tick
         self.steps, self.ticks = len(self.time), int(self.tick.sum())
         self.second_half_steps, self.second_half_ticks = int(self.second_half.sum()), int(self.second_half_tick.sum())
         self._level = signals["safety"][:, 0] if "safety" in signals else np.zeros(len(self.time))
         self.in_charge = self._level < RAMP
-        self.error = signals["pose"] - signals["reference"] if len(self.time) else np.empty((0, 6))
         self._scale = np.array([scenario.robot.characteristic_length] * 3 + [1.0] * 3)
 
     def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self.signals:
+            raise MissingSignal(name, self.signals)
         return self.signals[name]
+
+    @cached_property
+    def error(self) -> np.ndarray:
+        """(n, 6) [rad, m] of every row."""
+        return self["pose"] - self["reference"] if self.steps else np.empty((0, 6))
 
     @property
     def second_half_rms(self) -> np.ndarray:
@@ -142,15 +153,18 @@ class RunRows:
     @cached_property
     def at_limit(self) -> np.ndarray:
         """(n, 6) whether a torque is at its limit, at ticks at which the controller was in charge."""
-        limit = self.scenario.robot.effort_limits
-        if self.scenario.motors.takes != "torque":
-            # Their own loop asks for it, and a machine may not tell.
-            given = self.signals.get("torque_applied", np.zeros((len(self.time), 6)))
-            return (np.abs(given) >= limit) & (self.tick & self.in_charge)[:, None]
-        size = np.abs(self["torque"])
+        limit, asked = self.scenario.robot.effort_limits, self.scenario.motors.torque_of(self.signals)
+        if asked is None:
+            return np.zeros((self.steps, 6), bool)
         # A controller that limits the torque itself asks for the limit and no more.
-        full = size > limit if self.scenario.controller.asks_for_more else size >= limit
+        more = asked is self.signals.get("torque") and self.scenario.controller.asks_for_more
+        full = np.abs(asked) > limit if more else np.abs(asked) >= limit
         return full & (self.tick & self.in_charge)[:, None]
+
+    @property
+    def saturated_share(self) -> float:
+        """Of the torques at ticks."""
+        return int(self.at_limit.sum()) / (6 * self.ticks)
 
     @cached_property
     def motion_sizes(self) -> tuple[float, float]:
@@ -363,7 +377,7 @@ def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None)
         text = f"{trip['monitor']}, {trip['worst']}"
         events.append(("safety_intervention", trip["time"], rows.interventions()[0], text))
     if rows.steps:
-        share = int(rows.at_limit.sum()) / (6 * rows.ticks)
+        share = rows.saturated_share
         if share > MUCH_SATURATION:
             when = rows.time[int(rows.at_limit.any(axis=1).argmax())]
             events.append(("saturation", when, share, f"{share:.1%} of the torques are at their limit"))

@@ -167,19 +167,13 @@ def check_takes(scenario: Scenario, takes: str, who: str) -> None:
     """Raises a ConfigurationError where the motors that the controller believes in take something else."""
     motors = scenario.belief.motors
     if motors.takes != takes:
-        raise ConfigurationError("motors.kind", motors.kind, f"motors that take {takes}, as {who} does")
+        raise ConfigurationError("model.motors", motors.kind, f"motors that take {takes}, as {who} does")
 
 
 def command_limits(scenario: Scenario) -> np.ndarray:
-    """(2, 6) lowest and highest commands in the motors' unit; for angles the stops, without stops a turn both ways.
-
-    Angles are the machine's own, see `Homed`.
-    """
-    robot, motors = scenario.belief.robot, scenario.belief.motors
-    if motors.takes == "angle":
-        return np.clip(robot.crank_angle_ranges, -2.0 * np.pi, 2.0 * np.pi).T - np.array(scenario.belief.home)
-    most = robot.effort_limits / (getattr(motors, "torque_constant", 1.0) if motors.takes == "current" else 1.0)
-    return np.stack([-most, most])
+    """(2, 6) lowest and highest commands in the motors' unit; angles are the machine's own, see `Homed`."""
+    belief = scenario.belief
+    return belief.motors.command_limits(belief.robot) - belief.motors.holds * np.array(belief.home)
 
 
 def within_limits(values: np.ndarray, limits: np.ndarray, name: str) -> np.ndarray:

@@ -27,18 +27,15 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.base.errors import StewartDrakeError
-from stewart_drake.base.real_time import real_time
+from stewart_drake.base.real_time import Pace, real_time
 from stewart_drake.base.sampling import steps_per
-from stewart_drake.control.friction_compensation import standing_torque
-from stewart_drake.hardware.disturbances import total_wrench
-from stewart_drake.hardware.motors import delay_part
-from stewart_drake.loop.part import LoopRunner
 from stewart_drake.machines import packet as wire
 from stewart_drake.machines.machine import LOCALHOST, MachineError, command_limits
 from stewart_drake.machines.udp import UdpMachine
-from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES, POSE, RATE
-from stewart_drake.scenario.assembly import context_of, sensor_parts
+from stewart_drake.plant.plant_options import ANGLES
+from stewart_drake.scenario.assembly import machine_side
 from stewart_drake.scenario.scenario import Scenario, load_driven
+from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 STARTS_WITHIN = 300.0  # [s] for a process to compile what it needs, the first time.
 HOLD_TICKS = 20  # Without an active command after which the robot holds: no fast loop is stable for 0.1 s without one.
@@ -97,53 +94,44 @@ class SimulatedMachine(UdpMachine):
 
 
 class SimulatedRobot:
-    """Plant, motors and sensors of a scenario, with their delays; at home, at rest."""
+    """A scenario's machine, at home, at rest; its angles are those of its own zero.
+
+    Attributes:
+        command: (6,) for the motors, from the next step of the plant on.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
-        robot, self.step = scenario.robot, scenario.plant.time_step
-        self.period, self.steps = scenario.reading_period, steps_per("period", scenario.reading_period, self.step)
-        home, rest, torque = robot.home_pose, np.zeros(6), standing_torque(robot, robot.home_pose, scenario.gravity)
-        context = context_of(scenario, True)._replace(pose=home, pose_rate=rest, initial_torque=torque)
-        first = scenario.belief.motors.initial_command(context)
-        late = round((scenario.command_delay * scenario.controller.period + scenario.motors.dead_time) / self.step)
-        delay = delay_part(late, first)._replace(period=self.step).connected(value="command").named(value="arrived")
-        motors = scenario.motors.part(robot, self.step).connected(command="arrived" if late else "command")
-        way = [delay, motors] if late else [motors]
-        inside = {"plant_pose": slice(POSE.start, RATE.stop), "crank_state": slice(ANGLES.start, CRANK_RATES.stop)}
-        # Sensors look at the beginning of a tick, when the command of its first step has not come yet.
-        self._sensors, self._motors = (
-            LoopRunner(parts, {"measured": 24, "command": 6}, inside, self.period, self.step)
-            for parts in (sensor_parts(scenario), way)
-        )
-        self._plant, self._measured = scenario.plant.make(robot, scenario.gravity), self._motors.signal("measured")
-        self.command, self._torque = self._motors.signal("command"), self._motors.signal("torque")
-        self._reads_angles = scenario.sensors.reading == "angles"
-        self._home, self._takes_angles = np.array(scenario.belief.home), scenario.motors.takes == "angle"
-        self._measured[:] = self._plant.initial(home, rest)
-        self.command[:], self.now, self._pushes = first, 0, scenario.disturbances
+        home = {"kind": "hold", "pose": scenario.robot.home_pose.tolist()}
+        scenario = scenario.replace({"reference": home, "initial_offset": [0.0] * 6})
+        self._loop = loop = SteppedLoop(scenario, parts=machine_side(scenario))
+        self.step, self.period = scenario.plant.time_step, scenario.reading_period
+        self.steps, self.command = steps_per("period", self.period, self.step), loop.runner.signal("command")
+        reads_angles = scenario.sensors.reading == "angles"
+        self._angles = loop.runner.signal("reading") if reads_angles else loop.measured[ANGLES]
+        self._home, self._takes_angles = np.array(scenario.belief.home), scenario.motors.holds
+        loop.begin()
+        loop.run_parts()
+
+    @property
+    def now(self) -> int:
+        """Steps of the plant that are done."""
+        return self._loop.now
 
     def reading(self) -> np.ndarray:
-        """(6,) [rad] what the sensors say now, with the machine's own zero; once in a tick."""
-        self._sensors.signal("measured")[:] = self._measured
-        self._sensors.time[0] = self.now * self.step
-        self._sensors.run(self.now)
-        angles = self._sensors.signal("reading") if self._reads_angles else self._measured[ANGLES]
-        return angles - self._home
+        """(6,) [rad] what the sensors say now."""
+        return self._angles - self._home
 
     def follow(self, values: np.ndarray) -> None:
-        """Takes commands (6,), angles with the machine's own zero."""
+        """Takes commands (6,)."""
         self.command[:] = values + self._home if self._takes_angles else values
 
     def advance(self, braked: bool) -> None:
         """One step of the plant; with closed brakes the robot stands."""
-        self._motors.time[0] = self.now * self.step
-        self._motors.run(self.now)
+        loop, pose = self._loop, self._loop.pose.copy()
+        loop.move()
         if braked:
-            self._measured[:] = self._plant.initial(self._measured[POSE].copy(), np.zeros(6))
-        else:
-            wrench = total_wrench(self._pushes, self.now * self.step) if self._pushes else np.zeros(6)
-            self._measured[:] = self._plant.step(self._torque, wrench)
-        self.now += 1
+            loop.measured[:] = loop.plant.initial(pose, np.zeros(6))
+        loop.run_parts()
 
 
 class RobotSide:
@@ -201,17 +189,15 @@ class RobotSide:
 def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
     """Simulates a scenario behind a socket, for ever; says its port once everything is compiled."""
     # What is compiled in the first call must not come in the first tick.
-    compiled = SimulatedRobot(scenario)
-    compiled.reading()
-    compiled.advance(False)
-    robot, brakes = SimulatedRobot(scenario), side.takes != "angle"
+    SimulatedRobot(scenario).advance(False)
+    robot, brakes = SimulatedRobot(scenario), not scenario.motors.holds
     with real_time():
         print(line.getsockname()[1], flush=True)
         line.setblocking(False)
-        begun = time.monotonic()
+        pace = Pace(robot.period, LATEST)
         while True:
             # A step is simulated when it is over, with the commands that have come until then.
-            due = begun + robot.now * robot.step
+            due = pace.due
             if packet := side.reading(robot.reading(), robot.now * robot.step, time.monotonic()):
                 with suppress(OSError):
                     line.sendto(packet, side.peer)
@@ -229,8 +215,7 @@ def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
                 while arrived and arrived[0][0] < due + (k + 1) * robot.step:
                     robot.follow(arrived.popleft()[1])
                 robot.advance(brakes and side.holds(due + k * robot.step))
-            if time.monotonic() - (begun + robot.now * robot.step) > LATEST:
-                begun = time.monotonic() - robot.now * robot.step
+            pace.advance()
 
 
 def main() -> None:

@@ -152,8 +152,8 @@ def plot_torques(log: SimulationLog) -> Figure:
         curves, colors = {SIGNALS["torque_applied"].title: applied[:, leg]}, [look.BLUE]
         if np.any(commanded[:, leg] != applied[:, leg]):
             # Servos are told an angle, of which this torque is a part.
-            commands = log.scenario.motors.takes == "torque"
-            label = SIGNALS["torque"].title if commands else "torque that the model asks for"
+            own = log.scenario.motors.torque_of(log.signals) is commanded
+            label = SIGNALS["torque"].title if own else "torque that the model asks for"
             curves, colors = {label: commanded[:, leg], **curves}, [look.ORANGE, *colors]
         _draw(axis, log, _Panel(f"Motor {leg}", "" if leg % 2 else "torque [N m]", curves, colors, 0.02, held=True))
         axis.axhline(0.0, color=look.GREY, linewidth=0.8, zorder=1.0)

@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
+from stewart_drake.base import tables
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.logs.signals import DISPLAY_UNITS
 
@@ -28,7 +29,7 @@ BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW = "#0072B2", "#D55E00", "#009E73", "#CC
 COLORS = (BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW)
 GREY, TEXT = "#8C8C8C", "#222222"
 
-COORDINATES = tuple((name, DISPLAY_UNITS[axis]) for axis, name in enumerate(("roll", "pitch", "yaw", "X", "Y", "Z")))
+COORDINATES = tuple(zip(tables.COORDINATES, DISPLAY_UNITS, strict=True))
 """Names and units in figures; `SCALES` brings a pose to them."""
 
 _STYLE: Any = ["default", Path(__file__).with_name("figure.mplstyle")]

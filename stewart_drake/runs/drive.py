@@ -12,11 +12,11 @@ import numpy as np
 
 from stewart_drake.analysis.feasibility import check_reference
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError, RunFailure, StewartDrakeError
-from stewart_drake.base.real_time import real_time
+from stewart_drake.base.real_time import Pace, real_time
 from stewart_drake.control.user_controller import failure_of
 from stewart_drake.logs.journal import Journal
 from stewart_drake.logs.log import MAX_ROWS, SimulationLog
-from stewart_drake.machines.machine import Machine, Reading
+from stewart_drake.machines.machine import Machine, Reading, check_takes
 from stewart_drake.machines.tick_clock import TickClock
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.references.paced import RAMP, PacedMotion
@@ -27,15 +27,14 @@ from stewart_drake.scenario.scenario import Scenario
 
 APPROACH_SPEED = 0.5
 """[rad/s] of the fastest crank on the way to the motion."""
-STALE = {"angle": 0.5, "torque": 0.1, "current": 0.1}
-"""[s] age of a reading from which on the robot slows down and stops, by what motors take; angles they hold alone."""
+STALE, STALE_HELD = 0.1, 0.5
+"""[s] age of a reading from which on the robot slows down and stops, and with motors that hold their angles alone."""
 WAITS = 0.1
 """[s] without a tick from which on the motion waits, and goes on from where it was."""
 AT_STOP = 0.02
 """[rad] beyond a stop that may be read of a crank that rests on it."""
-CLOCKS_APART = {"angle": (0.6, 3.0), "torque": (0.95, 1.05), "current": (0.95, 1.05)}
-"""Of the controller's period, what the tick of a machine that sets the pace may be, by what motors take; it is the
-period then."""
+CLOCKS_APART, CLOCKS_APART_HELD = (0.95, 1.05), (0.6, 3.0)
+"""Of the controller's period, what the tick of a machine that sets the pace may be, likewise; it is the period then."""
 SAME_TICK = 1e-3  # Share of the period by which a tick may differ that counts as that.
 _FRESH = 10  # Readings at most until the first that is used.
 SHORTEST = 0.1  # [s] of a motion.
@@ -77,15 +76,13 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
     seconds = scenario.duration if seconds is None else seconds
     if not SHORTEST <= seconds <= longest:
         raise ConfigurationError("--for", seconds, f"from {SHORTEST} to {longest:g} s of the motion, {MAX_ROWS} ticks")
-    if machine.takes != motors.takes:
-        allowed = f"motors that take {machine.takes}, as the machine does"
-        raise ConfigurationError("model.motors", motors.kind, allowed)
+    check_takes(scenario, machine.takes, "the machine")
     machine.connect()
     adaptation = scenario.adaptation
     if adaptation is not None and not machine.reads and not getattr(adaptation, "frozen", False):
         raise ConfigurationError("adaptation", adaptation.kind, "null: this machine does not tell its angles")
     period, own = scenario.reading_period, machine.period
-    shortest, most = CLOCKS_APART[machine.takes]
+    shortest, most = CLOCKS_APART_HELD if motors.holds else CLOCKS_APART
     if machine.paced and own is not None and not shortest * period < own < most * period:
         allowed = f"about {own:.4g} s, that of the machine, which sets the pace"
         raise ConfigurationError("controller.period", period, allowed)
@@ -193,7 +190,8 @@ class Drive:
     ) -> None:
         self._machine, self._motion, self._driven = machine, start.motion, scenario
         self._robot, self._following = scenario.belief.robot, scenario.bounds.crank_angle or np.inf
-        self._ahead, self._command, self._stale = scenario.preview, np.empty(6), STALE[machine.takes]
+        self._ahead, self._command, self._holds = scenario.preview, np.empty(6), scenario.belief.motors.holds
+        self._stale = STALE_HELD if self._holds else STALE
         self._journal, self._last = (journal, most), -1
         self._expected, self._measured = scenario.reading_period, machine.period if machine.paced else None
         self._begin(start)
@@ -204,7 +202,7 @@ class Drive:
         self._gives_up = np.inf  # [s] on the monotonic clock.
         self._holding = self._far = 0  # Ticks in a row in which the machine followed nothing, was too far away.
         self._behind = 0  # Ticks by which the motion's clock is behind that of the machine.
-        self._origin = 0.0  # [s], or a machine's number of its reading, at the beginning.
+        self._pace, self._origin = Pace(self._period), 0  # And a machine's number of its reading at the beginning.
         self._stopped_by: RunFailure | KeyboardInterrupt | None = None
         self._asked = False
         self._motion.stop(start.duration - RAMP)
@@ -361,7 +359,7 @@ class Drive:
 
     def _bound(self, reading: Reading, now: float) -> None:
         """Keeps commands that are angles near to those that are read, and nearer to the last that has arrived."""
-        if self._machine.takes != "angle":
+        if not self._holds:
             return
         wanted = self._command if self._held is None else self._held
         times = now + np.array([0.0, self._ahead, self._ahead - self._on_the_way])
@@ -389,14 +387,12 @@ class Drive:
             self._clock.take(reading)
             self._origin = reading.number if first else self._origin
             return reading, int(reading.number - self._origin) - self._behind, reading.age
-        self._origin = time.monotonic() if first else self._origin
-        # Ticks that have gone by are left out, not made up for.
-        passed = int((time.monotonic() - self._origin) / self._period)
-        due = 0 if first else max(self._last + self._behind + 1, passed)
-        if (rest := self._origin + due * self._period - time.monotonic()) > 0.0:
-            time.sleep(rest)
-        late = time.monotonic() - self._origin - due * self._period
-        return machine.read(), due - self._behind, late
+        if first:
+            self._pace = Pace(self._period)
+        else:
+            self._pace.advance(leave_out=True)
+        late = self._pace.wait()
+        return machine.read(), self._pace.tick - self._behind, late
 
     def _look(self, reading: Reading) -> None:
         """What makes it slow down and stop."""

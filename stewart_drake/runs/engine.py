@@ -10,9 +10,10 @@ import numpy as np
 
 from stewart_drake.base.errors import StewartDrakeError, drake_guard
 from stewart_drake.base.sampling import on_grid, times_of
+from stewart_drake.logs.rows import Rows
 from stewart_drake.logs.signals import signals_of
-from stewart_drake.runs.stepped_loop import SteppedLoop
 from stewart_drake.scenario.scenario import Scenario
+from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 
 class Run(ABC):
@@ -86,18 +87,17 @@ class SteppedRun(Run):
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
         self._loop = SteppedLoop(scenario)
-        steps = int(scenario.duration / scenario.plant.time_step + 1e-6)
         # What a log takes stands in front of most of what a law that learns remembers.
-        places, logged = self._loop.runner.places, ("measured", *self._loop.parts.logged.values())
-        self._kept = self._loop.runner.values[: max(places[name].stop for name in logged if isinstance(name, str))]
-        self._rows = np.empty((steps + 1, len(self._kept)))
+        runner, logged = self._loop.runner, {"measured": "measured", **self._loop.parts.logged}
+        self._places = {name: runner.places[of] if isinstance(of, str) else of for name, of in logged.items()}
+        self._kept = runner.values[: max(each.stop for each in self._places.values() if isinstance(each, slice))]
 
     def begin(self) -> None:
-        self._count = 0
+        self._rows = Rows(self._places)
         self._loop.begin()
 
     def advance(self, step: int) -> None:
-        if self._count == 0:
+        if not self._rows:
             self._row()
         while self._loop.now < step:
             self._loop.move()
@@ -105,23 +105,14 @@ class SteppedRun(Run):
 
     def _row(self) -> None:
         self._loop.run_parts()
-        self._rows[self._count] = self._kept
-        self._count += 1
+        self._rows.append(self._kept)
 
     @property
     def time(self) -> float:
         return self._loop.time
 
     def rows(self) -> tuple[int, dict[str, np.ndarray]]:
-        rows: np.ndarray = self._rows[: self._count]
-        values: dict[str, np.ndarray] = {}
-        places = self._loop.runner.places
-        for name, signal in {"measured": "measured", **self._loop.parts.logged}.items():
-            if isinstance(signal, str):
-                values[name] = np.array(rows[:, places[signal]])
-            else:
-                values[name] = np.tile(signal, (len(rows), 1))
-        return len(rows), values
+        return len(self._rows), self._rows.columns()
 
     def safety_state(self) -> Any:
         return self._loop.runner.state("safety")

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from stewart_drake.base.atomic_files import plain_json, signals_held
+from stewart_drake.base.atomic_files import signals_held
 from stewart_drake.base.code import file_digests
 from stewart_drake.base.errors import ConfigurationError, RunFailure, SafetyStop, drake_guard, raised_at
 from stewart_drake.base.sampling import steps_per, times_of
 from stewart_drake.control.user_controller import user_code
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metrics import figures_of
-from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
+from stewart_drake.logs.metrics import assessed
+from stewart_drake.logs.outcomes import RunRows
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.runs.checks import check_scenario, likely_cause, refuse_unrunnable
 from stewart_drake.runs.engine import Run, SteppedRun
@@ -115,29 +115,24 @@ def _simulate(
     with signals_held() as held, np.errstate(all="ignore"):
         # Metrics and outcome are those of every step of the plant, whatever rows the log keeps.
         rows = RunRows(scenario, prepared.signals())
-        figures, outcome = figures_of(rows), assess(rows, trip, end_time, ended_by)
+        fields = assessed(rows, trip, end_time, ended_by)
         if held and ended_by is None:
-            outcome = assess(rows, trip, end_time, KeyboardInterrupt())
-        warnings = tuple(plain_json(each) for each in find_warnings(outcome.status, rows, trip))
-        ended = end_time if outcome.outcome_time is None else outcome.outcome_time
-        if outcome.status in ("failed", "lost", "stopped") and (cause := likely_cause(scenario, ended)):
-            first, *trace = (outcome.message or "").split("\n")
-            outcome = outcome._replace(message="\n".join([f"{first}; likely cause: {cause}", *trace]))
-        if outcome.outcome_time is not None:
-            outcome = outcome._replace(outcome_time=_nominal(outcome.outcome_time, time_step))
+            fields = assessed(rows, trip, end_time, KeyboardInterrupt())
+        ended = end_time if fields["outcome_time"] is None else fields["outcome_time"]
+        if fields["status"] in ("failed", "lost", "stopped") and (cause := likely_cause(scenario, ended)):
+            first, *trace = (fields["message"] or "").split("\n")
+            fields["message"] = "\n".join([f"{first}; likely cause: {cause}", *trace])
+        if fields["outcome_time"] is not None:
+            fields["outcome_time"] = _nominal(ended, time_step)
         stride = steps_per("log_period", scenario.effective_log_period, time_step)
         log = SimulationLog(
             scenario=scenario,
             signals={name: values[::stride].copy() for name, values in rows.signals.items()},
             state_names=prepared.state_names,
-            **outcome._asdict(),
-            end_time=end_time,
-            warnings=warnings,
-            safety=trip,
+            **fields,
             wall_time=wall,
             versions=dict(_versions()),
             files=files,
-            figures=figures,
         )
         held.clear()
     return log

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from stewart_drake.analysis.response import StepResponse, step_figures
 from stewart_drake.base.errors import ConfigurationError, RunFailure
+from stewart_drake.base.tables import COORDINATES
 from stewart_drake.logs.outcomes import describe_outcome
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
-AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
 _SIZE = 0.01  # [rad], or times the characteristic length.
 
 
@@ -26,11 +26,11 @@ def step(scenario: Scenario | str | Path, axis: str = "Z", size: float | None = 
         ConfigurationError: No such axis, a size of 0, or a pose that cannot be reached.
         RunFailure: The run was not completed.
     """
-    if axis not in AXES:
-        raise ConfigurationError("axis", axis, f"one of {', '.join(AXES)}")
+    if axis not in COORDINATES:
+        raise ConfigurationError("axis", axis, f"one of {', '.join(COORDINATES)}")
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario)
-    number, offset = AXES.index(axis), [0.0] * 6
+    number, offset = COORDINATES.index(axis), [0.0] * 6
     if size is None:
         size = _SIZE * (1.0 if number < 3 else scenario.robot.characteristic_length)
     if size == 0.0:

@@ -21,7 +21,7 @@ from stewart_drake.control.friction_compensation import standing_torque
 from stewart_drake.control.observer import SMALLEST_NOISE
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.motors import delay_part, within_limit
-from stewart_drake.loop.part import LoopContext, Part
+from stewart_drake.loop.part import NOTHING, LoopContext, Part
 from stewart_drake.mechanics.friction import BELIEVED
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.safety import safety_part
@@ -73,6 +73,7 @@ class Loop(NamedTuple):
     sources: tuple[Source, ...]  # Those of the controller's side, and with disturbances `wrench` (6,).
     torque: str  # Name of the signal (6,) [N m] that the motors give the plant.
     logged: Mapping[str, str | np.ndarray]  # As of `ControlSide`.
+    inputs: Mapping[str, np.ndarray] = NOTHING  # Signals that somebody else writes, with what they are at first.
 
 
 def loop_of(scenario: Scenario, split: bool = False) -> Loop:
@@ -82,15 +83,31 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
     """
     sensors = sensor_parts(scenario)
     side = control_side(scenario, split, "reading" if sensors else "plant_pose")
-    sources, logged = [*side.sources], dict(side.logged)
-    if scenario.disturbances:
-        sources.append(Source("wrench", 6, lambda times: total_wrench(scenario.disturbances, times)))
+    pushes, logged = _pushes(scenario), dict(side.logged)
+    if pushes:
         logged["disturbance"] = "wrench"
-    way = _way_to_motors(scenario, side)
+    way = way_to_motors(scenario, side.command, side.initial_command, side.context.period, side.safety)
     logged["torque_applied"] = "motor_torque"
     if side.safety is not None:
         logged["safety"] = "safety"
-    return Loop((*sensors, *side.parts, *way, *side.at_end), tuple(sources), "motor_torque", logged)
+    return Loop((*sensors, *side.parts, *way, *side.at_end), (*side.sources, *pushes), "motor_torque", logged)
+
+
+def machine_side(scenario: Scenario) -> Loop:
+    """All but the controller's side: from an input `command` (6,), which may change at any step, to the reading.
+
+    Sensors run at the beginning of a step of the plant, what takes the command at its end.
+    """
+    sensors, step = sensor_parts(scenario), scenario.plant.time_step
+    first = scenario.belief.motors.initial_command(context_of(scenario, split=True))
+    way = [part._replace(end_of_tick=True) for part in way_to_motors(scenario, "command", first, step)]
+    reading = {"reading": "reading" if sensors else "plant_pose"}
+    return Loop((*sensors, *way), _pushes(scenario), "motor_torque", reading, {"command": first})
+
+
+def _pushes(scenario: Scenario) -> tuple[Source, ...]:
+    pushes = scenario.disturbances
+    return (Source("wrench", 6, lambda times: total_wrench(pushes, times)),) if pushes else ()
 
 
 def sensor_parts(scenario: Scenario) -> list[Part]:
@@ -103,43 +120,40 @@ def sensor_parts(scenario: Scenario) -> list[Part]:
     legs = leg_geometry(scenario.robot, pose)
     cranks = legs.crank_angles, crank_rates(scenario.robot, legs, pose, rate)
     true = {"plant_pose": np.concatenate([pose, rate]), "crank_state": np.concatenate(cranks)}
-    late: dict[str, str] = {}
-    delays: list[Part] = []
-    for source, first in true.items():
-        if any(source == part.source(port) for part in parts for port in part.inputs):
-            late[source] = f"late_{source}"
-        elif not parts and source == "plant_pose":
-            late[source] = "reading"
-        else:
-            continue
-        delay = delay_part(steps, first, f"{source}_delay")._replace(period=step)
-        delays.append(delay.connected(value=source).named(value=late[source]))
-
-    def delayed(part: Part) -> Part:
-        ports = {port: part.source(port) for port in part.inputs}
-        return part.connected(**{port: late[str(source)] for port, source in ports.items() if source in late})
-
-    return [*delays, *map(delayed, parts)]
+    read = {str(part.source(port)) for part in parts for port in part.inputs} if parts else {"plant_pose"}
+    late = {source: f"late_{source}" if parts else "reading" for source in true if source in read}
+    delays = [
+        delay_part(steps, true[source], f"{source}_delay")
+        ._replace(period=step)
+        .connected(value=source)
+        .named(value=name)
+        for source, name in late.items()
+    ]
+    ports = [{port: str(part.source(port)) for port in part.inputs} for part in parts]
+    moved = [{port: late[source] for port, source in each.items() if source in late} for each in ports]
+    return [*delays, *(part.connected(**each) for part, each in zip(parts, moved, strict=True))]
 
 
-def _way_to_motors(scenario: Scenario, side: ControlSide) -> list[Part]:
-    """Delay, link, safety layer and motors."""
+def way_to_motors(
+    scenario: Scenario, command: str, first: np.ndarray, period: float, safety: Part | None = None, bus: bool = True
+) -> list[Part]:
+    """Delay, link, safety layer and motors: from the signal `command` (6,), new in each period [s], to `motor_torque`.
+
+    Until the first command arrives it is `first` (6,). Without `bus` there are the motors alone, with their dead time.
+    """
     parts: list[Part] = []
-    context, step, command, age = side.context, scenario.plant.time_step, side.command, {}
-    if scenario.command_delay > 0:
-        delay = delay_part(scenario.command_delay, side.initial_command)
-        parts.append(delay.connected(value=command).named(value="delayed"))
-        command = "delayed"
-    if (steps := round(scenario.motors.dead_time / step)) > 0:
-        delay = delay_part(steps, side.initial_command, "motor_delay")._replace(period=step)
-        parts.append(delay.connected(value=command).named(value="delayed_in_motors"))
-        command = "delayed_in_motors"
-    if not scenario.link.perfect:
-        link = scenario.link.part(context.period, step, side.initial_command)
-        parts.append(link.connected(torque=command).named(torque="arrived"))
+    tick, step, age = scenario.controller.period, scenario.plant.time_step, {}
+    dead, late = scenario.motors.dead_time, scenario.command_delay * tick if bus else 0.0
+    for name, ticks, clock in (("command_delay", late / period, period), ("motor_delay", dead / step, step)):
+        if round(ticks) > 0:
+            delay = delay_part(round(ticks), first, name)._replace(period=clock)
+            parts.append(delay.connected(value=command).named(value=name))
+            command = name
+    if bus and not scenario.link.perfect:
+        parts.append(scenario.link.part(tick, step, first).connected(torque=command).named(torque="arrived"))
         command, age = "arrived", {"age": "age"}
-    if side.safety is not None:
-        parts.append(side.safety.connected(command=command, **age))
+    if safety is not None:
+        parts.append(safety.connected(command=command, **age))
         command = "safe_torque"
     elif scenario.controller.code is not None or scenario.link.faults:
         # Motors would cut an infinite torque to one that looks valid; our own controllers never give one.

@@ -18,6 +18,7 @@ from stewart_drake.base.config import to_plain
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.families import given_keys
 from stewart_drake.base.markdown import TextTable, number
+from stewart_drake.base.tables import COORDINATES
 from stewart_drake.base.yaml_files import read_mapping
 from stewart_drake.logs.metrics import FAILED, OUTCOME, Column, mean_cost
 from stewart_drake.logs.metrics import columns as run_columns
@@ -44,7 +45,6 @@ from stewart_drake.studies.runs import Measure, Row, measure_response, measure_t
 
 SEED = "{seed}"
 NAMES = ("controller", "reference", "condition", "seed")
-AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
 MAX_AMPLITUDE = (0.05,) * 3 + (0.005,) * 3
 """[rad, m] amplitude of a band, where half of the largest feasible one is not less."""
 _QUICK_FREQUENCIES, _WINDOW = 2, 1.0
@@ -245,7 +245,7 @@ def _response_runs(bands: Bands, seed: int, base: Scenario, parts: _Parts, quick
         plain = with_changes(base, condition)
     runs: list[_Run] = []
     for axis, frequency in itertools.product(bands.axes, frequencies):
-        place = AXES.index(axis)
+        place = COORDINATES.index(axis)
         most = largest_amplitude(plain.robot, plain.limits, place, frequency, plain.gravity)
         amplitude = min(MAX_AMPLITUDE[place], 0.5 * most)
         if amplitude <= 0.0:

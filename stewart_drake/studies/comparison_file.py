@@ -9,6 +9,7 @@ from pydantic import Field
 
 from stewart_drake.base.config import Count, NotNegative, Positive, PositivePair, Section, Seed, Text
 from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.tables import Coordinate
 from stewart_drake.control.features import CostScales
 from stewart_drake.studies.experiment import StudyFile, StudyName
 
@@ -38,7 +39,7 @@ class Bands(Section):
     controllers: tuple[Text, ...]
     condition: Text
     """Name of a condition."""
-    axes: tuple[Literal["roll", "pitch", "yaw", "X", "Y", "Z"], ...] = ("Z", "roll")
+    axes: tuple[Coordinate, ...] = ("Z", "roll")
     """Axes to test, one after the other."""
     frequencies: tuple[Annotated[Positive, Field(le=100.0)], ...] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
     """[Hz] at which amplitude and phase are taken."""

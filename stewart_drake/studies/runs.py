@@ -16,6 +16,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from stewart_drake.analysis.response import sine_response
 from stewart_drake.base.atomic_files import (
     NOT_FINITE,
     append,
@@ -117,21 +118,6 @@ def settling_time(time: np.ndarray, size: np.ndarray, band: float) -> float | No
         return None
     last = np.flatnonzero(outside)
     return float(time[last[-1] + 1]) if len(last) else 0.0
-
-
-def sine_response(
-    time: np.ndarray, reference: np.ndarray, response: np.ndarray, frequency: float
-) -> tuple[complex, float]:
-    """Ratio of a response (n,) to a sine (n,) of `frequency` [Hz]: amplitude and, as its angle, phase.
-
-    Also the RMS of what the least-squares fit leaves of the response, as a part of the RMS of the fitted sine.
-    """
-    angle = 2.0 * np.pi * frequency * np.asarray(time)
-    basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=1)
-    solution, *_ = np.linalg.lstsq(basis, np.stack([reference, response], axis=1), rcond=None)
-    wanted, actual = solution[0] + 1j * solution[1]
-    rest = response - basis @ solution[:, 1]
-    return complex(actual / wanted), float(np.sqrt(2.0 * np.mean(rest**2)) / abs(actual))
 
 
 # --- a run ---

@@ -17,8 +17,8 @@ from stewart_drake.control.features import FEATURES, CostScales, cost
 from stewart_drake.control.policy import Policy
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.plant.plant_options import RATE
-from stewart_drake.runs.stepped_loop import SteppedLoop
 from stewart_drake.scenario.scenario import Scenario, load_scenario
+from stewart_drake.scenario.stepped_loop import SteppedLoop
 from stewart_drake.training.policy_training import FunctionSource, tuned_by
 from stewart_drake.training.situations import TRAINING, kinds_of, situation
 

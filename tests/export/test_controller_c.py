@@ -12,8 +12,8 @@ from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.base.yaml_files import shipped_folder
 from stewart_drake.export.controller_c import export_controller
-from stewart_drake.runs.stepped_loop import SteppedLoop
 from stewart_drake.scenario.assembly import control_side
+from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 NAMES = sorted(path.stem for path in shipped_folder("scenarios").glob("*.yaml"))
 SHIPPED = [name for name in NAMES if load_scenario(name).adaptation is None]

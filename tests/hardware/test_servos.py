@@ -188,6 +188,8 @@ def test_every_controller_runs_on_servos(controller):
     ("changes", "message"),
     [
         ({"motors": {"kind": "position", "stiffness": 1e6}}, r"^motors\.stiffness: expected at most .* got 1000000"),
+        ({"motors": {"kind": "position", "supply": 1e6}}, r"^motors\.supply: expected at most .* got 1000000"),
+        ({"motors": {"kind": "position", "ratios": 1e6}}, r"^motors\.ratios: expected at most .* got \(1000000"),
         ({"motors": {"kind": "position", "damping": 100}}, r"^motors\.damping: expected at most .* got 100"),
         ({"motors": {"kind": "position", "delay": 1e9}}, r"^motors\.delay: expected .*at most 1"),
         ({"motors": {"kind": "position", "period": 0.0015}}, r"^motors\.period: expected a whole multiple"),

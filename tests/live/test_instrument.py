@@ -5,13 +5,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stewart_drake.live.instrument import (
+    FORCE,
+    MOMENT,
     Probe,
     Spring,
     as_instrument,
     knob_value,
     knobs_of,
-    largest_force,
-    largest_moment,
+    largest,
     turned,
     turning_spring,
 )
@@ -59,7 +60,7 @@ def test_a_spring_turns_about_the_way_that_is_left_with_at_most_its_largest_mome
     )
     held = rotation_matrix(pose[:3])
     spring = turning_spring(robot, 9.81, held, angle * axis)
-    most = 0.2 * largest_moment(robot, 9.81)
+    most = 0.2 * largest(robot, 9.81, MOMENT)
     np.testing.assert_allclose(spring.wrench(pose), [*most * min(1.0, angle / 0.3) * axis, 0.0, 0.0, 0.0], atol=1e-9)
     # Where it has turned so far nothing is left.
     there = Rotation.from_matrix(Rotation.from_rotvec(angle * axis).as_matrix() @ held).as_euler("xyz")
@@ -70,7 +71,7 @@ def test_a_spring_turns_about_the_way_that_is_left_with_at_most_its_largest_mome
 def test_the_motors_have_room_for_the_largest_force_and_moment_along_some_axis(name):
     robot = load_robot(name)
     map_of_poses = np.linalg.inv(pose_jacobian(robot, robot.home_pose)).T
-    for most, axes in ((largest_moment(robot, 9.81), (0, 1, 2)), (largest_force(robot, 9.81), (3, 4, 5))):
+    for most, axes in ((largest(robot, 9.81, MOMENT), (0, 1, 2)), (largest(robot, 9.81, FORCE), (3, 4, 5))):
         left = [
             robot.effort_limits - abs(static_torque(robot, robot.home_pose)) - most * abs(map_of_poses[:, axis])
             for axis in axes
@@ -84,7 +85,7 @@ def test_a_pulled_platform_gives_way_and_comes_back():
     do(live, do="pull", point=[0.03, 0, 0], place=[0.03, 0.02, 0.31])
     live.loop.advance(20)
     row = live.row()
-    assert row["pull"]["force"] == pytest.approx(0.2 * largest_force(live.loop.scenario.robot, 9.81), rel=0.01)
+    assert row["pull"]["force"] == pytest.approx(0.2 * largest(live.loop.scenario.robot, 9.81, FORCE), rel=0.01)
     assert live.loop.pose[1 + 3] > 1e-4
     do(live, do="release")
     live.loop.advance(1500)
@@ -102,7 +103,7 @@ def test_a_turned_platform_gives_way_and_its_moment_stays_with_the_hand():
     do(live, do="turn", turn=[0, 0, 1.0])
     live.loop.advance(20)
     row = live.row()
-    most = 0.2 * largest_moment(live.loop.scenario.robot, 9.81)
+    most = 0.2 * largest(live.loop.scenario.robot, 9.81, MOMENT)
     np.testing.assert_allclose(row["moment"], [0, 0, most], atol=0.01 * most)
     assert row["pull"] is None
     assert live.loop.pose[2] > 1e-4
@@ -116,7 +117,7 @@ def test_a_turned_platform_gives_way_and_its_moment_stays_with_the_hand():
 def test_a_hand_is_no_wrong_motor_until_reset():
     live = session()
     assert live.loop.scenario.safety.unexplained_torque is not None
-    push = 0.25 * largest_force(live.loop.scenario.robot, 9.81)
+    push = 0.25 * largest(live.loop.scenario.robot, 9.81, FORCE)
     live.loop.advance(200)
     do(live, do="push", wrench=[0, 0, 0, push, 0, 0], duration=0.1)
     live.loop.advance(1500)

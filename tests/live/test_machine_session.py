@@ -10,7 +10,7 @@ from stewart_drake import forward_kinematics, inverse_kinematics, load_scenario
 from stewart_drake.base.errors import RunFailure
 from stewart_drake.live.machine_session import MachineSession
 from stewart_drake.live.start import start_machine
-from stewart_drake.live.steering import HandMotion, HandReference
+from stewart_drake.live.steering import HandReference
 from stewart_drake.machines.machine import MachineError, Reading
 from stewart_drake.runs.drive import connected
 
@@ -132,10 +132,10 @@ def test_the_page_is_told_of_the_machine():
 
 @pytest.mark.parametrize("change", ["hand", "share"])
 def test_a_hand_s_motion_goes_on_where_a_target_changes(change):
-    motion, step, rows = HandMotion(SCENARIO.reference, 3.0), 0.002, []
+    motion, step, rows = HandReference(SCENARIO.reference, 3.0), 0.002, []
     for k in range(1000):
         if k == 300:
-            value = getattr(motion.reference, change)
+            value = getattr(motion, change)
             value.target = value.target + 0.01
         motion.advance(k * step)
         ahead = np.array([k * step, (k + 1) * step])

@@ -23,9 +23,9 @@ ALONE = np.zeros((1, 6))
 
 @given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
 def test_a_smooth_value_reaches_its_target_without_overshoot(start: float, end: float) -> None:
-    value = SmoothValue(np.array([start]), STEP)
+    value = SmoothValue(np.array([start]))
     value.target[0] = end
-    path = np.array([value.after(steps)[0, 0] for steps in range(0, 4000, 50)])
+    path = np.array([value.after(steps * STEP)[0, 0] for steps in range(0, 4000, 50)])
     low, high = sorted((start, end))
     assert path.min() >= low - 1e-9
     assert path.max() <= high + 1e-9
@@ -33,13 +33,13 @@ def test_a_smooth_value_reaches_its_target_without_overshoot(start: float, end: 
 
 
 def test_the_reference_tells_its_own_rates_while_hand_and_motion_move() -> None:
-    reference = HandReference(SineReference(), STEP)
+    reference = HandReference(SineReference())
     reference.hand.target[:] = HOME + [0.1, 0.0, 0.0, 0.01, 0.0, 0.0]
     reference.share.target[0] = 0.0
     rows = []
     for k in range(400):
+        reference.advance(k * STEP)
         rows.append(reference.at(k * STEP))
-        reference.advance()
     rows = np.array(rows)
     np.testing.assert_allclose(np.gradient(rows[:, :6], STEP, axis=0)[2:-2], rows[2:-2, 6:12], atol=1e-4)
     np.testing.assert_allclose(np.gradient(rows[:, 6:12], STEP, axis=0)[2:-2], rows[2:-2, 12:], atol=1e-2)
@@ -70,7 +70,7 @@ def test_a_pose_beyond_a_limit_ends_just_before_it_with_its_name(axis: int, sign
 
 
 def test_the_motion_about_the_hand_stays_within_the_limits() -> None:
-    reference = HandReference(SineReference(), STEP)
+    reference = HandReference(SineReference())
     around = reference.excursions(6.0)
     wanted = HOME + [0.0, 0.0, 0.0, 0.0, 0.0, 0.3]
     alone = nearest_allowed(ROBOT, ReferenceLimits(), HOME, wanted, STANDARD_GRAVITY, ALONE)
@@ -83,7 +83,7 @@ def test_the_motion_about_the_hand_stays_within_the_limits() -> None:
 
 def test_the_motion_about_the_hand_is_known_by_its_peaks() -> None:
     # A sine that is zero at each of 24 times in 6 s.
-    reference = HandReference(SineReference(angular_frequency=(np.pi * 23.0 / 6.0,) * 6), STEP)
+    reference = HandReference(SineReference(angular_frequency=(np.pi * 23.0 / 6.0,) * 6))
     around = reference.excursions(6.0)
     np.testing.assert_allclose(np.abs(around).max(axis=0), SineReference().amplitude, rtol=1e-4)
 
@@ -93,7 +93,7 @@ def test_whole_turns_are_no_way_around_a_limit() -> None:
     reached = nearest_allowed(ROBOT, ReferenceLimits(), HOME, wanted, STANDARD_GRAVITY, ALONE)
     assert reached.limit
     assert reached.pose[2] < 2.0
-    reference = HandReference(SineReference(), STEP)
+    reference = HandReference(SineReference())
     with pytest.raises(ConfigurationError, match=r"pose: expected a pose within 1 rad and 0\.5 m of"):
         reference.aim(Scenario(), wanted)
     np.testing.assert_array_equal(reference.goal, HOME)
@@ -102,14 +102,14 @@ def test_whole_turns_are_no_way_around_a_limit() -> None:
 @pytest.mark.parametrize(("axis", "sign"), [(0, 1.0), (2, -1.0), (5, 1.0)])
 def test_a_hand_moves_no_crank_faster_than_it_may_and_arrives(axis: int, sign: float) -> None:
     scenario, step = Scenario(), 0.02
-    reference = HandReference(SineReference(), step)
+    reference = HandReference(SineReference())
     reference.share.target[0] = reference.share.state[0, 0] = 0.0
-    rows = []
+    rows, now = [], 0.0
     for end in (sign, -sign):
         goal = reference.aim(scenario, HOME + end * FARTHEST * np.eye(6)[axis]).pose
-        for k in range(150):
-            reference.govern(scenario, k * step)
-            reference.advance()
+        for _ in range(150):
+            reference.govern(scenario, now)
+            reference.advance(now := now + step)
             rows.append(reference.hand.state[0])
         np.testing.assert_allclose(rows[-1], goal, atol=1e-3)
     assert min(map(_margin, rows)) >= -1e-3

@@ -67,7 +67,7 @@ def test_a_log_saved_as_csv_loads_back_with_the_scenario_that_it_does_not_have(l
 
 def test_a_log_is_a_mapping_and_shows_itself_in_six_lines(log):
     assert (list(log), len(log)) == (list(SIGNALS), len(SIGNALS))
-    with pytest.raises(KeyError, match=r"pos.*; this log has time, pose, "):
+    with pytest.raises(KeyError, match=r"^log: expected one with the signal pos.*, got 'time, pose, "):
         log["pos"]
     lines = repr(log).splitlines()
     assert len(lines) == 6
@@ -159,9 +159,8 @@ def test_a_table_that_contradicts_itself_is_no_log(log, tmp_path, change, words)
         load_log(path)
 
 
-def test_a_log_becomes_a_frame_and_a_cell_of_a_notebook(log):
+def test_a_log_becomes_a_frame(log):
     np.testing.assert_array_equal(log.to_pandas()["pose_x_m"], log["pose"][:, 3])
-    assert log._repr_html_().count("<polyline") == 2
 
 
 def test_a_log_names_the_tuner_where_the_controller_listens_to_it():

@@ -78,3 +78,8 @@ def test_the_scene_has_cranks_and_rods_of_their_lengths(log, topics):
         for lines, lengths in ((cranks, robot.crank_lengths), (rods, robot.rod_lengths)):
             np.testing.assert_allclose(np.linalg.norm(lines[1::2] - lines[::2], axis=1), lengths, rtol=1e-9)
         np.testing.assert_array_equal(rods[1::2], platform)
+
+
+def test_a_log_of_a_table_without_poses_has_no_scene(log, tmp_path):
+    bare = replace(log, signals={name: log[name] for name in ("time", "torque")})
+    assert set(read(bare, tmp_path)) == {"/torque"}

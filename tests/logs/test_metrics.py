@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -133,3 +134,10 @@ def test_the_change_of_torque_counts_for_a_millisecond_and_a_run_that_was_not_co
     assert run_cost(figures, "lost", 0.001, SCALES) == FAILED
     assert run_cost({**figures, "rmse_norm_mm": 1e9}, "completed", 0.001, SCALES) == FAILED
     assert run_cost({**figures, "rmse_norm_mm": None}, "completed", 0.001, SCALES) == FAILED
+
+
+def test_figures_of_signals_that_a_log_does_not_have_are_null():
+    log = made_log()
+    bare = run_metrics(replace(log, signals={name: log[name] for name in ("time", "torque_applied")}))
+    assert bare["torque_rms"] == run_metrics(log)["torque_rms"]
+    assert {bare[name] for name in ("rmse_mm", "peak_norm_deg", "motion_ratio", "omega_q")} == {None}

@@ -13,6 +13,7 @@ from made_machines import ROOT, SERVOS, TORQUES, go_on
 from stewart_drake.machines.machine import MachineError, open_machine
 from stewart_drake.machines.simulated import SimulatedRobot
 from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.plant.plant_options import ANGLES
 from stewart_drake.scenario.controller import Controller
 
 
@@ -159,3 +160,27 @@ def test_a_child_ends_with_its_parent(shell_environment):
 def shell_environment():
     folders = ROOT, ROOT / "tests", ROOT / "tests" / "machines", os.environ.get("PYTHONPATH")
     return {**os.environ, "PYTHONPATH": os.pathsep.join(str(each) for each in folders if each)}
+
+
+def test_readings_and_commands_are_as_old_as_the_scenario_says():
+    scenario = SERVOS.replace({"sensors.delay": 0.003, "sensors.resolution_bits": 0, "command_delay": 1})
+    robot, true = SimulatedRobot(scenario), []
+    stride = round(scenario.controller.period / robot.step)
+    for step in range(3 * robot.steps):
+        true.append(robot._loop.measured[ANGLES].copy())
+        if step % robot.steps == 0 and step > 3:
+            np.testing.assert_array_equal(robot.reading(), true[step - 3])
+        if step == 1:
+            robot.follow(robot.command + 0.1)
+        robot.advance(False)
+    moved = np.abs(np.diff(true, axis=0)).max(axis=1)
+    assert moved[: stride + 1].max() < 1e-5 < moved[stride + 1 : stride + 4].max()
+
+
+def test_a_bus_that_drops_all_commands_moves_nothing():
+    robot = SimulatedRobot(SERVOS.replace({"link.stop_time": 0.0}))
+    before = robot.reading()
+    robot.follow(robot.command + 0.1)
+    for _ in range(200):
+        robot.advance(False)
+    np.testing.assert_allclose(robot.reading(), before, atol=2e-3)

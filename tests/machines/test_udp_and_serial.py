@@ -187,7 +187,7 @@ def test_commands_that_no_longer_arrive_show_in_their_age(robot, machine):
 
 def test_a_robot_that_takes_something_else_is_refused(robot):
     machine = machine_of(robot, TORQUES)
-    with pytest.raises(ConfigurationError, match=r"motors.kind: expected motors that take angle, as .* does"):
+    with pytest.raises(ConfigurationError, match=r"model.motors: expected motors that take angle, as .* does"):
         machine.connect()
     assert robot.followed == []
 
@@ -316,5 +316,5 @@ def test_urls():
     assert open_machine("serial:/dev/ttyACM0", SERVOS)._baud == 1_000_000
     assert open_machine("serial:COM3:115200", SERVOS)._baud == 115200
     assert open_machine("reachy://", SERVOS)._url == "ws://127.0.0.1:8000/ws/sdk"
-    with pytest.raises(ConfigurationError, match=r"motors.kind: expected motors that take angle, as reachy does"):
+    with pytest.raises(ConfigurationError, match=r"model.motors: expected motors that take angle, as reachy does"):
         open_machine("reachy://", TORQUES)

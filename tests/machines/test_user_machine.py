@@ -103,7 +103,7 @@ def test_one_with_a_clock_and_attributes_of_its_own(mine):
     assert (machine.period, machine.takes, machine.reads, machine.paced) == (0.01, "angle", False, True)
     machine.connect()
     assert machine.read().time == pytest.approx(0.02)
-    with pytest.raises(ConfigurationError, match=r"motors.kind: expected motors that take angle, as .*WithClock does"):
+    with pytest.raises(ConfigurationError, match=r"model.motors: expected motors that take angle, as .*WithClock does"):
         mine("WithClock", scenario=TORQUES)
 
 

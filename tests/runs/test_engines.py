@@ -6,8 +6,8 @@ import pytest
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
-from stewart_drake.runs.stepped_loop import SteppedLoop
 from stewart_drake.scenario.scenario import load_scenario
+from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 PUSH = {"kind": "step", "wrench": [0.02, 0.0, 0.03, 3.0, -2.0, -4.0], "time": 0.05, "until": 0.1}
 # Without rounding: a count apart, two plants go apart.

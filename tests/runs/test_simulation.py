@@ -99,13 +99,13 @@ def test_what_is_prepared_runs_once_and_the_scenario_that_it_was_made_of(kind):
 
 
 def test_ctrl_c_while_a_run_is_assessed_does_not_lose_it(monkeypatch):
-    real = simulation.figures_of
+    real = simulation.assessed
 
-    def interrupted(rows):
+    def interrupted(*run):
         signal.raise_signal(signal.SIGINT)
-        return real(rows)
+        return real(*run)
 
-    monkeypatch.setattr(simulation, "figures_of", interrupted)
+    monkeypatch.setattr(simulation, "assessed", interrupted)
     log = run(scenario(plant={"kind": "closed_form"}))
     assert (log.status, log.end_time, len(log.time)) == ("interrupted", 0.05, 11)
 

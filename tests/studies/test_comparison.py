@@ -2,13 +2,14 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from stewart_drake.analysis.response import sine_response
 from stewart_drake.base.code import trusting_code
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.markdown import number
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.comparison import Comparison, _rank, load_comparison
 from stewart_drake.studies.experiment import MOST, pivot, refusals, run_experiment
-from stewart_drake.studies.runs import settling_time, sine_response
+from stewart_drake.studies.runs import settling_time
 from stewart_drake.studies.workers import Workers
 
 SMALL = {

@@ -10,7 +10,7 @@ from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.base.sampling import InBlocks, on_grid
 from stewart_drake.loop.part import LoopRunner
 from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES, POSE, RATE, Plant
-from stewart_drake.scenario.assembly import loop_of
+from stewart_drake.scenario.assembly import Loop, loop_of
 from stewart_drake.scenario.scenario import Scenario
 
 
@@ -21,9 +21,10 @@ class SteppedLoop:
         scenario: The scenario.
         plant: What the motors move; None makes that of the scenario.
         sources: Signals of time that are not those of the scenario: name -> value (n,) at a step of the plant.
+        parts: Those that run, `machine_side` for one; None for `loop_of` the scenario.
 
     Attributes:
-        parts: The loop, see `loop_of`.
+        parts: The parts that run.
         runner: The parts at work.
         plant: What the motors move.
         now: Steps of the plant that are done.
@@ -36,8 +37,9 @@ class SteppedLoop:
         scenario: Scenario,
         plant: Plant | None = None,
         sources: Mapping[str, Callable[[int], np.ndarray]] | None = None,
+        parts: Loop | None = None,
     ) -> None:
-        self.scenario, self.parts = scenario, loop_of(scenario, split=True)
+        self.scenario, self.parts = scenario, loop_of(scenario, split=True) if parts is None else parts
         if any(part.system is not None for part in self.parts.parts):
             allowed = "drake, with a controller that is a LeafSystem"
             raise ConfigurationError("plant.kind", scenario.plant.kind, allowed)
@@ -47,6 +49,7 @@ class SteppedLoop:
         evaluated = {each.signal: InBlocks(each.evaluate, time_step).at for each in self.parts.sources}
         evaluated |= sources or {}
         outside = {"measured": 24, "wrench": 6, **{each.signal: each.size for each in self.parts.sources}}
+        outside |= {name: len(first) for name, first in self.parts.inputs.items()}
         inside = {"plant_pose": slice(POSE.start, RATE.stop), "crank_state": slice(ANGLES.start, CRANK_RATES.stop)}
         self.runner = LoopRunner(self.parts.parts, outside, inside, scenario.controller.period, time_step)
         self.measured, self._wrench = self.runner.signal("measured"), self.runner.signal("wrench")
@@ -67,6 +70,8 @@ class SteppedLoop:
         """Puts the plant where the scenario starts, and the parts before their first tick."""
         self.now = 0
         self.runner.reset()
+        for name, first in self.parts.inputs.items():
+            self.runner.signal(name)[:] = first
         self.measured[:] = self.plant.initial(*self.scenario.start())
 
     def run_parts(self) -> None:
