@@ -94,7 +94,7 @@ bench: install
 SPHINX := $(ONE_THREAD) $(BIN)/python -m sphinx -E -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html
 # Debian: clang, lld. The site has the robot in a tab where this was made before.
 tab: install
-	$(BIN)/python docs/tab.py
+	$(BIN)/python docs/scripts/tab.py
 
 docs: install
 	$(SPHINX) -D nb_execution_mode=force
@@ -105,24 +105,24 @@ docs-quick: install
 
 # The README's picture of the robot, and those of docs/how_it_works.md and docs/in_drake.md (Debian: chromium).
 picture: install
-	$(BIN)/python docs/draw_robot.py
-	$(BIN)/python docs/draw_density.py
-	$(BIN)/python docs/draw_meshcat.py
+	$(BIN)/python docs/scripts/draw_robot.py
+	$(BIN)/python docs/scripts/draw_density.py
+	$(BIN)/python docs/scripts/draw_meshcat.py
 
 # The films of docs/gallery.md, and the README's: two minutes.
 gallery: install
-	$(BIN)/python docs/draw_gallery.py
+	$(BIN)/python docs/scripts/draw_gallery.py
 
 # docs/results/calibration.md, and the example of docs/calibration.md.
 calibration: install
-	$(BIN)/python docs/calibration_study.py
+	$(BIN)/python docs/scripts/calibration_study.py
 
 calibration-example: install
-	$(BIN)/python docs/calibration_example.py
+	$(BIN)/python docs/scripts/calibration_example.py
 
 # docs/results/margins.md and its picture, five minutes on one core.
 margins: install
-	$(BIN)/python docs/margins_study.py
+	$(BIN)/python docs/scripts/margins_study.py
 
 # Three policies, from three seeds, an hour each on two cores; each goes on where it stopped.
 POLICIES := $(foreach seed,1 2 3,runs/tuner-policy/seed-$(seed).json)
@@ -133,35 +133,35 @@ runs/tuner-policy/seed-%.json: | install
 
 # The shipped policy and these on further situations, for docs/results/tuner_training.md: a quarter of an hour.
 tuner_training: tuner_policy
-	$(BIN)/python docs/tuner_training.py stewart_drake/weights/policy.json $(POLICIES)
+	$(BIN)/python docs/scripts/tuner_training.py stewart_drake/weights/policy.json $(POLICIES)
 
 # docs/results/tuner_safety.md and its picture: the box of the shipped policy, half an hour on one core.
 tuner_safety: install
-	$(ONE_THREAD) $(BIN)/python docs/tuner_safety_study.py
+	$(ONE_THREAD) $(BIN)/python docs/scripts/tuner_safety_study.py
 
 # docs/results/integrators.md and its picture: five minutes on one core.
 integrators: install
-	$(ONE_THREAD) $(BIN)/python docs/integrators.py
+	$(ONE_THREAD) $(BIN)/python docs/scripts/integrators.py
 
 # docs/results/drive.md and its picture: ten minutes, after half a minute that installs the daemon.
 drive: install
-	$(BIN)/python docs/drive_reachy.py
+	$(BIN)/python docs/scripts/drive_reachy.py
 
 # docs/results/reachy.md and its picture: two minutes.
 reachy: install
-	$(ONE_THREAD) $(BIN)/python docs/write_reachy.py
+	$(ONE_THREAD) $(BIN)/python docs/scripts/write_reachy.py
 
 # docs/results/identification.md: half an hour.
 identification: install
-	$(BIN)/python docs/identification_study.py
+	$(BIN)/python docs/scripts/identification_study.py
 
 # docs/results/servo_identification.md: a quarter of an hour on two cores.
 servo_identification: install
-	$(ONE_THREAD) $(BIN)/python docs/servo_identification_study.py
+	$(ONE_THREAD) $(BIN)/python docs/scripts/servo_identification_study.py
 
 # docs/results/adaptation.md: half an hour on two cores.
 adaptation: install
-	$(ONE_THREAD) $(BIN)/python docs/adaptation_study.py
+	$(ONE_THREAD) $(BIN)/python docs/scripts/adaptation_study.py
 
 # The robots that are shipped, and that of docs/your_robot.md.
 robots: install
@@ -174,47 +174,47 @@ robots: install
 
 # The README's plan of the rooms.
 plan: install
-	$(BIN)/python docs/draw_plan.py
+	$(BIN)/python docs/scripts/draw_plan.py
 
 # The paper's claims at both sizes: the committed table of numbers, and docs/results/reproduction.md.
 reproduction: install
-	$(BIN)/python docs/write_reproduction.py
+	$(BIN)/python docs/scripts/write_reproduction.py
 
 # Four thousand runs, half an hour on two cores, and docs/results/monte_carlo.md.
 montecarlo: install
 	$(BIN)/stewart-drake sweep monte_carlo --out runs/monte_carlo
-	$(BIN)/python docs/write_monte_carlo.py runs/monte_carlo
+	$(BIN)/python docs/scripts/write_monte_carlo.py runs/monte_carlo
 
 # docs/results/random_beliefs.md: five thousand situations, an hour and a half on two cores.
 random_beliefs: install
-	$(ONE_THREAD) $(BIN)/python docs/random_beliefs.py
+	$(ONE_THREAD) $(BIN)/python docs/scripts/random_beliefs.py
 
 # docs/results/random_faults.md: 500 faults, five minutes on one core.
 random_faults: install
-	$(BIN)/python docs/random_faults.py
+	$(BIN)/python docs/scripts/random_faults.py
 
 # Four controllers searched and judged alike, an hour on one core; docs/results/fair_comparison.md, and the settings found.
 fair: install
 	$(BIN)/stewart-drake tune fair --out runs/fair-tune
-	$(BIN)/python docs/write_fair.py runs/fair-tune
+	$(BIN)/python docs/scripts/write_fair.py runs/fair-tune
 
 # The same page from the settings that are kept, judged on the code as it is: three minutes.
 fair_verdict: install
-	$(BIN)/python docs/write_fair.py
+	$(BIN)/python docs/scripts/write_fair.py
 
 # What a trained tuner has to beat, in stewart_drake/weights/baselines.yaml: half an hour on one core.
 tuner_baselines: install
-	$(BIN)/python docs/tuner_baselines.py runs/tuner-baselines
+	$(BIN)/python docs/scripts/tuner_baselines.py runs/tuner-baselines
 
 # Tuners and settings that stay, on both engines, twenty minutes on two cores; docs/results/tuner.md.
 tuner_verdict: install
 	$(BIN)/stewart-drake tuner judge --plant closed_form --seeds 10 --out runs/tuner-fast
 	$(BIN)/stewart-drake tuner judge --seeds 10 --only stiff --only "best of each robot" --out runs/tuner-drake
-	$(BIN)/python docs/write_tuner.py runs/tuner-fast runs/tuner-drake
+	$(BIN)/python docs/scripts/write_tuner.py runs/tuner-fast runs/tuner-drake
 
 # Error against change of torque, docs/results/tuner_front.md: ten minutes.
 tuner_front: install
-	$(BIN)/python docs/tuner_front.py runs/tuner-front
+	$(BIN)/python docs/scripts/tuner_front.py runs/tuner-front
 
 format: install
 	$(BIN)/ruff check --fix .

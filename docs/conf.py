@@ -11,7 +11,7 @@ from latex2mathml.converter import convert
 from stewart_drake.base.config import Section
 
 DOCS = Path(__file__).parent
-sys.path.insert(0, str(DOCS))
+sys.path.insert(0, str(DOCS / "scripts"))
 import draw_meshcat  # noqa: E402
 import reference  # noqa: E402
 

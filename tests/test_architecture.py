@@ -18,7 +18,7 @@ def test_no_circle_of_files():
 
 
 def test_picture_of_the_rooms_is_current():
-    spec = importlib.util.spec_from_file_location("draw_plan", ROOT / "docs" / "draw_plan.py")
+    spec = importlib.util.spec_from_file_location("draw_plan", ROOT / "docs" / "scripts" / "draw_plan.py")
     draw_plan = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(draw_plan)
     with Image.open(ROOT / "docs" / "images" / "plan.png") as picture:

@@ -1,4 +1,4 @@
-"""The robot in a tab: the page of docs/tab.py does what Python does, faster than real time and without a network."""
+"""The robot in a tab: the page of `make tab` does what Python does, faster than real time and without a network."""
 
 import os
 import shutil

@@ -1,5 +1,5 @@
 """The client against the maker's own daemon and its simulation: set REACHY_DAEMON to the folder that
-docs/reachy_daemon.py has installed, or may install it in; without that it is skipped."""
+docs/scripts/reachy_daemon.py has installed, or may install it in; without that it is skipped."""
 
 import os
 import socket
@@ -26,7 +26,7 @@ def port():
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    process = docs_module("reachy_daemon").start(Path(FOLDER), port)
+    process = docs_module("scripts/reachy_daemon").start(Path(FOLDER), port)
     deadline = time.monotonic() + 120.0
     while True:
         try:
