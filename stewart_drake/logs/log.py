@@ -176,12 +176,6 @@ class SimulationLog(Mapping[str, np.ndarray]):
             import pandas  # noqa: F401 - pyarrow loads it
         return self.table().to_pandas()
 
-    def to_gif(self, path: str | Path) -> None:
-        """Writes the motion as an animated picture; see `stewart_drake.write_film` for its size and for MP4."""
-        from stewart_drake import write_film
-
-        write_film(self, path)
-
     def to_parquet(self) -> bytes:
         about = {"version": _VERSION, "scenario": self.scenario.to_dict(), "outcome": self.outcome()}
         return tables.to_parquet(tables.with_about(self.table(), "run", about))

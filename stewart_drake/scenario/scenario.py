@@ -131,12 +131,6 @@ class Scenario(ControlOptions):
         """[ticks] that commands and readings are under way, to the nearest tick."""
         return self.command_delay + round(self.sensors.delay / self.controller.period)
 
-    def linearize(self, pose: Any = None) -> Any:
-        """The plant and the loop near a pose (6,) [rad, m], as matrices; see `stewart_drake.linearize`."""
-        from stewart_drake import linearize
-
-        return linearize(self, pose)
-
     def rules(self) -> None:
         """Periods fit each other, readings the sensors, and the tuner its estimator."""
         super().rules()

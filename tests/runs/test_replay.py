@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.plant.multibody_plant import build_plant
+from stewart_drake.runs.pictures import write_film
 from stewart_drake.runs.replay import nearest_rows, write_replay
 from stewart_drake.scenario.scenario import Scenario
 
@@ -118,7 +119,7 @@ def test_errors_and_torques_of_several_runs_stand_beside_their_robots(tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="Drake's renderer needs libEGL")
 def test_a_film_shows_each_frame_at_its_time_and_the_reference_in_green(tmp_path):
-    make_log(rows=81).to_gif(tmp_path / "film.gif")
+    write_film(make_log(rows=81), tmp_path / "film.gif")
     frames = []
     with Image.open(tmp_path / "film.gif") as film:
         assert (film.n_frames, film.info["duration"], film.info["loop"]) == (9, 50, 0)
