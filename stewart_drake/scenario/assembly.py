@@ -247,7 +247,7 @@ class _Builder:
         now = self.sees.copy()
         if self.options.controller.looks_ahead:
             if self.observes:
-                allowed = f"one that tells what was read, such as difference, for {self.options.controller.kind}"
+                allowed = "one that tells what was read, such as difference, for controller.feedforward motion"
                 raise ConfigurationError("estimator.kind", self.options.estimator.kind, allowed)
             now = {"measurement": self.sees["measurement"]}
         if not self.options.controller.feedback:
@@ -259,7 +259,7 @@ class _Builder:
         self.corrects = self.observes and self.options.controller.feedback
         self.compensated = self.corrects or self.friction is not None
         (part,) = self.options.controller.parts(context)
-        part = part.connected(**self.sees, reference_now="reference")
+        part = part.connected(reference_now=now.get("reference", "reference"), **self.sees)
         if self.compensated:
             part = part.named(torque="control_torque")
         self.weighted = "weights" in part.inputs
