@@ -218,4 +218,4 @@ def test_a_log_of_another_robot_or_without_readings():
     with pytest.raises(ConfigurationError, match=r"the signal reading, got 'sensors.kind ideal'; run"):
         recording_of_log(log)
     swaying = load_scenario("sway", ["robot=reachy_mini", "plant.kind=closed_form", "duration=4"])
-    assert "cannot be assembled" in refused(run(swaying, check=False))
+    assert "a log of the guessed robot" in refused(run(swaying, check=False))
