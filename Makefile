@@ -103,10 +103,11 @@ docs: install
 docs-quick: install
 	$(SPHINX)
 
-# The README's picture of the robot, and that of densities in docs/how_it_works.md.
+# The README's picture of the robot, and those of docs/how_it_works.md and docs/in_drake.md (Debian: chromium).
 picture: install
 	$(BIN)/python docs/draw_robot.py
 	$(BIN)/python docs/draw_density.py
+	$(BIN)/python docs/draw_meshcat.py
 
 # The films of docs/gallery.md, and the README's: two minutes.
 gallery: install

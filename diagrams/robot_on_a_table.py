@@ -19,7 +19,7 @@ from stewart_drake import DrakeOptions, LqiOptions, RobotParameters, SineReferen
 from stewart_drake.systems import LqiController, ReferenceSource, TaskSpaceSensor, TrackingError
 
 DURATION = 2.0  # [s]
-TABLE, AXES = 0.4, 0.12  # [m] height of the table, and of the motors above it
+TABLE, BASE = 0.4, 0.12  # [m] height of the table, and of the frame `base` above it; the motors are 0.07 lower
 RADIUS, MASS = 0.01, 0.02  # [m] and [kg] of the ball
 
 
@@ -33,7 +33,7 @@ def main() -> None:
 
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.001)
-    on_table = RigidTransform([0.0, 0.0, TABLE + AXES])
+    on_table = RigidTransform([0.0, 0.0, TABLE + BASE])
     robot = add_robot(plant, parameters, DrakeOptions(collision=True), base=on_table)
     rubber = CoulombFriction(0.8, 0.8)
     inertia = SpatialInertia.SolidSphereWithMass(MASS, RADIUS)

@@ -12,6 +12,7 @@ from stewart_drake.base.config import Section
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
+import draw_meshcat  # noqa: E402
 import reference  # noqa: E402
 
 project = "stewart-drake"
@@ -69,16 +70,19 @@ def site_links(_app, docname, source):
         return f"](/{page.as_posix()}{match[2] or ''})" if page else match[0]
 
     source[0] = reference.LINK.sub(link, source[0])
+    moving = r'<iframe class="meshcat" src="meshcat.html" title="\1" loading="lazy"></iframe>'
+    source[0] = re.sub(r"!\[(.*?)\]\(images/meshcat\.png\)", moving, source[0])
     if not HAS_TAB:
         # A page that was not made gets no link: its words stay, with what makes it.
         source[0] = re.sub(r'<a href="tab.html">(.*?)</a>', r"\1 (<code>make tab</code> makes it)", source[0])
 
 
-def write_llms(app, error):
-    """llms.txt at the root of the site, where assistants look; its links are to the site's pages."""
+def write_others(app, error):
+    """The recording of Meshcat; llms.txt at the root, where assistants look, with links to the site's pages."""
     if error is None and app.builder.format == "html":
-        text = (DOCS / "llms.txt").read_text(encoding="utf-8")
-        (Path(app.outdir) / "llms.txt").write_text(re.sub(r"(?<=\.)md\)", "html)", text), encoding="utf-8")
+        out, text = Path(app.outdir), (DOCS / "llms.txt").read_text(encoding="utf-8")
+        (out / "llms.txt").write_text(re.sub(r"(?<=\.)md\)", "html)", text), encoding="utf-8")
+        (out / "meshcat.html").write_text(draw_meshcat.recording(), encoding="utf-8")
 
 
 def short_signature(_app, what, _name, section, *_):
@@ -98,6 +102,6 @@ def setup(app):
     app.add_html_math_renderer("mathml", (formula, None), (formula, None))
     app.connect("builder-inited", lambda _: reference.write_all())
     app.connect("source-read", site_links)
-    app.connect("build-finished", write_llms)
+    app.connect("build-finished", write_others)
     app.connect("autodoc-process-signature", short_signature)
     app.connect("autodoc-process-docstring", escape_bars)

@@ -63,7 +63,7 @@ class FrictionLearner(AdaptationOptions):
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         """The law; its output takes the place of the friction that is compensated."""
         part = FrictionCompensation(coulomb=self.coulomb, viscous=self.viscous).part(context)
-        state = new_record(fields(friction=25), friction=part.constants["friction"].view(np.float64))
+        state = new_record(fields(friction=25), friction=part.parameters["friction"].view(np.float64))
         params = new_record(_LEARNS, gain=self.gain, period=context.period)
         inputs, constants = (
             {"disturbance_torque": 6, "reference": 18},

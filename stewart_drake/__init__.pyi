@@ -59,6 +59,7 @@ from stewart_drake.scenario.scenario import load_controller as load_controller
 from stewart_drake.scenario.scenario import load_scenario as load_scenario
 from stewart_drake.systems.continuous_plant import ClosedFormPlant as ClosedFormPlant
 from stewart_drake.systems.diagram import ClosedLoop as ClosedLoop
+from stewart_drake.systems.diagram import add_loop as add_loop
 from stewart_drake.systems.diagram import build_diagram as build_diagram
 
 __version__: str

@@ -28,7 +28,17 @@ def test_the_page_runs_and_what_it_says_is_so():
     assert np.abs(names["pushed"] - names["quiet"]).max() > 1e-4
     assert names["gain"].shape == (6, 18)
     assert names["log"].shape == (108, 40)
+    masses = [
+        names["controller"].parameter(each, "robot")["platform_mass"] for each in (names["other"], names["context"])
+    ]
+    np.testing.assert_array_equal(np.ravel(masses), [1.1, 1.0])
+    assert [sample.output for sample in names["samples"]] == pytest.approx(
+        [np.abs(run(each)["error"][-1]).max() for each in names["drawn"]]
+    )
     assert len(names["page"]) > 1e5
+    # On Drake's default contact approximation; at 0.1 s.
+    torque = names["both"].get_system().GetOutputPort("torque").Eval(names["both"].get_context())
+    np.testing.assert_allclose(torque, log["torque"][20], atol=1e-5)
     assert names["fastest"] > 0.0  # It falls over.
     with pytest.raises(ConfigurationError):
         names["build_diagram"](names["scenario"], inputs=["wrenches"])
@@ -56,6 +66,16 @@ def test_the_ball_stays_on_the_platform_above_the_table(capsys):
 def test_only_the_robot_with_the_load_is_pulled_down(capsys):
     first, second = printed("two_robots", capsys)
     assert 5.0 * max(first[3:]) < max(second[3:]) < 10.0
+
+
+def test_monte_carlo_by_drake_prints_a_row_for_each_sample(capsys):
+    _, *rows = printed("monte_carlo_by_drake", capsys, SAMPLES=3)
+    assert len(rows) == 3
+    for mass, off, error in rows:
+        assert 0.8 <= mass <= 1.2
+        assert abs(off) <= 6.0
+        assert 0.0 < error < 10.0
+    assert len({row[2] for row in rows}) == 3
 
 
 def test_a_realistic_loop_wired_by_hand_is_that_of_its_scenario(capsys):

@@ -17,7 +17,7 @@ from nbclient import NotebookClient
 FOLDER = Path(__file__).parents[1] / "notebooks"
 NAMES = (
     *("01_first_steps", "02_robot_and_plant", "03_build_the_diagram"),
-    *("04_follow_a_heart", "05_the_tuner", "06_reachy_mini"),
+    *("04_follow_a_heart", "05_the_tuner", "06_reachy_mini", "07_in_drake"),
     *("paper/1_plant_and_kinematics", "paper/2_force_map", "paper/3_state_space", "paper/4_nine_experiments"),
     *("paper/5_data_and_network", "paper/6_tuner_in_the_loop", "paper/7_sensitivity_and_workspace"),
 )

@@ -25,6 +25,8 @@ def test_the_site_builds_without_warnings_and_needs_no_network(tmp_path):
         links = (link for link in re.findall(r'href="([^"#?:]+)["#?]', text) if "{" not in link)
         dead += [(page.name, link) for link in links if not (page.parent / unquote(link)).exists()]
     assert dead == []
+    assert '<iframe class="meshcat" src="meshcat.html"' in (html / "in_drake.html").read_text(encoding="utf-8")
+    assert (html / "meshcat.html").stat().st_size > 1e6
     said = (html / "llms.txt").read_text(encoding="utf-8")
     links = re.findall(r"\]\(([^)]+)\)", said)
     assert len(links) > 10

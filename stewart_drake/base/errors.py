@@ -11,10 +11,10 @@ import shlex
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -202,6 +202,56 @@ class SafetyStop(RunFailure):
     def __init__(self, monitor: str, message: str, leg: int | None, trip: dict[str, Any] | None) -> None:
         self.reason, self.trip = monitor, trip
         super().__init__(message, leg)
+
+
+class Status(NamedTuple):
+    """What it means that a kernel ended with a status other than 0.
+
+    Attributes:
+        reason: Of the failure, one of `FAILURES`.
+        signal: Where what is to blame is among the kernel's arguments: `reference`, or a field as `state.pose`.
+        numbers: Which of its numbers; by default six, a pose or angles of the cranks.
+        of_leg: Whether the second number of the result is a leg.
+        text: The name of a signal that is not finite; else a message, with `at`, those numbers, `leg`
+            and the arguments in braces. Reasons with an error class have their own.
+        limit: [-] to which the margin, the third number of the result, is held.
+        last: Where the pose of the tick before is.
+    """
+
+    reason: str
+    signal: str = ""
+    of_leg: bool = False
+    text: str = ""
+    limit: float = 0.0
+    last: str = ""
+    numbers: slice = slice(6)
+
+
+def failure(status: Status, leg: int, margin: float, arguments: Mapping[str, Any]) -> RunFailure:
+    """The error of a tick that failed: what its status means, the leg or -1, the margin, and the kernel's arguments."""
+
+    def value(place: str) -> np.ndarray:
+        name, _, field = place.partition(".")
+        found = arguments[name][field] if field else arguments[name]
+        return np.array(found, dtype=float).ravel()[status.numbers]
+
+    match status.reason:
+        case "unreachable_pose":
+            return UnreachablePoseError(value(status.signal), leg, margin)
+        case "crank_dead_centre":
+            return SingularPoseError("serial", value(status.signal), margin, status.limit, leg)
+        case "parallel_singularity":
+            return SingularPoseError("parallel", value(status.signal), margin, status.limit)
+        case "forward_kinematics":
+            return ForwardKinematicsError(margin, leg)
+        case "assembly_mode":
+            return AssemblyModeError(value(status.signal), value(status.last))
+        case "not_finite":
+            return NotFiniteError(status.text, value(status.signal) if status.signal else margin)
+    at = pose_text(value(status.signal)) if status.signal else ""
+    kind = RiccatiError if status.reason == "riccati" else RunFailure
+    text = status.text.format(at=at, leg=leg, **arguments)
+    return kind(text, leg if status.of_leg else None, status.reason)
 
 
 FAILURES = (

@@ -44,6 +44,12 @@ def on_grid(seconds: float) -> float:
     return math.ceil(seconds * _STRETCH * 2.0**40) / 2.0**40
 
 
+def decimal(seconds: float) -> float:
+    """The round sample time of which `seconds` is `on_grid`; else itself."""
+    near = round(seconds / _UNIT) / _PER_SECOND
+    return near if near > 0.0 and on_grid(near) == seconds else seconds
+
+
 def just_before(seconds: float) -> float:
     """Sample time a little shorter than `seconds`: its multiples come just before those of `seconds`, stretched or not.
 

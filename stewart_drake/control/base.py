@@ -10,14 +10,14 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from stewart_drake.base.config import Period, Section
-from stewart_drake.base.errors import NotFiniteError, RiccatiError, RunFailure, SingularPoseError, UnreachablePoseError
+from stewart_drake.base.errors import Status, failure
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, task_inertia
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import (
     LEGS,
-    NOT_FINITE,
+    NO_GAIN,
     OK,
     PARALLEL,
     QUICK,
@@ -72,13 +72,27 @@ class ControllerOptions(Section, ABC, key="controller"):
         """The controller in a loop, one part: measurement and reference to `torque`, and `integral` if it has one."""
 
 
+_WITH_MODEL = "estimator", "observer", "controller", "friction_compensation", "servo_command", "rounding", "safety"
+"""Parts that compute with the controller's model of the robot."""
+
+
 class AdaptationOptions(Section, ABC, key="adaptation"):
     """Base of the options of laws that learn while the robot runs.
 
-    An output of such a law takes the place of the constants of other parts that have its name, from the next tick on:
-    `friction` that of the friction compensation, `robot` those of all that computes with the robot's model. The numbers
-    are those of the constant, in its order; the law's state begins with what is believed.
+    An output of such a law takes the place of parameters of other parts, from the next tick on; which ones is in
+    `writes`. Its numbers are those of the parameter, in that order; the law's state begins with what is believed.
     """
+
+    writes: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "robot": tuple(f"{part}.robot" for part in _WITH_MODEL),
+        "friction": ("observer.friction", "friction_compensation.friction", "safety.friction"),
+        "friction_unknown": ("safety.friction_unknown",),
+        "doubt": ("controller.doubt",),
+        "gain": ("servo_command.gain", "motor_current.gain"),
+        "lead": ("lead.lead",),
+        "joints": ("friction_compensation.joints",),
+    }
+    """Output -> the parameters that it writes, as `part.parameter`. Parts that a loop does not have are passed over."""
 
     kind: str
     """Kind of law."""
@@ -117,11 +131,24 @@ FREQUENCY = times(lambda _: 1.0, slower=1.0)
 
 AT_REFERENCE = 16
 """Added to a status that concerns the reference's pose, not the measured one."""
-POSE, RATE, REFERENCE, TORQUE = range(4)
-"""Which signal is NOT_FINITE, in the place of the leg."""
-_SIGNALS = ("measured pose", "measured pose rate", "reference", "torque")
+POSE, RATE, REFERENCE, TORQUE = range(8, 12)
+"""Statuses of a signal that is not finite."""
 _DEAD_CENTRE_SLACK = 0.05
 """[-] reach margin down to which a measured pose counts as a crank at its dead centre: loop gap and sensor error."""
+
+
+_AT_POSE = {
+    UNREACHABLE: Status("unreachable_pose", "measurement", of_leg=True),
+    SERIAL: Status("crank_dead_centre", "measurement", of_leg=True, limit=CONTROLLED.transmission),
+    PARALLEL: Status("parallel_singularity", "measurement", limit=CONTROLLED.conditioning),
+    NO_GAIN: Status("riccati", "measurement", text="no gain at pose {at}: M^-1 tau is singular, or its gain overflows"),
+    POSE: Status("not_finite", "measurement", text="measured pose"),
+    RATE: Status("not_finite", "measurement", text="measured pose rate", numbers=slice(6, 12)),
+    REFERENCE: Status("not_finite", "reference", text="reference", numbers=slice(18)),
+    TORQUE: Status("not_finite", text="torque"),
+}
+STATUSES = _AT_POSE | {AT_REFERENCE + k: _AT_POSE[k]._replace(signal="reference") for k in (UNREACHABLE, PARALLEL)}
+"""How a controller's tick may end; what is wrong at the reference's pose is `AT_REFERENCE` more."""
 
 
 class Measurement(NamedTuple):
@@ -144,15 +171,19 @@ def measured_legs(robot: Any, measurement: Any, legs: Any) -> Any:
     """`legs_at` the pose of a measurement (12,), and whether a controller may act there.
 
     Returns:
-        OK, NOT_FINITE, UNREACHABLE, SERIAL or PARALLEL; the leg or -1, of NOT_FINITE which signal; the margin.
+        OK, POSE, RATE, UNREACHABLE, SERIAL or PARALLEL; the leg or -1; the margin.
     """
     if not all_finite(measurement[6:]):
-        return NOT_FINITE, RATE, 0.0
+        return RATE, -1, 0.0
     if not all_finite(measurement[:6]):
-        return NOT_FINITE, POSE, 0.0
+        return POSE, -1, 0.0
     bad = legs_at(robot, measurement[:6], legs)
     if bad >= 0:
-        return UNREACHABLE, bad, legs.reach_margin[bad]
+        # Little beyond reach, the crank has been carried across its dead centre: the robot stands there, so it can.
+        margin = legs.reach_margin[bad]
+        if margin >= -_DEAD_CENTRE_SLACK:
+            return SERIAL, bad, 0.0
+        return UNREACHABLE, bad, margin
     worst, leg = np.inf, 0
     for i in range(6):
         if not abs(legs.transmission[i]) >= worst:
@@ -173,31 +204,7 @@ def check_start(robot: RobotParameters, pose: np.ndarray) -> None:
     at_rest = np.concatenate([pose, np.zeros(6)])
     result = _check(robot_record(robot), at_rest, np.empty(1, LEGS))
     if result[0] != OK:
-        raise failure(result, {"measurement": at_rest, "reference": at_rest})
-
-
-def failure(result: Any, arguments: Mapping[str, Any]) -> RunFailure:
-    """The error that says why a controller's tick ended with a status other than OK.
-
-    Args:
-        result: Status of `kinematics_laws`, at the reference's pose `AT_REFERENCE` more; leg or -1, or which signal is
-            NOT_FINITE; margin of the pose, or a torque that is not finite.
-        arguments: `measurement` (12,) and `reference` (18,).
-    """
-    (status, leg, margin), measurement, reference = result, arguments["measurement"], arguments["reference"]
-    at_reference = status >= AT_REFERENCE
-    status -= AT_REFERENCE * at_reference
-    pose = np.array(reference[:6] if at_reference else measurement[:6])
-    if status == NOT_FINITE:
-        return NotFiniteError(_SIGNALS[leg], (pose, measurement[6:], reference, margin)[leg])
-    # Little beyond reach, the crank has been carried across its dead centre: the robot stands there, so it can.
-    if status == UNREACHABLE and (at_reference or not margin >= -_DEAD_CENTRE_SLACK):
-        return UnreachablePoseError(pose, leg, margin)
-    if status in (UNREACHABLE, SERIAL):
-        return SingularPoseError("serial", pose, max(margin, 0.0), CONTROLLED.transmission, leg)
-    if status == PARALLEL:
-        return SingularPoseError("parallel", pose, margin, CONTROLLED.conditioning)
-    return RiccatiError(f"no gain at pose {pose.tolist()}: M^-1 tau is singular, or its gain overflows")
+        raise failure(STATUSES[result[0]], result[1], result[2], {"measurement": at_rest})
 
 
 def controller_part(
@@ -206,11 +213,11 @@ def controller_part(
     """A controller's part of a loop, with the outputs torque and, where its state has one, integral.
 
     The kernel takes the `ROBOT` record, its parameters, measurement (12,), reference (18,), the scratch and the state;
-    it returns status, leg and margin, see `failure`.
+    it returns one of `STATUSES`, leg and margin.
     """
     outputs = tuple(name for name in ("torque", "integral") if name in (state.names or ()))
-    constants, inputs = {"robot": robot_record(robot), "params": params}, {"measurement": 12, "reference": 18}
-    return Part("controller", kernel, constants, inputs, outputs, new_record(state), scratch, failure)
+    numbers, inputs = {"robot": robot_record(robot), "params": params}, {"measurement": 12, "reference": 18}
+    return Part("controller", kernel, {}, inputs, outputs, new_record(state), scratch, STATUSES, parameters=numbers)
 
 
 # --- tracking error, torque limit and anti-windup ---------------------------------------------------------------------
@@ -257,12 +264,12 @@ def limit_and_integrate(params: Any, wanted: Any, error: Any, by_motor: bool, to
         integral: (6,) changed in place.
 
     Returns:
-        OK or NOT_FINITE; which signal is NOT_FINITE, or -1; the torque that is not finite.
+        OK or TORQUE; -1; the torque that is not finite.
     """
     saturated = False
     for i in range(6):
         if not np.isfinite(wanted[i]):
-            return NOT_FINITE, TORQUE, wanted[i]
+            return TORQUE, -1, wanted[i]
         torque[i] = min(max(wanted[i], -params.limit[i]), params.limit[i])
         saturated = saturated or torque[i] != wanted[i]
     for k in range(6):

@@ -16,7 +16,6 @@ from stewart_drake.control.base import (
     PROPORTIONAL,
     ControllerOptions,
     controller_part,
-    failure,
     heave_inertia,
     limit_and_integrate,
     measured_legs,
@@ -97,10 +96,9 @@ class PidOptions(ControllerOptions):
             fade=np.exp(-self.period / FADES),
             **saturation_params(self, robot),
         )
-        constants = {"robot": robot_record(robot), "doubt": np.ones(6), "params": params}
-        inputs = {"measurement": 12, "reference": 18, "reference_now": 18}
-        state = new_record(PID_STATE)
-        return (Part("controller", pid_tick, constants, inputs, ("torque",), state, (LEGS, LEGS), failure),)
+        numbers = {"robot": robot_record(robot), "doubt": np.ones(6), "params": params}
+        part = controller_part(pid_tick, robot, params, PID_STATE, LEGS, LEGS)
+        return (part._replace(inputs={**part.inputs, "reference_now": 18}, parameters=numbers),)
 
 
 GRAVITY, MOTION = 1.0, 2.0
@@ -144,7 +142,7 @@ def pid_tick(
         state: `PID_STATE` of the tick before; that of this one where the status is OK.
 
     Returns:
-        Status; leg or -1, or which signal is NOT_FINITE; margin.
+        Status of `base.STATUSES`; leg or -1; margin.
     """
     robot, params, state = record(robot), record(params), record(state)
     legs, target = record(legs), record(target_legs)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -74,6 +73,19 @@ STATE = fields(measurement=12, health=2, angles=6, crank_rate=6, missed=(), asse
 """measurement: pose and its rate [rad, m and 1/s]. angles: the last that were believed [rad]. crank_rate: filtered
 [rad/s]. missed: ticks since. assembly_sign: of the rods' determinant. candidate: pose that was found in the last tick,
 which need not have been believed."""
+
+
+STATUSES = {
+    NOT_FINITE: errors.Status("encoder", "reading", text="encoder readings {at}: not finite"),
+    TOO_FAST: errors.Status(
+        "encoder", "reading", text="encoder readings {at}: changed faster than {params[max_speed][0]:g} rad/s"
+    ),
+    NO_CONVERGENCE: errors.Status("forward_kinematics"),
+    SERIAL: errors.Status("crank_dead_centre", "state.candidate", of_leg=True),
+    PARALLEL: errors.Status("parallel_singularity", "state.candidate"),
+    OTHER_MODE: errors.Status("assembly_mode", "state.candidate", last="state.measurement"),
+}
+"""How a tick of `pose_of_angles` may end."""
 
 
 @njit
@@ -162,30 +174,7 @@ def difference_part(options: DifferenceOptions, context: LoopContext) -> Part:
         rates = crank_rates(robot, leg_geometry(robot, context.pose), context.pose, context.pose_rate)
         initial["crank_rate"] = rates if np.isfinite(rates).all() else 0.0
 
-    constants = {"robot": laws.robot_record(robot), "params": difference_params(options, context.period)}
-    return Part(
-        "estimator", difference_tick, constants, {"reading": 6}, ("measurement",), initial, (laws.LEGS,), encoder_error
-    )
-
-
-def singular_pose(status: int, leg: int, margin: float, pose: np.ndarray) -> errors.SingularPoseError:
-    """The error of a pose that ends a tick as SERIAL, a crank carried across its dead centre, or PARALLEL."""
-    if status == SERIAL:
-        return errors.SingularPoseError("serial", pose, margin, 0.0, leg)
-    return errors.SingularPoseError("parallel", pose, 0.0, 0.0)
-
-
-def encoder_error(result: Any, arguments: Mapping[str, Any]) -> errors.RunFailure:
-    """The error of a tick that ended with a status of `pose_of_angles` other than OK."""
-    (status, leg, margin), state, angles = result, arguments["state"], arguments["reading"]
-    pose = state["candidate"][0].copy()
-    if status == NO_CONVERGENCE:
-        return errors.ForwardKinematicsError(margin, leg)
-    if status in (SERIAL, PARALLEL):
-        return singular_pose(status, leg, margin, pose)
-    if status == OTHER_MODE:
-        return errors.AssemblyModeError(pose, state["measurement"][0, :6].copy())
-    what = (
-        "not finite" if status == NOT_FINITE else f"changed faster than {arguments['params']['max_speed'][0]:g} rad/s"
-    )
-    return errors.RunFailure(f"encoder readings {errors.pose_text(angles)}: {what}", reason="encoder")
+    numbers = {"robot": laws.robot_record(robot), "params": difference_params(options, context.period)}
+    outputs, scratch = ("measurement",), (laws.LEGS,)
+    part = Part("estimator", difference_tick, {}, {"reading": 6}, outputs, initial, scratch, STATUSES)
+    return part._replace(parameters=numbers)

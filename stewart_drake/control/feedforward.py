@@ -36,8 +36,8 @@ class FeedforwardOptions(ControllerOptions):
 
 def lead_part(period: float) -> Part:
     """`reference` (18,) -> `aimed` (18,), a little later, by what a delay turns out to be more than it was believed."""
-    constants = {"lead": np.zeros(1), "params": new_record(fields(period=()), period=period)}
-    return Part("lead", lead_tick, constants, {"reference": 18}, ("aimed",), new_record(_LEAD))
+    numbers = {"lead": np.zeros(1), "params": new_record(fields(period=()), period=period)}
+    return Part("lead", lead_tick, {}, {"reference": 18}, ("aimed",), new_record(_LEAD), parameters=numbers)
 
 
 _LEAD = fields(aimed=18, acceleration=6, ticks=())

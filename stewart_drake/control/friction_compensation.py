@@ -47,9 +47,9 @@ class FrictionCompensation(FrictionOptions, key="model.friction"):
     def part(self, context: LoopContext) -> Part:
         """`reference` (18,) -> `friction_torque` (6,) [N m]."""
         robot, joints = robot_record(context.robot), joints_record(self.joints)
-        constants = {"robot": robot, "friction": self.record(), "joints": joints}
-        outputs, first = ("friction_torque",), new_record(fields(friction_torque=6))
-        return Part("friction_compensation", friction_tick, constants, {"reference": 18}, outputs, first, (LEGS,))
+        numbers = {"robot": robot, "friction": self.record(), "joints": joints}
+        inputs, outputs, first = {"reference": 18}, ("friction_torque",), new_record(fields(friction_torque=6))
+        return Part("friction_compensation", friction_tick, {}, inputs, outputs, first, (LEGS,), parameters=numbers)
 
 
 @njit

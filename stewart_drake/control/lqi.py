@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Any, Literal, cast, get_args
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.base.config import Flag, Natural, Period, Positive, PositivePair
-from stewart_drake.base.errors import ConfigurationError, RiccatiError, RunFailure
+from stewart_drake.base.errors import ConfigurationError, RiccatiError, Status
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.control.base import (
     AT_REFERENCE,
     REFERENCE,
+    STATUSES,
     ControllerOptions,
     controller_part,
-    failure,
     limit_and_integrate,
     measured_legs,
     saturation_params,
@@ -149,7 +148,7 @@ def lqi_tick(
         state: `LQI_STATE` of the tick before; that of this one where the status is OK.
 
     Returns:
-        Status; leg or -1, or which signal is NOT_FINITE; margin.
+        Status of `base.STATUSES`, or NO_WEIGHTS; leg or -1; margin.
     """
     status, leg, margin = pose_problem(robot, params, measurement, reference, weights, legs, problem, state)
     if status == laws.OK and not _solve_split(record(params), record(problem), record(state)):
@@ -176,14 +175,14 @@ def pose_problem(
         record(robot), record(params), record(legs), record(problem), record(state),
     )  # fmt: skip
     if all_finite(measurement[6:]) and not all_finite(reference):
-        return laws.NOT_FINITE, REFERENCE, 0.0
+        return REFERENCE, -1, 0.0
     status, leg, margin = measured_legs(robot, measurement, legs)
     if status != laws.OK:
         return status, leg, margin
     for k in range(4):
         problem.weights[k] = weights[k] if weights.size == 4 else weights[k // 3]
         if not 0.0 < problem.weights[k] < np.inf:
-            return laws.NO_GAIN, -1, 0.0
+            return NO_WEIGHTS, -1, 0.0
     problem.changed = 0.0
     if params.bumpless == 1.0 and state.weights[0] != 0.0:
         for k in range(4):
@@ -322,6 +321,12 @@ def _bridged(params: Any, measurement: Any, reference: Any, state: Any) -> bool:
     return True
 
 
+NO_WEIGHTS = 7  # Status of weights that are not positive and finite.
+_STATUSES = STATUSES | {
+    NO_WEIGHTS: Status("riccati", text="no gain for weights {weights}: two or four are needed, positive and finite")
+}
+
+
 # --- the part --------------------------------------------------------------------------------------------------------
 
 
@@ -331,7 +336,7 @@ def lqi_part(
     """The LQI as a part of a loop, for the controller's model, gravity [m/s^2], and a port of 2 or 4 weights.
 
     Another `solver` than the options' may be named: `split` is one compiled call and needs no Drake. The part's tick
-    raises as `failure` where no good tick came before or more than `hold_ticks` failed in a row.
+    raises where no good tick came before or more than `hold_ticks` failed in a row.
     """
     params = new_record(
         LQI_PARAMS,
@@ -346,9 +351,9 @@ def lqi_part(
         **saturation_params(options, robot),
     )
     part = controller_part(lqi_tick, robot, params, LQI_STATE, laws.LEGS, PROBLEM)
-    part = part._replace(inputs={**part.inputs, "weights": weights}, error=_error)
+    part = part._replace(inputs={**part.inputs, "weights": weights}, statuses=_STATUSES)
     if (solver or options.solver) != "split":
-        part = part._replace(kernel=_tick_by_drake, constants={**part.constants, "options": options})
+        part = part._replace(kernel=_tick_by_drake, constants={"options": options})
     return part
 
 
@@ -368,12 +373,3 @@ def _tick_by_drake(
         except RiccatiError:
             result = (laws.NO_GAIN, -1, 0.0)
     return cast(Any, command)(robot, params, measurement, reference, legs, problem, *result, state)
-
-
-def _error(result: Any, arguments: Mapping[str, Any]) -> RunFailure:
-    if result[0] == laws.NO_GAIN:
-        try:
-            block_weights(arguments["weights"])
-        except RiccatiError as error:
-            return error
-    return failure(result, arguments)

@@ -16,7 +16,7 @@ import numpy as np
 
 from stewart_drake.base.atomic_files import PACKAGE, plain_json, read_checked, seal, unseal, write_atomically
 from stewart_drake.base.config import Real, Window, check_value
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError
+from stewart_drake.base.errors import ConfigurationError, Status
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.control.features import DensityKind
 from stewart_drake.loop.part import Part
@@ -262,11 +262,14 @@ def network_weights(network: Any, densities: Any, out: Any) -> None:
             out[m] = min(max(10.0 ** min(max(out[m], np.log10(low)), np.log10(high)), low), high)
 
 
+_STATUSES = {1: Status("not_finite", "density", text="density", numbers=slice(INPUTS))}
+
+
 @njit
-def network_tick(network: Any, densities: Any, state: Any) -> tuple[int]:
+def network_tick(network: Any, densities: Any, state: Any) -> Any:
     """`network_weights` into a state; the status is 1 where a density is not finite."""
     network_weights(record(network), densities, record(state).weights)
-    return (0 if all_finite(densities) else 1,)
+    return 0 if all_finite(densities) else 1, -1, 0.0
 
 
 def network_part(network: TunerNetwork, initial: Sequence[float]) -> Part:
@@ -276,9 +279,5 @@ def network_part(network: TunerNetwork, initial: Sequence[float]) -> Part:
     """
     check_value("initial", list(initial), tuple[Real, Real])
     first = new_record(fields(weights=OUTPUTS), weights=np.clip(initial, network.omega_min, network.omega_max))
-    constants, inputs = {"network": network.params()}, {"density": INPUTS}
-    return Part("tuner", network_tick, constants, inputs, ("weights",), first, error=_network_error, end_of_tick=True)
-
-
-def _network_error(_: Any, arguments: Mapping[str, Any]) -> NotFiniteError:
-    return NotFiniteError("density", arguments["density"].copy())
+    part = Part("tuner", network_tick, {}, {"density": INPUTS}, ("weights",), first, statuses=_STATUSES)
+    return part._replace(end_of_tick=True, parameters={"network": network.params()})

@@ -18,16 +18,15 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.base.config import Natural, Positive
-from stewart_drake.base.errors import ConfigurationError, RunFailure, UnreachablePoseError, pose_text
+from stewart_drake.base.errors import ConfigurationError, Status
 from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.control import estimator
 from stewart_drake.control.estimator import (
     STATE,
     DifferenceOptions,
     EstimatorOptions,
     difference_params,
-    encoder_error,
     pose_of_angles,
-    singular_pose,
 )
 from stewart_drake.loop.part import HEALTHY, LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
@@ -46,7 +45,20 @@ WHITE_SHARE = 1.5
 RESTS = 1e-4  # [rad/s] a crank that is to turn more slowly is to rest.
 LONGEST_DELAY = 100  # [ticks] from what is read to a command that acts; the state has place for so many.
 FARTHEST = 0.3  # [s] beyond which a prediction says nothing any more; assumed.
-MISSING = 20  # How a tick may end beside the statuses of `kinematics_laws`.
+MISSING, AT_FIRST = 7, 16
+"""Status of an encoder that is missing for too long, and what those of the first tick are more."""
+_STATUSES = {
+    UNREACHABLE: Status("unreachable_pose", "reading", of_leg=True),
+    SERIAL: Status("crank_dead_centre", "state.measurement", of_leg=True),
+    PARALLEL: Status("parallel_singularity", "state.measurement"),
+    MISSING: Status("encoder", "reading", True, "encoder readings {at}: encoder {leg} is missing or rejected"),
+}
+_STATUSES |= {
+    AT_FIRST + status: ending._replace(
+        signal=ending.signal.replace("candidate", "measurement"), last=ending.last.replace("measurement", "read")
+    )
+    for status, ending in estimator.STATUSES.items()
+}
 
 
 class ObserverOptions(EstimatorOptions):
@@ -153,7 +165,8 @@ def _begin(robot: Any, params: Any, first_params: Any, reading: Any, legs: Any, 
     angles = estimate.angles.copy()
     status, leg, margin = pose_of_angles(robot, first_params, angles, legs, estimate)
     if status != OK:
-        return status, leg, margin
+        copy_to(state.measurement[:6], estimate.candidate[:])
+        return AT_FIRST + status, leg, margin
     copy_to(state.read[:6], estimate.measurement[:6])
     copy_to(state.read[6:], state.measurement[6:])
     state.assembly_sign = estimate.assembly_sign
@@ -324,26 +337,11 @@ def observer_part(options: ObserverOptions, context: LoopContext) -> Part:
     initial["commands"][0, : ahead + 1] = context.initial_torque
 
     first = difference_params(DifferenceOptions(), period)
-    constants = {"robot": laws.robot_record(robot), "params": params, "first_params": first}
-    constants["friction"] = context.friction
+    numbers = {"robot": laws.robot_record(robot), "params": params, "first_params": first, "friction": context.friction}
     inputs = {"reading": context.reading, "net_torque": 6, "reference": 18, "disturbance": 1}
     outputs, expected = (
         ("measurement", "predicted", "disturbance_torque", "innovation"),
         np.array([options.disturbance]),
     )
-    part = Part("observer", observer_tick, constants, inputs, outputs, initial, (laws.LEGS, STATE), _error)
-    return part._replace(connections={"disturbance": expected})
-
-
-def _error(result: Any, arguments: Mapping[str, Any]) -> RunFailure:
-    (status, leg, margin), state, reading = result, arguments["state"], arguments["reading"]
-    if state["assembly_sign"][0] == 0.0:
-        estimate = arguments["scratch"][1]
-        first = {"state": estimate, "reading": estimate["angles"][0], "params": arguments["first_params"]}
-        return encoder_error(result, first)
-    if status == UNREACHABLE:
-        return UnreachablePoseError(reading[:6].copy(), leg, margin)
-    if status in (SERIAL, PARALLEL):
-        return singular_pose(status, leg, margin, state["measurement"][0, :6].copy())
-    text = f"encoder readings {pose_text(reading[:6])}: encoder {leg} is missing or rejected"
-    return RunFailure(text, reason="encoder", leg=leg)
+    part = Part("observer", observer_tick, {}, inputs, outputs, initial, (laws.LEGS, STATE), _STATUSES)
+    return part._replace(connections={"disturbance": expected}, parameters=numbers)

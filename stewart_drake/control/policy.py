@@ -256,7 +256,7 @@ def setting_part(source: SettingSource, context: LoopContext, weights: np.ndarra
         averages=[1.0, 1.0, 0.0, 0.0, 0.0],
     )
 
-    constants = {"params": params, "source": source.params()}
+    numbers = {"params": params, "source": source.params()}
     inputs = {"density": 12, "error": 6, "torque": 6, "innovation": 6, "reference": 18}
     outputs = ("weights", "disturbance", "setting")
-    return Part("tuner", source.kernel, constants, inputs, outputs, initial, end_of_tick=True)
+    return Part("tuner", source.kernel, {}, inputs, outputs, initial, end_of_tick=True, parameters=numbers)

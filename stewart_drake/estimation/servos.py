@@ -346,7 +346,7 @@ def replayed(guess: RobotParameters, recording: ServoRecording, values: np.ndarr
     measured = plant.initial(torques.poses_of(guess, recording.angles[:1], recording.source)[0], still)
     for step in range(steps):
         angles[step] = measured[ANGLES]
-        part.kernel(*part.constants.values(), commands[step], measured[ANGLES.start : CRANK_RATES.stop], state)
+        part.kernel(*part.leading.values(), commands[step], measured[ANGLES.start : CRANK_RATES.stop], state)
         measured = plant.step(state["torque"][0], wrench)
     read = np.stack([np.interp(rows - age, time, column) for column in angles.T], axis=-1)
     # With the noise and in the steps of its encoders.

@@ -10,7 +10,7 @@ import numpy as np
 
 from stewart_drake import __version__
 from stewart_drake.base.atomic_files import write_atomically
-from stewart_drake.base.errors import ConfigurationError, RunFailure
+from stewart_drake.base.errors import FAILURES, ConfigurationError, RunFailure
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.export.loop import LoopSource, table_of
 from stewart_drake.export.printer import TEMPLATES
@@ -22,6 +22,7 @@ from stewart_drake.scenario.controller import Controller, controller_parts
 
 REPLAYED = 1.0
 """[s] of readings in `replay.csv`, or the whole motion where it is shorter."""
+REASONS = ", ".join(f'"{reason}"' for reason in FAILURES)
 SWING = 1e-4
 """[rad, m] by which those readings are off the reference, so that there is something to control."""
 MOST_ROWS = 100_000
@@ -82,6 +83,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
         "LIMIT": loop.program.table("command_limit", limit).base,
         "COMMAND": loop.signals[command].text,
         "PARTS": ", ".join(f'"{part.name}"' for part in parts),
+        "REASONS": REASONS,
         "GIVEN": given.rstrip(),
         "LOOP": loop.text().rstrip(),
         "ROWS": str(ticks),

@@ -17,10 +17,10 @@ import numpy as np
 
 from stewart_drake import __version__
 from stewart_drake.base.atomic_files import write_atomically
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.errors import ConfigurationError, Status
 from stewart_drake.base.jit import njit, record
 from stewart_drake.base.sampling import on_grid
-from stewart_drake.export.controller_c import c_name, controller_files, from_template, readings_along
+from stewart_drake.export.controller_c import REASONS, c_name, controller_files, from_template, readings_along
 from stewart_drake.export.loop import LoopSource
 from stewart_drake.export.values import number
 from stewart_drake.hardware.motors import delay_part
@@ -60,9 +60,10 @@ def plant_part(scenario: Scenario) -> Part:
     plant = ClosedForm(scenario.robot, scenario.plant, scenario.gravity)  # type: ignore[arg-type]
     plant.initial(*scenario.start())
     loaded, friction, params, _ = plant._fixed
-    constants, inputs = {"robot": loaded, "friction": friction, "params": params}, {"motor_torque": 6, "wrench": 6}
+    numbers, inputs = {"robot": loaded, "friction": friction, "params": params}, {"motor_torque": 6, "wrench": 6}
     kernel = plant_tick_rk4 if getattr(scenario.plant, "integrator", "") == "rk4" else plant_tick
-    part = Part("plant", kernel, constants, inputs, (), plant.save(), (LEGS,), error=lambda *_: None)  # type: ignore[arg-type]
+    statuses = {SERIAL: Status("crank_dead_centre", of_leg=True)}
+    part = Part("plant", kernel, {}, inputs, (), plant.save(), (LEGS,), statuses, parameters=numbers)
     return part._replace(period=scenario.plant.time_step, end_of_tick=True)
 
 
@@ -78,7 +79,7 @@ def robot_files(scenario: Scenario, name: str) -> dict[str, str]:
     loop = LoopSource([*parts, plant_part(scenario)], outside, {}, step, step, {})
     words = {"NAME": name, "UPPER": name.upper(), "SCENARIO": scenario.name, "VERSION": __version__}
     words |= {"LOOP": loop.text().rstrip(), "NUMBERS": str(loop.numbers), "UNIT": scenario.motors.unit}
-    words |= {"PERIOD": number(step).text, "GRID": number(on_grid(step)).text}
+    words |= {"REASONS": REASONS, "PERIOD": number(step).text, "GRID": number(on_grid(step)).text}
     return {f"{name}.{ending}": from_template(f"robot.{ending}", words) for ending in ("h", "c")}
 
 
@@ -128,7 +129,7 @@ def _unit(
     """The archive of a unit, with a library for this machine where there is a C compiler."""
     words = {"WHAT": what, "HEADER": f"{own}.h", "STRUCT": struct, "PERIOD": number(on_grid(period)).text, "STEP": step}
     words["FIELDS"] = "\n".join(f"    double {each.name}[{each.start.size}];" for each in variables)
-    words["INIT"] = f"{own}_init(&u->inner);"
+    words |= {"INIT": f"{own}_init(&u->inner);", "WHY": f"{own}_why"}
     rows = [
         f"    {{offsetof(unit, {each.name}), {each.start.size}, {'true' if each.is_input else 'false'}}},"
         for each in variables

@@ -7,13 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.errors import StewartDrakeError, failure_code
+from stewart_drake.base.errors import failure_code
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.export.printer import Program, braced, filled
 from stewart_drake.export.source import refusal, source_of
 from stewart_drake.export.values import Array, Axis, Record, Scalar, Unknown, number
 from stewart_drake.loop.part import HEALTHY, Part
-from stewart_drake.mechanics.kinematics_laws import NO_CONVERGENCE
 
 _STATUSES = 32  # A kernel's statuses are below it.
 
@@ -40,7 +39,7 @@ class LoopSource:
     """The parts of a loop in C; arguments are those of `LoopRunner`.
 
     `given` are arrays that stand at ports, by the names of members of the record that take their places; `variable`
-    names constants that are to be members too, as `part.constant`.
+    names parameters that are to be members too, as `part.parameter`.
 
     Attributes:
         program: The laws that have been printed.
@@ -59,7 +58,7 @@ class LoopSource:
         variable: Collection[str] = (),
     ) -> None:
         self.program, self.parts, self._given, self._variable = Program(), tuple(parts), given, variable
-        self._members, self.places = ["double steps;"], {"steps": (0, 1)}
+        self._members, self.places = ["double steps;", "double failure[2];"], {"steps": (0, 1), "failure": (1, 2)}
         self._initial: list[str] = []
         for name, size in {**outside, **{name: array.size for name, array in given.items()}}.items():
             self._member(name, f"double {name}[{size}]", size)
@@ -111,8 +110,8 @@ class LoopSource:
 
     def _add(self, k: int, part: Part) -> None:
         arguments: list[Any] = []
-        for name, value in part.constants.items():
-            arguments.append(self._constant(part, name, value))
+        for name, value in part.leading.items():
+            arguments.append(self._leading(part, name, value))
         for name, size in part.inputs.items():
             arguments.append(self._input(part, name, size))
         for n, scratch in enumerate(part.scratch):
@@ -140,8 +139,8 @@ class LoopSource:
             lines += [f"    const struct {kind} before = loop->{part.name};"] if part.fault_tolerant else []
             lines += [f"    const {self.program.result(kinds)} result = {call};"]
             leg = "result.second" if kinds[1:2] == ("int",) else "-1"
+            causes, of_leg = self._causes(part)
             if part.fault_tolerant:
-                causes, of_leg = self._causes(part)
                 lines += [
                     f"    double *health = loop->{part.name}.health;",
                     "    if (result.first == 0) {",
@@ -156,10 +155,17 @@ class LoopSource:
                     "    return 0;",
                 ]
             else:
-                lines += [f"    return result.first == 0 ? 0 : {k + 1};"]
+                lines += [
+                    "    if (result.first == 0) {",
+                    "        return 0;",
+                    "    }",
+                    f"    loop->failure[0] = {causes.at(['result.first']).text};",
+                    f"    loop->failure[1] = {of_leg.at(['result.first']).text} ? {leg} : -1;",
+                    f"    return {k + 1};",
+                ]
         self._runs.append(f"static int run_{part.name}(struct loop *loop)\n{{\n" + "\n".join(lines) + "\n}")
 
-    def _constant(self, part: Part, name: str, value: Any) -> Any:
+    def _leading(self, part: Part, name: str, value: Any) -> Any:
         if name in part.connections:
             signal = self.signals[str(part.connections[name])]
             kind = self.program.record(value.dtype, f"{part.name}_{name}", part.kernel)
@@ -190,22 +196,10 @@ class LoopSource:
         return self.program.table(f"no_{name}" if not np.any(source) else f"{part.name}_{name}", source)
 
     def _causes(self, part: Part) -> tuple[Array, Array]:
-        """What of `errors.FAILURES` a status means, and whether it is that of a leg: by the part's own error."""
-        assert part.error is not None
-        state = part.initial.copy()
-        if "assembly_sign" in (state.dtype.names or ()):
-            state["assembly_sign"] = 1.0
-        named: dict[str, Any] = {**part.constants, **{name: np.zeros(size) for name, size in part.inputs.items()}}
-        named |= {"scratch": tuple(np.zeros(1, kind) for kind in part.scratch), "state": state}
+        """What of `errors.FAILURES` a status means, and whether it is that of a leg."""
         causes, of_leg = np.ones(_STATUSES, dtype=int), np.zeros(_STATUSES, dtype=int)
-        for status in range(1, _STATUSES):
-            try:
-                error: Any = part.error((status, 0, -1.0), named)
-            except (StewartDrakeError, LookupError, TypeError):  # no status of this part
-                continue
-            causes[status] = failure_code(error.reason)
-            # With this one stand the steps that were taken.
-            of_leg[status] = error.leg is not None and status != NO_CONVERGENCE
+        for status, ending in part.statuses.items():
+            causes[status], of_leg[status] = failure_code(ending.reason), ending.of_leg
         return self.program.table(f"{part.name}_causes", causes), self.program.table(f"{part.name}_of_leg", of_leg)
 
     # --- text ---

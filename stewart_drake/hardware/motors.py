@@ -228,8 +228,8 @@ class TorqueMotors(MotorOptions):
     def part(self, robot: RobotParameters, time_step: float) -> Part:
         if not self.perfect:
             return _motor_part(self.torque, robot, time_step)
-        constants, first = {"limit": robot.effort_limits}, new_record(fields(torque=6))
-        return Part("motors", limit_torque, constants, {"command": 6}, ("torque",), first, period=time_step)
+        first, inputs, numbers = new_record(fields(torque=6)), {"command": 6}, {"limit": robot.effort_limits}
+        return Part("motors", limit_torque, {}, inputs, ("torque",), first, period=time_step, parameters=numbers)
 
 
 class UserMotors(UserMade, MotorOptions, key="motors"):

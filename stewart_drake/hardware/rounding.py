@@ -46,8 +46,8 @@ def rounding_part(context: LoopContext, stiffness: float, damping: float, count:
     inertia = float(np.trace(crank_inertia(robot, context.pose))) / 6.0
     shares = shaping(stiffness, damping, inertia, context.period)
     params = new_record(_PARAMS, count=count, shares=shares, length=robot.characteristic_length)
-    constants, inputs = {"robot": robot_record(robot), "params": params}, {"command": 6, "reference": 18}
-    return Part("rounding", round_together, constants, inputs, ("command",), new_record(_STATE), (LEGS,))
+    numbers, inputs = {"robot": robot_record(robot), "params": params}, {"command": 6, "reference": 18}
+    return Part("rounding", round_together, {}, inputs, ("command",), new_record(_STATE), (LEGS,), parameters=numbers)
 
 
 _PARAMS = fields(count=(), shares=2, length=())

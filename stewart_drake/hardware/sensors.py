@@ -124,12 +124,12 @@ def _read(params: Any, drawn: Any, crank_state: Any, state: Any) -> None:
 
 def encoder_part(options: EncoderOptions) -> Part:
     """Encoders without faults: `crank_state` (12,), angles [rad] and rates, -> `reading` (6,) [rad]."""
-    params, initial = new_record(_ENCODERS, options), new_record(_ENCODER_STATE)
+    numbers, inputs = {"params": new_record(_ENCODERS, options)}, {"crank_state": 12}
+    initial = new_record(_ENCODER_STATE)
     if options.noise == 0.0:
-        constants: dict[str, Any] = {"params": params, "drawn": np.zeros(6)}
-        return Part("encoders", _read, constants, {"crank_state": 12}, ("reading",), initial)
-    constants = {"params": params, "seed": options.noise_seed}
-    return Part("encoders", _read_with_noise, constants, {"crank_state": 12}, ("reading",), initial)
+        return Part("encoders", _read, {"drawn": np.zeros(6)}, inputs, ("reading",), initial, parameters=numbers)
+    seed = {"seed": options.noise_seed}
+    return Part("encoders", _read_with_noise, seed, inputs, ("reading",), initial, parameters=numbers)
 
 
 def _read_with_noise(params: np.ndarray, seed: int, crank_state: np.ndarray, state: np.ndarray) -> None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.base.config import Natural, NotNegative, Positive, Text, one_for_six
-from stewart_drake.base.errors import ConfigurationError, UnreachablePoseError
+from stewart_drake.base.errors import ConfigurationError, Status
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.hardware.motors import MotorOptions
@@ -140,16 +139,18 @@ class PositionServos(_SoldMotors):
             slope=self.slope / self.supply, count=self.count, stride=stride, play=0.5 * self.backlash,
             most=robot.effort_limits,
         )  # fmt: skip
-        first, inputs = new_record(_STATE), {"command": 6, "crank_state": 12}
-        return Part("motors", servo_tick, {"params": params}, inputs, ("torque",), first, period=time_step)
+        numbers, first, inputs = {"params": params}, new_record(_STATE), {"command": 6, "crank_state": 12}
+        return Part("motors", servo_tick, {}, inputs, ("torque",), first, period=time_step, parameters=numbers)
 
     def inverse_parts(self, context: LoopContext) -> tuple[Part, ...]:
         params = new_record(_BELIEVED, self, play=0.5 * self.backlash, feedback=float(context.feedback))
-        constants = {"robot": robot_record(context.robot), "gain": self.gains, "params": params}
+        numbers = {"robot": robot_record(context.robot), "gain": self.gains, "params": params}
         first = new_record(fields(command=6), command=self.initial_command(context))
         inputs = {"torque": 6, "measurement": 12, "reference": 18}
-        outputs, scratch = ("command",), (LEGS,)
-        angles = Part("servo_command", servo_command, constants, inputs, outputs, first, scratch, _unreachable)
+        aim = "measurement" if context.feedback else "reference"
+        statuses = {UNREACHABLE: Status("unreachable_pose", aim, of_leg=True)}
+        angles = Part("servo_command", servo_command, {}, inputs, ("command",), first, (LEGS,), statuses)
+        angles = angles._replace(parameters=numbers)
         if context.feedback or self.count == 0.0:
             return (angles,)
         rounding = rounding_part(context, float(self.gains.mean()), self.damping, self.count)
@@ -200,13 +201,13 @@ class CurrentMotors(_SoldMotors):
         most = np.inf if self.current_limit is None else self.torque_constant * self.current_limit
         limit = np.minimum(self.limits(robot), most)
         params = new_record(_CURRENT, self, limit=limit, slope=self.slope)
-        first, inputs = new_record(fields(torque=6)), {"command": 6, "crank_state": 12}
-        return Part("motors", current_tick, {"params": params}, inputs, ("torque",), first, period=time_step)
+        numbers, first, inputs = {"params": params}, new_record(fields(torque=6)), {"command": 6, "crank_state": 12}
+        return Part("motors", current_tick, {}, inputs, ("torque",), first, period=time_step, parameters=numbers)
 
     def inverse_parts(self, context: LoopContext) -> tuple[Part, ...]:
-        constants = {"gain": self.gains}
+        numbers = {"gain": self.gains}
         first = new_record(fields(command=6), command=self.initial_command(context))
-        return (Part("motor_current", current_command, constants, {"torque": 6}, ("command",), first),)
+        return (Part("motor_current", current_command, {}, {"torque": 6}, ("command",), first, parameters=numbers),)
 
     def initial_command(self, context: LoopContext) -> np.ndarray:
         return context.initial_torque / self.torque_constant
@@ -294,9 +295,3 @@ def servo_command(
             wound += params.play * np.tanh(wound / (PLAY_WIDTH * params.play))
         state.command[i] = angle + wound
     return OK, -1, 0.0
-
-
-def _unreachable(result: Any, arguments: Mapping[str, Any]) -> UnreachablePoseError:
-    _, leg, margin = result
-    aim = arguments["measurement" if arguments["params"]["feedback"][0] == 1.0 else "reference"]
-    return UnreachablePoseError(np.array(aim[:6]), leg, margin)

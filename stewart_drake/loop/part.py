@@ -1,4 +1,4 @@
-"""The type of which a loop is made, a part: a kernel with constants, inputs, outputs and a state; and what runs parts.
+"""The type of which a loop is made, a part: a kernel with parameters, inputs, outputs and a state; what runs parts.
 
 A run is an ordered list of parts. Drake's Diagram connects them by name, each in a LeafSystem; `LoopRunner` calls them
 in order on one vector of all signals and states, for the fast engine and for `Controller`.
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.errors import RunFailure, failure_code
+from stewart_drake.base.errors import ConfigurationError, RunFailure, Status, failure, failure_code
 from stewart_drake.base.jit import specialised
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.robot import RobotParameters
@@ -27,10 +27,10 @@ HEALTHY = (0.0, -1.0)
 class Part(NamedTuple):
     """A part of the loop.
 
-    Its kernel is called as `kernel(*constants, *inputs, *scratch, state)` and changes the state in place. It returns
-    nothing, or a tuple that begins with a status, 0 where all is well; who runs the part raises `error` for another.
-    The state is then worthless. A kernel of our own is compiled; a user's may be plain Python, and may raise
-    RunFailure.
+    Its kernel is called as `kernel(*parameters, *constants, *inputs, *scratch, state)`, and changes the state in place.
+    It returns nothing, or status, leg or -1, and margin; the status is 0 where all is well, and of another `statuses`
+    gives the error that is raised. The state is then worthless. A kernel of our own is compiled; a user's may be plain
+    Python, and may raise RunFailure.
 
     An input is the last signal of its name: of the same instant by a part before it in the list, or of the tick before
     by a part after it, or by one that runs at the end of a tick.
@@ -38,14 +38,15 @@ class Part(NamedTuple):
     Attributes:
         name: In the Diagram and in messages.
         kernel: See above.
-        constants: Name -> what does not change: records of numbers, for a kernel in Python anything. A signal of as
-            many numbers may take the place of a record, see `connections`.
+        constants: Name -> what does not change; for a kernel in Python anything.
         inputs: Port -> size; the kernel gets arrays (size,). The port `time` (1,) [s] is given by who runs the part.
         outputs: Fields of its state that are signals; they come first in the state, in this order.
         initial: State before the first tick: a record (1,) of float64 fields, see `jit.fields`.
         scratch: Kinds of records that the kernel overwrites.
-        error: The error of a result of the kernel and of its arguments by name, with `scratch` and `state`.
-        connections: Port or constant -> name of the signal, where that is not the port's own; or an array that stays,
+        statuses: Status other than 0 -> what it means. The arguments have the names of parameters, constants and
+            inputs, and `state`.
+        error: In the place of `statuses`: result and arguments -> the error.
+        connections: Port or parameter -> name of the signal, where that is not the port's own; or an array that stays,
             for a port that this loop has no signal for.
         output_names: Output -> name of the signal, where that is not its own.
         period: [s] between two ticks; None for that of the controller.
@@ -53,6 +54,8 @@ class Part(NamedTuple):
         fault_tolerant: Whether a tick that fails does not end the run: its last state is repeated, and its output
             `health` (2,) has the cause as `errors.FAILURES` counts it, 0 for none, and the leg or -1.
         system: A user's own LeafSystem in the place of kernel and state; it runs in a Diagram alone.
+        parameters: Name -> numbers with which the part begins, a record (1,) or an array of float64. A Context may
+            change them, and a signal of as many numbers may take the place of one, see `connections`.
     """
 
     name: str
@@ -62,6 +65,7 @@ class Part(NamedTuple):
     outputs: tuple[str, ...]
     initial: np.ndarray
     scratch: tuple[np.dtype, ...] = ()
+    statuses: Mapping[int, Status] = MappingProxyType({})
     error: Callable[[Any, Mapping[str, Any]], RunFailure] | None = None
     connections: Mapping[str, str | np.ndarray] = NOTHING
     output_names: Mapping[str, str] = NOTHING
@@ -69,6 +73,12 @@ class Part(NamedTuple):
     end_of_tick: bool = False
     fault_tolerant: bool = False
     system: Any = None
+    parameters: Mapping[str, np.ndarray] = NOTHING
+
+    @property
+    def leading(self) -> dict[str, Any]:
+        """Parameters and constants, which the kernel gets first, in their order."""
+        return {**self.parameters, **self.constants}
 
     def source(self, port: str) -> str | np.ndarray:
         """Name of the signal at an input port, or the array that stands there."""
@@ -80,8 +90,15 @@ class Part(NamedTuple):
 
     @property
     def replaced(self) -> tuple[str, ...]:
-        """Constants whose place a signal takes."""
-        return tuple(name for name in self.constants if name in self.connections)
+        """Parameters whose place a signal takes."""
+        return tuple(name for name in self.parameters if name in self.connections)
+
+    def check_signal(self, name: str, kind: np.dtype) -> None:
+        """Refuses a signal of that kind in the place of a parameter that it does not fit."""
+        wanted = self.parameters[name].nbytes // 8
+        if kind.base != np.float64 or kind.itemsize != 8 * wanted:
+            given = f"{math.prod(kind.shape)} of {kind.base}"
+            raise ConfigurationError(f"{self.name}.{name}", given, f"a signal of {wanted} numbers of float64")
 
     def size(self, field: str) -> int:
         """Numbers in a field of its state."""
@@ -92,8 +109,8 @@ class Part(NamedTuple):
         BoundPart(self, inputs[:-1], inputs[-1])()
 
     def connected(self, **sources: str | np.ndarray) -> Part:
-        """The part with these signals, or arrays, at those of its ports and constants that have such a name."""
-        known = {port: source for port, source in sources.items() if port in self.inputs or port in self.constants}
+        """The part with these signals, or arrays, at those of its ports and parameters that have such a name."""
+        known = {port: source for port, source in sources.items() if port in self.inputs or port in self.parameters}
         return self._replace(connections={**self.connections, **known})
 
     def named(self, **signals: str) -> Part:
@@ -140,7 +157,7 @@ class BoundPart:
         part: The part.
         inputs: Its inputs, in their order.
         state: Its state.
-        signals: Signals in the place of constants, by their names.
+        signals: Signals in the place of parameters, by their names.
     """
 
     def __init__(
@@ -149,16 +166,18 @@ class BoundPart:
         self.part = part
         self._scratch = tuple(np.zeros(1, kind) for kind in part.scratch)
         self._before = part.initial.copy()
-        self.bind(inputs, state, signals)
+        for name, array in signals.items():
+            part.check_signal(name, np.dtype((array.dtype, array.shape)))
+        # Copies: a kernel is compiled for arrays that may be written, as a signal or a Context's numbers are.
+        numbers = [signals.get(name, value.copy()).view(value.dtype) for name, value in part.parameters.items()]
+        self._constants = tuple(part.constants.values())
+        self.bind(numbers, inputs, state)
 
-    def bind(self, inputs: Sequence[Any], state: np.ndarray, signals: Mapping[str, np.ndarray] = NOTHING) -> None:
+    def bind(self, parameters: Sequence[np.ndarray], inputs: Sequence[Any], state: np.ndarray) -> None:
         """Other arrays in the place of those that were given."""
         self._kernel: Callable[..., Any] = self.part.kernel
-        constants = self.part.constants
-        if signals:
-            constants = {**constants, **{name: array.view(constants[name].dtype) for name, array in signals.items()}}
         self.state = state
-        self.arguments = (*constants.values(), *inputs, *self._scratch, state)
+        self.arguments = (*parameters, *self._constants, *inputs, *self._scratch, state)
 
     def __call__(self) -> None:
         """A tick; raises the named error of a part that is not fault tolerant."""
@@ -178,14 +197,16 @@ class BoundPart:
             self.state["health"] = failure_code(error.reason), -1.0 if error.leg is None else error.leg
 
     def _error(self, result: Any) -> RunFailure:
-        assert self.part.error is not None
-        named = dict(zip((*self.part.constants, *self.part.inputs), self.arguments, strict=False))
-        return self.part.error(result, {**named, "scratch": self._scratch, "state": self.state})
+        named = dict(zip((*self.part.leading, *self.part.inputs), self.arguments, strict=False))
+        named["state"] = self.state
+        if self.part.error is not None:
+            return self.part.error(result, named)
+        return failure(self.part.statuses[result[0]], result[1], result[2], named)
 
     def fixed(self) -> Callable[[], Any]:
         """The same tick with the arguments that are bound now and no others, by the shortest way."""
         self._kernel = specialised(self.part.kernel, self.arguments)
-        plain = self.part.error is None and not self.part.fault_tolerant
+        plain = self.part.error is None and not self.part.statuses and not self.part.fault_tolerant
         return partial(self._kernel, *self.arguments) if plain else self
 
 

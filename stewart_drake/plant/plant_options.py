@@ -179,7 +179,7 @@ class DrakeOptions(MechanismOptions):
 
     def make(self, robot: RobotParameters, gravity: float) -> Plant:
         # By its name: it needs these options, and Drake, which takes seconds to import.
-        plant: Plant = imported("plant.multibody_plant:SteppedPlant")(robot, self, gravity)
+        plant: Plant = imported("plant.stepped_plant:SteppedPlant")(robot, self, gravity)
         return plant
 
 

@@ -52,6 +52,11 @@ class StateMap:
         self._crank_zero = np.concatenate([self._home.crank_angles, np.zeros(6)])
 
     @cached_property
+    def size(self) -> int:
+        """Numbers in a state of the plant."""
+        return self.default.size
+
+    @cached_property
     def _crank_index(self) -> np.ndarray:
         return np.concatenate([self.indices.crank, self.indices.crank_rate])
 
@@ -109,9 +114,16 @@ class StateMap:
         state[..., index.twist] = twist
         return state
 
+    def checked(self, state: ArrayLike) -> np.ndarray:
+        """States as an array; those of another plant raise a ConfigurationError where their size tells it."""
+        state = np.asarray(state, dtype=float)
+        if state.shape[-1:] != (self.size,):
+            raise ConfigurationError("state", f"an array of shape {state.shape}", f"(..., {self.size}) of this plant")
+        return state
+
     def pose_and_rate(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pose (..., 6) [rad, m], pitch in [-pi/2, pi/2], and its rate (..., 6) [rad/s, m/s] of states."""
-        platform = np.asarray(state, dtype=float)[..., self._platform_index]
+        platform = self.checked(state)[..., self._platform_index]
         pose, rate = np.empty((2, *platform.shape[:-1], 6))
         _platform_motion(platform.reshape(-1, 13), pose.reshape(-1, 6), rate.reshape(-1, 6))
         return pose, rate
@@ -122,7 +134,7 @@ class StateMap:
 
     def crank_state(self, state: np.ndarray) -> np.ndarray:
         """Angles [rad] of the cranks, not wrapped, and their rates [rad/s] of states, (..., 12)."""
-        return state[..., self._crank_index] + self._crank_zero
+        return self.checked(state)[..., self._crank_index] + self._crank_zero
 
     def measure(self, state: np.ndarray) -> np.ndarray:
         """What a `Plant` measures (..., 24) in states."""
@@ -130,11 +142,11 @@ class StateMap:
 
     def crank_angles(self, state: np.ndarray) -> np.ndarray:
         """Angles theta (..., 6) [rad] of the cranks, not wrapped."""
-        return np.asarray(state, dtype=float)[..., self.indices.crank] + self._home.crank_angles
+        return self.checked(state)[..., self.indices.crank] + self._home.crank_angles
 
     def rod_directions(self, state: np.ndarray) -> np.ndarray:
         """Unit vectors e_l (..., 6, 3) [-] along the rods, from the crank up, wherever their far ends are."""
-        state = np.asarray(state, dtype=float)
+        state = self.checked(state)
         crank, lateral, e_n = np.moveaxis(crank_rotations(self.robot, self.crank_angles(state)), -1, 0)
         angles = state[..., self.indices.rod]
         if self.rod_joint == "universal":

@@ -25,7 +25,7 @@ class DiagramRun(Run):
 
     def begin(self) -> None:
         loop = self._loop
-        self._simulator = Simulator(loop, loop.create_start_context())
+        self._simulator = Simulator(loop)
         if loop.num_continuous_states() > 0:
             # Only a user's controller has them. Steps as error control wants them would end nowhere once a derivative
             # is not a number.

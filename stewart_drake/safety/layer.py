@@ -262,17 +262,15 @@ def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
     unread = dict.fromkeys(("angles", "poses"), np.nan)
     first = new_record(_STATE, **torques, **unread, safety=(NONE, NO_TRIP, -1.0))
     kernel: Any = _tick
-    constants: dict[str, Any] = {
-        "robot": laws.robot_record(robot), "friction": context.friction, "friction_unknown": np.zeros(12),
-        "params": params, "user_trip": np.zeros(2),
-    }  # fmt: skip
+    numbers = {"robot": laws.robot_record(robot), "friction": context.friction, "friction_unknown": np.zeros(12)}
+    constants: dict[str, Any] = {"user_trip": np.zeros(2)}
     if options.monitors:
         kernel, constants = _tick_with_monitors, {**constants, "options": options}
     inputs = {"command": 6, "measurement": 12, "reference": 18}
     inputs |= {name: len(value) for name, value in NOT_THERE.items()}
     error = partial(_stopped, options, period)
-    part = Part("safety", kernel, constants, inputs, ("torque", "safety"), first, (laws.LEGS, OBSERVED), error)
-    return part._replace(connections=NOT_THERE)
+    part = Part("safety", kernel, constants, inputs, ("torque", "safety"), first, (laws.LEGS, OBSERVED), error=error)
+    return part._replace(connections=NOT_THERE, parameters={**numbers, "params": params})
 
 
 def _tick_with_monitors(

@@ -7,7 +7,7 @@ estimator, controller and tuner gives its own parts, see `LoopContext`; nothing 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.base.keys import join_or
-from stewart_drake.control.base import LEARNT_SIGNALS, TRACKING_ERROR
+from stewart_drake.control.base import LEARNT_SIGNALS, TRACKING_ERROR, AdaptationOptions
 from stewart_drake.control.feedforward import lead_part
 from stewart_drake.control.friction_compensation import standing_torque
 from stewart_drake.control.observer import SMALLEST_NOISE
@@ -24,9 +24,12 @@ from stewart_drake.hardware.motors import delay_part, within_limit
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.friction import BELIEVED
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
-from stewart_drake.safety import SafetyOptions, safety_part
+from stewart_drake.safety import safety_part
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
+
+Signal = str | np.ndarray
+"""Name of a signal, or numbers that stand in its place."""
 
 
 class Source(NamedTuple):
@@ -157,7 +160,7 @@ def control_side(options: ControlOptions, split: bool = False, reading: str = "r
     if split and getattr(options.controller, "solver", None) == "drake":
         allowed = "split, or null for what runs without Drake: the closed form, and Controller"
         raise ConfigurationError("controller.solver", "drake", allowed)
-    return _Builder(options, split, reading).side()
+    return wire(options, context_of(options, split), reading)
 
 
 def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
@@ -187,163 +190,152 @@ def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
     )
 
 
-class _Builder:
-    """Adds the parts of the controller's side in order; what one adds the next ones connect to by name."""
+def wire(options: ControlOptions, context: LoopContext, reading: str = "reading") -> ControlSide:
+    """Parts of the controller's side in the order in which signals run within a tick, then those of its end.
 
-    def __init__(self, options: ControlOptions, split: bool, reading: str) -> None:
-        self.options, self.context, self.reading = options, context_of(options, split), reading
-        self.friction = options.belief.friction
-        self.parts: list[Part] = []
-        self.logged: dict[str, str | np.ndarray] = {"reference": "reference"}
-        if reading != "plant_pose":
-            self.logged["reading" if self.context.reading == 6 else "pose_reading"] = reading
-        self.at_end: list[Part] = []
+    A variable with the name of a signal is the name by which parts find it, or an array where nobody gives it.
+    """
+    robot, motors, safety, adaptation = context.robot, context.motors, options.safety, options.adaptation
+    logged: dict[str, Signal] = {"reference": "reference"}
+    if reading != "plant_pose":
+        logged["reading" if context.reading == 6 else "pose_reading"] = reading
 
-    def side(self) -> ControlSide:
-        options, context = self.options, self.context
-
-        def motion(times: np.ndarray) -> np.ndarray:
-            return np.concatenate(options.reference.evaluate(times), axis=-1)
-
-        sources = [Source("reference", 18, motion)]
-        if options.preview > 0.0:
-            shift = options.preview
-            sources.append(Source("reference_ahead", 18, lambda times: motion(times + shift)))
-        self.add_estimator()
-        self.add_controller()
-        self.add_command()
-        command = self.add_inverse()
-        self.add_tuner()
-        learnt = self.add_adaptation(command)
-        safety = None if options.safety is None else self.safety(options.safety).connected(**learnt)
-        parts, at_end, initial = tuple(self.parts), tuple(self.at_end), options.belief.motors.initial_command(context)
-        names = self.reading, "torque", command, options.belief.motors.unit
-        return ControlSide(context, parts, at_end, tuple(sources), *names, initial, safety, self.logged)
-
-    def add_estimator(self) -> None:
-        """What the controller gets of the readings."""
-        options = self.options.estimator
-        parts = [
-            part._replace(period=options.period).connected(reading=self.reading)
-            for part in options.parts(self.context.ticking(options.period))
-        ]
-        self.parts.extend(self._fault_tolerant(part, "sensor_health") for part in parts)
-        self.measurement = "measurement" if parts else self.reading
-        self.logged["measurement"] = self.measurement
-        self.observes = any("predicted" in part.outputs for part in parts)
-        if self.observes:
-            self.logged["innovation"] = "innovation"
-
-    def add_controller(self) -> None:
-        """From measurement and reference to a torque."""
-        context = self.context
-        slower = context.tuner.period
-        self.tuning = [part._replace(period=slower) for part in context.tuner.parts(context.ticking(slower))]
-        self.sees: dict[str, str | np.ndarray] = {
-            "measurement": "predicted" if self.observes else self.measurement,
-            "reference": "reference_ahead" if self.options.preview > 0.0 else "reference",
-            "weights": "weights" if self.tuning else np.array(context.tuner.weights),
-        }
-        now = self.sees.copy()
-        if self.options.controller.looks_ahead:
-            if self.observes:
-                allowed = "one that tells what was read, such as difference, for controller.feedforward motion"
-                raise ConfigurationError("estimator.kind", self.options.estimator.kind, allowed)
-            now = {"measurement": self.sees["measurement"]}
-        if not self.options.controller.feedback:
-            now, self.sees["measurement"] = {"measurement": self.measurement}, np.zeros(12)
-            if self.options.adaptation is not None:
-                self.parts.append(lead_part(context.period).connected(reference=self.sees["reference"]))
-                self.sees["reference"] = "aimed"
-        # Without feedback what an observer finds stays in the log.
-        self.corrects = self.observes and self.options.controller.feedback
-        self.compensated = self.corrects or self.friction is not None
-        (part,) = self.options.controller.parts(context)
-        part = part.connected(reference_now=now.get("reference", "reference"), **self.sees)
-        if self.compensated:
-            part = part.named(torque="control_torque")
-        self.weighted = "weights" in part.inputs
-        self.parts += TRACKING_ERROR.connected(**now), self._fault_tolerant(part, "controller_health")
-        integral = "integral" if "integral" in part.outputs else np.zeros(6)
-        self.logged |= {"torque": "torque", "error": "error", "integral": integral}
-
-    def add_command(self) -> None:
-        """What is added to a controller's torque: against friction, and against what an observer cannot explain."""
-        context, friction = self.context, self.friction
-        added: dict[str, str | np.ndarray] = {"friction_torque": np.zeros(6), "disturbance_torque": np.zeros(6)}
-        if friction is not None:
-            self.parts.append(friction.part(context).connected(**self.sees))
-            added["friction_torque"] = "friction_torque"
-        if self.corrects:
-            added["disturbance_torque"] = "disturbance_torque"
-        if self.observes:
-            self.at_end.append(_net_torque_part(context.robot.effort_limits, context.initial_torque).connected(**added))
-        if self.compensated:
-            self.parts.append(_COMMAND.connected(**added))
-
-    def add_inverse(self) -> str:
-        """What the motors must be told to give the torque that is wanted; the name of that command."""
-        motors = self.options.belief.motors
-        inverse = motors.inverse_parts(self.context)
-        if inverse and self.options.safety is not None:
-            # It stands behind the link, and looks at torques.
-            allowed = f"motors that take torque [N m], with a safety layer; these take {motors.takes} [{motors.unit}]"
-            raise ConfigurationError("motors.kind", motors.kind, allowed)
-        self.parts.extend(part.connected(**self.sees) for part in inverse)
-        if not inverse:
-            return "torque"
-        self.logged[f"commanded_{motors.takes}"] = "command"
-        return "command"
-
-    def add_tuner(self) -> None:
-        """Densities, and the weights that a controller takes; nothing for one that takes none."""
-        if not self.weighted:
-            return
-        self.parts.append(self.context.tuner.density_part())
-        self.logged |= {"density": "density", "weights": self.sees["weights"]}
-        for part in self.tuning:
-            self.at_end.append(part.connected(reference=self.sees["reference"]))
-            if "setting" in part.outputs:
-                self.logged["setting"] = "setting"
-            if "disturbance" in part.outputs:
-                # The tuner says what the observer is to expect.
-                self.parts = [each.connected(disturbance=part.signal("disturbance")) for each in self.parts]
-
-    def add_adaptation(self, command: str) -> dict[str, str]:
-        """What learns while it runs; its outputs, which take the places of constants that have their names."""
-        options = self.options.adaptation
-        if options is None:
-            return {}
-        at = self.sees | {"reading": self.reading, "command": command}
-        parts = [part.connected(**at) for part in options.parts(self.context)]
-        learnt = {output: part.signal(output) for part in parts for output in part.outputs}
-        places = {name for part in (*self.parts, *self.at_end) for name in part.constants}
-        if not learnt.keys() & places:
-            allowed = f"one of whose outputs is called as a constant of a part of this loop: {join_or(sorted(places))}"
-            raise ConfigurationError("adaptation.kind", options.kind, allowed)
-        self.parts = [
-            part.connected(**{name: learnt[name] for name in part.constants if name in learnt}) for part in self.parts
-        ]
-        self.at_end.extend(part._replace(end_of_tick=True) for part in parts)
-        self.logged |= {name: learnt[name] for name in LEARNT_SIGNALS if name in learnt}
-        return learnt
-
-    def safety(self, options: SafetyOptions) -> Part:
-        """The safety layer, which gets the command that arrives at the motors."""
-        sources: dict[str, str | np.ndarray] = {"measurement": self.measurement}
-        if self.context.reading == 6:
-            sources["angles"] = self.reading
-        if self.observes and self.context.reading == 12:
-            sources["pose_reading"] = self.reading
-        for health in {"sensor_health", "controller_health"} & {each.signal("health") for each in self.parts}:
-            sources[health] = health
-        return safety_part(options, self.context).connected(**sources).named(torque="safe_torque")
-
-    def _fault_tolerant(self, part: Part, health: str) -> Part:
+    def tolerant(part: Part, health: str) -> Part:
         """A part whose failing ticks the safety layer hears of, where there is one."""
-        if self.options.safety is None or part.system is not None:
+        if safety is None or part.system is not None:
             return part
         return part._replace(outputs=(*part.outputs, "health"), fault_tolerant=True).named(health=health)
+
+    # Reference: as it is now, and as an observer that looks ahead needs it.
+    def motion(times: np.ndarray) -> np.ndarray:
+        return np.concatenate(options.reference.evaluate(times), axis=-1)
+
+    sources, reference = [Source("reference", 18, motion)], "reference"
+    if (preview := options.preview) > 0.0:
+        sources.append(Source("reference_ahead", 18, lambda times: motion(times + preview)))
+        reference = "reference_ahead"
+
+    # Estimator: from a reading to pose and rate, now and when a command will act.
+    period = options.estimator.period
+    estimator = [
+        tolerant(part._replace(period=period).connected(reading=reading), "sensor_health")
+        for part in options.estimator.parts(context.ticking(period))
+    ]
+    measurement = "measurement" if estimator else reading
+    logged["measurement"] = measurement
+    observed = any("predicted" in part.outputs for part in estimator)
+    if observed:
+        logged["innovation"] = "innovation"
+
+    # Controller, and the tracking error. One without feedback has neither measurement nor what an observer finds.
+    controller, lead = options.controller, []
+    error_inputs = {"measurement": "predicted" if observed else measurement, "reference": reference}
+    law_inputs: dict[str, Signal] = dict(error_inputs)
+    if controller.looks_ahead or not controller.feedback:
+        error_inputs = {"measurement": measurement, "reference": "reference"}
+    if controller.looks_ahead and observed:
+        allowed = "one that tells what was read, such as difference, for controller.feedforward motion"
+        raise ConfigurationError("estimator.kind", options.estimator.kind, allowed)
+    if not controller.feedback:
+        law_inputs["measurement"] = np.zeros(12)
+        if adaptation is not None:
+            lead = [lead_part(context.period).connected(reference=reference)]
+            law_inputs["reference"] = reference = "aimed"
+    period = context.tuner.period
+    tuner = [part._replace(period=period) for part in context.tuner.parts(context.ticking(period))]
+    law_inputs["weights"] = "weights" if tuner else np.array(context.tuner.weights)
+    (law,) = controller.parts(context)
+    law = law.connected(**law_inputs, reference_now=error_inputs["reference"])
+    tracking_error = TRACKING_ERROR.connected(**error_inputs)
+    logged |= {
+        "torque": "torque",
+        "error": "error",
+        "integral": "integral" if "integral" in law.outputs else np.zeros(6),
+    }
+
+    # What is added to its torque: against friction, and against what an observer cannot explain.
+    corrected, friction = observed and controller.feedback, context.compensation
+    added: dict[str, Signal] = {"friction_torque": np.zeros(6), "disturbance_torque": np.zeros(6)}
+    additions, end = [], []
+    if friction is not None:
+        additions.append(friction.part(context).connected(**law_inputs))
+        added["friction_torque"] = "friction_torque"
+    if corrected:
+        added["disturbance_torque"] = "disturbance_torque"
+    if corrected or friction is not None:
+        law = law.named(torque="control_torque")
+        additions.append(_COMMAND.connected(**added))
+    if observed:
+        end.append(_net_torque_part(robot.effort_limits, context.initial_torque).connected(**added))
+
+    # What the motors must be told to give that torque.
+    inverse = [part.connected(**law_inputs) for part in motors.inverse_parts(context)]
+    if inverse and safety is not None:
+        # It stands behind the link, and looks at torques.
+        allowed = f"motors that take torque [N m], with a safety layer; these take {motors.takes} [{motors.unit}]"
+        raise ConfigurationError("motors.kind", motors.kind, allowed)
+    command = "command" if inverse else "torque"
+    if inverse:
+        logged[f"commanded_{motors.takes}"] = command
+
+    # Densities and tuner, of a controller that takes weights; the tuner may tell an observer what to expect.
+    density = []
+    if "weights" in law.inputs:
+        density = [context.tuner.density_part()]
+        logged |= {"density": "density", "weights": law_inputs["weights"]}
+        for part in tuner:
+            end.append(part.connected(reference=reference))
+            if "setting" in part.outputs:
+                logged["setting"] = "setting"
+            if "disturbance" in part.outputs:
+                estimator = [each.connected(disturbance=part.signal("disturbance")) for each in estimator]
+
+    parts = [*estimator, *lead, tracking_error, tolerant(law, "controller_health"), *additions, *inverse, *density]
+
+    # Safety layer: it gets the command that arrives at the motors.
+    layer = []
+    if safety is not None:
+        seen = {"measurement": measurement}
+        if context.reading == 6:
+            seen["angles"] = reading
+        elif observed:
+            seen["pose_reading"] = reading
+        seen |= {signal: signal for part in parts if (signal := part.signal("health")) != "health"}
+        layer = [safety_part(safety, context).connected(**seen).named(torque="safe_torque")]
+
+    # What learns while it runs writes parameters of all these.
+    if adaptation is not None:
+        at = law_inputs | {"reading": reading, "command": command}
+        laws = [part.connected(**at)._replace(end_of_tick=True) for part in adaptation.parts(context)]
+        end += laws
+        learnt = {output: part.signal(output) for part in laws for output in part.outputs}
+        logged |= {name: learnt[name] for name in LEARNT_SIGNALS if name in learnt}
+        written = _written([*parts, *layer], adaptation, laws)
+        parts, layer = written[: len(parts)], written[len(parts) :]
+
+    initial, last = motors.initial_command(context), layer[0] if layer else None
+    ends = tuple(parts), tuple(end), tuple(sources), reading, "torque", command, motors.unit, initial, last
+    return ControlSide(context, *ends, logged)
+
+
+def _written(parts: Sequence[Part], options: AdaptationOptions, laws: Sequence[Part]) -> list[Part]:
+    """The parts, with what adaptive laws find in the places of the parameters that `options.writes` lists."""
+    changed, is_of_use = {part.name: part for part in parts}, False
+    known = sorted(f"{part.name}.{parameter}" for part in parts for parameter in part.parameters)
+    listed = (
+        (law, output, place) for law in laws for output in law.outputs for place in options.writes.get(output, ())
+    )
+    for law, output, place in listed:
+        name, _, parameter = place.partition(".")
+        if place in known:
+            changed[name].check_signal(parameter, law.initial.dtype[output])
+            changed[name], is_of_use = changed[name].connected(**{parameter: law.signal(output)}), True
+        elif name in changed and name not in ("controller", "estimator"):  # Of which some kinds do without.
+            raise ConfigurationError(f"adaptation.writes.{output}", place, join_or(known))
+    if not is_of_use:
+        allowed = f"one that writes parameters that are in this loop: {join_or(known)}"
+        raise ConfigurationError("adaptation.kind", options.kind, allowed)
+    return list(changed.values())
 
 
 # --- parts that no room has ---
@@ -378,7 +370,8 @@ def _net_torque_part(limit: np.ndarray, initial: np.ndarray) -> Part:
     What the motors cannot give is cut by them, or by the safety layer, which has to see it.
     """
     first, inputs = new_record(fields(net_torque=6), net_torque=initial), {"torque": 6, "friction_torque": 6}
-    return Part("net_torque", _store_net_torque, {"limit": limit}, inputs, ("net_torque",), first, end_of_tick=True)
+    part = Part("net_torque", _store_net_torque, {}, inputs, ("net_torque",), first, end_of_tick=True)
+    return part._replace(parameters={"limit": limit})
 
 
 def _finite_tick(what: str, asked: np.ndarray, state: np.ndarray) -> None:

@@ -7,7 +7,7 @@ import hashlib
 import math
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -188,7 +188,10 @@ class Draws(Sequence[Trial]):
         return self._count
 
     def __getitem__(self, index: Any) -> Any:
-        number = range(self._count)[index]
+        return self.trial(range(self._count)[index])
+
+    def trial(self, number: int) -> Trial:
+        """Run `number`, from 0 on; also one beyond those of the sweep."""
         drawn = self.draw(number)
         changes = self._changes(drawn)
         factors = {f"{key}.factor": value for key, value in drawn.items() if self.file.distributions[key].factor}
@@ -324,6 +327,21 @@ def write_picture(sweep: Experiment, result: Result) -> bool:
 def load_sweep(path: str | Path, runs: int | None = None) -> Experiment:
     more = {} if runs is None else {"runs": runs}
     return load_experiment("sweep", path, lambda data, folder: make_sweep({**data, **more}, folder))
+
+
+def make_simulator(sweep: Experiment, **options: Any) -> Callable[[Callable[[], int]], Any]:
+    """A function `make_simulator(generator)` for Drake's `MonteCarloSimulation`: the loop of a run of a sweep.
+
+    The run is the one whose number is the generator's next number, so that `sweep.trials.trial(number)` is it again.
+    Options are those of `build_diagram`. The plant must be Drake's.
+    """
+    from pydrake.systems.analysis import Simulator
+
+    from stewart_drake.systems.diagram import build_diagram
+
+    if not isinstance(draws := sweep.trials, Draws):
+        raise ConfigurationError("sweep", f"a {sweep.kind}", "a sweep")
+    return lambda generator: Simulator(build_diagram(draws.trial(generator()).scenario(), **options))
 
 
 def summary(rows: Sequence[Row]) -> list[tuple[str, str]]:

@@ -11,13 +11,14 @@ from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from stewart_drake.base.config import NotNegative, Vector6, check_value
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError, SingularPoseError
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError, SingularPoseError, drake_guard
 from stewart_drake.hardware.motors import within_limit
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import leg_geometry
 from stewart_drake.mechanics.kinematics_laws import LEGS
 from stewart_drake.mechanics.linear_algebra import derivatives
 from stewart_drake.plant.closed_form import ClosedFormOptions, crank_motion, motion_rate
+from stewart_drake.plant.context_parameters import WithParameters
 from stewart_drake.plant.model_files import home_frames
 from stewart_drake.robot import RobotParameters
 
@@ -33,12 +34,15 @@ def _of(function: Any, given: np.ndarray) -> np.ndarray:
 def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
     base: Any = LeafSystem_[T]
 
-    class Impl(base):
+    class Impl(base, WithParameters):
         """The closed form of the robot, a continuous plant of 12 states; `ClosedFormPlant(robot, options, gravity)`.
 
         `options` are `ClosedFormOptions`, of which payload and viscous friction count: friction that sticks is no
         continuous state. gravity is in [m/s^2]. It begins at home at rest; pitch stays off +-pi/2. Derivatives with
         respect to AutoDiffXd are central differences.
+
+        Its numeric parameters are `robot`, a record, with the payload, of which masses and inertias may be changed,
+        `friction` and `gravity` (1,).
 
         Ports:
             torque: in (6,) [N m], of the motors; cut to their effort limit.
@@ -63,7 +67,8 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
             if friction["break_away"].any():
                 raise ConfigurationError("friction", "motors that stick", "viscous friction alone, in continuous time")
             self._given, self._home = (robot, options, gravity), home_frames(robot)
-            self._fixed = options.loaded(robot), friction, gravity
+            numbers = {"robot": options.loaded(robot), "friction": friction, "gravity": np.array([gravity])}
+            self._numbers = self.declare_parameters(numbers, BasicVector_[T])
             self.torque = self.DeclareVectorInputPort("torque", 6)
             self.wrench = self.DeclareVectorInputPort("wrench", 6)
             home = BasicVector_[T](np.append(robot.home_pose, np.zeros(6)))
@@ -84,17 +89,24 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
             check_value("pose", at, Vector6)
             check_value("pose_rate", rate, Vector6)
             leg_geometry(self._given[0], at)  # Which refuses what is out of reach.
-            self.GetMyMutableContextFromRoot(context).SetContinuousState(np.append(at, rate))
+            with drake_guard("setting the plant's state"):
+                mine = self.GetMyMutableContextFromRoot(context)
+                self.ValidateContext(mine)
+            mine.SetContinuousState(np.append(at, rate))
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:  # noqa: N802 - Drake's name
             state = context.get_continuous_state_vector().CopyToVector()
             wrench = self.wrench.Eval(context) if self.wrench.HasValue(context) else np.zeros(6)
+            self.read_parameters(context)
             rate = _of(self._rate, np.concatenate([state, self.torque.Eval(context), wrench]))
             derivatives.get_mutable_vector().SetFromVector(rate)
 
         def _rate(self, given: np.ndarray) -> np.ndarray:
-            torque, result = within_limit(given[12:18], self._given[0].effort_limits), np.empty(12)
-            leg, margin = motion_rate(*self._fixed, np.empty(1, LEGS), given[:12], torque, given[18:], result)
+            robot, friction, (gravity,) = self._numbers["robot"], self._numbers["friction"], self._numbers["gravity"]
+            torque, result = within_limit(given[12:18], robot["effort_limit"][0]), np.empty(12)
+            leg, margin = motion_rate(
+                robot, friction, gravity, np.empty(1, LEGS), given[:12], torque, given[18:], result
+            )
             if leg >= 0:
                 raise SingularPoseError("serial", given[:6].copy(), margin, 0.0, leg)
             if not np.isfinite(result).all():

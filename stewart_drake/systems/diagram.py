@@ -9,7 +9,8 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from pydrake.geometry import Meshcat, MeshcatVisualizer
 from pydrake.multibody.meshcat import ContactVisualizer
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
+from pydrake.multibody.plant import ExternallyAppliedSpatialForceMultiplexer
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort
 from pydrake.systems.primitives import (
     ConstantVectorSource,
     Demultiplexer,
@@ -23,8 +24,9 @@ from stewart_drake.base.keys import join_or
 from stewart_drake.base.sampling import InBlocks, on_grid, steps_per
 from stewart_drake.hardware.motors import limit_torque
 from stewart_drake.loop.part import Part
-from stewart_drake.plant.multibody_plant import StewartRobot, add_plant
+from stewart_drake.plant.multibody_plant import StewartRobot, add_plant, require_robot
 from stewart_drake.plant.plant_options import DrakeOptions
+from stewart_drake.plant.servo_friction import connect_besides
 from stewart_drake.scenario.assembly import Source, loop_of
 from stewart_drake.scenario.scenario import Scenario, require_scenario
 from stewart_drake.systems.library import PlatformWrench, ScenarioInput, TaskSpaceSensor, TimeSource, system_of
@@ -76,51 +78,38 @@ class ClosedLoop(Diagram):
     ) -> None:
         super().__init__()
         require_scenario(scenario)
-        self.scenario, self.loop = scenario, loop_of(scenario)
-        with drake_guard("building the diagram"):
-            wiring = _Wiring(scenario, visuals or meshcat is not None, before_finalize)
-        for source in self.loop.sources:
-            wiring.add_source(source)
-        for part in self.loop.parts:
-            wiring.add_part(part)
-        logged: dict[str, str | np.ndarray] = {**self.loop.logged, **wiring.add_inputs(inputs, self.loop.parts)}
-        logged |= {name: _one_of("outputs", name, wiring.signals, ".") for name in outputs}
-        wiring.add_push()
-        for part in self.loop.parts:
-            wiring.connect(part)
-        wiring.builder.Connect(wiring.signals[self.loop.torque], wiring.plant.torque_input_port)
+        if not isinstance(scenario.plant, DrakeOptions):
+            raise ConfigurationError("plant.kind", scenario.plant.kind, "drake, for a Diagram")
+        builder, shown = DiagramBuilder(), visuals or meshcat is not None
+        truth = scenario.robot, scenario.plant, scenario.gravity
+        self.plant: StewartRobot = add_plant(builder, *truth, visuals=shown, before_finalize=before_finalize)
+        added = add_loop(builder, scenario, self.plant, inputs=inputs, outputs=outputs)
+        self.scenario, self.loop, self.systems = scenario, added.loop, added.systems
+        for name, entrance in added.inputs.items():
+            builder.ExportInput(entrance, name)
         step = on_grid(scenario.plant.time_step if sparse else scenario.effective_log_period)
         self.sinks: dict[str, VectorLogSink] = {}
-        self._tables, self._strides, self._logged = wiring.tables, {}, logged
-        wiring.signals["plant_state"] = wiring.plant.state_output_port
-        for name, signal in {"plant_state": "plant_state", **logged}.items():
-            port = wiring.port(name, signal)
-            wiring.builder.ExportOutput(port, name)
-            if sparse and (not isinstance(signal, str) or signal == "plant_pose" or signal in self._tables):
+        self._tables, self._logged, self._strides = added.tables, added.logged, dict[str, int]()
+        for name, port in {"plant_state": self.plant.state_output_port, **added.outputs}.items():
+            builder.ExportOutput(port, name)
+            signal = added.logged.get(name, name)
+            if sparse and (not isinstance(signal, str) or signal == "plant_pose" or signal in added.tables):
                 continue
-            self._strides[name] = wiring.strides.get(str(signal), 1) if sparse else 1
+            self._strides[name] = added.strides.get(str(signal), 1) if sparse else 1
             period = self._strides[name] * step
-            self.sinks[name] = LogVectorOutput(port, wiring.builder, publish_period=period)
+            self.sinks[name] = LogVectorOutput(port, builder, publish_period=period)
             self.sinks[name].set_name(f"log_{name}")
         if meshcat is not None:
-            MeshcatVisualizer.AddToBuilder(wiring.builder, wiring.plant.scene_graph, meshcat)
-            ContactVisualizer.AddToBuilder(wiring.builder, wiring.plant.plant, meshcat)
+            MeshcatVisualizer.AddToBuilder(builder, self.plant.scene_graph, meshcat)
+            ContactVisualizer.AddToBuilder(builder, self.plant.plant, meshcat)
         with drake_guard("building the diagram"):
-            wiring.builder.BuildInto(self)
-        wiring.plant.set_default_state(*scenario.start())
+            builder.BuildInto(self)
         self.set_name(scenario.name)
-        self.plant: StewartRobot = wiring.plant
-        self.systems = wiring.systems
-
-    def create_start_context(self) -> Context:
-        """A Context at the scenario's start, in motion; a default Context gets its rates at `Initialize`."""
-        context = self.CreateDefaultContext()
-        self.plant.set_state(context, *self.scenario.start())
-        return context
 
     def rows(self, context: Context) -> tuple[int, dict[str, np.ndarray]]:
         """Of a sparse log: how many rows are complete, all that was logged (n, k), and what the plant measures."""
-        logs = {name: sink.FindLog(context) for name, sink in self.sinks.items()}
+        with drake_guard("reading the logs"):
+            logs = {name: sink.FindLog(context) for name, sink in self.sinks.items()}
         # A failure can stop a publish halfway.
         count = min(log.num_samples() * self._strides[name] for name, log in logs.items())
         values = {
@@ -148,104 +137,159 @@ def _one_of(key: str, name: str, known: Iterable[str], inside: str = "") -> str:
     return name
 
 
-class _Wiring:
-    """A closed loop under construction: ports by the names of their signals, systems by those of the parts."""
+class LoopSystems:
+    """All systems of a scenario but the plant, in a Diagram under construction, wired to a robot; made by `add_loop`.
+
+    The scenario's `plant` and `gravity` give way to those of the robot's plant, which is finalised. The scenario's
+    start becomes the robot's default state: a Simulator on the Diagram begins as `run(scenario)` does.
+
+    Args:
+        builder: Receives the systems, and the friction of the robot's motors where it has none yet.
+        scenario: Of the same robot.
+        robot: Made by `add_robot` or `add_plant`.
+        inputs: As of `ClosedLoop`.
+        outputs: Likewise.
+        name: Begins the names of the systems, so that several loops have room in a Diagram.
+
+    Attributes:
+        scenario, loop: What it was made from, with the plant's options, and its parts.
+        systems: The System of each part, by name.
+        inputs, outputs: Ports by name; the outputs are those of `ClosedLoop` but for `plant_state`.
+        logged, tables, strides: For the log of a run: what each output is; signals that follow from the time; of those
+            that change at ticks alone, how many steps of the plant a tick takes.
+
+    Raises:
+        ConfigurationError: Another robot than the scenario's, or one that has a loop; a plant whose steps do not make
+            up the loop's periods; a name that is taken.
+    """
 
     def __init__(
-        self, scenario: Scenario, visuals: bool, before_finalize: Callable[[StewartRobot], None] | None
+        self,
+        builder: DiagramBuilder,
+        scenario: Scenario,
+        robot: StewartRobot,
+        *,
+        inputs: Sequence[str] = (),
+        outputs: Sequence[str] = (),
+        name: str = "",
     ) -> None:
-        self.scenario, self.period = scenario, scenario.controller.period
-        self.builder = DiagramBuilder()
-        if not isinstance(scenario.plant, DrakeOptions):
-            raise ConfigurationError("plant.kind", scenario.plant.kind, "drake, for a Diagram")
-        self.plant: StewartRobot = add_plant(
-            self.builder,
-            scenario.robot,
-            scenario.plant,
-            scenario.gravity,
-            visuals=visuals,
-            before_finalize=before_finalize,
-        )
-        sensor = self.add("sensor", TaskSpaceSensor(self.plant))
-        self.builder.Connect(self.plant.state_output_port, sensor.plant_state)
-        self.signals: dict[str, OutputPort] = {"plant_pose": sensor.measurement, "crank_state": sensor.crank_state}
+        require_scenario(scenario)
+        require_robot(robot)
+        if scenario.robot != robot.robot:
+            here, there = scenario.robot.to_dict(), robot.robot.to_dict()
+            others = ", ".join(key for key in here if here[key] != there[key])
+            raise ConfigurationError("scenario.robot", f"another {others}", "the robot of the plant")
+        gravity = float(np.linalg.norm(robot.plant.gravity_field().gravity_vector()))
+        if scenario.plant != robot.options or scenario.gravity != gravity:
+            scenario = scenario.replace({"plant": robot.options, "gravity": gravity})
+        self.scenario, self.loop = scenario, loop_of(scenario)
+        self._builder, self._prefix = builder, f"{name}_" if name else ""
         self.systems: dict[str, Any] = {}
+        self.inputs: dict[str, InputPort] = {}
         self.tables: dict[str, InBlocks] = {}
-        # Of signals that change at ticks alone: how many steps of the plant a tick takes.
         self.strides: dict[str, int] = {}
+        with drake_guard("wiring the loop"):
+            self._wire(robot, inputs, outputs)
+            robot.set_default_state(*scenario.start())
 
-    def add(self, name: str, system: _System) -> _System:
-        return cast(_System, self.builder.AddNamedSystem(name, system))
+    def _wire(self, robot: StewartRobot, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+        builder = self._builder
+        robot.connect_friction(builder)
+        if builder.IsConnectedOrExported(robot.torque_input_port):
+            raise ConfigurationError("robot", "one whose torques are connected already", "a robot for each loop")
+        sensor = self._add("sensor", TaskSpaceSensor(robot))
+        builder.Connect(robot.state_output_port, sensor.plant_state)
+        self._signals: dict[str, OutputPort] = {"plant_pose": sensor.measurement, "crank_state": sensor.crank_state}
+        for source in self.loop.sources:
+            self._add_source(source)
+        for part in self.loop.parts:
+            self._add_part(part)
+        self.logged: dict[str, str | np.ndarray] = {**self.loop.logged, **self._add_inputs(inputs)}
+        self.logged |= {output: _one_of("outputs", output, self._signals, ".") for output in outputs}
+        if "wrench" in self._signals:
+            push = self._add("push", PlatformWrench(robot))
+            builder.Connect(self._signals["wrench"], push.wrench)
+            both = ExternallyAppliedSpatialForceMultiplexer(2)
+            connect_besides(builder, push.spatial_force, robot.plant.get_applied_spatial_force_input_port(), both)
+        for part in self.loop.parts:
+            self._connect(part)
+        builder.Connect(self._signals[self.loop.torque], robot.torque_input_port)
+        self.outputs = {output: self._port(output, signal) for output, signal in self.logged.items()}
 
-    def add_source(self, source: Source) -> None:
+    def _add(self, name: str, system: _System) -> _System:
+        name = f"{self._prefix}{name}"
+        if self._builder.HasSubsystemNamed(name):
+            raise ConfigurationError("name", self._prefix[:-1], f"another one; the Diagram has a system {name} already")
+        return cast(_System, self._builder.AddNamedSystem(name, system))
+
+    def _add_source(self, source: Source) -> None:
         table = self.tables[source.signal] = InBlocks(source.evaluate, self.scenario.plant.time_step)
-        system = self.add(source.signal, TimeSource(source.signal, source.size, table.at_time))
-        self.signals[source.signal] = system.get_output_port()
+        system = self._add(source.signal, TimeSource(source.signal, source.size, table.at_time))
+        self._signals[source.signal] = system.get_output_port()
 
-    def add_inputs(self, names: Sequence[str], parts: Sequence[Part]) -> dict[str, str]:
-        """Input ports of the Diagram; gives what is logged by them."""
+    def _add_inputs(self, names: Sequence[str]) -> dict[str, str]:
+        """Gives what is logged by them."""
         own: dict[str, Any] = {"wrench": np.zeros(6), "reference": "reference"}
-        own |= {port: part.source(port) for part in parts for port in part.inputs if port == "weights"}
-        if "reference_ahead" in self.signals:
+        own |= {port: part.source(port) for part in self.loop.parts for port in part.inputs if port == "weights"}
+        if "reference_ahead" in self._signals:
             del own["reference"]  # Nobody knows what comes.
         for name in dict.fromkeys(names):
             _one_of("inputs", name, own)
-            scenario = self.port(f"scenario_{name}", name if name in self.signals else own[name])
-            system = self.add(f"{name}_input", ScenarioInput(name, scenario.size(), added=name == "wrench"))
-            self.builder.Connect(scenario, system.scenario)
-            self.builder.ExportInput(system.outside, name)
-            self.signals[name] = system.signal
+            scenario = self._port(f"scenario_{name}", name if name in self._signals else own[name])
+            system = self._add(f"{name}_input", ScenarioInput(name, scenario.size(), added=name == "wrench"))
+            self._builder.Connect(scenario, system.scenario)
+            self.inputs[name] = system.outside
+            self._signals[name] = system.signal
             self.tables.pop(name, None)
         logged = {"disturbance": "wrench", "reference": "reference", "weights": "weights"}
         return {log: signal for log, signal in logged.items() if signal in names}
 
-    def add_push(self) -> None:
-        if "wrench" in self.signals:
-            push = self.add("push", PlatformWrench(self.plant))
-            self.builder.Connect(self.signals["wrench"], push.wrench)
-            self.builder.Connect(push.spatial_force, self.plant.plant.get_applied_spatial_force_input_port())
-
-    def add_part(self, part: Part) -> None:
+    def _add_part(self, part: Part) -> None:
         """Adds the system of a part; its signals are split in C++, a port of its own would be a call of Python."""
         if part.kernel is limit_torque:
             # Drake has it in C++: at every step of the plant a call of Python costs a tenth of the step.
-            limit = part.constants["limit"]
-            saturation = self.systems[part.name] = self.add(part.name, Saturation(-limit, limit))
-            self.signals[part.signal("torque")] = saturation.get_output_port()
+            limit = part.parameters["limit"]
+            saturation = self.systems[part.name] = self._add(part.name, Saturation(-limit, limit))
+            self._signals[part.signal("torque")] = saturation.get_output_port()
             self.strides[part.signal("torque")] = self.strides.get(str(part.source("command")), 1)
             return
         if part.system is not None:
-            self.systems[part.name] = self.add(part.name, part.system)
-            self.signals |= {part.signal(name): part.system.GetOutputPort(name) for name in part.outputs}
+            self.systems[part.name] = self._add(part.name, part.system)
+            self._signals |= {part.signal(name): part.system.GetOutputPort(name) for name in part.outputs}
             return
-        system = system_of(part, self.period)
-        self.systems[part.name] = self.add(part.name, system)
+        system = system_of(part, self.scenario.controller.period)
+        self.systems[part.name] = self._add(part.name, system)
         fields = part.initial.dtype.names or ()
-        split = self.add(f"{part.name}_outputs", Demultiplexer([part.size(name) for name in fields]))
-        self.builder.Connect(system.result, split.get_input_port())
+        split = self._add(f"{part.name}_outputs", Demultiplexer([part.size(name) for name in fields]))
+        self._builder.Connect(system.result, split.get_input_port())
         for place, name in enumerate(fields):
-            self.signals[f"{part.name}.{name}"] = split.get_output_port(place)
+            self._signals[f"{part.name}.{name}"] = split.get_output_port(place)
             if not part.end_of_tick:  # Which shows what it found only after the log of its tick.
                 step = self.scenario.plant.time_step
                 self.strides[f"{part.name}.{name}"] = steps_per(f"{part.name}.period", system.period, step)
         for output in part.outputs:
             field, signal = f"{part.name}.{output}", part.signal(output)
-            self.signals[signal], self.strides[signal] = self.signals[field], self.strides.get(field, 1)
+            self._signals[signal], self.strides[signal] = self._signals[field], self.strides.get(field, 1)
 
-    def connect(self, part: Part) -> None:
+    def _connect(self, part: Part) -> None:
         """Connects the inputs of a part."""
         for port in (*part.inputs, *part.replaced):
-            source = "weights" if port == "weights" in self.signals else part.source(port)
+            source = "weights" if port == "weights" in self._signals else part.source(port)
             # A `PartSystem` has the time and its arrays without a port.
             if part.system is not None or (port != "time" and isinstance(source, str)):
-                signal, system = self.port(f"{part.name}_{port}", source), self.systems[part.name]
+                signal, system = self._port(f"{part.name}_{port}", source), self.systems[part.name]
                 only = isinstance(system, Saturation)
-                self.builder.Connect(signal, system.get_input_port() if only else system.GetInputPort(port))
+                self._builder.Connect(signal, system.get_input_port() if only else system.GetInputPort(port))
 
-    def port(self, name: str, source: str | np.ndarray) -> OutputPort:
+    def _port(self, name: str, source: str | np.ndarray) -> OutputPort:
         if isinstance(source, str):
-            return self.signals[source]
-        return self.add(name, ConstantVectorSource(source)).get_output_port()
+            return self._signals[source]
+        return self._add(name, ConstantVectorSource(source)).get_output_port()
+
+
+def add_loop(builder: DiagramBuilder, scenario: Scenario, robot: StewartRobot, **options: Any) -> LoopSystems:
+    """Adds the loop of `scenario` around a robot in a plant of yours; for options as name see `LoopSystems`."""
+    return LoopSystems(builder, scenario, robot, **options)
 
 
 def build_diagram(scenario: Scenario, **options: Any) -> ClosedLoop:

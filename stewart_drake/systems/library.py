@@ -15,7 +15,7 @@ from pydrake.common.value import Value
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort, State
 
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure
+from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, drake_guard
 from stewart_drake.base.keys import join_or
 from stewart_drake.base.sampling import just_before, on_grid
 from stewart_drake.control.base import TRACKING_ERROR
@@ -23,7 +23,8 @@ from stewart_drake.control.features import DensityKind, density_part
 from stewart_drake.control.lqi import LQI_STATE, LqiOptions, lqi_part
 from stewart_drake.control.network import TunerNetwork, network_part, network_tick
 from stewart_drake.loop.part import BoundPart, Part
-from stewart_drake.plant.multibody_plant import StewartRobot
+from stewart_drake.plant.context_parameters import WithParameters
+from stewart_drake.plant.multibody_plant import StewartRobot, require_robot
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.assembly import loop_of
@@ -35,7 +36,7 @@ _SHOWN = 1e-9
 """Share of a period, and of the time, after which what a part of the end of a tick gave is shown."""
 
 
-class PartSystem(LeafSystem):
+class PartSystem(LeafSystem, WithParameters):
     """Runs a part at its ticks, at multiples of its own period or else of `period` [s]; its state is in the Context.
 
     What a tick gives is held to the next one: a plant gets one torque a tick, without delay, whether it steps in a
@@ -50,6 +51,9 @@ class PartSystem(LeafSystem):
     Ports: those of the part by name and as attributes, and `result`, its state, of which `field` gives a port for what
     else is in it and `state` the record; an output with the name of an input is the attribute `NAME_out`. An input
     whose part has an array for it may be left alone.
+
+    The part's parameters, and the arrays at inputs that are left alone, are numeric parameters in the Context. What
+    `parameter` is given there counts from the next tick on.
     """
 
     if TYPE_CHECKING:
@@ -66,24 +70,31 @@ class PartSystem(LeafSystem):
         shown = self.DeclareDiscreteState(initial) if part.end_of_tick else None
         self._own = int(self.DeclareDiscreteState(np.append(initial, [-1.0, 1.0])))
         self._time = np.zeros(1)
+        numbers = {name: value for name, value in part.parameters.items() if name not in part.replaced}
+        sources = ((name, part.source(name)) for name in part.inputs)
+        numbers |= {name: np.array(source, float) for name, source in sources if not isinstance(source, str)}
+        record = self.declare_parameters(numbers)
         # What stands at a port: its value, and for one that may be left alone what stands there then.
         self._ports: list[tuple[InputPort | None, np.ndarray | None]] = []
         for name, size in part.inputs.items():
             if name == "time":
                 self._ports.append((None, self._time))
                 continue
-            port, otherwise = self.DeclareVectorInputPort(name, size), part.source(name)
-            self._ports.append((port, None if isinstance(otherwise, str) else otherwise))
+            port = self.DeclareVectorInputPort(name, size)
+            self._ports.append((port, record[name] if name in numbers else None))
             setattr(self, name, port)
-        self._signals = {
-            name: self.DeclareVectorInputPort(name, part.constants[name].nbytes // 8) for name in part.replaced
-        }
+        self._parameters = [record[name] if name in numbers else value for name, value in part.parameters.items()]
+        self._signals = [
+            (place, self.DeclareVectorInputPort(name, value.nbytes // 8), value.dtype)
+            for place, (name, value) in enumerate(part.parameters.items())
+            if name in part.replaced
+        ]
         self._bound = BoundPart(part, [None] * len(part.inputs), part.initial.copy())
         self.result: OutputPort
         if shown is not None:
             self.result = self.DeclareStateOutputPort("result", shown)
         else:
-            needs = {self.xd_ticket(), self.all_input_ports_ticket()}
+            needs = {self.xd_ticket(), self.all_input_ports_ticket(), self.all_parameters_ticket()}
             needs |= {self.time_ticket()} if "time" in part.inputs else set()
             self.result = self.DeclareVectorOutputPort(
                 "result", initial.size, self._answer, prerequisites_of_calc=needs
@@ -99,8 +110,9 @@ class PartSystem(LeafSystem):
 
     def state(self, context: Context) -> np.ndarray:
         """The part's record (1,), of the tick that is done; `context` of the Diagram."""
-        mine = self.GetMyContextFromRoot(context)
-        return np.array(mine.get_discrete_state(self._own).value()[:-2]).view(self._kind)
+        with drake_guard(f"the state of {self.part.name}"):
+            own = self.GetMyContextFromRoot(context).get_discrete_state(self._own).value()
+        return np.array(own[:-2]).view(self._kind)
 
     def field(self, name: str) -> OutputPort:
         """Output port of a field of the part's record, `gain` of an LQI say; until the Diagram is built."""
@@ -133,14 +145,16 @@ class PartSystem(LeafSystem):
     def _ticked(self, context: Context, values: np.ndarray) -> None:
         """Ticks on values (n,) that hold the state of the tick before."""
         self._time[0] = self._number(context) * self._nominal
+        self.read_parameters(context)
         inputs = [
             otherwise if port is None or (otherwise is not None and not port.HasValue(context)) else port.Eval(context)
             for port, otherwise in self._ports
         ]
         try:
-            signals = {name: port.Eval(context) for name, port in self._signals.items()}
+            for place, port, kind in self._signals:
+                self._parameters[place] = port.Eval(context).view(kind)
             # A record in the same place; `view` takes three times as long.
-            self._bound.bind(inputs, np.ndarray(1, self._kind, values), signals)
+            self._bound.bind(self._parameters, inputs, np.ndarray(1, self._kind, values))
             self._bound()
         except RunFailure as error:
             error.time = float(self._time[0])
@@ -375,8 +389,8 @@ class TaskSpaceSensor(LeafSystem):
 
     def __init__(self, plant: StewartRobot) -> None:
         super().__init__()
-        self._plant = plant
-        self.plant_state = self.DeclareVectorInputPort("plant_state", plant.plant.num_multibody_states())
+        self._plant = require_robot(plant)
+        self.plant_state = self.DeclareVectorInputPort("plant_state", self._plant.size)
         needs = {self.input_port_ticket(self.plant_state.get_index())}
         self.measurement = self.DeclareVectorOutputPort("measurement", 12, self._pose, prerequisites_of_calc=needs)
         self.crank_state = self.DeclareVectorOutputPort("crank_state", 12, self._cranks, prerequisites_of_calc=needs)
@@ -398,7 +412,7 @@ class PlatformWrench(LeafSystem):
 
     def __init__(self, plant: StewartRobot) -> None:
         super().__init__()
-        self._plant = plant
+        self._plant = require_robot(plant)
         self.wrench = self.DeclareVectorInputPort("wrench", 6)
         needs, forces = {self.input_port_ticket(self.wrench.get_index())}, Value[list[ExternallyAppliedSpatialForce]]
         self.spatial_force = self.DeclareAbstractOutputPort(

@@ -6,7 +6,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.base.sampling import on_grid, steps_per
+from stewart_drake.base.sampling import decimal, on_grid, steps_per
 
 FAMILIES = (
     [1e-6, 1e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.125, 0.25, 0.5, 1.0, 2.0],
@@ -50,3 +50,10 @@ def test_what_drake_would_fire_once_is_no_period(bad):
     for ask in (lambda: on_grid(bad), lambda: steps_per("log_period", bad, 0.001), lambda: steps_per("p", 0.005, bad)):
         with pytest.raises(ConfigurationError, match=r"positive|multiple"):
             ask()
+
+
+@pytest.mark.parametrize("seconds", [0.001, 0.0005, 0.00025, 0.0007, 1.0 / 192.0, 1.0 / 4096.0, 5.0])
+def test_the_decimal_time_of_a_period_on_the_grid(seconds):
+    assert decimal(on_grid(seconds)) == pytest.approx(seconds, rel=1e-15)
+    assert decimal(0.0012345678901) == 0.0012345678901
+    assert decimal(on_grid(1.0 / 7000.0)) == on_grid(1.0 / 7000.0)

@@ -80,7 +80,7 @@ class Loop:
 
     def __init__(self, *changes, scenario="exact_fig7", sparse=False):
         self.loop = diagram.ClosedLoop(load_scenario(scenario, changes), sparse=sparse)
-        self.simulator = Simulator(self.loop, self.loop.create_start_context())
+        self.simulator = Simulator(self.loop)
         self.simulator.AdvanceTo(0.02)
         self.alone, self.plant = build_plant(ROBOT)
         self.plant_simulator = Simulator(self.alone)

@@ -21,7 +21,7 @@ POSE = ROBOT.home_pose + [0.1, -0.05, 0.1, 0.0, 0.01, 0.01]
 def rounded(commands, rate=(0.0, 0.1, 0.0, 0.0, 0.0, 0.0), shares=None):
     part = rounding_part(setup_for(), 2.0, 0.1, COUNT)
     if shares is not None:
-        part.constants["params"]["shares"] = shares
+        part.parameters["params"]["shares"] = shares
     state, made = part.initial.copy(), []
     for command in commands:
         part.tick(command, np.concatenate([POSE, rate, np.zeros(6)]), state)

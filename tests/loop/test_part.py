@@ -16,9 +16,8 @@ def add(gain, term, state):
 
 def adder(name="adder", term="term", **changes):
     gain = new_record(fields(size=()), size=2.0)
-    return Part(
-        name, add, {"gain": gain}, {"term": 2}, ("total",), np.zeros(1, SUM), connections={"term": term}, **changes
-    )
+    part = Part(name, add, {}, {"term": 2}, ("total",), np.zeros(1, SUM), connections={"term": term}, **changes)
+    return part._replace(parameters={"gain": gain})
 
 
 def runner(*parts, **options):
@@ -61,11 +60,20 @@ def test_a_period_between_two_steps_is_refused():
         runner(adder(period=0.0025), step=0.001)
 
 
-def test_a_signal_takes_the_place_of_a_constant():
+def test_a_signal_takes_the_place_of_a_parameter_of_its_size():
     loop = runner(adder().connected(gain="size"))
     loop.signal("size")[:] = 5.0
     loop.run()
     np.testing.assert_array_equal(loop.signal("total"), [5.0, 50.0])
+    with pytest.raises(ConfigurationError, match=r"^adder\.gain: expected a signal of 1 numbers of float64, got '2 of"):
+        runner(adder().connected(gain="term"))
+
+
+def test_what_is_run_does_not_write_to_the_parameters_of_its_part():
+    part = adder()
+    bound = BoundPart(part, [np.ones(2)], part.initial.copy())
+    bound.arguments[0]["size"] = 7.0
+    assert part.parameters["gain"]["size"] == 2.0
 
 
 def fail(reading, state):

@@ -1,6 +1,6 @@
-"""A law that learns while the robot runs: its output stands in for what other parts were built with."""
+"""A law that learns while the robot runs: its outputs take the places of parameters of other parts."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ class FrictionLearner(AdaptationOptions):
     output: str = "friction"
 
     def parts(self, context):
-        believed = FrictionCompensation(width=0.01).part(context).constants["friction"]
+        believed = FrictionCompensation(width=0.01).part(context).parameters["friction"]
         state = new_record(fields(**{self.output: believed.nbytes // 8}))
         state[self.output] = np.frombuffer(believed.tobytes())
         constants = {"model": context.robot, "gain": self.gain * context.period, "name": self.output}
@@ -75,6 +75,37 @@ def test_it_learns_the_same_beside_a_machine(scenario):
         np.testing.assert_array_equal(out, log["torque"][tick])
 
 
-def test_an_output_that_no_part_has_as_a_constant_is_refused(scenario):
-    with pytest.raises(ConfigurationError, match=r"^adaptation\.kind: expected one of whose outputs .*friction.*robot"):
+def test_an_output_that_no_parameter_is_for_is_refused(scenario):
+    with pytest.raises(ConfigurationError, match=r"^adaptation\.kind: expected one that writes .*controller\.robot"):
         run(scenario.replace({"adaptation": {"kind": "friction_learner", "output": "masses"}}))
+    # The motors of this loop take torques: nobody asks for their gain.
+    with pytest.raises(ConfigurationError, match=r"^adaptation\.kind: expected one that writes .*controller\.robot"):
+        run(scenario.replace({"adaptation": {"kind": "friction_learner", "output": "gain"}}))
+
+
+class Listed(FrictionLearner):
+    kind: Literal["listed"] = "listed"
+    writes: ClassVar = {
+        "named": ("friction_compensation.friction",),
+        "misspelt": ("friction_compensation.frictoin",),
+        "too_long": ("friction_compensation.joints",),
+        "elsewhere": ("observer.friction", "friction_compensation.friction"),
+    }
+
+
+def test_what_a_law_writes_is_what_it_lists_if_name_and_size_match(scenario):
+    ADAPTATIONS.add(Listed)
+    scenario = scenario.replace({"duration": 0.1})
+
+    def learning(output):
+        return run(scenario.replace({"adaptation": {"kind": "listed", "output": output}}))["torque"]
+
+    for output in ("named", "elsewhere"):
+        np.testing.assert_array_equal(
+            learning(output), run(scenario.replace({"adaptation": "friction_learner"}))["torque"]
+        )
+    misspelt = r"^adaptation\.writes\.misspelt: expected .*friction_compensation\.friction.* got '.*\.frictoin'"
+    with pytest.raises(ConfigurationError, match=misspelt):
+        learning("misspelt")
+    with pytest.raises(ConfigurationError, match=r"^friction_compensation\.joints: expected a signal of \d+ numbers"):
+        learning("too_long")

@@ -27,7 +27,7 @@ class Watched:
 
     def __init__(self, builder, measurement):
         part, self.calls = lqi_part(OPTIONS, ROBOT, 9.81, 2), []
-        names = [*part.constants, *part.inputs]
+        names = [*part.leading, *part.inputs]
 
         def kernel(*arguments):
             result = part.kernel(*arguments)

@@ -32,7 +32,7 @@ def exact(*overrides, **changes):
 
 
 def simulate(loop, end):
-    simulator = Simulator(loop, loop.create_start_context())
+    simulator = Simulator(loop)
     simulator.AdvanceTo(end + 1e-6)
     return logged(loop, simulator.get_context())
 
@@ -52,7 +52,7 @@ def logged(loop, context):
 def test_rows_of_a_sparse_log_are_those_of_a_full_one_to_the_bit(changes):
     case, end = paper(**changes), 0.053
     full, sparse = simulate(ClosedLoop(case), end), ClosedLoop(case, sparse=True)
-    simulator = Simulator(sparse, sparse.create_start_context())
+    simulator = Simulator(sparse)
     simulator.AdvanceTo(end + 1e-6)
     count, rows = sparse.rows(simulator.get_context())
     assert count == 54
@@ -118,9 +118,9 @@ def test_the_plant_gets_the_torque_of_so_many_ticks_before(step, period, delay):
 
 def test_runs_of_one_diagram_are_the_same_beside_others_and_where_one_is_cloned():
     loop = ClosedLoop(paper(estimator={"kind": "observer"}, safety={"following_error": [1.0, 1.0]}))
-    alone, start = simulate(loop, 0.2), loop.create_start_context()
+    alone, start = simulate(loop, 0.2), loop.CreateDefaultContext()
     loop.plant.set_state(start, ROBOT.home_pose + [0.05, 0, 0, 0.01, 0, 0])
-    one, other = Simulator(loop, loop.create_start_context()), Simulator(loop, start)
+    one, other = Simulator(loop), Simulator(loop, start)
     for simulator in (one, other):
         simulator.AdvanceTo(0.1025)
     twin = Simulator(loop, one.get_context().Clone())

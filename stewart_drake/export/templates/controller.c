@@ -29,6 +29,7 @@ int @NAME@_step(
 @GIVEN@
     loop->time[0] = loop->steps * @GRID@;
     loop->age[0] = age / @TICK@;
+    loop->failure[0] = 0.0;
     int status = run_parts(loop);
     if (status != 0) {
         return status;
@@ -44,6 +45,14 @@ int @NAME@_step(
     status = end_parts(loop);
     loop->steps += 1.0;
     return status;
+}
+
+const char *@NAME@_why(const struct @NAME@_controller *controller, int *leg)
+{
+    static const char *const reasons[] = {"", @REASONS@};
+    const struct loop *loop = (const struct loop *)controller;
+    *leg = (int)loop->failure[1];
+    return reasons[(int)loop->failure[0]];
 }
 
 const double *@NAME@_signal(const struct @NAME@_controller *controller, const char *name, int *size)

@@ -36,6 +36,9 @@ int @NAME@_step(
 /* Names of the parts, in their order. */
 extern const char *const @NAME@_parts[];
 
+/* Why the last step failed, such as `unreachable_pose`, and the leg (0 to 5) to blame or -1; else an empty text. */
+const char *@NAME@_why(const struct @NAME@_controller *controller, int *leg);
+
 /* A signal of the last step by its name, such as `torque`, `error` or `measurement`; null where there is none. */
 const double *@NAME@_signal(const struct @NAME@_controller *controller, const char *name, int *size);
 

@@ -21,6 +21,8 @@ typedef struct {
 @FIELDS@
     double steps; /* done */
     double now;   /* [s] the communication point that was reached last */
+    void *environment;
+    void (*log)(void *environment, int status, const char *category, const char *message);
 } unit;
 
 /* Variables by their references, from 1; 0 is the time. */
@@ -36,7 +38,7 @@ enum { VARIABLES = sizeof variables / sizeof variables[0] };
 
 static void begin(unit *u)
 {
-    *u = (unit){.steps = 0.0};
+    *u = (unit){.environment = u->environment, .log = u->log};
     @INIT@
 @START@
 }
@@ -50,12 +52,15 @@ EXPORTED const char *fmi3GetVersion(void) { return "3.0"; }
 
 EXPORTED void *fmi3InstantiateCoSimulation(
     const char *name, const char *token, const char *resources, bool visible, bool logging, bool events, bool early,
-    const uint32_t *required, size_t count, void *environment, void *log, void *update)
+    const uint32_t *required, size_t count, void *environment,
+    void (*log)(void *environment, int status, const char *category, const char *message), void *update)
 {
     (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)early, (void)required, (void)count;
-    (void)environment, (void)log, (void)update;
+    (void)update;
     unit *u = events ? NULL : calloc(1, sizeof *u);
     if (u != NULL) {
+        u->environment = environment;
+        u->log = log;
         begin(u);
     }
     return u;
@@ -146,7 +151,11 @@ EXPORTED int fmi3DoStep(
     /* So many steps that the next communication point is reached; a point may be off by rounding. */
     while (u->steps * period < end - 0.5 * period) {
         if (!step(u)) {
+            int leg = -1;
             *terminate = true;
+            if (u->log != NULL) {
+                u->log(u->environment, ERROR, "logStatusError", @WHY@(&u->inner, &leg));
+            }
             *last = u->steps * period;
             return ERROR;
         }

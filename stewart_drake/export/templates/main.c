@@ -30,7 +30,11 @@ int main(int count, char **arguments)
         const double *reference = &row[@UPPER@_READING];
         const int status = @NAME@_step(&controller, row, reference, row[GIVEN - 1], command);
         if (status != 0) {
-            fprintf(stderr, "step %ld: %s\n", rows, status < 0 ? "command" : @NAME@_parts[status - 1]);
+            int leg = -1;
+            const char *reason = @NAME@_why(&controller, &leg);
+            fprintf(stderr, "step %ld: %s: %s", rows, status < 0 ? "command" : @NAME@_parts[status - 1],
+                status < 0 ? "not_finite" : reason);
+            fprintf(stderr, leg < 0 ? "\n" : ", leg %d\n", leg);
             return EXIT_FAILURE;
         }
         for (int k = 0; k < 6; k++) {

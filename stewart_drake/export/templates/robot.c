@@ -19,6 +19,7 @@ int @NAME@_step(struct @NAME@_robot *robot, const double *command, const double 
         loop->wrench[k] = wrench[k];
     }
     loop->time[0] = loop->steps * @GRID@;
+    loop->failure[0] = 0.0;
     int status = run_parts(loop);
     if (status == 0) {
         status = end_parts(loop);
@@ -31,6 +32,14 @@ int @NAME@_step(struct @NAME@_robot *robot, const double *command, const double 
     }
     loop->steps += 1.0;
     return status;
+}
+
+const char *@NAME@_why(const struct @NAME@_robot *robot, int *leg)
+{
+    static const char *const reasons[] = {"", @REASONS@};
+    const struct loop *loop = (const struct loop *)robot;
+    *leg = (int)loop->failure[1];
+    return reasons[(int)loop->failure[0]];
 }
 
 /* A signal that a part computes, by its number: for a debugger. */

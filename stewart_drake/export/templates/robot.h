@@ -13,6 +13,9 @@ void @NAME@_init(struct @NAME@_robot *robot);
    rate, angles of the cranks [rad], their rates. 0, or which part failed. */
 int @NAME@_step(struct @NAME@_robot *robot, const double *command, const double *wrench, double *measured);
 
+/* Why the last step failed, and the leg (0 to 5) to blame or -1; an empty text where it did not. */
+const char *@NAME@_why(const struct @NAME@_robot *robot, int *leg);
+
 const double *@NAME@_signal(const struct @NAME@_robot *robot, int k);
 
 #endif
