@@ -60,8 +60,8 @@ _LAW: Any = {"forgetting": 1e5, "center_of_mass": False}
 _KERNEL = 0.032  # [s] least standard deviation of the law's kernel: twelve bits are rough.
 _FAST, _SHARE = 0.2, 0.2
 """[rad/s] of a crank below which its rows are left out, or a share of its RMS: a reversal must be out of the kernel."""
-_PASSES, _PIECES = 5, 10
-"""Of the law over all rows; pieces of which each is left out once, for the intervals."""
+_PASSES, _CORRECTIONS, _PIECES = 5, 2, 10
+"""Of the law over all rows; of its bias, by simulation; pieces of which each is left out once, for the intervals."""
 _STUDENT = 2.262  # 95 % of Student's distribution of that many pieces.
 _UNKNOWN = 0.6  # [-] half width of an interval, over a parameter's size, beyond which it counts as not determined.
 _FINEST = 1e-6  # [rad] of an encoder's steps.
@@ -244,8 +244,10 @@ def identify_servos(
     rows = _joined(recordings)
     found = of.estimate(rows, start)
     try:
-        again = of.estimate(_joined([replayed(robot, each, found, reading_age) for each in recordings]), found)
-        values = possible(2.0 * found - again)
+        values = found
+        for _ in range(_CORRECTIONS):
+            again = of.estimate(_joined([replayed(robot, each, values, reading_age) for each in recordings]), values)
+            values = possible(values + found - again)
         played = [replayed(robot, each, values, reading_age).angles - each.angles for each in (*recordings, *unseen)]
     except RunFailure as failure:
         allowed = "angles and commands of the guessed robot; it cannot follow them with what was identified"
