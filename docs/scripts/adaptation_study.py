@@ -22,7 +22,9 @@ from stewart_drake import Scenario, load_scenario, run, run_metrics
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.markdown import markdown_table
 from stewart_drake.control.adaptation import last_learnt, model_of
+from stewart_drake.control.base import heave_inertia
 from stewart_drake.logs.log import SimulationLog
+from stewart_drake.robot import RobotParameters
 from stewart_drake.studies.comparison import load_comparison
 
 OUT = Path(__file__).parents[1] / "results" / "adaptation.md"
@@ -71,10 +73,10 @@ CORNERS, FALLEN = 8, 10.0  # The first robots are the corners; [deg] of an error
 AT_REST = 0.1  # [mm/s] of ripple.
 AT_100_HZ = {
     "shipped": "LQI, observer, policy, as in `reachy_nod`",
-    "nominal": "decoupled PID, nominal constants",
-    "learning": "decoupled PID, learning",
+    "nominal": "PID for slow buses, nominal constants",
+    "learning": "PID for slow buses, learning",
     "careful": "the same, `cautious`, by torque with safety layer, as in `reachy_slow_bus`",
-    "truth": "decoupled PID, truth known",
+    "truth": "PID for slow buses, truth known",
 }
 SLOW_FIGURES = ("nod [deg]", "its ripple [mm/s]", "breathing [mm]", "its ripple [mm/s]", "ripple at rest [mm/s]")
 BELIEFS = ("exact model, 50 Hz", "stiffness believed 1.3 times", "friction believed twice", "delay not believed")
@@ -218,9 +220,15 @@ def slow_bus(seed: int, scheme: str, motion: str, changes: dict[str, Any] | None
         careful = {"safety": {}, "adaptation": {"kind": "regression", "cautious": True}}
         keys |= {"motors": "torque", "model": {**nominal, "motors": {"kind": "torque"}}, **careful}
     if scheme != "shipped":
-        keys |= {"controller": {"kind": "decoupled_pid", "period": 0.01}, "estimator": "difference", "tuner": "block"}
+        keys |= {"controller": slow_controller(keys["model"]["robot"]), "estimator": "difference", "tuner": "block"}
     base = "reachy_slow_bus" if scheme == "careful" else "reachy_nod"
     return load_scenario(base).replace(keys | (changes or {}))
+
+
+def slow_controller(believed: RobotParameters) -> dict[str, Any]:
+    """The controller of `reachy_slow_bus`, its gains in proportion to the inertia that is believed."""
+    keys, share = load_scenario("reachy_slow_bus").controller.to_dict(), heave_inertia(believed) / heave_inertia(GUESS)
+    return keys | {name: share * keys[name] for name in ("kp", "ki", "kd")}
 
 
 def constants(seed: int) -> tuple[float, float, float, float]:
@@ -418,7 +426,7 @@ Of the load, 20 s of breathing find {load:.4f} kg (95 % interval: +-{load_width:
 ## By torque at 100 Hz
 
 The same robot with motors that take currents, one tick late, and a controller for slow buses, `controller: {{kind:
-decoupled_pid}}`, on the closed form. Coulomb friction 0 to 2 times 0.058 N m, viscous friction 0 to 2 times
+pid, inertia: robot}}`, on the closed form. Coulomb friction 0 to 2 times 0.058 N m, viscous friction 0 to 2 times
 0.095 N m s/rad, torque constant 0.7 to 1.3 times what is believed, and a head of 0.8 to 1.2 times the mass. The first 8
 of {slow_robots} robots have each of these at its least or its most. The row `cautious` has motors that take torque, so
 its torque constant is right, the safety layer, which the others do not have, and a nod that fades in over 2 s, where

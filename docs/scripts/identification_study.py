@@ -131,8 +131,8 @@ def on_drake(name, found, other, seed):
     robot = as_robot(guess, truth)
     friction = {"coulomb": truth[COULOMB].tolist(), "viscous": truth[VISCOUS].tolist()}
     real = {"robot": robot, "model.robot": guess, "plant.friction": friction}
-    # The shipped motion has friction of its own, and an observer, whose pose is no reading; bounds are off, because the
-    # guess may follow badly.
+    # The shipped motion has friction of its own, and an observer, which would have to know the robot; bounds are off,
+    # because the guess may follow badly.
     off = (
         *("plant.motor_friction=0", "plant.motor_damping=0", "bounds.position=null", "bounds.rotation=null"),
         *("model.friction=null", "tuner={kind: block}"),
@@ -141,7 +141,7 @@ def on_drake(name, found, other, seed):
     def log(reference, duration):
         base = load_scenario("exact_breathing", [f"robot={name}", DIFFERENCES, *settings, *off, f"duration={duration}"])
         made = base.replace({**real, "reference": reference.to_dict()})
-        recording = recording_of_log(run(made, check=False), guess, f"run {seed}")
+        recording = recording_of_log(run(made, check=False), f"run {seed}")
         torque = recording.torque * np.exp(-truth[GAIN])
         return replace(recording, torque=torque + noise * rng.standard_normal(torque.shape))
 

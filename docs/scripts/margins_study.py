@@ -11,6 +11,7 @@ from stewart_drake.analysis.linear_loop import linear_loops, poses_to_stand_at
 from stewart_drake.analysis.margins import HEADER, facts, loop_margins, quantities, spread, table
 from stewart_drake.base.markdown import markdown_table
 from stewart_drake.control.adaptation import SIZE_HEAD
+from stewart_drake.control.base import heave_inertia
 from stewart_drake.control.policy import NAMES, Policy
 from stewart_drake.plotting.model_plots import plot_margins
 from stewart_drake.scenario.scenario import load_scenario
@@ -30,7 +31,7 @@ OBSERVER = "estimator.kind=observer"
 WEIGHTS = "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
 MAIN, CORNER = "observer", "policy, at the worst corner of its box"
 HEAVIER, BOTH = "learning, head believed heavier", "policy at that corner, head believed heavier"
-NOD, SLOW = "LQI, observer, start weights, as in `reachy_nod`", "decoupled PID, as in `reachy_slow_bus`"
+NOD, SLOW = "LQI, observer, start weights, as in `reachy_nod`", "PID for slow buses, as in `reachy_slow_bus`"
 SLOW_LIGHTER, SLOW_HEAVIER = "the same, head believed lighter", "the same, head believed heavier"
 DIFFERENCES = "estimator={kind: difference, rate_cutoff: 150}"
 ROWS = {
@@ -57,7 +58,7 @@ within the scenario's limits (seed 0), with the robot at rest. The loop is opene
 another estimator, delay, period or controller, with its default gains. The period is 1 ms and the delay 1 tick unless
 the row says otherwise. The loop contains the exact model under held torques, gravity's stiffness, encoders of infinite
 resolution, the estimator with its filter, the controller and the delay. It leaves out friction, saturation, the
-dead band of `decoupled_pid`, changes of weights and learning. The last five rows are Reachy Mini by torque at 100 Hz:
+dead band of a PID, changes of weights and learning. The last five rows are Reachy Mini by torque at 100 Hz:
 poses and period are its own, with a tick of delay. `stewart-drake margins` does the same for any scenario.
 
 What a policy and learning may do to the loop is seen in their extremes, frozen: the middle of the shipped policy's box
@@ -180,7 +181,13 @@ def scenarios(corner, reachy_corner):
 
 def believed(scenario, share):
     """A scenario whose head is believed to have this share of its mass."""
-    return scenario.replace({"model.robot": scenario.robot.heavier(share)})
+    robot, controller = scenario.robot.replace(**scenario.robot.heavier(share)), scenario.controller
+    changes = {"model.robot": scenario.robot.heavier(share)}
+    if getattr(controller, "inertia", "diagonal") == "robot":
+        # What learns changes the inertia, not what the gains are for.
+        share = heave_inertia(robot) / heave_inertia(scenario.robot)
+        changes |= {f"controller.{name}": share * getattr(controller, name) for name in ("kp", "ki", "kd")}
+    return scenario.replace(changes)
 
 
 def head_shares():

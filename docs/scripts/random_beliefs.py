@@ -28,7 +28,7 @@ FAULTS = ("freeze", "nan", "jump", "dead")
 PAGE = """# Random situations with wrong beliefs
 
 `make random_beliefs` draws {many} situations by seed, of three kinds of motor: Reachy Mini's servos that take
-angles at 50 Hz, its motors by current at 100 Hz (`decoupled_pid`), and the paper's robot by torque at 1 kHz
+angles at 50 Hz, its motors by current at 100 Hz (the PID for slow buses), and the paper's robot by torque at 1 kHz
 (`exact_breathing`, `exact_heart`, `exact_fig7` with observer and policy). Friction is 0 to 3 times what is believed,
 stiffness or torque constant 0.7 to 1.3 times (not at 1 kHz), a head 0.8 to 1.2 times as heavy or a payload of up to
 0.3 kg. Half are pushed, by up to 3 N and 0.1 N m (the paper's robot: 7 N and 0.2 N m), from 2 to 3 s on for up to 2 s.

@@ -80,8 +80,6 @@ the intervals that hold the truth. Damping is that of the servo and its viscous 
 
 {constants}
 
-The intervals are a little too narrow: the servo's own rounding, and its loop of 1 kHz, are not in them.
-
 ## The first robot
 
 {first}
@@ -140,11 +138,9 @@ class Hidden(NamedTuple):
 
     @property
     def values(self) -> np.ndarray:
-        """(17,) of `servos.PARAMETERS`."""
-        mass, rotor = self.head * GUESS.platform_mass, GUESS.rotor_inertia
-        return np.array(
-            [self.stiffness, self.delay, self.age, mass, rotor, *(self.damping + self.viscous), *self.coulomb]
-        )
+        """(21,) of `servos.PARAMETERS`."""
+        of_motors = [*[self.stiffness] * 6, *(self.damping + self.viscous), *self.coulomb]
+        return np.array([*of_motors, self.delay, self.head * GUESS.platform_mass, GUESS.rotor_inertia])
 
 
 def hidden(seed: int) -> Hidden:
@@ -232,7 +228,7 @@ def figures(
 
 
 def trial(seed: int, reference: Any, motions: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Figures (schemes, 4), and errors (17,) and half widths (17,) of what was identified."""
+    """Figures (schemes, 4), and errors (21,) and half widths (21,) of what was identified."""
     believed, told = beliefs(seed, logged(seed, reference))
     rows = [figures(seed, scheme, belief, motions) for scheme, belief in believed.items()]
     print(seed, np.round(rows, 3).tolist(), flush=True)
@@ -291,7 +287,11 @@ def strange(reference: Any, motions: dict[str, Any]) -> list[list[str]]:
         told = identify_servos(GUESS, [log], reading_age=real.age)
         off = told.values - real.values
         dry = np.abs(1e3 * off[COULOMB]).max()
-        errors = f"{100 * off[STIFFNESS] / real.stiffness:+.1f} %", f"{1e3 * off[DELAY]:+.2f} ms", f"{dry:.2g} mN m"
+        errors = (
+            f"{100 * off[STIFFNESS].mean() / real.stiffness:+.1f} %",
+            f"{1e3 * off[DELAY]:+.2f} ms",
+            f"{dry:.2g} mN m",
+        )
         belief = {"robot": told.robot, "motors": told.motors, "friction": told.friction}
         rows.append([words, *errors, *(f"{value:.3g}" for value in figures(RUBBING, "told", belief, motions, more))])
     return rows

@@ -19,7 +19,6 @@ from scipy.linalg import expm
 from stewart_drake.analysis.feasibility import NEAR, sample_poses
 from stewart_drake.base.config import Vector6, check_value
 from stewart_drake.base.errors import ConfigurationError, RunFailure, UnreachablePoseError, installed_with
-from stewart_drake.control.decoupled import DecoupledPidOptions
 from stewart_drake.loop.part import LoopRunner, Part
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
@@ -72,7 +71,7 @@ def linear_loops(
         raise ConfigurationError("controller.kind", scenario.controller.kind, "one with feedback, for a linear loop")
     # Without friction a robot stands where it is wanted; a safety layer would hide that a part fails.
     changes: dict[str, Any] = {"safety": None, "model.friction": None, "adaptation": None}
-    if isinstance(scenario.controller, DecoupledPidOptions):
+    if getattr(scenario.controller, "dead_band", 0.0) > 0.0:
         changes["controller.dead_band"] = 0.0
     scenario = scenario.replace(changes)
     sensed = _sensed(scenario.belief.reading_size, scenario.robot, poses)
@@ -299,7 +298,7 @@ def linearize(scenario: Scenario | str | Path, pose: ArrayLike | None = None) ->
 
     Args:
         scenario: A scenario, its file or its name. Its robot, estimator and controller count, with the weights of the
-            start; friction, learning and the dead band of `decoupled_pid` are left out.
+            start; friction, learning and a dead band are left out.
         pose: (6,) [rad, m]; None takes that of the start.
 
     Raises:

@@ -25,6 +25,7 @@ USER_CLASS = "module:Class"
 """How a kind of a user's own is written, among the `choices` of a family."""
 
 NOTHING_YET = "one that a program has added"
+NOTHING_GONE: Mapping[str, str] = {}
 
 
 class Table:
@@ -85,7 +86,8 @@ class Family(Table):
     """The kinds of one part of a scenario: a union told apart by the key `kind`; in `Annotated`, the type of the part.
 
     A text that is a kind stands for a section of nothing else. `default` is the kind where the key is absent, `own` the
-    section for a user's own class, a `UserMade`, and `methods` what an object of the user's own has one of.
+    section for a user's own class, a `UserMade`, and `methods` what an object of the user's own has one of. `gone`:
+    kinds that there were -> what to write now.
     """
 
     def __init__(
@@ -95,8 +97,10 @@ class Family(Table):
         own: str | None = None,
         methods: tuple[str, ...] = (),
         without: tuple[str, ...] = (),
+        gone: Mapping[str, str] = NOTHING_GONE,
     ) -> None:
         super().__init__(lines)
+        self._gone = gone
         self.default, self._own, self._methods, self._without = default, own, methods, without
         self._paths: dict[str, str] = {}
 
@@ -186,11 +190,14 @@ class Family(Table):
     def _refusal(self, value: Any) -> ConfigurationError:
         if not isinstance(value, (Mapping, Section)):
             allowed = f"a section with kind {join_or(self.choices)}, or such a kind alone"
-            allowed = choices_text(value, self.choices) if isinstance(value, str) else allowed
+            allowed = self._choices_text(value) if isinstance(value, str) else allowed
             return ConfigurationError("", value, allowed)
         kind = value.get("kind") if isinstance(value, Mapping) else getattr(value, "kind", None)
         required = "; this key is required" if isinstance(value, Mapping) and "kind" not in value else ""
-        return ConfigurationError("kind", kind, f"{choices_text(kind, self.choices)}{required}")
+        return ConfigurationError("kind", kind, f"{self._choices_text(kind)}{required}")
+
+    def _choices_text(self, kind: Any) -> str:
+        return self._gone.get(str(kind), choices_text(kind, self.choices))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         ways: list[dict[str, Any]] = []

@@ -31,11 +31,14 @@ CONTROLLERS = Family(
         "pid": "control.classical:PidOptions",
         "computed_torque": "control.classical:ComputedTorqueOptions",
         "feedforward": "control.feedforward:FeedforwardOptions",
-        "decoupled_pid": "control.decoupled:DecoupledPidOptions",
     },
     default="lqi",
     own="control.user_controller:PythonOptions",
     methods=("GetInputPort", "__call__"),
+    gone={
+        "decoupled_pid": "pid with inertia: robot, feedforward: motion, derivative: difference, sticking: 4 and "
+        "dead_band: 2.5; kp, ki, kd for natural_frequency, integral_frequency, damping"
+    },
 )
 TUNERS = Family(
     {

@@ -221,8 +221,11 @@ def room_of(robot: RobotParameters) -> float:
     return below
 
 
-def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
-    """`reading` (6,) or (12,), `command` (6,) -> numbers that stand in for constants of other parts."""
+def regression_part(options: RegressionOptions, context: LoopContext, alike: float = ALIKE) -> Part:
+    """`reading` (6,) or (12,), `command` (6,) -> numbers that stand in for constants of other parts.
+
+    Samples within `alike` [s] count as one.
+    """
     motors, robot, believed = context.motors, context.robot, context.compensation
     smoothing = options.smoothing
     if smoothing is None:
@@ -262,7 +265,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         law.params_of(len(common)), gravity=context.gravity, stride=stride, kernel=weights / per,
         late=late_weights(width, late) / per, gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
         damping=friction["viscous"] + servo_damping, coulomb=coulomb, servo_damping=servo_damping,
-        noise=options.noise, alike=max(1.0, ALIKE / block), slowest=options.slowest,
+        noise=options.noise, alike=max(1.0, alike / block), slowest=options.slowest,
         width=believed.width, seldom=seldom,
         keep=np.exp(-seldom * block / options.forgetting),
         keep_push=np.exp(-seldom * block / min(PUSH_KEPT, options.forgetting)),

@@ -27,7 +27,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     legs_at,
     robot_record,
 )
-from stewart_drake.mechanics.linear_algebra import all_finite, solve
+from stewart_drake.mechanics.linear_algebra import all_finite
 from stewart_drake.mechanics.singularities import CONTROLLED
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import times
@@ -43,8 +43,6 @@ class ControllerOptions(Section, ABC, key="controller"):
     """Whether it takes the weights of the tuner."""
     feedback: ClassVar[bool] = True
     """Whether it uses what is measured."""
-    looks_ahead: ClassVar[bool] = False
-    """Whether its `reference` is that of when its command acts, and `reference_now` that of now."""
 
     kind: str
     """Kind of controller."""
@@ -55,6 +53,11 @@ class ControllerOptions(Section, ABC, key="controller"):
     def label(self) -> str:
         """In a few words, for titles."""
         return f"controller {self.kind}"
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether its `reference` is that of when its command acts, and `reference_now` that of now."""
+        return False
 
     @property
     def asks_for_more(self) -> bool:
@@ -112,7 +115,7 @@ def _input_gain(robot: RobotParameters) -> float:
 
 
 @lru_cache(maxsize=64)
-def _crank_inertia(robot: RobotParameters) -> float:
+def heave_inertia(robot: RobotParameters) -> float:
     """[kg m^2] what heave at home moves, as felt at each crank: M / sum J^2 with J = d(theta)/dZ."""
     heave = task_inertia(robot, robot.home_pose)[5, 5]
     return float(heave / np.sum(twist_jacobian(robot, robot.home_pose)[:, 5] ** 2))
@@ -120,7 +123,7 @@ def _crank_inertia(robot: RobotParameters) -> float:
 
 POSE_WEIGHT, RATE_WEIGHT, INTEGRAL_WEIGHT = (times(_input_gain, -2.0, slower) for slower in (4.0, 2.0, 6.0))
 """Of errors against torques, for poles at the same place; a natural frequency is the fourth root of the first."""
-PROPORTIONAL, INTEGRAL, DERIVATIVE = (times(_crank_inertia, 1.0, slower) for slower in (2.0, 3.0, 1.0))
+PROPORTIONAL, INTEGRAL, DERIVATIVE = (times(heave_inertia, 1.0, slower) for slower in (2.0, 3.0, 1.0))
 """Of a crank's error, for the same natural frequency of heave."""
 FREQUENCY = times(lambda _: 1.0, slower=1.0)
 """The same for every robot."""
@@ -245,52 +248,33 @@ TRACKING_ERROR = Part(
 
 
 def saturation_params(options: Any, robot: RobotParameters) -> dict[str, Any]:
-    """Fields `limit`, `clamp` and `back_share` of a controller's parameters, by its key `saturation`."""
-    gives_back = options.saturation == "back_calculation"
-    return {
-        "limit": np.inf if options.saturation == "none" else robot.effort_limits,
-        "clamp": options.saturation == "clamp",
-        "back_share": min(1.0, options.period / options.reset_time) if gives_back else 0.0,
-    }
+    """Fields `limit` and `clamp` of a controller's parameters, by its `saturation`."""
+    limit = np.inf if options.saturation == "none" else robot.effort_limits
+    return {"limit": limit, "clamp": options.saturation == "clamp"}
 
 
 @njit
-def limit_and_integrate(
-    params: Any, wanted: Any, error: Any, gain: Any, by_motor: bool, torque: Any, integral: Any
-) -> Any:
-    """Cuts torques to the limits of the motors, and integrates the error with anti-windup.
-
-    The integral grows by period * error. With `clamp` it waits while a motor is at its limit. Back-calculation changes
-    it so that its torque falls by `back_share` of what was cut.
+def limit_and_integrate(params: Any, wanted: Any, error: Any, by_motor: bool, torque: Any, integral: Any) -> Any:
+    """Cuts torques to the limits of the motors, and integrates the error; with `clamp` not while a motor is there.
 
     Args:
         params: Record with `period` [s] and the fields of `saturation_params`.
         wanted: (6,) [N m].
         error: (6,) what is integrated.
-        gain: (6, 6) torque per integral, for back-calculation.
         by_motor: Whether each element of the integral belongs to one motor, and waits for that one alone.
         torque: (6,) [N m] out.
         integral: (6,) changed in place.
 
     Returns:
-        OK, TORQUE or NO_GAIN; -1; the torque that is not finite.
+        OK or TORQUE; -1; the torque that is not finite.
     """
-    cut, saturated = np.empty((6, 1)), False
+    saturated = False
     for i in range(6):
         if not np.isfinite(wanted[i]):
             return TORQUE, -1, wanted[i]
         torque[i] = min(max(wanted[i], -params.limit[i]), params.limit[i])
-        cut[i, 0] = wanted[i] - torque[i]
-        saturated = saturated or cut[i, 0] != 0.0
-    waits = np.empty(6, np.bool_)
+        saturated = saturated or torque[i] != wanted[i]
     for k in range(6):
-        waits[k] = params.clamp == 1.0 and (cut[k, 0] != 0.0 if by_motor else saturated)
-    if saturated and params.back_share > 0.0:
-        if solve(gain.copy(), cut) == 0.0:
-            return NO_GAIN, -1, 0.0
-        for k in range(6):
-            integral[k] += params.back_share * cut[k, 0]
-    for k in range(6):
-        if not waits[k]:
+        if not (params.clamp == 1.0 and (torque[k] != wanted[k] if by_motor else saturated)):
             integral[k] += params.period * error[k]
     return OK, -1, 0.0

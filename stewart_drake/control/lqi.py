@@ -20,7 +20,7 @@ from stewart_drake.control.base import (
     measured_legs,
     saturation_params,
 )
-from stewart_drake.control.riccati import Discretization, RiccatiSolver, drake_gain, split_gain, split_solution
+from stewart_drake.control.riccati import RiccatiSolver, drake_gain, split_gain, split_solution
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import ForceMapKind
@@ -58,8 +58,6 @@ class LqiOptions(ControllerOptions):
     """[m] length that makes rotations comparable with translations in the weight Q; 1 is the paper's. 0.11, the radius
     of the platform's joints, weighs both alike at the joints. In a scenario null takes the robot's
     `characteristic_length`."""
-    discretization: Discretization = "exact"
-    """Discretization of (25). exact: zero-order hold. euler: first order."""
     solver: RiccatiSolver | None = None
     """Solver of the Riccati equation, which decouples into six of 3 states. drake: Drake's, with `plant.kind: drake`
     alone. split: compiled, without Drake. null: drake with `plant.kind: drake`, split elsewhere."""
@@ -100,10 +98,10 @@ q_e, q_v, q_z, r of this tick, zeros before the first. bridged: ticks in a
 row that were."""
 LQI_PARAMS = fields(
     period=(), gravity=(), length=(), integral_limit=6, exact_model=(), printed_map=(), feedforward=(),
-    at_reference=(), exact_hold=(), limit=6, clamp=(), back_share=(), bumpless=(), hold_ticks=(),
+    at_reference=(), limit=6, clamp=(), back_share=(), bumpless=(), hold_ticks=(),
 )  # fmt: skip
-"""Numbers of `LqiOptions`; choices are 0 or 1, or count as above. integral_limit: infinite for none. limit, clamp,
-back_share: see `saturation_params`."""
+"""Numbers of `LqiOptions`; choices are 0 or 1, or count as above. integral_limit: infinite for none. limit, clamp:
+see `saturation_params`. back_share: of the torque that was cut, which back-calculation takes off z in a tick."""
 PROBLEM = fields(weights=4, map=(6, 6), changed=(), gain=(6, 18), before=(6, 18))
 """What a gain is for: q_e, q_v, q_z, r, and M^-1 tau; changed: whether z has to follow other weights than those of the
 tick before. gain: its solution; before: that for the weights of the tick before, where they have changed."""
@@ -126,7 +124,7 @@ def lqi_gain(acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndar
     """
     solve_for = split_gain if options.solver == "split" else drake_gain
     blocks = block_weights(weights).tolist()
-    return solve_for(acceleration_map, options.period, blocks, options.discretization, options.length)
+    return solve_for(acceleration_map, options.period, blocks, options.length)
 
 
 # --- the law ---------------------------------------------------------------------------------------------------------
@@ -163,12 +161,10 @@ def lqi_tick(
 @njit
 def _solve_split(params: Any, problem: Any, state: Any) -> bool:
     """Gains of a problem by `split_solution`; False where there is none."""
-    length, period, hold = params.length, params.period, params.exact_hold == 1.0
-    if not split_solution(problem.map[:], length, period, problem.weights[:], hold, problem.gain[:]):
+    length, period = params.length, params.period
+    if not split_solution(problem.map[:], length, period, problem.weights[:], problem.gain[:]):
         return False
-    if problem.changed == 0.0:
-        return True
-    return split_solution(problem.map[:], length, period, state.weights[:], hold, problem.before[:])
+    return problem.changed == 0.0 or split_solution(problem.map[:], length, period, state.weights[:], problem.before[:])
 
 
 @njit
@@ -284,9 +280,18 @@ def _command(
     for i in range(6):
         wanted[i] = force[i] - _feedback(problem.gain, measurement, reference, integral, i)
         error[i] = measurement[i] - reference[i]
-    status, leg, margin = limit_and_integrate(params, wanted, error, problem.gain[:, 12:], False, torque, integral)
+    status, leg, margin = limit_and_integrate(params, wanted, error, False, torque, integral)
     if status != laws.OK:
         return status, leg, margin
+    if params.back_share > 0.0:
+        cut = np.empty((6, 1))
+        for i in range(6):
+            cut[i, 0] = wanted[i] - torque[i]
+        if cut.any():
+            if solve(problem.gain[:, 12:].copy(), cut) == 0.0:
+                return laws.NO_GAIN, -1, 0.0
+            for k in range(6):
+                integral[k] += params.back_share * cut[k, 0]
     for k in range(6):
         bound = params.integral_limit[k]
         state.integral[k] = min(max(integral[k], -bound), bound)
@@ -344,7 +349,7 @@ def lqi_part(
         printed_map=options.force_map == "printed",
         feedforward=get_args(Feedforward).index(options.feedforward),
         at_reference=options.feedforward_at == "reference",
-        exact_hold=options.discretization == "exact",
+        back_share=min(1.0, options.period / options.reset_time) if options.saturation == "back_calculation" else 0.0,
         **saturation_params(options, robot),
     )
     part = controller_part(lqi_tick, robot, params, LQI_STATE, laws.LEGS, PROBLEM)
@@ -363,10 +368,10 @@ def _tick_by_drake(
     if result[0] == laws.OK:
         at_pose, weights, length = problem["map"][0], problem["weights"][0].tolist(), float(params["length"][0])
         try:
-            problem["gain"] = drake_gain(at_pose, options.period, weights, options.discretization, length)
+            problem["gain"] = drake_gain(at_pose, options.period, weights, length)
             if problem["changed"][0]:
                 before = state["weights"][0].tolist()
-                problem["before"] = drake_gain(at_pose, options.period, before, options.discretization, length)
+                problem["before"] = drake_gain(at_pose, options.period, before, length)
         except RiccatiError:
             result = (laws.NO_GAIN, -1, 0.0)
     return cast(Any, command)(robot, params, measurement, reference, legs, problem, *result, state)

@@ -19,7 +19,6 @@ from stewart_drake.robot import RobotParameters
 
 AXES = 6
 STATES = 18
-Discretization = Literal["exact", "euler"]
 RiccatiSolver = Literal["drake", "split"]
 
 POSITION = np.arange(0, 12, 2)
@@ -67,21 +66,15 @@ def output_matrix() -> np.ndarray:
     return matrix
 
 
-def discretize(
-    a: np.ndarray, b: np.ndarray, period: float, method: Discretization = "exact"
-) -> tuple[np.ndarray, np.ndarray]:
+def discretize(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
     """Zero-order hold of x' = A x + B u over one control period.
 
-    `exact` uses that A of (25) is nilpotent, A^3 = 0, so that the matrix exponential is a polynomial of degree two.
+    A of (25) is nilpotent, A^3 = 0, so that the matrix exponential is a polynomial of degree two.
     Deviation: the paper puts continuous A, B into the discrete equations (31), (32).
 
     Takes A (18, 18) [1/s], B (..., 18, 6), the period [s]; returns A_d and B_d of the same shapes.
     """
     identity = np.eye(a.shape[0])
-    if method == "euler":
-        return identity + period * a, period * b
-    if method != "exact":
-        raise ConfigurationError("discretization", method, "exact or euler")
     a2 = a @ a
     integral = period * identity + (period**2 / 2.0) * a + (period**3 / 6.0) * a2
     return identity + period * a + (period**2 / 2.0) * a2, integral @ b
@@ -139,29 +132,22 @@ def chain_gains_of(p: Any, a: Any, b: Any, r: float, gains: Any) -> bool:
 
 
 @njit
-def chain_gain(s: float, period: float, weights: Any, exact_hold: bool, gain: Any) -> bool:
+def chain_gain(s: float, period: float, weights: Any, gain: Any) -> bool:
     """Optimal gain of a chain of integrators z' = e, e' = v, v' = s u, sampled with period T.
 
     The return difference on the unit circle is a cubic, see `spectral_factor`; the gain is read off the closed loop's
     polynomial in d = z - 1 (as for a single input in K. J. Astrom, B. Wittenmark, Computer-Controlled Systems).
     No digits are lost to fast sampling, where all poles crowd at z = 1, nor to weights far apart.
 
-    Takes s > 0 per unit of u, T [s], weights (4,) q_e, q_v, q_z, r, each > 0, and whether the hold is of zero order, or
-    Euler's. gain: (3,) out, k_e, k_v, k_z of u = -(k_e e + k_v v + k_z z). False where numbers leave floating point.
+    Takes s > 0 per unit of u, T [s], and weights (4,) q_e, q_v, q_z, r, each > 0. gain: (3,) out, k_e, k_v, k_z of
+    u = -(k_e e + k_v v + k_z z). False where numbers leave floating point.
     """
     t, g = period, s * s / weights[3]
     pose, rate, integral = g * (weights[0] * t**4), g * (weights[1] * t**2), g * (weights[2] * t**6)
-    if exact_hold:
-        lead = 1.0 / (1.0 + 0.25 * rate + integral / 576.0)
-        b2, b1 = rate + 0.25 * pose + (7.0 / 144.0) * integral, pose + (5.0 / 12.0) * integral
-    else:
-        lead = 1.0 / (1.0 + 0.25 * rate + 0.0625 * pose + integral / 64.0)
-        b2, b1 = rate + 0.5 * pose + 0.1875 * integral, pose + 0.75 * integral
+    lead = 1.0 / (1.0 + 0.25 * rate + integral / 576.0)
+    b2, b1 = rate + 0.25 * pose + (7.0 / 144.0) * integral, pose + (5.0 / 12.0) * integral
     c2, c1, c0, low = spectral_factor(b2 * lead, b1 * lead, integral * lead)
-    if exact_hold:
-        k_e, k_v = c1 + 0.5 * c0, c2 + 0.5 * c1 + c0 / 3.0
-    else:
-        k_e, k_v = c1 + 1.5 * c0, c2 + c1 + 0.75 * c0
+    k_e, k_v = c1 + 0.5 * c0, c2 + 0.5 * c1 + c0 / 3.0
     gain[0], gain[1], gain[2] = k_e * low / (s * t * t), k_v * low / (s * t), c0 * low / (s * t**3)
     return np.isfinite(gain[0]) and np.isfinite(gain[1]) and np.isfinite(gain[2])
 
@@ -197,9 +183,7 @@ def join(left: Any, s: Any, right: Any, length: float, chains: Any, gain: Any) -
 
 
 @njit
-def split_solution(
-    acceleration_map: Any, length: float, period: float, weights: Any, exact_hold: bool, gain: Any
-) -> bool:
+def split_solution(acceleration_map: Any, length: float, period: float, weights: Any, gain: Any) -> bool:
     """LQI gain from six 3-state problems in the singular vectors of M^-1 tau.
 
     With Q = diag(q_e I, q_v I, q_z I), R = r I and M^-1 tau = U S V', the coordinates U'e, U'e', U'z, V'u decouple; the
@@ -213,24 +197,20 @@ def split_solution(
     if not decouple(acceleration_map, length, left, s, right):
         return False
     for i in range(6):
-        if not chain_gain(s[i], period, weights, exact_hold, chains[i]):
+        if not chain_gain(s[i], period, weights, chains[i]):
             return False
     join(left, s, right, length, chains, gain)
     return True
 
 
 @cache
-def _chain(period: float, method: Discretization) -> tuple[np.ndarray, np.ndarray]:
+def _chain(period: float) -> tuple[np.ndarray, np.ndarray]:
     """A chain of integrators for s = 1, see `chain_gain`: its A_d (3, 3) and B_d (3, 1) for the states e, v, z."""
-    return discretize(np.array([[0.0, 1.0, 0.0], [0.0] * 3, [1.0, 0.0, 0.0]]), np.eye(3)[:, 1:2], period, method)
+    return discretize(np.array([[0.0, 1.0, 0.0], [0.0] * 3, [1.0, 0.0, 0.0]]), np.eye(3)[:, 1:2], period)
 
 
 def drake_gain(
-    acceleration_map: np.ndarray,
-    period: float,
-    weights: Sequence[float],
-    method: Discretization = "exact",
-    length: float = 1.0,
+    acceleration_map: np.ndarray, period: float, weights: Sequence[float], length: float = 1.0
 ) -> np.ndarray:
     """K (6, 18) as of `split_gain`, its six chains solved by Drake: a sixth of the time of one equation of 18 states.
 
@@ -242,7 +222,7 @@ def drake_gain(
     left, s, right, gain = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty((6, 18))
     if not decouple(acceleration_map, length, left, s, right):
         raise _no_gain(acceleration_map, length, weights)
-    (a, unit), q, r = _chain(period, method), np.zeros((3, 3)), np.full((1, 1), weights[3])
+    (a, unit), q, r = _chain(period), np.zeros((3, 3)), np.full((1, 1), weights[3])
     q[0, 0], q[1, 1], q[2, 2] = weights[:3]
     b, p, chains, solve = s[:, None, None] * unit, np.empty((6, 3, 3)), np.empty((6, 3)), equation_of_drake()
     try:
@@ -260,11 +240,7 @@ def drake_gain(
 
 
 def split_gain(
-    acceleration_map: np.ndarray,
-    period: float,
-    weights: Sequence[float],
-    method: Discretization = "exact",
-    length: float = 1.0,
+    acceleration_map: np.ndarray, period: float, weights: Sequence[float], length: float = 1.0
 ) -> np.ndarray:
     """`split_solution` with its input checked; K (6, 18) in the paper's state order, u = -K x.
 
@@ -282,7 +258,7 @@ def split_gain(
         numbers = f"weights {weights}, a period of {period} s and a length of {length} m"
         raise RiccatiError(f"no gain for {numbers}: they must be positive and finite, M^-1 tau finite and (6, 6)")
     with np.errstate(all="ignore"):
-        done = split_solution(matrix, length, period, blocks, method == "exact", gain)
+        done = split_solution(matrix, length, period, blocks, gain)
     if not done:
         raise _no_gain(matrix, length, weights)
     return gain

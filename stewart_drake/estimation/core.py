@@ -101,18 +101,6 @@ def identifiable(
         ways = null_space(free[[each.at for each in fixed]])
 
 
-def confused(slope: np.ndarray, free: np.ndarray, scales: np.ndarray, at: int) -> Unidentifiable:
-    """A parameter that is held, how uncertain the data alone would leave it, and what free ones change with it most.
-
-    Of whitened errors with slopes (m, n) by all parameters, and free directions (n, k).
-    """
-    change = -free @ np.linalg.lstsq(slope @ free, slope[:, at], rcond=None)[0]
-    change[at] += 1.0
-    left = float(np.linalg.norm(slope @ change))
-    deviation = 1.0 / left if left > _ROUNDING * np.linalg.norm(slope[:, at]) else np.inf
-    return Unidentifiable(at, deviation, change * scales / scales[at])
-
-
 def whitening(covariance: np.ndarray) -> np.ndarray:
     """W (..., n, n) with W'W the inverse of covariances (..., n, n): errors times it have covariance 1."""
     return np.linalg.inv(np.linalg.cholesky(covariance))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -83,6 +83,11 @@ class Identification(Result):
     @cached_property
     def robot(self) -> RobotParameters:
         return torques.as_robot(self.guess, self.values)
+
+    @property
+    def left(self) -> np.ndarray:
+        """(n, 6) [N m] of the torques of the samples that no parameters explain."""
+        return self.samples.measured - self.samples.predicted(self.values)
 
     @property
     def half_width(self) -> np.ndarray:
@@ -214,8 +219,8 @@ def identify(
 
     def read(log: AnyLog) -> Samples:
         if isinstance(log, SimulationLog):
-            log = torques.recording_of_log(log, robot, f"log of {log.scenario.name}")
-        recording = log if isinstance(log, Recording) else torques.load_recording(log, robot, lag)
+            log = torques.recording_of_log(log, f"log of {log.scenario.name}")
+        recording = log if isinstance(log, Recording) else torques.load_recording(log, lag)
         return torques.samples_of(robot, recording, bandwidth)
 
     fitted, unseen = [read(log) for log in logs], [read(log) for log in validate]
@@ -239,60 +244,30 @@ def identify(
 def least_squares(
     guess: RobotParameters, samples: Samples, hold: Collection[str] = (), ask: Collection[str] = ASKED
 ) -> Estimate:
-    """Parameters that fit samples best, weighted by the residuals' covariance; asked kinds must be identifiable."""
-    start = torques.values_of(guess)
+    """Parameters that fit samples best, by Gauss and Newton; asked kinds must be identifiable.
 
-    def bounded(values: np.ndarray) -> np.ndarray:
-        # A first pass from a crude guess may leave the logarithms of gains far off.
-        values[GAIN] = np.clip(values[GAIN], -3.0, 3.0)
-        return values
-
-    problem = Problem(PARAMETERS, torques.scales(guess), start, torques.free_directions(hold), set(ask) - set(hold))
-    return fitted(samples, problem, partial(_refuse_other, guess, samples), bounded, _FIX_FIRST)
-
-
-class Problem(NamedTuple):
-    """n parameters, their scales (n,), start (n,), and directions (n, k) in scales in which they may change.
-
-    Kinds `asked` must be identifiable. Those at `believed` are held; what the data say of them is told.
+    Torques are weighted by the residuals' covariance.
     """
-
-    parameters: Sequence[core.Parameter]
-    scales: np.ndarray
-    start: np.ndarray
-    free: np.ndarray
-    asked: Collection[str]
-    believed: Sequence[int] = ()
-
-
-def fitted(
-    samples: Samples,
-    problem: Problem,
-    check: Callable[[np.ndarray], None],
-    bounded: Callable[[np.ndarray], np.ndarray] = np.copy,
-    preference: np.ndarray | float = 1.0,
-) -> Estimate:
-    """Gauss-Newton for what was measured; `check` may refuse the second pass, `preference` as in `identifiable`."""
-    parameters, size, start, free, asked, believed = problem
+    size, start, free = torques.scales(guess), torques.values_of(guess), torques.free_directions(hold)
     values, unidentifiable = start, tuple[core.Unidentifiable, ...]()
     noise = np.eye(LEG_COUNT) * np.mean(samples.measured**2)
     for turn in range(_PASSES):
         slope, residual = _whitened(samples, values, size[:, None] * free, noise)
-        values = bounded(values + size * (free @ np.linalg.lstsq(slope, residual, rcond=_ROUNDING)[0]))
+        values = values + size * (free @ np.linalg.lstsq(slope, residual, rcond=_ROUNDING)[0])
+        # A first pass from a crude guess may leave the logarithms of gains far off.
+        values[GAIN] = np.clip(values[GAIN], -3.0, 3.0)
         noise = _noise(samples, values)
         if turn == 1:
-            check(values)
+            _refuse_other(guess, samples, values)
             slope, _ = _whitened(samples, values, size[:, None] * free, noise)
             # Rows closer than half a period of the filter repeat each other.
             slope /= np.sqrt(samples.repeats)
-            free, unidentifiable = core.identifiable(slope, free, size, LARGEST_DEVIATION, preference)
+            free, unidentifiable = core.identifiable(slope, free, size, LARGEST_DEVIATION, _FIX_FIRST)
             for each in unidentifiable:
-                if (parameter := parameters[each.at]).kind in asked:
+                if (parameter := PARAMETERS[each.at]).kind in set(ask) - set(hold):
                     got = f"a motion that leaves an uncertainty of {each.deviation:.3g} times its size"
                     allowed = "a motion that determines it; `excite` designs one"
                     raise ConfigurationError(f"{samples.source}: {parameter}", got, allowed)
-            slope = _whitened(samples, values, np.diag(size), noise)[0] / np.sqrt(samples.repeats)
-            unidentifiable += tuple(core.confused(slope, free, size, at) for at in believed)
             values = start if unidentifiable else values
     directions = size[:, None] * free
     slope, residual = _whitened(samples, values, directions, noise)
@@ -300,7 +275,7 @@ def fitted(
     inverse = np.linalg.inv(information)
     rows = int(samples.used.sum())
     covariance = inverse @ _long_run(samples, slope * residual[:, None]) @ inverse * rows / (rows - len(inverse))
-    return Estimate(parameters, size, values, directions, covariance, information, unidentifiable)
+    return Estimate(PARAMETERS, size, values, directions, covariance, information, unidentifiable)
 
 
 def _whitened(

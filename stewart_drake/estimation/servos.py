@@ -1,21 +1,20 @@
 """Servos that take angles, from commands and measured angles alone: stiffness, damping, friction, delay, head's mass.
 
-    angle_i(t) = command_i(t - delay - age) - (mass Y_head + rotor Y_rotor + Y_rest + damping_i rate_i
-                 + coulomb_i sign(rate_i)) / stiffness
-
-A servo is a spring between its command and its angle, so it is itself the sensor of the torque. Y are torques of the
-motion that was read, by the exact inverse dynamics; all pass one filter, see `torques`. Damping has back-EMF and
-viscous friction: they act as one. The delay of a command and the age of a reading do too, so the age must be told. All
-torques may be larger by one factor: the inertia of rotors and cranks, which is believed, makes them absolute, or else
-a head that was weighed.
+A servo is a spring between its command and its angle, so it is itself the sensor of the torque. The law is that by
+which a robot learns while it moves, see `control.adaptation_laws`: here it gets the rows of logs, forgets nothing, and
+begins anew with what it has found, which is Gauss and Newton's method for delay and stiffness. What filter, reversals
+and rounding make of its estimate shows where a simulated robot does the same. Damping has back-EMF and viscous
+friction: they act as one. The delay of a command and the age of a reading do too, so the age must be told. All torques
+may be larger by one factor: the inertia of rotors and cranks, which is believed, makes them absolute, or else a head
+that was weighed.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -24,40 +23,47 @@ import numpy as np
 from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.base.tables import CRANK_ANGLES
 from stewart_drake.base.yaml_files import to_yaml
+from stewart_drake.control.adaptation import Learnt, RegressionOptions, regression_part
 from stewart_drake.estimation import core, torques
-from stewart_drake.estimation.core import Estimate, Parameter, Result
-from stewart_drake.estimation.identification import Problem, fitted
+from stewart_drake.estimation.core import Parameter, Result
 from stewart_drake.estimation.torques import CrankReadings, Samples
 from stewart_drake.hardware.servos import PositionServos
 from stewart_drake.logs.log import SimulationLog, load_log
+from stewart_drake.loop.part import BoundPart
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.plant.closed_form import ClosedFormOptions
 from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
+from stewart_drake.scenario.assembly import context_of
+from stewart_drake.scenario.control_options import ControlOptions
 
 _MOTORS = tuple(f"motor {leg}" for leg in range(LEG_COUNT))
 PARAMETERS = (
-    Parameter("stiffness", "", "N m/rad"),
-    Parameter("delay", "", "s"),
-    Parameter("reading_age", "", "s"),
-    Parameter("platform_mass", "", "kg"),
-    Parameter("rotor_inertia", "", "kg m^2"),
+    *(Parameter("stiffness", motor, "N m/rad") for motor in _MOTORS),
     *(Parameter("damping", motor, "N m s/rad") for motor in _MOTORS),
     *(Parameter("coulomb", motor, "N m") for motor in _MOTORS),
+    Parameter("delay", "", "s"),
+    Parameter("platform_mass", "", "kg"),
+    Parameter("rotor_inertia", "", "kg m^2"),
 )
 KINDS = tuple(dict.fromkeys(parameter.kind for parameter in PARAMETERS))
 HELD = ("platform_mass",)
-ASKED = ("stiffness", "delay", "platform_mass", "damping", "coulomb")
-STIFFNESS, DELAY, AGE, MASS, ROTOR, DAMPING, COULOMB = 0, 1, 2, 3, 4, slice(5, 11), slice(11, 17)
-_LOADS = slice(MASS, COULOMB.stop)  # In which torques are linear.
+ASKED = ("stiffness", "damping", "coulomb", "delay", "platform_mass")
+STIFFNESS, DAMPING, COULOMB, DELAY, MASS, ROTOR = slice(0, 6), slice(6, 12), slice(12, 18), 18, 19, 20
 QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"commanded_angle_{leg}", "rad") for leg in range(LEG_COUNT)))
-_LONGEST, _STEP = 0.3, 0.005  # [s] delays that are tried first.
-_UNEXPLAINED = 0.5  # [-] of the changes of command minus angle that may be left.
+_LONGEST, _STEP = 0.2, 0.005  # [s] delays that are tried first.
+_AT_FIRST, _UNEXPLAINED, _FEW = 0.5, 0.2, 0.01
+"""[-] of the changes of command less angle that may be left, before the law and after it; [s] size of a delay."""
 _LEAST = 0.05  # [-] of the rows in which each crank must turn.
-_KERNEL = 0.03  # [s] standard deviation of the kernel.
-_ROWS_A_PERIOD, _SMEAR = 6.25, 1.0
-"""Rows in a period of the filter before it, and how many periods from a reversal of a crank its rows are used."""
+_LAW: Any = {"forgetting": 1e5, "center_of_mass": False}
+_KERNEL = 0.032  # [s] least standard deviation of the law's kernel: twelve bits are rough.
+_FAST, _SHARE = 0.2, 0.2
+"""[rad/s] of a crank below which its rows are left out, or a share of its RMS: a reversal must be out of the kernel."""
+_PASSES, _CORRECTIONS, _PIECES = 5, 2, 10
+"""Of the law over all rows; of its bias, by simulation; pieces of which each is left out once, for the intervals."""
+_STUDENT = 2.262  # 95 % of Student's distribution of that many pieces.
+_UNKNOWN = 0.6  # [-] half width of an interval, over a parameter's size, beyond which it counts as not determined.
 _FINEST = 1e-6  # [rad] of an encoder's steps.
 _SERVO_STEP = 0.001  # [s] of the simulation, and of the servos' own loop there.
 _WIDTH = 0.004  # [rad/s] of the friction that is believed, as with motors that one can buy.
@@ -102,67 +108,11 @@ _BALL_JOINTS = (
 _MOTION = "a motion in which all motors turn; `excite` designs one"
 
 
-@dataclass(frozen=True, eq=False)
-class ServoSamples(Samples):
-    """Samples whose measured values are angles [rad]; columns (n, 6, 14) are those of torques by `_LOADS`.
-
-    `commands` are filtered, as functions of time [s], one for each piece.
-    """
-
-    commands: tuple[Callable[..., np.ndarray], ...] = ()
-
-    def command(self, values: np.ndarray, order: int = 0) -> np.ndarray:
-        """Commands (n, 6) [rad] that acted at the readings, or their derivatives by time."""
-        late = values[DELAY] + values[AGE]
-        return np.concatenate(
-            [each(self.time[piece] - late, order) for piece, each in zip(self.pieces, self.commands, strict=True)]
-        )
-
-    def predicted(self, values: np.ndarray) -> np.ndarray:
-        """Angles (n, 6) [rad] of parameters (17,)."""
-        return self.command(values) - (self.columns @ values[_LOADS] + self.known) / values[STIFFNESS]
-
-    def derivative(self, values: np.ndarray) -> np.ndarray:
-        by_delay = -self.command(values, 1)[..., None]
-        loads = -self.columns / values[STIFFNESS]
-        by_stiffness = (self.columns @ values[_LOADS] + self.known)[..., None] / values[STIFFNESS] ** 2
-        return np.concatenate([by_stiffness, by_delay, by_delay, loads], axis=-1)
-
-
-def servo_samples_of(
-    guess: RobotParameters, recordings: Sequence[ServoRecording], bandwidth: float | None = None
-) -> ServoSamples:
-    """Equations of recordings: the head's bodies in proportion to its mass, rods and cranks those of the guess.
-
-    The motion passes a filter that leaves its harmonics alone; then all passes one kernel, friction's sign too.
-    """
-    from scipy.ndimage import gaussian_filter1d
-
-    values, parts, commands = torques.values_of(guess), [], []
-    for each in recordings:
-
-        def kernel(rows: np.ndarray, rate: float = each.rate) -> np.ndarray:
-            return np.asarray(gaussian_filter1d(rows, _KERNEL * rate, axis=0, mode="nearest"))
-
-        width = each.rate / _ROWS_A_PERIOD if bandwidth is None else bandwidth
-        samples, smooth = torques.filtered(guess, each, width, _SMEAR)
-        columns, known = samples.columns, samples.known
-        by_body = columns[..., torques.BODIES] * values[torques.BODIES]
-        head = by_body[..., : torques.ROD_MASS].sum(axis=-1, keepdims=True) / guess.platform_mass
-        known = known + by_body[..., torques.ROD_MASS : torques.ROTOR].sum(axis=-1)
-        chosen = [head, *(columns[..., part] for part in ([torques.ROTOR], torques.VISCOUS, torques.COULOMB))]
-        columns, known = (kernel(rows, 1.0 / samples.step) for rows in (np.concatenate(chosen, axis=-1), known))
-        used, edge = samples.used.copy(), 1 + int(4.0 * _KERNEL / samples.step)
-        used[:edge] = used[-edge:] = False
-        measured = smooth(kernel(each.angles))(samples.time)
-        parts.append(replace(samples, columns=columns, known=known, measured=measured, used=used))
-        # A command holds for a row: its middle is half a row later.
-        commands.append(_later(smooth(kernel(each.commands)), 0.5 / each.rate))
-    return ServoSamples(**vars(torques.together(parts)), commands=tuple(commands))
-
-
-def _later(spline: Callable[..., np.ndarray], lag: float) -> Callable[..., np.ndarray]:
-    return lambda time, order=0: spline(time - lag, order)
+_BALL_JOINTS = (
+    "friction of the rods' ball joints is not identified here; let `drive` learn it: --set "
+    '"adaptation={kind: regression, ball_joints: true, noise: 0.06, slowest: 0.05}" --keep-model head.yaml'
+)
+_MOTION = "a motion in which all motors turn; `excite` designs one"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -171,39 +121,30 @@ class ServoIdentification(Result):
 
     Attributes:
         guess: The robot that the identification started from.
-        estimate: (17,) `PARAMETERS`.
-        samples: The samples that it used.
-        errors: (name, RMS [rad] of predicted angles where no crank sticks) of each log, those for validation last.
+        values: (21,) of `PARAMETERS`.
+        half_width: (21,) of the 95 % intervals; 0 for what kept its value.
+        samples: Rows of the first log, thinned, with angles.
+        left: (n, 6) [rad] what a simulated robot with these constants is off there.
+        errors: (name, the same as RMS [rad]) of each log, those for validation last.
         logs: Number of recordings that were fitted.
     """
 
     guess: RobotParameters
-    estimate: Estimate
-    samples: ServoSamples
+    values: np.ndarray
+    half_width: np.ndarray
+    samples: Samples
+    left: np.ndarray
     errors: tuple[tuple[str, float], ...]
     logs: int
 
     columns: ClassVar = ("parameter", "part", "unit", "value", "half_width")
-    about: ClassVar = (
-        "Values with 95 % intervals. Damping has back-EMF and viscous friction, which act as one. What is kept was\n"
-        "believed: nothing in commands and angles tells it from others."
-    )
-    picture: ClassVar = "Angles and their residuals"
+    about: ClassVar = "Values with 95 % intervals. Damping has back-EMF and viscous friction, which act as one."
+    picture: ClassVar = "Angles, and what a simulation with these values is off"
     measured: ClassVar = ("angle", "rad")
 
     @property
     def title(self) -> str:
         return f"Identification of servos from {self.samples.source}"
-
-    @property
-    def values(self) -> np.ndarray:
-        """(17,) of `PARAMETERS`."""
-        return possible(self.estimate.values)
-
-    @property
-    def half_width(self) -> np.ndarray:
-        """(17,) of the 95 % intervals; 0 for what kept its value."""
-        return self.estimate.half_width
 
     @cached_property
     def robot(self) -> RobotParameters:
@@ -213,18 +154,12 @@ class ServoIdentification(Result):
     @property
     def motors(self) -> dict[str, Any]:
         """For `model.motors`."""
-        stiffness, delay = self.values[[STIFFNESS, DELAY]].tolist()
-        return {"kind": "position", "stiffness": stiffness, "damping": self._damping, "delay": delay}
+        return motors_of(self.values)[0]
 
     @property
     def friction(self) -> dict[str, Any]:
         """For `model.friction`: damping beyond the smallest motor's is viscous friction."""
-        viscous = self.values[DAMPING] - self._damping
-        return {"coulomb": self.values[COULOMB].tolist(), "viscous": viscous.tolist(), "width": _WIDTH}
-
-    @property
-    def _damping(self) -> float:
-        return float(self.values[DAMPING].min())
+        return motors_of(self.values)[1]
 
     def model_file(self) -> str:
         """`model` of a scenario, but for the robot; the motors' delay has that of the bus."""
@@ -236,16 +171,14 @@ class ServoIdentification(Result):
 
     def summary(self) -> list[tuple[str, str]]:
         errors = [
-            (f"angle error (RMS), {'fitted' if at < self.logs else 'not used'}: {name}", f"{1e3 * error:.3g} mrad")
-            for at, (name, error) in enumerate(self.errors)
+            (
+                f"simulated angles off (RMS), {'fitted' if at < self.logs else 'not used'}: {name}",
+                f"{1e3 * by:.3g} mrad",
+            )
+            for at, (name, by) in enumerate(self.errors)
         ]
-        return [
-            ("samples, parameters estimated", f"{len(self.samples.time)}, {len(self.estimate.covariance)}"),
-            ("rows in which a crank moves", f"{100.0 * self.samples.used.mean():.0f} %"),
-            *errors,
-            *((row[0], row[1]) for row in self.table()[1] if row[0] in ("stiffness", "delay", "platform mass")),
-            *(("believed, not identified", line) for line in self.estimate.unidentifiable_sentences()),
-        ]
+        shown = "stiffness motor 0", "delay", "platform mass"
+        return [*errors, *((row[0], row[1]) for row in self.table()[1] if row[0] in shown)]
 
     def table(self) -> tuple[list[str], list[list[str]]]:
         rows = []
@@ -268,7 +201,6 @@ def identify_servos(
     hold: Collection[str] = (),
     ask: Collection[str] = ASKED,
     validate: Sequence[ServoRecording | SimulationLog | str | Path] = (),
-    bandwidth: float | None = None,
     reading_age: float = 0.0,
 ) -> ServoIdentification:
     """Stiffness, damping, friction and delay of servos that take angles, and the head's mass, without any torque.
@@ -277,12 +209,11 @@ def identify_servos(
 
     Args:
         robot: The guess. Its geometry, rods and cranks are kept, and the shape of its head.
-        logs: At least one: recordings, logs, or files of them.
+        logs: At least one: recordings, logs, or files of them, at one rate.
         hold: Nothing, and then the rotors' inertia keeps the guess's value; or `platform_mass`: a head that was weighed
             tells the rotors' inertia.
         ask: Kinds that the logs must determine.
         validate: Logs that are only predicted.
-        bandwidth: [Hz] of the filter; None for one by the logs' rate.
         reading_age: [s] of an angle in its row.
 
     Raises:
@@ -293,52 +224,119 @@ def identify_servos(
     core.check_choices("ask", ask, KINDS)
     if not logs:
         raise ConfigurationError("logs", "none", "at least one log")
-
-    def read(log: ServoRecording | SimulationLog | str | Path) -> ServoRecording:
-        return log if isinstance(log, ServoRecording) else load_servo_recording(log, robot)
-
-    recordings, unseen = [read(log) for log in logs], [read(log) for log in validate]
     if not 0.0 <= reading_age <= 1.0:
         raise ConfigurationError("reading_age", reading_age, "a number of seconds from 0 to 1")
-    kinds = {"reading_age", *(hold or ("rotor_inertia",))}
-    believed = [at for at, parameter in enumerate(PARAMETERS) if parameter.kind in kinds - {*hold}]
-    free, bodies = core.free_directions(PARAMETERS, KINDS, kinds), torques.scales(robot)[[torques.MASS, torques.ROTOR]]
 
-    def fit(recordings: Sequence[ServoRecording]) -> tuple[Estimate, ServoSamples]:
-        samples = servo_samples_of(robot, recordings, bandwidth)
-        start = _start(robot, samples, reading_age)
-        _refuse_other(samples, start)
-        least = np.where(np.arange(len(start)) == STIFFNESS, 0.3 * start, -np.inf)
-        size = np.array([1.0, 0.01, 0.01, *bodies, *[0.1] * 6, *[0.03] * 6])
-        size[[STIFFNESS, *range(DAMPING.start, COULOMB.stop)]] *= start[STIFFNESS]
-        problem = Problem(PARAMETERS, size, start, free, set(ask) - kinds, believed)
-        return fitted(samples, problem, partial(_refuse_other, samples), partial(np.maximum, least)), samples
+    def read(log: ServoRecording | SimulationLog | str | Path) -> ServoRecording:
+        return log if isinstance(log, ServoRecording) else load_servo_recording(log)
 
-    estimate, samples = fit(recordings)
+    recordings, unseen = [read(log) for log in logs], [read(log) for log in validate]
+    first, source = recordings[0], ", ".join(each.source for each in recordings)
+    for each in recordings:
+        if abs(each.rate / first.rate - 1.0) > 0.01:
+            allowed = f"rows at {first.rate:.4g} Hz, as {first.source}"
+            raise ConfigurationError(each.source, f"{each.rate:.4g} Hz", allowed)
+    samples, start, noise, changes = _start(robot, first, reading_age)
+    noise = float(np.clip(noise / robot.effort_limits.mean(), 1e-4, 1.0))
+    slowest = min(_FAST, _SHARE * _rms(samples.rates))
+    law = RegressionOptions(noise=noise, slowest=slowest, smoothing=max(_KERNEL, 1.5 / first.rate), **_LAW)
+    of = _Rows(robot, first, reading_age, law, bool(hold))
+    rows = _joined(recordings)
+    found = of.estimate(rows, start)
     try:
-        again, _ = fit([replayed(robot, each, estimate.values) for each in recordings])
+        values = found
+        for _ in range(_CORRECTIONS):
+            again = of.estimate(_joined([replayed(robot, each, values, reading_age) for each in recordings]), values)
+            values = possible(values + found - again)
+        played = [replayed(robot, each, values, reading_age).angles - each.angles for each in (*recordings, *unseen)]
     except RunFailure as failure:
         allowed = "angles and commands of the guessed robot; it cannot follow them with what was identified"
-        raise ConfigurationError(samples.source, str(failure).splitlines()[0], allowed) from failure
-    # The bias is as uncertain as the estimate: its readings are rounded anew.
-    values, covariance = 2.0 * estimate.values - again.values, 2.0 * estimate.covariance
-    estimate = replace(estimate, values=values, covariance=covariance)
-    parts = [servo_samples_of(robot, [each], bandwidth) for each in (*recordings, *unseen)]
-    errors = tuple((each.source, _rms(each, each.measured - each.predicted(values))) for each in parts)
-    return ServoIdentification(robot, estimate, samples, errors, len(recordings))
+        raise ConfigurationError(source, str(failure).splitlines()[0], allowed) from failure
+    pieces, ticks = np.array_split(np.arange(len(rows)), _PIECES), np.arange(len(rows))[:, None]
+    without = [of.estimate(np.where(np.isin(ticks, piece), np.nan, rows), found) for piece in pieces]
+    # The jackknife; what was found of the simulated robot is as uncertain.
+    width = _STUDENT * np.sqrt(2.0 * (_PIECES - 1) * np.var(without, axis=0))
+    _refuse_other(source, max(map(_rms, played[: len(recordings)])) / changes, _UNEXPLAINED)
+    stiffness = values[STIFFNESS].mean()
+    sizes = np.repeat(stiffness * np.array([1.0, 0.1, 0.03]), LEG_COUNT).tolist() + [_FEW, values[MASS], np.inf]
+    for parameter, by, size in zip(PARAMETERS, width, sizes, strict=True):
+        if parameter.kind in {*ask} - {*hold} and by > _UNKNOWN * size:
+            got = f"an interval of ± {by:.2g} {parameter.unit}"
+            raise ConfigurationError(f"{source}: {parameter}", got, _MOTION)
+    errors = tuple((each.source, _rms(off)) for each, off in zip((*recordings, *unseen), played, strict=True))
+    at = np.searchsorted(first.time, samples.time)
+    samples = replace(samples, measured=first.angles[at], source=source)
+    return ServoIdentification(robot, values, width, samples, played[0][at], errors, len(recordings))
 
 
-def replayed(guess: RobotParameters, recording: ServoRecording, values: np.ndarray) -> ServoRecording:
-    """What a simulated robot of parameters (17,) does with the commands of a recording; it begins there at rest.
+class _Rows:
+    """The law over rows of angles and commands (n, 12) [rad] of a guessed robot; a row of NaN is a gap."""
+
+    def __init__(
+        self, guess: RobotParameters, recording: ServoRecording, age: float, law: RegressionOptions, weighed: bool
+    ) -> None:
+        self.guess, self.age, self.law, self.weighed = guess, age, law, weighed
+        self.period, self.gravity = 1.0 / recording.rate, recording.gravity
+
+    def estimate(self, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Parameters (21,) of rows, begun with some."""
+        for _ in range(_PASSES):
+            values = self._once(rows, values)
+            if self.weighed:
+                # All torques are larger by one factor, and the rotors with them.
+                factor = self.guess.platform_mass / values[MASS]
+                turns = float(with_head(self.guess, values).crank_axis_inertias.mean())
+                values[: COULOMB.stop] *= factor
+                values[MASS], values[ROTOR] = self.guess.platform_mass, values[ROTOR] + (factor - 1.0) * turns
+        return values
+
+    def _once(self, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+        motors, friction = motors_of(values)
+        model = {"robot": with_head(self.guess, values), "motors": motors, "friction": friction}
+        model |= {"reading_age": self.age, "gravity": self.gravity}
+        loop = {"controller": {"kind": "feedforward", "period": self.period}, "reference": "hold", "model": model}
+        # Over a whole log the samples' errors average out.
+        part = regression_part(self.law, context_of(ControlOptions.from_dict(loop)), alike=0.0)
+        reading, command, state = np.empty(6), np.empty(6), part.initial.copy()
+        tick = BoundPart(part, (reading, command), state).fixed()
+        for row in rows:
+            reading[:], command[:] = row[:6], row[6:]
+            tick()
+        known = Learnt.of(state["learnt"][0])
+        stiffness = motors["stiffness"] * np.array(motors["ratios"]) * known.drive
+        rest = motors["delay"] + known.delay, known.mass, values[ROTOR]
+        return np.array([*stiffness, *(motors["damping"] + known.viscous), *known.coulomb, *rest])
+
+
+def motors_of(values: np.ndarray) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Motors and friction as keys of `model`, of parameters (21,)."""
+    values = possible(values)
+    stiffness, damping = float(values[STIFFNESS].mean()), float(values[DAMPING].min())
+    motors = {"kind": "position", "stiffness": stiffness, "ratios": (values[STIFFNESS] / stiffness).tolist()}
+    viscous = (values[DAMPING] - damping).tolist()
+    friction = {"coulomb": values[COULOMB].tolist(), "viscous": viscous, "width": _WIDTH}
+    return motors | {"damping": damping, "delay": float(values[DELAY])}, friction
+
+
+def _joined(recordings: Sequence[ServoRecording]) -> np.ndarray:
+    """Rows (n, 12) of recordings, with a gap between two."""
+    gap = np.full((1, 12), np.nan)
+    return np.vstack([part for each in recordings for part in (np.hstack([each.angles, each.commands]), gap)])
+
+
+def replayed(guess: RobotParameters, recording: ServoRecording, values: np.ndarray, age: float) -> ServoRecording:
+    """What a simulated robot of parameters (21,) does with the commands of a recording; it begins there at rest.
 
     What the estimate makes of it, less what it was made with, is the estimate's bias by filter, reversals and steps: B.
     Efron and R. J. Tibshirani, An Introduction to the Bootstrap (1993), chapter 10.
     """
+    import scipy.signal
+
     robot, values = with_head(guess, values), possible(values)
     friction = {"coulomb": values[COULOMB].tolist(), "viscous": values[DAMPING].tolist()}
     options = {"integrator": "rk4", "time_step": _SERVO_STEP, "friction": friction}
     plant = ClosedFormOptions.from_dict(options).make(robot, recording.gravity)
-    servos = PositionServos(stiffness=float(values[STIFFNESS]), damping=0.0, resolution_bits=None)
+    servos = PositionServos(**motors_of(values)[0] | {"damping": 0.0, "delay": 0.0, "resolution_bits": None})
     part = servos.part(robot, _SERVO_STEP)
     state, wrench, still = part.initial.copy(), np.zeros(6), np.zeros(6)
     steps = int((recording.time[-1] - recording.time[0]) / _SERVO_STEP) + 1
@@ -352,27 +350,31 @@ def replayed(guess: RobotParameters, recording: ServoRecording, values: np.ndarr
         angles[step] = measured[ANGLES]
         part.kernel(*part.leading.values(), commands[step], measured[ANGLES.start : CRANK_RATES.stop], state)
         measured = plant.step(state["torque"][0], wrench)
-    read = np.stack([np.interp(rows - values[AGE], time, column) for column in angles.T], axis=-1)
-    # In the steps of its encoders.
+    read = np.stack([np.interp(rows - age, time, column) for column in angles.T], axis=-1)
+    # With the noise and in the steps of its encoders.
     apart = np.abs(np.diff(recording.angles, axis=0))
     count = apart[apart > _FINEST].min()
+    sos = scipy.signal.butter(4, recording.rate / 6.0, "highpass", fs=recording.rate, output="sos")
+    # A third of the noise is below that frequency.
+    noise = 1.5 * np.mean(scipy.signal.sosfiltfilt(sos, recording.angles, axis=0) ** 2) - count**2 / 12.0
+    read += np.random.default_rng(0).normal(0.0, np.sqrt(max(noise, 0.0)), read.shape)
     return replace(recording, angles=count * np.rint(read / count))
 
 
 def with_head(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
-    """The guess with the head's mass of parameters (17,), its inertia in proportion, and the rotors' inertia."""
+    """The guess with the head's mass of parameters (21,), its inertia in proportion, and the rotors' inertia."""
     heavier = guess.heavier(float(values[MASS]) / guess.platform_mass)
     return guess.replace(**heavier | {"rotor_inertia": float(values[ROTOR])})
 
 
 def possible(values: np.ndarray) -> np.ndarray:
-    """Parameters (17,) without negative delay, damping and friction."""
+    """Parameters (21,) without negative delay, damping and friction."""
     least = np.full(len(PARAMETERS), -np.inf)
-    least[[DELAY, *range(DAMPING.start, COULOMB.stop)]] = 0.0
+    least[DAMPING.start : DELAY + 1] = 0.0
     return np.maximum(values, least)
 
 
-def load_servo_recording(log: SimulationLog | str | Path, guess: RobotParameters) -> ServoRecording:
+def load_servo_recording(log: SimulationLog | str | Path) -> ServoRecording:
     """A recording from a log of this package whose motors take angles, or from a CSV file with `QUANTITIES`."""
     if not isinstance(log, SimulationLog):
         if Path(log).suffix.lower() == ".csv":
@@ -381,7 +383,7 @@ def load_servo_recording(log: SimulationLog | str | Path, guess: RobotParameters
     source = f"log of {log.scenario.name}"
     if (motors := log.scenario.motors).takes != "angle":
         raise ConfigurationError(source, f"motors.kind {motors.kind}", "a log of motors that take angles")
-    rows, angles = torques.readings_of_log(log, guess, source)
+    rows, angles = torques.readings_of_log(log, source)
     return ServoRecording(log.time[rows], angles, log["commanded_angle"][rows], log.scenario.gravity, source)
 
 
@@ -400,44 +402,45 @@ def take_angles(logs: Iterable[str | Path]) -> bool:
     return "commanded_angle_" in names and "torque_" not in names
 
 
-def _rms(samples: Samples, values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values[samples.used] ** 2)))
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
-def _start(guess: RobotParameters, samples: ServoSamples, age: float) -> np.ndarray:
-    """Parameters (17,) near the best ones, with the guess's head: linear least squares for the best of many delays.
+def _start(guess: RobotParameters, recording: ServoRecording, age: float) -> tuple[Samples, np.ndarray, float, float]:
+    """Samples, parameters (21,) near the best, torque that is left [N m], changes of command less angle [rad].
 
-    command - angle is linear in compliance, and compliance times mass, damping and friction.
+    By linear least squares for the best of many delays: command - angle is linear in compliance, and compliance times
+    damping and friction. The head is the guess's.
     """
+    samples, smooth = torques.filtered(guess, recording)
     if (few := samples.used.mean(axis=0)).min() < _LEAST:
         got = f"motor {few.argmin()} at rest or reversing in {100.0 * (1.0 - few.min()):.0f} % of the rows"
-        raise ConfigurationError(samples.source, got, _MOTION)
-    rest = samples.known + samples.columns[..., 1] * guess.rotor_inertia
-    columns = np.concatenate([rest[..., None], np.delete(samples.columns, 1, axis=-1)], axis=-1)[samples.used]
-    values = np.array([1.0, 0.0, age, 0.0, guess.rotor_inertia, *[0.0] * 12])
+        raise ConfigurationError(recording.source, got, _MOTION)
+    values = np.zeros(len(PARAMETERS))
+    values[MASS], values[ROTOR] = guess.platform_mass, guess.rotor_inertia
+    load = samples.known + samples.columns[..., torques.BODIES] @ torques.values_of(guess)[torques.BODIES]
+    friction = samples.columns[..., torques.VISCOUS], samples.columns[..., torques.COULOMB]
+    columns = np.concatenate([load[..., None], *friction], axis=-1)[samples.used]
+    # A command holds for a row: its middle is half a row later.
+    command, angles = smooth(recording.commands), smooth(recording.angles)(samples.time)
+    held = 0.5 / recording.rate
 
-    def fit(delay: float) -> tuple[float, float, np.ndarray]:
-        values[DELAY] = delay
-        twist = (samples.command(values) - samples.measured)[samples.used]
+    def fit(late: float) -> tuple[float, float, np.ndarray, np.ndarray]:
+        twist = (command(samples.time - late - held) - angles)[samples.used]
         shares = np.linalg.lstsq(columns, twist, rcond=None)[0]
-        return float(np.sum((twist - columns @ shares) ** 2)), delay, shares
+        return float(np.sum((twist - columns @ shares) ** 2)), late, shares, twist
 
-    _, values[DELAY], shares = min(map(fit, np.arange(-age, _LONGEST, _STEP)), key=lambda each: each[0])
-    # Its weight is better known than the inertia of stiff servos.
-    stiffness = guess.platform_mass / shares[1]
-    values[STIFFNESS], values[MASS], values[ROTOR + 1 :] = stiffness, guess.platform_mass, stiffness * shares[2:]
-    return values
+    squares, late, shares, twist = min(map(fit, np.arange(0.0, _LONGEST, _STEP)), key=lambda each: each[0])
+    left, changes = np.sqrt(squares / len(twist)), float(np.std(twist)) + _FINEST
+    _refuse_other(recording.source, np.inf if shares[0] <= 0.0 else left / changes, _AT_FIRST)
+    values[STIFFNESS], values[DELAY] = 1.0 / shares[0], late - age
+    values[DAMPING], values[COULOMB] = np.maximum(shares[1:] / shares[0], 0.0).reshape(2, 6)
+    return samples, values, left / shares[0], changes
 
 
-def _refuse_other(samples: ServoSamples, values: np.ndarray) -> None:
-    """Refuses angles that are not those of the commands."""
-    twist = samples.command(values) - samples.measured
-    left, changes = (
-        _rms(samples, each) for each in (samples.measured - samples.predicted(values), twist - twist.mean(0))
-    )
-    if left > _UNEXPLAINED * changes or values[[STIFFNESS, MASS]].min() <= 0.0:
-        got = (
-            f"commands less angles that no servo explains, {min(100.0, 100.0 * left / changes):.0f} % of their changes"
-        )
+def _refuse_other(source: str, left: float, most: float) -> None:
+    """Refuses angles that are not those of the commands, of whose difference a share is left unexplained."""
+    if left > most:
+        got = f"commands less angles that no servo explains, {100.0 * min(1.0, left):.0f} % of their changes"
         allowed = "a log of the guessed robot, commands and angles in rad, no servo at its torque limit"
-        raise ConfigurationError(samples.source, got, f"{allowed}; {_BALL_JOINTS}")
+        raise ConfigurationError(source, got, f"{allowed}; {_BALL_JOINTS}")

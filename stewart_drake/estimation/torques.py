@@ -214,42 +214,34 @@ class Recording(CrankReadings):
             raise ConfigurationError(f"{self.source}: torque_{zero.argmax()}", "0 in all rows", "measured torques")
 
 
-def load_recording(path: str | Path, guess: RobotParameters, lag: float = 0.0) -> Recording:
+def load_recording(path: str | Path, lag: float = 0.0) -> Recording:
     """A recording from a log of this package (.parquet, or a folder), or a CSV file with `QUANTITIES` and a lag [s]."""
     if Path(path).suffix.lower() != ".csv":
-        return recording_of_log(load_log(path), guess, f"log {path}")
+        return recording_of_log(load_log(path), f"log {path}")
     return Recording.of_file(path, f"recording {path}", lag=lag)
 
 
-def recording_of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> Recording:
-    """Readings of encoders and amplifiers in a run: what was read, never from the true pose."""
+def recording_of_log(log: SimulationLog, source: str = "log") -> Recording:
+    """Readings of encoders and amplifiers in a run."""
     motors = log.scenario.motors
     if motors.takes != "torque":
         allowed = f"a log of motors that take torque: those of kind {motors.kind} change theirs between two rows; "
         allowed += "of motors that take angles `identify_servos`"
         raise ConfigurationError(source, f"motors.kind {motors.kind}", allowed)
-    rows, angles = readings_of_log(log, guess, source)
+    rows, angles = readings_of_log(log, source)
     # A torque acts until the next tick. The plant's own steps put an acceleration half a step ahead of its torque.
     lag = 0.5 * (log.scenario.controller.period - log.scenario.plant.time_step)
     return Recording(log.time[rows], angles, log["torque_applied"][rows], lag, log.scenario.gravity, source)
 
 
-def readings_of_log(log: SimulationLog, guess: RobotParameters, source: str) -> tuple[slice, np.ndarray]:
-    """Which rows of a run's log are ticks, and the angles (n, 6) [rad] that were read there."""
-    robot = log.scenario.belief.robot
-    for name in ("shaft_positions", "platform_joints", "crank_lengths", "rod_lengths", "crank_zero_directions"):
-        off = np.abs(getattr(robot, name) - getattr(guess, name)).max()
-        if off > 1e-9:
-            got = f"a robot whose {name} differ by up to {off:.3g}"
-            raise ConfigurationError(source, got, "a log of the guessed robot")
+def readings_of_log(log: SimulationLog, source: str) -> tuple[slice, np.ndarray]:
+    """Which rows of a log are ticks, and the angles (n, 6) [rad] that were read there."""
+    if "reading" not in log:
+        allowed = "a log with the angles that were read, the signal reading; run with sensors=encoders"
+        raise ConfigurationError(source, f"sensors.kind {log.scenario.sensors.kind}", allowed)
     # Between two ticks nothing is read, and the command is held.
     rows = slice(None, None, max(1, round(log.scenario.controller.period / log.scenario.effective_log_period)))
-    if "reading" in log:
-        return rows, log["reading"][rows]
-    if not log.scenario.estimator.exact:
-        got = f"poses of estimator.kind {log.scenario.estimator.kind}, which uses the guessed robot"
-        raise ConfigurationError(source, got, "poses straight from the encoders; run with estimator.kind=difference")
-    return rows, inverse_kinematics(robot, log.signals.get("measured_pose", log["pose"])[rows])
+    return rows, log["reading"][rows]
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,12 +280,9 @@ def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float | 
 
 
 def filtered(
-    guess: RobotParameters, recording: CrankReadings, bandwidth: float | None = None, smear: float = _SMEAR
+    guess: RobotParameters, recording: CrankReadings, bandwidth: float | None = None
 ) -> tuple[Samples, Callable[[np.ndarray], Any]]:
-    """Equations without torques of what was read, and a function of rows (n, 6): these, filtered alike, as a spline.
-
-    They are not used nearer to a reversal than `smear` periods of the bandwidth.
-    """
+    """Equations without torques of what was read, and a function of rows (n, 6): those, as a spline."""
     import scipy.interpolate
     import scipy.ndimage
     import scipy.signal
@@ -320,7 +309,7 @@ def filtered(
     at = even[::thin]
     at = at[(at > at[0] + _EDGE / bandwidth) & (at < at[-1] - _EDGE / bandwidth)]
     middle = np.searchsorted(even, at - 0.5 / rate)
-    window = 2 * int(smear * rate / bandwidth) + 1
+    window = 2 * int(_SMEAR * rate / bandwidth) + 1
     # Smallest |rate| around an instant, not above zero where the crank reverses.
     slowest = np.maximum(
         scipy.ndimage.minimum_filter1d(rates, window, axis=0), -scipy.ndimage.maximum_filter1d(rates, window, axis=0)

@@ -14,7 +14,6 @@ from stewart_drake.base.errors import drake_guard
 from stewart_drake.control.riccati import (
     AXES,
     STATES,
-    Discretization,
     acceleration_map,
     discretize,
     equation_of_drake,
@@ -122,8 +121,8 @@ def slowest_decay(at_pose: np.ndarray, gain: np.ndarray, period: float) -> float
     return float(-np.log(radius(at_pose, gain, period)) / period)
 
 
-def gain_of_ratio(at_pose: np.ndarray, period: float, ratio: float, method: Discretization = "exact") -> np.ndarray:
-    return split_gain(at_pose, period, (ratio, ratio, ratio, 1.0), method)
+def gain_of_ratio(at_pose: np.ndarray, period: float, ratio: float) -> np.ndarray:
+    return split_gain(at_pose, period, (ratio, ratio, ratio, 1.0))
 
 
 def whole_gain(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
@@ -146,7 +145,8 @@ def decay_limit(weights: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> float:
 
 def compare_discretisations(at_pose: np.ndarray, period: float, ratio: float) -> dict[str, float]:
     """Euler's gain against the exact one, both on the exact sampled system: difference, slowest decays, radius."""
-    exact, euler = (gain_of_ratio(at_pose, period, ratio, method) for method in ("exact", "euler"))
+    exact, a, b = gain_of_ratio(at_pose, period, ratio), state_matrix(), input_matrix(at_pose)
+    euler = whole_gain(np.eye(STATES) + period * a, period * b, ratio * np.eye(STATES), np.eye(AXES))
     return {
         "period": period,
         "ratio": ratio,

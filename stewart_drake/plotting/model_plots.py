@@ -56,8 +56,7 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
 def plot_identification(identification: Identification | ServoIdentification, path: str | Path) -> None:
     """What was measured of each motor and what is left of it, over the first seconds and over the crank's rate."""
     figure, axes = look.panels(6, 2, 12.0, sharex="col", width_ratios=[2, 1])
-    samples = identification.samples
-    left = samples.measured - samples.predicted(identification.values)
+    samples, left = identification.samples, identification.left
     what, unit = identification.measured
     first = samples.pieces[0].start
     some = slice(first, first + int(_SHOWN / samples.step))

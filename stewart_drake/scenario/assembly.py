@@ -248,7 +248,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
     if controller.looks_ahead or not controller.feedback:
         error_inputs = {"measurement": measurement, "reference": "reference"}
     if controller.looks_ahead and observed:
-        allowed = f"one that tells what was read, such as difference, for {controller.kind}"
+        allowed = "one that tells what was read, such as difference, for controller.feedforward motion"
         raise ConfigurationError("estimator.kind", options.estimator.kind, allowed)
     if not controller.feedback:
         law_inputs["measurement"] = np.zeros(12)
@@ -259,7 +259,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
     tuner = [part._replace(period=period) for part in context.tuner.parts(context.ticking(period))]
     law_inputs["weights"] = "weights" if tuner else np.array(context.tuner.weights)
     (law,) = controller.parts(context)
-    law = law.connected(**law_inputs, reference_now="reference")
+    law = law.connected(**law_inputs, reference_now=error_inputs["reference"])
     tracking_error = TRACKING_ERROR.connected(**error_inputs)
     logged |= {
         "torque": "torque",

@@ -96,7 +96,7 @@ def test_a_loop_for_slow_buses_is_linearised_without_its_dead_band_and_what_it_l
     loops, plain = (linear_loops(each, pose) for each in (made, made.replace({"adaptation": None})))
     assert 0.9 < radius(loops)[0] < 0.99
     np.testing.assert_array_equal(loops.closed, plain.closed)
-    proportional = linear_loops(made.replace({"controller.integral_frequency": 0.0}), pose)
+    proportional = linear_loops(made.replace({"controller.ki": 0.0}), pose)
     assert proportional.a.shape[-1] == loops.a.shape[-1] - 6
 
 

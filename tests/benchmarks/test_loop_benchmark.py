@@ -181,7 +181,7 @@ def test_riccati_equation(compare):
     gain = np.empty((6, 18))
 
     def split():
-        return split_solution(acceleration_map, 0.11, 0.001, BLOCKS, True, gain)
+        return split_solution(acceleration_map, 0.11, 0.001, BLOCKS, gain)
 
     assert split()
     compare(

@@ -33,7 +33,7 @@ def states(gain, error, rate_error, integral):
     return gain[:, POSITION] @ error + gain[:, RATE] @ rate_error + gain[:, INTEGRAL] @ integral
 
 
-def independent_gain(pose, period, ratio, force_map, discretization):
+def independent_gain(pose, period, ratio, force_map):
     """-K in the order [e, e', z] by matrix exponential and scipy; B from the Jacobian's transpose (virtual work)."""
     mass = np.diag([*ROBOT.platform_inertia, *(ROBOT.platform_mass,) * 3])
     zero, one = np.zeros((6, 6)), np.eye(6)
@@ -43,7 +43,7 @@ def independent_gain(pose, period, ratio, force_map, discretization):
         # (15) has e_l . e_N where statics has its inverse.
         wrench = wrench * leg_geometry(ROBOT, pose).transmission ** 2
     both = period * np.block([[a, np.vstack([zero, np.linalg.solve(mass, wrench), zero])], [np.zeros((6, 24))]])
-    both = expm(both) if discretization == "exact" else np.eye(24) + both
+    both = expm(both)
     a, b = both[:18, :18], both[:18, 18:]
     q, r = ratio * np.eye(18), np.eye(6)
     p = solve_discrete_are(a, b, q, r)
@@ -63,7 +63,6 @@ def independent_gain(pose, period, ratio, force_map, discretization):
             "solver": st.sampled_from(["drake", "split"]),
             "force_map": st.sampled_from(["statics", "printed"]),
             "period": st.sampled_from([0.001, 0.005, 0.02]),
-            "discretization": st.sampled_from(["exact", "euler"]),
         }
     ),
 )
@@ -77,8 +76,7 @@ def test_the_torque_is_minus_k_times_the_state_and_z_grows_after_it_was_used(
     error = pose - setpoint.pose
     np.testing.assert_allclose(output.integral, z + options["period"] * error, atol=1e-15)
     state = np.concatenate([error, rate_error, z])
-    own = (options[name] for name in ("force_map", "discretization"))
-    gain = independent_gain(pose, options["period"], 10.0**log_ratio, *own)
+    gain = independent_gain(pose, options["period"], 10.0**log_ratio, options["force_map"])
     # scipy's own residual is the limit here, see the notes on the split solution.
     scale = np.abs(gain).max() * np.abs(state).max()
     np.testing.assert_allclose(output.torque, gain @ state, atol=1e-6 * scale + 1e-30)

@@ -41,8 +41,8 @@ SOURCES = {
 @given(st.floats(-0.5, 0.5), st.floats(0.5, 20.0))
 def test_speed_is_a_change_of_the_unit_of_time(speed, s):
     faster, slow, fast = 10.0**speed, np.empty(3), np.empty(3)
-    assert chain_gain(s, 1e-3 * faster, weights_of(BASE, np.zeros(SIZE)), True, slow)
-    assert chain_gain(s, 1e-3, weights_of(BASE, np.array([speed, 0.0, 0.0, 0.0])), True, fast)
+    assert chain_gain(s, 1e-3 * faster, weights_of(BASE, np.zeros(SIZE)), slow)
+    assert chain_gain(s, 1e-3, weights_of(BASE, np.array([speed, 0.0, 0.0, 0.0])), fast)
     np.testing.assert_allclose(fast, slow * faster ** np.array([2.0, 1.0, 3.0]), rtol=1e-7)
 
 

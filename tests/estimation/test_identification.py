@@ -10,7 +10,7 @@ from recordings import FINE, motion, recording, truth_of
 from simulated_identification import Setting, coverage, run_trial, with_payload
 from strategies import ROBOT, ROBOTS, UNEQUAL, vectors
 
-from stewart_drake import Scenario, load_robot, run
+from stewart_drake import Scenario, load_robot, load_scenario, run
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.estimation.identification import consistent, identify, is_consistent, least_squares
 from stewart_drake.estimation.torques import (
@@ -177,9 +177,9 @@ def test_a_file_without_a_column(tmp_path):
 def test_of_a_log_the_angles_are_those_that_were_read(tmp_path):
     encoders = {"kind": "encoders", "offset": [0.01] * 6}
     log = run(Scenario(duration=0.1, sensors=encoders, estimator="observer"))
-    np.testing.assert_allclose(recording_of_log(log, ROBOT).angles, log["crank_angle"] + 0.01, atol=5e-5)
+    np.testing.assert_allclose(recording_of_log(log).angles, log["crank_angle"] + 0.01, atol=5e-5)
     log.save(tmp_path / "log.csv")
-    np.testing.assert_allclose(load_recording(tmp_path / "log.csv", ROBOT).angles, log["reading"], atol=1e-12)
+    np.testing.assert_allclose(load_recording(tmp_path / "log.csv").angles, log["reading"], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -213,10 +213,9 @@ def test_a_motion_that_does_not_tell_what_is_asked():
     assert "platform_inertia" in refused(slow, ask=["platform_inertia"])
 
 
-def test_a_log_of_another_robot_or_with_a_pose_that_was_not_read():
+def test_a_log_of_another_robot_or_without_readings():
     log = run(Scenario(duration=0.1))
-    with pytest.raises(ConfigurationError, match="expected a log of the guessed robot"):
-        recording_of_log(log, load_robot("reachy_mini"))
-    scenario = log.scenario.replace({"estimator": {"kind": "observer"}, "sensors": {"kind": "encoders"}})
-    with pytest.raises(ConfigurationError, match="estimator"):
-        recording_of_log(dataclasses.replace(log, scenario=scenario), ROBOT)
+    with pytest.raises(ConfigurationError, match=r"the signal reading, got 'sensors.kind ideal'; run"):
+        recording_of_log(log)
+    swaying = load_scenario("sway", ["robot=reachy_mini", "plant.kind=closed_form", "duration=4"])
+    assert "a log of the guessed robot" in refused(run(swaying, check=False))

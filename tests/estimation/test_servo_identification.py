@@ -1,6 +1,7 @@
 """Servos from commands and angles alone: what comes out, what is told apart, and logs that cannot be used."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -9,10 +10,7 @@ from servo_identification_study import GUESS, NOMINAL, Hidden, hidden, scenario
 
 from stewart_drake import identify_servos, load_scenario, run
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.base.yaml_files import to_yaml
-from stewart_drake.estimation import core
 from stewart_drake.estimation.servos import (
-    AGE,
     COULOMB,
     DAMPING,
     DELAY,
@@ -22,7 +20,6 @@ from stewart_drake.estimation.servos import (
     STIFFNESS,
     ServoRecording,
     load_servo_recording,
-    servo_samples_of,
     take_angles,
 )
 
@@ -38,7 +35,7 @@ def played(real: Hidden, seconds: float = 20.0):
 def trial():
     real = hidden(1)
     log = played(real)
-    return real, log, load_servo_recording(log, GUESS)
+    return real, log, load_servo_recording(log)
 
 
 @pytest.fixture(scope="module")
@@ -50,14 +47,14 @@ def found(trial):
 def test_hidden_constants_are_within_their_intervals(trial, found):
     off = np.abs(found.values - trial[0].values)
     estimated = found.half_width > 0.0
-    assert estimated.sum() == len(PARAMETERS) - 2
+    assert estimated.sum() == len(PARAMETERS) - 1
     assert (off[~estimated] == 0.0).all()
     share = off[estimated] / found.half_width[estimated]
     assert share.max() < 3.0
     assert (share < 1.0).mean() > 0.6
     # Intervals that say something.
     width = found.half_width
-    assert width[STIFFNESS] < 0.03 * found.values[STIFFNESS]
+    assert (width[STIFFNESS] < 0.05 * found.values[STIFFNESS]).all()
     assert width[MASS] < 0.03 * GUESS.platform_mass
     assert width[DELAY] < 1e-3
     assert width[DAMPING].max() < 2e-3
@@ -68,16 +65,7 @@ def test_age_and_delay_are_told_as_their_sum(trial, found):
     real, _, recording = trial
     other = identify_servos(GUESS, [recording], reading_age=0.0)
     assert other.values[DELAY] == pytest.approx(found.values[DELAY] + real.age, abs=1e-4)
-    assert other.values[STIFFNESS] == pytest.approx(found.values[STIFFNESS], rel=0.01)
-    age, rotor = other.estimate.unidentifiable
-    assert (age.at, rotor.at) == (AGE, ROTOR)
-    assert np.isinf(age.deviation)
-    assert age.direction[DELAY] == pytest.approx(-1.0)
-    # A larger inertia: all torques grow by one factor.
-    growth = rotor.direction[[STIFFNESS, MASS]] / other.estimate.values[[STIFFNESS, MASS]]
-    assert growth == pytest.approx(np.full(2, growth.mean()), rel=0.1)
-    assert growth.mean() * GUESS.rotor_inertia == pytest.approx(1.0, rel=0.25)
-    assert "reading_age (undetermined): with each s more of it delay by -1 s" in repr(other)
+    np.testing.assert_allclose(other.values[STIFFNESS], found.values[STIFFNESS], rtol=0.01)
 
 
 @pytest.mark.long
@@ -86,7 +74,7 @@ def test_a_head_that_was_weighed_tells_the_rotors_inertia(trial):
     off = GUESS.replace(rotor_inertia=1.3 * GUESS.rotor_inertia, platform_mass=real.robot.platform_mass)
     result = identify_servos(off, [recording], hold=["platform_mass"], reading_age=real.age)
     assert result.values[ROTOR] == pytest.approx(GUESS.rotor_inertia, rel=0.03)
-    assert result.values[STIFFNESS] == pytest.approx(real.stiffness, rel=0.03)
+    np.testing.assert_allclose(result.values[STIFFNESS], real.stiffness, rtol=0.03)
     assert (result.values[MASS], result.half_width[MASS]) == (pytest.approx(real.robot.platform_mass), 0.0)
     assert "stiffness" in refused(recording, hold=["stiffness"])
 
@@ -94,11 +82,11 @@ def test_a_head_that_was_weighed_tells_the_rotors_inertia(trial):
 def test_what_was_identified_goes_into_a_scenario(trial, found, tmp_path):
     real, log, _ = trial
     (tmp_path / "mine.yaml").write_text(found.robot_file())
-    (tmp_path / "run.yaml").write_text(f"robot: mine.yaml\nmotors: {to_yaml(found.motors)}")
+    (tmp_path / "run.yaml").write_text(f"robot: mine.yaml\nmotors: {json.dumps(found.motors)}")
     assert load_scenario(tmp_path / "run.yaml").robot.platform_mass == pytest.approx(found.values[MASS])
     (tmp_path / "run.yaml").write_text(f"robot: mine.yaml\nmotors: {{kind: position}}\n{found.model_file()}")
     belief = load_scenario(tmp_path / "run.yaml").belief
-    assert belief.motors.stiffness == pytest.approx(found.values[STIFFNESS])
+    np.testing.assert_allclose(belief.motors.gains, found.values[STIFFNESS])
     total = belief.motors.damping + np.array(belief.friction.viscous)
     np.testing.assert_allclose(total, found.values[DAMPING])
     np.testing.assert_allclose(belief.friction.coulomb, found.values[COULOMB])
@@ -109,24 +97,6 @@ def test_what_was_identified_goes_into_a_scenario(trial, found, tmp_path):
 
     after = run(scenario(real, believed, FADED, 6.0), check=False)
     assert (error(after) < 0.2 * error(log)).all()
-
-
-def test_derivatives(trial):
-    samples = servo_samples_of(GUESS, [trial[2]])
-    values, step = trial[0].values, 1e-6
-    for at, parameter in enumerate(PARAMETERS):
-        change = step * np.eye(len(values))[at]
-        slope = (samples.predicted(values + change) - samples.predicted(values - change)) / (2.0 * step)
-        np.testing.assert_allclose(samples.derivative(values)[..., at], slope, atol=1e-5, err_msg=str(parameter))
-
-
-def test_a_held_parameter_and_what_changes_with_it():
-    slope = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 2.0], [0.0, 0.0, 0.5]])
-    free, scales = np.eye(3)[:, :2], np.array([1.0, 10.0, 100.0])
-    at, deviation, direction = core.confused(slope, free, scales, 2)
-    assert (at, deviation) == (2, pytest.approx(2.0))
-    np.testing.assert_allclose(direction, [-0.01, -0.2, 1.0])
-    assert np.isinf(core.confused(slope[:2], free, scales, 2).deviation)
 
 
 def refused(log, **options):
@@ -173,7 +143,7 @@ def test_a_table_of_commands_and_angles(trial, tmp_path):
     text = recording.to_csv()
     (tmp_path / "log.csv").write_text(text)
     assert take_angles([tmp_path / "log.csv"])
-    again = load_servo_recording(tmp_path / "log.csv", GUESS)
+    again = load_servo_recording(tmp_path / "log.csv")
     assert isinstance(again, ServoRecording)
     np.testing.assert_allclose(again.commands, recording.commands, rtol=0.0, atol=1e-12)
     (tmp_path / "without.csv").write_text("\n".join(",".join(row.split(",")[:7]) for row in text.splitlines()))

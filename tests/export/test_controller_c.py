@@ -103,13 +103,12 @@ def test_what_learns_is_refused_by_its_key(tmp_path):
 
 OTHERS = {
     "pid": ("exact_fig7", {"controller": {"kind": "pid"}}),
-    "pid_back": ("exact_fig7", {"controller": {"kind": "pid", "saturation": "back_calculation"}}),
     "computed_torque": ("exact_fig7", {"controller": {"kind": "computed_torque"}}),
     "servos": ("reachy_nod", {
         "controller": {"kind": "feedforward", "period": 0.02}, "estimator": "difference", "tuner": "fixed",
         "motors": {"kind": "position"}, "command_delay": 0, "safety": None,
     }),
-    "decoupled_pid": ("reachy_nod", {"controller": "decoupled_pid", "estimator": "difference", "tuner": "block"}),
+    "slow_bus": ("reachy_slow_bus", {"adaptation": None}),
     "currents": ("exact_breathing", {"motors": {"kind": "current", "torque_constant": 0.5}, "safety": None}),
     "schedule": ("reachy_nod", {"tuner": {"kind": "schedule", "calm": [0, 0, 0, 0], "alert": [0.2, 0, 0, 0.5]}}),
     "joints": ("reachy_nod", {"model.friction.joints": {"viscous": 0.001, "coulomb": 0.001}}),
@@ -118,9 +117,7 @@ OTHERS = {
     "fast_readings": ("exact_breathing", {
         "estimator.period": 0.0005, "controller.period": 0.002, "plant.time_step": 0.0005,
     }),
-    "euler": ("paper_fig7", {
-        "controller.discretization": "euler", "controller.force_map": "printed", "tuner": "fixed",
-    }),
+    "printed": ("paper_fig7", {"controller.force_map": "printed", "tuner": "fixed"}),
 }  # fmt: skip
 
 

@@ -279,7 +279,7 @@ def test_gains_allow_for_a_delay_in_the_motors():
 def test_a_log_of_servos_does_not_identify_by_torques():
     log = run(load_scenario("reachy_nod").replace({**REACHY, "duration": 0.2}), check=False)
     with pytest.raises(ConfigurationError, match=r"^log: expected a log of motors that take torque"):
-        recording_of_log(log, log.scenario.robot)
+        recording_of_log(log)
 
 
 def test_how_rough_a_run_is_shows_in_the_torque_that_servos_give():

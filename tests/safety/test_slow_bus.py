@@ -61,9 +61,9 @@ def test_a_stop_of_the_loop_for_slow_buses_does_too(coulomb, viscous, fails):
 
 @pytest.mark.parametrize(("times", "head"), [(0.0, 1.0), (1.0, 1.0), (2.0, 1.0), (0.0, 1.2), (2.5, 0.8), (2.5, 1.2)])
 def test_a_cold_start_is_no_fault(times, head):
-    loop = {"controller": {"kind": "decoupled_pid", "period": 0.01}, "estimator": "difference", "tuner": "block"}
     plant = {"kind": "closed_form", "motor_friction": 0.058 * times, "motor_damping": 0.095 * times}
     shipped = load_scenario("reachy_slow_bus")
+    loop = {"controller": shipped.controller.given(), "estimator": "difference", "tuner": "block"}
     believed, real = shipped.robot, shipped.robot.replace(**shipped.robot.heavier(head))
     changes = {"plant": plant, "duration": 5.0, "robot": real, "model.robot": believed}
     log = run(shipped.replace(changes), check=False)

@@ -7,12 +7,16 @@ from ticks import standing, ticked
 
 from stewart_drake import load_robot, load_scenario, run
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.control.decoupled import DecoupledPidOptions
+from stewart_drake.control.base import heave_inertia
+from stewart_drake.control.classical import PidOptions
 from stewart_drake.mechanics.dynamics import crank_inertia, static_torque
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 
 ROBOT = load_robot("reachy_mini")
-OPTIONS = DecoupledPidOptions(integral_frequency=3.0)
+INERTIA = heave_inertia(ROBOT)
+SLOW_BUS = {"inertia": "robot", "feedforward": "motion", "derivative": "difference", "sticking": 4.0, "dead_band": 2.5}
+GAINS = {"kp": 400.0 * INERTIA, "ki": 1200.0 * INERTIA, "kd": 32.0 * INERTIA}
+OPTIONS = PidOptions(period=0.01, **SLOW_BUS, **GAINS)
 
 
 def tick(pose, goal, rate=0.0, **before):
@@ -29,7 +33,7 @@ def test_a_tick_is_statics_and_a_pid_through_the_inertia():
     off = 1e-5 * np.array([1.0, -2.0, 0.5, 3.0, 0.0, -1.0])
     pose = forward_kinematics(ROBOT, inverse_kinematics(ROBOT, home) - off, home)
     integral, before = 1e-4 * np.arange(6.0), np.zeros(6)
-    state = tick(pose, home, integral=integral, error=before, ticks=5.0)
+    state = tick(pose, home, crank_integral=-integral, error=-before, ticks=5.0)
     wanted = 400.0 * (off + 3.0 * integral) + 2.0 * 0.8 * 20.0 * (off - before) / 0.01
     np.testing.assert_allclose(state.torque - weight, crank_inertia(ROBOT, home) @ wanted, atol=1e-9)
 
@@ -60,7 +64,7 @@ def slow(dry, viscous, constant, head, **changes):
         "motors": {"kind": "current", "torque_constant": constant},
         "model": {"robot": ROBOT, "motors": {"kind": "current"}}
         | {"friction": {"coulomb": 0.058, "viscous": 0.095, "width": 0.004}},
-        "controller": {"kind": "decoupled_pid", "period": 0.01},
+        "controller": {"kind": "pid", "period": 0.01, **SLOW_BUS},
         "estimator": "difference",
         "tuner": "block",
         "bounds": dict.fromkeys(("rotation", "position", "motion_ratio", "error_ratio")),
@@ -88,6 +92,11 @@ def test_a_push_of_3_n_does_not_lose_it_and_at_rest_it_is_still():
     rest = run(slow(0.03, 0.05, 0.8, 1.1, reference={"kind": "hold", "pose": ROBOT.home_pose.tolist()}), check=False)
     still = rest["crank_angle"][rest.time > 4.0]
     assert np.ptp(still, axis=0).max() < 1e-6
+
+
+def test_the_kind_that_was_names_what_to_write():
+    with pytest.raises(ConfigurationError, match=r"^controller\.kind: expected pid with inertia: robot, feedf"):
+        load_scenario("reachy_nod", ["controller.kind=decoupled_pid"])
 
 
 def test_a_state_that_is_predicted_is_refused():
