@@ -9,6 +9,7 @@ import numpy as np
 from pydrake.autodiffutils import ExtractValue
 from pydrake.systems.framework import BasicVector, Context
 
+from stewart_drake.base.arguments import checked
 from stewart_drake.base.errors import ConfigurationError, drake_guard
 from stewart_drake.base.keys import join_or
 
@@ -28,6 +29,7 @@ class WithParameters:
         self._parameters_flat = np.ndarray(kind.itemsize // 8, np.float64, self._parameters_read)
         return self._parameters_read
 
+    @checked
     def parameter(self: Any, context: Context, name: str) -> np.ndarray:
         """A parameter, a record (1,) or an array, as a view to be read and written; `context` of the Diagram."""
         if name not in (names := self._parameters_read.dtype.names or ()):
