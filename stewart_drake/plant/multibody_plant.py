@@ -44,6 +44,7 @@ from pydrake.systems.framework import (
     State,
 )
 
+from stewart_drake.base.arguments import checked
 from stewart_drake.base.config import NotNegative, check_value
 from stewart_drake.base.errors import ConfigurationError, drake_guard
 from stewart_drake.base.sampling import decimal, on_grid
@@ -71,6 +72,7 @@ class StewartRobot(StateMap):
     """
 
     scene_graph: SceneGraph | None = None
+    where_from = "add_robot and add_plant return one"
 
     def __init__(
         self,
@@ -115,7 +117,7 @@ class StewartRobot(StateMap):
 
     @property
     def torque_input_port(self) -> InputPort:
-        """(6,) [N m] motor torques, clipped to the effort limit; zero where left alone."""
+        """(6,) [N m] motor torques, clipped to the effort limit; zero where left alone; motors that stick need it."""
         self._finished()
         if self._friction is not None:
             return self._friction.torque
@@ -193,6 +195,7 @@ class StewartRobot(StateMap):
         force.F_Bq_W = SpatialForce(tau=self._base @ wrench[:3], f=self._base @ wrench[3:])
         return force
 
+    @checked
     def set_state(self, context: Context, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
         """Puts the robot into `assemble(pose, pose_rate)`, friction without tension; `context` of the Diagram.
 
@@ -204,6 +207,7 @@ class StewartRobot(StateMap):
         state[mine] = assembled[mine]
         self.put(context, state)
 
+    @checked
     def put(self, context: Context, state: np.ndarray) -> None:
         """Puts the plant into a state (nq + nv,), friction without tension; `context` as in `set_state`."""
         state = self.checked(state)
@@ -221,13 +225,7 @@ class StewartRobot(StateMap):
             raise ConfigurationError("plant", "one under construction", "one that is finalised; call plant.Finalize()")
 
 
-def require_robot(value: object) -> StewartRobot:
-    """The robot; anything else, a plain MultibodyPlant say, is refused."""
-    if not isinstance(value, StewartRobot):
-        raise ConfigurationError("robot", value, "a StewartRobot; add_robot and add_plant return one")
-    return value
-
-
+@checked
 def add_robot(
     plant: MultibodyPlant,
     robot: RobotParameters,
@@ -258,6 +256,8 @@ def add_robot(
     options, base = DrakeOptions() if options is None else options, RigidTransform() if base is None else base
     if parser is not None and parser.plant() is not plant:
         raise ConfigurationError("parser", parser, "a parser of this plant")
+    if not np.isfinite(base.GetAsMatrix34()).all():
+        raise ConfigurationError("base", base, "a place that is finite")
     if plant.is_finalized():
         raise ConfigurationError("plant", "a finalised one", "one before Finalize()")
     if plant.time_step() <= 0.0:
@@ -293,6 +293,8 @@ def add_robot(
         law = options.friction_law(robot)
         _add_damping(added, law["viscous"][0])
         add_servos(added, law)
+        if law["break_away"].any():
+            _ask_for_friction(plant, instance)
         if options.broken_rod is not None and options.break_step is not None:
             closures = [each for each in plant.GetConstraintIds() if each not in others]
             _break(plant, closures[options.broken_rod.leg], options.break_step * plant.time_step())
@@ -305,6 +307,7 @@ def add_robot(
     return added
 
 
+@checked
 def add_plant(
     builder: DiagramBuilder,
     robot: RobotParameters,
@@ -385,6 +388,17 @@ def _break(plant: MultibodyPlant, closure: Any, time: float) -> None:
 
     plant.DeclareInitializationUnrestrictedUpdateEvent(set_closed)
     plant.DeclarePeriodicUnrestrictedUpdateEvent(_ONCE, time, set_closed)
+
+
+def _ask_for_friction(plant: MultibodyPlant, instance: ModelInstanceIndex) -> None:
+    """Raises at `Simulator.Initialize` where motors stick and nothing is connected: Drake would let them slide."""
+    there: Any = weakref.ref(plant)
+
+    def ask(context: Context, _: State) -> None:
+        if not there().get_desired_state_input_port(instance).HasValue(context):
+            raise ConfigurationError("friction", "motors that stick", "a call of connect_friction(builder) first")
+
+    plant.DeclareInitializationUnrestrictedUpdateEvent(ask)
 
 
 def _add_damping(added: StewartRobot, viscous: np.ndarray) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import Field
@@ -19,6 +19,7 @@ ZERO: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SixPhases = Annotated[tuple[Phase, Phase, Phase, Phase, Phase, Phase], one_for_six(Phase, "rad")]
 
 
+@runtime_checkable
 class Reference(Protocol):
     """Anything that tells where the platform should be."""
 

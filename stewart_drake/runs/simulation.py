@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stewart_drake.base.arguments import checked
 from stewart_drake.base.atomic_files import signals_held
 from stewart_drake.base.code import file_digests
 from stewart_drake.base.errors import ConfigurationError, RunFailure, SafetyStop, drake_guard, raised_at
@@ -22,7 +23,7 @@ from stewart_drake.logs.versions import collect_versions
 from stewart_drake.runs.checks import check_scenario, likely_cause, refuse_unrunnable
 from stewart_drake.runs.engine import Run, SteppedRun
 from stewart_drake.safety import first_trip
-from stewart_drake.scenario.scenario import Scenario, load_scenario, require_scenario
+from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 CHUNK = 0.05  # [s] simulated time between two calls of `progress`.
 
@@ -37,6 +38,7 @@ def run_of(scenario: Scenario) -> Run:
     return DiagramRun(scenario)
 
 
+@checked
 def run(
     scenario: Scenario | str | Path,
     progress: Callable[[float], None] | None = None,
@@ -61,7 +63,6 @@ def run(
     """
     if isinstance(scenario, (str, Path)):
         scenario = load_scenario(scenario)
-    require_scenario(scenario)
     refuse_unrunnable(scenario)
     if check:
         check_scenario(scenario)

@@ -47,6 +47,7 @@ class Scenario(ControlOptions):
     """
 
     nominal_robot: ClassVar[RobotParameters | None] = PAPER
+    where_from: ClassVar[str] = "load_scenario reads one from a file"
 
     duration: Annotated[Positive, Field(le=1e6)] = 10.0
     """[s] simulated time; that of a recorded motion where it is not given. The run ends with the last whole step of the
@@ -206,12 +207,6 @@ def _load(kind: type[_Options], what: str, path: str | Path, overrides: Iterable
     changes = anchored(parse_changes(overrides, "controller.period=0.002"), Path())
     with trusting_code(trust_code):
         return with_keys(kind, data, changes)
-
-
-def require_scenario(value: object) -> None:
-    """Raises a `TypeError` for anything but a Scenario."""
-    if not isinstance(value, Scenario):
-        raise TypeError(f"a Scenario is needed, not {value!r}; load_scenario reads one from a file")
 
 
 def scenario_schema() -> dict[str, Any]:

@@ -10,6 +10,7 @@ from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, Ini
 from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
+from stewart_drake.base.arguments import checked
 from stewart_drake.base.config import NotNegative, Vector6, check_value
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError, SingularPoseError, drake_guard
 from stewart_drake.hardware.motors import within_limit
@@ -20,6 +21,7 @@ from stewart_drake.mechanics.linear_algebra import derivatives
 from stewart_drake.plant.closed_form import ClosedFormOptions, crank_motion, motion_rate
 from stewart_drake.plant.context_parameters import WithParameters
 from stewart_drake.plant.model_files import home_frames
+from stewart_drake.plant.plant_options import MechanismOptions
 from stewart_drake.robot import RobotParameters
 
 
@@ -52,10 +54,11 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
                 their rates [rad/s].
         """
 
+        @checked
         def _construct(
             self,
             robot: RobotParameters,
-            options: ClosedFormOptions | None = None,
+            options: MechanismOptions | None = None,
             gravity: float = STANDARD_GRAVITY,
             *,
             converter: Any = None,
@@ -102,6 +105,8 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
             derivatives.get_mutable_vector().SetFromVector(rate)
 
         def _rate(self, given: np.ndarray) -> np.ndarray:
+            if not np.isfinite(given[:6]).all():
+                raise NotFiniteError("the plant's pose", given[:6].copy())
             robot, friction, (gravity,) = self._numbers["robot"], self._numbers["friction"], self._numbers["gravity"]
             torque, result = within_limit(given[12:18], robot["effort_limit"][0]), np.empty(12)
             leg, margin = motion_rate(

@@ -19,16 +19,17 @@ from pydrake.systems.primitives import (
     VectorLogSink,
 )
 
+from stewart_drake.base.arguments import checked
 from stewart_drake.base.errors import ConfigurationError, drake_guard
 from stewart_drake.base.keys import join_or
 from stewart_drake.base.sampling import InBlocks, on_grid, steps_per
 from stewart_drake.hardware.motors import limit_torque
 from stewart_drake.loop.part import Part
-from stewart_drake.plant.multibody_plant import StewartRobot, add_plant, require_robot
+from stewart_drake.plant.multibody_plant import StewartRobot, add_plant
 from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.plant.servo_friction import connect_besides
 from stewart_drake.scenario.assembly import Source, loop_of
-from stewart_drake.scenario.scenario import Scenario, require_scenario
+from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.systems.library import PlatformWrench, ScenarioInput, TaskSpaceSensor, TimeSource, system_of
 
 _System = TypeVar("_System")
@@ -65,6 +66,7 @@ class ClosedLoop(Diagram):
         systems, sinks: The System of each part, and the VectorLogSink of each signal, by name.
     """
 
+    @checked
     def __init__(
         self,
         scenario: Scenario,
@@ -77,7 +79,6 @@ class ClosedLoop(Diagram):
         before_finalize: Callable[[StewartRobot], None] | None = None,
     ) -> None:
         super().__init__()
-        require_scenario(scenario)
         if not isinstance(scenario.plant, DrakeOptions):
             raise ConfigurationError("plant.kind", scenario.plant.kind, "drake, for a Diagram")
         builder, shown = DiagramBuilder(), visuals or meshcat is not None
@@ -163,6 +164,7 @@ class LoopSystems:
             up the loop's periods; a name that is taken.
     """
 
+    @checked
     def __init__(
         self,
         builder: DiagramBuilder,
@@ -173,8 +175,6 @@ class LoopSystems:
         outputs: Sequence[str] = (),
         name: str = "",
     ) -> None:
-        require_scenario(scenario)
-        require_robot(robot)
         if scenario.robot != robot.robot:
             here, there = scenario.robot.to_dict(), robot.robot.to_dict()
             others = ", ".join(key for key in here if here[key] != there[key])

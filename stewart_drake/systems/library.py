@@ -15,6 +15,8 @@ from pydrake.common.value import Value
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort, State
 
+from stewart_drake.base.arguments import checked
+from stewart_drake.base.config import NotNegative, check_value
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, drake_guard
 from stewart_drake.base.keys import join_or
 from stewart_drake.base.sampling import just_before, on_grid
@@ -24,11 +26,11 @@ from stewart_drake.control.lqi import LQI_STATE, LqiOptions, lqi_part
 from stewart_drake.control.network import TunerNetwork, network_part, network_tick
 from stewart_drake.loop.part import BoundPart, Part
 from stewart_drake.plant.context_parameters import WithParameters
-from stewart_drake.plant.multibody_plant import StewartRobot, require_robot
+from stewart_drake.plant.multibody_plant import StewartRobot
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.assembly import loop_of
-from stewart_drake.scenario.scenario import Scenario, require_scenario
+from stewart_drake.scenario.scenario import Scenario
 
 _SAME_TICK = 1e-6
 """Share of a period by which an instant may come before a tick and still belong to it."""
@@ -108,6 +110,7 @@ class PartSystem(LeafSystem, WithParameters):
         if part.end_of_tick:
             self.DeclarePeriodicDiscreteUpdateEvent(self._nominal * (1.0 + _SHOWN), _SHOWN * self.period, self._show)
 
+    @checked
     def state(self, context: Context) -> np.ndarray:
         """The part's record (1,), of the tick that is done; `context` of the Diagram."""
         with drake_guard(f"the state of {self.part.name}"):
@@ -209,9 +212,11 @@ class LqiController(PartSystem):
         result: out, the part's whole state.
     """
 
+    @checked
     def __init__(self, robot: RobotParameters, options: LqiOptions, gravity: float, weights: int = 2) -> None:
         if weights not in (2, 4):
             raise ConfigurationError("weights", weights, "2 or 4")
+        check_value("gravity", gravity, NotNegative)
         super().__init__(lqi_part(options, robot, gravity, weights), options.period)
 
 
@@ -256,6 +261,7 @@ class AnnTuner(PartSystem):
         result: out, the part's whole state.
     """
 
+    @checked
     def __init__(self, network: TunerNetwork, period: float, initial: Sequence[float] = (1.0, 1.0)) -> None:
         super().__init__(network_part(network, initial), period)
 
@@ -277,8 +283,8 @@ class ScenarioSystem(PartSystem):
         ConfigurationError: The loop has no such part.
     """
 
+    @checked
     def __init__(self, scenario: Scenario, name: str) -> None:
-        require_scenario(scenario)
         parts = {part.name: part for part in loop_of(scenario).parts}
         if name not in parts:
             allowed = f"a scenario with the part {name}; it has {', '.join(parts)}"
@@ -374,6 +380,7 @@ class ReferenceSource(TimeSource):
 
     reference: OutputPort
 
+    @checked
     def __init__(self, reference: Reference) -> None:
         super().__init__("reference", 18, lambda time: np.concatenate(reference.evaluate(time)))
 
@@ -387,9 +394,10 @@ class TaskSpaceSensor(LeafSystem):
         crank_state: out (12,), angles of the cranks [rad] from the horizontal, not wrapped, then their rates [rad/s].
     """
 
-    def __init__(self, plant: StewartRobot) -> None:
+    @checked
+    def __init__(self, robot: StewartRobot) -> None:
         super().__init__()
-        self._plant = require_robot(plant)
+        self._plant = robot
         self.plant_state = self.DeclareVectorInputPort("plant_state", self._plant.size)
         needs = {self.input_port_ticket(self.plant_state.get_index())}
         self.measurement = self.DeclareVectorOutputPort("measurement", 12, self._pose, prerequisites_of_calc=needs)
@@ -410,9 +418,10 @@ class PlatformWrench(LeafSystem):
         spatial_force: out, for the plant's port `applied_spatial_force`.
     """
 
-    def __init__(self, plant: StewartRobot) -> None:
+    @checked
+    def __init__(self, robot: StewartRobot) -> None:
         super().__init__()
-        self._plant = require_robot(plant)
+        self._plant = robot
         self.wrench = self.DeclareVectorInputPort("wrench", 6)
         needs, forces = {self.input_port_ticket(self.wrench.get_index())}, Value[list[ExternallyAppliedSpatialForce]]
         self.spatial_force = self.DeclareAbstractOutputPort(

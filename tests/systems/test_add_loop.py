@@ -15,14 +15,23 @@ from pydrake.multibody.plant import (
 )
 from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
 from strategies import ROBOT
 
-from stewart_drake import ClosedFormPlant, DrakeOptions, Scenario, add_loop, add_plant, add_robot, build_diagram
+from stewart_drake import (
+    ClosedFormPlant,
+    DrakeOptions,
+    LqiOptions,
+    Scenario,
+    add_loop,
+    add_plant,
+    add_robot,
+    build_diagram,
+)
 from stewart_drake.base.errors import ConfigurationError, DrakeCheckError, RunFailure
 from stewart_drake.base.sampling import on_grid
-from stewart_drake.systems import TaskSpaceSensor
+from stewart_drake.systems import LqiController, ReferenceSource, TaskSpaceSensor
 from stewart_drake.systems.library import PlatformWrench
 
 SPLIT = {"controller": {"solver": "split"}, "tuner": "fixed", "log_period": 0.001}
@@ -163,20 +172,36 @@ def fixed(port, value):
     simulator.AdvanceTo(0.01)
 
 
+def continuous_from_nothing():
+    simulator = Simulator(plant := ClosedFormPlant(ROBOT))
+    plant.torque.FixValue(simulator.get_mutable_context(), np.zeros(6))
+    simulator.get_mutable_context().SetContinuousState(np.full(12, np.nan))
+    simulator.AdvanceTo(0.01)
+
+
 def foreign():
     return build_diagram(PLAIN).CreateDefaultContext()
 
 
-def put(number):
+def put(number, where=Diagram.CreateDefaultContext):
     _, robot, diagram = built()
-    robot.put(diagram.CreateDefaultContext(), np.zeros(number))
+    robot.put(where(diagram), np.zeros(number))
+
+
+def slide():
+    """Motors that would stick, without what feeds them."""
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(MultibodyPlant(0.001))
+    add_robot(plant, ROBOT, DrakeOptions(motor_friction=0.02))
+    plant.Finalize()
+    Simulator(builder.Build()).Initialize()
 
 
 def loop_in(builder, robot, _):
     add_loop(builder, PLAIN, robot)
 
 
-OTHER = finalised()
+OTHER, NOWHERE = finalised(), RigidTransform([np.nan, 0.0, 0.0])
 CONFIGURATION = (
     ("a plant without our model", lambda: TaskSpaceSensor(finalised()), "robot: expected a StewartRobot, got .*Plant"),
     ("a loop around it", lambda: add_loop(DiagramBuilder(), PLAIN, finalised()), "robot: .*; add_robot and add_plant"),
@@ -194,6 +219,19 @@ CONFIGURATION = (
     ("cranks of too few", lambda: built()[1].crank_state(np.zeros(3)), "state: expected .* 49.* got .*shape"),
     ("gaps of too many", lambda: built()[1].loop_gap(np.zeros(50)), "state: expected .* 49.* got .*shape"),
     ("a state of too few", lambda: put(3), "state: expected .* 49.* got .*shape"),
+    ("a builder for a plant", lambda: added(DiagramBuilder()), "plant: expected a MultibodyPlant, got <.*Builder"),
+    ("a number for a name", lambda: added(model_instance=3), "model_instance: expected a str, got 3"),
+    ("a matrix for a place", lambda: added(base=np.eye(4)), "base: expected a RigidTransform, got array"),
+    ("a place that is none", lambda: added(base=NOWHERE), "base: expected a place that is finite"),
+    ("a name for a scenario", lambda: build_diagram("paper_fig7"), "scenario: expected a Scenario, .*; load_scenario"),
+    ("a name for names", lambda: build_diagram(PLAIN, inputs="wrench"), "inputs: expected a Sequence, got 'wrench'"),
+    ("a flag for a Meshcat", lambda: build_diagram(PLAIN, meshcat=True), "meshcat: expected a Meshcat, got True"),
+    ("a simulator for a Context", lambda: put(49, Simulator), "context: expected a Context, got <.*Simulator"),
+    ("a controller of nothing", lambda: LqiController(ROBOT, None, 9.81), "options: expected a LqiOptions, got None"),
+    ("gravity that is none", lambda: LqiController(ROBOT, LqiOptions(), np.nan), "gravity: expected a finite number"),
+    ("a motion of nothing", lambda: ReferenceSource(None), "reference: expected a Reference, got None"),
+    ("a continuous one of nothing", lambda: ClosedFormPlant(None), "robot: expected a RobotParameters, got None"),
+    ("friction left alone", slide, "friction: expected a call of connect_friction"),
     ("a push of too few", lambda: built()[1].push(np.zeros(3)), "wrench: expected moment .* six finite numbers"),
     ("a push that is none", lambda: built()[1].push(np.full(6, np.nan)), "wrench: expected moment .* six finite numb"),
 )
@@ -213,6 +251,7 @@ DRAKE = (
 NUMBERS = (
     ("a wrench that is none", lambda: fixed("wrench", np.full(6, np.inf)), "wrench is not finite"),
     ("weights that are none", lambda: fixed("weights", [np.nan, 1.0]), "weights is not finite"),
+    ("a state that is none", continuous_from_nothing, "the plant's pose is not finite"),
     ("weights below 0", lambda: fixed("weights", [-1.0, 1.0]), "no gain for weights .*: .* positive and finite"),
     ("a motion that is none", lambda: fixed("reference", np.full(18, np.nan)), "reference is not finite"),
 )

@@ -148,3 +148,14 @@ def test_monte_carlo_by_drake_is_the_sweep_for_the_same_numbers():
     simulator = make_simulator(sweep)(lambda: 3)
     simulator.AdvanceTo(0.05)
     assert error(simulator.get_system(), simulator.get_context()) == np.abs(run(sweep.scenario(3))["error"][:10]).max()
+
+
+@pytest.mark.parametrize(("part", "count"), [("observer", "ahead"), ("observer", "age"), ("safety", "half")])
+def test_rows_of_a_parts_memory_are_no_parameter(part, count):
+    loop = build_diagram(SCENARIO.replace({"sensors": "encoders", "estimator": "observer", "safety": {}}))
+    simulator = Simulator(loop)
+    loop.systems[part].parameter(simulator.get_mutable_context(), "params")[count] = np.nan
+    with pytest.raises(
+        ConfigurationError, match=rf"^params\.{count}: expected \d+, which its part is built for, got .*nan"
+    ):
+        simulator.AdvanceTo(0.01)
