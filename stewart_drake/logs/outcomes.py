@@ -349,7 +349,7 @@ def assess(
         what = "the loop gap exceeded" if name == "loop_gap" else f"the {name} error exceeded"
         text = f"{what} {bound} at t = {time:.3f} s; the largest was {worst}"
         return Outcome("lost", f"{name}_bound", text, time, leg)
-    if (standstill := rows.standstill()) is not None:
+    if bounds.motion_ratio is not None and (standstill := rows.standstill()) is not None:
         return Outcome("lost", "not_moving", standstill_text("not_moving", standstill[1]), *standstill)
     ratio = rows.motion_ratio
     if bounds.motion_ratio is not None and ratio is not None and not ratio >= bounds.motion_ratio:

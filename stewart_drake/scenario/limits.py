@@ -85,7 +85,7 @@ class SuccessCriteria(Section, key="bounds"):
     stops."""
     motion_ratio: Positive | None = 0.25
     """[-] smallest size of the platform's motion over its reference's, see docs/promises.md. Friction that holds the
-    robot makes it 0."""
+    robot makes it 0. Null lets a single crank stand still, too."""
     error_ratio: Positive | None = 1.0
     """[-] largest error after settling, over the size of the reference's motion, see docs/promises.md."""
 

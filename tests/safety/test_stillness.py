@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake import load_robot, load_scenario
+from stewart_drake import load_robot, load_scenario, run
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.safety import Stillness, first_standstill
 from stewart_drake.scenario.controller import Controller
@@ -131,3 +131,12 @@ def test_a_run_whose_crank_stands_is_lost():
     dead = {"kind": "position", "stiffness": 20.0, "ratios": [1.0, 1e-6, 1.0, 1.0, 1.0, 1.0]}
     log = simulate_unchecked(base.replace({"plant": friction, "motors": dead}))
     assert (log.status, log.reason, log.leg) == ("lost", "not_moving", 1)
+
+
+def test_a_run_without_a_bound_on_its_motion_is_not_lost_by_a_crank_that_friction_holds():
+    held = "plant.friction.coulomb=[0.02, 0.02, 5, 0.02, 0.02, 0.02]"
+    off = "bounds={rotation: null, position: null, error_ratio: null}"
+    scenario = load_scenario("reachy_nod", ["plant={kind: closed_form}", held, "safety=null", "duration=2.5", off])
+    log = run(scenario, check=False)
+    assert (log.status, log.reason, log.leg) == ("lost", "not_moving", 2)
+    assert run(scenario.replace({"bounds.motion_ratio": None}), check=False).status == "completed"
