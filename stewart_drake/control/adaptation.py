@@ -23,7 +23,6 @@ from stewart_drake.control.base import LEARNT_SIGNALS, AdaptationOptions
 from stewart_drake.control.learnt_laws import ROBOT_SIZE, show_first
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.mechanics.friction import BELIEVED
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import LEGS, ROBOT, robot_record
 from stewart_drake.robot import RobotParameters
@@ -50,7 +49,6 @@ ADAPTS = 2.0
 SELDOM = 0.016
 """[s] from one forgetting to the next, and of what is shown: both together cost more than a sample."""
 _LEARNT_OF_MOTORS = ("stiffness", "ratios", "torque_constant", "damping", "delay")
-_LEVELS = ("coulomb", "break_away", "viscous")
 _LINKS = ("rod_mass", "rod_inertia", "crank_mass", "crank_inertia")
 _HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inertia")
 
@@ -157,7 +155,7 @@ def model_of(known: Mapping[str, np.ndarray], belief: Any) -> dict[str, Any]:
         damping = max(0.0, motors.damping + least)
         viscous = viscous + motors.damping - damping
         keys["motors"] |= {"damping": damping, "delay": max(0.0, motors.delay + value.delay)}
-    more = np.subtract(friction.levels[1], friction.levels[0])
+    more = np.subtract(friction.break_away or friction.coulomb, friction.coulomb)
     rubs = {"coulomb": coulomb.tolist(), "viscous": np.maximum(viscous, 0.0).tolist()}
     keys["friction"] = {**friction.to_dict(), **rubs, "break_away": (coulomb + more).tolist()}
     if not more.any():
@@ -223,7 +221,7 @@ def room_of(robot: RobotParameters) -> float:
 
 def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     """`reading` (6,) or (12,), `command` (6,) -> numbers that stand in for constants of other parts."""
-    motors, robot, believed = context.motors, context.robot, context.compensation
+    motors, robot, believed = context.motors, context.robot, context.friction
     smoothing = options.smoothing
     if smoothing is None:
         # At which noise of the readings leaves a rate that is known to the width of friction's reversal.
@@ -242,7 +240,8 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         allowed = f"at most {most:g} s together with the {commands:g} s by which commands are late"
         raise ConfigurationError("model.reading_age", context.reading_age, allowed)
     limit = np.asarray(motors.available(robot, np.zeros(6)), dtype=float)
-    friction, coulomb = context.friction[0], context.friction[0]["coulomb"]
+    friction = believed.record()
+    coulomb = friction["coulomb"][0]
     servo_damping = getattr(motors, "damping", 0.0)
     weights = kernel_weights(width)
     per = np.array([1.0, block, block**2])[:, None]
@@ -261,7 +260,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     params = new_record(
         law.params_of(len(common)), gravity=context.gravity, stride=stride, kernel=weights / per,
         late=late_weights(width, late) / per, gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
-        damping=friction["viscous"] + servo_damping, coulomb=coulomb, servo_damping=servo_damping,
+        damping=friction["viscous"][0] + servo_damping, coulomb=coulomb, servo_damping=servo_damping,
         noise=options.noise, alike=max(1.0, ALIKE / block), slowest=options.slowest,
         width=believed.width, seldom=seldom,
         keep=np.exp(-seldom * block / options.forgetting),
@@ -287,15 +286,14 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     heads["platform_moment"][1:] = np.eye(PLACE)
     angles = inverse_kinematics(robot, context.pose)
     first = new_record(
-        law.state_of(len(common), joint), friction=context.friction.view(np.float64), gain=motors.gains,
+        law.state_of(len(common), joint), friction=friction, gain=motors.gains,
         robot=whole.view(np.float64), pose=context.pose, angles=angles, commands=motors.initial_command(context),
         good=1.0, doubt=1.0, noise_scale=1.0,
     )  # fmt: skip
     cautious = options.cautious and not options.frozen
     if cautious:
-        used = first["friction"].view(BELIEVED)
-        for level in _LEVELS:
-            used[level] = 0.0
+        for level in ("coulomb", "break_away", "viscous"):
+            first["friction"][level] = 0.0
     first["common"][0, 3], first["own"][0, :, 2] = coulomb.mean(), coulomb - coulomb.mean()
     for k in range(OWN):
         first["information"][0, :, k, k] = 1.0 / params["own"][0, k]
@@ -312,7 +310,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
         first[f"{words}_own"], first[f"{words}_common"] = first["own"], first["common"]
     constants = {
         "robot": whole, "rest": rest, "heads": heads, "joints": hanging, "bodies": bodies,
-        "friction": context.friction.view(np.float64), "params": params,
+        "friction": friction, "params": params,
     }  # fmt: skip
     show_first(params, bodies, first)
     if options.frozen:

@@ -18,10 +18,10 @@ from stewart_drake.base.config import Flag, LegNumber, NotNegative, Real, Sectio
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.families import UserMade, imported
 from stewart_drake.mechanics import kinematics_laws as laws
-from stewart_drake.mechanics.friction import friction_law
+from stewart_drake.mechanics.friction import FrictionOptions, bristle_stiffness
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LARGEST_SIZE, FrictionOptions, Moderate
+from stewart_drake.robot.leg import LARGEST_SIZE, Moderate
 
 MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.01  # [s] finer steps drown in rounding; coarser ones follow nothing.
 POSE, RATE, ANGLES, CRANK_RATES = (slice(start, start + 6) for start in range(0, 24, 6))
@@ -107,9 +107,9 @@ class PlantOptions(Section, ABC, key="plant"):
         """Friction of the motors, whichever keys it was given by."""
         return FrictionOptions()
 
-    def friction_law(self, robot: RobotParameters) -> np.ndarray:
+    def friction_of(self, robot: RobotParameters) -> np.ndarray:
         """`FRICTION` record of a robot's motors."""
-        return friction_law(*self.friction_options.levels, robot.crank_axis_inertias, self.time_step)
+        return self.friction_options.record(bristle_stiffness(robot.crank_axis_inertias, self.time_step))
 
 
 class MechanismOptions(PlantOptions):

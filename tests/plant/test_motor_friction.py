@@ -5,8 +5,8 @@ from strategies import UNEQUAL
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.plant.plant_options import DrakeOptions
-from stewart_drake.robot.leg import FrictionOptions
 from stewart_drake.robot.robot_files import load_robot
 
 SIGNS = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
