@@ -338,12 +338,8 @@ def observer_part(options: ObserverOptions, context: LoopContext) -> Part:
     initial["commands"][0, : ahead + 1] = context.initial_torque
 
     first = difference_params(DifferenceOptions(), period)
-    numbers = {
-        "robot": laws.robot_record(robot),
-        "params": params,
-        "first_params": first,
-        "friction": context.friction.record(),
-    }
+    numbers = {"robot": laws.robot_record(robot), "params": params, "first_params": first}
+    numbers["friction"] = context.friction.record()
     inputs = {"reading": context.reading, "net_torque": 6, "reference": 18, "disturbance": 1}
     outputs, expected = (
         ("measurement", "predicted", "disturbance_torque", "innovation"),

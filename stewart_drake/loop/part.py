@@ -260,6 +260,9 @@ class LoopRunner:
 
     def _sources(self, part: Part, state: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, dict[str, np.ndarray]]:
         inputs = [self.time if port == "time" else self._array(part.source(port)) for port in part.inputs]
+        for (port, size), array in zip(part.inputs.items(), inputs, strict=True):
+            if array.size != size:
+                raise ConfigurationError(f"{part.name}.{port}", f"{array.size} numbers", f"a signal of {size} numbers")
         return inputs, state, {name: self._array(part.source(name)) for name in part.replaced}
 
     def _array(self, source: str | np.ndarray) -> np.ndarray:

@@ -262,11 +262,8 @@ def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
     unread = dict.fromkeys(("angles", "poses"), np.nan)
     first = new_record(_STATE, **torques, **unread, safety=(NONE, NO_TRIP, -1.0))
     kernel: Any = _tick
-    numbers = {
-        "robot": laws.robot_record(robot),
-        "friction": context.friction.record(),
-        "friction_unknown": np.zeros(12),
-    }
+    numbers = {"robot": laws.robot_record(robot), "friction": context.friction.record()}
+    numbers["friction_unknown"] = np.zeros(12)
     constants: dict[str, Any] = {"user_trip": np.zeros(2)}
     if options.monitors:
         kernel, constants = _tick_with_monitors, {**constants, "options": options}
