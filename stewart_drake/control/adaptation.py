@@ -63,6 +63,7 @@ class RegressionOptions(AdaptationOptions):
     """
 
     moved_keys: ClassVar[Mapping[str, str]] = {"reading_age": "model.reading_age"}
+    is_kept: ClassVar[bool] = True
     kind: Literal["regression"] = "regression"
     forgetting: Annotated[Real, Field(ge=1.0, le=1e5)] = 8.0
     """[s] of motion after which a sample counts 37 %; for a push that lasts 2 s. At least 1: samples within 0.6 s count
@@ -85,6 +86,10 @@ class RegressionOptions(AdaptationOptions):
     """Whether friction of the rods' ball joints is learnt too: one viscous and one dry number for all of them."""
     frozen: Flag = False
     """Whether nothing is learnt: the numbers stay as they are in `model`, all friction of which is compensated."""
+
+    @property
+    def forgets(self) -> str:
+        return "cautious" if self.cautious and not self.frozen else ""
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         return (regression_part(self, context),)
@@ -139,22 +144,9 @@ def rows_of(known: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
 def model_of(known: Mapping[str, np.ndarray], belief: Any) -> dict[str, Any]:
     """Robot, motors and friction as keys of `model`: those of `belief`, with what was learnt, see `last_learnt`."""
     robot, motors, friction = belief.robot, belief.motors, belief.friction
-    value, weaker = Learnt.of(known["learnt"]), 1.0
-    keys: dict[str, Any] = {}
-    viscous, coulomb = value.viscous, value.coulomb
-    if motors.takes == "torque":
-        weaker = 1.0 / float(value.drive.mean())
-    else:
-        gain = motors.gains * value.drive
-        keys["motors"] = motors.with_gains(gain)
-    if motors.takes == "current":
-        # One constant for all: what a motor rubs, in currents, is kept.
-        viscous, coulomb = (each * value.drive.mean() / value.drive for each in (viscous, coulomb))
-    if motors.takes == "angle":
-        least = min(0.0, float(viscous.min()))
-        damping = max(0.0, motors.damping + least)
-        viscous = viscous + motors.damping - damping
-        keys["motors"] |= {"damping": damping, "delay": max(0.0, motors.delay + value.delay)}
+    value = Learnt.of(known["learnt"])
+    of_motors, viscous, coulomb = motors.with_learnt(value)
+    keys, weaker = ({"motors": of_motors}, 1.0) if of_motors else ({}, 1.0 / float(value.drive.mean()))
     more = np.subtract(friction.break_away or friction.coulomb, friction.coulomb)
     rubs = {"coulomb": coulomb.tolist(), "viscous": np.maximum(viscous, 0.0).tolist()}
     keys["friction"] = {**friction.to_dict(), **rubs, "break_away": (coulomb + more).tolist()}
@@ -245,7 +237,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     servo_damping = getattr(motors, "damping", 0.0)
     weights = kernel_weights(width)
     per = np.array([1.0, block, block**2])[:, None]
-    by_gain, by_angle = motors.takes != "torque", motors.takes == "angle"
+    by_gain, by_angle = not motors.by_torque, motors.holds
     # What ball joints rub is nearly damping of the motors: with both unknown, each may be farther off.
     damping = SIZE_SERVO_DAMPING if by_angle and not options.ball_joints else SIZE_DAMPING
     drive = options.drive or (SIZE_DRIVE if by_gain else SIZE_TORQUE)

@@ -94,8 +94,15 @@ class AdaptationOptions(Section, ABC, key="adaptation"):
     }
     """Output -> the parameters that it writes, as `part.parameter`. Parts that a loop does not have are passed over."""
 
+    is_kept: ClassVar[bool] = False
+    """Whether what it has learnt can be kept as `model`."""
     kind: str
     """Kind of law."""
+
+    @property
+    def forgets(self) -> str:
+        """Key by which it begins without friction all the same; empty for none."""
+        return ""
 
     @abstractmethod
     def parts(self, context: LoopContext) -> tuple[Part, ...]:

@@ -171,6 +171,13 @@ class MotorOptions(Section, ABC, key="motors"):
         """(6,) torque [N m] for a unit of each motor's command."""
         return np.ones(6)
 
+    def with_learnt(self, value: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+        """Their keys with what a `control.adaptation.Learnt` tells, and viscous and Coulomb friction (6,) beside them.
+
+        No keys of motors that take torques: what they move is then believed to be another.
+        """
+        return {}, value.viscous, value.coulomb
+
     @property
     def dead_time(self) -> float:
         """[s] from a command's arrival to its effect."""

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -42,6 +42,7 @@ class MujocoOptions(MechanismOptions):
     friction, damping, armature and joint limits where no key says otherwise.
     """
 
+    joints_rub: ClassVar[bool] = True
     kind: Literal["mujoco"] = "mujoco"
     model_file: Text | None = None
     """MJCF file, from the folder of the file that names it; or `package:NAME==VERSION/path`, in an installed package;

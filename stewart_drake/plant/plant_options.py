@@ -6,6 +6,7 @@ The closed form has its options beside it.
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
 from abc import ABC, abstractmethod
 from typing import Annotated, Any, ClassVar, Literal, Protocol
@@ -63,6 +64,8 @@ class PlantOptions(Section, ABC, key="plant"):
     """How it runs: in a Diagram by Drake's Simulator, or stepped by the loop as a `Plant`."""
     compared_with: ClassVar[str | None] = None
     """The kind that it is a fast replacement of; studies run one of their scenarios on that too."""
+    joints_rub: ClassVar[bool] = False
+    """Whether the rods' ball joints may rub in it."""
     moved_keys: ClassVar[dict[str, str]] = {"engine": "plant.kind: drake, closed_form or module:Class"}
 
     kind: str
@@ -102,6 +105,10 @@ class PlantOptions(Section, ABC, key="plant"):
         """For people: keys of the robot with its own values, if it has some; what else it has, its value and unit."""
         return {}, []
 
+    def braked(self, robot: RobotParameters) -> Any:  # noqa: ARG002
+        """The same with brakes that hold each crank of a robot by as much as its motor can; None where nobody knows."""
+        return None
+
     @property
     def friction_options(self) -> FrictionOptions:
         """Friction of the motors, whichever keys it was given by."""
@@ -130,6 +137,10 @@ class MechanismOptions(PlantOptions):
         for name in ("motor_friction", "motor_damping"):
             if self.friction is not None and getattr(self, name) > 0.0:
                 raise ConfigurationError(name, getattr(self, name), "0, because `friction` is given and has this value")
+
+    def braked(self, robot: RobotParameters) -> Any:
+        friction = FrictionOptions(coulomb=tuple(robot.effort_limits.tolist()))
+        return dataclasses.replace(self, motor_friction=0.0, motor_damping=0.0, friction=friction)
 
     @property
     def friction_options(self) -> FrictionOptions:
