@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.code import CodePath, UserCode
+from stewart_drake.base.code import UserCode
 from stewart_drake.base.config import LegNumber, Natural, NotNegative, Section, Seed, Share
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.families import UserMade
@@ -260,10 +260,6 @@ class UserMotors(UserMade, MotorOptions, key="motors"):
     """
 
     asked = "torque(command, angles, rates, time) returns six torques [N m]"
-
-    kind: CodePath  # type: ignore[assignment]
-    """Import path of your class, from the folder of the file that names it: path/to/file.py:Class, or module:Class. Its
-    code is run."""
 
     def part(self, robot: RobotParameters, time_step: float) -> Part:
         motors = self.construct({"robot": robot, "time_step": time_step})

@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.code import CodePath, UserCode
+from stewart_drake.base.code import UserCode
 from stewart_drake.base.config import Flag, LegNumber, NotNegative, Real, Section
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.families import UserMade, imported
@@ -219,10 +219,6 @@ class UserPlantOptions(UserMade, PlantOptions, key="plant"):
     """
 
     asked = "step(torque, wrench) returns pose and pose rate, or these, crank angles and crank rates, (6,) each"
-
-    kind: CodePath  # type: ignore[assignment]
-    """Import path of your class, from the folder of the file that names it: path/to/file.py:Class, or module:Class. Its
-    code is run."""
 
     def make(self, robot: RobotParameters, gravity: float) -> Plant:
         plant = self.construct({"robot": robot, "gravity": gravity, "time_step": self.time_step})
