@@ -23,6 +23,7 @@ from stewart_drake.control.base import LEARNT_SIGNALS, AdaptationOptions
 from stewart_drake.control.learnt_laws import ROBOT_SIZE, show_first
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.friction import FRICTION
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import LEGS, ROBOT, robot_record
 from stewart_drake.robot import RobotParameters
@@ -307,7 +308,7 @@ def regression_part(options: RegressionOptions, context: LoopContext) -> Part:
     show_first(params, bodies, first)
     if options.frozen:
         # It stays believed, for good.
-        first["friction_unknown"] = 0.0
+        first["friction_unknown"] = np.zeros(1, FRICTION)
     outputs = ["friction", "robot", "learnt", "learnt_half_width", "friction_unknown", "doubt"]
     outputs += ["gain"] if by_gain else []
     outputs += ["lead"] if by_angle else []

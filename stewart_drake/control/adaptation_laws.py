@@ -92,7 +92,7 @@ def state_of(common: int, joint: int) -> np.dtype:
     """
     return fields(
         friction=FRICTION, robot=ROBOT_SIZE, joints=JOINTS.itemsize // 8, learnt=SHOWN, learnt_half_width=SHOWN,
-        learnt_center_of_mass=2 * PLACE, learnt_joints=2 * JOINT, friction_unknown=12, doubt=6, gain=6, lead=(1,),
+        learnt_center_of_mass=2 * PLACE, learnt_joints=2 * JOINT, friction_unknown=FRICTION, doubt=6, gain=6, lead=(1,),
         information=(6, OWN, OWN + common + 1), shared=(common, common + 1), own=(6, OWN), common=common,
         held_own=(6, OWN), held_common=common, used_own=(6, OWN), used_common=common,
         pose=(ROWS, 6), angles=(ROWS, 6), commands=(ROWS, 6), good=ROWS, sharp=(SHARP, 1 + joint, 6),

@@ -81,8 +81,8 @@ def show(params: Any, bodies: Any, state: Any) -> None:
         state.doubt[i] = _doubt(params, state, i, 2)
         of_coulomb = state.learnt[14 + i] - state.friction.coulomb[i]
         of_damping = state.learnt[8 + i] - state.friction.viscous[i]
-        state.friction_unknown[i] = state.learnt_half_width[14 + i] + abs(of_coulomb)
-        state.friction_unknown[6 + i] = state.learnt_half_width[8 + i] + abs(of_damping)
+        state.friction_unknown.coulomb[i] = state.learnt_half_width[14 + i] + abs(of_coulomb)
+        state.friction_unknown.viscous[i] = state.learnt_half_width[8 + i] + abs(of_damping)
     joint_count = state.sharp.shape[1] - 1
     for n in range(joint_count):
         at, size = len(common) - joint_count + n, np.exp(-common[1] * params.by_gain)
