@@ -140,7 +140,8 @@ class MechanismOptions(PlantOptions):
 
     def braked(self, robot: RobotParameters) -> Any:
         friction = FrictionOptions(coulomb=tuple(robot.effort_limits.tolist()))
-        return dataclasses.replace(self, motor_friction=0.0, motor_damping=0.0, friction=friction)
+        short = {name: self.__pydantic_fields__[name].default for name in ("motor_friction", "motor_damping")}
+        return dataclasses.replace(self, **short, friction=friction)
 
     @property
     def friction_options(self) -> FrictionOptions:
