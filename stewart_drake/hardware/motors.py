@@ -184,6 +184,11 @@ class MotorOptions(Section, ABC, key="motors"):
         return 0.0
 
     @property
+    def gear(self) -> Any:
+        """The `presets.Preset` of motors that one can buy, for the friction of their gear; None for others."""
+        return None
+
+    @property
     def nominal(self) -> MotorOptions:
         """The same motors without what nobody intends, as a controller believes them to be."""
         return self

@@ -13,7 +13,7 @@ from stewart_drake.base.errors import ConfigurationError, Status
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.hardware.motors import MotorOptions
-from stewart_drake.hardware.presets import Presets
+from stewart_drake.hardware.presets import PRESETS, Presets
 from stewart_drake.hardware.rounding import rounding_part
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import crank_inertia
@@ -48,6 +48,10 @@ class _SoldMotors(MotorOptions):
     @property
     def nominal(self) -> MotorOptions:
         return self
+
+    @property
+    def gear(self) -> Any:
+        return PRESETS.get(getattr(self, "preset", None) or "")
 
     def limits(self, robot: RobotParameters) -> np.ndarray:
         """(6,) [N m] largest torques at rest."""
