@@ -1,13 +1,14 @@
 """Kinds that are not of the package: each runs, is checked, logged and plotted like the package's own."""
 
 import json
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import pytest
 
 from stewart_drake.base.config import NotNegative, Positive
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.base.jit import fields, new_record
 from stewart_drake.base.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS
 from stewart_drake.control.base import ControllerOptions
 from stewart_drake.control.lqi import LqiOptions
@@ -15,6 +16,8 @@ from stewart_drake.hardware.faults import FaultKind
 from stewart_drake.hardware.sensors import SensorOptions
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import MetricError, run_metrics
+from stewart_drake.loop.part import Part
+from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.plotting.run_plots import plot_states, plot_torques
 from stewart_drake.runs.checks import check_scenario
 from stewart_drake.runs.simulation import run
@@ -125,6 +128,82 @@ def test_results_are_kept_under_the_code_of_added_kinds():
     other_sensor = kinds()
     ENCODER_FAULTS._lines["doubled"] = FaultKind(lambda fault, now: np.add.at(now.values, fault.channels, 3.0))
     assert len({*before, other_sensor, kinds()}) == 3
+
+
+class ToySensor:
+    """Reads the pose with an offset along Z, or numbers that nobody can use."""
+
+    def __init__(self, off=0.001, size=12):
+        self.off, self.size = off, size
+
+    def parts(self, _):
+        state, constants = new_record(fields(reading=self.size)), {"off": self.off}
+        return (Part("toy", read, constants, {"plant_pose": 12}, ("reading",), state),)
+
+
+def read(off, plant_pose, state):
+    state["reading"][0] = plant_pose
+    state["reading"][0, 5] += off
+
+
+class ToyEstimator:
+    """Takes half of the sensor's offset away."""
+
+    def parts(self, _):
+        return (Part("half", halve, {}, {"reading": 12}, ("measurement",), new_record(fields(measurement=12))),)
+
+
+def halve(reading, state):
+    state["measurement"][0] = reading
+    state["measurement"][0, 5] -= 0.0005
+
+
+class ToyLaw:
+    """Believes that the head grows heavier."""
+
+    writes: ClassVar = {"mass": ("controller.robot",)}
+
+    def parts(self, context):
+        robot = robot_record(context.robot)
+        state = new_record(fields(mass=robot.dtype), mass=robot)
+        return (Part("grows", grow, {}, {}, ("mass",), state),)
+
+
+def grow(state):
+    state["mass"]["platform_mass"] += 1e-4
+
+
+def test_a_sensor_an_estimator_and_an_adaptive_law_may_be_a_users_classes(tmp_path):
+    base = {**SHORT, "plant": "closed_form", "controller": "computed_torque"}
+    parts = {
+        "sensors": {"kind": ToySensor, "arguments": {"off": 0.001}},
+        "estimator": ToyEstimator(),
+        "adaptation": ToyLaw,
+    }
+    log = checked_logged_and_plotted(Scenario(**base, **parts), tmp_path)
+    np.testing.assert_allclose(log["pose_reading"][:, 5] - log["pose"][:, 5], 0.001)
+    np.testing.assert_allclose(log["measured_pose"][:, 5] - log["pose"][:, 5], 0.0005)
+    del parts["adaptation"]
+    # Held by a feedback without an integral, the platform stands higher where it is believed to be heavier.
+    assert log["pose"][-1, 5] > run(Scenario(**base, **parts))["pose"][-1, 5] + 1e-6
+    drake = run(Scenario(**{**base, "plant": "drake"}, **parts, adaptation=ToyLaw()))
+    np.testing.assert_allclose(drake["pose_reading"][:, 5] - drake["pose"][:, 5], 0.001)
+
+
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [
+        ({"sensors": ToyPush}, r"^sensors\.kind: expected a class whose parts\(.*not one without parts"),
+        ({"sensors": {"kind": ToySensor, "arguments": {"size": 6}}}, r"of 12 numbers, got '6 numbers'"),
+        ({"sensors": {"kind": ToySensor, "reading": "angles"}}, r"^estimator\.reading: expected a signal of 6 numbers"),
+        ({"estimator": {"kind": ToyEstimator, "arguments": {"size": 6}}}, r"takes estimator\.arguments"),
+        ({"adaptation": type("Broken", (), {"parts": lambda *_: 1 / 0})}, r"^adaptation\.kind: .*ZeroDivisionError"),
+        ({"adaptation": type("Odd", (), {"parts": lambda *_: 3})}, r"^adaptation\.kind: .*not a int of something else"),
+    ],
+)
+def test_a_users_parts_that_do_not_fit_are_refused_in_a_line(section, message):
+    with pytest.raises(ConfigurationError, match=message):
+        run(Scenario(**SHORT, plant="closed_form", **section))
 
 
 class ToyMonitor:

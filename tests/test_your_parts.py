@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from stewart_drake.base.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS, TUNERS
+from stewart_drake.base.registry import CONTROLLERS, ENCODER_FAULTS, TUNERS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "your_parts.md").read_text()
 PARTS, GIVEN, ADDED = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -46,12 +46,12 @@ def test_parts_in_a_file_are_checked_run_swept_and_compared(call, folder):
 
 def test_parts_in_python(folder, monkeypatch, capsys):
     monkeypatch.syspath_prepend(folder)
-    for family in (CONTROLLERS, SENSORS, TUNERS, ENCODER_FAULTS):
+    for family in (CONTROLLERS, TUNERS, ENCODER_FAULTS):
         monkeypatch.setattr(family, "_lines", dict(family._lines))
     names = {"__name__": "page"}
     exec(compile(GIVEN + ADDED, "page", "exec"), names)
     del sys.modules["parts"]
     assert names["log"].status == "completed"
-    assert [names[name].status for name in ("tilted", "heaving")] == ["completed"] * 2
+    assert [names[name].status for name in ("gentle", "heaving")] == ["completed"] * 2
     assert names["broken"].status in ("stopped", "failed")
     assert "SimulationLog" in capsys.readouterr().out

@@ -33,6 +33,7 @@ from stewart_drake.live.start import about_robot
 from stewart_drake.live.steering import SmoothValue
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
+from stewart_drake.mechanics.friction import FRICTION
 from stewart_drake.mechanics.singularities import PLANNED
 from stewart_drake.plant.closed_form import ClosedForm
 from stewart_drake.scenario.assembly import loop_of
@@ -63,7 +64,7 @@ class FrictionLearner(AdaptationOptions):
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         """The law; its output takes the place of the friction that is compensated."""
         part = FrictionCompensation(coulomb=self.coulomb, viscous=self.viscous).part(context)
-        state = new_record(fields(friction=25), friction=part.parameters["friction"].view(np.float64))
+        state = new_record(fields(friction=FRICTION), friction=part.parameters["friction"])
         params = new_record(_LEARNS, gain=self.gain, period=context.period)
         inputs, constants = (
             {"disturbance_torque": 6, "reference": 18},
@@ -77,7 +78,7 @@ _LEARNS = fields(gain=(), period=())
 
 @njit
 def learn(robot: Any, params: Any, disturbance_torque: Any, reference: Any, legs: Any, state: Any) -> None:
-    """Coulomb and break-away torque (6,) [N m] of each motor, the first twelve numbers of its friction."""
+    """Coulomb and break-away torque (6,) [N m] of each motor."""
     robot, params, legs, friction = record(robot), record(params), record(legs), record(state).friction
     if laws.legs_at(robot, reference[:6], legs) >= 0:
         return
@@ -85,9 +86,9 @@ def learn(robot: Any, params: Any, disturbance_torque: Any, reference: Any, legs
     laws.twist_of(reference[:6], reference[6:12], twist)
     laws.crank_rates(legs, twist, rates)
     for i in range(6):
-        more = params.gain * params.period * disturbance_torque[i] * np.tanh(rates[i] / friction[24])
-        friction[i] = max(friction[i] + more, 0.0)
-        friction[6 + i] = friction[i]
+        more = params.gain * params.period * disturbance_torque[i] * np.tanh(rates[i] / friction.width)
+        friction.coulomb[i] = max(friction.coulomb[i] + more, 0.0)
+        friction.break_away[i] = friction.coulomb[i]
 
 
 @njit
@@ -150,7 +151,7 @@ def allowed_tick(robot: Any, params: Any, asked: Any, legs: Any, state: Any) -> 
 
 # --- a loop as a module ----------------------------------------------------------------------------------------------
 
-FRICTION = {"Robot of the paper": (0.0, 0.04), "Reachy Mini": (0.03, 0.1)}  # [N m] ends of the slider.
+FRICTION_ENDS = {"Robot of the paper": (0.0, 0.04), "Reachy Mini": (0.03, 0.1)}  # [N m] ends of the slider.
 VARIABLE = ("plant.robot", "plant.friction", "motors.limit", "learner.params", "tuner.params")
 
 
@@ -315,7 +316,7 @@ def robot_data(name: str, scenario: Scenario) -> dict[str, Any]:
         "friction": _change(scenario, "plant.motor_friction"),
         "fixed": _fixed(scenario).tolist(),
         "friction_now": scenario.plant.motor_friction,
-        "friction_ends": FRICTION[name],
+        "friction_ends": FRICTION_ENDS[name],
         "learning": LEARNING,
         "kappa": TUNER_PARAMS.fields["kappa"][1] // 8,
         "monitors": list(scenario.safety.monitor_names),

@@ -64,7 +64,7 @@ def linear_loops(
     period, results, kept, left_out = scenario.controller.period, [], [], []
     if scenario.reading_period != period:
         raise ConfigurationError("estimator.period", scenario.reading_period, "null, for a linear loop of one period")
-    if scenario.motors.takes != "torque":
+    if not scenario.motors.by_torque:
         # What stands between a command and its torque is no part of these matrices.
         raise ConfigurationError("motors.kind", scenario.motors.kind, "motors that take torque, for a linear loop")
     if not scenario.controller.feedback:

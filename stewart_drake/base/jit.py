@@ -35,9 +35,12 @@ _LAWS: list[Any] = []
 _typeof: Any = numba.typeof
 
 
-def fields(**shapes: int | tuple[int, ...]) -> np.dtype:
-    """Type of a record of float64 numbers: name -> size of a vector, or shape of an array; () for a single number."""
-    return np.dtype([(name, np.float64, shape) for name, shape in shapes.items()])
+def fields(**shapes: int | tuple[int, ...] | np.dtype) -> np.dtype:
+    """Type of a record of float64 numbers: name -> size of a vector, or shape of an array; () for a single number.
+
+    The type of another record is that of a record in it.
+    """
+    return np.dtype([(k, v) if isinstance(v, np.dtype) else (k, np.float64, v) for k, v in shapes.items()])
 
 
 def new_record(kind: np.dtype, options: Any = None, **values: Any) -> np.ndarray:
@@ -49,9 +52,9 @@ def new_record(kind: np.dtype, options: Any = None, **values: Any) -> np.ndarray
     for name in kind.names or ():
         if hasattr(options, name) and name not in values:
             value = getattr(options, name)
-            result[name][0] = np.inf if value is None else value
+            result[name][:] = np.inf if value is None else value
     for name, value in values.items():
-        result[name][0] = value
+        result[name][:] = value
     return result
 
 

@@ -51,7 +51,10 @@ TUNERS = Family(
     default="paper",
 )
 SENSORS = Family(
-    {"ideal": "hardware.sensors:IdealSensors", "encoders": "hardware.sensors:EncoderOptions"}, default="ideal"
+    {"ideal": "hardware.sensors:IdealSensors", "encoders": "hardware.sensors:EncoderOptions"},
+    default="ideal",
+    own="hardware.sensors:UserSensors",
+    methods=("parts",),
 )
 PLANTS = Family(
     {
@@ -76,8 +79,15 @@ MOTORS = Family(
 ESTIMATORS = Family(
     {"difference": "control.estimator:DifferenceOptions", "observer": "control.observer:ObserverOptions"},
     default="difference",
+    own="control.estimator:UserEstimator",
+    methods=("parts",),
 )
-ADAPTATIONS = Family({"regression": "control.adaptation:RegressionOptions"}, default="regression")
+ADAPTATIONS = Family(
+    {"regression": "control.adaptation:RegressionOptions"},
+    default="regression",
+    own="control.base:UserAdaptation",
+    methods=("parts",),
+)
 OWN_MONITORS = Family({}, own="safety.limits:UserMonitor", methods=("look",))
 """Those of the user's own, under `safety.monitors`; the others stand in `safety.limits`."""
 OWN_METRICS = Family({}, own="logs.metrics:UserMetric", methods=("of",))

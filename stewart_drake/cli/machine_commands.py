@@ -74,7 +74,7 @@ def drive(
         print_table(f"{loaded.name} on {machine}", planned)
         if (
             machine == "sim:"
-            and loaded.plant.kind != "mujoco"
+            and not loaded.plant.joints_rub
             and belief.friction is not None
             and belief.friction.joints is not None
         ):

@@ -57,7 +57,6 @@ COMMANDS = {
     "workspace": About("run", "--scenario sway --samples 100000", "Compute where a robot can go, and with what torque"),
     "robots": About("robot", "", "List the robots that a scenario can name"),
     "robots show": About("robot", "reachy_mini", "Print a robot's parameters, and what follows from them"),
-    "robots table": About("robot", "paper desk.yaml", "Compare robots in workspace, tracking and torque"),
     "robots from-table": About(
         "robot", "points.csv --unit mm --set crank_length=30", "Make a robot from joint positions"
     ),

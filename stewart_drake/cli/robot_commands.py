@@ -85,20 +85,6 @@ def from_table(table: Path, unit: Any, cranks: Any, overrides: tuple[str, ...], 
         tell(f"taken from the paper's robot, because not given [kg, kg m^2, N m]: {', '.join(missing)}")
 
 
-@command("robots table", out="robots.md")
-def table(names: tuple[str, ...], out: Path) -> None:
-    """NAMES are robots or YAML files [default: all]. Also compares conditioning and size; writes Markdown."""
-    from stewart_drake.studies.robots import HEADER, robot_rows, robots_page
-
-    chosen = {name: load_robot(name) for name in names or robot_names()}
-    prepare_file(out)
-    with progress_bar("robots", float(len(chosen)), unit="robots") as advance:
-        rows = robot_rows(chosen, advance)
-    write_text(out, robots_page(rows))
-    print_table("robots", rows, HEADER, numbers=())
-    tell(f"table in {out}")
-
-
 _MODEL: Any = {
     "robot": opt.option("Name or YAML file [default: the scenario's robot]."),
     "scenario": opt.option("Scenario with the robot and plant.", default="hold"),

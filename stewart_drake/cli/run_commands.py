@@ -24,7 +24,6 @@ from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling, tell, working
 from stewart_drake.control.adaptation import (
-    RegressionOptions,
     has_learnt,
     last_learnt,
     machine_text,
@@ -124,7 +123,7 @@ def begin_with(
     own = load(scenario, overrides)
     if file is None:
         return own
-    if not isinstance(own.adaptation, RegressionOptions):
+    if own.adaptation is None or not own.adaptation.is_kept:
         kind = None if own.adaptation is None else own.adaptation.kind
         raise ConfigurationError(
             "adaptation.kind", kind, "regression, for --keep-model; try --set adaptation=regression"
@@ -155,9 +154,8 @@ def keep(log: SimulationLog, file: Path | None) -> None:
     model = log.scenario.model.given() | model_of(last_learnt(log), log.scenario.belief)
     write_text(file, to_yaml({_LEARNT_OF: machine_text(log.scenario.belief), "model": to_plain(model)}))
     tell(f"what was learnt in {file}; the next run with --keep-model {file} starts with it")
-    learning = log.scenario.adaptation
-    if isinstance(learning, RegressionOptions) and learning.cautious and not learning.frozen:
-        tell("adaptation.cautious begins without friction all the same: --set adaptation.cautious=false")
+    if (learning := log.scenario.adaptation) and (key := learning.forgets):
+        tell(f"adaptation.{key} begins without friction all the same: --set adaptation.{key}=false")
 
 
 def end(log: SimulationLog, in_place: bool) -> None:
@@ -178,7 +176,7 @@ def _print_run(log: SimulationLog, place: Path, machine: str) -> None:
         rows.append(("machine", machine))
         late = 1e3 * np.quantile(log["lateness"], [0.5, 0.999]) if len(log.time) else np.zeros(2)
         rows.append(("lateness of a tick, median, 99.9 %", f"{late[0]:.3f}  {late[1]:.3f} ms"))
-    elif log.scenario.plant.kind != "drake":
+    elif not log.scenario.plant.in_diagram:
         rows.append(("plant", f"{log.scenario.plant.kind}, not Drake's"))
     if note := getattr(log.scenario.reference, "note", ""):
         rows.append(("reference", note))

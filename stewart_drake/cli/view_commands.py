@@ -38,7 +38,7 @@ def live(scenario: str, machine: str | None, port: int | None, overrides: tuple[
     from stewart_drake.live.start import start_live
 
     loaded, engine = load_scenario(scenario, overrides), ""
-    if loaded.plant.kind == "drake" and not any(each.startswith("plant") for each in overrides):
+    if loaded.plant.in_diagram and not any(each.startswith("plant") for each in overrides):
         # What only Drake's plant has stays there.
         with suppress(ConfigurationError):
             loaded, engine = (

@@ -23,7 +23,7 @@ from stewart_drake.control.base import LEARNT_SIGNALS, AdaptationOptions
 from stewart_drake.control.learnt_laws import ROBOT_SIZE, show_first
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.mechanics.friction import BELIEVED
+from stewart_drake.mechanics.friction import FRICTION
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import LEGS, ROBOT, robot_record
 from stewart_drake.robot import RobotParameters
@@ -50,7 +50,6 @@ ADAPTS = 2.0
 SELDOM = 0.016
 """[s] from one forgetting to the next, and of what is shown: both together cost more than a sample."""
 _LEARNT_OF_MOTORS = ("stiffness", "ratios", "torque_constant", "damping", "delay")
-_LEVELS = ("coulomb", "break_away", "viscous")
 _LINKS = ("rod_mass", "rod_inertia", "crank_mass", "crank_inertia")
 _HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inertia")
 
@@ -65,6 +64,7 @@ class RegressionOptions(AdaptationOptions):
     """
 
     moved_keys: ClassVar[Mapping[str, str]] = {"reading_age": "model.reading_age"}
+    is_kept: ClassVar[bool] = True
     kind: Literal["regression"] = "regression"
     forgetting: Annotated[Real, Field(ge=1.0, le=1e5)] = 8.0
     """[s] of motion after which a sample counts 37 %; for a push that lasts 2 s. At least 1: samples within 0.6 s count
@@ -87,6 +87,10 @@ class RegressionOptions(AdaptationOptions):
     """Whether friction of the rods' ball joints is learnt too: one viscous and one dry number for all of them."""
     frozen: Flag = False
     """Whether nothing is learnt: the numbers stay as they are in `model`, all friction of which is compensated."""
+
+    @property
+    def forgets(self) -> str:
+        return "cautious" if self.cautious and not self.frozen else ""
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         return (regression_part(self, context),)
@@ -141,23 +145,10 @@ def rows_of(known: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
 def model_of(known: Mapping[str, np.ndarray], belief: Any) -> dict[str, Any]:
     """Robot, motors and friction as keys of `model`: those of `belief`, with what was learnt, see `last_learnt`."""
     robot, motors, friction = belief.robot, belief.motors, belief.friction
-    value, weaker = Learnt.of(known["learnt"]), 1.0
-    keys: dict[str, Any] = {}
-    viscous, coulomb = value.viscous, value.coulomb
-    if motors.takes == "torque":
-        weaker = 1.0 / float(value.drive.mean())
-    else:
-        gain = motors.gains * value.drive
-        keys["motors"] = motors.with_gains(gain)
-    if motors.takes == "current":
-        # One constant for all: what a motor rubs, in currents, is kept.
-        viscous, coulomb = (each * value.drive.mean() / value.drive for each in (viscous, coulomb))
-    if motors.takes == "angle":
-        least = min(0.0, float(viscous.min()))
-        damping = max(0.0, motors.damping + least)
-        viscous = viscous + motors.damping - damping
-        keys["motors"] |= {"damping": damping, "delay": max(0.0, motors.delay + value.delay)}
-    more = np.subtract(friction.levels[1], friction.levels[0])
+    value = Learnt.of(known["learnt"])
+    of_motors, viscous, coulomb = motors.with_learnt(value)
+    keys, weaker = ({"motors": of_motors}, 1.0) if of_motors else ({}, 1.0 / float(value.drive.mean()))
+    more = np.subtract(friction.break_away or friction.coulomb, friction.coulomb)
     rubs = {"coulomb": coulomb.tolist(), "viscous": np.maximum(viscous, 0.0).tolist()}
     keys["friction"] = {**friction.to_dict(), **rubs, "break_away": (coulomb + more).tolist()}
     if not more.any():
@@ -226,7 +217,7 @@ def regression_part(options: RegressionOptions, context: LoopContext, alike: flo
 
     Samples within `alike` [s] count as one.
     """
-    motors, robot, believed = context.motors, context.robot, context.compensation
+    motors, robot, believed = context.motors, context.robot, context.friction
     smoothing = options.smoothing
     if smoothing is None:
         # At which noise of the readings leaves a rate that is known to the width of friction's reversal.
@@ -245,11 +236,12 @@ def regression_part(options: RegressionOptions, context: LoopContext, alike: flo
         allowed = f"at most {most:g} s together with the {commands:g} s by which commands are late"
         raise ConfigurationError("model.reading_age", context.reading_age, allowed)
     limit = np.asarray(motors.available(robot, np.zeros(6)), dtype=float)
-    friction, coulomb = context.friction[0], context.friction[0]["coulomb"]
+    friction = believed.record()
+    coulomb = friction["coulomb"][0]
     servo_damping = getattr(motors, "damping", 0.0)
     weights = kernel_weights(width)
     per = np.array([1.0, block, block**2])[:, None]
-    by_gain, by_angle = motors.takes != "torque", motors.takes == "angle"
+    by_gain, by_angle = not motors.by_torque, motors.holds
     # What ball joints rub is nearly damping of the motors: with both unknown, each may be farther off.
     damping = SIZE_SERVO_DAMPING if by_angle and not options.ball_joints else SIZE_DAMPING
     drive = options.drive or (SIZE_DRIVE if by_gain else SIZE_TORQUE)
@@ -264,7 +256,7 @@ def regression_part(options: RegressionOptions, context: LoopContext, alike: flo
     params = new_record(
         law.params_of(len(common)), gravity=context.gravity, stride=stride, kernel=weights / per,
         late=late_weights(width, late) / per, gain=motors.gains, limit=limit, by_gain=by_gain, by_angle=by_angle,
-        damping=friction["viscous"] + servo_damping, coulomb=coulomb, servo_damping=servo_damping,
+        damping=friction["viscous"][0] + servo_damping, coulomb=coulomb, servo_damping=servo_damping,
         noise=options.noise, alike=max(1.0, alike / block), slowest=options.slowest,
         width=believed.width, seldom=seldom,
         keep=np.exp(-seldom * block / options.forgetting),
@@ -290,15 +282,14 @@ def regression_part(options: RegressionOptions, context: LoopContext, alike: flo
     heads["platform_moment"][1:] = np.eye(PLACE)
     angles = inverse_kinematics(robot, context.pose)
     first = new_record(
-        law.state_of(len(common), joint), friction=context.friction.view(np.float64), gain=motors.gains,
+        law.state_of(len(common), joint), friction=friction, gain=motors.gains,
         robot=whole.view(np.float64), pose=context.pose, angles=angles, commands=motors.initial_command(context),
         good=1.0, doubt=1.0, noise_scale=1.0,
     )  # fmt: skip
     cautious = options.cautious and not options.frozen
     if cautious:
-        used = first["friction"].view(BELIEVED)
-        for level in _LEVELS:
-            used[level] = 0.0
+        for level in ("coulomb", "break_away", "viscous"):
+            first["friction"][level] = 0.0
     first["common"][0, 3], first["own"][0, :, 2] = coulomb.mean(), coulomb - coulomb.mean()
     for k in range(OWN):
         first["information"][0, :, k, k] = 1.0 / params["own"][0, k]
@@ -315,12 +306,12 @@ def regression_part(options: RegressionOptions, context: LoopContext, alike: flo
         first[f"{words}_own"], first[f"{words}_common"] = first["own"], first["common"]
     constants = {
         "robot": whole, "rest": rest, "heads": heads, "joints": hanging, "bodies": bodies,
-        "friction": context.friction.view(np.float64), "params": params,
+        "friction": friction, "params": params,
     }  # fmt: skip
     show_first(params, bodies, first)
     if options.frozen:
         # It stays believed, for good.
-        first["friction_unknown"] = 0.0
+        first["friction_unknown"] = np.zeros(1, FRICTION)
     outputs = ["friction", "robot", "learnt", "learnt_half_width", "friction_unknown", "doubt"]
     outputs += ["gain"] if by_gain else []
     outputs += ["lead"] if by_angle else []

@@ -39,6 +39,7 @@ from stewart_drake.control.ball_joints import JOINTS, ball_joint_parts, ball_joi
 from stewart_drake.control.estimator import ITERATIONS, TOLERANCE
 from stewart_drake.control.learnt_laws import MOST_COULOMB, MOST_DAMPING, ROBOT_SIZE, show, stand_in
 from stewart_drake.mechanics.dynamics_laws import inverse_dynamics, platform_load, twists_of_motion
+from stewart_drake.mechanics.friction import FRICTION
 from stewart_drake.mechanics.kinematics_laws import forward_kinematics, legs_at
 from stewart_drake.mechanics.linear_algebra import all_finite, solve
 
@@ -90,8 +91,8 @@ def state_of(common: int, joint: int) -> np.dtype:
     up to what the first uncertainty gives.
     """
     return fields(
-        friction=25, robot=ROBOT_SIZE, joints=JOINTS.itemsize // 8, learnt=SHOWN, learnt_half_width=SHOWN,
-        learnt_center_of_mass=2 * PLACE, learnt_joints=2 * JOINT, friction_unknown=12, doubt=6, gain=6, lead=(1,),
+        friction=FRICTION, robot=ROBOT_SIZE, joints=JOINTS.itemsize // 8, learnt=SHOWN, learnt_half_width=SHOWN,
+        learnt_center_of_mass=2 * PLACE, learnt_joints=2 * JOINT, friction_unknown=FRICTION, doubt=6, gain=6, lead=(1,),
         information=(6, OWN, OWN + common + 1), shared=(common, common + 1), own=(6, OWN), common=common,
         held_own=(6, OWN), held_common=common, used_own=(6, OWN), used_common=common,
         pose=(ROWS, 6), angles=(ROWS, 6), commands=(ROWS, 6), good=ROWS, sharp=(SHARP, 1 + joint, 6),

@@ -13,6 +13,7 @@ from stewart_drake.base.config import Period, Section
 from stewart_drake.base.errors import Status, failure
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.loop.part import LoopContext, Part
+from stewart_drake.loop.user_parts import UserParts
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, task_inertia
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import (
@@ -96,12 +97,32 @@ class AdaptationOptions(Section, ABC, key="adaptation"):
     }
     """Output -> the parameters that it writes, as `part.parameter`. Parts that a loop does not have are passed over."""
 
+    is_kept: ClassVar[bool] = False
+    """Whether what it has learnt can be kept as `model`."""
     kind: str
     """Kind of law."""
+
+    @property
+    def forgets(self) -> str:
+        """Key by which it begins without friction all the same; empty for none."""
+        return ""
 
     @abstractmethod
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         """The law in a loop; inputs may be `measurement` (12,), `reference` (18,) and all signals of the loop."""
+
+
+class UserAdaptation(UserParts, AdaptationOptions, key="adaptation"):
+    """Your own adaptive law: `parts(context)` returns its parts of the loop, as of `AdaptationOptions`.
+
+    The class may have `writes`, as these options have.
+    """
+
+    @property
+    def writes(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
+        """That of the class, or what all laws may write."""
+        writes: Mapping[str, tuple[str, ...]] = getattr(self.load(), "writes", AdaptationOptions.writes)
+        return writes
 
 
 # --- gains in the size that a robot needs to answer as the paper's does -----------------------------------------------

@@ -13,6 +13,7 @@ from stewart_drake.base import errors
 from stewart_drake.base.config import Natural, Period, Positive, PositivePair, Section
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.loop.part import HEALTHY, LoopContext, Part
+from stewart_drake.loop.user_parts import UserParts
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.mechanics.kinematics_laws import NO_CONVERGENCE, NOT_FINITE, OK, PARALLEL, SERIAL
@@ -65,6 +66,10 @@ class DifferenceOptions(EstimatorOptions):
         if context.reading == 12:
             return ()
         return (difference_part(self, context),)
+
+
+class UserEstimator(UserParts, EstimatorOptions, key="estimator"):
+    """Your own estimator: `parts(context)` returns parts that make of `reading` the signal `measurement` (12,)."""
 
 
 PARAMS = fields(period=(), smoothing=(), max_speed=(), max_turn=(), max_shift=(), hold_ticks=())

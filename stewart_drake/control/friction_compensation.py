@@ -13,10 +13,9 @@ from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.control.ball_joints import BallJoints, ball_joint_torques, joints_record
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.friction import BELIEVED, dry_level
+from stewart_drake.mechanics.friction import FrictionOptions, dry_level
 from stewart_drake.mechanics.kinematics_laws import LEGS, crank_rates, legs_at, robot_record, twist_of
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import FrictionOptions
 
 
 def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: float) -> np.ndarray:
@@ -38,11 +37,6 @@ class FrictionCompensation(FrictionOptions, key="model.friction"):
     """[rad/s] crank speed at which 76 % of the dry friction is compensated; larger smooths reversals more."""
     joints: BallJoints | None = None
     """Ball joints of the rods that rub too; null for free ones."""
-
-    def record(self) -> np.ndarray:
-        """`BELIEVED` record."""
-        levels = dict(zip(("coulomb", "break_away", "stribeck_rate", "viscous"), self.levels, strict=True))
-        return new_record(BELIEVED, **levels, width=self.width)
 
     def part(self, context: LoopContext) -> Part:
         """`reference` (18,) -> `friction_torque` (6,) [N m]."""
@@ -69,7 +63,7 @@ def friction_tick(robot: Any, friction: Any, joints: Any, reference: Any, legs: 
     if not np.isfinite(rates).all():
         return
     for i in range(6):
-        dry = dry_level(friction.coulomb[i], friction.break_away[i], friction.stribeck_rate[i], rates[i])
+        dry = dry_level(friction.coulomb[i], friction.break_away[i], friction.stribeck_velocity[i], rates[i])
         out[i] = dry * np.tanh(rates[i] / friction.width) + friction.viscous[i] * rates[i]
     if joints.viscous > 0.0 or joints.coulomb > 0.0 or joints.inertia > 0.0:
         ball_joint_torques(robot, joints, reference[:12], reference[12:], legs, out)

@@ -22,7 +22,7 @@ MASS, MOMENT = (int(ROBOT.fields[name][1]) // 8 for name in ("platform_mass", "p
 @njit
 def stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
     """Constants of other parts, by the numbers that are used."""
-    common, own = state.used_common, state.used_own
+    common, own, believed = state.used_common, state.used_own, record(friction)
     head, links = _masses_of(params, common)
     for k in range(ROBOT_SIZE):
         state.robot[k] = bodies[k, 0] + links * bodies[k, 1] + head * bodies[k, 2]
@@ -32,15 +32,15 @@ def stand_in(params: Any, bodies: Any, friction: Any, state: Any) -> None:
     for i in range(6):
         damping, coulomb = _friction_of(params, own[i], common, i)
         drive = np.exp(-(common[1] + own[i, 0])) if params.by_gain == 1.0 else 1.0
-        viscous, more = drive * damping - params.servo_damping, friction[6 + i] - friction[i]
+        viscous, more = drive * damping - params.servo_damping, believed.break_away[i] - believed.coulomb[i]
         if params.cautious == 1.0:
             viscous *= 1.0 - _doubt(params, state, i, 1) ** 2 if viscous > 0.0 else 1.0
             known = 1.0 - _doubt(params, state, i, 2) ** 2
             coulomb, more = known * coulomb, known * more
         state.gain[i] = drive * params.gain[i]
-        state.friction[i] = drive * coulomb
-        state.friction[6 + i] = drive * coulomb + more
-        state.friction[18 + i] = viscous
+        state.friction.coulomb[i] = drive * coulomb
+        state.friction.break_away[i] = drive * coulomb + more
+        state.friction.viscous[i] = viscous
     joint_count = state.sharp.shape[1] - 1
     for n in range(joint_count):
         at, known = len(common) - joint_count + n, 1.0
@@ -79,9 +79,10 @@ def show(params: Any, bodies: Any, state: Any) -> None:
                 row[0] = row[OWN + 1] = -size * values[k]
             state.learnt_half_width[2 + 6 * k + i] = _half_width(params, state, i, row)
         state.doubt[i] = _doubt(params, state, i, 2)
-        of_coulomb, of_damping = state.learnt[14 + i] - state.friction[i], state.learnt[8 + i] - state.friction[18 + i]
-        state.friction_unknown[i] = state.learnt_half_width[14 + i] + abs(of_coulomb)
-        state.friction_unknown[6 + i] = state.learnt_half_width[8 + i] + abs(of_damping)
+        of_coulomb = state.learnt[14 + i] - state.friction.coulomb[i]
+        of_damping = state.learnt[8 + i] - state.friction.viscous[i]
+        state.friction_unknown.coulomb[i] = state.learnt_half_width[14 + i] + abs(of_coulomb)
+        state.friction_unknown.viscous[i] = state.learnt_half_width[8 + i] + abs(of_damping)
     joint_count = state.sharp.shape[1] - 1
     for n in range(joint_count):
         at, size = len(common) - joint_count + n, np.exp(-common[1] * params.by_gain)

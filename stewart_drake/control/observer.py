@@ -142,7 +142,7 @@ def observer_tick(
 ) -> Any:  # fmt: skip
     """One tick: predicts, corrects by the readings that are accepted, looks ahead; status, leg or -1, margin.
 
-    Takes `ROBOT`, `_PARAMS`, the parameters of the first tick (see `_begin`), `BELIEVED`, then the inputs of
+    Takes `ROBOT`, `_PARAMS`, the parameters of the first tick (see `_begin`), `FRICTION`, then the inputs of
     `observer_part`, `LEGS` and `estimator.STATE`, both overwritten, and `_STATE`.
     """
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
@@ -338,7 +338,8 @@ def observer_part(options: ObserverOptions, context: LoopContext) -> Part:
     initial["commands"][0, : ahead + 1] = context.initial_torque
 
     first = difference_params(DifferenceOptions(), period)
-    numbers = {"robot": laws.robot_record(robot), "params": params, "first_params": first, "friction": context.friction}
+    numbers = {"robot": laws.robot_record(robot), "params": params, "first_params": first}
+    numbers["friction"] = context.friction.record()
     inputs = {"reading": context.reading, "net_torque": 6, "reference": 18, "disturbance": 1}
     outputs, expected = (
         ("measurement", "predicted", "disturbance_torque", "innovation"),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.code import CodePath, ControllerError, UserCode
+from stewart_drake.base.code import ControllerError, UserCode
 from stewart_drake.base.config import Period
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, drake_guard, one_line, raised_at
 from stewart_drake.base.families import UserMade, user_parts
@@ -34,9 +34,6 @@ class PythonOptions(UserMade, ControllerOptions):
     constants below a 25th of that step diverge.
     """
 
-    kind: CodePath  # type: ignore[assignment]
-    """Import path of your class, from the folder of the file that names it: path/to/file.py:Class, or module:Class. Its
-    code is run."""
     arguments: dict[str, Any] = Field(default_factory=dict)
     """Keyword arguments of the constructor, plain values. `robot` (the controller's model of it), `period` and
     `gravity` are added where the constructor names them."""

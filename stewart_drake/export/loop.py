@@ -69,8 +69,8 @@ class LoopSource:
         for part in parts:
             self._state(part)
             for name in part.outputs:
-                shape = part.initial.dtype[name].shape
-                base = f"loop->{part.name}.{name}" if shape else f"(&loop->{part.name}.{name})"
+                kind, place = part.initial.dtype[name], f"loop->{part.name}.{name}"
+                base = place if kind.shape else f"((double *)&{place})" if kind.names else f"(&{place})"
                 self.signals[part.signal(name)] = Signal(base, 0, part.size(name))
         for k, part in enumerate(parts):
             self._add(k, part)

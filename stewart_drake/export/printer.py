@@ -72,6 +72,9 @@ class Program:
                     break
             if name != hint:
                 break
+        for inner in kind.names or ():
+            if kind[inner].names:
+                self.record(kind[inner], inner)
         while name in self.records:
             name += "_"
         self.records[name] = kind
@@ -165,7 +168,11 @@ class Program:
         return "\n\n".join(filter(None, blocks)) + "\n"
 
     def _struct(self, name: str, kind: np.dtype) -> str:
-        fields = "".join(f"    double {f}{''.join(f'[{n}]' for n in kind[f].shape)};\n" for f in kind.names or ())
+        fields = "".join(
+            f"    {f'struct {self.record(kind[f], f)}' if kind[f].names else 'double'} {f}"
+            f"{''.join(f'[{n}]' for n in kind[f].shape)};\n"
+            for f in kind.names or ()
+        )
         return f"{comment(self._comments.get(name, ''))}struct {name} {{\n{fields}}};"
 
 
@@ -188,6 +195,7 @@ def braced(values: Any) -> str:
 
 def filled(record: np.ndarray) -> str:
     """A record as C initialises one; fields of zeros are left out, as C adds them."""
-    values = [(name, record[name][0]) for name in record.dtype.names or ()]
-    parts = [f"    .{name} = {braced(value)},".replace("\n", "\n    ") for name, value in values if np.any(value)]
-    return "{\n" + "\n".join(parts or [f"    .{values[0][0]} = {braced(values[0][1])},"]) + "\n}"
+    values = {name: record[name] for name in record.dtype.names or ()}
+    texts = {name: filled(each) if each.dtype.names else braced(each[0]) for name, each in values.items()}
+    some = [name for name, each in values.items() if np.any(each.view(np.float64))] or [next(iter(values))]
+    return "{\n" + "\n".join(f"    .{name} = {texts[name]},".replace("\n", "\n    ") for name in some) + "\n}"

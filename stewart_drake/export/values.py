@@ -156,9 +156,11 @@ class Record(NamedTuple):
         """Text of a field."""
         return f"{self.pointer[1:]}.{name}" if self.pointer.startswith("&") else f"{self.pointer}->{name}"
 
-    def attribute(self, name: str) -> Scalar | Array:
-        """A field: a number, or an array of its own."""
+    def attribute(self, name: str) -> Scalar | Array | Record:
+        """A field: a number, an array of its own, or a record in this one."""
         shape = self.shape(name)
+        if self.kind[name].names:
+            return Record(self.kind[name], f"&{self.field(name)}", self.root)
         if not shape:
             return Scalar("double", self.field(name))
         return Array("double", self.field(name), shape[1:], tuple(Axis("0", size) for size in shape), self.root)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.code import CodePath, UserCode
+from stewart_drake.base.code import UserCode
 from stewart_drake.base.config import LegNumber, Natural, NotNegative, Section, Seed, Share
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.families import UserMade
@@ -171,10 +171,22 @@ class MotorOptions(Section, ABC, key="motors"):
         """(6,) torque [N m] for a unit of each motor's command."""
         return np.ones(6)
 
+    def with_learnt(self, value: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+        """Their keys with what a `control.adaptation.Learnt` tells, and viscous and Coulomb friction (6,) beside them.
+
+        No keys of motors that take torques: what they move is then believed to be another.
+        """
+        return {}, value.viscous, value.coulomb
+
     @property
     def dead_time(self) -> float:
         """[s] from a command's arrival to its effect."""
         return 0.0
+
+    @property
+    def gear(self) -> Any:
+        """The `presets.Preset` of motors that one can buy, for the friction of their gear; None for others."""
+        return None
 
     @property
     def nominal(self) -> MotorOptions:
@@ -253,10 +265,6 @@ class UserMotors(UserMade, MotorOptions, key="motors"):
     """
 
     asked = "torque(command, angles, rates, time) returns six torques [N m]"
-
-    kind: CodePath  # type: ignore[assignment]
-    """Import path of your class, from the folder of the file that names it: path/to/file.py:Class, or module:Class. Its
-    code is run."""
 
     def part(self, robot: RobotParameters, time_step: float) -> Part:
         motors = self.construct({"robot": robot, "time_step": time_step})

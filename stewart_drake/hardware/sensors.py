@@ -14,6 +14,7 @@ from stewart_drake.base.config import Natural, NotNegative, Section, Seed, Vecto
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.hardware.faults import EncoderFault, Fault, PoseFault, Signal, tick_numbers
 from stewart_drake.loop.part import Part
+from stewart_drake.loop.user_parts import UserParts
 from stewart_drake.robot.leg import LARGEST_SIZE
 
 _STREAM = 1  # Of random numbers, see `faults.tick_numbers`.
@@ -106,6 +107,16 @@ class EncoderOptions(SensorOptions):
         """Readings (..., 6) [rad] of angles: with the offset, rounded to whole counts; without noise and faults."""
         angles = crank_angles + np.array(self.offset)
         return np.rint(angles / self.quantum) * self.quantum if self.quantum > 0.0 else angles
+
+
+class UserSensors(UserParts, SensorOptions, key="sensors"):
+    """Your own sensors: `parts(period)` returns parts that make of `plant_pose` or `crank_state` the signal `reading`.
+
+    The period of the readings is in [s].
+    """
+
+    reading: Literal["angles", "pose"] = "pose"  # type: ignore[misc]
+    """What a reading is: the six angles of the cranks [rad], or pose [rad, m] and its rate."""
 
 
 _ENCODERS = fields(offset=6, noise=(), quantum=())  # [rad] each.

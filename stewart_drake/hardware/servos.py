@@ -13,7 +13,7 @@ from stewart_drake.base.errors import ConfigurationError, Status
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.hardware.motors import MotorOptions
-from stewart_drake.hardware.presets import Presets
+from stewart_drake.hardware.presets import PRESETS, Presets
 from stewart_drake.hardware.rounding import rounding_part
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import crank_inertia
@@ -48,6 +48,10 @@ class _SoldMotors(MotorOptions):
     @property
     def nominal(self) -> MotorOptions:
         return self
+
+    @property
+    def gear(self) -> Any:
+        return PRESETS.get(getattr(self, "preset", None) or "")
 
     def limits(self, robot: RobotParameters) -> np.ndarray:
         """(6,) [N m] largest torques at rest."""
@@ -126,10 +130,12 @@ class PositionServos(_SoldMotors):
         """The stops; a turn both ways without."""
         return np.clip(robot.crank_angle_ranges, -2.0 * np.pi, 2.0 * np.pi).T
 
-    def with_gains(self, gains: np.ndarray) -> dict[str, Any]:
-        """The keys that were given, and those of other gains (6,)."""
-        mean = float(gains.mean())
-        return {**self.given(), "stiffness": mean / self.supply, "ratios": (gains / mean).tolist()}
+    def with_learnt(self, value: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+        gains = self.gains * value.drive
+        mean, damping = float(gains.mean()), max(0.0, self.damping + min(0.0, float(value.viscous.min())))
+        keys = {"stiffness": mean / self.supply, "ratios": (gains / mean).tolist(), "damping": damping}
+        keys["delay"] = max(0.0, self.delay + value.delay)
+        return self.given() | keys, value.viscous + self.damping - damping, value.coulomb
 
     def part(self, robot: RobotParameters, time_step: float) -> Part:
         stride = steps_per("motors.period", self.period, time_step)
@@ -203,9 +209,10 @@ class CurrentMotors(_SoldMotors):
     def gains(self) -> np.ndarray:
         return np.full(6, self.torque_constant)
 
-    def with_gains(self, gains: np.ndarray) -> dict[str, Any]:
-        """The keys that were given, and the constant of other gains (6,)."""
-        return {**self.given(), "torque_constant": float(gains.mean())}
+    def with_learnt(self, value: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+        """One constant for all: what a motor rubs, in currents, is kept."""
+        viscous, coulomb = (each * value.drive.mean() / value.drive for each in (value.viscous, value.coulomb))
+        return self.given() | {"torque_constant": float((self.gains * value.drive).mean())}, viscous, coulomb
 
     def part(self, robot: RobotParameters, time_step: float) -> Part:
         most = np.inf if self.current_limit is None else self.torque_constant * self.current_limit

@@ -95,14 +95,16 @@ class Part(NamedTuple):
 
     def check_signal(self, name: str, kind: np.dtype) -> None:
         """Refuses a signal of that kind in the place of a parameter that it does not fit."""
-        wanted = self.parameters[name].nbytes // 8
-        if kind.base != np.float64 or kind.itemsize != 8 * wanted:
-            given = f"{math.prod(kind.shape)} of {kind.base}"
-            raise ConfigurationError(f"{self.name}.{name}", given, f"a signal of {wanted} numbers of float64")
+        wanted = self.parameters[name]
+        fits = kind == wanted.dtype if kind.names else kind.base == np.float64
+        if not fits or kind.itemsize != wanted.nbytes:
+            given = f"a record of {', '.join(kind.names)}" if kind.names else f"{math.prod(kind.shape)} of {kind.base}"
+            allowed = f"a signal of {wanted.nbytes // 8} numbers of float64"
+            raise ConfigurationError(f"{self.name}.{name}", given, allowed)
 
     def size(self, field: str) -> int:
         """Numbers in a field of its state."""
-        return int(np.prod(self.initial.dtype[field].shape, dtype=int))
+        return self.initial.dtype[field].itemsize // 8
 
     def tick(self, *inputs: Any) -> None:
         """A tick by hand: the inputs in their order and then the state, which is changed in place."""
@@ -135,9 +137,8 @@ class LoopContext(NamedTuple):
     latency: float  # [s] from what is read to its torque, as believed.
     reading: int  # Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
     noise: float  # [rad] of a reading, as an observer believes it.
-    friction: np.ndarray  # `mechanics.friction.BELIEVED` record of the motors; zeros for none.
+    friction: Any  # Options of the friction of the motors, as believed; zeros for none.
     motors: Any  # Options of the motors, as believed.
-    compensation: Any  # Options of the friction that is compensated; None for none.
     tuner: Any  # Options of the tuner, with its file read.
     disturbance: float  # [rad/s^2 per sqrt(s)] that an observer expects; 0 without one.
     feedback: bool  # Whether the controller uses what is measured.
@@ -259,6 +260,9 @@ class LoopRunner:
 
     def _sources(self, part: Part, state: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, dict[str, np.ndarray]]:
         inputs = [self.time if port == "time" else self._array(part.source(port)) for port in part.inputs]
+        for (port, size), array in zip(part.inputs.items(), inputs, strict=True):
+            if array.size != size:
+                raise ConfigurationError(f"{part.name}.{port}", f"{array.size} numbers", f"a signal of {size} numbers")
         return inputs, state, {name: self._array(part.source(name)) for name in part.replaced}
 
     def _array(self, source: str | np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ Each crank hangs on a bristle: a spring k from the crank to an anchor in the hou
 torque reaches at most the level g; beyond, the crank drags the anchor along. At rest the anchor stays where it is, so
 that nothing creeps. The level falls with the speed s of the anchor, from break-away to Coulomb:
 
-    g(s) = coulomb + (break_away - coulomb) exp(-(s / stribeck_rate)^2)
+    g(s) = coulomb + (break_away - coulomb) exp(-(s / stribeck_velocity)^2)
 
 Not with the crank's own: what is elastic weakens nothing. Over any motion the spring gives back at most what it holds,
 g^2 / 2k, because each step is paid at its end: a backward Euler of Dahl's model with a sharp edge. Sources: V. Hayward
@@ -17,19 +17,18 @@ A bristle is remembered by its anchor [rad] and by the slip [rad/s], the speed o
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from stewart_drake.base.config import Section, one_for_six
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import fields, new_record, njit
+from stewart_drake.robot.leg import Moderate, Size
 
-FRICTION = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, stiffness=6, damping=6)
-"""Numbers of six motors, made by `friction_law`. coulomb: level in sliding [N m]. break_away: level at rest [N m], at
-least `coulomb`. stribeck_rate: of the anchor, at which 37 % of their difference are left [rad/s]. viscous: beside the
-bristle [N m s/rad]. stiffness: k [N m/rad]. damping: d [N m s/rad]."""
-
-BELIEVED = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, width=())
-"""Friction of six motors as a controller knows it: as above, and width: of a crank's reversal [rad/s]."""
+FRICTION = fields(coulomb=6, break_away=6, stribeck_velocity=6, viscous=6, width=(), stiffness=6)
+"""Friction of six motors, see `FrictionOptions`; width: of a crank's reversal as a controller compensates it [rad/s];
+stiffness: k of a plant's bristles [N m/rad], whose damper d is k times the step. Each is 0 where it is not used."""
 
 STIFFNESS_NUMBER = 1000.0
 """k h^2 / I of a bristle, for a crank's inertia I and a step h. Taken implicitly a bristle is stable whatever this is:
@@ -40,36 +39,56 @@ SWEEPS = 30
 """Over the six motors, in `implicit_torque`."""
 
 
-def friction_law(
-    coulomb: Any, break_away: Any, stribeck_rate: Any, viscous: Any, axis_inertias: np.ndarray, step: float
-) -> np.ndarray:
-    """A `FRICTION` record of levels and viscous friction, one or six each, with the bristles that a step can carry.
+def bristle_stiffness(axis_inertias: np.ndarray, step: float) -> np.ndarray:
+    """Stiffness (6,) [N m/rad] of the bristles that a step [s] can carry, see `STIFFNESS_NUMBER`.
 
-    See `STIFFNESS_NUMBER`. A crank at rest yields by g / k = g step^2 / (1000 I), I of `robot.crank_axis_inertias`.
+    A crank at rest yields by g / k = g step^2 / (1000 I), I of `robot.crank_axis_inertias`.
     """
-    stiffness = STIFFNESS_NUMBER * np.asarray(axis_inertias, dtype=float) / step**2
-    return new_record(
-        FRICTION,
-        coulomb=coulomb,
-        break_away=break_away,
-        stribeck_rate=stribeck_rate,
-        viscous=viscous,
-        stiffness=stiffness,
-        damping=stiffness * step,
-    )
+    stiffness: np.ndarray = STIFFNESS_NUMBER * np.asarray(axis_inertias, dtype=float) / step**2
+    return stiffness
+
+
+_NONE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+EachMotor = Annotated[tuple[Moderate, Moderate, Moderate, Moderate, Moderate, Moderate], one_for_six(Moderate)]
+EachRate = Annotated[tuple[Size, Size, Size, Size, Size, Size], one_for_six(Size)]
+
+
+class FrictionOptions(Section, key="plant.friction"):
+    """Motor friction with stiction, see `mechanics.friction`: for each key one number, or one for each motor."""
+
+    coulomb: EachMotor = _NONE
+    """[N m] dry (Coulomb) friction in motion."""
+    break_away: EachMotor | None = None
+    """[N m] break-away torque (static friction), at least `coulomb`; null for the same."""
+    stribeck_velocity: EachRate = (0.01, 0.01, 0.01, 0.01, 0.01, 0.01)
+    """[rad/s] Stribeck velocity: at it 37 % of the excess of `break_away` over `coulomb` is left; the default is our
+    own."""
+    viscous: EachMotor = _NONE
+    """[N m s/rad] viscous friction, in proportion to speed."""
+
+    def rules(self) -> None:
+        """What breaks a motor away is not less than what it slides with."""
+        for above, below in zip(self.break_away or (), self.coulomb, strict=False):
+            if above < below:
+                raise ConfigurationError("break_away", above, f"at least `coulomb`, {below:g} N m")
+
+    def record(self, stiffness: Any = 0.0) -> np.ndarray:
+        """`FRICTION` record, with bristles of a stiffness (6,) [N m/rad]."""
+        break_away = self.coulomb if self.break_away is None else self.break_away
+        return new_record(FRICTION, self, break_away=break_away, stiffness=stiffness)
 
 
 @njit
-def dry_level(coulomb: float, break_away: float, stribeck_rate: float, rate: float) -> float:
+def dry_level(coulomb: float, break_away: float, stribeck_velocity: float, rate: float) -> float:
     """Stribeck's curve g [N m] at a rate [rad/s]."""
-    ratio = rate / stribeck_rate
+    ratio = rate / stribeck_velocity
     return coulomb + (break_away - coulomb) * np.exp(-ratio * ratio)
 
 
 @njit
 def level(friction: Any, leg: int, slip: float) -> float:
     """Level g [N m] of a motor at a slip [rad/s]."""
-    return dry_level(friction.coulomb[leg], friction.break_away[leg], friction.stribeck_rate[leg], slip)
+    return dry_level(friction.coulomb[leg], friction.break_away[leg], friction.stribeck_velocity[leg], slip)
 
 
 @njit
@@ -103,7 +122,7 @@ def implicit_torque(
     for i in range(6):
         out[i] = 0.0
         bound[i] = level(friction, i, bristles.slip[i])
-        rigidity = friction.damping[i] + step * friction.stiffness[i]
+        rigidity = 2.0 * step * friction.stiffness[i]
         wanted[i] = friction.stiffness[i] * (bristles.anchor[i] - angles[i]) / rigidity
     for _ in range(sweeps):
         shift, largest = 0.0, 0.0
@@ -111,7 +130,7 @@ def implicit_torque(
             yielding = step * mobility[i, i]
             slowed = 1.0 + yielding * friction.viscous[i]
             without = rates[i] - yielding * out[i]
-            rigidity = friction.damping[i] + step * friction.stiffness[i]
+            rigidity = 2.0 * step * friction.stiffness[i]
             dry = (slowed * wanted[i] - without) / (slowed / rigidity + yielding)
             dry = min(max(dry, -bound[i]), bound[i])
             whole = dry - friction.viscous[i] * (without + yielding * dry) / slowed

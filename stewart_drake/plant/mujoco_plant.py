@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -20,11 +20,12 @@ from stewart_drake.base.config import Text, choices_text
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, installed_with, pose_text
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
+from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_rate_to_twist, rotation_matrix
 from stewart_drake.plant.model_files import home_frames, mjcf_text
 from stewart_drake.plant.plant_options import MechanismOptions, foreign_state
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import FrictionOptions, Moderate
+from stewart_drake.robot.leg import Moderate
 from stewart_drake.robot.robot_files import robot_model
 
 _MAX_BYTES = 10_000_000
@@ -41,6 +42,7 @@ class MujocoOptions(MechanismOptions):
     friction, damping, armature and joint limits where no key says otherwise.
     """
 
+    joints_rub: ClassVar[bool] = True
     kind: Literal["mujoco"] = "mujoco"
     model_file: Text | None = None
     """MJCF file, from the folder of the file that names it; or `package:NAME==VERSION/path`, in an installed package;
@@ -65,7 +67,7 @@ class MujocoOptions(MechanismOptions):
             if self.friction is not None and getattr(self, name) is not None:
                 allowed = "null, because `friction` is given and has this value"
                 raise ConfigurationError(name, getattr(self, name), allowed)
-        if self.friction is not None and self.friction.levels[0] != self.friction.levels[1]:
+        if self.friction is not None and self.friction.break_away not in (None, self.friction.coulomb):
             allowed = "the same as `coulomb`, or null: MuJoCo has no stiction"
             raise ConfigurationError("friction.break_away", self.friction.break_away, allowed)
         for name in ("motor_joints", "motor_class"):
@@ -285,7 +287,7 @@ class MujocoPlant:
         return body.add_site(pos=place, quat=quaternion), body
 
     def _set_options(self, options: MujocoOptions, passive: list[int], gravity: float) -> None:
-        model, bits, levels = self._model, self._mujoco.mjtDisableBit, options.friction_options.levels
+        model, bits, friction = self._model, self._mujoco.mjtDisableBit, options.friction_options
         model.opt.timestep, model.opt.gravity[:] = options.time_step, self._base @ [0.0, 0.0, -gravity]
         model.opt.disableflags |= bits.mjDSBL_CONTACT | bits.mjDSBL_SENSOR
         of_passive = np.isin(model.dof_jntid, passive)
@@ -295,11 +297,11 @@ class MujocoPlant:
             getattr(model, name)[of_passive] *= options.passive_friction
         model.dof_armature[of_passive] *= options.passive_armature
         if options.friction is not None or options.motor_friction is not None:
-            model.dof_frictionloss[self._rates] = levels[0]
+            model.dof_frictionloss[self._rates] = friction.coulomb
         if options.friction is not None or options.motor_damping is not None:
             for name in damping:
                 getattr(model, name)[self._rates] = 0.0
-            model.dof_damping[self._rates] = levels[3]
+            model.dof_damping[self._rates] = friction.viscous
         self._mujoco.mj_setConst(model, self._data)
 
     def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:

@@ -86,7 +86,7 @@ class StewartRobot(StateMap):
         self.plant, self.instance, self.options = plant, instance, options
         self.gravity = float(np.linalg.norm(plant.gravity_field().gravity_vector()))
         self._base = base.rotation().matrix()
-        self._law = options.friction_law(robot)
+        self._law = options.friction_of(robot)
         self._start: list[np.ndarray] = []  # The default state of the robot, at rest and in motion, and its pose rate.
         self._friction: Friction | None = None
 
@@ -290,7 +290,7 @@ def add_robot(
         floating = QuaternionFloatingJoint("platform", added.frame("base"), added.frame("platform"))
         home = RollPitchYaw(robot.home_pose[:3]).ToRotationMatrix()
         plant.AddJoint(floating).SetDefaultPose(RigidTransform(home, robot.home_pose[3:]))
-        law = options.friction_law(robot)
+        law = options.friction_of(robot)
         _add_damping(added, law["viscous"][0])
         add_servos(added, law)
         if law["break_away"].any():

@@ -6,6 +6,7 @@ The closed form has its options beside it.
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
 from abc import ABC, abstractmethod
 from typing import Annotated, Any, ClassVar, Literal, Protocol
@@ -13,15 +14,15 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.code import CodePath, UserCode
+from stewart_drake.base.code import UserCode
 from stewart_drake.base.config import Flag, LegNumber, NotNegative, Real, Section
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.families import UserMade, imported
 from stewart_drake.mechanics import kinematics_laws as laws
-from stewart_drake.mechanics.friction import friction_law
+from stewart_drake.mechanics.friction import FrictionOptions, bristle_stiffness
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LARGEST_SIZE, FrictionOptions, Moderate
+from stewart_drake.robot.leg import LARGEST_SIZE, Moderate
 
 MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.01  # [s] finer steps drown in rounding; coarser ones follow nothing.
 POSE, RATE, ANGLES, CRANK_RATES = (slice(start, start + 6) for start in range(0, 24, 6))
@@ -63,6 +64,8 @@ class PlantOptions(Section, ABC, key="plant"):
     """How it runs: in a Diagram by Drake's Simulator, or stepped by the loop as a `Plant`."""
     compared_with: ClassVar[str | None] = None
     """The kind that it is a fast replacement of; studies run one of their scenarios on that too."""
+    joints_rub: ClassVar[bool] = False
+    """Whether the rods' ball joints may rub in it."""
     moved_keys: ClassVar[dict[str, str]] = {"engine": "plant.kind: drake, closed_form or module:Class"}
 
     kind: str
@@ -102,14 +105,18 @@ class PlantOptions(Section, ABC, key="plant"):
         """For people: keys of the robot with its own values, if it has some; what else it has, its value and unit."""
         return {}, []
 
+    def braked(self, robot: RobotParameters) -> Any:  # noqa: ARG002
+        """The same with brakes that hold each crank of a robot by as much as its motor can; None where nobody knows."""
+        return None
+
     @property
     def friction_options(self) -> FrictionOptions:
         """Friction of the motors, whichever keys it was given by."""
         return FrictionOptions()
 
-    def friction_law(self, robot: RobotParameters) -> np.ndarray:
+    def friction_of(self, robot: RobotParameters) -> np.ndarray:
         """`FRICTION` record of a robot's motors."""
-        return friction_law(*self.friction_options.levels, robot.crank_axis_inertias, self.time_step)
+        return self.friction_options.record(bristle_stiffness(robot.crank_axis_inertias, self.time_step))
 
 
 class MechanismOptions(PlantOptions):
@@ -130,6 +137,11 @@ class MechanismOptions(PlantOptions):
         for name in ("motor_friction", "motor_damping"):
             if self.friction is not None and getattr(self, name) > 0.0:
                 raise ConfigurationError(name, getattr(self, name), "0, because `friction` is given and has this value")
+
+    def braked(self, robot: RobotParameters) -> Any:
+        friction = FrictionOptions(coulomb=tuple(robot.effort_limits.tolist()))
+        short = {name: self.__pydantic_fields__[name].default for name in ("motor_friction", "motor_damping")}
+        return dataclasses.replace(self, **short, friction=friction)
 
     @property
     def friction_options(self) -> FrictionOptions:
@@ -208,10 +220,6 @@ class UserPlantOptions(UserMade, PlantOptions, key="plant"):
     """
 
     asked = "step(torque, wrench) returns pose and pose rate, or these, crank angles and crank rates, (6,) each"
-
-    kind: CodePath  # type: ignore[assignment]
-    """Import path of your class, from the folder of the file that names it: path/to/file.py:Class, or module:Class. Its
-    code is run."""
 
     def make(self, robot: RobotParameters, gravity: float) -> Plant:
         plant = self.construct({"robot": robot, "gravity": gravity, "time_step": self.time_step})

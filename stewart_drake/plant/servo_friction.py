@@ -78,7 +78,8 @@ def add_servos(added: StewartRobot, law: np.ndarray) -> None:
         # Drake takes the rotor of a joint from its last actuator alone.
         motor = plant.GetJointActuatorByName(f"motor_{leg}", added.instance)
         actuator.set_default_rotor_inertia(motor.default_rotor_inertia())
-        actuator.set_controller_gains(PdControllerGains(p=law["stiffness"][0, leg], d=law["damping"][0, leg]))
+        stiffness = law["stiffness"][0, leg]
+        actuator.set_controller_gains(PdControllerGains(p=stiffness, d=stiffness * plant.time_step()))
 
 
 def wire_friction(builder: DiagramBuilder, robot: StewartRobot, law: np.ndarray) -> Friction:

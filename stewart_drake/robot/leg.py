@@ -1,4 +1,4 @@
-"""What one leg of a robot has of its own, and the friction of its motor."""
+"""What one leg of a robot has of its own."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from stewart_drake.base.config import NotNegative, Real, Section, one_for_six, plain, with_message
+from stewart_drake.base.config import NotNegative, Real, Section, plain, with_message
 from stewart_drake.base.errors import ConfigurationError
 
 LEG_COUNT = 6
@@ -98,35 +98,3 @@ def crank_angles(along: Any, up: Any, constant: Any, branch: Any) -> Any:
     """Solution theta (..., 6) [rad] of `crank_equation` in closed form; NaN where a rod cannot span."""
     with np.errstate(invalid="ignore"):
         return np.arctan2(up, along) + branch * np.arccos(constant / np.hypot(along, up))
-
-
-_NONE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-EachMotor = Annotated[tuple[Moderate, Moderate, Moderate, Moderate, Moderate, Moderate], one_for_six(Moderate)]
-EachRate = Annotated[tuple[Size, Size, Size, Size, Size, Size], one_for_six(Size)]
-SixFloats = tuple[float, float, float, float, float, float]
-
-
-class FrictionOptions(Section, key="plant.friction"):
-    """Motor friction with stiction, see `mechanics.friction`: for each key one number, or one for each motor."""
-
-    coulomb: EachMotor = _NONE
-    """[N m] dry (Coulomb) friction in motion."""
-    break_away: EachMotor | None = None
-    """[N m] break-away torque (static friction), at least `coulomb`; null for the same."""
-    stribeck_velocity: EachRate = (0.01, 0.01, 0.01, 0.01, 0.01, 0.01)
-    """[rad/s] Stribeck velocity: at it 37 % of the excess of `break_away` over `coulomb` is left; the default is our
-    own."""
-    viscous: EachMotor = _NONE
-    """[N m s/rad] viscous friction, in proportion to speed."""
-
-    def rules(self) -> None:
-        """What breaks a motor away is not less than what it slides with."""
-        for above, below in zip(self.break_away or (), self.coulomb, strict=False):
-            if above < below:
-                raise ConfigurationError("break_away", above, f"at least `coulomb`, {below:g} N m")
-
-    @property
-    def levels(self) -> tuple[SixFloats, SixFloats, SixFloats, SixFloats]:
-        """Coulomb [N m], break-away [N m], Stribeck rate [rad/s] and viscous [N m s/rad], six of each."""
-        break_away = self.coulomb if self.break_away is None else self.break_away
-        return self.coulomb, break_away, self.stribeck_velocity, self.viscous

@@ -21,10 +21,10 @@ from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.motors import MotorOptions
 from stewart_drake.logs.log import MAX_ROWS
 from stewart_drake.mechanics.dynamics import inverse_dynamics
+from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian
 from stewart_drake.references import AdjustedReference, Reference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import FrictionOptions
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
 from stewart_drake.scenario.limits import LimitMargin, ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
@@ -33,6 +33,7 @@ _LARGEST = {"rad": math.tau, "m": 2.0}
 """Of what a motion is made; more was perhaps meant in degrees or millimetres."""
 _NUDGES = 100
 _SLOWEST = 1e-3  # [-] of its speed at which a motion is tried
+_FRICTION = ("coulomb", "dry", "N m"), ("break_away", "break-away", "N m"), ("viscous", "viscous", "N m s/rad")
 _FEW = 500  # Samples of a motion, beside its worst ones, that a hint looks at
 _FALL = 0.03  # Of the characteristic length, free fall before a command acts: a loop that is slow for its robot.
 _SOON = 30  # Ticks; assumed.
@@ -163,7 +164,7 @@ def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
     """
     pushes = [each for each in scenario.disturbances if not user_parts(each)]
     robot, plant, time = scenario.robot, scenario.plant, feasibility.checked_times(scenario.duration)
-    friction, names = plant.friction_law(robot)[0], ["disturbances"] * bool(pushes)
+    friction, names = plant.friction_of(robot)[0], ["disturbances"] * bool(pushes)
     if plant.payload_mass > 0.0:
         names.append(f"payload {plant.payload_mass:g} kg")
     if (friction["break_away"] + friction["viscous"]).any():
@@ -205,8 +206,7 @@ def beliefs(scenario: Scenario) -> list[tuple[str, str, str]]:
         for key, unit in ((key, RobotParameters.unit_of(key)) for key in true)
         if true[key] != model[key] or key in own
     ]
-    coulomb, break_away, _, viscous = plant.friction_options.levels
-    model_coulomb, model_break_away, _, model_viscous = (belief.friction or FrictionOptions()).levels
+    rubs, believed = plant.friction_options.record()[0], (belief.friction or FrictionOptions()).record()[0]
 
     def of_motors(motors: MotorOptions, key: str) -> str:
         value = motors.to_dict().get(key)
@@ -218,9 +218,10 @@ def beliefs(scenario: Scenario) -> list[tuple[str, str, str]]:
     return [
         *(rows or [("robot", "", "the simulated one")]),
         *((name, text(value, unit), "") for name, value, unit in facts),
-        ("dry friction", text(coulomb, "N m"), text(model_coulomb, "N m")),
-        ("break-away friction", text(break_away, "N m"), text(model_break_away, "N m")),
-        ("viscous friction", text(viscous, "N m s/rad"), text(model_viscous, "N m s/rad")),
+        *(
+            (f"{words} friction", text(rubs[key].tolist(), unit), text(believed[key].tolist(), unit))
+            for key, words, unit in _FRICTION
+        ),
         ("payload", text(plant.payload_mass, "kg"), text(0.0, "kg")),
         ("gravity", text(scenario.gravity, "m/s^2"), text(belief.gravity, "m/s^2")),
         ("noise of a crank's angle", text(nominal.noise, "rad"), text(belief.noise, "rad")),

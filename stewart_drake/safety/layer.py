@@ -13,6 +13,7 @@ from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.loop.part import HEALTHY, LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import static_torque
+from stewart_drake.mechanics.friction import FRICTION
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 from stewart_drake.mechanics.singularities import WEIGHT_TRUSTED
 from stewart_drake.safety import limits
@@ -104,7 +105,7 @@ def _tick(
     pose, rate, wanted = measurement[:6], measurement[6:], reference[:6]
     read = pose_reading[:6] if pose_reading[0] == pose_reading[0] else pose
     update_residual(
-        robot, friction, friction_unknown, params, angles, read, state.torque, state.ticks == 0.0, state, legs
+        robot, friction, record(friction_unknown), params, angles, read, state.torque, state.ticks == 0.0, state, legs
     )
     unexplained = is_unexplained(params, state)
     state.unexplained_ticks = _counted(state.unexplained_ticks, unexplained)
@@ -262,7 +263,8 @@ def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
     unread = dict.fromkeys(("angles", "poses"), np.nan)
     first = new_record(_STATE, **torques, **unread, safety=(NONE, NO_TRIP, -1.0))
     kernel: Any = _tick
-    numbers = {"robot": laws.robot_record(robot), "friction": context.friction, "friction_unknown": np.zeros(12)}
+    numbers = {"robot": laws.robot_record(robot), "friction": context.friction.record()}
+    numbers["friction_unknown"] = np.zeros(1, FRICTION)
     constants: dict[str, Any] = {"user_trip": np.zeros(2)}
     if options.monitors:
         kernel, constants = _tick_with_monitors, {**constants, "options": options}

@@ -50,7 +50,7 @@ def update_residual(
 ) -> None:  # fmt: skip
     """One tick: readings, angles (6,) [rad] or else a pose (6,), beside the torques (6,) [N m] sent in the one before.
 
-    `unknown` (12,) is how far `friction` may be off, Coulomb [N m] and viscous [N m s/rad].
+    `unknown` is how far `friction` may be off, of the same type: Coulomb and viscous count.
 
     Both count in the middle of a window: rates and accelerations are differences of poses, and torques have the weights
     that accelerations have in a second difference. The residual is zero while readings are missing.
@@ -96,7 +96,7 @@ def update_residual(
     state.rubs = state.unsure = 0.0
     for i in range(6):
         speed = abs(speeds[i]) if whole else 0.0
-        beyond = friction.break_away[i] - friction.coulomb[i] + unknown[i] + unknown[6 + i] * speed
+        beyond = friction.break_away[i] - friction.coulomb[i] + unknown.coulomb[i] + unknown.viscous[i] * speed
         state.unsure = max(state.unsure, beyond + UNSURE_SHARE * friction.coulomb[i])
         state.rubs = max(state.rubs, beyond + friction.coulomb[i])
     if state.encoders == 0.0:

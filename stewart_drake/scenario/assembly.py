@@ -17,12 +17,11 @@ from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.base.keys import join_or
 from stewart_drake.control.base import LEARNT_SIGNALS, TRACKING_ERROR, AdaptationOptions
 from stewart_drake.control.feedforward import lead_part
-from stewart_drake.control.friction_compensation import standing_torque
+from stewart_drake.control.friction_compensation import FrictionCompensation, standing_torque
 from stewart_drake.control.observer import SMALLEST_NOISE
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.motors import delay_part, within_limit
 from stewart_drake.loop.part import NOTHING, LoopContext, Part
-from stewart_drake.mechanics.friction import BELIEVED
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.safety import safety_part
 from stewart_drake.scenario.control_options import ControlOptions
@@ -180,7 +179,7 @@ def control_side(options: ControlOptions, split: bool = False, reading: str = "r
 def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
     """What the parts of the controller's side are made for; `split` as in `loop_of`."""
     belief, tuner = options.belief, options.tuner.opened()
-    friction, period, expected = belief.friction, options.controller.period, options.estimator.disturbance_density
+    period, expected = options.controller.period, options.estimator.disturbance_density
     pose, rate = options.start()
     return LoopContext(
         robot=belief.robot,
@@ -194,9 +193,8 @@ def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
         latency=belief.reading_age + period * (1 + belief.delay) + belief.motors.dead_time,
         reading=belief.reading_size,
         noise=max(belief.noise, SMALLEST_NOISE),
-        friction=np.zeros(1, BELIEVED) if friction is None else friction.record(),
+        friction=belief.friction or FrictionCompensation(),
         motors=belief.motors,
-        compensation=friction,
         tuner=tuner,
         disturbance=expected,
         feedback=options.controller.feedback,
@@ -268,7 +266,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
     }
 
     # What is added to its torque: against friction, and against what an observer cannot explain.
-    corrected, friction = observed and controller.feedback, context.compensation
+    corrected, friction = observed and controller.feedback, options.belief.friction
     added: dict[str, Signal] = {"friction_torque": np.zeros(6), "disturbance_torque": np.zeros(6)}
     additions, end = [], []
     if friction is not None:

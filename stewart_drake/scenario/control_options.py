@@ -31,7 +31,6 @@ from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.control.tuners import PaperTuner, Tuner
 from stewart_drake.hardware.motors import MotorOptions, TorqueMotors
-from stewart_drake.hardware.presets import PRESETS, Preset
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.references import AnyReference, RecordedReference, SineReference
 from stewart_drake.robot import RobotParameters
@@ -241,12 +240,16 @@ def _with_robots(
         if believed is not None:
             believed = model[ROBOT_KEY] = _ROBOT.validate_python(believed)
         delay = data.get("command_delay", 0) if model.get("delay") is None else model["delay"]
-        motors = model.get("motors") or data.get("motors", {})
-        in_motors = MOTORS.section(motors).dead_time if motors else 0.0
+        real = MOTORS.section(data.get("motors") or {})
+        known = MOTORS.section(model["motors"]) if model.get("motors") else real
         age = model.get("reading_age")
         age = SENSORS.section(data.get("sensors", {})).delay if age is None else float(age)
-        latency = CONTROLLERS.section(data.get("controller", {})).period * (1 + delay) + in_motors + age
-        friction = _friction(data.get("motors"), model.get("motors"))
+        latency = CONTROLLERS.section(data.get("controller", {})).period * (1 + delay) + known.dead_time + age
+        friction = dict[str, dict[str, Any]]()
+        if gear := real.gear:
+            friction["plant"] = {"friction": None, "motor_friction": gear.coulomb, "motor_damping": gear.viscous}
+        if gear := known.gear:
+            friction["model"] = {"friction": {"coulomb": gear.coulomb, "viscous": gear.viscous, "width": 0.004}}
     except (ConfigurationError, ValueError, TypeError, OverflowError):
         # The checks will say what is wrong with it.
         return data, nullcontext()
@@ -254,18 +257,3 @@ def _with_robots(
         robots["model"] = model
     believed = believed or robot
     return data | robots, defaults_of(robots.get(ROBOT_KEY) or nominal or believed, believed, latency, friction)
-
-
-def _friction(motors: Any, believed: Any) -> dict[str, dict[str, Any]]:
-    """What the sections `plant` and `model` have of friction by default: that of motors that one can buy."""
-
-    def preset(section: Any) -> Preset | None:
-        section = getattr(section, "given", lambda: section)()
-        return PRESETS.get(str(section.get("preset"))) if isinstance(section, Mapping) else None
-
-    result: dict[str, dict[str, Any]] = {}
-    if (real := preset(motors)) is not None:
-        result["plant"] = {"friction": None, "motor_friction": real.coulomb, "motor_damping": real.viscous}
-    if (known := preset(motors if believed is None else believed)) is not None:
-        result["model"] = {"friction": {"coulomb": known.coulomb, "viscous": known.viscous, "width": 0.004}}
-    return result

@@ -20,7 +20,6 @@ from stewart_drake.base.families import user_parts
 from stewart_drake.base.registry import MOTORS, OWN_METRICS, PLANTS, SENSORS
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.base.yaml_files import find_file, parse_changes, read_mapping
-from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.motors import LinkOptions, MotorOptions, TorqueMotors
 from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
@@ -94,7 +93,7 @@ class Scenario(ControlOptions):
         def kinds(parts: Iterable[Any]) -> str:
             return ", ".join(str(part.kind) for part in parts) or "none"
 
-        weighted = isinstance(self.controller, LqiOptions) or self.controller.code is not None
+        weighted = self.controller.weighted or self.controller.code is not None
         safety = "none" if self.safety is None else f"{len(self.safety.monitor_names) - 1} monitors"
         return (
             f"Scenario {self.name}: {self.duration:g} s, gravity {self.gravity:g} m/s^2\n"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from itertools import combinations, product
 from pathlib import Path
@@ -25,7 +24,7 @@ from stewart_drake.logs.outcomes import pose_distance
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.plant.closed_form import ClosedForm
-from stewart_drake.plant.plant_options import CRANK_RATES, POSE, MechanismOptions
+from stewart_drake.plant.plant_options import CRANK_RATES, POSE
 from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.safety import RAMP
 from stewart_drake.scenario.scenario import Scenario, load_scenario
@@ -238,17 +237,11 @@ def travel(log: SimulationLog, since: float) -> tuple[float, float]:
 def _braked(log: SimulationLog) -> np.ndarray:
     """Poses (n, 6) after a run's end, without torque from the motors, until brakes have brought the robot to rest."""
     scenario, step, robot, poses = log.scenario, log.scenario.plant.time_step, log.scenario.robot, []
-    if not isinstance(scenario.plant, MechanismOptions):
-        # Nobody knows how brakes act on a plant of the user's own.
+    if (closed := scenario.plant.braked(robot)) is None:
         return np.empty((0, 6))
     open_for = 0 if log.status == "stopped" else round(BRAKES / step)
-    brakes: dict[str, Any] = {
-        "motor_friction": 0.0,
-        "motor_damping": 0.0,
-        "friction": {"coulomb": robot.effort_limits.tolist()},
-    }
-    closed = replace(scenario.plant, **brakes)
-    plant, held = (ClosedForm(robot, each, scenario.gravity) for each in (scenario.plant, closed))
+    options: tuple[Any, ...] = scenario.plant, closed
+    plant, held = (ClosedForm(robot, each, scenario.gravity) for each in options)
     nothing = np.zeros(6)
     # A robot that has gone through a singularity moves no farther here.
     with suppress(StewartDrakeError):

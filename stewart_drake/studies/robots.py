@@ -1,45 +1,24 @@
-"""Robots of other sizes: the changes of a study, made for the paper's, in the size of another; robots side by side."""
+"""Robots of other sizes: the changes of a study, made for the paper's, in the size of another."""
 
 from __future__ import annotations
 
 import dataclasses
-import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
-from stewart_drake.analysis.workspace import Kind, boundary, spanning_grid, spread_directions, survey
 from stewart_drake.base.config import to_plain
-from stewart_drake.base.markdown import markdown_table
-from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.kinematics import conditioning
 from stewart_drake.references import AdjustedReference, HoldReference, Reference, SumReference, center_of
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, PAPER
 from stewart_drake.runs.checks import adjusted, fit_amplitude
-from stewart_drake.runs.simulation import run
 from stewart_drake.scenario.limits import ReferenceLimits
-from stewart_drake.scenario.scenario import Scenario, load_scenario
+from stewart_drake.scenario.scenario import Scenario
 
 MARGIN = 0.7
 """Of the largest feasible size of a motion, where it is not feasible as it stands: the controller's lag needs room."""
-SCENARIO = "sway"
-SAMPLES = 40_000
-DIRECTIONS = 3000  # Straight ways from home, of which the shortest is what is free in every direction
-HEADER = (
-    "robot",
-    "platform joints at [mm]",
-    "positions [cm^3]",
-    "orientations [% of all]",
-    "free in every direction",
-    "conditioning at home, worst",
-    "torque at rest [N m]",
-    "error in motion [mm], [deg]",
-    "torque RMS, peak [N m]",
-)
 _TORQUES = {
     *(("plant", key) for key in ("motor_friction", "coulomb", "break_away")),
     *(("motors", "ripple"), ("motors", "resolution"), ("link", "size")),
@@ -112,54 +91,3 @@ def _fit_reference(
         if np.shape(size) == (6,):
             return dataclasses.replace(reference, **{name: tuple((MARGIN * share * np.array(size)).tolist())})
     return adjusted(reference, scale=MARGIN * share)
-
-
-def robot_rows(robots: Mapping[str, RobotParameters], progress: Callable[[float], None]) -> list[tuple[str, ...]]:
-    rows = []
-    for done, (name, robot) in enumerate(robots.items(), 1):
-        rows.append((name, *_poses(robot), *_motion(robot)))
-        progress(float(done))
-    return rows
-
-
-def robots_page(rows: list[tuple[str, ...]]) -> str:
-    about = (
-        "Workspaces around home, within the limits of a scenario that gives none: positions without turning,"
-        f" orientations without moving, {SAMPLES:,} poses each. Free in every direction: the largest ball of positions "
-        "and of Euler angles. Conditioning: smallest over largest singular value of the rods' lines, at home and at "
-        f"the worst of these positions. In motion: `{SCENARIO}`, {load_scenario(SCENARIO).duration:g} s of roll 6 deg, "
-        "pitch 3 deg and heave 4 mm at 3 rad/s by the exact-model LQI at 1 kHz, encoders of 17 bits, all weights sized "
-        "by the robot; RMSE of the second half."
-    )
-    table = markdown_table(HEADER, rows)
-    return (
-        f"# Robots side by side\n\n{textwrap.fill(about, 120)}\n\n{table}\n\nCommand: `stewart-drake robots table`.\n"
-    )
-
-
-def _poses(robot: RobotParameters) -> tuple[str, ...]:
-    limits, home, directions = Scenario(robot=robot).limits, robot.home_pose, spread_directions(DIRECTIONS)
-    spaces, free = {}, {}
-    for kind in get_args(Kind):
-        spaces[kind] = survey(robot, limits, spanning_grid(robot, kind, home, SAMPLES))
-        free[kind] = float(boundary(robot, limits, kind, home, directions).radius.min())
-    sizes = {kind: each.size(each.connected) for kind, each in spaces.items()}
-    places = spaces["position"]
-    worst = float(places.measures.conditioning[places.connected].min(initial=1.0)) if places.connected.any() else 0.0
-    return (
-        f"{1e3 * robot.characteristic_length:.0f}",
-        f"{1e6 * sizes['position']:.3g}",
-        f"{100.0 * sizes['orientation']:.2g}",
-        f"{1e3 * free['position']:.1f} mm, {np.degrees(free['orientation']):.1f} deg",
-        f"{conditioning(robot, home):.3f}, {worst:.3f}",
-        f"{float(np.abs(static_torque(robot, home)).max()):.3g}",
-    )
-
-
-def _motion(robot: RobotParameters) -> tuple[str, str]:
-    log = run(load_scenario(SCENARIO).replace({"robot": robot}))
-    figures = run_metrics(log)
-    if log.status != "completed":
-        return f"{log.status}: {log.reason}", "-"
-    error = f"{figures['rmse_norm_mm']:.2g}, {figures['rmse_norm_deg']:.2g}"
-    return error, f"{figures['torque_rms']:.3g}, {figures['torque_peak']:.3g}"

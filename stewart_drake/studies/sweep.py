@@ -258,9 +258,6 @@ def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Experimen
         belief, model = base.belief, base.model
         kept = {"robot": base.to_dict()["robot"], "gravity": belief.gravity, "noise": belief.noise}
         kept |= {"delay": belief.delay, "reading_age": belief.reading_age, "motors": belief.motors.to_dict()}
-        if base.motors.takes == "torque":
-            # Of these nothing is believed.
-            del kept["motors"]
         base = base.replace({f"model.{key}": value for key, value in kept.items() if getattr(model, key) is None})
     values = {key: _without_units(base, key, each) for key, each in file.distributions.items()}
     file = dataclasses.replace(file, distributions=values)

@@ -66,7 +66,7 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
             base.__init__(self, converter=converter)
             options = ClosedFormOptions() if options is None else options
             check_value("gravity", gravity, NotNegative)
-            friction = options.friction_law(robot)
+            friction = options.friction_of(robot)
             if friction["break_away"].any():
                 raise ConfigurationError("friction", "motors that stick", "viscous friction alone, in continuous time")
             self._given, self._home = (robot, options, gravity), home_frames(robot)

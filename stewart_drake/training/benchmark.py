@@ -19,7 +19,6 @@ from stewart_drake.base.markdown import markdown_table
 from stewart_drake.base.registry import TUNERS
 from stewart_drake.base.yaml_files import read_mapping
 from stewart_drake.control.features import CostScales
-from stewart_drake.control.observer import ObserverOptions
 from stewart_drake.control.policy import NAMES, disturbance_of, weights_of
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import METRICS, OUTCOME, Column, run_cost, run_metrics
@@ -89,10 +88,9 @@ def with_setting(setting: Sequence[float] | np.ndarray) -> Candidate:
     decades = np.round(np.asarray(setting, dtype=float), DIGITS)
 
     def changes(_: Case, scenario: Scenario) -> Changes:
-        assert isinstance(scenario.estimator, ObserverOptions)
         weights = weights_of(np.array(scenario.tuner.weights), decades).tolist()
         block = dict(zip(("q_pose", "q_rate", "q_integral", "r"), weights, strict=True))
-        level = float(disturbance_of(scenario.estimator.disturbance, decades))
+        level = float(disturbance_of(scenario.estimator.disturbance_density, decades))
         return {"tuner": {"kind": "block", **block}, "estimator.disturbance": level}
 
     return changes

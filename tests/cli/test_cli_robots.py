@@ -12,7 +12,7 @@ from strategies import ROBOT
 
 from stewart_drake.estimation.poses import MeasurementNoise, load_measurements
 from stewart_drake.estimation.torques import COULOMB, values_of
-from stewart_drake.robot.leg import FrictionOptions
+from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.scenario.scenario import load_scenario
 

@@ -100,7 +100,7 @@ def test_a_load_that_nobody_knows_is_found_and_made_up_for():
     (0.05, 0.0, 0.0, False), (0.05, 0.1, 0.0, True), (0.05, 0.0, 0.1, True), (0.0, 0.0, 0.0, True),
 ])  # fmt: skip
 def test_the_disturbance_stays_while_a_robot_with_friction_rests_where_it_is_wanted(friction, off, turning, grows):
-    tick, _ = begun(friction=FrictionCompensation(coulomb=friction).record())
+    tick, _ = begun(friction=FrictionCompensation(coulomb=friction))
     reference = np.concatenate([HOME + off, np.full(6, turning), STILL])
     seen = tick(inverse_kinematics(ROBOT, HOME) + 1e-5, reference=reference)
     assert (seen["disturbance"] != 0.0).all() == grows

@@ -9,19 +9,26 @@ from strategies import ROBOT, vectors
 from stewart_drake.base.jit import record
 from stewart_drake.mechanics import friction
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
-from stewart_drake.mechanics.friction import friction_law
+from stewart_drake.mechanics.friction import FrictionOptions, bristle_stiffness
 from stewart_drake.mechanics.kinematics import pose_jacobian
 
 STEP = 1e-3
-COULOMB, BREAK_AWAY, STRIBECK_RATE, VISCOUS = 0.05, 0.08, 0.02, 0.01
-LAW = friction_law(COULOMB, BREAK_AWAY, STRIBECK_RATE, VISCOUS, ROBOT.crank_axis_inertias, STEP)
+COULOMB, BREAK_AWAY, STRIBECK_VELOCITY, VISCOUS = 0.05, 0.08, 0.02, 0.01
+
+
+def friction_law(coulomb, break_away, velocity, viscous, step):
+    levels = {"coulomb": coulomb, "break_away": break_away, "stribeck_velocity": velocity, "viscous": viscous}
+    return FrictionOptions.from_dict(levels).record(bristle_stiffness(ROBOT.crank_axis_inertias, step))
+
+
+LAW = friction_law(COULOMB, BREAK_AWAY, STRIBECK_VELOCITY, VISCOUS, STEP)
 # Cranks' accelerations per torque at home, where every motor moves every crank.
 MOBILITY = pose_jacobian(ROBOT, ROBOT.home_pose) @ pose_acceleration_map(ROBOT, ROBOT.home_pose)
 SET = BREAK_AWAY / LAW["stiffness"][0, 0]
 
 laws = st.builds(
     lambda coulomb, more, rate, viscous, step: (
-        friction_law(coulomb, coulomb + more, rate, viscous, ROBOT.crank_axis_inertias, step),
+        friction_law(coulomb, coulomb + more, rate, viscous, step),
         step,
     ),
     st.floats(0.0, 0.5),
@@ -41,13 +48,13 @@ def of(law):
 
 def levels(law, slip):
     k = of(law)
-    return k.coulomb + (k.break_away - k.coulomb) * np.exp(-((slip / k.stribeck_rate) ** 2))
+    return k.coulomb + (k.break_away - k.coulomb) * np.exp(-((slip / k.stribeck_velocity) ** 2))
 
 
-def explicit(law, anchor, slip, angles, rates):
+def explicit(law, anchor, slip, angles, rates, step):
     """Torques (6,) by the equation itself, at the end of a step; bristles as at its beginning."""
     k, bound = of(law), levels(law, slip)
-    return np.clip(k.stiffness * (anchor - angles) - k.damping * rates, -bound, bound) - k.viscous * rates
+    return np.clip(k.stiffness * (anchor - angles - step * rates), -bound, bound) - k.viscous * rates
 
 
 def implicit(law, anchor, slip, angles, rates, mobility=MOBILITY, step=STEP, sweeps=friction.SWEEPS):
@@ -65,7 +72,7 @@ def driven(law, step, moves, tension=0.0):
     for direction, scale in moves:
         increments.append(scale * k.break_away[0] / k.stiffness[0] * direction)
         angles = angles + increments[-1]
-        torques.append(explicit(law, anchor, slip, angles, increments[-1] / step))
+        torques.append(explicit(law, anchor, slip, angles, increments[-1] / step, step))
         friction.update_bristles(record(law), angles, step, anchor, slip)
     return np.array(torques), np.array(increments), anchor, slip
 
@@ -83,7 +90,7 @@ def test_over_any_motion_friction_feeds_at_most_what_its_bristles_held(law_and_s
 @pytest.mark.parametrize("rate", [1e-5, 0.003, 0.02, 0.05, 1.0])
 def test_steady_sliding_meets_the_stribeck_curve(rate):
     torques, _, _, slip = driven(LAW, STEP, [(np.full(6, rate * STEP / SET), 1.0)] * 400)
-    curve = COULOMB + (BREAK_AWAY - COULOMB) * np.exp(-((rate / STRIBECK_RATE) ** 2))
+    curve = COULOMB + (BREAK_AWAY - COULOMB) * np.exp(-((rate / STRIBECK_VELOCITY) ** 2))
     np.testing.assert_allclose(torques[-1], -(curve + VISCOUS * rate), rtol=1e-6)
     np.testing.assert_allclose(slip, rate, rtol=1e-6)
     assert friction.level(record(LAW), 3, rate) == pytest.approx(curve, rel=1e-12)
@@ -96,5 +103,5 @@ def test_the_implicit_torque_is_that_of_the_motion_it_makes(law_and_step, tensio
     anchor, slip, angles = tension * of(law).coulomb / of(law).stiffness, 0.01 * slips, np.zeros(6)
     result = implicit(law, anchor, slip, angles, size * rates, MOBILITY, step, sweeps=100)
     end = size * rates + step * MOBILITY @ result
-    expected = explicit(law, anchor, slip, angles + step * end, end)
+    expected = explicit(law, anchor, slip, angles + step * end, end, step)
     np.testing.assert_allclose(result, expected, atol=1e-9 * of(law).break_away.max())

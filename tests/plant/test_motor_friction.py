@@ -4,9 +4,11 @@ from plant_runs import Run
 from strategies import UNEQUAL
 
 from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.registry import PLANTS
+from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.plant.plant_options import DrakeOptions
-from stewart_drake.robot.leg import FrictionOptions
 from stewart_drake.robot.robot_files import load_robot
 
 SIGNS = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
@@ -43,3 +45,21 @@ def test_bad_friction_is_refused_in_a_line():
         DrakeOptions.from_dict({"friction": {"coulomb": 0.1, "break_away": 0.05}})
     with pytest.raises(ConfigurationError, match=r"plant\.motor_friction: expected 0, because `friction`"):
         DrakeOptions.from_dict({"friction": {}, "motor_friction": 0.1})
+
+
+@pytest.mark.parametrize("kind", ["drake", "closed_form", "mujoco"])
+def test_brakes_hold_each_crank_by_its_motors_limit_whatever_friction_was_given(kind):
+    plant = PLANTS.section({"kind": kind, "motor_friction": 0.1, "motor_damping": 0.01})
+    held = plant.braked(UNEQUAL).friction_options
+    assert (held.coulomb, held.viscous) == (tuple(UNEQUAL.effort_limits), (0.0,) * 6)
+
+
+def test_a_record_of_friction_has_the_names_of_the_keys():
+    levels = {"coulomb": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6], "stribeck_velocity": 0.05, "viscous": 0.02}
+    law = DrakeOptions.from_dict({"friction": levels}).friction_of(UNEQUAL)[0]
+    assert law["coulomb"].tolist() == law["break_away"].tolist() == levels["coulomb"]
+    assert set(law["stribeck_velocity"]) == {0.05}
+    assert set(law["viscous"]) == {0.02}
+    np.testing.assert_allclose(law["stiffness"], 1000.0 * UNEQUAL.crank_axis_inertias / 0.001**2)
+    believed = FrictionCompensation(break_away=0.3, width=0.01).record()[0]
+    assert (believed["break_away"][0], believed["width"], believed["stiffness"].any()) == (0.3, 0.01, False)

@@ -222,8 +222,8 @@ def test_the_makers_model_is_the_robot_that_we_believe():
 @makers
 def test_the_motors_class_has_what_our_robot_has_of_it():
     options = MujocoOptions(model_file="reachy_mini", motor_class="xc330m288t")
-    assert options.friction_options.levels[0] == (0.058,) * 6
-    assert options.friction_options.levels[3] == (0.095,) * 6
+    assert options.friction_options.coulomb == (0.058,) * 6
+    assert options.friction_options.viscous == (0.095,) * 6
     simulated = options.simulated(HEAD)[0]
     assert simulated["rotor_inertia"] == (HEAD.rotor_inertia,) * 6
     assert simulated["effort_limit"] == (0.8,) * 6  # the data sheet has 0.52, and so have we

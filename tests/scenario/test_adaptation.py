@@ -26,20 +26,18 @@ class FrictionLearner(AdaptationOptions):
 
     def parts(self, context):
         believed = FrictionCompensation(width=0.01).part(context).parameters["friction"]
-        state = new_record(fields(**{self.output: believed.nbytes // 8}))
-        state[self.output] = np.frombuffer(believed.tobytes())
+        state = new_record(fields(**{self.output: believed.dtype}), **{self.output: believed})
         constants = {"model": context.robot, "gain": self.gain * context.period, "name": self.output}
         return (Part("learner", learn, constants, {"measurement": 12, "reference": 18}, (self.output,), state),)
 
 
 def learn(model, gain, name, measurement, reference, state):
-    """The first twelve numbers of the friction are its Coulomb and break-away torques."""
     legs = leg_geometry(model, reference[:6])
     rates = crank_rates(model, legs, reference[:6], reference[6:12])
     lag = legs.crank_angles - inverse_kinematics(model, measurement[:6])
     more = gain * lag * np.tanh(rates / 0.01)
-    state[name][0, :6] += more
-    state[name][0, 6:12] += more
+    for level in ("coulomb", "break_away"):
+        state[name][level] += more
 
 
 @pytest.fixture

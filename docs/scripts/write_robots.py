@@ -1,0 +1,88 @@
+"""Writes docs/results/robots.md, or a table of robots of your own: workspace, conditioning, torque, error in motion.
+
+python docs/scripts/write_robots.py
+python docs/scripts/write_robots.py desk.yaml servo_hexapod --out robots.md     # names or YAML files
+"""
+
+import argparse
+import textwrap
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from stewart_drake import load_robot, load_scenario, run, run_metrics
+from stewart_drake.analysis.workspace import Kind, boundary, spanning_grid, spread_directions, survey
+from stewart_drake.base.markdown import markdown_table
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.kinematics import conditioning
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.robot_files import robot_names
+from stewart_drake.scenario.scenario import Scenario
+
+SCENARIO = "sway"
+SAMPLES = 40_000
+DIRECTIONS = 3000  # Straight ways from home, of which the shortest is what is free in every direction
+HEADER = (
+    "robot",
+    "platform joints at [mm]",
+    "positions [cm^3]",
+    "orientations [% of all]",
+    "free in every direction",
+    "conditioning at home, worst",
+    "torque at rest [N m]",
+    "error in motion [mm], [deg]",
+    "torque RMS, peak [N m]",
+)
+
+
+def robots_page(rows: list[tuple[str, ...]]) -> str:
+    """The page of rows of text, see `HEADER`."""
+    about = (
+        "Workspaces around home, within the limits of a scenario that gives none: positions without turning,"
+        f" orientations without moving, {SAMPLES:,} poses each. Free in every direction: the largest ball of positions "
+        "and of Euler angles. Conditioning: smallest over largest singular value of the rods' lines, at home and at "
+        f"the worst of these positions. In motion: `{SCENARIO}`, {load_scenario(SCENARIO).duration:g} s of roll 6 deg, "
+        "pitch 3 deg and heave 4 mm at 3 rad/s by the exact-model LQI at 1 kHz, encoders of 17 bits, all weights sized "
+        "by the robot; RMSE of the second half."
+    )
+    command = "Command: `python docs/scripts/write_robots.py`."
+    return f"# Robots side by side\n\n{textwrap.fill(about, 120)}\n\n{markdown_table(HEADER, rows)}\n\n{command}\n"
+
+
+def _poses(robot: RobotParameters) -> tuple[str, ...]:
+    limits, home, directions = Scenario(robot=robot).limits, robot.home_pose, spread_directions(DIRECTIONS)
+    spaces, free = {}, {}
+    for kind in get_args(Kind):
+        spaces[kind] = survey(robot, limits, spanning_grid(robot, kind, home, SAMPLES))
+        free[kind] = float(boundary(robot, limits, kind, home, directions).radius.min())
+    sizes = {kind: each.size(each.connected) for kind, each in spaces.items()}
+    places = spaces["position"]
+    worst = float(places.measures.conditioning[places.connected].min(initial=1.0)) if places.connected.any() else 0.0
+    return (
+        f"{1e3 * robot.characteristic_length:.0f}",
+        f"{1e6 * sizes['position']:.3g}",
+        f"{100.0 * sizes['orientation']:.2g}",
+        f"{1e3 * free['position']:.1f} mm, {np.degrees(free['orientation']):.1f} deg",
+        f"{conditioning(robot, home):.3f}, {worst:.3f}",
+        f"{float(np.abs(static_torque(robot, home)).max()):.3g}",
+    )
+
+
+def _motion(robot: RobotParameters) -> tuple[str, str]:
+    log = run(load_scenario(SCENARIO).replace({"robot": robot}))
+    figures = run_metrics(log)
+    if log.status != "completed":
+        return f"{log.status}: {log.reason}", "-"
+    error = f"{figures['rmse_norm_mm']:.2g}, {figures['rmse_norm_deg']:.2g}"
+    return error, f"{figures['torque_rms']:.3g}, {figures['torque_peak']:.3g}"
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("names", nargs="*", default=robot_names())
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "results" / "robots.md")
+    given = parser.parse_args()
+    robots = {name: load_robot(name) for name in given.names}
+    rows = [(name, *_poses(robot), *_motion(robot)) for name, robot in robots.items()]
+    given.out.write_text(robots_page(rows), encoding="utf-8")
