@@ -13,7 +13,7 @@ from stewart_drake.scenario.limits import ReferenceLimits
 
 @njit
 def _measure(robot, pose, twist, legs, out):
-    return measure_pose(record(robot), pose, twist, QUICK, record(legs), np.empty((6, 1)), record(out))
+    return measure_pose(record(robot), pose, twist, QUICK, np.inf, record(legs), np.empty((6, 1)), record(out))
 
 
 def measured(robot, pose, twist):
