@@ -30,7 +30,8 @@ from stewart_drake.mechanics.linear_algebra import solve
 def task_inertia(robot: Any, legs: Any, out: Any) -> None:
     """M (6, 6) [kg m^2, kg m, kg]: inertia of the closed chain as the platform feels it."""
     turn = legs.rotation[:]
-    mass, moment, column = robot.platform_mass, np.empty(3), np.empty(3)
+    rows, mass = np.empty((5, 6)), robot.platform_mass
+    moment, column, pull, row, of_tip = rows[0], rows[1], rows[2], rows[3], rows[4]
     out[:] = 0.0
     for k in range(3):
         turned(robot.platform_tensor[:], turn[k], column)
@@ -39,7 +40,6 @@ def task_inertia(robot: Any, legs: Any, out: Any) -> None:
     # A rod is three things to its two ends: m/4 of their sum, and I/l^2 of their difference across the rod. Of the
     # joint's Jacobian [-[arm] I] the square is that of a point mass, and the tip's is a e_N J_i. e_l . (joint - tip) J
     # = 0: the rod keeps its length, so the difference has no part along it.
-    row, of_tip, pull = np.empty(6), np.empty(6), np.empty(3)
     for i in range(6):
         a, arm = robot.crank_length[i], legs.arm[i]
         across = robot.rod_inertia / (robot.rod_length[i] * robot.rod_length[i])
@@ -78,10 +78,9 @@ def loads(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, wr
     """What a motion takes of all bodies: a wrench (6,) [N m, N] about P in B, and a torque (6,) [N m] at the cranks."""
     turn, w, alpha = legs.rotation[:], twist[:3], twist_rate[:3]
     platform_load(robot, turn, twist, twist_rate, gravity, wrench)
-    arm_w, joint, speed, tip, arm_alpha, swing = (
-        np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3),
-    )  # fmt: skip
-    load, other, moment = np.empty(3), np.empty(3), np.empty(3)
+    rows = np.empty((9, 3))  # One array: memory for nine would take longer than what they are for.
+    arm_w, joint, speed, tip, arm_alpha, swing = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
+    load, other, moment = rows[6], rows[7], rows[8]
     for i in range(6):
         a, length, lever = robot.crank_length[i], robot.rod_length[i], legs.lever[i]
         across = robot.rod_inertia / (length * length)
@@ -120,7 +119,8 @@ def loads(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, wr
 @njit
 def platform_load(robot: Any, turn: Any, twist: Any, twist_rate: Any, gravity: float, wrench: Any) -> None:
     """Of the platform alone: I alpha + w x I w about P in its own frame, then what its centre of mass adds in B."""
-    body_w, body_alpha, spin, load, gyro = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.empty(3)
+    rows = np.zeros((9, 3))
+    body_w, body_alpha, spin, load, gyro = rows[0], rows[1], rows[2], rows[3], rows[4]
     for k in range(3):
         for m in range(3):
             body_w[k] += turn[m, k] * twist[m]
@@ -131,7 +131,7 @@ def platform_load(robot: Any, turn: Any, twist: Any, twist_rate: Any, gravity: f
     for k in range(3):
         load[k] += gyro[k]
     turned(turn, load, wrench[:3])
-    centre, lifted, moment, swing = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    centre, lifted, moment, swing = rows[5], rows[6], rows[7], rows[8]
     turned(turn, robot.platform_moment[:], centre)
     for k in range(3):
         lifted[k] = twist_rate[3 + k] + (gravity if k == 2 else 0.0)

@@ -48,7 +48,8 @@ def measure_pose(
         robot: `ROBOT` record.
         pose: (6,) [rad, m].
         twist: (6,) [rad/s, m/s].
-        tolerance, enough: Of `conditioning`.
+        tolerance: Of `conditioning`.
+        enough: Likewise.
         legs: `LEGS` record, out; a lever at a dead centre is that of `DEAD_CENTRE`.
         right: (6, k) right sides of equations whose matrix is the rods' lines, solved in place.
         out: Record with `reach_margin` (6,) as in `LEGS` and `transmission` (6,) |e_l . e_N|, zero of a leg that cannot

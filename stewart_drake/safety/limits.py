@@ -193,7 +193,8 @@ RUNAWAY, FASTEST = 2.0, 15.0  # [-] times the crank speed, or where that is off 
 OBSERVED = fields(reach_margin=6, transmission=6, conditioning=(), assembly_sign=(), speed=6, margin=(5, 6))
 """What a measurement means, extrapolated: that of `measure_pose`, and margin: by which each of `LIMITS` is kept, for
 each leg, negative where it is broken, infinite where it is off. conditioning: a lower bound where that is enough,
-negative where the lines' determinant has changed its sign, infinite out of reach. speed: out of reach those of the pose that is not extrapolated, or 0."""
+negative where the lines' determinant has changed its sign, infinite out of reach. speed: out of reach those of the pose
+that is not extrapolated, or 0."""
 
 
 def params_of(

@@ -153,8 +153,8 @@ class Controller:
 def _number(value: Any) -> float:
     """NaN for what is no number."""
     try:
-        # What is a float is asked first: for the rest Python goes through a list of classes.
-        return float(value) if isinstance(value, float) or isinstance(value, (Real, np.ndarray)) else np.nan
+        # `Real` comes last: Python asks it slowly.
+        return float(value) if isinstance(value, (float, np.ndarray, Real)) else np.nan
     except Exception:
         return np.nan
 
