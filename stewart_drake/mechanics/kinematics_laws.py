@@ -147,10 +147,7 @@ def euler_drift(rpy: Any, rate: Any, out: Any) -> None:
 
 @njit
 def euler_moments(rpy: Any, rows: Any) -> None:
-    """Turns moments in B, which act on angular velocity, into ones that act on Euler rates, in place.
-
-    They are the first three numbers of rows (n, 6).
-    """
+    """Turns moments in B, the first three numbers of rows (n, 6), into ones that act on Euler rates, in place."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
     for i in range(len(rows)):
         x, y, z = rows[i, 0], rows[i, 1], rows[i, 2]
@@ -263,7 +260,7 @@ def conditioning(robot: Any, legs: Any, tolerance: float, enough: float) -> floa
     nothing about dead centres, see `LEGS.transmission`. `tolerance` is that of `linear_algebra.singular_vectors`;
     `QUICK` does for a check.
     """
-    scaled, s, v = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
+    scaled, s, v = np.empty((6, 6)), np.empty(6), np.zeros((6, 6))
     center, moment = np.empty(3), np.empty(3)
     turned(legs.rotation[:], robot.center[:], center)
     for i in range(6):
@@ -271,18 +268,16 @@ def conditioning(robot: Any, legs: Any, tolerance: float, enough: float) -> floa
         for k in range(3):
             scaled[i, k] = (legs.line[i, k] - moment[k]) / robot.length
             scaled[i, 3 + k] = legs.line[i, 3 + k]
-    if enough < np.inf:
-        inverse, size, inverse_size = np.zeros((6, 6)), 0.0, 0.0
+        v[i, i] = 1.0
+    if enough < np.inf and solve(scaled.copy(), v) != 0.0:
+        size, inverse_size = 0.0, 0.0
         for i in range(6):
-            inverse[i, i] = 1.0
-        if solve(scaled.copy(), inverse) != 0.0:
-            for i in range(6):
-                for k in range(6):
-                    size += scaled[i, k] * scaled[i, k]
-                    inverse_size += inverse[i, k] * inverse[i, k]
-            bound = 1.0 / np.sqrt(size * inverse_size)
-            if bound >= enough:
-                return bound
+            for k in range(6):
+                size += scaled[i, k] * scaled[i, k]
+                inverse_size += v[i, k] * v[i, k]
+        bound = 1.0 / np.sqrt(size * inverse_size)
+        if bound >= enough:
+            return bound
     singular_vectors(scaled, s, v, tolerance)
     smallest, largest = s[0], s[0]
     for i in range(1, 6):
