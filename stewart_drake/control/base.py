@@ -213,7 +213,7 @@ def measured_legs(robot: Any, measurement: Any, legs: Any) -> Any:
             worst, leg = abs(legs.transmission[i]), i
     if worst < CONTROLLED.transmission:
         return SERIAL, leg, worst
-    ratio = conditioning(robot, legs, QUICK)
+    ratio = conditioning(robot, legs, QUICK, CONTROLLED.conditioning)
     return OK if ratio >= CONTROLLED.conditioning else PARALLEL, -1, ratio
 
 

@@ -89,14 +89,14 @@ acceleration of a crank for its own torque [1/(kg m^2)]. age: of a reading, ahea
 the command of its tick acts [ticks]."""
 _STATE = fields(
     measurement=12, predicted=12, disturbance_torque=6, innovation=6, health=2,
-    read=12, disturbance=6, missed=6, assembly_sign=(), commands=(LONGEST_DELAY + 1, 6),
+    read=12, next=12, disturbance=6, missed=6, assembly_sign=(), commands=(LONGEST_DELAY + 1, 6),
 )  # fmt: skip
 """measurement: pose and rate now [rad, m and 1/s]. predicted: likewise when the command of this tick will act.
 disturbance_torque: against what is not explained, for the command [N m]. innovation: readings less what was expected of
-them, 0 where one is missing [rad]. read: pose and rate at the time of which the reading tells. disturbance:
-acceleration of the cranks that the model does not explain [rad/s^2]. missed: ticks in a row without a reading.
-assembly_sign: of the rods' determinant, 0 before the first tick. commands: the last `ahead` + 1, oldest first
-[N m]."""
+them, 0 where one is missing [rad]. read: pose and rate at the time of which the reading tells. next: what they will
+be a tick later, where a delay makes the observer look ahead. disturbance: acceleration of the cranks that the model
+does not explain [rad/s^2]. missed: ticks in a row without a reading. assembly_sign: of the rods' determinant, 0 before
+the first tick. commands: the last `ahead` + 1, oldest first [N m]."""
 
 
 @njit
@@ -207,10 +207,12 @@ def _correct(
 ) -> Any:  # fmt: skip
     """Prediction and correction; pose and rate in the state become those of the reading."""
     h = params.period
-    pose, rate = state.read[:6].copy(), state.read[6:].copy()
-    status, leg, margin = predict(robot, params, state.commands[0], state.disturbance[:], pose, rate, legs)
-    if status != OK:
-        return status, leg, margin
+    pose, rate = state.next[:6].copy(), state.next[6:].copy()
+    if params.ahead == 0.0:
+        pose, rate = state.read[:6].copy(), state.read[6:].copy()
+        status, leg, margin = predict(robot, params, state.commands[0], state.disturbance[:], pose, rate, legs)
+        if status != OK:
+            return status, leg, margin
     bad = legs_at(robot, pose, legs)
     if bad >= 0:
         copy_to(state.measurement[:6], pose)
@@ -284,6 +286,8 @@ def _look_ahead(robot: Any, params: Any, legs: Any, state: Any) -> Any:
             )
             if status != OK:
                 return status, leg, margin
+        if row == 1:
+            copy_to(state.next[:], predicted)
         if row == int(params.age):
             copy_to(state.measurement[:], predicted[:])
     bad = legs_at(robot, predicted[:6], legs)

@@ -22,6 +22,7 @@ from stewart_drake.robot import RobotParameters
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 HEALTHY = (0.0, -1.0)
 """The health of a part whose last tick did not fail: no cause, no leg."""
+_HEALTHY = np.array(HEALTHY)
 
 
 class Part(NamedTuple):
@@ -166,7 +167,7 @@ class BoundPart:
     ) -> None:
         self.part = part
         self._scratch = tuple(np.zeros(1, kind) for kind in part.scratch)
-        self._before = part.initial.copy()
+        self._before = np.empty(part.initial.nbytes // 8)
         for name, array in signals.items():
             part.check_signal(name, np.dtype((array.dtype, array.shape)))
         # Copies: a kernel is compiled for arrays that may be written, as a signal or a Context's numbers are.
@@ -178,6 +179,9 @@ class BoundPart:
         """Other arrays in the place of those that were given."""
         self._kernel: Callable[..., Any] = self.part.kernel
         self.state = state
+        if self.part.fault_tolerant:
+            # Plain arrays: numpy copies records field by field.
+            self._numbers, self._health = state.view(np.float64), state["health"][0]
         self.arguments = (*parameters, *self._constants, *inputs, *self._scratch, state)
 
     def __call__(self) -> None:
@@ -187,15 +191,15 @@ class BoundPart:
             if result is not None and result[0] != 0:
                 raise self._error(result)
             return
-        np.copyto(self._before, self.state)
+        self._before[:] = self._numbers
         try:
             result = self._kernel(*self.arguments)
             if result is not None and result[0] != 0:
                 raise self._error(result)
-            self.state["health"] = HEALTHY
+            self._health[:] = _HEALTHY
         except RunFailure as error:
-            np.copyto(self.state, self._before)
-            self.state["health"] = failure_code(error.reason), -1.0 if error.leg is None else error.leg
+            self._numbers[:] = self._before
+            self._health[:] = failure_code(error.reason), -1.0 if error.leg is None else error.leg
 
     def _error(self, result: Any) -> RunFailure:
         named = dict(zip((*self.part.leading, *self.part.inputs), self.arguments, strict=False))

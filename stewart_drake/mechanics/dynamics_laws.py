@@ -19,6 +19,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     dot,
     euler_drift,
     euler_rates,
+    euler_rates_of_columns,
     turned,
     twist_of,
 )
@@ -29,42 +30,45 @@ from stewart_drake.mechanics.linear_algebra import solve
 def task_inertia(robot: Any, legs: Any, out: Any) -> None:
     """M (6, 6) [kg m^2, kg m, kg]: inertia of the closed chain as the platform feels it."""
     turn = legs.rotation[:]
+    rows, mass = np.empty((5, 6)), robot.platform_mass
+    moment, column, pull, row, of_tip = rows[0], rows[1], rows[2], rows[3], rows[4]
     out[:] = 0.0
-    for j in range(3):
-        for k in range(3):
-            for m in range(3):
-                for n in range(3):
-                    out[j, k] += turn[j, m] * robot.platform_tensor[m, n] * turn[k, n]
-        out[3 + j, 3 + j] = robot.platform_mass
-    moment = np.empty(3)
-    turned(turn, robot.platform_moment[:], moment)
-    x, y, z = moment[0], moment[1], moment[2]
-    out[0, 4], out[0, 5], out[1, 3], out[1, 5], out[2, 3], out[2, 4] = -z, y, z, -x, -y, x
-    # A rod is three things to its two ends: m/4 of their sum, and I/l^2 of their difference across the rod. Written out
-    # with the joint's Jacobian [-[arm] I] and the tip's a e_N J_i, all terms are dyads of few vectors.
-    joint, tip, row = np.zeros((3, 6)), np.empty((3, 6)), np.empty(6)
     for k in range(3):
-        joint[k, 3 + k] = 1.0
+        turned(robot.platform_tensor[:], turn[k], column)
+        turned(turn, column, out[k, :3])
+    turned(turn, robot.platform_moment[:], moment)
+    # A rod is three things to its two ends: m/4 of their sum, and I/l^2 of their difference across the rod. Of the
+    # joint's Jacobian [-[arm] I] the square is that of a point mass, and the tip's is a e_N J_i. e_l . (joint - tip) J
+    # = 0: the rod keeps its length, so the difference has no part along it.
     for i in range(6):
+        a, arm = robot.crank_length[i], legs.arm[i]
         across = robot.rod_inertia / (robot.rod_length[i] * robot.rod_length[i])
         both, apart = 0.25 * robot.rod_mass + across, 0.25 * robot.rod_mass - across
-        x, y, z = legs.arm[i, 0], legs.arm[i, 1], legs.arm[i, 2]
-        joint[0, 1], joint[0, 2] = z, -y
-        joint[1, 0], joint[1, 2] = -z, x
-        joint[2, 0], joint[2, 1] = y, -x
+        mass += both
+        square = both * dot(arm, arm)
+        for j in range(3):
+            moment[j] += both * arm[j]
+            out[j, j] += square
+            for k in range(j, 3):
+                out[j, k] -= both * arm[j] * arm[k]
+        cross(arm, legs.e_n[i], pull)
+        of_crank = robot.crank_inertia[i] + both * a * a
         for j in range(6):
             row[j] = legs.line[i, j] / legs.lever[i]
-            for k in range(3):
-                tip[k, j] = robot.crank_length[i] * legs.e_n[i, k] * row[j]
-        # e_l . (joint - tip) J = 0: the rod keeps its length, so the difference has no part along it.
+            of_tip[j] = apart * a * (pull[j] if j < 3 else legs.e_n[i, j - 3])
         for j in range(6):
             for k in range(j, 6):
-                value = robot.crank_inertia[i] * row[j] * row[k]
-                for m in range(3):
-                    value += both * (joint[m, j] * joint[m, k] + tip[m, j] * tip[m, k])
-                    value += apart * (joint[m, j] * tip[m, k] + tip[m, j] * joint[m, k])
-                out[j, k] += value
+                out[j, k] += row[j] * (of_crank * row[k] + of_tip[k]) + of_tip[j] * row[k]
+    x, y, z = moment[0], moment[1], moment[2]
+    out[0, 4] -= z
+    out[0, 5] += y
+    out[1, 3] += z
+    out[1, 5] -= x
+    out[2, 3] -= y
+    out[2, 4] += x
     for j in range(6):
+        if j >= 3:
+            out[j, j] += mass
         for k in range(j):
             out[j, k] = out[k, j]
 
@@ -74,10 +78,9 @@ def loads(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, wr
     """What a motion takes of all bodies: a wrench (6,) [N m, N] about P in B, and a torque (6,) [N m] at the cranks."""
     turn, w, alpha = legs.rotation[:], twist[:3], twist_rate[:3]
     platform_load(robot, turn, twist, twist_rate, gravity, wrench)
-    arm_w, joint, speed, tip, arm_alpha, swing = (
-        np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3),
-    )  # fmt: skip
-    load, other, moment = np.empty(3), np.empty(3), np.empty(3)
+    rows = np.empty((9, 3))  # One array: memory for nine would take longer than what they are for.
+    arm_w, joint, speed, tip, arm_alpha, swing = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
+    load, other, moment = rows[6], rows[7], rows[8]
     for i in range(6):
         a, length, lever = robot.crank_length[i], robot.rod_length[i], legs.lever[i]
         across = robot.rod_inertia / (length * length)
@@ -116,7 +119,8 @@ def loads(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, wr
 @njit
 def platform_load(robot: Any, turn: Any, twist: Any, twist_rate: Any, gravity: float, wrench: Any) -> None:
     """Of the platform alone: I alpha + w x I w about P in its own frame, then what its centre of mass adds in B."""
-    body_w, body_alpha, spin, load, gyro = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.empty(3)
+    rows = np.zeros((9, 3))
+    body_w, body_alpha, spin, load, gyro = rows[0], rows[1], rows[2], rows[3], rows[4]
     for k in range(3):
         for m in range(3):
             body_w[k] += turn[m, k] * twist[m]
@@ -127,7 +131,7 @@ def platform_load(robot: Any, turn: Any, twist: Any, twist_rate: Any, gravity: f
     for k in range(3):
         load[k] += gyro[k]
     turned(turn, load, wrench[:3])
-    centre, lifted, moment, swing = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    centre, lifted, moment, swing = rows[5], rows[6], rows[7], rows[8]
     turned(turn, robot.platform_moment[:], centre)
     for k in range(3):
         lifted[k] = twist_rate[3 + k] + (gravity if k == 2 else 0.0)
@@ -229,17 +233,12 @@ def pose_acceleration_map(robot: Any, legs: Any, pose: Any, out: Any) -> bool:
 
     The exact counterpart of M^-1 tau in (10); [rad/s^2/(N m), m/s^2/(N m)].
     """
-    inertia, column = np.empty((6, 6)), np.empty(3)
+    inertia = np.empty((6, 6))
     task_inertia(robot, legs, inertia)
     for i in range(6):
         for k in range(6):
             out[k, i] = legs.line[i, k] / legs.lever[i]
     if solve(inertia, out) == 0.0:
         return False
-    for i in range(6):
-        for k in range(3):
-            column[k] = out[k, i]
-        euler_rates(pose[:3], column, column)
-        for k in range(3):
-            out[k, i] = column[k]
+    euler_rates_of_columns(pose[:3], out)
     return True

@@ -125,6 +125,17 @@ def euler_rates(rpy: Any, omega: Any, out: Any) -> None:
 
 
 @njit
+def euler_rates_of_columns(rpy: Any, columns: Any) -> None:
+    """`euler_rates` of the first three numbers of columns (6, n), in place."""
+    sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
+    for i in range(columns.shape[1]):
+        x, y = columns[0, i], columns[1, i]
+        roll = (cy * x + sy * y) / cp
+        columns[0, i], columns[1, i] = roll, cy * y - sy * x
+        columns[2, i] += sp * roll
+
+
+@njit
 def euler_drift(rpy: Any, rate: Any, out: Any) -> None:
     """What Euler rates (3,) that do not change add to the angular acceleration: out (3,) = dE/dt rate [rad/s^2]."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
@@ -135,11 +146,12 @@ def euler_drift(rpy: Any, rate: Any, out: Any) -> None:
 
 
 @njit
-def euler_moment(rpy: Any, moment: Any) -> None:
-    """Turns a moment in B (3,), which acts on angular velocity, into one that acts on Euler rates, in place."""
+def euler_moments(rpy: Any, rows: Any) -> None:
+    """Turns moments in B, the first three numbers of rows (n, 6), into ones that act on Euler rates, in place."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
-    x, y, z = moment[0], moment[1], moment[2]
-    moment[0], moment[1] = cp * (cy * x + sy * y) - sp * z, cy * y - sy * x
+    for i in range(len(rows)):
+        x, y, z = rows[i, 0], rows[i, 1], rows[i, 2]
+        rows[i, 0], rows[i, 1] = cp * (cy * x + sy * y) - sp * z, cy * y - sy * x
 
 
 @njit
@@ -238,14 +250,17 @@ def crank_jacobian(legs: Any, out: Any) -> None:
 
 
 @njit
-def conditioning(robot: Any, legs: Any, tolerance: float) -> float:
+def conditioning(robot: Any, legs: Any, tolerance: float, enough: float) -> float:
     """sigma_min / sigma_max of the rods' lines (14), rotations over the characteristic length [-].
+
+    Where that is clearly more than `enough`, a lower bound of it that is no less, for a tenth of the time: one over
+    the norms of the matrix and its inverse, which are at least sigma_max and 1 / sigma_min.
 
     Rotations are about the platform's centre, whatever tool poses tell of. Zero at a parallel singularity; it says
     nothing about dead centres, see `LEGS.transmission`. `tolerance` is that of `linear_algebra.singular_vectors`;
     `QUICK` does for a check.
     """
-    scaled, s, v = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
+    scaled, s, v = np.empty((6, 6)), np.empty(6), np.zeros((6, 6))
     center, moment = np.empty(3), np.empty(3)
     turned(legs.rotation[:], robot.center[:], center)
     for i in range(6):
@@ -253,6 +268,16 @@ def conditioning(robot: Any, legs: Any, tolerance: float) -> float:
         for k in range(3):
             scaled[i, k] = (legs.line[i, k] - moment[k]) / robot.length
             scaled[i, 3 + k] = legs.line[i, 3 + k]
+        v[i, i] = 1.0
+    if enough < np.inf and solve(scaled.copy(), v) != 0.0:
+        size, inverse_size = 0.0, 0.0
+        for i in range(6):
+            for k in range(6):
+                size += scaled[i, k] * scaled[i, k]
+                inverse_size += v[i, k] * v[i, k]
+        bound = 1.0 / np.sqrt(size * inverse_size)
+        if bound >= enough:
+            return bound
     singular_vectors(scaled, s, v, tolerance)
     smallest, largest = s[0], s[0]
     for i in range(1, 6):
@@ -272,7 +297,7 @@ def crank_tips(robot: Any, theta: Any, out: Any) -> None:
 @njit
 def closures(robot: Any, tips: Any, pose: Any, errors: Any, slope: Any) -> None:
     """Errors (6, 1) [m] of the rods' lengths from crank tips (6, 3) at a pose, and their derivatives by it (6, 6)."""
-    turn, arm, rod, moment = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    turn, arm, rod = np.empty((3, 3)), np.empty(3), np.empty(3)
     rotation(pose[:3], turn)
     for i in range(6):
         turned(turn, robot.joint[i], arm)
@@ -282,10 +307,10 @@ def closures(robot: Any, tips: Any, pose: Any, errors: Any, slope: Any) -> None:
         errors[i, 0] = size - robot.rod_length[i]
         for k in range(3):
             rod[k] /= size
-        cross(arm, rod, moment)
-        euler_moment(pose[:3], moment)
+        cross(arm, rod, slope[i, :3])
         for k in range(3):
-            slope[i, k], slope[i, 3 + k] = moment[k], rod[k]
+            slope[i, 3 + k] = rod[k]
+    euler_moments(pose[:3], slope)
 
 
 @njit

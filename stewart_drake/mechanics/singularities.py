@@ -39,7 +39,9 @@ DEAD_CENTRE = 1e-9
 
 
 @njit
-def measure_pose(robot: Any, pose: Any, twist: Any, tolerance: float, legs: Any, right: Any, out: Any) -> bool:
+def measure_pose(
+    robot: Any, pose: Any, twist: Any, tolerance: float, enough: float, legs: Any, right: Any, out: Any
+) -> bool:
     """Reach, distance from singularities and crank speeds at a pose: the law of planning and of the safety layer.
 
     Args:
@@ -47,6 +49,7 @@ def measure_pose(robot: Any, pose: Any, twist: Any, tolerance: float, legs: Any,
         pose: (6,) [rad, m].
         twist: (6,) [rad/s, m/s].
         tolerance: Of `conditioning`.
+        enough: Likewise.
         legs: `LEGS` record, out; a lever at a dead centre is that of `DEAD_CENTRE`.
         right: (6, k) right sides of equations whose matrix is the rods' lines, solved in place.
         out: Record with `reach_margin` (6,) as in `LEGS` and `transmission` (6,) |e_l . e_N|, zero of a leg that cannot
@@ -62,7 +65,8 @@ def measure_pose(robot: Any, pose: Any, twist: Any, tolerance: float, legs: Any,
         out.reach_margin[i] = -np.inf if np.isnan(legs.reach_margin[i]) else legs.reach_margin[i]
         out.transmission[i] = abs(legs.transmission[i]) if out.reach_margin[i] >= 0.0 else 0.0
     if spans:
-        out.conditioning, out.assembly_sign = conditioning(robot, legs, tolerance), solve(legs.line.copy(), right)
+        out.conditioning = conditioning(robot, legs, tolerance, enough)
+        out.assembly_sign = solve(legs.line.copy(), right)
         crank_speeds(robot, legs, twist, out.speed[:])
     return spans
 

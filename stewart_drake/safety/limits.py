@@ -18,7 +18,7 @@ from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import inverse_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.mechanics.linear_algebra import copy_to
-from stewart_drake.mechanics.singularities import MONITORED, crank_speeds, measure_pose
+from stewart_drake.mechanics.singularities import MONITORED, WEIGHT_TRUSTED, crank_speeds, measure_pose
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, TORQUE
 from stewart_drake.safety.residual import LONGEST_HALF, ONE_LEG_SHARE
@@ -192,8 +192,9 @@ RUNAWAY, FASTEST = 2.0, 15.0  # [-] times the crank speed, or where that is off 
 
 OBSERVED = fields(reach_margin=6, transmission=6, conditioning=(), assembly_sign=(), speed=6, margin=(5, 6))
 """What a measurement means, extrapolated: that of `measure_pose`, and margin: by which each of `LIMITS` is kept, for
-each leg, negative where it is broken, infinite where it is off. conditioning: negative where the lines' determinant has
-changed its sign, infinite out of reach. speed: out of reach those of the pose that is not extrapolated, or 0."""
+each leg, negative where it is broken, infinite where it is off. conditioning: a lower bound where that is enough,
+negative where the lines' determinant has changed its sign, infinite out of reach. speed: out of reach those of the pose
+that is not extrapolated, or 0."""
 
 
 def params_of(
@@ -270,7 +271,8 @@ def observe(
     wanted, margin, twist = np.empty((3, 3)), observed.margin, np.empty(6)
     ahead, turn = pose + params.horizon * rate, np.empty((3, 3))
     laws.twist_of(pose, rate, twist)
-    reached = measure_pose(robot, ahead, twist, laws.QUICK, legs, np.empty((6, 1)), observed)
+    enough = max(params.conditioning, WEIGHT_TRUSTED.conditioning)
+    reached = measure_pose(robot, ahead, twist, laws.QUICK, enough, legs, np.empty((6, 1)), observed)
     angle = _angle(legs.rotation[0, 0] + legs.rotation[1, 1] + legs.rotation[2, 2])
     margin[0] = min(_margin(params.workspace[0], angle), _margin(params.workspace[1], _distance(ahead, params.home)))
     if reached:

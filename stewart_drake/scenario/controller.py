@@ -13,6 +13,7 @@ from stewart_drake.base.sampling import InBlocks
 from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.motors import within_limit
 from stewart_drake.loop.part import LoopRunner, Part
+from stewart_drake.mechanics.linear_algebra import all_finite
 from stewart_drake.safety import LEVELS, Stillness, first_trip
 from stewart_drake.scenario.assembly import ControlSide, control_side
 from stewart_drake.scenario.control_options import ControlOptions
@@ -108,7 +109,7 @@ class Controller:
         for signal, evaluate in self._sources:
             signal[:] = evaluate(now)
         self._running.run(self._ticks)
-        if not np.isfinite(self._command).all():
+        if not all_finite(self._command):
             raise NotFiniteError("command", self._command.copy())
         out[:] = within_limit(self._command, self._limits)
         self._running.end(self._ticks)
@@ -152,7 +153,8 @@ class Controller:
 def _number(value: Any) -> float:
     """NaN for what is no number."""
     try:
-        return float(value) if isinstance(value, (Real, np.ndarray)) else np.nan
+        # `Real` comes last: Python asks it slowly.
+        return float(value) if isinstance(value, (float, np.ndarray, Real)) else np.nan
     except Exception:
         return np.nan
 

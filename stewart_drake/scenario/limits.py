@@ -358,7 +358,7 @@ def _measure(robot: Any, gravity: float, apart: float, poses: Any, rates: Any, a
         inverse[:] = 0.0
         for i in range(6):
             inverse[i, i] = 1.0
-        if not measure_pose(robot, poses[n], twist, 1e-14, legs, inverse, m):
+        if not measure_pose(robot, poses[n], twist, 1e-14, np.inf, legs, inverse, m):
             m.transmission[:] = np.nan
             continue
         _rod_directions(legs, m.rod[:])

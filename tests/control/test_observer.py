@@ -81,6 +81,16 @@ def test_it_sees_where_the_robot_will_be_when_the_command_acts(pose, rate, delay
     np.testing.assert_allclose(seen["predicted"][6:], ahead[1], atol=2e-3)
 
 
+@pytest.mark.parametrize("delay", [1, 2])
+def test_what_a_delay_makes_it_predict_is_what_it_expects_of_the_next_reading(delay):
+    rate, missing = np.array([0.3, -0.2, 0.1, 0.05, 0.02, -0.04]), np.full(6, np.nan)
+    (tick, first), (tick_at_once, _) = begun(rate=rate, delay=delay), begun(rate=rate)
+    expected = first["next"].copy()
+    found = tick(missing)["read"]
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(found, tick_at_once(missing)["read"])
+
+
 def test_a_load_that_nobody_knows_is_found_and_made_up_for():
     load = np.array([0.05, -0.1, 0.02, 0.0, 0.08, -0.03])
     still = static_torque(ROBOT, HOME, GRAVITY)

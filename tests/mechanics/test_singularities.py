@@ -1,5 +1,6 @@
 import numpy as np
 from hypothesis import given
+from hypothesis import strategies as st
 from strategies import ROBOT, robots_and_poses, vectors
 
 from stewart_drake.base.jit import njit, record
@@ -12,13 +13,13 @@ from stewart_drake.scenario.limits import ReferenceLimits
 
 
 @njit
-def _measure(robot, pose, twist, legs, out):
-    return measure_pose(record(robot), pose, twist, QUICK, record(legs), np.empty((6, 1)), record(out))
+def _measure(robot, pose, twist, enough, legs, out):
+    return measure_pose(record(robot), pose, twist, QUICK, enough, record(legs), np.empty((6, 1)), record(out))
 
 
-def measured(robot, pose, twist):
+def measured(robot, pose, twist, enough=np.inf):
     out = np.full((1, OBSERVED.itemsize // 8), np.nan).view(OBSERVED)[0]
-    return _measure(robot_record(robot), pose, twist, np.empty(1, LEGS), out), out[0]
+    return _measure(robot_record(robot), pose, twist, enough, np.empty(1, LEGS), out), out[0]
 
 
 def test_a_motion_is_planned_further_away_than_it_is_stopped_and_stopped_further_away_than_a_controller_fails():
@@ -41,6 +42,16 @@ def test_measures_of_a_pose_are_what_kinematics_gives_for_each(at, rate):
     assert found["assembly_sign"] == np.sign(np.linalg.det(lines))
     sigma = np.linalg.svd(lines / ([robot.characteristic_length] * 3 + [1.0] * 3), compute_uv=False)
     np.testing.assert_allclose(found["conditioning"], sigma[-1] / sigma[0], rtol=1e-6)
+
+
+@given(at=robots_and_poses(), enough=st.floats(1e-3, 1.0))
+def test_the_conditioning_is_what_it_is_or_a_lower_bound_that_is_enough(at, enough):
+    (_, exact), (_, found) = (measured(*at, np.zeros(6), least) for least in (np.inf, enough))
+    exact, found = exact["conditioning"], found["conditioning"]
+    assert found == exact or enough <= found < exact
+    # The bound is by the norms of Frobenius, each at most sqrt(6) times too large.
+    assert found < exact or exact < 6.001 * enough
+    assert found >= exact / 6.001
 
 
 def test_a_leg_out_of_reach_transmits_nothing_and_the_others_what_they_do():
