@@ -269,7 +269,7 @@ class AnnTuner(PartSystem):
 class ScenarioSystem(PartSystem):
     """A part of the loop of a scenario, by its name; its ports are the part's.
 
-    controller: measurement, reference -> torque; by kind also weights, integral.
+    controller: measurement, reference -> torque; by kind also weights, integral, and reference_now of a pid.
     encoders: crank_state -> reading, angles of the cranks as they are read.
     estimator: reading -> measurement, by forward kinematics and differences.
     friction_compensation: reference -> friction_torque, against the motors' friction.

@@ -66,7 +66,7 @@ def test_ports_are_those_of_the_docstring(system):
 FRICTION = {"model": {"friction": {"coulomb": 0.01}}}
 OBSERVER = {"sensors": "encoders", "estimator": "observer"}
 SCENARIOS = {
-    "controller": {"controller": "pid"},
+    "controller": {"controller": "computed_torque"},
     "encoders": {"sensors": "encoders"},
     "estimator": {"sensors": "encoders"},
     "observer": OBSERVER,
