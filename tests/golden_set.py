@@ -172,7 +172,7 @@ def line_conditioning(robot, legs):
 def motor_friction(angles, rate, mobility):
     levels = {"coulomb": 0.02, "break_away": 0.03, "stribeck_velocity": 0.01, "viscous": 0.005}
     stiffness = friction.bristle_stiffness(np.linspace(2e-4, 3e-4, 6), 1e-3)
-    law = friction.FrictionOptions.from_dict(levels).record(stiffness)[0]
+    law = friction.FrictionOptions.from_dict(levels).record(stiffness, 1e-3)[0]
     found = {"anchor": angles.copy(), "implicit_torque": np.empty_like(angles)}
     for row in np.ndindex(angles.shape[:-1]):
         bristles = np.zeros(1, [("anchor", float, 6), ("slip", float, 6)])

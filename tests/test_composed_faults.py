@@ -158,4 +158,4 @@ def test_composed_faults(motion, encoders, chosen):
     assert log.status in true_outcomes(log), (log.status, log.reason, log.message)
     assert (log.status == "completed") == (log.reason is None) == (log.outcome_time is None)
     # Motors that are wired wrong or dead give other torques than they are asked for.
-    check_torques(log, changes.get("motors", {}).keys() & {"faults", "dead"})
+    check_torques(log, changes.get("motors", {}).keys() & {"faults", "dead", "ripple"})

@@ -145,7 +145,7 @@ def allowed_tick(robot: Any, params: Any, asked: Any, legs: Any, state: Any) -> 
     turn = np.arccos(min(1.0, 0.5 * (legs.rotation[0, 0] + legs.rotation[1, 1] + legs.rotation[2, 2] - 1.0)))
     if turn > params.workspace[0] or shift > params.workspace[1] ** 2:
         return
-    if laws.conditioning(robot, legs, laws.QUICK) >= PLANNED.conditioning:
+    if laws.conditioning(robot, legs, laws.QUICK, PLANNED.conditioning) >= PLANNED.conditioning:
         state.allowed = 1.0
 
 

@@ -26,9 +26,9 @@ from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import fields, new_record, njit
 from stewart_drake.robot.leg import Moderate, Size
 
-FRICTION = fields(coulomb=6, break_away=6, stribeck_velocity=6, viscous=6, width=(), stiffness=6)
+FRICTION = fields(coulomb=6, break_away=6, stribeck_velocity=6, viscous=6, width=(), stiffness=6, damping=6)
 """Friction of six motors, see `FrictionOptions`; width: of a crank's reversal as a controller compensates it [rad/s];
-stiffness: k of a plant's bristles [N m/rad], whose damper d is k times the step. Each is 0 where it is not used."""
+stiffness, damping: k [N m/rad] of a plant's bristles, and d, k times the plant's step. Each is 0 where not used."""
 
 STIFFNESS_NUMBER = 1000.0
 """k h^2 / I of a bristle, for a crank's inertia I and a step h. Taken implicitly a bristle is stable whatever this is:
@@ -72,10 +72,10 @@ class FrictionOptions(Section, key="plant.friction"):
             if above < below:
                 raise ConfigurationError("break_away", above, f"at least `coulomb`, {below:g} N m")
 
-    def record(self, stiffness: Any = 0.0) -> np.ndarray:
-        """`FRICTION` record, with bristles of a stiffness (6,) [N m/rad]."""
+    def record(self, stiffness: Any = 0.0, step: float = 0.0) -> np.ndarray:
+        """`FRICTION` record, with bristles of a stiffness (6,) [N m/rad] for a plant's step [s]."""
         break_away = self.coulomb if self.break_away is None else self.break_away
-        return new_record(FRICTION, self, break_away=break_away, stiffness=stiffness)
+        return new_record(FRICTION, self, break_away=break_away, stiffness=stiffness, damping=stiffness * step)
 
 
 @njit
@@ -122,7 +122,7 @@ def implicit_torque(
     for i in range(6):
         out[i] = 0.0
         bound[i] = level(friction, i, bristles.slip[i])
-        rigidity = 2.0 * step * friction.stiffness[i]
+        rigidity = friction.damping[i] + step * friction.stiffness[i]
         wanted[i] = friction.stiffness[i] * (bristles.anchor[i] - angles[i]) / rigidity
     for _ in range(sweeps):
         shift, largest = 0.0, 0.0
@@ -130,7 +130,7 @@ def implicit_torque(
             yielding = step * mobility[i, i]
             slowed = 1.0 + yielding * friction.viscous[i]
             without = rates[i] - yielding * out[i]
-            rigidity = 2.0 * step * friction.stiffness[i]
+            rigidity = friction.damping[i] + step * friction.stiffness[i]
             dry = (slowed * wanted[i] - without) / (slowed / rigidity + yielding)
             dry = min(max(dry, -bound[i]), bound[i])
             whole = dry - friction.viscous[i] * (without + yielding * dry) / slowed

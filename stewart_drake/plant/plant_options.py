@@ -116,7 +116,8 @@ class PlantOptions(Section, ABC, key="plant"):
 
     def friction_of(self, robot: RobotParameters) -> np.ndarray:
         """`FRICTION` record of a robot's motors."""
-        return self.friction_options.record(bristle_stiffness(robot.crank_axis_inertias, self.time_step))
+        step = self.time_step
+        return self.friction_options.record(bristle_stiffness(robot.crank_axis_inertias, step), step)
 
 
 class MechanismOptions(PlantOptions):

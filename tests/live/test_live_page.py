@@ -83,8 +83,9 @@ def test_a_slider_moves_the_platform_and_stops_at_a_named_limit(page):
     page.evaluate(slide, ["roll", "8"])
     wait(page, "Math.abs(last.pose[0] * 180 / Math.PI - 8) < 0.1")
     page.evaluate(slide, ["Z", "100000"])
-    page.evaluate("tell({ do: 'aim', pose: [0, 0, 0, 0, 0, 3] })")
     wait(page, "document.getElementById('message').textContent.includes('as far as it goes')")
+    page.evaluate("tell({ do: 'aim', pose: [0, 0, 0, 0, 0, 3] })")
+    wait(page, "document.getElementById('message').textContent.includes('expected a pose within')")
     assert page.evaluate("last.target[5]") < 1.0
     page.click("#home")
     wait(page, "Math.abs(last.pose[0]) < 0.01 && Math.abs(last.pose[5] - 0.3) < 0.001")

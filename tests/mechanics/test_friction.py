@@ -18,7 +18,7 @@ COULOMB, BREAK_AWAY, STRIBECK_VELOCITY, VISCOUS = 0.05, 0.08, 0.02, 0.01
 
 def friction_law(coulomb, break_away, velocity, viscous, step):
     levels = {"coulomb": coulomb, "break_away": break_away, "stribeck_velocity": velocity, "viscous": viscous}
-    return FrictionOptions.from_dict(levels).record(bristle_stiffness(ROBOT.crank_axis_inertias, step))
+    return FrictionOptions.from_dict(levels).record(bristle_stiffness(ROBOT.crank_axis_inertias, step), step)
 
 
 LAW = friction_law(COULOMB, BREAK_AWAY, STRIBECK_VELOCITY, VISCOUS, STEP)
