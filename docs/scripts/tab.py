@@ -70,7 +70,7 @@ class FrictionLearner(AdaptationOptions):
             {"disturbance_torque": 6, "reference": 18},
             {"robot": laws.robot_record(context.robot), "params": params},
         )
-        return (Part("learner", learn, constants, inputs, ("friction",), state, (laws.LEGS,)),)
+        return (Part("learner", learn, constants, inputs, ("friction",), state, (laws.Legs,)),)
 
 
 _LEARNS = fields(gain=(), period=())
@@ -170,7 +170,7 @@ def loop_source(scenario: Scenario) -> LoopSource:
     parts = [
         *loop.parts,
         Part("scene", scene_tick, {"robot": numbers}, {"measured": 24, "reference": 18}, (),
-             new_record(fields(frames=(14, 12))), (laws.LEGS,), period=SCENE_PERIOD),
+             new_record(fields(frames=(14, 12))), (laws.Legs,), period=SCENE_PERIOD),
         plant_part(scenario),
     ]  # fmt: skip
     outside = {
@@ -189,7 +189,7 @@ def loop_source(scenario: Scenario) -> LoopSource:
         {"asked": 6},
         (),
         new_record(fields(allowed=())),
-        (laws.LEGS,),
+        (laws.Legs,),
     )
     source.add_apart(check)
     return source

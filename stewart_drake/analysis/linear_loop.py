@@ -106,7 +106,7 @@ class PlantAt(NamedTuple):
 
 
 def plant_at(robots: np.ndarray, poses: np.ndarray, gravity: float, period: float) -> PlantAt:
-    """The robot, a `ROBOT` record with what it carries, at poses (m, 6) under torques that are held over a period."""
+    """The robot, a `Robot` record with what it carries, at poses (m, 6) under torques that are held over a period."""
     torque, whole = static_torque(robots, poses, gravity), np.zeros((len(poses), 18, 18))
     whole[:, :6, 6:12], whole[:, 6:12, 12:] = np.eye(6), pose_acceleration_map(robots, poses)
     for k, way in enumerate(STEP * np.eye(6)):

@@ -33,6 +33,8 @@ _CONFIG: Any = numba.config
 _FunctionCache: Any = caching.FunctionCache
 _LAWS: list[Any] = []
 _typeof: Any = numba.typeof
+DISABLED = bool(_CONFIG.DISABLE_JIT)
+"""Whether laws run in Python, by `NUMBA_DISABLE_JIT=1`."""
 
 
 def fields(**shapes: int | tuple[int, ...] | np.dtype) -> np.dtype:

@@ -25,7 +25,7 @@ from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import FRICTION
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.mechanics.kinematics_laws import LEGS, ROBOT, robot_record
+from stewart_drake.mechanics.kinematics_laws import Legs, Robot, robot_record
 from stewart_drake.robot import RobotParameters
 
 SIZE_HEAD, SIZE_DRIVE, SIZE_TORQUE, SIZE_OWN_DRIVE = 0.25, 0.35, 0.03, 0.06
@@ -271,7 +271,7 @@ def regression_part(options: RegressionOptions, context: LoopContext, alike: flo
     bodies[:, 0] = whole.view(np.float64)
     for column, names in ((1, _LINKS), (2, _HEAD)):
         for name in names:
-            at = int(ROBOT.fields[name][1]) // 8  # type: ignore[index]
+            at = int(Robot.layout.fields[name][1]) // 8  # type: ignore[index]
             place = slice(at, at + whole[name].size)
             bodies[place, column], bodies[place, 0] = bodies[place, 0], 0.0
     for name in _HEAD:
@@ -318,4 +318,4 @@ def regression_part(options: RegressionOptions, context: LoopContext, alike: flo
     outputs += ["learnt_center_of_mass"] if options.center_of_mass else []
     outputs += ["joints", "learnt_joints"] if options.ball_joints else []
     inputs = {"reading": context.reading, "command": 6}
-    return Part("adaptation", law.regression_tick, constants, inputs, tuple(outputs), first, (LEGS,))
+    return Part("adaptation", law.regression_tick, constants, inputs, tuple(outputs), first, (Legs,))

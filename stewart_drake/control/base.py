@@ -11,19 +11,21 @@ import numpy as np
 
 from stewart_drake.base.config import Period, Section
 from stewart_drake.base.errors import Status, failure
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Record, TickResult, Vec6, Vec12, Vec18, record
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.loop.user_parts import UserParts
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, task_inertia
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import (
-    LEGS,
     NO_GAIN,
     OK,
     PARALLEL,
     QUICK,
     SERIAL,
     UNREACHABLE,
+    Legs,
+    Robot,
     conditioning,
     legs_at,
     robot_record,
@@ -190,7 +192,7 @@ class Setpoint(NamedTuple):
 
 
 @njit
-def measured_legs(robot: Any, measurement: Any, legs: Any) -> Any:
+def measured_legs(robot: Robot, measurement: Vec12, legs: Legs) -> TickResult:
     """`legs_at` the pose of a measurement (12,), and whether a controller may act there.
 
     Returns:
@@ -218,36 +220,42 @@ def measured_legs(robot: Any, measurement: Any, legs: Any) -> Any:
 
 
 @njit
-def _check(robot: Any, measurement: Any, legs: Any) -> Any:
+def _check(robot: Robot, measurement: Vec12, legs: Legs) -> TickResult:
     return measured_legs(record(robot), measurement, record(legs))
 
 
 def check_start(robot: RobotParameters, pose: np.ndarray) -> None:
     """Raises the RunFailure with which a controller's tick at a pose (6,) [rad, m] would end, if any."""
     at_rest = np.concatenate([pose, np.zeros(6)])
-    result = _check(robot_record(robot), at_rest, np.empty(1, LEGS))
+    result = _check(robot_record(robot), at_rest, Legs.empty())
     if result[0] != OK:
         raise failure(STATUSES[result[0]], result[1], result[2], {"measurement": at_rest})
 
 
 def controller_part(
-    kernel: Callable[..., Any], robot: RobotParameters, params: np.ndarray, state: np.dtype, *scratch: np.dtype
+    kernel: Callable[..., Any], robot: RobotParameters, params: Record, state: type[Record], *scratch: type[Record]
 ) -> Part:
     """A controller's part of a loop, with the outputs torque and, where its state has one, integral.
 
-    The kernel takes the `ROBOT` record, its parameters, measurement (12,), reference (18,), the scratch and the state;
+    The kernel takes the robot, its parameters, measurement (12,), reference (18,), the scratch and the state;
     it returns one of `STATUSES`, leg and margin.
     """
-    outputs = tuple(name for name in ("torque", "integral") if name in (state.names or ()))
+    outputs = tuple(name for name in ("torque", "integral") if name in state.fields)
     numbers, inputs = {"robot": robot_record(robot), "params": params}, {"measurement": 12, "reference": 18}
-    return Part("controller", kernel, {}, inputs, outputs, new_record(state), scratch, STATUSES, parameters=numbers)
+    return Part("controller", kernel, {}, inputs, outputs, state.new(), scratch, STATUSES, parameters=numbers)
 
 
 # --- tracking error, torque limit and anti-windup ---------------------------------------------------------------------
 
 
+class TrackingError(Record):
+    """State of the tracking error."""
+
+    error: Vec6  # [rad, m] measured pose minus that of the reference.
+
+
 @njit
-def tracking_error_tick(measurement: Any, reference: Any, state: Any) -> None:
+def tracking_error_tick(measurement: Vec12, reference: Vec18, state: TrackingError) -> None:
     """Measured pose minus that of the reference, (6,) [rad, m]; the last one stays where one is not finite."""
     state = record(state)
     if all_finite(measurement[:6]) and all_finite(reference[:6]):
@@ -263,9 +271,17 @@ TRACKING_ERROR = Part(
     {},
     {"measurement": 12, "reference": 18},
     ("error",),
-    new_record(fields(error=6)),
+    TrackingError.new(),
 )
 """The tracking error of a loop, for densities, tuners and the log."""
+
+
+class Saturation(Record):
+    """Parameters of the torque limit with anti-windup."""
+
+    period: float  # [s]
+    limit: Vec6  # [N m] largest torque; infinite for none.
+    clamp: float  # 1 where the integral waits while a motor is at its limit.
 
 
 def saturation_params(options: Any, robot: RobotParameters) -> dict[str, Any]:
@@ -275,11 +291,13 @@ def saturation_params(options: Any, robot: RobotParameters) -> dict[str, Any]:
 
 
 @njit
-def limit_and_integrate(params: Any, wanted: Any, error: Any, by_motor: bool, torque: Any, integral: Any) -> Any:
+def limit_and_integrate(
+    params: Saturation, wanted: Vec6, error: Vec6, by_motor: bool, torque: Vec6, integral: Vec6
+) -> TickResult:
     """Cuts torques to the limits of the motors, and integrates the error; with `clamp` not while a motor is there.
 
     Args:
-        params: Record with `period` [s] and the fields of `saturation_params`.
+        params: Limit and anti-windup.
         wanted: (6,) [N m].
         error: (6,) what is integrated.
         by_motor: Whether each element of the integral belongs to one motor, and waits for that one alone.

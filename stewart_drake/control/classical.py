@@ -24,10 +24,10 @@ from stewart_drake.control.base import (
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics_laws import motion_torque, static_torque, task_inertia
 from stewart_drake.mechanics.kinematics_laws import (
-    LEGS,
     OK,
     PARALLEL,
     UNREACHABLE,
+    Legs,
     crank_jacobian,
     crank_rates,
     legs_at,
@@ -98,7 +98,7 @@ class PidOptions(ControllerOptions):
             **saturation_params(self, robot),
         )
         numbers = {"robot": robot_record(robot), "doubt": np.ones(6), "params": params}
-        part = controller_part(pid_tick, robot, params, PID_STATE, LEGS, LEGS)
+        part = controller_part(pid_tick, robot, params, PID_STATE, Legs, Legs)
         return (part._replace(inputs={**part.inputs, "reference_now": 18}, parameters=numbers),)
 
 
@@ -132,14 +132,14 @@ def pid_tick(
     it has been used, see `limit_and_integrate`.
 
     Args:
-        robot: `ROBOT` as the controller believes it to be.
+        robot: robot as the controller believes it to be.
         doubt: (6,) how unknown the Coulomb friction of each motor is, 1 at first.
         params: Numbers of `PidOptions`, gains over the inertia of heave where they pass that of the robot.
         measurement: (12,) pose and rate now.
         reference: (18,) of the feedforward.
         reference_now: (18,) of the feedback.
-        legs: `LEGS` of the measurement, overwritten.
-        target_legs: `LEGS` of the reference, overwritten.
+        legs: `Legs` of the measurement, overwritten.
+        target_legs: `Legs` of the reference, overwritten.
         state: `PID_STATE` of the tick before; that of this one where the status is OK.
 
     Returns:
@@ -249,7 +249,7 @@ class ComputedTorqueOptions(ControllerOptions):
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         params = new_record(_COMPUTED_TORQUE, self, gravity=context.gravity, **saturation_params(self, context.robot))
-        return (controller_part(computed_torque_tick, context.robot, params, COMPUTED_TORQUE_STATE, LEGS),)
+        return (controller_part(computed_torque_tick, context.robot, params, COMPUTED_TORQUE_STATE, Legs),)
 
 
 COMPUTED_TORQUE_STATE = fields(torque=6, integral=6, health=2)

@@ -180,6 +180,6 @@ def difference_part(options: DifferenceOptions, context: LoopContext) -> Part:
         initial["crank_rate"] = rates if np.isfinite(rates).all() else 0.0
 
     numbers = {"robot": laws.robot_record(robot), "params": difference_params(options, context.period)}
-    outputs, scratch = ("measurement",), (laws.LEGS,)
+    outputs, scratch = ("measurement",), (laws.Legs,)
     part = Part("estimator", difference_tick, {}, {"reading": 6}, outputs, initial, scratch, STATUSES)
     return part._replace(parameters=numbers)

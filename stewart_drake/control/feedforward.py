@@ -11,7 +11,7 @@ from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.control.base import AT_REFERENCE, ControllerOptions, controller_part
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics_laws import motion_torque, static_torque
-from stewart_drake.mechanics.kinematics_laws import LEGS, OK, PARALLEL, UNREACHABLE, legs_at
+from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, UNREACHABLE, Legs, legs_at
 
 
 class FeedforwardOptions(ControllerOptions):
@@ -31,7 +31,7 @@ class FeedforwardOptions(ControllerOptions):
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         level = {"none": 0.0, "gravity": 1.0, "full": 2.0}[self.feedforward]
         params = new_record(_PARAMS, gravity=context.gravity, level=level)
-        return (controller_part(feedforward_tick, context.robot, params, fields(torque=6, health=2), LEGS),)
+        return (controller_part(feedforward_tick, context.robot, params, fields(torque=6, health=2), Legs),)
 
 
 def lead_part(period: float) -> Part:

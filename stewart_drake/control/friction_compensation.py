@@ -14,7 +14,7 @@ from stewart_drake.control.ball_joints import BallJoints, ball_joint_torques, jo
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.friction import FrictionOptions, dry_level
-from stewart_drake.mechanics.kinematics_laws import LEGS, crank_rates, legs_at, robot_record, twist_of
+from stewart_drake.mechanics.kinematics_laws import Legs, crank_rates, legs_at, robot_record, twist_of
 from stewart_drake.robot import RobotParameters
 
 
@@ -43,7 +43,7 @@ class FrictionCompensation(FrictionOptions, key="model.friction"):
         robot, joints = robot_record(context.robot), joints_record(self.joints)
         numbers = {"robot": robot, "friction": self.record(), "joints": joints}
         inputs, outputs, first = {"reference": 18}, ("friction_torque",), new_record(fields(friction_torque=6))
-        return Part("friction_compensation", friction_tick, {}, inputs, outputs, first, (LEGS,), parameters=numbers)
+        return Part("friction_compensation", friction_tick, {}, inputs, outputs, first, (Legs,), parameters=numbers)
 
 
 @njit

@@ -8,14 +8,14 @@ import numpy as np
 
 from stewart_drake.base.jit import njit, record
 from stewart_drake.control.arrow_factor import COMMON, JOINT, OWN, PLACE, spread_along
-from stewart_drake.mechanics.kinematics_laws import ROBOT
+from stewart_drake.mechanics.kinematics_laws import Robot
 
 LEAST_DAMPING, MOST_DAMPING, MOST_COULOMB = -0.1, 0.6, 0.4
 """Bounds [-] of the torque limit. A delay believed too long may be a damping below zero."""
 HALF_WIDTH = 1.96
 """[-] of the standard deviation: half of a 95 % interval."""
-ROBOT_SIZE = ROBOT.itemsize // 8
-MASS, MOMENT = (int(ROBOT.fields[name][1]) // 8 for name in ("platform_mass", "platform_moment"))  # type: ignore[index]
+ROBOT_SIZE = Robot.layout.itemsize // 8
+MASS, MOMENT = (int(Robot.layout.fields[name][1]) // 8 for name in ("platform_mass", "platform_moment"))  # type: ignore[index]
 """Where mass and first moment of the head are in a robot's record."""
 
 

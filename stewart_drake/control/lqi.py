@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, cast, get_args
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.base.config import Flag, Natural, Period, Positive, PositivePair
 from stewart_drake.base.errors import ConfigurationError, RiccatiError, Status
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Mat6, Mat6x18, Record, TickResult, Vec2, Vec4, Vec6, Vec12, Vec18, Vector, record
 from stewart_drake.control.base import (
     AT_REFERENCE,
     REFERENCE,
     STATUSES,
     ControllerOptions,
+    Saturation,
     controller_part,
     limit_and_integrate,
     measured_legs,
@@ -25,6 +27,7 @@ from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import ForceMapKind
 from stewart_drake.mechanics.dynamics_laws import motion_torque, pose_acceleration_map, static_torque
+from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST_SIZE
@@ -92,19 +95,41 @@ class LqiOptions(ControllerOptions):
         return (lqi_part(self, context.robot, context.gravity, len(context.tuner.weights), solver),)
 
 
-LQI_STATE = fields(torque=6, integral=6, health=2, gain=(6, 18), feedforward=6, weights=4, bridged=())
-"""torque [N m]. integral: z for the next tick [rad s, m s]. gain: K. feedforward: part of the torque [N m]. weights:
-q_e, q_v, q_z, r of this tick, zeros before the first. bridged: ticks in a
-row that were."""
-LQI_PARAMS = fields(
-    period=(), gravity=(), length=(), integral_limit=6, exact_model=(), printed_map=(), feedforward=(),
-    at_reference=(), limit=6, clamp=(), back_share=(), bumpless=(), hold_ticks=(),
-)  # fmt: skip
-"""Numbers of `LqiOptions`; choices are 0 or 1, or count as above. integral_limit: infinite for none. limit, clamp:
-see `saturation_params`. back_share: of the torque that was cut, which back-calculation takes off z in a tick."""
-PROBLEM = fields(weights=4, map=(6, 6), changed=(), gain=(6, 18), before=(6, 18))
-"""What a gain is for: q_e, q_v, q_z, r, and M^-1 tau; changed: whether z has to follow other weights than those of the
-tick before. gain: its solution; before: that for the weights of the tick before, where they have changed."""
+class LqiState(Record):
+    """State of the LQI."""
+
+    torque: Vec6  # [N m]
+    integral: Vec6  # [rad s, m s] z for the next tick.
+    health: Vec2  # See `loop.part.HEALTHY`.
+    gain: Mat6x18  # K
+    feedforward: Vec6  # [N m] part of the torque.
+    weights: Vec4  # q_e, q_v, q_z, r of this tick; zeros before the first.
+    bridged: float  # Ticks in a row that were bridged.
+
+
+class LqiParams(Saturation):
+    """Parameters of the LQI: numbers of `LqiOptions`."""
+
+    gravity: float  # [m/s^2]
+    length: float  # [m] `weight_length`.
+    integral_limit: Vec6  # [rad s, m s] infinite for none.
+    exact_model: float  # 1 for the exact model, 0 for the paper's.
+    printed_map: float  # 1 for tau_2 of (15) as printed.
+    feedforward: float  # NONE, GRAVITY, PLATFORM or FULL.
+    at_reference: float  # 1 where feedforward FULL is taken at the reference.
+    back_share: float  # Share of the torque beyond the limit that back-calculation takes off z in a tick.
+    bumpless: float  # 1 where z follows the weights.
+    hold_ticks: float  # Ticks in a row that may be bridged.
+
+
+class Problem(Record):
+    """Riccati problem of a tick, and its solution."""
+
+    weights: Vec4  # q_e, q_v, q_z, r
+    map: Mat6  # M^-1 tau
+    changed: float  # 1 where z has to follow weights that are not those of the tick before.
+    gain: Mat6x18  # K for these weights.
+    before: Mat6x18  # K for the weights of the tick before, where they have changed.
 
 
 def block_weights(weights: np.ndarray) -> np.ndarray:
@@ -132,22 +157,28 @@ def lqi_gain(acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndar
 
 @njit
 def lqi_tick(
-    robot: Any, params: Any, measurement: Any, reference: Any, weights: Any, legs: Any, problem: Any,
-    state: Any,
-) -> Any:  # fmt: skip
+    robot: Robot,
+    params: LqiParams,
+    measurement: Vec12,
+    reference: Vec18,
+    weights: Vector,
+    legs: Legs,
+    problem: Problem,
+    state: LqiState,
+) -> TickResult:
     """The LQI of one tick: B(t) from the present pose, discretisation, Riccati, (34), feedforward, limits, (23).
 
     Deviation: u = -K e as in (34), not (30). The integral changes after it has been used, see `limit_and_integrate`.
 
     Args:
-        robot: `ROBOT` as the controller believes it to be.
-        params: `LQI_PARAMS`.
+        robot: The controller's model.
+        params: Options.
         measurement: (12,) pose and rate now.
         reference: (18,) now.
         weights: (2,) omega_Q, omega_R, or (4,) q_e, q_v, q_z, r.
-        legs: `LEGS`, overwritten.
-        problem: `PROBLEM`, overwritten.
-        state: `LQI_STATE` of the tick before; that of this one where the status is OK.
+        legs: Overwritten.
+        problem: Overwritten.
+        state: Of the tick before; of this one where the status is OK.
 
     Returns:
         Status of `base.STATUSES`, or NO_WEIGHTS; leg or -1; margin.
@@ -159,7 +190,7 @@ def lqi_tick(
 
 
 @njit
-def _solve_split(params: Any, problem: Any, state: Any) -> bool:
+def _solve_split(params: LqiParams, problem: Problem, state: LqiState) -> bool:
     """Gains of a problem by `split_solution`; False where there is none."""
     length, period = params.length, params.period
     if not split_solution(problem.map[:], length, period, problem.weights[:], problem.gain[:]):
@@ -169,13 +200,18 @@ def _solve_split(params: Any, problem: Any, state: Any) -> bool:
 
 @njit
 def pose_problem(
-    robot: Any, params: Any, measurement: Any, reference: Any, weights: Any, legs: Any, problem: Any,
-    state: Any,
-) -> Any:  # fmt: skip
-    """The first half of a tick: legs, and what a gain is for; arguments and result as of `lqi_tick`."""
-    robot, params, legs, problem, state = (
-        record(robot), record(params), record(legs), record(problem), record(state),
-    )  # fmt: skip
+    robot: Robot,
+    params: LqiParams,
+    measurement: Vec12,
+    reference: Vec18,
+    weights: Vector,
+    legs: Legs,
+    problem: Problem,
+    state: LqiState,
+) -> TickResult:
+    """The first half of a tick: legs and the Riccati problem; arguments and result as of `lqi_tick`."""
+    robot, params, legs = record(robot), record(params), record(legs)
+    problem, state = record(problem), record(state)
     if all_finite(measurement[6:]) and not all_finite(reference):
         return REFERENCE, -1, 0.0
     status, leg, margin = measured_legs(robot, measurement, legs)
@@ -199,9 +235,17 @@ def pose_problem(
 
 @njit
 def command(
-    robot: Any, params: Any, measurement: Any, reference: Any, legs: Any, problem: Any, status: int, leg: int,
-    margin: float, state: Any,
-) -> Any:  # fmt: skip
+    robot: Robot,
+    params: LqiParams,
+    measurement: Vec12,
+    reference: Vec18,
+    legs: Legs,
+    problem: Problem,
+    status: int,
+    leg: int,
+    margin: float,
+    state: LqiState,
+) -> TickResult:
     """The second half of a tick, once the problem is solved: torque and state, or a bridge where that failed."""
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     if status == laws.OK:
@@ -212,7 +256,7 @@ def command(
 
 
 @njit
-def paper_acceleration_map(robot: Any, legs: Any, printed: bool, out: Any) -> None:
+def paper_acceleration_map(robot: Robot, legs: Legs, printed: bool, out: Mat6) -> None:
     """M^-1 tau (6, 6) of (10): M the platform's mass and moments alone, tau by statics or tau_2 of the paper's (15)."""
     for i in range(6):
         force = legs.transmission[i] / robot.crank_length[i] if printed else 1.0 / legs.lever[i]
@@ -222,7 +266,7 @@ def paper_acceleration_map(robot: Any, legs: Any, printed: bool, out: Any) -> No
 
 
 @njit
-def _feedback(gain: Any, measurement: Any, reference: Any, integral: Any, motor: int) -> float:
+def _feedback(gain: Mat6x18, measurement: Vec12, reference: Vec18, integral: Vec6, motor: int) -> float:
     """A row of K [e; e'; z]."""
     value = 0.0
     for k in range(6):
@@ -233,8 +277,10 @@ def _feedback(gain: Any, measurement: Any, reference: Any, integral: Any, motor:
 
 
 @njit
-def _feedforward(robot: Any, params: Any, measurement: Any, reference: Any, legs: Any, force: Any) -> Any:
-    """Torque (6,) beside the feedback; destroys `legs` where it is taken at the reference. Status, leg, margin."""
+def _feedforward(
+    robot: Robot, params: LqiParams, measurement: Vec12, reference: Vec18, legs: Legs, force: Vec6
+) -> TickResult:
+    """Torque (6,) [N m] that is added to the feedback; overwrites `legs` where it is taken at the reference."""
     force[:] = 0.0
     if params.feedforward == FULL and params.at_reference == 1.0:
         bad = laws.legs_at(robot, reference[:6], legs)
@@ -262,8 +308,14 @@ def _feedforward(robot: Any, params: Any, measurement: Any, reference: Any, legs
 
 @njit
 def _command(
-    robot: Any, params: Any, measurement: Any, reference: Any, legs: Any, problem: Any, state: Any
-) -> Any:  # fmt: skip
+    robot: Robot,
+    params: LqiParams,
+    measurement: Vec12,
+    reference: Vec18,
+    legs: Legs,
+    problem: Problem,
+    state: LqiState,
+) -> TickResult:
     """(34), feedforward, limits, (23) with the gain of a solved problem; changes the state where all is well."""
     integral, column = state.integral.copy(), np.zeros((6, 1))
     if problem.changed == 1.0:
@@ -305,8 +357,8 @@ def _command(
 
 
 @njit
-def _bridged(params: Any, measurement: Any, reference: Any, state: Any) -> bool:
-    """Whether a tick that failed goes on with the last good gain and feedforward, z standing still.
+def _bridged(params: LqiParams, measurement: Vec12, reference: Vec18, state: LqiState) -> bool:
+    """Whether a tick that failed goes on with the last good gain and feedforward; z stays as it is.
 
     A measurement or reference that is not finite is bridged by the last torque. Not before a good tick, and not where
     more than `hold_ticks` failed in a row.
@@ -340,8 +392,7 @@ def lqi_part(
     Another `solver` than the options' may be named: `split` is one compiled call and needs no Drake. The part's tick
     raises where no good tick came before or more than `hold_ticks` failed in a row.
     """
-    params = new_record(
-        LQI_PARAMS,
+    params = LqiParams.new(
         options,
         gravity=gravity,
         integral_limit=np.inf if options.integral_limit is None else np.repeat(options.integral_limit, 3),
@@ -352,7 +403,7 @@ def lqi_part(
         back_share=min(1.0, options.period / options.reset_time) if options.saturation == "back_calculation" else 0.0,
         **saturation_params(options, robot),
     )
-    part = controller_part(lqi_tick, robot, params, LQI_STATE, laws.LEGS, PROBLEM)
+    part = controller_part(lqi_tick, robot, params, LqiState, Legs, Problem)
     part = part._replace(inputs={**part.inputs, "weights": weights}, statuses=_STATUSES)
     if (solver or options.solver) != "split":
         part = part._replace(kernel=_tick_by_drake, constants={"options": options})
@@ -360,18 +411,25 @@ def lqi_part(
 
 
 def _tick_by_drake(
-    robot: Any, params: Any, options: LqiOptions, measurement: Any, reference: Any, weights: Any, legs: Any,
-    problem: np.ndarray, state: np.ndarray,
-) -> Any:  # fmt: skip
+    robot: Robot,
+    params: LqiParams,
+    options: LqiOptions,
+    measurement: Vec12,
+    reference: Vec18,
+    weights: Vector,
+    legs: Legs,
+    problem: Problem,
+    state: LqiState,
+) -> TickResult:
     """`lqi_tick` with the gains of Drake's solver."""
-    result: Any = pose_problem(robot, params, measurement, reference, weights, legs, problem, state)
+    result = pose_problem(robot, params, measurement, reference, weights, legs, problem, state)
     if result[0] == laws.OK:
-        at_pose, weights, length = problem["map"][0], problem["weights"][0].tolist(), float(params["length"][0])
+        at_pose, length = problem["map"][0], float(params["length"][0])
         try:
-            problem["gain"] = drake_gain(at_pose, options.period, weights, length)
+            problem["gain"] = drake_gain(at_pose, options.period, problem["weights"][0].tolist(), length)
             if problem["changed"][0]:
                 before = state["weights"][0].tolist()
                 problem["before"] = drake_gain(at_pose, options.period, before, length)
         except RiccatiError:
             result = (laws.NO_GAIN, -1, 0.0)
-    return cast(Any, command)(robot, params, measurement, reference, legs, problem, *result, state)
+    return command(robot, params, measurement, reference, legs, problem, *result, state)

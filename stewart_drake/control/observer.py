@@ -142,8 +142,8 @@ def observer_tick(
 ) -> Any:  # fmt: skip
     """One tick: predicts, corrects by the readings that are accepted, looks ahead; status, leg or -1, margin.
 
-    Takes `ROBOT`, `_PARAMS`, the parameters of the first tick (see `_begin`), `FRICTION`, then the inputs of
-    `observer_part`, `LEGS` and `estimator.STATE`, both overwritten, and `_STATE`.
+    Takes `Robot`, `_PARAMS`, the parameters of the first tick (see `_begin`), `FRICTION`, then the inputs of
+    `observer_part`, `Legs` and `estimator.STATE`, both overwritten, and `_STATE`.
     """
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     break_away = record(friction).break_away.max()
@@ -349,5 +349,5 @@ def observer_part(options: ObserverOptions, context: LoopContext) -> Part:
         ("measurement", "predicted", "disturbance_torque", "innovation"),
         np.array([options.disturbance]),
     )
-    part = Part("observer", observer_tick, {}, inputs, outputs, initial, (laws.LEGS, STATE), _STATUSES)
+    part = Part("observer", observer_tick, {}, inputs, outputs, initial, (laws.Legs, STATE), _STATUSES)
     return part._replace(connections={"disturbance": expected}, parameters=numbers)

@@ -106,7 +106,7 @@ def derivative(function: Callable[[np.ndarray], np.ndarray], directions: np.ndar
 
 
 def changed_record(guess: RobotParameters, change: np.ndarray) -> np.ndarray:
-    """`ROBOT` record of the guess after a change (`SIZE`,) [m, rad]; its crank angles are the encoders' readings."""
+    """`Robot` record of the guess after a change (`SIZE`,) [m, rad]; its crank angles are the encoders' readings."""
     legs = by_leg(change)
     zero, quarter = guess.crank_zero_directions, guess.crank_quarter_directions
     rotation = exponential(legs[:, 8:9] * zero + legs[:, 9:10] * quarter)

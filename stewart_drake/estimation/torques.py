@@ -95,7 +95,7 @@ def inertia_matrix(values: np.ndarray) -> Any:
 
 
 def _body_record(guess: RobotParameters, bodies: np.ndarray) -> np.ndarray:
-    """`ROBOT` record of a guess with other bodies (14,), which no real robot needs to have."""
+    """`Robot` record of a guess with other bodies (14,), which no real robot needs to have."""
     record, half = robot_record(guess).copy(), 0.5 * guess.crank_lengths
     record["platform_mass"], record["platform_moment"] = bodies[MASS], bodies[MOMENT]
     record["platform_tensor"] = inertia_matrix(bodies)

@@ -24,7 +24,7 @@ from stewart_drake.export.controller_c import REASONS, c_name, controller_files,
 from stewart_drake.export.loop import LoopSource
 from stewart_drake.export.values import number
 from stewart_drake.loop.part import Part
-from stewart_drake.mechanics.kinematics_laws import LEGS, OK, SERIAL
+from stewart_drake.mechanics.kinematics_laws import OK, SERIAL, Legs
 from stewart_drake.mechanics.linear_algebra import all_finite
 from stewart_drake.plant.closed_form import ClosedForm, _rk4, _semi_implicit
 from stewart_drake.scenario.assembly import context_of, control_side, way_to_motors
@@ -62,7 +62,7 @@ def plant_part(scenario: Scenario) -> Part:
     numbers, inputs = {"robot": loaded, "friction": friction, "params": params}, {"motor_torque": 6, "wrench": 6}
     kernel = plant_tick_rk4 if getattr(scenario.plant, "integrator", "") == "rk4" else plant_tick
     statuses = {SERIAL: Status("crank_dead_centre", of_leg=True)}
-    part = Part("plant", kernel, {}, inputs, (), plant.save(), (LEGS,), statuses, parameters=numbers)
+    part = Part("plant", kernel, {}, inputs, (), plant.save(), (Legs,), statuses, parameters=numbers)
     return part._replace(period=scenario.plant.time_step, end_of_tick=True)
 
 

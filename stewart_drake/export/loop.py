@@ -114,7 +114,8 @@ class LoopSource:
             arguments.append(self._leading(part, name, value))
         for name, size in part.inputs.items():
             arguments.append(self._input(part, name, size))
-        for n, scratch in enumerate(part.scratch):
+        for n, record in enumerate(part.scratch):
+            scratch: Any = getattr(record, "layout", record)
             member = f"{part.name}_scratch_{n}" if n else f"{part.name}_scratch"
             kind = self.program.record(scratch, member, part.kernel)
             self._member(member, f"struct {kind} {member}", scratch.itemsize // 8)

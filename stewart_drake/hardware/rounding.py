@@ -15,7 +15,7 @@ import numpy as np
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import crank_inertia
-from stewart_drake.mechanics.kinematics_laws import LEGS, crank_jacobian, legs_at, robot_record, twist_of
+from stewart_drake.mechanics.kinematics_laws import Legs, crank_jacobian, legs_at, robot_record, twist_of
 from stewart_drake.mechanics.linear_algebra import solve
 
 RESTING = 1e-4
@@ -47,7 +47,7 @@ def rounding_part(context: LoopContext, stiffness: float, damping: float, count:
     shares = shaping(stiffness, damping, inertia, context.period)
     params = new_record(_PARAMS, count=count, shares=shares, length=robot.characteristic_length)
     numbers, inputs = {"robot": robot_record(robot), "params": params}, {"command": 6, "reference": 18}
-    return Part("rounding", round_together, {}, inputs, ("command",), new_record(_STATE), (LEGS,), parameters=numbers)
+    return Part("rounding", round_together, {}, inputs, ("command",), new_record(_STATE), (Legs,), parameters=numbers)
 
 
 _PARAMS = fields(count=(), shares=2, length=())

@@ -18,7 +18,7 @@ from stewart_drake.hardware.rounding import rounding_part
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import crank_inertia
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.mechanics.kinematics_laws import LEGS, OK, UNREACHABLE, crank_rates, legs_at, robot_record, twist_of
+from stewart_drake.mechanics.kinematics_laws import OK, UNREACHABLE, Legs, crank_rates, legs_at, robot_record, twist_of
 from stewart_drake.robot import RobotParameters
 
 POSITION_PRESETS, CURRENT_PRESETS = Presets("position"), Presets("current")
@@ -165,7 +165,7 @@ class PositionServos(_SoldMotors):
         inputs = {"torque": 6, "measurement": 12, "reference": 18}
         aim = "measurement" if context.feedback else "reference"
         statuses = {UNREACHABLE: Status("unreachable_pose", aim, of_leg=True)}
-        angles = Part("servo_command", servo_command, {}, inputs, ("command",), first, (LEGS,), statuses)
+        angles = Part("servo_command", servo_command, {}, inputs, ("command",), first, (Legs,), statuses)
         angles = angles._replace(parameters=numbers)
         if context.feedback or self.count == 0.0:
             return (angles,)

@@ -16,6 +16,7 @@ import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError, RunFailure, Status, failure, failure_code
 from stewart_drake.base.jit import specialised
+from stewart_drake.base.records import Record
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.robot import RobotParameters
 
@@ -43,7 +44,7 @@ class Part(NamedTuple):
         inputs: Port -> size; the kernel gets arrays (size,). The port `time` (1,) [s] is given by who runs the part.
         outputs: Fields of its state that are signals; they come first in the state, in this order.
         initial: State before the first tick: a record (1,) of float64 fields, see `jit.fields`.
-        scratch: Kinds of records that the kernel overwrites.
+        scratch: Records that the kernel overwrites.
         statuses: Status other than 0 -> what it means. The arguments have the names of parameters, constants and
             inputs, and `state`.
         error: In the place of `statuses`: result and arguments -> the error.
@@ -65,7 +66,7 @@ class Part(NamedTuple):
     inputs: Mapping[str, int]
     outputs: tuple[str, ...]
     initial: np.ndarray
-    scratch: tuple[np.dtype, ...] = ()
+    scratch: tuple[type[Record], ...] = ()
     statuses: Mapping[int, Status] = MappingProxyType({})
     error: Callable[[Any, Mapping[str, Any]], RunFailure] | None = None
     connections: Mapping[str, str | np.ndarray] = NOTHING
@@ -166,7 +167,7 @@ class BoundPart:
         self, part: Part, inputs: Sequence[Any], state: np.ndarray, signals: Mapping[str, np.ndarray] = NOTHING
     ) -> None:
         self.part = part
-        self._scratch = tuple(np.zeros(1, kind) for kind in part.scratch)
+        self._scratch = tuple(np.zeros(1, getattr(kind, "layout", kind)) for kind in part.scratch)
         self._before = np.empty(part.initial.nbytes // 8)
         for name, array in signals.items():
             part.check_signal(name, np.dtype((array.dtype, array.shape)))

@@ -2,7 +2,7 @@
 
 Model: platform of Table I, cranks turning about their motors, rods as rigid bodies without spin about their own axes.
 Coordinates: twist [w, v] of P in B. M(pose) d(twist)/dt + h(pose, twist) = J' T with J = d(theta)/d(twist).
-`dynamics` has the same for arrays of poses, with checks. A `ROBOT` and a `LEGS` record come first; gravity [m/s^2] is
+`dynamics` has the same for arrays of poses, with checks. A `Robot` and a `Legs` record come first; gravity [m/s^2] is
 along -z of B.
 """
 

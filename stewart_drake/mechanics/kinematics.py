@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from stewart_drake.base.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
 from stewart_drake.base.jit import njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
-from stewart_drake.mechanics.kinematics_laws import LEGS, OK, UNREACHABLE
+from stewart_drake.mechanics.kinematics_laws import OK, UNREACHABLE, Legs
 from stewart_drake.robot import RobotParameters
 
 CHUNK = 512
@@ -30,7 +30,7 @@ CLOSED, NEWTON_STEPS = 1e-13, 30
 Loop = Callable[..., Any]
 """Takes shared arguments, then rows, one for each pose, those that it fills last; returns `OK` or another status."""
 Robot = RobotParameters | np.ndarray
-"""A robot, or its numbers as a `ROBOT` record (1,)."""
+"""A robot, or its numbers as a `Robot` record (1,)."""
 
 
 # --- many poses ------------------------------------------------------------------------------------------------------
@@ -81,7 +81,7 @@ def at_poses(
 
 
 def as_record(robot: Robot) -> np.ndarray:
-    """The numbers of a robot, a `ROBOT` record that is not to be written to."""
+    """The numbers of a robot, a `Robot` record that is not to be written to."""
     if isinstance(robot, RobotParameters):
         return laws.robot_record(robot)
     view = robot.view()
@@ -101,13 +101,13 @@ def _legs(robot: Any, poses: Any, legs: Any) -> int:
 def _of_legs(
     values: Callable[..., Any], robot: Robot, pose: ArrayLike, tail: tuple[int, ...], anywhere: bool = False
 ) -> np.ndarray:
-    """Values (..., *tail) of the `LEGS` (n,) and poses (n, 6); `anywhere`: they mean something out of reach too."""
+    """Values (..., *tail) of the `Legs` (n,) and poses (n, 6); `anywhere`: they mean something out of reach too."""
 
     def loop(robot: np.ndarray, poses: np.ndarray, out: np.ndarray) -> int:
         status = OK
         for start in range(0, len(poses), CHUNK):
             rows = slice(start, start + CHUNK)
-            legs = np.empty(len(poses[rows]), LEGS)
+            legs = np.empty(len(poses[rows]), Legs.layout)
             status = max(status, _legs(robot, poses[rows], legs))
             out[rows] = values(legs, poses[rows])
         return OK if anywhere else status
@@ -228,7 +228,7 @@ def inverse_kinematics(robot: Robot, pose: ArrayLike, branch: int | None = None)
 
 def leg_geometry(robot: Robot, pose: ArrayLike, branch: int | None = None) -> LegGeometry:
     """Directions of cranks and rods at poses (..., 6) [rad, m], Fig. 1; else as `inverse_kinematics`."""
-    legs = at_poses(_legs, _with_branch(robot, branch), {"pose": pose}, (), kind=LEGS)
+    legs = at_poses(_legs, _with_branch(robot, branch), {"pose": pose}, (), kind=Legs.layout)
     names = ("rotation", "arm", "crank", "e_n", "e_l", "transmission")
     theta = np.arctan2(legs["sine"], legs["cosine"])
     return LegGeometry(crank_angles=theta, **{name: np.ascontiguousarray(legs[name]) for name in names})

@@ -7,11 +7,11 @@ B. Functions fill their last argument. `kinematics` has the same for arrays of p
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.jit import fields, new_record, njit
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Mat3, Mat6, Mat6x1, Mat6x3, Matrix, Record, Vec3, Vec4, Vec6
 from stewart_drake.mechanics.linear_algebra import singular_vectors, solve
 from stewart_drake.robot import RobotParameters
 
@@ -20,32 +20,54 @@ OK, UNREACHABLE, SERIAL, PARALLEL, NOT_FINITE, NO_CONVERGENCE, NO_GAIN = range(7
 QUICK = 1e-7
 """Tolerance of `conditioning` that leaves seven digits."""
 
-ROBOT = fields(
-    shaft=(6, 3), joint=(6, 3), center=3, crank_x=(6, 3), crank_y=(6, 3), crank_length=6, rod_length=6, branch=6,
-    crank_inertia=6, effort_limit=6, rod_mass=(), rod_inertia=(), crank_mass=(), length=(),
-    platform_mass=(), platform_moment=3, platform_tensor=(3, 3), platform_inertia=3,
-)  # fmt: skip
-"""Numbers of a robot; P is the tool's frame where it has a tool. shaft: P_i in B [m]. joint: p_i in P [m]. center: of
-the platform in P [m], zeros without a tool. crank_x, crank_y: where a crank points at theta 0 and
-at 90 deg, in B. crank_inertia: of crank and rotor about the motor's axis [kg m^2]. rod_inertia: across the rod
-[kg m^2]. length: characteristic length [m]. platform_moment: mass times centre of mass in P [kg m]. platform_tensor:
-about the origin of P [kg m^2]; platform_inertia: the three moments about the centre of mass, for the paper's model."""
 
-LEGS = fields(
-    rotation=(3, 3), arm=(6, 3), crank=(6, 3), e_n=(6, 3), e_l=(6, 3), line=(6, 6), lever=6, transmission=6,
-    cosine=6, sine=6, reach_margin=6,
-)  # fmt: skip
-"""What `legs_at` tells of a pose, vectors in B. rotation: R_BP. arm: R p_i [m]. crank: along the cranks. e_n: where
-crank tips move for growing theta. e_l: along the rods, from crank to platform. line: [(R p_i) x e_l, e_l], rows of
-(14) transposed. lever: torque of a motor over force in its rod [m]. transmission: e_l . e_N. cosine, sine: of theta.
-reach_margin: 1 - |C| / sqrt(A^2 + B^2), negative where a rod cannot span."""
+class Robot(Record):
+    """Numbers of a robot. P is the tool's frame where it has a tool."""
+
+    shaft: Mat6x3  # [m] P_i in B.
+    joint: Mat6x3  # [m] p_i in P.
+    center: Vec3  # [m] of the platform in P; zeros without a tool.
+    crank_x: Mat6x3  # Direction of a crank at theta = 0, in B.
+    crank_y: Mat6x3  # The same at theta = 90 deg.
+    crank_length: Vec6  # [m]
+    rod_length: Vec6  # [m]
+    branch: Vec6  # 1 or -1: solution of (6) in which the leg is assembled.
+    crank_inertia: Vec6  # [kg m^2] of crank and rotor about the motor's axis.
+    effort_limit: Vec6  # [N m]
+    rod_mass: float  # [kg]
+    rod_inertia: float  # [kg m^2] across the rod.
+    crank_mass: float  # [kg]
+    length: float  # [m] characteristic length.
+    platform_mass: float  # [kg]
+    platform_moment: Vec3  # [kg m] mass times centre of mass in P.
+    platform_tensor: Mat3  # [kg m^2] about the origin of P.
+    platform_inertia: Vec3  # [kg m^2] about the centre of mass, for the paper's model.
+
+
+class Legs(Record):
+    """Result of `legs_at` at a pose; vectors in B."""
+
+    rotation: Mat3  # R_BP
+    arm: Mat6x3  # [m] R p_i
+    crank: Mat6x3  # Unit vectors along the cranks.
+    e_n: Mat6x3  # Unit vectors in which crank tips move for growing theta.
+    e_l: Mat6x3  # Unit vectors along the rods, from crank to platform.
+    line: Mat6  # [(R p_i) x e_l, e_l], rows of (14) transposed.
+    lever: Vec6  # [m] torque of a motor over force in its rod.
+    transmission: Vec6  # e_l . e_N
+    cosine: Vec6  # Of theta.
+    sine: Vec6
+    reach_margin: Vec6  # 1 - |C| / sqrt(A^2 + B^2); negative where a rod cannot span.
+
+
+LEGS = Legs.layout
+"""For laws that make legs of their own."""
 
 
 @lru_cache(maxsize=1024)
-def robot_record(robot: RobotParameters) -> np.ndarray:
-    """The numbers of a robot, a `ROBOT` record; not to be written to."""
-    numbers = new_record(
-        ROBOT,
+def robot_record(robot: RobotParameters) -> Robot:
+    """The record of a robot; read-only."""
+    numbers = Robot.new(
         shaft=robot.shaft_positions,
         joint=robot.platform_joints,
         center=robot.platform_origin,
@@ -69,8 +91,8 @@ def robot_record(robot: RobotParameters) -> np.ndarray:
     return numbers
 
 
-def with_payload(robot: np.ndarray, mass: float, place: np.ndarray) -> np.ndarray:
-    """A `ROBOT` record with a point mass [kg] at a place (3,) [m] in P as a part of the platform."""
+def with_payload(robot: Robot, mass: float, place: np.ndarray) -> Robot:
+    """A robot with a point mass [kg] at a place (3,) [m] in P as a part of the platform."""
     loaded = robot.copy()
     loaded["platform_mass"] += mass
     loaded["platform_moment"] += mass * place
@@ -79,7 +101,7 @@ def with_payload(robot: np.ndarray, mass: float, place: np.ndarray) -> np.ndarra
 
 
 @njit
-def rotation(rpy: Any, out: Any) -> None:
+def rotation(rpy: Vec3, out: Mat3) -> None:
     """R_BP (3, 3) = Rz(yaw) Ry(pitch) Rx(roll) of rpy (3,) [rad]; the inverse of (3).
 
     Deviation: entry (3,1) of the print is a misprint; this is the matrix that it means.
@@ -92,7 +114,7 @@ def rotation(rpy: Any, out: Any) -> None:
 
 
 @njit
-def roll_pitch_yaw(matrix: Any, out: Any) -> None:
+def roll_pitch_yaw(matrix: Mat3, out: Vec3) -> None:
     """Roll, pitch, yaw (3,) [rad] of a rotation matrix (3, 3); pitch in [-pi/2, pi/2]."""
     out[0] = np.arctan2(matrix[2, 1], matrix[2, 2])
     out[1] = np.arcsin(np.minimum(1.0, np.maximum(-1.0, -matrix[2, 0])))
@@ -100,7 +122,7 @@ def roll_pitch_yaw(matrix: Any, out: Any) -> None:
 
 
 @njit
-def quaternion_angles(quaternion: Any, out: Any) -> None:
+def quaternion_angles(quaternion: Vec4, out: Vec3) -> None:
     """Roll, pitch, yaw (3,) [rad] of a quaternion (4,) w, x, y, z of any length; pitch in [-pi/2, pi/2]."""
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     size = w * w + x * x + y * y + z * z
@@ -110,14 +132,14 @@ def quaternion_angles(quaternion: Any, out: Any) -> None:
 
 
 @njit
-def angular_velocity(rpy: Any, rate: Any, out: Any) -> None:
+def angular_velocity(rpy: Vec3, rate: Vec3, out: Vec3) -> None:
     """W (3,) = E(rpy) rate [rad/s] in B, of Euler rates (3,)."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
     out[0], out[1], out[2] = cy * cp * rate[0] - sy * rate[1], sy * cp * rate[0] + cy * rate[1], rate[2] - sp * rate[0]
 
 
 @njit
-def euler_rates(rpy: Any, omega: Any, out: Any) -> None:
+def euler_rates(rpy: Vec3, omega: Vec3, out: Vec3) -> None:
     """Euler rates (3,) of an angular velocity in B (3,), which may be the same array; pitch off +-pi/2."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
     roll = (cy * omega[0] + sy * omega[1]) / cp
@@ -125,7 +147,7 @@ def euler_rates(rpy: Any, omega: Any, out: Any) -> None:
 
 
 @njit
-def euler_rates_of_columns(rpy: Any, columns: Any) -> None:
+def euler_rates_of_columns(rpy: Vec3, columns: Matrix) -> None:
     """`euler_rates` of the first three numbers of columns (6, n), in place."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
     for i in range(columns.shape[1]):
@@ -136,7 +158,7 @@ def euler_rates_of_columns(rpy: Any, columns: Any) -> None:
 
 
 @njit
-def euler_drift(rpy: Any, rate: Any, out: Any) -> None:
+def euler_drift(rpy: Vec3, rate: Vec3, out: Vec3) -> None:
     """What Euler rates (3,) that do not change add to the angular acceleration: out (3,) = dE/dt rate [rad/s^2]."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
     roll, pitch, yaw = rate[0], rate[1], rate[2]
@@ -146,7 +168,7 @@ def euler_drift(rpy: Any, rate: Any, out: Any) -> None:
 
 
 @njit
-def euler_moments(rpy: Any, rows: Any) -> None:
+def euler_moments(rpy: Vec3, rows: Matrix) -> None:
     """Turns moments in B, the first three numbers of rows (n, 6), into ones that act on Euler rates, in place."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
     for i in range(len(rows)):
@@ -155,7 +177,7 @@ def euler_moments(rpy: Any, rows: Any) -> None:
 
 
 @njit
-def twist_of(pose: Any, rate: Any, out: Any) -> None:
+def twist_of(pose: Vec6, rate: Vec6, out: Vec6) -> None:
     """Twist [w, v] (6,) of P in B from a pose and its rate (6,)."""
     angular_velocity(pose[:3], rate[:3], out[:3])
     for k in range(3, 6):
@@ -163,7 +185,7 @@ def twist_of(pose: Any, rate: Any, out: Any) -> None:
 
 
 @njit
-def rate_of(pose: Any, twist: Any, out: Any) -> None:
+def rate_of(pose: Vec6, twist: Vec6, out: Vec6) -> None:
     """Rate of a pose (6,) from the twist; the inverse of `twist_of`."""
     euler_rates(pose[:3], twist[:3], out[:3])
     for k in range(3, 6):
@@ -171,35 +193,35 @@ def rate_of(pose: Any, twist: Any, out: Any) -> None:
 
 
 @njit
-def dot(a: Any, b: Any) -> float:
+def dot(a: Vec3, b: Vec3) -> float:
     """Scalar product of vectors (3,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit
-def cross(a: Any, b: Any, out: Any) -> None:
+def cross(a: Vec3, b: Vec3, out: Vec3) -> None:
     """Vector product of vectors (3,)."""
     out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @njit
-def turned(matrix: Any, vector: Any, out: Any) -> None:
+def turned(matrix: Mat3, vector: Vec3, out: Vec3) -> None:
     """Matrix (3, 3) times vector (3,)."""
     for k in range(3):
         out[k] = matrix[k, 0] * vector[0] + matrix[k, 1] * vector[1] + matrix[k, 2] * vector[2]
 
 
 @njit
-def legs_at(robot: Any, pose: Any, legs: Any) -> int:
+def legs_at(robot: Robot, pose: Vec6, legs: Legs) -> int:
     """Directions of cranks and rods at a pose, closed form of (1)-(6), Fig. 1.
 
     Deviation: (5) rotates G as well, a misplaced bracket; (6) gives one branch in degrees without A, B, C. Here
     theta_i = atan2(B, A) + branch acos(C / sqrt(A^2 + B^2)), whose cosine and sine need no angle.
 
     Args:
-        robot: `ROBOT` record.
+        robot: Geometry.
         pose: (6,) [rad, m].
-        legs: `LEGS` record, out; where the result is not -1 only `rotation`, `arm` and `reach_margin` mean something.
+        legs: Out; where the result is not -1 only `rotation`, `arm` and `reach_margin` mean something.
 
     Returns:
         -1, or the leg whose margin is the least where it is negative or not a number.
@@ -235,14 +257,14 @@ def legs_at(robot: Any, pose: Any, legs: Any) -> int:
 
 
 @njit
-def crank_rates(legs: Any, twist: Any, out: Any) -> None:
+def crank_rates(legs: Legs, twist: Vec6, out: Vec6) -> None:
     """Rates of the cranks (6,) [rad/s] from a twist (6,); infinite or NaN at a dead centre."""
     for i in range(6):
         out[i] = (dot(legs.line[i, :3], twist[:3]) + dot(legs.line[i, 3:], twist[3:])) / legs.lever[i]
 
 
 @njit
-def crank_jacobian(legs: Any, out: Any) -> None:
+def crank_jacobian(legs: Legs, out: Mat6) -> None:
     """J (6, 6) = d(theta)/d(twist) [-, rad/m]; infinite at a dead centre."""
     for i in range(6):
         for k in range(6):
@@ -250,14 +272,14 @@ def crank_jacobian(legs: Any, out: Any) -> None:
 
 
 @njit
-def conditioning(robot: Any, legs: Any, tolerance: float, enough: float) -> float:
+def conditioning(robot: Robot, legs: Legs, tolerance: float, enough: float) -> float:
     """sigma_min / sigma_max of the rods' lines (14), rotations over the characteristic length [-].
 
     Where that is clearly more than `enough`, a lower bound of it that is no less, for a tenth of the time: one over
     the norms of the matrix and its inverse, which are at least sigma_max and 1 / sigma_min.
 
     Rotations are about the platform's centre, whatever tool poses tell of. Zero at a parallel singularity; it says
-    nothing about dead centres, see `LEGS.transmission`. `tolerance` is that of `linear_algebra.singular_vectors`;
+    nothing about dead centres, see `Legs.transmission`. `tolerance` is that of `linear_algebra.singular_vectors`;
     `QUICK` does for a check.
     """
     scaled, s, v = np.empty((6, 6)), np.empty(6), np.zeros((6, 6))
@@ -286,7 +308,7 @@ def conditioning(robot: Any, legs: Any, tolerance: float, enough: float) -> floa
 
 
 @njit
-def crank_tips(robot: Any, theta: Any, out: Any) -> None:
+def crank_tips(robot: Robot, theta: Vec6, out: Mat6x3) -> None:
     """Ends of the cranks (6, 3) [m] in B at crank angles (6,)."""
     for i in range(6):
         c, s = robot.crank_length[i] * np.cos(theta[i]), robot.crank_length[i] * np.sin(theta[i])
@@ -295,7 +317,7 @@ def crank_tips(robot: Any, theta: Any, out: Any) -> None:
 
 
 @njit
-def closures(robot: Any, tips: Any, pose: Any, errors: Any, slope: Any) -> None:
+def closures(robot: Robot, tips: Mat6x3, pose: Vec6, errors: Mat6x1, slope: Mat6) -> None:
     """Errors (6, 1) [m] of the rods' lengths from crank tips (6, 3) at a pose, and their derivatives by it (6, 6)."""
     turn, arm, rod = np.empty((3, 3)), np.empty(3), np.empty(3)
     rotation(pose[:3], turn)
@@ -314,7 +336,7 @@ def closures(robot: Any, tips: Any, pose: Any, errors: Any, slope: Any) -> None:
 
 
 @njit
-def forward_kinematics(robot: Any, theta: Any, pose: Any, tolerance: float, iterations: int) -> Any:
+def forward_kinematics(robot: Robot, theta: Vec6, pose: Vec6, tolerance: float, iterations: int) -> tuple[float, int]:
     """Pose (6,) from crank angles (6,), in the place of a guess, by Newton's method on the six rod lengths.
 
     Returns the largest error of a rod's length that is left [m], NaN or not below the tolerance [m] without

@@ -45,14 +45,14 @@ def measure_pose(
     """Reach, distance from singularities and crank speeds at a pose: the law of planning and of the safety layer.
 
     Args:
-        robot: `ROBOT` record.
+        robot: `Robot` record.
         pose: (6,) [rad, m].
         twist: (6,) [rad/s, m/s].
         tolerance: Of `conditioning`.
         enough: Likewise.
-        legs: `LEGS` record, out; a lever at a dead centre is that of `DEAD_CENTRE`.
+        legs: `Legs` record, out; a lever at a dead centre is that of `DEAD_CENTRE`.
         right: (6, k) right sides of equations whose matrix is the rods' lines, solved in place.
-        out: Record with `reach_margin` (6,) as in `LEGS` and `transmission` (6,) |e_l . e_N|, zero of a leg that cannot
+        out: Record with `reach_margin` (6,) as in `Legs` and `transmission` (6,) |e_l . e_N|, zero of a leg that cannot
             span. Where all legs span also `conditioning`, `assembly_sign`, the sign of the lines' determinant, and
             `speed` (6,) of the cranks [rad/s]; elsewhere these are left as they were.
 

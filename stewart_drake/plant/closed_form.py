@@ -53,7 +53,7 @@ class ClosedForm:
         params = new_record(PARAMS, gravity=gravity, step=on_grid(options.time_step))
         # Other plants' options are stepped as Drake does.
         self._kernel = _rk4 if getattr(options, "integrator", "") == "rk4" else _semi_implicit
-        self._fixed = options.loaded(robot), options.friction_of(robot), params, np.empty(1, laws.LEGS)
+        self._fixed = options.loaded(robot), options.friction_of(robot), params, laws.Legs.empty()
 
     def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
         """Begins at a pose (6,) and its rate (6,), friction without tension."""

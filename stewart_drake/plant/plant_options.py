@@ -98,7 +98,7 @@ class PlantOptions(Section, ABC, key="plant"):
         return 0.0
 
     def loaded(self, robot: RobotParameters) -> np.ndarray:
-        """The robot with its payload as a part of the platform, a `ROBOT` record."""
+        """The robot with its payload as a part of the platform, a `Robot` record."""
         return laws.robot_record(robot)
 
     def simulated(self, robot: RobotParameters) -> tuple[dict[str, Any], list[tuple[str, Any, str]]]:  # noqa: ARG002

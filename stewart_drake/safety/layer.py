@@ -271,7 +271,7 @@ def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
     inputs = {"command": 6, "measurement": 12, "reference": 18}
     inputs |= {name: len(value) for name, value in NOT_THERE.items()}
     error = partial(_stopped, options, period)
-    part = Part("safety", kernel, constants, inputs, ("torque", "safety"), first, (laws.LEGS, OBSERVED), error=error)
+    part = Part("safety", kernel, constants, inputs, ("torque", "safety"), first, (laws.Legs, OBSERVED), error=error)
     return part._replace(connections=NOT_THERE, parameters={**numbers, "params": params})
 
 

@@ -401,7 +401,7 @@ def _margins(
     # Of these limits none asks for gravity or period.
     out, params = np.empty((len(pose), len(LIMITS), 6)), params_of(robot, options, 0.0, 1.0)
     pose, rate, wanted = (np.ascontiguousarray(rows, dtype=float) for rows in (pose, rate, wanted))
-    legs, observed = np.empty(1, laws.LEGS), np.empty(1, OBSERVED)
+    legs, observed = laws.Legs.empty(), np.empty(1, OBSERVED)
     return out, margins_along(laws.robot_record(robot), params, pose, rate, wanted, assembly_sign, legs, observed, out)
 
 

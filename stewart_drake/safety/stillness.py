@@ -144,7 +144,7 @@ class Stillness:
 
     def __init__(self, robot: RobotParameters, period: float) -> None:
         self._robot, self._params = laws.robot_record(robot), new_record(STILL_PARAMS, **still_params(period))
-        self._legs, self._angles = np.empty(1, laws.LEGS), np.empty((1, 6))
+        self._legs, self._angles = laws.Legs.empty(), np.empty((1, 6))
         self.reset()
 
     def reset(self) -> None:

@@ -16,7 +16,7 @@ from stewart_drake.base.errors import ConfigurationError, NotFiniteError, Singul
 from stewart_drake.hardware.motors import within_limit
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import leg_geometry
-from stewart_drake.mechanics.kinematics_laws import LEGS
+from stewart_drake.mechanics.kinematics_laws import Legs
 from stewart_drake.mechanics.linear_algebra import derivatives
 from stewart_drake.plant.closed_form import ClosedFormOptions, crank_motion, motion_rate
 from stewart_drake.plant.context_parameters import WithParameters
@@ -109,9 +109,7 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
                 raise NotFiniteError("the plant's pose", given[:6].copy())
             robot, friction, (gravity,) = self._numbers["robot"], self._numbers["friction"], self._numbers["gravity"]
             torque, result = within_limit(given[12:18], robot["effort_limit"][0]), np.empty(12)
-            leg, margin = motion_rate(
-                robot, friction, gravity, np.empty(1, LEGS), given[:12], torque, given[18:], result
-            )
+            leg, margin = motion_rate(robot, friction, gravity, Legs.empty(), given[:12], torque, given[18:], result)
             if leg >= 0:
                 raise SingularPoseError("serial", given[:6].copy(), margin, 0.0, leg)
             if not np.isfinite(result).all():

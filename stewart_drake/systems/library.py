@@ -22,7 +22,7 @@ from stewart_drake.base.keys import join_or
 from stewart_drake.base.sampling import just_before, on_grid
 from stewart_drake.control.base import TRACKING_ERROR
 from stewart_drake.control.features import DensityKind, density_part
-from stewart_drake.control.lqi import LQI_STATE, LqiOptions, lqi_part
+from stewart_drake.control.lqi import LqiOptions, LqiState, lqi_part
 from stewart_drake.control.network import TunerNetwork, network_part, network_tick
 from stewart_drake.loop.part import BoundPart, Part
 from stewart_drake.plant.context_parameters import WithParameters
@@ -320,7 +320,7 @@ _NAMED |= {"safety": SafetyLayer}
 def system_of(part: Part, period: float) -> PartSystem:
     """A `PartSystem`, of the class that bears the part's name where there is one."""
     kind: Any = _NAMED.get(part.name, PartSystem)
-    if part.initial.dtype == LQI_STATE:
+    if part.initial.dtype == LqiState.layout:
         kind = LqiController
     elif part.kernel is network_tick:
         kind = AnnTuner

@@ -14,14 +14,14 @@ from stewart_drake.control.ball_joints import (
     joints_record,
 )
 from stewart_drake.mechanics.kinematics import leg_geometry, pose_jacobian, pose_rate_to_twist, rotation_matrix
-from stewart_drake.mechanics.kinematics_laws import LEGS, legs_at, robot_record
+from stewart_drake.mechanics.kinematics_laws import Legs, legs_at, robot_record
 
 ROBOTS = [RobotParameters(), load_robot("reachy_mini")]
 RATE = np.array([0.3, -0.2, 0.4, 0.02, -0.01, 0.03])
 
 
 def record_of(robot, pose):
-    legs = np.empty(1, LEGS)
+    legs = Legs.empty()
     assert legs_at(robot_record(robot)[0], pose, legs[0]) == -1
     return legs[0]
 

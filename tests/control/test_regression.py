@@ -28,7 +28,7 @@ from stewart_drake.control.ball_joints import JOINTS as JOINTS_RECORD
 from stewart_drake.control.ball_joints import BallJoints
 from stewart_drake.control.learnt_laws import show_first
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.mechanics.kinematics_laws import LEGS
+from stewart_drake.mechanics.kinematics_laws import Legs
 from stewart_drake.scenario.assembly import context_of
 
 SIZE = 6 * OWN + COMMON
@@ -206,7 +206,7 @@ def rows_made(part, state, **changes):
     for name, value in changes.items():
         params[name] = value
     robot, rest, joints = (part.constants[name] for name in ("robot", "rest", "joints"))
-    records = (each.view(np.recarray)[0] for each in (robot, rest, joints, params, np.zeros(1, LEGS), state))
+    records = (each.view(np.recarray)[0] for each in (robot, rest, joints, params, Legs.new(), state))
     robot, rest, joints, params, legs, state = records
     assert law._rows(robot, rest, part.constants["heads"], joints, params, legs, state, rows)
     return rows

@@ -5,7 +5,7 @@ from strategies import ROBOT, robots_and_poses, vectors
 
 from stewart_drake.base.jit import njit, record
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry, pose_rate_to_twist, reach_margin, rod_lines
-from stewart_drake.mechanics.kinematics_laws import LEGS, QUICK, robot_record
+from stewart_drake.mechanics.kinematics_laws import QUICK, Legs, robot_record
 from stewart_drake.mechanics.singularities import CONTROLLED, MONITORED, PLANNED, WEIGHT_TRUSTED, measure_pose
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.safety.limits import OBSERVED
@@ -19,7 +19,7 @@ def _measure(robot, pose, twist, enough, legs, out):
 
 def measured(robot, pose, twist, enough=np.inf):
     out = np.full((1, OBSERVED.itemsize // 8), np.nan).view(OBSERVED)[0]
-    return _measure(robot_record(robot), pose, twist, enough, np.empty(1, LEGS), out), out[0]
+    return _measure(robot_record(robot), pose, twist, enough, Legs.empty(), out), out[0]
 
 
 def test_a_motion_is_planned_further_away_than_it_is_stopped_and_stopped_further_away_than_a_controller_fails():
