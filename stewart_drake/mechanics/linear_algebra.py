@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Vector
 
 SWEEPS = 30
 """Jacobi sweeps at most; six do."""
@@ -163,3 +164,31 @@ def derivatives(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) ->
         ahead, behind = at + way, at - way
         columns.append((function(ahead) - function(behind)) / (ahead[k] - behind[k]))
     return function(at), np.stack(columns, axis=-1)
+
+
+@njit
+def set_to(out: Vector, value: float) -> None:
+    """Sets all numbers of a vector."""
+    for k in range(len(out)):
+        out[k] = value
+
+
+@njit
+def any_nonzero(values: Vector) -> bool:
+    """Whether a number of a vector is not zero."""
+    for value in values:  # noqa: SIM110 - numba knows no generators here
+        if value != 0.0:
+            return True
+    return False
+
+
+@njit
+def largest_size(values: Vector) -> float:
+    """Largest |value| of a vector; NaN counts as largest."""
+    largest = 0.0
+    for value in values:
+        if not abs(value) <= largest:
+            largest = abs(value)
+            if np.isnan(largest):
+                break
+    return largest
