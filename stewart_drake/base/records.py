@@ -99,6 +99,12 @@ class Record(_Base):
         result: Any = np.empty(1, cls.layout)
         return result
 
+    @classmethod
+    def of(cls, numbers: np.ndarray) -> Self:
+        """The record in the numbers of a signal (n,), for Python: its fields are attributes."""
+        result: Any = np.ascontiguousarray(numbers, dtype=float).view(cls.layout).view(np.recarray)[0]
+        return result
+
 
 if TYPE_CHECKING:
 
