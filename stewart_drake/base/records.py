@@ -29,6 +29,7 @@ Vector = np.ndarray
 """(n,)"""
 Matrix = np.ndarray
 """(n, m)"""
+Vec1 = Annotated[np.ndarray, (1,)]
 Vec2 = Annotated[np.ndarray, (2,)]
 Vec3 = Annotated[np.ndarray, (3,)]
 Vec4 = Annotated[np.ndarray, (4,)]
