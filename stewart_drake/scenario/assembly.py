@@ -130,8 +130,8 @@ def sensor_parts(scenario: Scenario) -> list[Part]:
         for source, name in late.items()
     ]
     ports = [{port: str(part.source(port)) for port in part.inputs} for part in parts]
-    moved = [{port: late[source] for port, source in each.items() if source in late} for each in ports]
-    return [*delays, *(part.connected(**each) for part, each in zip(parts, moved, strict=True))]
+    moved = [{port: late[source] for port, source in inputs.items() if source in late} for inputs in ports]
+    return [*delays, *(part.connected(**inputs) for part, inputs in zip(parts, moved, strict=True))]
 
 
 def command_path(
@@ -156,7 +156,7 @@ def command_path(
         parts.append(safety.connected(command=command, **age))
         command = "safe_torque"
     elif scenario.controller.code is not None or scenario.link.faults:
-        # Motors would cut an infinite torque to one that looks valid; our own controllers never give one.
+        # Motors would cut an infinite torque to one that looks valid. The package's controllers never give one.
         finite = _FINITE._replace(constants={"what": scenario.motors.takes}, period=step)
         parts.append(finite.connected(command=command))
         command = "checked"
@@ -165,7 +165,7 @@ def command_path(
 
 
 def control_side(options: ControlOptions, split: bool = False, reading: str = "reading") -> ControlSide:
-    """The controller's side, from its own options alone; it reads the signal `reading`.
+    """The controller's side, from its options alone; it reads the signal `reading`.
 
     Raises:
         ConfigurationError: A weights file that is missing or corrupt; a user's code that cannot be used; an observer
@@ -301,7 +301,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
             if "setting" in part.outputs:
                 logged["setting"] = "setting"
             if "disturbance" in part.outputs:
-                estimator = [each.connected(disturbance=part.signal("disturbance")) for each in estimator]
+                estimator = [made.connected(disturbance=part.signal("disturbance")) for made in estimator]
 
     parts = [*estimator, *lead, tracking_error, tolerant(law, "controller_health"), *additions, *inverse, *density]
 
