@@ -70,14 +70,14 @@ class ReachyMachine:
 
     def read(self) -> Reading:
         """The next tick of the daemon."""
-        last, deadline = self._number, time.monotonic() + machine.PATIENCE * TICK
+        last, deadline = self._number, time.monotonic() + machine.PERIODS_TO_WAIT * TICK
         while (left := deadline - time.monotonic()) > 0.0 and self._take(left):
             if self._number > last:
                 deadline = min(deadline, self._arrived + PAIR if self._pose_number < self._number else 0.0)
         while self._take(0.0):
             pass
         age = time.monotonic() - self._arrived
-        if age > machine.LOST:
+        if age > machine.LOST_AFTER:
             sent = f"; it sent {self._strange}" if self._strange else ""
             raise MachineError(self.name, f"the daemon has sent no angles for {age:.1f} s{sent}")
         pose = self._pose.copy() if self._pose_number == self._number else None
