@@ -33,7 +33,7 @@ FORCE = opt.switch("Replace files that are there; never those that are read.")
 
 @command("moves", kind=opt.Group)
 def moves() -> None:
-    """All take a recorded move FILE.json, a FOLDER of them, dance:NAME, or all `dances` of the manufacturer's library."""
+    """All take a recorded move FILE.json, a FOLDER of them, dance:NAME, or all `dances` of Pollen Robotics."""
 
 
 def _number(value: float) -> str:
