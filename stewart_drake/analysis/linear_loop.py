@@ -22,7 +22,8 @@ from stewart_drake.base.errors import ConfigurationError, RunFailure, Unreachabl
 from stewart_drake.loop.part import LoopRunner, Part
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
-from stewart_drake.mechanics.linear_algebra import STEP, derivatives
+from stewart_drake.mechanics.kinematics_laws import Robot
+from stewart_drake.mechanics.linear_algebra import DIFFERENCE_STEP, derivatives
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.assembly import control_side
 from stewart_drake.scenario.scenario import Scenario, load_scenario
@@ -105,13 +106,13 @@ class PlantAt(NamedTuple):
     torque: np.ndarray
 
 
-def plant_at(robots: np.ndarray, poses: np.ndarray, gravity: float, period: float) -> PlantAt:
-    """The robot, a `Robot` record with what it carries, at poses (m, 6) under torques that are held over a period."""
+def plant_at(robots: Robot, poses: np.ndarray, gravity: float, period: float) -> PlantAt:
+    """The robot with its payload at poses (m, 6), under torques that are held over a period."""
     torque, whole = static_torque(robots, poses, gravity), np.zeros((len(poses), 18, 18))
     whole[:, :6, 6:12], whole[:, 6:12, 12:] = np.eye(6), pose_acceleration_map(robots, poses)
-    for k, way in enumerate(STEP * np.eye(6)):
+    for k, way in enumerate(DIFFERENCE_STEP * np.eye(6)):
         ahead, behind = forward_dynamics(robots, np.stack([poses + way, poses - way]), np.zeros(6), torque, gravity)
-        whole[:, 6:12, k] = (ahead - behind) / (2.0 * STEP)
+        whole[:, 6:12, k] = (ahead - behind) / (2.0 * DIFFERENCE_STEP)
     moves = expm(period * whole)
     return PlantAt(moves[:, :12, :12], moves[:, :12, 12:], torque)
 
@@ -175,7 +176,7 @@ class _ControllersSide:
 
     def _leading(self) -> np.ndarray:
         n, columns = len(self._start), []
-        for way in STEP * np.eye(n):
+        for way in DIFFERENCE_STEP * np.eye(n):
             try:
                 ahead, behind = (self(np.concatenate([self.reading, self._start + step])) for step in (way, -way))
                 columns.append(ahead - behind)

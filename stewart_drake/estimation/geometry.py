@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from stewart_drake.estimation import core
 from stewart_drake.estimation.core import Parameter
 from stewart_drake.mechanics.kinematics import newton, rod_length_errors, roll_pitch_yaw, rotation_matrix
-from stewart_drake.mechanics.kinematics_laws import robot_record
+from stewart_drake.mechanics.kinematics_laws import Robot, robot_record
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
@@ -105,8 +105,8 @@ def derivative(function: Callable[[np.ndarray], np.ndarray], directions: np.ndar
     return np.stack([function(row) - function(-row) for row in _STEP * directions], axis=-1) / (2.0 * _STEP)
 
 
-def changed_record(guess: RobotParameters, change: np.ndarray) -> np.ndarray:
-    """`Robot` record of the guess after a change (`SIZE`,) [m, rad]; its crank angles are the encoders' readings."""
+def changed_record(guess: RobotParameters, change: np.ndarray) -> Robot:
+    """Record of the guess after a change (`SIZE`,) [m, rad]; its crank angles are the encoders' readings."""
     legs = by_leg(change)
     zero, quarter = guess.crank_zero_directions, guess.crank_quarter_directions
     rotation = exponential(legs[:, 8:9] * zero + legs[:, 9:10] * quarter)

@@ -26,7 +26,7 @@ from stewart_drake.estimation.core import Parameter, Readings
 from stewart_drake.logs.log import SimulationLog, load_log
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics
 from stewart_drake.mechanics.kinematics import crank_rates, forward_kinematics, inverse_kinematics, leg_geometry
-from stewart_drake.mechanics.kinematics_laws import robot_record
+from stewart_drake.mechanics.kinematics_laws import Robot, robot_record
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
@@ -94,8 +94,8 @@ def inertia_matrix(values: np.ndarray) -> Any:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def _body_record(guess: RobotParameters, bodies: np.ndarray) -> np.ndarray:
-    """`Robot` record of a guess with other bodies (14,), which no real robot needs to have."""
+def _body_record(guess: RobotParameters, bodies: np.ndarray) -> Robot:
+    """Record of a guess with other bodies (14,), not necessarily physical ones."""
     record, half = robot_record(guess).copy(), 0.5 * guess.crank_lengths
     record["platform_mass"], record["platform_moment"] = bodies[MASS], bodies[MOMENT]
     record["platform_tensor"] = inertia_matrix(bodies)

@@ -12,26 +12,27 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.base.jit import njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Matrix, record
 from stewart_drake.mechanics import dynamics_laws as laws
-from stewart_drake.mechanics.kinematics import LegGeometry, Robot, at_poses, leg_geometry, rod_lines
-from stewart_drake.mechanics.kinematics_laws import LEGS, OK, PARALLEL, UNREACHABLE, legs_at
+from stewart_drake.mechanics.kinematics import LegGeometry, RobotLike, at_poses, leg_geometry, rod_lines
+from stewart_drake.mechanics.kinematics_laws import LEGS, OK, PARALLEL, UNREACHABLE, Robot, legs_at
 from stewart_drake.robot import RobotParameters
 
 STANDARD_GRAVITY = 9.81
-"""[m/s^2] the value of the reference computations and of Drake's default field."""
+"""[m/s^2] as in Drake's default field."""
 ForceMapKind = Literal["printed", "statics"]
 _MOTION_TORQUE, _ACCELERATION, _BIAS, _INERTIA, _ACCELERATION_MAP = range(5)
+"""Laws that `_rows` evaluates."""
 
 
-def static_torque(robot: Robot, pose: ArrayLike, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
+def static_torque(robot: RobotLike, pose: ArrayLike, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
     """Motor torques (..., 6) [N m] that hold platform, rods and cranks at rest at poses (..., 6) [rad, m]."""
-    still = np.zeros(6)
-    return inverse_dynamics(robot, pose, still, still, gravity)
+    return inverse_dynamics(robot, pose, np.zeros(6), np.zeros(6), gravity)
 
 
 def inverse_dynamics(
-    robot: Robot,
+    robot: RobotLike,
     pose: ArrayLike,
     pose_rate: ArrayLike,
     pose_acceleration: ArrayLike,
@@ -58,7 +59,7 @@ def inverse_dynamics(
 
 
 def forward_dynamics(
-    robot: Robot,
+    robot: RobotLike,
     pose: ArrayLike,
     pose_rate: ArrayLike,
     torque: ArrayLike,
@@ -72,41 +73,44 @@ def forward_dynamics(
     return _at_poses(_ACCELERATION, robot, motion, gravity)[..., 0, :]
 
 
-def task_bias(robot: Robot, pose: ArrayLike, twist: ArrayLike, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
+def task_bias(robot: RobotLike, pose: ArrayLike, twist: ArrayLike, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
     """h(pose, twist) (..., 6) [N m, N]: Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates."""
     return _at_poses(_BIAS, robot, {"pose": pose, "twist": twist}, gravity)[..., 0, :]
 
 
-def task_inertia(robot: Robot, pose: ArrayLike) -> np.ndarray:
-    """M(pose) (..., 6, 6) [kg m^2, kg m, kg]: inertia of the closed chain as the platform feels it."""
+def task_inertia(robot: RobotLike, pose: ArrayLike) -> np.ndarray:
+    """M(pose) (..., 6, 6) [kg m^2, kg m, kg]: inertia of the closed chain in task coordinates."""
     return _at_poses(_INERTIA, robot, {"pose": pose})
 
 
 def crank_inertia(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
-    """(6, 6) [kg m^2] inertia that the cranks feel at a pose (6,): of the whole robot, in their angles."""
+    """Inertia (6, 6) [kg m^2] of the whole robot in the cranks' angles, at a pose (6,)."""
     legs = leg_geometry(robot, pose)
     to_twist = np.linalg.inv(rod_lines(legs) / (robot.crank_lengths * legs.transmission)[:, None])
-    result: np.ndarray = to_twist.T @ task_inertia(robot, pose) @ to_twist
-    return result
+    return np.asarray(to_twist.T @ task_inertia(robot, pose) @ to_twist)
 
 
-def pose_acceleration_map(robot: Robot, pose: ArrayLike) -> np.ndarray:
+def pose_acceleration_map(robot: RobotLike, pose: ArrayLike) -> np.ndarray:
     """E^-1 M^-1 J' (..., 6, 6): second derivative of the pose per unit of motor torque; M^-1 tau of (10), exact."""
     return _at_poses(_ACCELERATION_MAP, robot, {"pose": pose})
 
 
-def _at_poses(law: int, robot: Robot, inputs: Mapping[str, ArrayLike], gravity: float = 0.0) -> np.ndarray:
+def _at_poses(law: int, robot: RobotLike, inputs: Mapping[str, ArrayLike], gravity: float = 0.0) -> np.ndarray:
     """A law's matrices (..., 6, 6), or vectors as (..., 1, 6), of a pose and up to two vectors (..., 6)."""
     rows = 6 if law in (_INERTIA, _ACCELERATION_MAP) else 1
-    rest = {f"none {k}": np.zeros(6) for k in range(len(inputs), 3)}
-    return np.asarray(at_poses(_loop, robot, {**inputs, **rest}, (rows, 6), law, gravity))
+    unused = {f"unused {k}": np.zeros(6) for k in range(len(inputs), 3)}
+    return at_poses(_rows, robot, {**inputs, **unused}, (rows, 6), law, gravity)
 
 
 @njit
-def _loop(robot: Any, law: float, gravity: float, poses: Any, vectors: Any, others: Any, out: Any) -> int:
-    robot, store, motion, nothing = record(robot), np.empty(1, LEGS), np.empty(12), np.zeros(6)
+def _rows(
+    robot: Robot, law: float, gravity: float, poses: Matrix, vectors: Matrix, others: Matrix, out: np.ndarray
+) -> int:
+    memory: Any = np.empty(1, LEGS)
+    robot, motion, nothing = record(robot), np.empty(12), np.zeros(6)
     for n in range(len(poses)):
-        legs, pose, vector, done = record(store), poses[n], vectors[n], True
+        # In the loop, which keeps `memory` alive.
+        legs, pose, vector, done = record(memory), poses[n], vectors[n], True
         if legs_at(robot, pose, legs) >= 0:
             return UNREACHABLE
         if law == _MOTION_TORQUE:
@@ -132,7 +136,7 @@ def _loop(robot: Any, law: float, gravity: float, poses: Any, vectors: Any, othe
 def rod_map(legs: LegGeometry) -> np.ndarray:
     """tau_1 (..., 6, 6) of (14): wrench [M; F] of P in B from the six rod forces.
 
-    Deviation: e_M = (R^-1 p_i) x e_l; the print leaves p_i unrotated.
+    Deviation: e_M = (R^-1 p_i) x e_l; in the paper p_i is not rotated.
     """
     return rod_lines(legs).swapaxes(-1, -2)
 
@@ -141,7 +145,7 @@ def crank_map(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> 
     """Diagonal (..., 6) [1/m] of tau_2 of (16): force in a rod per unit of motor torque.
 
     `printed` is (e_l . e_N) / |a|. Deviation: the statics of a massless crank and rod give 1 / (|a| (e_l . e_N)),
-    `statics`, infinite at a crank's dead centre; the two agree only where the rod lies along e_N.
+    `statics`, infinite at a crank's dead centre; both agree only if the rod lies along e_N.
     """
     cranks = robot.crank_lengths
     if kind == "printed":
@@ -153,7 +157,7 @@ def crank_map(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> 
 
 
 def force_map_of_legs(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
-    """Map tau of (18) from leg vectors that are already at hand; (..., 6, 6) [-, 1/m]."""
+    """Map tau (..., 6, 6) [-, 1/m] of (18) from leg vectors."""
     return rod_map(legs) * crank_map(robot, legs, kind)[..., None, :]
 
 

@@ -2,18 +2,19 @@
 
 Model: platform of Table I, cranks turning about their motors, rods as rigid bodies without spin about their own axes.
 Coordinates: twist [w, v] of P in B. M(pose) d(twist)/dt + h(pose, twist) = J' T with J = d(theta)/d(twist).
-`dynamics` has the same for arrays of poses, with checks. A `Robot` and a `Legs` record come first; gravity [m/s^2] is
-along -z of B.
+`dynamics` has the same for arrays of poses, with checks. Gravity [m/s^2] is along -z of B. Poses are in [rad, m],
+twists in [rad/s, m/s], wrenches in [N m, N].
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Mat3, Mat6, Vec6, Vec12
 from stewart_drake.mechanics.kinematics_laws import (
+    Legs,
+    Robot,
     angular_velocity,
     cross,
     dot,
@@ -27,19 +28,21 @@ from stewart_drake.mechanics.linear_algebra import solve
 
 
 @njit
-def task_inertia(robot: Any, legs: Any, out: Any) -> None:
-    """M (6, 6) [kg m^2, kg m, kg]: inertia of the closed chain as the platform feels it."""
+def task_inertia(robot: Robot, legs: Legs, out: Mat6) -> None:
+    """M [kg m^2, kg m, kg]: inertia of the closed chain in task coordinates."""
     turn = legs.rotation[:]
     rows, mass = np.empty((5, 6)), robot.platform_mass
-    moment, column, pull, row, of_tip = rows[0], rows[1], rows[2], rows[3], rows[4]
-    out[:] = 0.0
+    moment, column, pull, row, tip_row = rows[0], rows[1], rows[2], rows[3], rows[4]
+    for i in range(6):
+        for k in range(6):
+            out[i, k] = 0.0
     for k in range(3):
         turned(robot.platform_tensor[:], turn[k], column)
         turned(turn, column, out[k, :3])
     turned(turn, robot.platform_moment[:], moment)
-    # A rod is three things to its two ends: m/4 of their sum, and I/l^2 of their difference across the rod. Of the
-    # joint's Jacobian [-[arm] I] the square is that of a point mass, and the tip's is a e_N J_i. e_l . (joint - tip) J
-    # = 0: the rod keeps its length, so the difference has no part along it.
+    # Kinetic energy of a rod from the velocities of its ends: m/4 of their sum squared, and I/l^2 of their difference,
+    # which is across the rod because its length is constant. The joint's Jacobian is [-[arm] I], as of a point mass;
+    # the tip's is a e_N J_i.
     for i in range(6):
         a, arm = robot.crank_length[i], legs.arm[i]
         across = robot.rod_inertia / (robot.rod_length[i] * robot.rod_length[i])
@@ -52,13 +55,13 @@ def task_inertia(robot: Any, legs: Any, out: Any) -> None:
             for k in range(j, 3):
                 out[j, k] -= both * arm[j] * arm[k]
         cross(arm, legs.e_n[i], pull)
-        of_crank = robot.crank_inertia[i] + both * a * a
+        crank_term = robot.crank_inertia[i] + both * a * a
         for j in range(6):
             row[j] = legs.line[i, j] / legs.lever[i]
-            of_tip[j] = apart * a * (pull[j] if j < 3 else legs.e_n[i, j - 3])
+            tip_row[j] = apart * a * (pull[j] if j < 3 else legs.e_n[i, j - 3])
         for j in range(6):
             for k in range(j, 6):
-                out[j, k] += row[j] * (of_crank * row[k] + of_tip[k]) + of_tip[j] * row[k]
+                out[j, k] += row[j] * (crank_term * row[k] + tip_row[k]) + tip_row[j] * row[k]
     x, y, z = moment[0], moment[1], moment[2]
     out[0, 4] -= z
     out[0, 5] += y
@@ -74,11 +77,21 @@ def task_inertia(robot: Any, legs: Any, out: Any) -> None:
 
 
 @njit
-def loads(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, wrench: Any, torque: Any) -> None:
-    """What a motion takes of all bodies: a wrench (6,) [N m, N] about P in B, and a torque (6,) [N m] at the cranks."""
+def loads(robot: Robot, legs: Legs, twist: Vec6, twist_rate: Vec6, gravity: float, wrench: Vec6, torque: Vec6) -> None:
+    """Inertial and gravity loads of a motion: a wrench about P in B, and torques at the cranks.
+
+    Args:
+        robot: Geometry and masses.
+        legs: At the pose.
+        twist: [rad/s, m/s].
+        twist_rate: [rad/s^2, m/s^2].
+        gravity: [m/s^2].
+        wrench: [N m, N], out.
+        torque: [N m] at the cranks, out.
+    """
     turn, w, alpha = legs.rotation[:], twist[:3], twist_rate[:3]
     platform_load(robot, turn, twist, twist_rate, gravity, wrench)
-    rows = np.empty((9, 3))  # One array: memory for nine would take longer than what they are for.
+    rows = np.empty((9, 3))  # One array: to allocate nine would take longer than the computation.
     arm_w, joint, speed, tip, arm_alpha, swing = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
     load, other, moment = rows[6], rows[7], rows[8]
     for i in range(6):
@@ -117,8 +130,8 @@ def loads(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, wr
 
 
 @njit
-def platform_load(robot: Any, turn: Any, twist: Any, twist_rate: Any, gravity: float, wrench: Any) -> None:
-    """Of the platform alone: I alpha + w x I w about P in its own frame, then what its centre of mass adds in B."""
+def platform_load(robot: Robot, turn: Mat3, twist: Vec6, twist_rate: Vec6, gravity: float, wrench: Vec6) -> None:
+    """Load of the platform: I alpha + w x I w about P, computed in P, and the terms of its centre of mass, in B."""
     rows = np.zeros((9, 3))
     body_w, body_alpha, spin, load, gyro = rows[0], rows[1], rows[2], rows[3], rows[4]
     for k in range(3):
@@ -145,24 +158,24 @@ def platform_load(robot: Any, turn: Any, twist: Any, twist_rate: Any, gravity: f
 
 
 @njit
-def inverse_dynamics(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, torque: Any) -> bool:
-    """Motor torques (6,) [N m] of a motion, all bodies included; False at a parallel singularity."""
-    load, wrench, matrix = np.empty(6), np.empty((6, 1)), np.empty((6, 6))
-    loads(robot, legs, twist, twist_rate, gravity, load, torque)
+def inverse_dynamics(robot: Robot, legs: Legs, twist: Vec6, twist_rate: Vec6, gravity: float, torque: Vec6) -> bool:
+    """Motor torques [N m] of a motion, all bodies included; False at a parallel singularity."""
+    wrench, rod_force, matrix = np.empty(6), np.empty((6, 1)), np.empty((6, 6))
+    loads(robot, legs, twist, twist_rate, gravity, wrench, torque)
     for i in range(6):
-        wrench[i, 0] = load[i]
+        rod_force[i, 0] = wrench[i]
         for k in range(6):
             matrix[k, i] = legs.line[i, k]
-    if solve(matrix, wrench) == 0.0:
+    if solve(matrix, rod_force) == 0.0:
         return False
     for i in range(6):
-        torque[i] += legs.lever[i] * wrench[i, 0]
+        torque[i] += legs.lever[i] * rod_force[i, 0]
     return True
 
 
 @njit
-def twists_of_motion(pose: Any, rate: Any, acceleration: Any, twist: Any, twist_rate: Any) -> None:
-    """Twist and its rate (6,) of a pose, its rate and its acceleration (6,) in Euler angles."""
+def twists_of_motion(pose: Vec6, rate: Vec6, acceleration: Vec6, twist: Vec6, twist_rate: Vec6) -> None:
+    """Twist and its rate from a pose, its rate and its acceleration in Euler angles."""
     drift = np.empty(3)
     angular_velocity(pose[:3], rate[:3], twist[:3])
     angular_velocity(pose[:3], acceleration[:3], twist_rate[:3])
@@ -173,37 +186,37 @@ def twists_of_motion(pose: Any, rate: Any, acceleration: Any, twist: Any, twist_
 
 
 @njit
-def motion_torque(robot: Any, legs: Any, motion: Any, acceleration: Any, gravity: float, torque: Any) -> bool:
-    """`inverse_dynamics` of pose and rate (12,) and acceleration (6,) in Euler angles."""
+def motion_torque(robot: Robot, legs: Legs, motion: Vec12, acceleration: Vec6, gravity: float, torque: Vec6) -> bool:
+    """`inverse_dynamics` of pose and rate, and acceleration, in Euler angles."""
     twist, twist_rate = np.empty(6), np.empty(6)
     twists_of_motion(motion[:6], motion[6:], acceleration, twist, twist_rate)
     return inverse_dynamics(robot, legs, twist, twist_rate, gravity, torque)
 
 
 @njit
-def static_torque(robot: Any, legs: Any, gravity: float, torque: Any) -> bool:
-    """Motor torques (6,) [N m] that hold all bodies at rest; False at a parallel singularity."""
+def static_torque(robot: Robot, legs: Legs, gravity: float, torque: Vec6) -> bool:
+    """Motor torques [N m] that hold all bodies at rest; False at a parallel singularity."""
     still = np.zeros(6)
     return inverse_dynamics(robot, legs, still, still, gravity, torque)
 
 
 @njit
-def task_bias(robot: Any, legs: Any, twist: Any, gravity: float, out: Any) -> None:
-    """H (6,) [N m, N]: Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates, of a twist (6,)."""
-    of_cranks = np.empty(6)
-    loads(robot, legs, twist, np.zeros(6), gravity, out, of_cranks)
+def task_bias(robot: Robot, legs: Legs, twist: Vec6, gravity: float, out: Vec6) -> None:
+    """Bias h [N m, N] in task coordinates: Coriolis, centrifugal, gyroscopic and gravity terms."""
+    crank_torque = np.empty(6)
+    loads(robot, legs, twist, np.zeros(6), gravity, out, crank_torque)
     for i in range(6):
         for k in range(6):
-            out[k] += legs.line[i, k] / legs.lever[i] * of_cranks[i]
+            out[k] += legs.line[i, k] / legs.lever[i] * crank_torque[i]
 
 
 @njit
 def forward_dynamics(
-    robot: Any, legs: Any, pose: Any, rate: Any, torque: Any, crank_acceleration: Any, gravity: float, out: Any
+    robot: Robot, legs: Legs, pose: Vec6, rate: Vec6, torque: Vec6, crank_acceleration: Vec6, gravity: float, out: Vec6
 ) -> bool:
-    """Acceleration of the pose (6,) [rad/s^2, m/s^2] under motor torques, the inverse of `motion_torque`.
+    """Acceleration of the pose [rad/s^2, m/s^2] under motor torques, the inverse of `motion_torque`.
 
-    `crank_acceleration` (6,) [rad/s^2] comes on top of what the torques do; of an observer. False at a singularity.
+    `crank_acceleration` [rad/s^2] is added to that of the torques, for an observer. False at a singularity.
     """
     twist, bias, inertia, solution = np.empty(6), np.empty(6), np.empty((6, 6)), np.empty((6, 1))
     twist_of(pose, rate, twist)
@@ -215,21 +228,21 @@ def forward_dynamics(
             solution[k, 0] += legs.line[i, k] / legs.lever[i] * torque[i]
     if solve(inertia, solution) == 0.0:
         return False
-    lines, more, drift = legs.line.copy(), np.empty((6, 1)), np.empty(3)
+    lines, added, drift = legs.line.copy(), np.empty((6, 1)), np.empty(3)
     for i in range(6):
-        more[i, 0] = legs.lever[i] * crank_acceleration[i]
-    if solve(lines, more) == 0.0:
+        added[i, 0] = legs.lever[i] * crank_acceleration[i]
+    if solve(lines, added) == 0.0:
         return False
     euler_drift(pose[:3], rate[:3], drift)
     for k in range(6):
-        out[k] = solution[k, 0] + more[k, 0] - (drift[k] if k < 3 else 0.0)
+        out[k] = solution[k, 0] + added[k, 0] - (drift[k] if k < 3 else 0.0)
     euler_rates(pose[:3], out[:3], out[:3])
     return True
 
 
 @njit
-def pose_acceleration_map(robot: Any, legs: Any, pose: Any, out: Any) -> bool:
-    """E^-1 M^-1 J' (6, 6): second derivative of the pose per unit of motor torque; False at a singularity.
+def pose_acceleration_map(robot: Robot, legs: Legs, pose: Vec6, out: Mat6) -> bool:
+    """E^-1 M^-1 J': second derivative of the pose per unit of motor torque; False at a singularity.
 
     The exact counterpart of M^-1 tau in (10); [rad/s^2/(N m), m/s^2/(N m)].
     """

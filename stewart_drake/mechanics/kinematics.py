@@ -13,34 +13,34 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, DTypeLike
 
 from stewart_drake.base.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
-from stewart_drake.base.jit import njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Matrix, record
 from stewart_drake.mechanics import kinematics_laws as laws
-from stewart_drake.mechanics.kinematics_laws import OK, UNREACHABLE, Legs
+from stewart_drake.mechanics.kinematics_laws import OK, UNREACHABLE, Legs, Robot
 from stewart_drake.robot import RobotParameters
 
 CHUNK = 512
-"""Poses that are worth a thread: starting one takes as long as some fifty."""
+"""Poses for a thread; to start one takes as long as some fifty poses."""
 CLOSED, NEWTON_STEPS = 1e-13, 30
-"""[m] error of a rod's length at which `forward_kinematics` ends, and after how many steps of Newton's method at most.
-"""
+"""`forward_kinematics` ends at this error [m] of the rods' lengths, or after so many steps of Newton's method."""
 
-Loop = Callable[..., Any]
-"""Takes shared arguments, then rows, one for each pose, those that it fills last; returns `OK` or another status."""
-Robot = RobotParameters | np.ndarray
-"""A robot, or its numbers as a `Robot` record (1,)."""
+Loop = Callable[..., int | None]
+"""Takes shared arguments, then arrays with a row for each pose, the last to be filled; returns a status."""
+RobotLike = RobotParameters | Robot
+"""A robot, or its record."""
 
 
 # --- many poses ------------------------------------------------------------------------------------------------------
 
 
 def over_rows(loop: Loop, shared: tuple[Any, ...], rows: tuple[np.ndarray, ...]) -> int:
-    """Runs a loop over rows, in one chunk for each core where there are enough of them; the worst status."""
+    """Runs a loop over rows, on all cores if there are many rows; the worst status."""
 
     def run(start: int, stop: int) -> int:
-        with np.errstate(all="ignore"):  # of the same source uncompiled
+        with np.errstate(all="ignore"):  # for uncompiled laws
             return loop(*shared, *(array[start:stop] for array in rows)) or OK
 
     count = len(rows[0])
@@ -48,18 +48,33 @@ def over_rows(loop: Loop, shared: tuple[Any, ...], rows: tuple[np.ndarray, ...])
     if chunks < 2:
         return run(0, count)
     edges = np.linspace(0, count, chunks + 1).astype(int).tolist()
-    # A pool that lives as long as the call: threads do not survive a fork.
+    # A new pool for each call: threads do not survive a fork.
     with ThreadPoolExecutor(chunks) as pool:
         return max(pool.map(run, edges[:-1], edges[1:]))
 
 
 def at_poses(
-    loop: Loop, robot: Robot, inputs: Mapping[str, Any], tail: tuple[int, ...], *numbers: float, kind: Any = float
-) -> Any:
-    """Values (..., *tail) of a type at poses; `inputs` (..., 6) by name broadcast, a finite `pose` among them.
+    loop: Loop,
+    robot: RobotLike,
+    inputs: Mapping[str, ArrayLike],
+    tail: tuple[int, ...],
+    *numbers: float,
+    kind: DTypeLike = float,
+) -> np.ndarray:
+    """Values (..., *tail) at poses.
 
-    The loop takes the robot's record, the numbers, rows of the inputs, and rows to fill. Where it cannot go on:
-    UnreachablePoseError of the worst leg of all poses, or at a singularity numpy's LinAlgError.
+    Args:
+        loop: Takes the robot's record, the numbers, rows of the inputs, and rows to fill.
+        robot: Geometry.
+        inputs: Name -> (..., 6), broadcast together; `pose` must be finite.
+        tail: Shape of a value.
+        numbers: For the loop.
+        kind: Type of the values.
+
+    Raises:
+        ConfigurationError: A wrong shape, or a pose that is not finite.
+        UnreachablePoseError: Of the worst leg of all poses.
+        numpy.linalg.LinAlgError: At a singularity.
     """
     arrays = {name: np.asarray(value, dtype=float) for name, value in inputs.items()}
     for name, array in arrays.items():
@@ -80,17 +95,17 @@ def at_poses(
     return values.reshape((*leading, *tail))[()]
 
 
-def as_record(robot: Robot) -> np.ndarray:
-    """The numbers of a robot, a `Robot` record that is not to be written to."""
+def as_record(robot: RobotLike) -> Robot:
+    """The record of a robot, read-only."""
     if isinstance(robot, RobotParameters):
         return laws.robot_record(robot)
     view = robot.view()
-    view.flags.writeable = False  # laws are compiled once for records of this kind
+    view.flags.writeable = False  # so that laws are compiled for one type
     return view
 
 
 @njit
-def _legs(robot: Any, poses: Any, legs: Any) -> int:
+def _legs(robot: Robot, poses: Matrix, legs: Any) -> int:
     robot, status = record(robot), OK
     for n in range(len(poses)):
         if laws.legs_at(robot, poses[n], record(legs[n : n + 1])) >= 0:
@@ -99,18 +114,22 @@ def _legs(robot: Any, poses: Any, legs: Any) -> int:
 
 
 def _of_legs(
-    values: Callable[..., Any], robot: Robot, pose: ArrayLike, tail: tuple[int, ...], anywhere: bool = False
+    values: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    robot: RobotLike,
+    pose: ArrayLike,
+    tail: tuple[int, ...],
+    out_of_reach: bool = False,
 ) -> np.ndarray:
-    """Values (..., *tail) of the `Legs` (n,) and poses (n, 6); `anywhere`: they mean something out of reach too."""
+    """Values (..., *tail) of `Legs` records (n,) and poses (n, 6), which may be valid out of reach too."""
 
-    def loop(robot: np.ndarray, poses: np.ndarray, out: np.ndarray) -> int:
+    def loop(robot: Robot, poses: np.ndarray, out: np.ndarray) -> int:
         status = OK
         for start in range(0, len(poses), CHUNK):
             rows = slice(start, start + CHUNK)
             legs = np.empty(len(poses[rows]), Legs.layout)
             status = max(status, _legs(robot, poses[rows], legs))
             out[rows] = values(legs, poses[rows])
-        return OK if anywhere else status
+        return OK if out_of_reach else status
 
     return at_poses(loop, robot, {"pose": pose}, tail)
 
@@ -118,9 +137,9 @@ def _of_legs(
 # --- orientations ----------------------------------------------------------------------------------------------------
 
 
-def _on_arrays(law: Any, shape: tuple[int, ...], *given: ArrayLike, axes: int = 1) -> np.ndarray:
-    """A law of vectors (`axes` 1) or matrices (2) for any leading axes: its own source, run by numpy on components."""
-    arrays = np.broadcast_arrays(*(np.asarray(vector, dtype=float) for vector in given))
+def _on_arrays(law: Callable[..., None], shape: tuple[int, ...], *inputs: ArrayLike, axes: int = 1) -> np.ndarray:
+    """A law of vectors (`axes` 1) or matrices (2) for any leading axes: its source, run by numpy on components."""
+    arrays = np.broadcast_arrays(*(np.asarray(values, dtype=float) for values in inputs))
     components = [np.moveaxis(array, range(-axes, 0), range(axes)) for array in arrays]
     out = np.empty((*shape, *arrays[0].shape[:-axes]))
     getattr(law, "py_func", law)(*components, out)
@@ -201,32 +220,32 @@ class LegGeometry:
     transmission: np.ndarray
 
 
-def reach_margin(robot: Robot, pose: ArrayLike) -> np.ndarray:
-    """1 - |C| / sqrt(A^2 + B^2) (..., 6) of each leg; negative where a rod cannot span, zero at a dead centre."""
-    # So far off that squares leave floating point: beyond any reach.
-    margins = _of_legs(lambda legs, _: legs["reach_margin"], robot, pose, (6,), anywhere=True)
+def reach_margin(robot: RobotLike, pose: ArrayLike) -> np.ndarray:
+    """1 - |C| / sqrt(A^2 + B^2) (..., 6) of the legs; negative where a rod cannot span, zero at a dead centre."""
+    margins = _of_legs(lambda legs, _: legs["reach_margin"], robot, pose, (6,), out_of_reach=True)
+    # NaN: so far off that squares overflow.
     return np.where(np.isnan(margins), -np.inf, margins)
 
 
-def inverse_kinematics(robot: Robot, pose: ArrayLike, branch: int | None = None) -> np.ndarray:
+def inverse_kinematics(robot: RobotLike, pose: ArrayLike, branch: int | None = None) -> np.ndarray:
     """Crank angles that put the platform at `pose`; closed form of (1)-(6).
 
     Args:
         robot: Geometry.
         pose: (..., 6) [rad, rad, rad, m, m, m] roll, pitch, yaw, X, Y, Z of P in B.
-        branch: -1 or +1 for all legs; None takes the robot's own.
+        branch: -1 or +1 for all legs; None takes the robot's.
 
     Returns:
         (..., 6) [rad] crank angles, wrapped to (-pi, pi].
 
     Raises:
         UnreachablePoseError: A rod cannot span; `.leg`, `.pose` and `.margin` say which, where and by how much.
-        ConfigurationError: A branch other than -1 and +1, or a pose that is not finite or not (..., 6).
+        ConfigurationError: A branch other than -1 or +1, or a pose that is not finite or not (..., 6).
     """
     return _of_legs(lambda legs, _: np.arctan2(legs["sine"], legs["cosine"]), _with_branch(robot, branch), pose, (6,))
 
 
-def leg_geometry(robot: Robot, pose: ArrayLike, branch: int | None = None) -> LegGeometry:
+def leg_geometry(robot: RobotLike, pose: ArrayLike, branch: int | None = None) -> LegGeometry:
     """Directions of cranks and rods at poses (..., 6) [rad, m], Fig. 1; else as `inverse_kinematics`."""
     legs = at_poses(_legs, _with_branch(robot, branch), {"pose": pose}, (), kind=Legs.layout)
     names = ("rotation", "arm", "crank", "e_n", "e_l", "transmission")
@@ -239,12 +258,12 @@ def rod_lines(legs: LegGeometry) -> np.ndarray:
     return np.concatenate([cross(legs.arm, legs.e_l), legs.e_l], axis=-1)
 
 
-def twist_jacobian(robot: Robot, pose: ArrayLike) -> np.ndarray:
+def twist_jacobian(robot: RobotLike, pose: ArrayLike) -> np.ndarray:
     """d(theta)/d(twist) (..., 6, 6): crank rates from the twist of P; infinite at a crank's dead centre."""
     return _of_legs(lambda legs, _: legs["line"] / legs["lever"][..., None], robot, pose, (6, 6))
 
 
-def pose_jacobian(robot: Robot, pose: ArrayLike) -> np.ndarray:
+def pose_jacobian(robot: RobotLike, pose: ArrayLike) -> np.ndarray:
     """d(theta)/d(pose) (..., 6, 6): crank rates from the pose's rate (Euler rates)."""
 
     def values(legs: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -261,30 +280,30 @@ def crank_rates(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray, pos
     return np.einsum("...ij,...j->...i", rod_lines(legs), twist) / (robot.crank_lengths * legs.transmission)
 
 
-def forward_kinematics(robot: Robot, crank_angles: ArrayLike, guess: ArrayLike | None = None) -> np.ndarray:
+def forward_kinematics(robot: RobotLike, crank_angles: ArrayLike, guess: ArrayLike | None = None) -> np.ndarray:
     """Pose of the platform from the crank angles, by Newton's method on the six rod lengths.
 
-    The assembly mode is the one nearest to the guess in Newton's sense.
+    The guess decides the assembly mode to which the method converges.
 
     Args:
         robot: Geometry.
         crank_angles: (..., 6) [rad].
-        guess: (..., 6) [rad, m] where to start; None starts at the home pose of a `RobotParameters`.
+        guess: (..., 6) [rad, m] start; None takes the home pose of a `RobotParameters`.
 
     Returns:
         (..., 6) [rad, m].
 
     Raises:
-        ForwardKinematicsError: No convergence, or a singular Jacobian on the way; with the largest error left.
+        ForwardKinematicsError: No convergence, or a singular Jacobian; with the largest remaining error.
         ConfigurationError: Wrong shape, or not finite; no guess for a robot that is a record.
     """
     theta = np.asarray(crank_angles, dtype=float)
     if theta.shape[-1:] != (6,) or not np.isfinite(theta).all():
         raise ConfigurationError("crank_angles", crank_angles, "finite numbers of shape (..., 6)")
-    given = robot.home_pose if guess is None and isinstance(robot, RobotParameters) else guess
-    start = np.asarray(given, dtype=float)
+    guess = robot.home_pose if guess is None and isinstance(robot, RobotParameters) else guess
+    start = np.asarray(guess, dtype=float)
     if start.shape[-1:] != (6,) or not np.isfinite(start).all():
-        raise ConfigurationError("guess", given, "finite numbers of shape (..., 6)")
+        raise ConfigurationError("guess", guess, "finite numbers of shape (..., 6)")
     try:
         poses = np.broadcast_to(start, theta.shape).reshape(-1, 6)
     except ValueError:
@@ -298,31 +317,31 @@ def forward_kinematics(robot: Robot, crank_angles: ArrayLike, guess: ArrayLike |
 
 
 def newton(
-    robot: Robot, theta: np.ndarray, start: np.ndarray, tolerance: float, iterations: int
+    robot: RobotLike, theta: np.ndarray, start: np.ndarray, tolerance: float, iterations: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`forward_kinematics` of angles and starts (n, 6), without raising: poses (n, 6), errors (n,) [m], steps (n,)."""
-    poses, ends = np.array(start, order="C"), np.zeros((len(theta), 2))
+    poses, results = np.array(start, order="C"), np.zeros((len(theta), 2))
     angles = np.array(theta, order="C")
-    over_rows(_forward_kinematics, (as_record(robot), float(tolerance), int(iterations)), (angles, poses, ends))
-    return poses, ends[:, 0], ends[:, 1]
+    over_rows(_forward_kinematics, (as_record(robot), float(tolerance), int(iterations)), (angles, poses, results))
+    return poses, results[:, 0], results[:, 1]
 
 
-def rod_length_errors(robot: Robot, crank_angles: ArrayLike, pose: ArrayLike) -> np.ndarray:
-    """How much longer than its rod each leg is (..., 6) [m], from the crank's tip to the platform's joint."""
-    return np.asarray(at_poses(_closures, robot, {"pose": pose, "crank_angles": crank_angles}, (6,)))
+def rod_length_errors(robot: RobotLike, crank_angles: ArrayLike, pose: ArrayLike) -> np.ndarray:
+    """Distance from crank tip to platform joint minus the rod's length (..., 6) [m]."""
+    return at_poses(_closures, robot, {"pose": pose, "crank_angles": crank_angles}, (6,))
 
 
-def conditioning(robot: Robot, pose: ArrayLike) -> np.ndarray:
+def conditioning(robot: RobotLike, pose: ArrayLike) -> np.ndarray:
     """sigma_min / sigma_max (...) of [e_M / length; e_l] of (14), rotations over the characteristic length.
 
-    Rotations are about the platform's centre, whatever tool poses tell of. Zero at a parallel singularity; it says
-    nothing about dead centres (see `LegGeometry.transmission`).
+    Rotations are about the platform's centre, with a tool too. Zero at a parallel singularity; for dead centres see
+    `LegGeometry.transmission`.
     """
     length, center = (as_record(robot)[name][0] for name in ("length", "center"))
 
     def ratio(legs: np.ndarray, _: np.ndarray) -> np.ndarray:
         moments = legs["line"][..., :3] - np.cross((legs["rotation"] @ center)[..., None, :], legs["e_l"])
-        # At a pose out of reach, which is refused, lines may not be finite.
+        # At a pose out of reach, an error later, lines may not be finite.
         lines = np.nan_to_num(np.concatenate([moments / length, legs["e_l"]], -1), posinf=0.0, neginf=0.0)
         sigma = np.linalg.svd(lines, compute_uv=False)
         return np.asarray(sigma[:, -1] / sigma[:, 0])
@@ -330,7 +349,7 @@ def conditioning(robot: Robot, pose: ArrayLike) -> np.ndarray:
     return _of_legs(ratio, robot, pose, ())
 
 
-def _with_branch(robot: Robot, branch: int | None) -> Robot:
+def _with_branch(robot: RobotLike, branch: int | None) -> RobotLike:
     if branch is None:
         return robot
     if branch not in (-1, 1):
@@ -341,17 +360,20 @@ def _with_branch(robot: Robot, branch: int | None) -> Robot:
 
 
 @njit
-def _forward_kinematics(robot: Any, tolerance: float, iterations: int, angles: Any, poses: Any, ends: Any) -> None:
+def _forward_kinematics(
+    robot: Robot, tolerance: float, iterations: int, angles: Matrix, poses: Matrix, results: Matrix
+) -> None:
     robot = record(robot)
     for n in range(len(angles)):
-        ends[n, 0], ends[n, 1] = laws.forward_kinematics(robot, angles[n], poses[n], tolerance, iterations)
+        results[n, 0], results[n, 1] = laws.forward_kinematics(robot, angles[n], poses[n], tolerance, iterations)
 
 
 @njit
-def _closures(robot: Any, poses: Any, angles: Any, out: Any) -> int:
+def _closures(robot: Robot, poses: Matrix, angles: Matrix, out: Matrix) -> int:
     robot, tips, errors, slope = record(robot), np.empty((6, 3)), np.empty((6, 1)), np.empty((6, 6))
     for n in range(len(poses)):
         laws.crank_tips(robot, angles[n], tips)
         laws.closures(robot, tips, poses[n], errors, slope)
-        out[n] = errors[:, 0]
+        for i in range(6):
+            out[n, i] = errors[i, 0]
     return OK

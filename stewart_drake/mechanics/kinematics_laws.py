@@ -16,9 +16,9 @@ from stewart_drake.mechanics.linear_algebra import singular_vectors, solve
 from stewart_drake.robot import RobotParameters
 
 OK, UNREACHABLE, SERIAL, PARALLEL, NOT_FINITE, NO_CONVERGENCE, NO_GAIN = range(7)
-"""How a law ended; its caller raises the error of that name, see `control.base.failure`."""
+"""Status of a law; its caller raises the error of that name, see `control.base.failure`."""
 QUICK = 1e-7
-"""Tolerance of `conditioning` that leaves seven digits."""
+"""Tolerance of `conditioning` for seven digits."""
 
 
 class Robot(Record):
@@ -61,7 +61,7 @@ class Legs(Record):
 
 
 LEGS = Legs.layout
-"""For laws that make legs of their own."""
+"""For `np.empty(1, LEGS)` in a compiled law."""
 
 
 @lru_cache(maxsize=1024)
@@ -92,7 +92,7 @@ def robot_record(robot: RobotParameters) -> Robot:
 
 
 def with_payload(robot: Robot, mass: float, place: np.ndarray) -> Robot:
-    """A robot with a point mass [kg] at a place (3,) [m] in P as a part of the platform."""
+    """The robot with a point mass [kg] at a place (3,) [m] in P added to its platform."""
     loaded = robot.copy()
     loaded["platform_mass"] += mass
     loaded["platform_moment"] += mass * place
@@ -102,9 +102,9 @@ def with_payload(robot: Robot, mass: float, place: np.ndarray) -> Robot:
 
 @njit
 def rotation(rpy: Vec3, out: Mat3) -> None:
-    """R_BP (3, 3) = Rz(yaw) Ry(pitch) Rx(roll) of rpy (3,) [rad]; the inverse of (3).
+    """R_BP = Rz(yaw) Ry(pitch) Rx(roll) of rpy [rad]; the inverse of (3).
 
-    Deviation: entry (3,1) of the print is a misprint; this is the matrix that it means.
+    Deviation: entry (3,1) of (3) is a misprint, corrected here.
     """
     sr, sp, sy = np.sin(rpy[0]), np.sin(rpy[1]), np.sin(rpy[2])
     cr, cp, cy = np.cos(rpy[0]), np.cos(rpy[1]), np.cos(rpy[2])
@@ -115,7 +115,7 @@ def rotation(rpy: Vec3, out: Mat3) -> None:
 
 @njit
 def roll_pitch_yaw(matrix: Mat3, out: Vec3) -> None:
-    """Roll, pitch, yaw (3,) [rad] of a rotation matrix (3, 3); pitch in [-pi/2, pi/2]."""
+    """Roll, pitch, yaw [rad] of a rotation matrix; pitch in [-pi/2, pi/2]."""
     out[0] = np.arctan2(matrix[2, 1], matrix[2, 2])
     out[1] = np.arcsin(np.minimum(1.0, np.maximum(-1.0, -matrix[2, 0])))
     out[2] = np.arctan2(matrix[1, 0], matrix[0, 0])
@@ -123,7 +123,7 @@ def roll_pitch_yaw(matrix: Mat3, out: Vec3) -> None:
 
 @njit
 def quaternion_angles(quaternion: Vec4, out: Vec3) -> None:
-    """Roll, pitch, yaw (3,) [rad] of a quaternion (4,) w, x, y, z of any length; pitch in [-pi/2, pi/2]."""
+    """Roll, pitch, yaw [rad] of a quaternion w, x, y, z of any length; pitch in [-pi/2, pi/2]."""
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     size = w * w + x * x + y * y + z * z
     out[0] = np.arctan2(2.0 * (w * x + y * z), size - 2.0 * (x * x + y * y))
@@ -133,14 +133,14 @@ def quaternion_angles(quaternion: Vec4, out: Vec3) -> None:
 
 @njit
 def angular_velocity(rpy: Vec3, rate: Vec3, out: Vec3) -> None:
-    """W (3,) = E(rpy) rate [rad/s] in B, of Euler rates (3,)."""
+    """Angular velocity w = E(rpy) rate [rad/s] in B, of Euler rates."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
     out[0], out[1], out[2] = cy * cp * rate[0] - sy * rate[1], sy * cp * rate[0] + cy * rate[1], rate[2] - sp * rate[0]
 
 
 @njit
 def euler_rates(rpy: Vec3, omega: Vec3, out: Vec3) -> None:
-    """Euler rates (3,) of an angular velocity in B (3,), which may be the same array; pitch off +-pi/2."""
+    """Euler rates of an angular velocity in B, which may be the same array; pitch away from +-pi/2."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
     roll = (cy * omega[0] + sy * omega[1]) / cp
     out[0], out[1], out[2] = roll, cy * omega[1] - sy * omega[0], omega[2] + sp * roll
@@ -148,7 +148,7 @@ def euler_rates(rpy: Vec3, omega: Vec3, out: Vec3) -> None:
 
 @njit
 def euler_rates_of_columns(rpy: Vec3, columns: Matrix) -> None:
-    """`euler_rates` of the first three numbers of columns (6, n), in place."""
+    """`euler_rates` of the first three rows of columns (6, n), in place."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
     for i in range(columns.shape[1]):
         x, y = columns[0, i], columns[1, i]
@@ -159,7 +159,7 @@ def euler_rates_of_columns(rpy: Vec3, columns: Matrix) -> None:
 
 @njit
 def euler_drift(rpy: Vec3, rate: Vec3, out: Vec3) -> None:
-    """What Euler rates (3,) that do not change add to the angular acceleration: out (3,) = dE/dt rate [rad/s^2]."""
+    """Angular acceleration dE/dt rate [rad/s^2] at constant Euler rates."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
     roll, pitch, yaw = rate[0], rate[1], rate[2]
     out[0] = (-sy * cp * yaw - cy * sp * pitch) * roll - cy * yaw * pitch
@@ -169,7 +169,7 @@ def euler_drift(rpy: Vec3, rate: Vec3, out: Vec3) -> None:
 
 @njit
 def euler_moments(rpy: Vec3, rows: Matrix) -> None:
-    """Turns moments in B, the first three numbers of rows (n, 6), into ones that act on Euler rates, in place."""
+    """Converts moments in B, the first three columns of rows (n, 6), to moments that act on Euler rates, in place."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
     for i in range(len(rows)):
         x, y, z = rows[i, 0], rows[i, 1], rows[i, 2]
@@ -178,7 +178,7 @@ def euler_moments(rpy: Vec3, rows: Matrix) -> None:
 
 @njit
 def twist_of(pose: Vec6, rate: Vec6, out: Vec6) -> None:
-    """Twist [w, v] (6,) of P in B from a pose and its rate (6,)."""
+    """Twist [w, v] of P in B from a pose and its rate."""
     angular_velocity(pose[:3], rate[:3], out[:3])
     for k in range(3, 6):
         out[k] = rate[k]
@@ -186,7 +186,7 @@ def twist_of(pose: Vec6, rate: Vec6, out: Vec6) -> None:
 
 @njit
 def rate_of(pose: Vec6, twist: Vec6, out: Vec6) -> None:
-    """Rate of a pose (6,) from the twist; the inverse of `twist_of`."""
+    """Rate of a pose from the twist; the inverse of `twist_of`."""
     euler_rates(pose[:3], twist[:3], out[:3])
     for k in range(3, 6):
         out[k] = twist[k]
@@ -194,19 +194,19 @@ def rate_of(pose: Vec6, twist: Vec6, out: Vec6) -> None:
 
 @njit
 def dot(a: Vec3, b: Vec3) -> float:
-    """Scalar product of vectors (3,)."""
+    """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit
 def cross(a: Vec3, b: Vec3, out: Vec3) -> None:
-    """Vector product of vectors (3,)."""
+    """Vector product."""
     out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @njit
 def turned(matrix: Mat3, vector: Vec3, out: Vec3) -> None:
-    """Matrix (3, 3) times vector (3,)."""
+    """Matrix times vector."""
     for k in range(3):
         out[k] = matrix[k, 0] * vector[0] + matrix[k, 1] * vector[1] + matrix[k, 2] * vector[2]
 
@@ -216,17 +216,17 @@ def legs_at(robot: Robot, pose: Vec6, legs: Legs) -> int:
     """Directions of cranks and rods at a pose, closed form of (1)-(6), Fig. 1.
 
     Deviation: (5) rotates G as well, a misplaced bracket; (6) gives one branch in degrees without A, B, C. Here
-    theta_i = atan2(B, A) + branch acos(C / sqrt(A^2 + B^2)), whose cosine and sine need no angle.
+    theta_i = atan2(B, A) + branch acos(C / sqrt(A^2 + B^2)); its cosine and sine are computed without the angle.
 
     Args:
         robot: Geometry.
-        pose: (6,) [rad, m].
-        legs: Out; where the result is not -1 only `rotation`, `arm` and `reach_margin` mean something.
+        pose: [rad, m].
+        legs: Out; if the result is not -1, only `rotation`, `arm` and `reach_margin` are valid.
 
     Returns:
-        -1, or the leg whose margin is the least where it is negative or not a number.
+        -1, or the leg of the least margin if that is negative or NaN.
     """
-    # A slice of a record's field is of the type that other arrays have: laws are compiled for that one alone.
+    # A slice of a record's field has the type of other arrays; laws are compiled for that type only.
     turn, span = legs.rotation[:], np.empty(3)
     rotation(pose[:3], turn)
     worst, leg = 0.0, -1
@@ -258,14 +258,14 @@ def legs_at(robot: Robot, pose: Vec6, legs: Legs) -> int:
 
 @njit
 def crank_rates(legs: Legs, twist: Vec6, out: Vec6) -> None:
-    """Rates of the cranks (6,) [rad/s] from a twist (6,); infinite or NaN at a dead centre."""
+    """Rates of the cranks [rad/s] from a twist; infinite or NaN at a dead centre."""
     for i in range(6):
         out[i] = (dot(legs.line[i, :3], twist[:3]) + dot(legs.line[i, 3:], twist[3:])) / legs.lever[i]
 
 
 @njit
 def crank_jacobian(legs: Legs, out: Mat6) -> None:
-    """J (6, 6) = d(theta)/d(twist) [-, rad/m]; infinite at a dead centre."""
+    """Jacobian d(theta)/d(twist) [-, rad/m]; infinite at a dead centre."""
     for i in range(6):
         for k in range(6):
             out[i, k] = legs.line[i, k] / legs.lever[i]
@@ -275,12 +275,11 @@ def crank_jacobian(legs: Legs, out: Mat6) -> None:
 def conditioning(robot: Robot, legs: Legs, tolerance: float, enough: float) -> float:
     """sigma_min / sigma_max of the rods' lines (14), rotations over the characteristic length [-].
 
-    Where that is clearly more than `enough`, a lower bound of it that is no less, for a tenth of the time: one over
-    the norms of the matrix and its inverse, which are at least sigma_max and 1 / sigma_min.
+    If it is clearly above `enough`, a lower bound that is still above `enough` is returned, in a tenth of the time: one
+    over the Frobenius norms of the matrix and its inverse, which are at least sigma_max and 1 / sigma_min.
 
-    Rotations are about the platform's centre, whatever tool poses tell of. Zero at a parallel singularity; it says
-    nothing about dead centres, see `Legs.transmission`. `tolerance` is that of `linear_algebra.singular_vectors`;
-    `QUICK` does for a check.
+    Rotations are about the platform's centre, with a tool too. Zero at a parallel singularity; for dead centres see
+    `Legs.transmission`. `tolerance` is that of `linear_algebra.singular_vectors`; `QUICK` is enough for a check.
     """
     scaled, s, v = np.empty((6, 6)), np.empty(6), np.zeros((6, 6))
     center, moment = np.empty(3), np.empty(3)
@@ -309,7 +308,7 @@ def conditioning(robot: Robot, legs: Legs, tolerance: float, enough: float) -> f
 
 @njit
 def crank_tips(robot: Robot, theta: Vec6, out: Mat6x3) -> None:
-    """Ends of the cranks (6, 3) [m] in B at crank angles (6,)."""
+    """Ends of the cranks [m] in B at crank angles."""
     for i in range(6):
         c, s = robot.crank_length[i] * np.cos(theta[i]), robot.crank_length[i] * np.sin(theta[i])
         for k in range(3):
@@ -318,7 +317,7 @@ def crank_tips(robot: Robot, theta: Vec6, out: Mat6x3) -> None:
 
 @njit
 def closures(robot: Robot, tips: Mat6x3, pose: Vec6, errors: Mat6x1, slope: Mat6) -> None:
-    """Errors (6, 1) [m] of the rods' lengths from crank tips (6, 3) at a pose, and their derivatives by it (6, 6)."""
+    """Errors [m] of the rods' lengths from crank tips at a pose, and their derivatives with respect to the pose."""
     turn, arm, rod = np.empty((3, 3)), np.empty(3), np.empty(3)
     rotation(pose[:3], turn)
     for i in range(6):
@@ -337,10 +336,10 @@ def closures(robot: Robot, tips: Mat6x3, pose: Vec6, errors: Mat6x1, slope: Mat6
 
 @njit
 def forward_kinematics(robot: Robot, theta: Vec6, pose: Vec6, tolerance: float, iterations: int) -> tuple[float, int]:
-    """Pose (6,) from crank angles (6,), in the place of a guess, by Newton's method on the six rod lengths.
+    """Pose from crank angles, by Newton's method on the six rod lengths; `pose` holds the guess, then the result.
 
-    Returns the largest error of a rod's length that is left [m], NaN or not below the tolerance [m] without
-    convergence; the steps.
+    Returns:
+        Largest remaining error of a rod's length [m], above the tolerance or NaN without convergence; number of steps.
     """
     tips, slope, residual = np.empty((6, 3)), np.empty((6, 6)), np.empty((6, 1))
     crank_tips(robot, theta, tips)
@@ -349,7 +348,7 @@ def forward_kinematics(robot: Robot, theta: Vec6, pose: Vec6, tolerance: float, 
         closures(robot, tips, pose, residual, slope)
         error = 0.0
         for i in range(6):
-            if not abs(residual[i, 0]) <= error:
+            if abs(residual[i, 0]) > error or np.isnan(residual[i, 0]):
                 error = abs(residual[i, 0])
         if error <= tolerance or iteration == iterations or not error < np.inf:
             return error, iteration

@@ -3,44 +3,82 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Matrix, Vector
 
-SWEEPS = 30
-"""Jacobi sweeps at most; six do."""
-NEWTON = 6
-"""Steps of Newton's method: five find all digits whatever the numbers."""
-STEP = 1e-5
-"""Of differences, in SI units: poses bend over a tenth of a metre, torques have sixteen digits."""
+JACOBI_SWEEPS = 30
+"""At most; six do."""
+NEWTON_STEPS = 6
+"""Five find all digits, whatever the numbers."""
+DIFFERENCE_STEP = 1e-5
+"""Step of differences, in SI units: poses bend over a tenth of a metre, torques have sixteen digits."""
 
 
 @njit
-def copy_to(out: Any, values: Any) -> None:
-    """Copies a vector. For `out[:] = values` numba compiles the text of an error about shapes, which takes seconds.
+def copy_to(out: Vector, values: Vector) -> None:
+    """Copies a vector; `out[:] = values` would take numba seconds to compile.
 
-    Of a record's fields take slices, `field[:]`: their type is that of other arrays, and one compiled copy does.
+    Pass slices of a record's fields, `field[:]`: they have the type of other arrays, so that one compiled copy does.
     """
     for k in range(len(out)):
         out[k] = values[k]
 
 
 @njit
-def all_finite(values: Any) -> bool:
+def set_to(out: Vector, value: float) -> None:
+    """Sets all numbers of a vector."""
+    for k in range(len(out)):
+        out[k] = value
+
+
+@njit
+def multiply(left: Matrix, right: Matrix, out: Matrix) -> None:
+    """Product of two matrices; `out` is another array than both."""
+    for i in range(left.shape[0]):
+        for k in range(right.shape[1]):
+            value = 0.0
+            for m in range(left.shape[1]):
+                value += left[i, m] * right[m, k]
+            out[i, k] = value
+
+
+@njit
+def largest_size(values: Vector) -> float:
+    """Largest |value| of a vector; NaN if it has one."""
+    largest = 0.0
+    for k in range(len(values)):
+        size = abs(values[k])
+        if size > largest or np.isnan(size):
+            largest = size
+    return largest
+
+
+@njit
+def any_nonzero(values: Vector) -> bool:
+    """Whether a vector has a number other than zero."""
+    for k in range(len(values)):  # noqa: SIM110 - numba knows no generators here
+        if values[k] != 0.0:
+            return True
+    return False
+
+
+@njit
+def all_finite(values: Vector) -> bool:
     """Whether all numbers of a vector are finite."""
-    for value in values:  # noqa: SIM110 - numba knows no generators here
-        if not np.isfinite(value):
+    for k in range(len(values)):  # noqa: SIM110 - numba knows no generators here
+        if not np.isfinite(values[k]):
             return False
     return True
 
 
 @njit
-def solve(matrix: Any, right: Any) -> float:
+def solve(matrix: Matrix, right: Matrix) -> float:
     """Gaussian elimination with partial pivoting, in place: `right` (n, k) becomes the solution, `matrix` is destroyed.
 
-    Returns the sign of the determinant; 0 where a pivot is zero or not finite, and `right` is then worthless.
+    Returns the sign of the determinant; 0 where a pivot is zero or not finite, and `right` is then meaningless.
     """
     n, k = right.shape
     sign = 1.0
@@ -78,20 +116,23 @@ def solve(matrix: Any, right: Any) -> float:
 
 
 @njit
-def singular_vectors(matrix: Any, s: Any, v: Any, tolerance: float) -> None:
+def singular_vectors(matrix: Matrix, s: Vector, v: Matrix, tolerance: float) -> None:
     """Singular values by one-sided Jacobi rotations (Hestenes), in place.
 
-    Small singular values keep their relative accuracy. Not sorted.
+    Small singular values keep their relative accuracy. They are not sorted.
 
-    Row i of `matrix` (n, n) becomes s_i times the left vector u_i, row i of `v` (n, n) is the right one: of the matrix
-    given, transposed, the sum of s_i u_i v_i'. `tolerance`: cosine between rows at which they count as orthogonal, the
-    relative error of singular values that are equal; of others the error is its square.
+    Args:
+        matrix: (n, n), transposed: A'. Row i becomes s_i u_i, with A = sum of s_i u_i v_i'.
+        s: (n,) singular values, out.
+        v: (n, n), out; row i is v_i.
+        tolerance: Cosine between rows at which they count as orthogonal. That is the relative error of equal singular
+            values; that of others is its square.
     """
     n = matrix.shape[0]
     for i in range(n):
         for j in range(n):
             v[i, j] = 1.0 if i == j else 0.0
-    for _ in range(SWEEPS):
+    for _ in range(JACOBI_SWEEPS):
         turned = False
         for i in range(n - 1):
             for j in range(i + 1, n):
@@ -128,17 +169,17 @@ def singular_vectors(matrix: Any, s: Any, v: Any, tolerance: float) -> None:
 
 @njit
 def spectral_factor(b2: float, b1: float, b0: float) -> tuple[float, float, float, float]:
-    """The factor p(s) = s^3 + c2 s^2 + c1 s + c0 of a spectrum, not finite where the numbers leave floating point.
+    """Spectral factor p(s) = s^3 + c2 s^2 + c1 s + c0; not finite where the numbers overflow.
 
-    In real arithmetic and positive numbers alone: no digit is lost. Gains of regulator and observer are read off it.
-    On the unit circle let z = (1 + s/2) / (1 - s/2), s imaginary. A chain of three integrators with quadratic weights,
-    and one observed through noise, lead to
+    All arithmetic is real and of positive numbers, so that no digit is lost. Gains of regulator and observer follow
+    from the factor. On the unit circle let z = (1 + s/2) / (1 - s/2), s imaginary. A chain of three integrators with
+    quadratic weights, and one observed through noise, lead to
 
         u^3 + b2 u^2 + b1 u + b0 = p(s) p(-s),   u = -s^2,   b2, b1 >= 0, b0 > 0,
 
     with the roots of p on the left. Comparing coefficients, c0 = sqrt(b0), c1 = sqrt(b1 + 2 c0 c2) and
-    c2 = sqrt(b2 + 2 c1). In units in which c0 is one, the two together give c2 as a concave function of itself with a
-    slope of at most a quarter: Newton's method from above finds where it meets c2.
+    c2 = sqrt(b2 + 2 c1). In units in which c0 is one, the last two give c2 as a fixed point of a concave function with
+    a slope of at most a quarter; Newton's method from above finds it.
 
     Returns:
         c2, c1, c0, all > 0, and `low`: p(s), written in d = z - 1 as s = d / (1 + d/2), times (1 + d/2)^3 and `low`
@@ -148,7 +189,7 @@ def spectral_factor(b2: float, b1: float, b0: float) -> tuple[float, float, floa
     unit = c0 ** (1.0 / 3.0)
     f2, f1 = b2 / (unit * unit), b1 / (unit * unit * unit * unit)
     y = 2.0 + np.sqrt(f2) + np.sqrt(2.0 * np.sqrt(f1))
-    for _ in range(NEWTON):
+    for _ in range(NEWTON_STEPS):
         root = np.sqrt(f1 + 2.0 * y)
         to = np.sqrt(f2 + 2.0 * root)
         y -= (y - to) / (1.0 - 1.0 / (to * root))
@@ -159,7 +200,7 @@ def spectral_factor(b2: float, b1: float, b0: float) -> tuple[float, float, floa
 def derivatives(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Value (m,) and derivative (m, n), by central differences."""
     columns = []
-    for k, way in enumerate(STEP * np.eye(len(at))):
+    for k, way in enumerate(DIFFERENCE_STEP * np.eye(len(at))):
         ahead, behind = at + way, at - way
         columns.append((function(ahead) - function(behind)) / (ahead[k] - behind[k]))
     return function(at), np.stack(columns, axis=-1)

@@ -19,7 +19,7 @@ from stewart_drake.base.config import Flag, LegNumber, NotNegative, Real, Sectio
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.families import UserMade, imported
 from stewart_drake.mechanics import kinematics_laws as laws
-from stewart_drake.mechanics.friction import FrictionOptions, bristle_stiffness
+from stewart_drake.mechanics.friction import Friction, FrictionOptions, bristle_stiffness
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST_SIZE, Moderate
@@ -97,8 +97,8 @@ class PlantOptions(Section, ABC, key="plant"):
         """[N m s/rad] of that joint."""
         return 0.0
 
-    def loaded(self, robot: RobotParameters) -> np.ndarray:
-        """The robot with its payload as a part of the platform, a `Robot` record."""
+    def loaded(self, robot: RobotParameters) -> laws.Robot:
+        """The robot with its payload as a part of the platform."""
         return laws.robot_record(robot)
 
     def simulated(self, robot: RobotParameters) -> tuple[dict[str, Any], list[tuple[str, Any, str]]]:  # noqa: ARG002
@@ -114,8 +114,8 @@ class PlantOptions(Section, ABC, key="plant"):
         """Friction of the motors, whichever keys it was given by."""
         return FrictionOptions()
 
-    def friction_of(self, robot: RobotParameters) -> np.ndarray:
-        """`FRICTION` record of a robot's motors."""
+    def friction_of(self, robot: RobotParameters) -> Friction:
+        """The friction of a robot's motors."""
         step = self.time_step
         return self.friction_options.record(bristle_stiffness(robot.crank_axis_inertias, step), step)
 
@@ -149,7 +149,7 @@ class MechanismOptions(PlantOptions):
         short = {"coulomb": self.motor_friction, "viscous": self.motor_damping}
         return FrictionOptions.from_dict(short) if self.friction is None else self.friction
 
-    def loaded(self, robot: RobotParameters) -> np.ndarray:
+    def loaded(self, robot: RobotParameters) -> laws.Robot:
         return laws.with_payload(laws.robot_record(robot), self.payload_mass, np.array(self.payload_position))
 
 

@@ -18,6 +18,7 @@ from stewart_drake.mechanics.kinematics import (
     forward_kinematics,
     inverse_kinematics,
     leg_geometry,
+    newton,
     pose_jacobian,
     pose_rate_to_twist,
     rod_length_errors,
@@ -65,6 +66,14 @@ def test_euler_drift_is_the_derivative_of_the_angular_velocity_along_the_rate(rp
 @pytest.mark.parametrize("case", CASES)
 def test_crank_angles_of_an_independent_implementation(case):
     np.testing.assert_allclose(inverse_kinematics(ROBOT, case["pose"]), case["crank_angles_rad"], atol=1e-13)
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_an_angle_that_is_no_number_never_counts_as_convergence(leg):
+    angles = inverse_kinematics(ROBOT, ROBOT.home_pose)[None]
+    angles[0, leg] = np.nan
+    _, (error,), _ = newton(ROBOT, angles, ROBOT.home_pose[None], 1e-9, 30)
+    assert not error <= 1e-9
 
 
 def test_forward_kinematics_says_when_the_angles_cannot_be_assembled():
