@@ -133,7 +133,7 @@ def test_the_robot_beside_has_errors_of_its_own():
     assert live.row()["beside"] is None
     do(live, do="ghost", controller="PID of each motor")
     do(live, do="push", wrench=[0, 0, 0, 5, 0, 0], duration=0.05)
-    live._each(lambda loop: loop.advance(50))
+    live._for_all(lambda loop: loop.advance(50))
     row = live.row()
     off = live.ghost.pose - live.ghost.wanted
     assert row["beside"]["position_m"] == pytest.approx(np.linalg.norm(off[3:]))
@@ -173,11 +173,11 @@ def test_a_step_and_a_sine_give_their_figures_of_both_robots():
     do(live, do="ghost", controller="PID of each motor")
     do(live, do="test", kind="step", axis="Z")
     assert live.row()["test"] == "step of Z: under way"
-    live._each(lambda loop: loop.advance(2100))
+    live._for_all(lambda loop: loop.advance(2100))
     assert live.row()["test"].startswith("step of Z, 1.1 mm: rise ")
     assert "; pale, PID of each motor: rise " in live.row()["test"]
     do(live, do="test", kind="sine", axis="roll", frequency=2.0)
-    live._each(lambda loop: loop.advance(2100))
+    live._for_all(lambda loop: loop.advance(2100))
     assert "sine of roll, 0.57 deg, 2 Hz: gain 1.0" in live.row()["test"].replace("gain 0.99", "gain 1.0")
     assert len(live.row()["links"]) == 7 * (14 + 13)
     do(live, do="ghost", controller=None)
