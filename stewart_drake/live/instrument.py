@@ -53,9 +53,12 @@ class Slider(NamedTuple):
 def for_live_page(scenario: Scenario) -> Scenario:
     """The scenario with explicit gains and model, which would otherwise follow a slider that changes the machine."""
     given = {name: getattr(scenario, name).to_dict() for name in ("controller", "tuner", "estimator")}
-    given |= {"model.delay": scenario.belief.delay, "model.reading_age": scenario.belief.reading_age}
+    given |= {
+        "model.delay": scenario.controller_model.delay,
+        "model.reading_age": scenario.controller_model.reading_age,
+    }
     if scenario.motors.knobs and scenario.model.motors is None:
-        given["model.motors"] = scenario.belief.motors.to_dict()
+        given["model.motors"] = scenario.controller_model.motors.to_dict()
     return scenario.replace(given)
 
 

@@ -53,7 +53,7 @@ class LiveLoop:
         self.record = Recorder(self._step)
         self._governor_steps = max(1, round(GOVERNOR_PERIOD / self._step))
         self._tick = max(1, round(scenario.controller.period / self._step))
-        self.stillness = Stillness(scenario.belief.robot, self._tick * self._step)
+        self.stillness = Stillness(scenario.controller_model.robot, self._tick * self._step)
         self.reference = HandReference(scenario.reference)
         self._loop = self._loop_of(scenario)
         self._loop.begin()

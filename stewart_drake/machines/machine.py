@@ -127,7 +127,7 @@ def open_machine(url: str, scenario: Scenario) -> Machine:
         machine = imported("machines.user_machine:UserMachine")(scenario, url)
     else:
         raise ConfigurationError("machine", url, _URLS)
-    return Homed(machine, scenario.belief.home) if any(scenario.belief.home) else machine
+    return Homed(machine, scenario.controller_model.home) if any(scenario.controller_model.home) else machine
 
 
 class Homed:
@@ -166,14 +166,14 @@ def _address(url: str, default_port: int | None) -> tuple[str, int]:
 
 def check_takes(scenario: Scenario, takes: str, who: str) -> None:
     """Raises a ConfigurationError if the motors of the controller's model take another quantity."""
-    motors = scenario.belief.motors
+    motors = scenario.controller_model.motors
     if motors.takes != takes:
         raise ConfigurationError("model.motors", motors.kind, f"motors that take {takes}, as {who} does")
 
 
 def command_limits(scenario: Scenario) -> np.ndarray:
     """(2, 6) lowest and highest commands in the motors' unit; angles count from the machine's zero, see `Homed`."""
-    belief = scenario.belief
+    belief = scenario.controller_model
     return belief.motors.command_limits(belief.robot) - belief.motors.holds * np.array(belief.home)
 
 

@@ -108,7 +108,7 @@ class SimulatedRobot:
         self.steps, self.command = steps_per("period", self.period, self.step), loop.runner.signal("command")
         reads_angles = scenario.sensors.reading == "angles"
         self._angles = loop.runner.signal("reading") if reads_angles else loop.measured[ANGLES]
-        self._home, self._takes_angles = np.array(scenario.belief.home), scenario.motors.holds
+        self._home, self._takes_angles = np.array(scenario.controller_model.home), scenario.motors.holds
         loop.begin()
         loop.run_parts()
 

@@ -33,7 +33,7 @@ class UserMachine:
     """
 
     def __init__(self, scenario: Scenario, url: str) -> None:
-        code, offered = CodePath.of(url), {"scenario": scenario, "robot": scenario.belief.robot}
+        code, offered = CodePath.of(url), {"scenario": scenario, "robot": scenario.controller_model.robot}
         kind = code.load("machine")
         with code.blamed("machine", "a class that can be constructed, of scenario and robot where it names them"):
             names = inspect.signature(kind).parameters
@@ -41,7 +41,7 @@ class UserMachine:
         if missing := [name for name in METHODS if not callable(getattr(self._object, name, None))]:
             raise ConfigurationError("machine", code, f"a class with {', '.join(METHODS)}; {missing[0]} is missing")
         self.name, self._guard, self._limits = str(code), UserCode(code.own_module), machine.command_limits(scenario)
-        self.takes: Takes = getattr(self._object, "takes", None) or scenario.belief.motors.takes  # type: ignore[assignment]
+        self.takes: Takes = getattr(self._object, "takes", None) or scenario.controller_model.motors.takes  # type: ignore[assignment]
         machine.check_takes(scenario, self.takes, self.name)
         self._last: Reading | None = None
         self._arrived, self.after = 0.0, "its disconnect was called"

@@ -122,7 +122,7 @@ def shaped_move(scenario: Scenario, move: Move) -> tuple[Move, np.ndarray]:
     Returns:
         The move; the shares (n,) [-], 1 where nothing was scaled.
     """
-    if scenario.belief.robot.tool is not None:
+    if scenario.controller_model.robot.tool is not None:
         sections = "robot", *(["model.robot"] if scenario.model.robot is not None else [])
         # The reference of the scenario would still be one of the tool.
         still = {"reference": {"kind": "hold"}, "initial_offset": [0.0] * 6}
@@ -145,7 +145,10 @@ def shaped_move(scenario: Scenario, move: Move) -> tuple[Move, np.ndarray]:
             got = f"at {min(time + ahead, end):.2f} s: {error}"
             allowed = "poses that the head can take; try: stewart-drake moves fix"
             raise ConfigurationError("move", got, allowed) from None
-    robot, made = scenario.belief.robot, move.at(move.time[0] + motion.own_time(times)[0])._replace(time=times)
+    robot, made = (
+        scenario.controller_model.robot,
+        move.at(move.time[0] + motion.own_time(times)[0])._replace(time=times),
+    )
     pose, shares = motion.evaluate(times)[0], np.zeros(len(times))
     plain = kinematics.inverse_kinematics(robot, pose)
     for share in np.linspace(1.0, 0.0, _SHARES, endpoint=False):

@@ -99,7 +99,7 @@ def machine_side(scenario: Scenario) -> Loop:
     Sensors run at the beginning of a step of the plant, what takes the command at its end.
     """
     sensors, step = sensor_parts(scenario), scenario.plant.time_step
-    first = scenario.belief.motors.initial_command(context_of(scenario, split=True))
+    first = scenario.controller_model.motors.initial_command(context_of(scenario, split=True))
     way = [part._replace(end_of_tick=True) for part in command_path(scenario, "command", first, step)]
     reading = {"reading": "reading" if sensors else "plant_pose"}
     return Loop((*sensors, *way), _pushes(scenario), "motor_torque", reading, {"command": first})
@@ -179,23 +179,23 @@ def control_side(options: ControlOptions, split: bool = False, reading: str = "r
 
 def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
     """Robot, clock and neighbours for the parts of the controller's side; `split` as in `loop_of`."""
-    belief, tuner = options.belief, options.tuner.opened()
+    model, tuner = options.controller_model, options.tuner.opened()
     period, expected = options.controller.period, options.estimator.disturbance_density
     pose, rate = options.start()
     return LoopContext(
-        robot=belief.robot,
-        gravity=belief.gravity,
+        robot=model.robot,
+        gravity=model.gravity,
         period=period,
         pose=pose,
         pose_rate=rate,
-        initial_torque=standing_torque(belief.robot, pose, belief.gravity),
-        delay=belief.delay,
-        reading_age=belief.reading_age,
-        latency=belief.reading_age + period * (1 + belief.delay) + belief.motors.dead_time,
-        reading=belief.reading_size,
-        noise=max(belief.noise, SMALLEST_NOISE),
-        friction=belief.friction or FrictionCompensation(),
-        motors=belief.motors,
+        initial_torque=standing_torque(model.robot, pose, model.gravity),
+        delay=model.delay,
+        reading_age=model.reading_age,
+        latency=model.reading_age + period * (1 + model.delay) + model.motors.dead_time,
+        reading=model.reading_size,
+        noise=max(model.noise, SMALLEST_NOISE),
+        friction=model.friction or FrictionCompensation(),
+        motors=model.motors,
         tuner=tuner,
         disturbance=expected,
         feedback=options.controller.feedback,
@@ -267,7 +267,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
     }
 
     # Torques added to that of the controller: against friction, and against an observed disturbance.
-    corrected, friction = observed and controller.feedback, options.belief.friction
+    corrected, friction = observed and controller.feedback, options.controller_model.friction
     added: dict[str, Signal] = {"friction_torque": np.zeros(6), "disturbance_torque": np.zeros(6)}
     additions, end = [], []
     if friction is not None:
