@@ -56,7 +56,7 @@ QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"commanded_angle_{leg}", "rad") 
 _LONGEST, _STEP = 0.2, 0.005  # [s] delays that are tried first.
 _AT_FIRST, _UNEXPLAINED, _FEW = 0.5, 0.2, 0.01
 """[-] unexplained changes of command less angle that are allowed, before the law and after it; [s] size of a delay."""
-_LEAST = 0.05  # [-] of the rows in which each crank must turn.
+_LEAST = 0.05  # [-] of the rows in which a crank must turn.
 _LAW: Any = {"forgetting": 1e5, "center_of_mass": False}
 _KERNEL = 0.032  # [s] least standard deviation of the law's kernel: twelve bits are rough.
 _FAST, _SHARE = 0.2, 0.2
@@ -66,7 +66,7 @@ _PASSES, _CORRECTIONS, _PIECES = 5, 2, 10
 _STUDENT = 2.262  # 95 % of Student's distribution of that many pieces.
 _UNKNOWN = 0.6  # [-] half width of an interval, over a parameter's size, beyond which it counts as not determined.
 _FINEST = 1e-6  # [rad] of an encoder's steps.
-_SERVO_STEP = 0.001  # [s] of the simulation, and of the servos' own loop there.
+_SERVO_STEP = 0.001  # [s] of the simulation, and of the servos' loop there.
 _WIDTH = 0.004  # [rad/s] of a reversal in the model's friction, as for motors on the market.
 
 
@@ -211,8 +211,8 @@ def identify_servos(
         reading_age: [s] of an angle in its row.
 
     Raises:
-        ConfigurationError: Nothing to read, an unknown kind; a log that is too short, without commands, whose motors
-            do not turn, or whose angles are not those of its commands.
+        ConfigurationError: Nothing to read, an unknown kind; a log that is too short, without commands, with motors
+            that do not turn, or with angles that do not follow the commands.
     """
     core.check_choices("hold", hold, HELD)
     core.check_choices("ask", ask, KINDS)
@@ -325,7 +325,7 @@ def motors_of(values: np.ndarray) -> tuple[dict[str, Any], dict[str, Any]]:
 def _stacked(recordings: Sequence[ServoRecording]) -> np.ndarray:
     """Rows (n, 12) of recordings, with gaps between them."""
     gap = np.full((1, 12), np.nan)
-    return np.vstack([part for each in recordings for part in (np.hstack([each.angles, each.commands]), gap)])
+    return np.vstack([part for log in recordings for part in (np.hstack([log.angles, log.commands]), gap)])
 
 
 def replay(guess: RobotParameters, recording: ServoRecording, values: np.ndarray, age: float) -> ServoRecording:
