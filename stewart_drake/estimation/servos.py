@@ -102,6 +102,7 @@ class ServoRecording(CrankReadings):
                 raise ConfigurationError(f"{self.source}: {what}_{still.argmax()}", "the same in all rows", _MOTION)
 
 
+AnyLog = ServoRecording | SimulationLog | str | Path
 _BALL_JOINTS = (
     "friction of the rods' ball joints is not identified here; let `drive` learn it: --set "
     '"adaptation={kind: regression, ball_joints: true, noise: 0.06, slowest: 0.05}" --keep-model head.yaml'
@@ -191,10 +192,10 @@ class ServoIdentification(Result):
 
 def identify_servos(
     robot: RobotParameters,
-    logs: Sequence[ServoRecording | SimulationLog | str | Path],
+    logs: Sequence[AnyLog],
     hold: Collection[str] = (),
     ask: Collection[str] = ASKED,
-    validate: Sequence[ServoRecording | SimulationLog | str | Path] = (),
+    validate: Sequence[AnyLog] = (),
     reading_age: float = 0.0,
 ) -> ServoIdentification:
     """Stiffness, damping, friction and delay of servos that take angles, and the head's mass, without any torque.
@@ -220,11 +221,7 @@ def identify_servos(
         raise ConfigurationError("logs", "none", "at least one log")
     if not 0.0 <= reading_age <= 1.0:
         raise ConfigurationError("reading_age", reading_age, "a number of seconds from 0 to 1")
-
-    def read(log: ServoRecording | SimulationLog | str | Path) -> ServoRecording:
-        return log if isinstance(log, ServoRecording) else load_servo_recording(log)
-
-    recordings, unseen = [read(log) for log in logs], [read(log) for log in validate]
+    recordings, unseen = ([load_servo_recording(log) for log in some] for some in (logs, validate))
     first, source = recordings[0], ", ".join(recording.source for recording in recordings)
     for recording in recordings:
         if abs(recording.rate / first.rate - 1.0) > 0.01:
@@ -248,7 +245,7 @@ def identify_servos(
         raise ConfigurationError(source, str(failure).splitlines()[0], allowed) from failure
     width = _half_widths(regression, rows, estimate)
     _refuse_other(source, max(map(_rms, errors[: len(recordings)])) / changes, _UNEXPLAINED)
-    _refuse_unknown(source, values, width, {*ask} - {*hold})
+    _refuse_undetermined(source, values, width, {*ask} - {*hold})
     at = np.searchsorted(first.time, samples.time)
     samples = replace(samples, measured=first.angles[at], source=source)
     sizes = tuple((log.source, _rms(error)) for log, error in zip((*recordings, *unseen), errors, strict=True))
@@ -263,7 +260,7 @@ def _half_widths(regression: _Regression, rows: np.ndarray, estimate: np.ndarray
     return width
 
 
-def _refuse_unknown(source: str, values: np.ndarray, width: np.ndarray, kinds: Collection[str]) -> None:
+def _refuse_undetermined(source: str, values: np.ndarray, width: np.ndarray, kinds: Collection[str]) -> None:
     """Refuses logs that leave parameters of these kinds undetermined."""
     stiffness = values[STIFFNESS].mean()
     sizes = np.repeat(stiffness * np.array([1.0, 0.1, 0.03]), LEG_COUNT).tolist() + [_FEW, values[MASS], np.inf]
@@ -378,8 +375,10 @@ def feasible(values: np.ndarray) -> np.ndarray:
     return np.maximum(values, least)
 
 
-def load_servo_recording(log: SimulationLog | str | Path) -> ServoRecording:
+def load_servo_recording(log: AnyLog) -> ServoRecording:
     """A recording from a log of this package whose motors take angles, or from a CSV file with `QUANTITIES`."""
+    if isinstance(log, ServoRecording):
+        return log
     if not isinstance(log, SimulationLog):
         if Path(log).suffix.lower() == ".csv":
             return ServoRecording.of_file(log, f"recording {log}")
