@@ -9,7 +9,7 @@ ANCHOR = re.compile(r"""<[^>]*?\s(?:id|name)=["']([^"']+)["']""")
 
 
 def dead_links(site: Path, made: tuple[str, ...] = ()) -> list[str]:
-    """Page and link, for every link within the site to what does not exist. Links on the pages `made` are not checked."""
+    """Page and link, for every link to what the site does not have. Links on the pages `made` are not checked."""
     texts = {page.resolve(): page.read_text(encoding="utf-8") for page in sorted(site.rglob("*.html"))}
     anchors = {page: set(ANCHOR.findall(text)) for page, text in texts.items() if page.name not in made}
     dead = []
