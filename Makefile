@@ -1,224 +1,140 @@
-# make demo   the main job on a bare clone: makes .venv, installs, runs diagrams/scenarios/paper_fig7.yaml
-# make test   the same set-up, then the tests but the long ones: some four minutes on two cores
-# make check  the fast part of them, a quarter of the random examples, for daily work: less than a minute
+# `make help` lists the targets. Python packages go to .venv, which `install` makes; versions are those of constraints.txt.
 PYTHON ?= python3
 VENV := .venv
 # dev, or test: the same without torch, whose tests are then skipped.
 EXTRA := dev
 PINS := -c constraints.txt
 BIN := $(VENV)/bin
-BASE := $(VENV)/.base
-STAMP := $(VENV)/.installed-$(EXTRA)
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PINS)
-# A worker a core: more threads in each would only wait for one another.
+# Tests and studies use a process for each core, with one thread.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+PYTEST := $(ONE_THREAD) $(BIN)/pytest -n auto --dist loadgroup --ignore=tests/benchmarks
+SPHINX := $(ONE_THREAD) $(BIN)/python -m sphinx -E -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html
+CLI := $(ONE_THREAD) $(BIN)/stewart-drake
+SCRIPT := $(ONE_THREAD) $(BIN)/python docs/scripts
 
-.PHONY: demo install test compiled test-all check newest golden processors results lint bench docs docs-quick picture gallery robots calibration calibration-example identification integrators margins plan reproduction montecarlo random_faults random_beliefs reachy drive fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety three tab format clean servo_identification adaptation
+.PHONY: help demo install compiled check test test-all newest results golden processors lint format bench docs docs-quick tab pictures three clean
 
-demo: $(BASE)
+help: ## this list
+	@sed -n 's/^\([a-z/%-]*\):.* ## /\1 @/p' $(MAKEFILE_LIST) | sed 's/%/NAME/' | awk -F@ '{printf "make %-13s %s\n", $$1, $$2}'
+	@echo 'NAME: $(sort $(patsubst page_%,%,$(filter page_%,$(.VARIABLES))))'
+
+demo: $(VENV)/.base ## install what users need, and run the paper's motion in simulation
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --plots --out runs/paper_fig7
 
-install: $(STAMP)
+install: $(VENV)/.installed-$(EXTRA) ## install what tests and documentation need
 
-# What users need; `install` adds what tests and documentation need.
-$(BASE): pyproject.toml constraints.txt
+$(VENV)/.base: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "Python 3.11 or newer is needed; set PYTHON=...")'
 	$(PYTHON) -m venv --clear $(VENV)
 	$(PIP) -e .
 	touch $@
 
-# Reachy Mini's model for MuJoCo and its dances are in its maker's packages, which would bring all that drives the real one.
+# Reachy Mini's model for MuJoCo and its dances: two packages of its maker, without the packages that drive a real one.
 MODEL := $(shell sed -n 's|^mjcf: package:\([^/]*\)/.*|\1|p' stewart_drake/robots/reachy_mini.yaml)
 DANCES := $(shell sed -n 's|^DANCES = "\(.*\)"|\1|p' stewart_drake/reachy/moves.py)
-$(STAMP): $(BASE)
+$(VENV)/.installed-$(EXTRA): $(VENV)/.base
 	$(PIP) -e '.[$(EXTRA)]'
 	$(PIP) --no-deps '$(MODEL)' '$(DANCES)'
 	touch $@
 
-PYTEST := $(ONE_THREAD) $(BIN)/pytest -n auto --dist loadgroup --ignore=tests/benchmarks
-
-# Once for all workers, which would compile the same laws side by side.
-compiled: install
+compiled: install ## compile the laws once, before several processes need them
 	$(ONE_THREAD) $(BIN)/python tests/compile_laws.py
 
-# All but those marked long.
-test: compiled
-	$(PYTEST) -m "not long"
-
-# The long ones too: notebooks, pages in a browser, the site, the wheel, all numbers of docs/results. Half an hour.
-# Debian: chromium, clang. REACHY_DAEMON=FOLDER installs the daemon of Reachy Mini's maker there and tries it.
-test-all: compiled
-	$(PYTEST)
-
-# All but those marked slow or long: no study, no long run, no other process.
-check: compiled
+check: compiled ## the fast tests, for daily work: less than a minute
 	$(PYTEST) -q -m "not slow and not long" --hypothesis-profile=check --ignore=tests/paper
 
-# The fast tests with the newest release of each package, whatever constraints.txt says, in an environment of its own.
+test: compiled ## all tests but the long ones: four minutes on two cores
+	$(PYTEST) -m "not long"
+
+# Needs Debian's chromium and clang. REACHY_DAEMON=FOLDER installs the daemon of Reachy Mini's maker there, and tests it.
+test-all: compiled ## all tests: notebooks, pages in a browser, the site, the wheel too; half an hour
+	$(PYTEST)
+
 NEWEST := VENV=.venv-newest EXTRA=test PINS=
-newest:
+newest: ## the fast tests with the newest release of each package, in .venv-newest
 	rm -rf .venv-newest
 	$(MAKE) install $(NEWEST)
 	.venv-newest/bin/stewart-drake doctor
 	$(MAKE) check $(NEWEST)
 
-# Some numbers of each page of docs/results, computed anew and compared with the page: a minute or two.
-results: install
+results: install ## recompute some numbers of each page of docs/results, and compare: two minutes
 	$(PYTEST) -q tests/test_results_pages.py
 
-# The contract: whether everything computes what is recorded in tests/golden; some minutes. See tests/golden_set.py.
-golden: install
+# How to remake docs/results/NAME.md: `make results/NAME`. Times are for two cores.
+# Half an hour.
+page_adaptation = $(SCRIPT)/adaptation_study.py
+page_calibration = $(SCRIPT)/calibration_study.py
+# Ten minutes; the daemon of Reachy Mini's maker is installed first.
+page_drive = $(SCRIPT)/drive_reachy.py
+# Three minutes, from the settings that are kept. With the folder of `tune fair` as argument the script keeps new ones.
+page_fair_comparison = $(SCRIPT)/write_fair.py
+# Half an hour.
+page_identification = $(SCRIPT)/identification_study.py
+# Five minutes.
+page_integrators = $(SCRIPT)/integrators.py
+# Five minutes.
+page_margins = $(SCRIPT)/margins_study.py
+# Half an hour: four thousand runs.
+page_monte_carlo = $(CLI) sweep monte_carlo --out runs/monte_carlo && $(SCRIPT)/write_monte_carlo.py runs/monte_carlo
+# Five minutes.
+page_random_faults = $(SCRIPT)/random_faults.py
+# Two minutes.
+page_reachy = $(SCRIPT)/write_reachy.py
+# An hour; writes stewart_drake/paper/claims.csv too.
+page_reproduction = $(SCRIPT)/write_reproduction.py
+page_robots = $(SCRIPT)/write_robots.py
+# A quarter of an hour.
+page_servo_identification = $(SCRIPT)/servo_identification_study.py
+# Twenty minutes.
+define page_tuner
+$(CLI) tuner judge --plant closed_form --seeds 10 --out runs/tuner-fast
+$(CLI) tuner judge --seeds 10 --only stiff --only "best of each robot" --out runs/tuner-drake
+$(SCRIPT)/write_tuner.py runs/tuner-fast runs/tuner-drake
+endef
+
+results/%: install ## remake docs/results/NAME.md; how long it takes is in the Makefile
+	$(or $(page_$*),$(error no command for docs/results/$*.md in the Makefile))
+
+golden: install ## compare computed numbers with those recorded in tests/golden: some minutes
 	$(BIN)/python tests/golden_set.py check
 
-# The same with the arithmetic of other processors, and the tests that state numbers: half an hour for all settings.
-processors: install
+processors: install ## the same, and tests that state numbers, with the rounding of other processors: half an hour
 	$(BIN)/python tests/processors.py
 
-lint: install
+lint: install ## ruff, mypy, import-linter
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# The part of three.js that the pages use, bundled anew; needs npm.
-three:
+format: install ## format the code
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: install ## measure what the loop costs, for docs/using.md
+	$(BIN)/pytest tests/benchmarks -p no:xdist -s -q --benchmark-quiet
+
+docs: install ## the site, docs/_build/html/index.html, with the notebooks executed: five minutes
+	$(SPHINX) -D nb_execution_mode=force
+
+docs-quick: install ## the site with the notebooks as they are: a minute
+	$(SPHINX)
+
+tab: install ## docs/tab.html, the robot in a browser's tab; needs Debian's clang and lld
+	$(BIN)/python docs/scripts/tab.py
+
+# The picture of docs/your_robot.md is the `desk.png` that its commands write.
+pictures: install ## pictures and films of the documentation; needs Debian's chromium
+	for name in plan robot density meshcat gallery; do $(BIN)/python docs/scripts/draw_$$name.py || exit 1; done
+	for name in paper reachy_mini servo_hexapod; do \
+	  $(BIN)/stewart-drake robots show $$name --quiet --picture docs/images/robots/$$name.png || exit 1; done
+
+three: ## bundle the part of three.js that the pages use; needs npm
 	npm install --silent --no-save --prefix build/three three@0.187.0 esbuild@0.28.2
 	NODE_PATH=build/three/node_modules build/three/node_modules/.bin/esbuild stewart_drake/pages/three.entry.js --bundle --minify \
 		--format=iife --global-name=THREE --banner:js='/*! three.js 0.187.0, https://threejs.org, MIT */' --legal-comments=inline \
 		--outfile=stewart_drake/pages/three.min.js
 
-bench: install
-	$(BIN)/pytest tests/benchmarks -p no:xdist -s -q --benchmark-quiet
-
-# The documentation site, docs/_build/html/index.html, with the notebooks executed: some five minutes.
-SPHINX := $(ONE_THREAD) $(BIN)/python -m sphinx -E -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html
-# Debian: clang, lld. The site has the robot in a tab where this was made before.
-tab: install
-	$(BIN)/python docs/scripts/tab.py
-
-docs: install
-	$(SPHINX) -D nb_execution_mode=force
-
-# The same with the notebooks as they are: a minute.
-docs-quick: install
-	$(SPHINX)
-
-# The README's picture of the robot, and those of docs/how_it_works.md and docs/in_drake.md (Debian: chromium).
-picture: install
-	$(BIN)/python docs/scripts/draw_robot.py
-	$(BIN)/python docs/scripts/draw_density.py
-	$(BIN)/python docs/scripts/draw_meshcat.py
-
-# The films of docs/gallery.md, and the README's: two minutes.
-gallery: install
-	$(BIN)/python docs/scripts/draw_gallery.py
-
-# docs/results/calibration.md, and the example of docs/calibration.md.
-calibration: install
-	$(BIN)/python docs/scripts/calibration_study.py
-
-calibration-example: install
-	$(BIN)/python docs/scripts/calibration_example.py
-
-# docs/results/margins.md and its picture, five minutes on one core.
-margins: install
-	$(BIN)/python docs/scripts/margins_study.py
-
-# Three policies, from three seeds, an hour each on two cores; each goes on where it stopped.
-POLICIES := $(foreach seed,1 2 3,runs/tuner-policy/seed-$(seed).json)
-tuner_policy: $(POLICIES)
-
-runs/tuner-policy/seed-%.json: | install
-	$(ONE_THREAD) $(BIN)/stewart-drake train --tuner policy --seed $* --out $@
-
-# The shipped policy and these on further situations, for docs/results/tuner_training.md: a quarter of an hour.
-tuner_training: tuner_policy
-	$(BIN)/python docs/scripts/tuner_training.py stewart_drake/weights/policy.json $(POLICIES)
-
-# docs/results/tuner_safety.md and its picture: the box of the shipped policy, half an hour on one core.
-tuner_safety: install
-	$(ONE_THREAD) $(BIN)/python docs/scripts/tuner_safety_study.py
-
-# docs/results/integrators.md and its picture: five minutes on one core.
-integrators: install
-	$(ONE_THREAD) $(BIN)/python docs/scripts/integrators.py
-
-# docs/results/drive.md and its picture: ten minutes, after half a minute that installs the daemon.
-drive: install
-	$(BIN)/python docs/scripts/drive_reachy.py
-
-# docs/results/reachy.md and its picture: two minutes.
-reachy: install
-	$(ONE_THREAD) $(BIN)/python docs/scripts/write_reachy.py
-
-# docs/results/identification.md: half an hour.
-identification: install
-	$(BIN)/python docs/scripts/identification_study.py
-
-# docs/results/servo_identification.md: a quarter of an hour on two cores.
-servo_identification: install
-	$(ONE_THREAD) $(BIN)/python docs/scripts/servo_identification_study.py
-
-# docs/results/adaptation.md: half an hour on two cores.
-adaptation: install
-	$(ONE_THREAD) $(BIN)/python docs/scripts/adaptation_study.py
-
-# The robots that are shipped, and that of docs/your_robot.md.
-robots: install
-	for name in paper reachy_mini servo_hexapod; do \
-	  $(BIN)/stewart-drake robots show $$name --quiet --picture docs/images/robots/$$name.png; done
-	$(BIN)/stewart-drake robots from-table docs/your_robot.csv --unit mm --cranks towards --set crank_length=30 \
-	  --set rod_length=180 --out docs/your_robot.yaml
-	$(BIN)/stewart-drake robots show docs/your_robot.yaml --picture docs/images/robots/your_robot.png
-	rm docs/your_robot.yaml
-
-# The README's plan of the rooms.
-plan: install
-	$(BIN)/python docs/scripts/draw_plan.py
-
-# The paper's claims at both sizes: the committed table of numbers, and docs/results/reproduction.md.
-reproduction: install
-	$(BIN)/python docs/scripts/write_reproduction.py
-
-# Four thousand runs, half an hour on two cores, and docs/results/monte_carlo.md.
-montecarlo: install
-	$(BIN)/stewart-drake sweep monte_carlo --out runs/monte_carlo
-	$(BIN)/python docs/scripts/write_monte_carlo.py runs/monte_carlo
-
-# docs/results/random_beliefs.md: five thousand situations, an hour and a half on two cores.
-random_beliefs: install
-	$(ONE_THREAD) $(BIN)/python docs/scripts/random_beliefs.py
-
-# docs/results/random_faults.md: 500 faults, five minutes on one core.
-random_faults: install
-	$(BIN)/python docs/scripts/random_faults.py
-
-# Four controllers searched and judged alike, an hour on one core; docs/results/fair_comparison.md, and the settings found.
-fair: install
-	$(BIN)/stewart-drake tune fair --out runs/fair-tune
-	$(BIN)/python docs/scripts/write_fair.py runs/fair-tune
-
-# The same page from the settings that are kept, judged on the code as it is: three minutes.
-fair_verdict: install
-	$(BIN)/python docs/scripts/write_fair.py
-
-# What a trained tuner has to beat, in stewart_drake/weights/baselines.yaml: half an hour on one core.
-tuner_baselines: install
-	$(BIN)/python docs/scripts/tuner_baselines.py runs/tuner-baselines
-
-# Tuners and settings that stay, on both engines, twenty minutes on two cores; docs/results/tuner.md.
-tuner_verdict: install
-	$(BIN)/stewart-drake tuner judge --plant closed_form --seeds 10 --out runs/tuner-fast
-	$(BIN)/stewart-drake tuner judge --seeds 10 --only stiff --only "best of each robot" --out runs/tuner-drake
-	$(BIN)/python docs/scripts/write_tuner.py runs/tuner-fast runs/tuner-drake
-
-# Error against change of torque, docs/results/tuner_front.md: ten minutes.
-tuner_front: install
-	$(BIN)/python docs/scripts/tuner_front.py runs/tuner-front
-
-format: install
-	$(BIN)/ruff check --fix .
-	$(BIN)/ruff format .
-
-clean:
+clean: ## remove environments, results and what was built
 	rm -rf $(VENV) .venv-newest .venv-ci runs dist build docs/_build docs/notebooks docs/reference .mypy_cache .ruff_cache .pytest_cache

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from docutils import nodes
 from latex2mathml.converter import convert
+from sphinx.util import logging
 
 from stewart_drake.base.config import Section
 
@@ -14,6 +15,7 @@ DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS / "scripts"))
 import draw_meshcat  # noqa: E402
 import reference  # noqa: E402
+import site_check  # noqa: E402
 
 project = "stewart-drake"
 author = "The stewart-drake developers"
@@ -85,6 +87,13 @@ def write_others(app, error):
         (out / "meshcat.html").write_text(draw_meshcat.recording(), encoding="utf-8")
 
 
+def check_links(app, error):
+    """A link to nowhere is a warning, with which `make docs` fails; Sphinx does not check raw HTML."""
+    if error is None and app.builder.format == "html":
+        for dead in site_check.dead_links(Path(app.outdir), ("tab.html", "meshcat.html")):
+            logging.getLogger("links").warning("%s leads nowhere", dead)
+
+
 def short_signature(_app, what, _name, section, *_):
     """The keys of a section stand in its text; in a line they help nobody."""
     return ("(**keys)", None) if what == "class" and issubclass(section, Section) else None
@@ -103,5 +112,6 @@ def setup(app):
     app.connect("builder-inited", lambda _: reference.write_all())
     app.connect("source-read", site_links)
     app.connect("build-finished", write_others)
+    app.connect("build-finished", check_links)
     app.connect("autodoc-process-signature", short_signature)
     app.connect("autodoc-process-docstring", escape_bars)

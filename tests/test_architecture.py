@@ -23,4 +23,4 @@ def test_picture_of_the_rooms_is_current():
     spec.loader.exec_module(draw_plan)
     with Image.open(ROOT / "docs" / "images" / "plan.png") as picture:
         shown = json.loads(picture.text["Description"])
-    assert shown == draw_plan.plan(), "run `make plan`"
+    assert shown == draw_plan.plan(), "run `python docs/scripts/draw_plan.py`"

@@ -16,7 +16,7 @@ def test_there_are_twelve_exercises():
 
 @pytest.mark.slow
 def test_the_margin_of_exercise_nine_is_that_of_its_own_loop(call):
-    command, delay = re.search(r"`stewart-drake (margins [^`]*)` says (\S+) ms", PAGE).groups()
+    command, delay = re.search(r"`stewart-drake (margins [^`]*)` gives (\S+) ms", PAGE).groups()
     status, out, _ = call(*command.split(), "--json")
     assert status == 0
     (found, _) = json.loads(out).values()

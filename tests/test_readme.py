@@ -10,7 +10,10 @@ import pytest
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 USING = (ROOT / "docs" / "using.md").read_text(encoding="utf-8")
-PAGES = {path: path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]}
+PAGES = {
+    path: path.read_text(encoding="utf-8")
+    for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
+}
 CODE = re.findall(r"```python\n(.*?)```", README + USING, flags=re.DOTALL)
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 
@@ -37,11 +40,15 @@ def test_it_is_a_landing_page():
     assert README.count("\n") <= 90
 
 
-def test_make_targets_exist():
-    targets = set(re.findall(r"^([a-z_-]+):", MAKEFILE, flags=re.MULTILINE))
-    named = {name for text in PAGES.values() for name in re.findall(r"(?:`|^)make ([a-z_-]+)", text, re.MULTILINE)}
+def test_make_targets_exist_and_have_a_help_text():
+    targets = dict(re.findall(r"^([a-z/%-]+):(.*)", MAKEFILE, flags=re.MULTILINE))
+    assert len(targets) <= 25
+    assert [name for name, rest in targets.items() if " ## " not in rest] == []
+    pages = {f"results/{name}" for name in re.findall(r"^(?:define )?page_(\w+)", MAKEFILE, flags=re.MULTILINE)}
+    assert all((ROOT / "docs" / f"{name}.md").is_file() for name in pages)
+    named = {name for text in PAGES.values() for name in re.findall(r"(?:`|^)make ([\w/-]+)", text, re.MULTILINE)}
     assert {"demo", "test"} <= named
-    assert named <= targets
+    assert named <= {*targets, *pages, "results/NAME"}
 
 
 def test_commands_exist():

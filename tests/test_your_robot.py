@@ -14,7 +14,8 @@ from stewart_drake.robot import RobotParameters
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = (DOCS / "your_robot.md").read_text()
 CSV, SERVOS, OWN = re.findall(r"```(?:csv|yaml)\n(.*?)```", PAGE, re.DOTALL)
-COMMANDS = [line for block in re.findall(r"```bash\n(.*?)```", PAGE, re.DOTALL) for line in block.splitlines()]
+BLOCKS = re.findall(r"```bash\n(.*?)```", PAGE, re.DOTALL)
+COMMANDS = [line for block in BLOCKS for line in block.replace("\\\n", "").splitlines()]
 
 
 @pytest.mark.long

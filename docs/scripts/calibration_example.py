@@ -1,4 +1,4 @@
-"""Makes the example of a calibration in diagrams/calibration/: `make calibration-example`.
+"""Makes the example of a calibration in diagrams/calibration/: `python docs/scripts/calibration_example.py`.
 
 poses.csv is what a tracker and encoders of 14 bits say of a hobby hexapod that is off by up to a millimetre and a
 milliradian in every parameter, at 60 planned poses; the robot as believed is `servo_hexapod`, the truth is truth.yaml.

@@ -1,4 +1,4 @@
-"""The films of docs/gallery.md, in docs/images/gallery, and the README's docs/images/robots.gif: `make gallery`."""
+"""The films of docs/gallery.md, in docs/images/gallery, and the README's docs/images/robots.gif: `make pictures`."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Draws docs/images/plan.png, the rooms of the package, from the code and the contract in pyproject.toml: `make plan`.
+"""Draws docs/images/plan.png, the rooms of the package, from the code and pyproject.toml: `make pictures`.
 
 A row is a layer of the contract; a room imports only from rows below its own. An arrow is an import that no chain of
 other arrows implies. What the picture shows is kept in its file as text, so that a test can see whether it is current.

@@ -1,4 +1,4 @@
-"""Draws docs/images/robot.png, the README's picture of the robot: `make picture`."""
+"""Draws docs/images/robot.png, the README's picture of the robot: `make pictures`."""
 
 from pathlib import Path
 

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -67,12 +66,10 @@ def test_of_a_section_every_key_is_explained_and_of_a_typo_what_was_meant(call):
 
 
 def test_a_word_for_how_a_run_ended_is_explained_as_in_the_docs(call):
-    promises, glossary = ((DOCS / f"{name}.md").read_text() for name in ("promises", "glossary"))
+    glossary = (DOCS / "glossary.md").read_text()
     for word, text in {**OUTCOMES, **REACTIONS}.items():
         assert text in json.loads(call("explain", word, "--json")[1]).values()
         assert f"| `{word}` | {text} |\n" in glossary
-    for word in re.findall(r"^\| `(\w+)` \| [A-Z]", promises, re.MULTILINE):
-        assert f"| `{word}` | {OUTCOMES[word]} | " in promises
     assert {*get_args(Status)} < {*OUTCOMES}
     assert {*get_args(Reaction)} == {*REACTIONS}
     assert "did you mean completed?" in call("explain", "complete")[2]
