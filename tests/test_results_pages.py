@@ -16,7 +16,6 @@ import integrators
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import random_beliefs
 import random_faults
 import servo_identification_study as servos
 import write_monte_carlo as monte_carlo
@@ -27,10 +26,9 @@ from identification_study import ROBOT_OF, motions
 from simulated_calibration import run_trial as calibrated
 from simulated_identification import Setting
 from simulated_identification import run_trial as identified
-from tuner_safety_study import LOOPS, setting_loops
 
 from stewart_drake import load_robot, load_scenario, run, run_metrics
-from stewart_drake.analysis.linear_loop import linear_loops, poses_to_stand_at
+from stewart_drake.analysis.linear_loop import linear_loops
 from stewart_drake.analysis.margins import loop_margins
 from stewart_drake.estimation.poses import plan_poses
 from stewart_drake.mechanics.dynamics import static_torque
@@ -43,8 +41,8 @@ from stewart_drake.studies.faults import fault_study
 from stewart_drake.studies.runs import execute
 from stewart_drake.studies.sweep import load_sweep
 from stewart_drake.studies.workers import Workers
-from stewart_drake.training.benchmark import Baselines, Benchmark, Case, always, cases_of, cells_for, with_setting
-from stewart_drake.training.situations import HELD_OUT, VALIDATION
+from stewart_drake.training.benchmark import Baselines, Benchmark, Case, always, with_setting
+from stewart_drake.training.situations import HELD_OUT
 
 pytestmark = pytest.mark.long
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
@@ -146,14 +144,6 @@ def test_random_faults(page):
     assert_says(page.cell("nan", column="median, longest latency [ms]"), one["latency"], one["latency"])
 
 
-def test_random_beliefs(page):
-    told = re.search(r"Worse with learning: ([\d, ]+)\.", page.text)
-    worse = [int(number) for number in told[1].split(", ")] if told else []
-    for number in {*range(1, 5), *worse[:1]}:
-        learning, without = map(random_beliefs.ENDS.index, random_beliefs.outcome(number).ends[:2])
-        assert (learning > without) == (number in worse)
-
-
 def test_margins(page):
     pose = [number for number, _ in numbers(page.after("worst pose, all at once: ", 6))]
     changes = "estimator.kind=observer", "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
@@ -249,46 +239,15 @@ def log_costs(folder, plant, candidates, cases):
 
 
 def test_tuner(page, tmp_path):
-    found = Baselines.load()
-    candidates = with_setting(found.best), POLICY, always({"tuner": found.schedule})
-    best, policy, schedule = log_costs(tmp_path, "closed_form", candidates, [Case("hold", "paper", HELD_OUT[0])])
-    under = "By kind"
-    assert_says(page.cell("hold", "paper", column="best fixed", under=under), *np.exp(best), within=0.05)
-    for column, cost in (("policy", policy), ("schedule", schedule)):
-        ratio = page.cell("hold", "paper", column=column, under=under).partition(" ")[0]
-        assert_says(ratio, *np.exp(cost - best))
+    candidates = with_setting(Baselines.load().best), POLICY
+    best, policy = log_costs(tmp_path, "closed_form", candidates, [Case("hold", "paper", HELD_OUT[0])])
+    ratio = page.cell("hold", column="paper", under="## By kind").partition(" ")[0]
+    assert_says(ratio, *np.exp(policy - best))
     cases = [Case("hold", "reachy_mini", seed) for seed in HELD_OUT[:2]]
     with Benchmark(tmp_path / "drake", "drake", Workers(0)) as benchmark:
         found = benchmark.run([POLICY], cases)
-    assert_says(page.after("motors that rub stay ", 1), np.median([row["rmse_norm_deg"] for row in found]), within=0.3)
-
-
-def test_tuner_training(page, tmp_path):
-    worst = page.cell("the file of c4e693f, learning as it is now", column="worst kind")
-    *kind, robot, _ = worst.split()
-    cases = cases_of([(" ".join(kind), robot)], VALIDATION[100:120])
-    fixed, policy = log_costs(tmp_path, "closed_form", [with_setting(Baselines.load().best), POLICY], cases)
-    assert_says(worst, np.exp((policy - fixed).mean()))
-
-
-def test_tuner_front(page, tmp_path):
-    cases = cases_of(cells_for("paper"), HELD_OUT[:2])
-    with Benchmark(tmp_path, "closed_form", Workers(0)) as benchmark:
-        found = benchmark.run([always({"tuner": {"kind": "policy", "kappa": 0.0}})], cases)
-    for column, key in (("error [mm]", "rmse_norm_mm"), ("torque [N m]", "torque_change_rms")):
-        logs = np.log([row[key] for row in found])
-        assert_says(page.cell("0", column=column), np.exp(logs.mean()))
-
-
-def test_tuner_safety(page):
-    name = "Reachy Mini, 100 Hz, 1 tick"
-    shipped, delay = LOOPS[name]
-    scenario = load_scenario(shipped, ["tuner=block", "estimator=observer", delay])
-    setting = np.array([number for number, _ in numbers(page.cell(name, column="at"))])
-    (loops,) = setting_loops(scenario, poses_to_stand_at(scenario, 1000, seed=0), [setting])
-    radius = np.abs(np.linalg.eigvals(loops.closed)).max()
-    assert_says(page.cell(name, column="radius"), radius)
-    assert_says(page.cell(name, column="slowest decay [1/s]"), -np.log(radius) / scenario.controller.period)
+    shown = page.after("motors with dry friction stay ", 1)
+    assert_says(shown, np.median([row["rmse_norm_deg"] for row in found]), within=0.3)
 
 
 def test_calibration(page):
