@@ -289,13 +289,12 @@ def test_servo_identification(page):
 
 
 def test_adaptation(page):
-    first = "## The first robot"
     for scheme in ("nominal", "learning"):
         log = run(adaptation.scenario(0, scheme, "nod"), check=False)
-        shown = page.cell(adaptation.SCHEMES[scheme], column="nod [deg]", under=first)
+        shown = page.cell(adaptation.SCHEMES[scheme], column=adaptation.FIRST)
         assert_says(shown, run_metrics(log)["rmse_norm_deg"], within=2.0 * NOISY)
-    error, _ = adaptation.at_1_khz("drake", "heart", "believed 0.01 N m, learning")
-    shown = page.cell("believed 0.01 N m, learning", column="heart [mm]", under="## By torque at 1 kHz")
+    error, _ = adaptation.at_1_khz("drake", "heart", "model: 0.01 N m, learning")
+    shown = page.cell("model: 0.01 N m, learning", column="heart [mm]", under="## By torque at 1 kHz")
     assert_says(shown, error, within=2.0 * NOISY)
     # The corners that most loops lose: no friction, and twice as much in motors that move a light head.
     for corner, scheme in ((0, "learning"), (1, "careful")):
