@@ -315,9 +315,9 @@ half an hour on two cores.
 
 {table}
 
-- {robots} Reachy Minis with servos that take angles at 50 Hz (XL330-M288, 12 bits), from a cold start. RMS errors of the
-  second half of 20 s (look around: 24 s): median / 95th percentile / largest robot. Ripple: RMS error of the velocity
-  above 2 Hz. A nod is 15 deg at 1 Hz, breathing 5 mm at 0.1 Hz.
+- {robots} Reachy Minis with servos that take angles at 50 Hz (XL330-M288, 12 bits), from a cold start. RMS errors of
+  the second half of 20 s (look around: 24 s): median / 95th percentile / largest robot. Ripple: RMS error of the
+  velocity above 2 Hz. A nod is 15 deg at 1 Hz, breathing 5 mm at 0.1 Hz.
 - At random, unknown to the controller: stiffness 0.7 to 1.3 times the nominal, damping 0.8 to 1.2, Coulomb and viscous
   friction 0 to 3, head 0.8 to 1.2 times; commands 10 to 50 ms late (model: 30), readings 0 to 20 ms old (model: 10).
 - With the age of the readings known, learning is as good as the truth. Commands and angles cannot show that age, and
