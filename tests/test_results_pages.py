@@ -276,11 +276,11 @@ def test_identification(page):
 
 
 def test_servo_identification(page):
-    first, nod = "## The first robot", {"nod": servos.references()["nod"]}
+    nod = {"nod": servos.references()["nod"]}
     believed, _ = servos.beliefs(0, servos.logged(0, servos.motion()))
     for scheme in ("before", "after", "told"):
         (error,) = servos.figures(0, scheme, believed[scheme], nod)
-        assert_says(page.cell(servos.SCHEMES[scheme], column="nod [deg]", under=first), error, within=2.0 * NOISY)
+        assert_says(page.cell(servos.SCHEMES[scheme], column=servos.FIRST), error, within=2.0 * NOISY)
     head, *_ = servos.in_mujoco()
     assert_says(
         page.cell("head [kg]", column="identified"), *(value for value, _ in numbers(head[-1])), within=2.0 * NOISY

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import servo_identification_study as servos
-from servo_identification_study import GUESS, NOMINAL, PLAIN, SERVO, Hidden, spread, three_of
+from servo_identification_study import GUESS, NOMINAL, PLAIN, SERVO, Hidden, spread
 from strange_robots import LateServos, LoadedFriction
 from write_reachy import MAKERS
 
@@ -304,8 +304,8 @@ def table(rows: np.ndarray) -> list[str]:
 
 def ends(column: np.ndarray) -> str:
     """Median and largest of a few robots."""
-    middle, _, most = three_of(column)
-    return f"{middle:.3g} / {most:.3g}"
+    middle, _, most = spread(column).split(" / ")
+    return f"{middle} / {most}"
 
 
 TEXT = """# Robots that learn their motors
@@ -327,7 +327,7 @@ half an hour on two cores.
 
 ## What is not in the model
 
-{few} of these robots, learning: median / largest. None is lost.
+{few} of these robots, learning: median / largest.
 
 {strange}
 

@@ -31,9 +31,9 @@ BLOCK = "tuner={kind: block}"
 OBSERVER = "estimator.kind=observer"
 WEIGHTS = "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
 MAIN, CORNER = "observer", "policy, at the worst corner of its box"
-HEAVIER, BOTH = "learning, head believed heavier", "policy at that corner, head believed heavier"
+HEAVIER, BOTH = "learning, head too heavy in the model", "policy at that corner, head too heavy in the model"
 NOD, SLOW = "LQI, observer, start weights, as in `reachy_nod`", "PID for slow buses, as in `reachy_slow_bus`"
-SLOW_LIGHTER, SLOW_HEAVIER = "the same, head believed lighter", "the same, head believed heavier"
+SLOW_LIGHTER, SLOW_HEAVIER = "the same, head too light in the model", "the same, head too heavy in the model"
 DIFFERENCES = "estimator={kind: difference, rate_cutoff: 150}"
 ROWS = {
     "difference of readings, low pass of 150 Hz; default weights": (
@@ -45,7 +45,7 @@ ROWS = {
     **{f"observer, disturbance {one}": (OBSERVER, WEIGHTS, f"estimator.disturbance={one}") for one in (5, 40)},
     **{f"observer, {ticks} ticks of delay": (OBSERVER, WEIGHTS, f"command_delay={ticks}") for ticks in (0, 2, 4)},
     "observer, 10 ms, 1 tick of delay, default weights": (OBSERVER, "controller.period=0.01", BLOCK),
-    "observer, platform believed 30 % too heavy": (OBSERVER, WEIGHTS, "model.robot={platform_mass: 1.3}"),
+    "observer, platform 30 % too heavy in the model": (OBSERVER, WEIGHTS, "model.robot={platform_mass: 1.3}"),
     "computed torque, observer": (OBSERVER, WEIGHTS, "controller={kind: computed_torque}"),
     "joint-space PID, observer": (OBSERVER, WEIGHTS, "controller={kind: pid}"),
     "joint-space PID, difference of readings": (DIFFERENCES, BLOCK, "controller={kind: pid}"),
@@ -68,8 +68,8 @@ How much wrong gain, and how much more delay, does the loop bear at any pose? Co
 - *Disk*: the loop is stable while each motor gives (1 + d/2) / (1 - d/2) times its command and the complex |d| is below
   this margin. It covers gain and phase together: 0.45 means gains from 0.63 to 1.58, or 25 deg. *All at once*: each
   motor has a d of its own. *One motor*: the others are right. Delay is in addition to the loop's.
-- Rows of policy and learning are extremes, frozen: the middle of the policy's box and its worst corner
-  ({corner}; Reachy Mini: {reachy_corner}); a head whose mass in the model is {lighter:.2f} or {heavier:.2f} times the true one,
+- Rows of policy and learning are extremes, frozen: the middle of the policy's box and its worst corner ({corner};
+  Reachy Mini: {reachy_corner}); a head whose mass in the model is {lighter:.2f} or {heavier:.2f} times the true one,
   which is how far learning may be off before it has seen anything (95 %).
 - The loop for slow buses has {slow_most:.2f} or more at 95 % of the poses. At the worst pose the head leans by
   {lean:.0f} deg, and may fall if motors give {slow_low:.2f} of their torque or less.{falls}
@@ -143,18 +143,18 @@ def scenarios(corner, reachy_corner):
     found["policy, in the middle of its box"] = at_setting(base, Policy.load().centre)
     found[CORNER] = at_setting(base, corner)
     lighter, heavier = head_shares()
-    found["learning, head believed lighter"] = believed(found[MAIN], lighter)
-    found[HEAVIER], found[BOTH] = believed(found[MAIN], heavier), believed(found[CORNER], heavier)
+    found["learning, head too light in the model"] = modelled(found[MAIN], lighter)
+    found[HEAVIER], found[BOTH] = modelled(found[MAIN], heavier), modelled(found[CORNER], heavier)
     found[NOD] = load_scenario("reachy_nod")
     found["the same, policy at the worst corner of its box"] = at_setting(found[NOD], reachy_corner)
     # What linear loops leave out is left out of the simulated one too.
     found[SLOW] = load_scenario("reachy_slow_bus").replace({"adaptation": None, "controller.dead_band": 0.0})
-    found[SLOW_LIGHTER], found[SLOW_HEAVIER] = (believed(found[SLOW], share) for share in (lighter, heavier))
+    found[SLOW_LIGHTER], found[SLOW_HEAVIER] = (modelled(found[SLOW], share) for share in (lighter, heavier))
     return found
 
 
-def believed(scenario, share):
-    """A scenario whose head is believed to have this share of its mass."""
+def modelled(scenario, share):
+    """A scenario whose model has a head of this share of its mass."""
     robot, controller = scenario.robot.replace(**scenario.robot.heavier(share)), scenario.controller
     changes = {"model.robot": scenario.robot.heavier(share)}
     if getattr(controller, "inertia", "diagonal") == "robot":
@@ -165,7 +165,7 @@ def believed(scenario, share):
 
 
 def head_shares():
-    """How much lighter and heavier a head may be believed before anything has been seen of it."""
+    """How much lighter and heavier than the head its model may be before anything has been seen of it."""
     return np.exp(1.96 * SIZE_HEAD * np.array([-1.0, 1.0]))
 
 
