@@ -190,7 +190,7 @@ def test_robots(page):
     for name in ("paper", "reachy_mini", "servo_hexapod"):
         robot = load_robot(name)
         assert_says(page.cell(name, column="torque at rest [N m]"), np.abs(static_torque(robot, robot.home_pose)).max())
-        shown = page.cell(name, column="conditioning at home, worst").partition(",")[0]
+        shown = page.cell(name, column="conditioning: home, worst").partition(",")[0]
         assert_says(shown, conditioning(robot, robot.home_pose))
     figures = run_metrics(run(load_scenario("sway", ["robot=servo_hexapod"])))
     cell = page.cell("servo_hexapod", column="error in motion [mm], [deg]")

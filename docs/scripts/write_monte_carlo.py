@@ -25,22 +25,22 @@ WAYS: dict[str, dict[str, Any]] = {
 }
 TEXT = """# A thousand robots that differ from the controller's model
 
-`stewart-drake sweep monte_carlo`; the random values and their distributions are in
-[monte_carlo.yaml](../../diagrams/sweeps/monte_carlo.yaml): masses and inertias within 20 %, payload up to 0.3 kg off
-centre, 0 to 0.08 N m of friction, torque constants within 10 %, encoder noise up to a count, 1 to 3 ticks of delay, a
-push of up to 5 N, and a motion of six sines of 0.1 to 1.5 Hz each. The controller is the exact-model LQI of
-`exact_breathing` with its observer, and fixed weights in place of the policy. Its model has the nominal robot and
-torque constant, readings without noise, 2 ticks of delay and 0.04 N m of friction. The runs are on the closed form
-(`plant.kind`). {judged} One row per run:
-[monte_carlo.parquet](monte_carlo.parquet). `make montecarlo` writes both.
+How well does one controller follow on robots that are not as its model has them? Command: `make montecarlo`; one row a
+run is in [monte_carlo.parquet](monte_carlo.parquet).
 
 | of {runs} runs of 4 s | 50 % | 95 % | 99 % | largest |
 |---|---|---|---|---|
 | RMSE of position, second half [mm] | {position} |
 | RMSE of rotation, second half [deg] | {rotation} |
 
-{completed} completed, {warned} of them with a warning; at most {saturated:.2g} % of a run's torques were at
-their limit. At no instant was the platform off by more than {worst_mm:.2f} mm and {worst_deg:.2f} deg.
+- {completed} completed, {warned} of them with a warning; at most {saturated:.2g} % of a run's torques were at their
+  limit. At no instant was the platform off by more than {worst_mm:.2f} mm and {worst_deg:.2f} deg.
+- At random ([monte_carlo.yaml](../../diagrams/sweeps/monte_carlo.yaml)): masses and inertias within 20 %, payload up
+  to 0.3 kg off centre, 0 to 0.08 N m of friction, torque constants within 10 %, encoder noise up to a count, 1 to 3
+  ticks of delay, a push of up to 5 N, a motion of six sines of 0.1 to 1.5 Hz.
+- The controller is the exact-model LQI with observer and fixed weights. Its model is the nominal robot with 2 ticks of
+  delay and 0.04 N m of friction.
+- On the closed form. {judged}
 
 | friction in each motor [N m] | runs | RMSE, median [mm] | 99 % [mm] |
 |---|---|---|---|
@@ -50,8 +50,7 @@ their limit. At no instant was the platform off by more than {worst_mm:.2f} mm a
 
 ## With learning, and without the push
 
-The same robots and motions. Learning, `adaptation: regression`, begins in each run with what the model has. RMSE of
-position, second half [mm]:
+The same robots and motions with `adaptation: regression`. RMSE of position, second half [mm]:
 
 {learning}
 
