@@ -101,15 +101,17 @@ def test_tracking(page):
     assert_says(page.cell("paper LQI, 1 / 1", column=column), failed["outcome_time"])
     labels = "exact model with an observer", "breathing", "the same with 0.3 kg unknown"
     row = compared("tracking", *labels)
-    for shown, key in ((column, "rmse_norm_deg"), ("change per tick [N m]", "torque_change_rms")):
+    for shown, key in ((column, "rmse_norm_deg"), ("change of torque per tick [N m]", "torque_change_rms")):
         assert_says(page.cell(*labels, column=shown), row[key], within=NOISY)
 
 
 def test_observer(page):
-    labels = "quiet observer", "hold", "17 bits, 1 tick late"
-    row = compared("observer", *labels)
-    assert_says(page.cell(*labels, column="RMSE [mm]"), row["rmse_norm_mm"], within=NOISY)
-    assert_says(page.cell(*labels, column="change per tick [N m]"), row["torque_change_rms"], within=NOISY)
+    row = compared("observer", "observer, friction", "hold, 10 s", "17 bits, 1 tick late")
+    labels = "hold", "17 bits, 1 tick late"
+    cell = page.cell(*labels, column="observer, friction [deg], [mm]")
+    assert_says(cell, row["rmse_norm_deg"], row["rmse_norm_mm"], within=NOISY)
+    changes = page.cell(*labels, column="change of torque per tick [N m]")
+    assert_says(changes.split(", ")[2], row["torque_change_rms"], within=NOISY)
 
 
 def test_controllers(page):
