@@ -135,12 +135,12 @@ def test_faults(with_it, overrides):
     trials = [trial for trial in study.trials if trial.labels["fault"] == "dead_motor_3"]
     rows = study.tables([{**trial.labels, **execute(trial)} for trial in trials])["faults"][1]
     shown = page.cell("`dead_motor_3`", column=f"{with_it}trips after [ms]")
-    if shown == "the same":
+    if shown == "same":
         shown = page.cell("`dead_motor_3`", column="trips after [ms]")
-    assert_says(shown, *(row["latency_ms"] for row in rows))
-    for column, keys in ((f"{with_it}travel", ("travel_deg", "travel_mm")), ("stop", ("stop_deg", "stop_mm"))):
-        worst = (max(row[key] for row in rows) for key in keys)
-        assert_says(page.cell("`dead_motor_3`", column=f"{column} [deg], [mm]"), *worst, within=NOISY)
+    latencies = [row["latency_ms"] for row in rows]
+    assert_says(shown, *(latencies if "," in shown else [max(latencies)]))
+    worst = (max(row[key] for row in rows) for key in ("travel_deg", "travel_mm"))
+    assert_says(page.cell("`dead_motor_3`", column=f"{with_it}travel [deg], [mm]"), *worst, within=NOISY)
 
 
 def test_random_faults(page):
@@ -154,7 +154,7 @@ def test_margins(page):
     changes = "estimator.kind=observer", "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
     assert changes[1] in page.text
     found = loop_margins(linear_loops(load_scenario("exact_breathing", changes), np.array([pose]))).all_at_once
-    assert_says(page.cell("observer", column="all at once: disk").partition(",")[0], found.disk[0])
+    assert_says(page.cell("observer", column="disk").partition(",")[0], found.disk[0])
     assert_says(page.cell("observer", column="gain"), found.gain_low[0], found.gain_high[0])
     assert_says(page.cell("observer", column="phase [deg]"), np.degrees(found.phase[0]))
 

@@ -16,7 +16,6 @@ import numpy as np
 import servo_identification_study as servos
 from servo_identification_study import GUESS, NOMINAL, PLAIN, SERVO, Hidden, spread
 from strange_robots import LateServos, LoadedFriction
-from write_reachy import MAKERS
 
 from stewart_drake import Scenario, load_scenario, run, run_metrics
 from stewart_drake.base.atomic_files import write_atomically
@@ -25,7 +24,6 @@ from stewart_drake.control.adaptation import last_learnt, model_of
 from stewart_drake.control.base import heave_inertia
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.robot import RobotParameters
-from stewart_drake.studies.comparison import load_comparison
 
 OUT = Path(__file__).parents[1] / "results" / "adaptation.md"
 STEP = 0.001  # [s] of the plant.
@@ -33,6 +31,8 @@ AGE = servos.NOMINAL_AGE
 MOTIONS = {"nod": (20.0, "rmse_norm_deg"), "look": (24.0, "rmse_norm_deg"), "breathing": (20.0, "rmse_norm_mm")}
 """Duration [s], of which the second half counts, and metric."""
 FIGURES = ("nod [deg]", "look around [deg]", "breathing [mm]", "its ripple [mm/s]")
+SHORT_FIGURES = (0, 2, 3)
+"""Of these, those of robots with something that the model does not have."""
 FIRST = "nod of the first robot [deg]"
 SCHEMES = {
     "plain": "angles of the inverse kinematics",
@@ -81,7 +81,6 @@ AT_100_HZ = {
 }
 SLOW_FIGURES = ("nod [deg]", "its ripple [mm/s]", "breathing [mm]", "ripple at rest [mm/s]")
 SLOW_METRICS = {"nod": ("rmse_norm_deg", "ripple_mm_s"), "breathing": ("rmse_norm_mm",), "rest": ("ripple_mm_s",)}
-BELIEFS = ("exact model, 50 Hz", "stiffness believed 1.3 times", "friction believed twice", "delay not believed")
 DRY = 0.08  # [N m] of the motors at 1 kHz, believed 0.01.
 PUSHED = {"disturbances": [{"kind": "step", "wrench": [0.0, 0.0, 0.0, 1.0, 0.0, 0.0], "time": 3.0, "until": 60.0}]}
 LOADED: dict[str, Any] = {"plant.payload_mass": 0.3, **BESIDE}
@@ -284,19 +283,6 @@ def table_of_many(nods: dict[str, np.ndarray]) -> str:
     return markdown_table(["", "nod [deg]", "lost"], [[name, *table(of[:, None])] for name, of in nods.items()])
 
 
-def on_makers_model(belief: str) -> list[float]:
-    """Nod, looking around [deg] and breathing [mm] on the maker's model, without and with learning."""
-    found = []
-    for motion, (duration, metric) in MOTIONS.items():
-        labels = {"controller": belief, "reference": motion.replace("look", "look around"), "condition": MAKERS}
-        (trial,) = (each for each in load_comparison("reachy").trials if labels.items() <= each.labels.items())
-        for adaptation in (None, "regression"):
-            changes = {"duration": duration, "adaptation": adaptation}
-            changes |= {"reference": references()["look"]} if motion == "look" else {}
-            found.append(run_metrics(run(trial.scenario().replace(changes), check=False))[metric])
-    return found
-
-
 def table(rows: np.ndarray) -> list[str]:
     """Cells of figures (robots, n) of a scheme, and how many robots were lost."""
     return [*(spread(column) for column in rows.T), str(int(np.isinf(rows).any(axis=1).sum()))]
@@ -304,8 +290,8 @@ def table(rows: np.ndarray) -> list[str]:
 
 def ends(column: np.ndarray) -> str:
     """Median and largest of a few robots."""
-    middle, _, most = spread(column).split(" / ")
-    return f"{middle} / {most}"
+    middle, _, most = spread(column).split(", ")
+    return f"{middle}, {most}"
 
 
 TEXT = """# Robots that learn their motors
@@ -316,31 +302,24 @@ half an hour on two cores.
 {table}
 
 - {robots} Reachy Minis with servos that take angles at 50 Hz (XL330-M288, 12 bits), from a cold start. RMS errors of
-  the second half of 20 s (look around: 24 s): median / 95th percentile / largest robot. Ripple: RMS error of the
+  the second half of 20 s (look around: 24 s): median, 95th percentile, largest robot. Ripple: RMS error of the
   velocity above 2 Hz. A nod is 15 deg at 1 Hz, breathing 5 mm at 0.1 Hz.
 - At random, unknown to the controller: stiffness 0.7 to 1.3 times the nominal, damping 0.8 to 1.2, Coulomb and viscous
   friction 0 to 3, head 0.8 to 1.2 times; commands 10 to 50 ms late (model: 30), readings 0 to 20 ms old (model: 10).
 - With the age of the readings known, learning is as good as the truth. Commands and angles cannot show that age, and
   10 ms of it are 0.66 deg of a nod: measure it and set `model.reading_age`.
-- *Second run*: with the model that `--keep-model` left after a first run that looked around.
-- At rest servos ripple by at most {rest_servos:.2g} mm/s.
+- *Second run*: with the model that `--keep-model` left after a first run that looked around. At rest servos ripple by
+  at most {rest_servos:.2g} mm/s.
 
 ## What is not in the model
 
-{few} of these robots, learning: median / largest.
+{few} of these robots, learning: median, largest.
 
 {strange}
 
 A crank that sticks harder than it slides jumps, and a command every 20 ms comes too late to stop that. Friction that
 grows with the torque, and commands that come late, are a [plant and motors of your own](../your_own_loop.md), in
 `docs/scripts/strange_robots.py`.
-
-## On the maker's model
-
-Reachy Mini as the MuJoCo model of `reachy_mini` 1.13.0, without and with learning from a cold start. Rows as in
-[Reachy Mini](reachy.md); RMS errors of the second half.
-
-{maker}
 
 ## By torque at 1 kHz
 
@@ -396,7 +375,6 @@ def main() -> None:
         slow = np.array(list(workers.map(slow_trial, range(max(given.robots, SLOW_ROBOTS)))))
         nods = many_nods(workers)
         rest_servos = max(workers.map(ripple_at_rest, range(given.robots)))
-        maker = list(workers.map(on_makers_model, BELIEFS))
         torque = {
             scheme: [list(workers.map(partial(at_1_khz, "drake", scheme=scheme), ("breathing", "heart")))]
             for scheme in AT_1_KHZ
@@ -409,14 +387,13 @@ def main() -> None:
             ["", *FIGURES, "lost", FIRST],
             [[name, *table(trials[:, k]), f"{trials[0, k, 0]:.3g}"] for k, name in enumerate(SCHEMES.values())],
         ),
-        strange=markdown_table(["", *FIGURES], [[name, *map(ends, rows.T)] for name, rows in others.items()]),
+        strange=markdown_table(
+            ["", *(FIGURES[k] for k in SHORT_FIGURES)],
+            [[name, *(ends(rows[:, k]) for k in SHORT_FIGURES)] for name, rows in others.items()],
+        ),
         many=MANY,
         short=SHORT,
         of_many=table_of_many(nods),
-        maker=markdown_table(
-            ["", "nod [deg]", "learning", "look around [deg]", "learning", "breathing [mm]", "learning"],
-            [[name, *(f"{x:.3g}" for x in row)] for name, row in zip(BELIEFS, maker, strict=True)],
-        ),
         still=int((slow[:, list(AT_100_HZ).index("learning"), -1] < AT_REST).sum()),
         rest=AT_REST,
         rest_servos=rest_servos,
@@ -427,8 +404,8 @@ def main() -> None:
             [[name, *table(slow[:, k])] for k, name in enumerate(AT_100_HZ.values())],
         ),
         torque=markdown_table(
-            ["", *(f"{motion} [{unit}]" for motion in ("breathing", "heart") for unit in ("mm", "deg"))],
-            [[name, *(f"{x:.3g}" for x in np.ravel(rows))] for name, rows in torque.items()],
+            ["", "breathing [mm]", "heart [mm]"],
+            [[name, *(f"{position:.3g}" for position, _ in rows[0])] for name, rows in torque.items()],
         ),
     )
     write_atomically(OUT, text.encode())

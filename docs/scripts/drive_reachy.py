@@ -332,8 +332,7 @@ daemon, 400 MB.
 ![Pitch of a nod over time, and its error](drive.png)
 
 - RMS errors of the second half, lag included; ripple is the RMS error of the velocity above 2 Hz. A nod is 15 deg at
-  1 Hz, breathing 5 mm at 0.1 Hz. Rows that learn begin cold: {nod:.0f} s of nodding, {look:.0f} s of looking around,
-  {breathing:.0f} s of breathing.
+  1 Hz, breathing 5 mm at 0.1 Hz. Rows that learn have a cold start and {nod:.0f}, {look:.0f} and {breathing:.0f} s.
 - *Angles of the inverse kinematics* is what its owners send. *Exact model* is `drive reachy_daemon`, with the numbers
   of the maker's MJCF, where the ball joints of the rods have a motor's friction. A real head hardly has such joints,
   and its motors have other numbers: see [Reachy Mini](reachy.md).
@@ -365,23 +364,21 @@ The maker's model in our own loop, without the daemon, and the exact model witho
 
 {limits}
 
-- MuJoCo's ball joints have dry friction about three axes of the body; `model.friction.joints` has these axes. With
-  those of the rods errors are larger.
-- MuJoCo's dry friction reverses gradually, and some ms before the motion does. The model has no such lead.
-- Without friction the rest is that of 50 Hz and of the simulation's steps.
+MuJoCo's dry friction reverses gradually, some ms before the motion does, and about three axes of the body. The model
+has no such lead; `model.friction.joints` has the axes. Without friction the rest is that of 50 Hz and of the steps.
 
 `make results` recomputes some of these numbers.
 """
-HEADER = (
-    *("", "nod [deg], [mm]", "look around [deg], [mm]", "ripple of both [mm/s]", "breathing [mm]", "its ripple [mm/s]"),
-)
+SHOWN = {"head", "torque", "joints"}
+"""Words of the rows that are shown of what was learnt."""
+HEADER = (*("", "nod [deg], [mm]", "look around [deg], [mm]", "ripple of both [mm/s]", "breathing [mm]"),)
 
 
 def cells(found: Mapping[str, Figures]) -> list[str]:
     """Of a row."""
     nod, look, breathing = (found[motion] for motion in MOTIONS)
-    errors = [f"{each.rotation:.3f} / {each.position:.3f}" for each in (nod, look)]
-    return [*errors, f"{nod.ripple:.2f} / {look.ripple:.2f}", f"{breathing.position:.3f}", f"{breathing.ripple:.3f}"]
+    errors = [f"{each.rotation:.3f}, {each.position:.3f}" for each in (nod, look)]
+    return [*errors, f"{nod.ripple:.2f}, {look.ripple:.2f}", f"{breathing.position:.3f}"]
 
 
 def main() -> None:
@@ -421,15 +418,15 @@ def main() -> None:
         (name, *cells({motion: simulated(changes, motion) for motion in MOTIONS})) for name, changes in LIMITS.items()
     ]
     known = logs[LEARNT, "look around"]
-    learnt = rows_of(last_learnt(known))
+    learnt = [(name.removeprefix("learnt: "), text) for name, text in rows_of(last_learnt(known))]
     save_figure(draw(logs), OUT / "drive.png")
     values = {
         **{motion.partition(" ")[0]: long for motion, (_, long, _) in MOTIONS.items()},
         "table": markdown_table(HEADER, table),
         "limits": markdown_table(HEADER, limits),
-        "learnt": markdown_table(("", "learnt"), [(name.removeprefix("learnt: "), text) for name, text in learnt]),
+        "learnt": markdown_table(("", "learnt"), [each for each in learnt if SHOWN & set(each[0].split())]),
         "others": "\n".join(
-            f"| {name} | {' | '.join(f'{deg:.2f} / {mm:.2f}' for deg, mm, *_ in found)} |"
+            f"| {name} | {' | '.join(f'{deg:.2f}, {mm:.2f}' for deg, mm, *_ in found)} |"
             for name, found in others.items()
         ),
         "slow": 100.0 * (others[f"{CLOCK}: {EXACT}"][0][2] - 1.0),

@@ -217,8 +217,6 @@ one core.
   largest distance of the platform, at any tick, from where the finest steps of `rk4` bring it.
 - `plant.integrator: rk4` is for figures that must not depend on the step. The errors of the others shrink with the
   first power of the step, but for MuJoCo's `rk4`, whose joints are soft.
-- In a closed loop Drake's plant and `semi_implicit` stay within 1e-7 m of each other
-  (`tests/runs/test_closed_form_run.py`).
 
 ## With friction
 

@@ -133,20 +133,18 @@ PAGE = """# Random faults
 How far does a platform travel after a fault of any kind, at any time, with the safety layer and without?
 Command: `python docs/scripts/random_faults.py`, six minutes on one core.
 
-500 faults, drawn by seed: kind, leg, size and onset (0.3 to 1.3 s), during `exact_breathing`, `exact_heart`,
-`exact_fig7` with encoders, or a sine of 4 mm; with an observer and the policy, or without both.
-
 {paper}
 
-- *Travel*: how far the true pose goes from the reference, until brakes hold all cranks. They close at the end of a safe
-  hold, or 50 ms after the motors were switched off. *A stop* is a plain stop in the tick of the fault.
-- Jumps are of 5 to 200 mrad, drifts of 1 to 300 mrad/s; late readings are 2 to 20 ms old.
+- Kind, leg, size and onset are random, during `exact_breathing`, `exact_heart`, `exact_fig7` with encoders, or a sine
+  of 4 mm. Jumps are of 5 to 200 mrad, drifts of 1 to 300 mrad/s; late readings are 2 to 20 ms old.
+- *Travel*: how far the true pose goes from the reference, until [brakes](faults.md) hold all cranks. *A stop* is a
+  plain stop in the tick of the fault.
 - No torque shows a drift: six readings for six degrees of freedom never contradict each other.
 
 ## Reachy Mini
 
-100 faults of the same kinds during `reachy_nod` and `reachy_look_around`. The bus has a tick of 10 ms and the motors
-have much friction, so a wrong torque shows later.
+The same during `reachy_nod` and `reachy_look_around`. The bus has a tick of 10 ms and the motors have much friction, so
+a wrong torque shows later.
 
 {reachy}
 

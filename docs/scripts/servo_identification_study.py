@@ -62,7 +62,7 @@ Command: `make servo_identification`, a quarter of an hour on two cores.
 {table}
 
 - {robots} Reachy Minis with servos that take angles at 50 Hz (XL330-M288, 12 bits). RMS errors of the second half:
-  median / 95th percentile / largest robot. Ripple: RMS error of the velocity above 2 Hz.
+  median, 95th percentile, largest robot. Ripple: RMS error of the velocity above 2 Hz.
 - At random, unknown: stiffness 0.7 to 1.3 times the nominal, damping 0.8 to 1.2, friction 0 to 3, head 0.8 to 1.2
   times; commands 10 to 50 ms late (model: 30), readings 0 to 20 ms old (model: 10).
 - The motion is that of `stewart-drake excite --robot reachy_mini --motors xl330_m288`.
@@ -231,7 +231,7 @@ def three_of(values: np.ndarray) -> tuple[float, float, float]:
 
 def spread(values: np.ndarray) -> str:
     """`three_of`, in words."""
-    return " / ".join("lost" if np.isinf(value) else f"{value:.3g}" for value in three_of(values))
+    return ", ".join("lost" if np.isinf(value) else f"{value:.3g}" for value in three_of(values))
 
 
 def page(

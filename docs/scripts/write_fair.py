@@ -40,8 +40,8 @@ J = sqrt((RMSE / 0.03 deg)^2 + (RMSE / 0.03 mm)^2 + (RMS change of torque in a m
   observer took computed torque from 0.90 to 1.04 times the cost of the LQI.
 {answer}
 - A search for the least cost leaves small margins, so none of these settings is a default.
-- CMA-ES with {evaluations} evaluations for a controller tunes its gains and the observer's disturbance on the closed
-  form; the runs of this page have other noise. {made}
+- CMA-ES with {evaluations} evaluations tunes gains and the observer's disturbance, on the closed form with other noise.
+  {made}
 
 **Cost by condition**
 
@@ -51,8 +51,8 @@ J = sqrt((RMSE / 0.03 deg)^2 + (RMSE / 0.03 mm)^2 + (RMS change of torque in a m
 
 {errors}
 
-Runs, bounds, start and scales are in [fair.yaml](../../diagrams/comparisons/fair.yaml); `stewart-drake compare fair`
-writes all figures.
+Runs and start are in [fair.yaml](../../diagrams/comparisons/fair.yaml); `stewart-drake compare fair` writes all
+figures.
 
 `make results` recomputes some of these numbers.
 """
@@ -62,7 +62,7 @@ def main(searched: Path | None) -> None:
     """Writes them; ends with a line where the search is not whole."""
     results = Path(__file__).parents[1] / "results"
     kept = results.parents[1] / "diagrams" / "comparisons" / "tuned" / "fair.yaml"
-    made = "The settings are those of an earlier\n  search, tested again."
+    made = "The settings are those of an earlier search, tested again."
     if searched is not None:
         shutil.copyfile(searched / "tuned.yaml", kept)
         shutil.copyfile(searched / "tune.png", results / "fair_search.png")

@@ -14,26 +14,25 @@ from stewart_drake.base.markdown import markdown_table
 from stewart_drake.studies.faults import DURATION, FAULTS, ONSET
 
 TARGET = Path(__file__).parents[1] / "results" / "faults.md"
-CELL = re.compile(
-    r"(?P<reaction>[^(:]+?)(?: \((?P<monitor>\w+)(?:, (?P<latency>\d+) ms)?(?:, leg \d)?\))?: (?P<end>\w+)"
-)
+CELL = re.compile(r"[^(:]+?(?: \((?P<monitor>\w+)(?:, (?P<latency>\d+) ms)?(?:, leg \d)?\))?: (?P<end>\w+)")
+NOTHING = 0.1
+"""[mm] of travel up to which a fault has no row."""
 TEXT = """# When something breaks
 
 What does the safety layer do when a part of the robot fails, and how far does the platform travel until it is at rest?
 {count} faults, each while the robot holds a pose, breathes, and follows the paper's motion.
 
-Command: `stewart-drake faults`, and the same with `--set estimator.kind=observer`. They write this table with all its
-columns; `docs/scripts/write_faults.py` makes this page of both.
+Command: `stewart-drake faults`, and the same with `--set estimator.kind=observer`. They write these tables with
+all columns, and what every fault is; `docs/scripts/write_faults.py` makes this page of both.
 
 ## Faults that end or interrupt a run
 
 {tripped}
 
 - *Trips after*: monitor, and time from the fault to its trip, while the robot holds, breathes and follows the paper's
-  motion. No time: the fault is there from the start, or comes by chance. `-`: no trip.
+  motion; one time if it is the same in all. No time: the fault is there from the start, or comes by chance.
 - *Travel*: how far the true pose goes from the reference, until brakes hold every crank. They close at the end of a
-  safe hold, or 50 ms after the motors were switched off. *Stop*: the travel of a plain stop in the tick of the fault,
-  with sensors that work. All are the worst of the three motions.
+  safe hold, or 50 ms after the motors were switched off. The worst of the three motions.
 - *completed*: the layer held the last good command or pose and gave control back. *stopped*: it brought the robot to a
   safe hold. *failed*: it switched the motors off.
 - An encoder that drifts, or that freezes while the robot is at rest, is not noticed: six readings for six degrees of
@@ -43,7 +42,7 @@ columns; `docs/scripts/write_faults.py` makes this page of both.
 
 ## Faults that the loop bears
 
-No monitor trips, and all runs are completed. Travel is the largest distance from the reference.
+No monitor trips, and all runs are completed. The platform travels by at most {nothing:g} mm with {still}.
 
 {borne}
 
@@ -53,11 +52,10 @@ Runs of {duration:g} s of the exact-model LQI at 1 kHz with `safety: {{}}`, faul
 
 
 class Row(NamedTuple):
-    """A fault of a study: its cells by motion, and travels in words."""
+    """A fault of a study: its cells by motion, and its travel in words."""
 
     ends: list[re.Match[str] | None]
     travel: str
-    stop: str
 
     @property
     def outcome(self) -> str:
@@ -67,13 +65,16 @@ class Row(NamedTuple):
     @property
     def trips(self) -> str:
         """Monitors and latencies; a monitor that trips again is not repeated."""
+        found = {end and end.group("monitor", "latency") for end in self.ends}
+        if len(found) == 1:
+            return " ".join(filter(None, found.pop() or ())) or "-"
         words, last = [], None
         for end in self.ends:
             monitor = end and end["monitor"]
             name = f"{monitor} " if monitor and monitor != last else ""
             words.append(f"{name}{end['latency'] or ''}".strip() if end and monitor else "-")
             last = monitor or last
-        return ", ".join(filter(None, words)) if any(end and end["monitor"] for end in self.ends) else "-"
+        return ", ".join(filter(None, words)) if any(word != "-" for word in words) else "-"
 
 
 def read(page: str) -> dict[str, Row]:
@@ -82,31 +83,36 @@ def read(page: str) -> dict[str, Row]:
     for line in page.splitlines():
         name, *cells = [cell.strip() for cell in line.strip("|").split(" | ")]
         if line.startswith("|") and name.strip() in FAULTS:
-            *motions, travel, stop = cells
-            ends = [CELL.match(cell) for cell in motions]
-            found[name.strip()] = Row(ends, *(re.sub(" deg| mm", "", each.strip()) for each in (travel, stop)))
+            *motions, travel, _ = cells
+            found[name.strip()] = Row([CELL.match(cell) for cell in motions], re.sub(" deg| mm", "", travel.strip()))
     return found
 
 
 def write(plain: str, observed: str) -> str:
     """The page of two pages that `faults` has written, without an observer and with one."""
-    tripped, borne, other = [], [], read(observed)
+    tripped, borne, still, other = [], [], [], read(observed)
     for name, row in read(plain).items():
-        what, seen = FAULTS[name].text.partition(";")[0], other[name]
+        seen = other[name]
         if {row.outcome, seen.outcome} == {"completed"} and row.trips == seen.trips == "-":
-            borne.append((f"`{name}`", what, row.travel, seen.travel))
+            found = [float(travel.split(", ")[1]) for travel in (row.travel, seen.travel)]
+            if max(found) <= NOTHING:
+                still.append(f"`{name}`")
+            else:
+                borne.append((f"`{name}`", row.travel, seen.travel))
         else:
             outcome = row.outcome if row.outcome == seen.outcome else f"{row.outcome}; observer: {seen.outcome}"
-            trips = "the same" if seen.trips == row.trips else seen.trips
-            tripped.append((f"`{name}`", what, outcome, row.trips, row.travel, trips, seen.travel, row.stop))
+            trips = "same" if seen.trips == row.trips else seen.trips
+            tripped.append((f"`{name}`", outcome, row.trips, row.travel, trips, seen.travel))
     support = [float(found) for found in re.findall(r"external force of ([\d.]+) N", plain)]
-    header = ("fault", "what happens", "outcome", "trips after [ms]", "travel [deg], [mm]")
+    header = ("fault", "outcome", "trips after [ms]", "travel [deg], [mm]")
     observer = ("with an observer: trips after [ms]", "with an observer: travel [deg], [mm]")
     return TEXT.format(
         count=len(other),
-        tripped=markdown_table((*header, *observer, "stop [deg], [mm]"), tripped),
-        borne=markdown_table((*header[:2], header[-1], observer[-1]), borne),
+        tripped=markdown_table((*header, *observer), tripped),
+        borne=markdown_table((header[0], header[-1], observer[-1]), borne),
         support=f"{min(support):g} to {max(support):g}",
+        nothing=NOTHING,
+        still=", ".join(still),
         duration=DURATION,
         onset=ONSET,
     )

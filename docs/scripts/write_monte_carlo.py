@@ -3,7 +3,6 @@
 python docs/scripts/write_monte_carlo.py runs/monte_carlo     # a folder that `stewart-drake sweep monte_carlo` made
 """
 
-import json
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache, partial
@@ -38,15 +37,10 @@ run is in [monte_carlo.parquet](monte_carlo.parquet).
 - At random ([monte_carlo.yaml](../../diagrams/sweeps/monte_carlo.yaml)): masses and inertias within 20 %, payload up
   to 0.3 kg off centre, 0 to 0.08 N m of friction, torque constants within 10 %, encoder noise up to a count, 1 to 3
   ticks of delay, a push of up to 5 N, a motion of six sines of 0.1 to 1.5 Hz.
-- The controller is the exact-model LQI with observer and fixed weights. Its model is the nominal robot with 2 ticks of
-  delay and 0.04 N m of friction.
-- On the closed form. {judged}
-
-| friction in each motor [N m] | runs | RMSE, median [mm] | 99 % [mm] |
-|---|---|---|---|
-{by_friction}
-
-99 % with 1, 2, 3 ticks of delay: {by_delay} mm.
+- On the closed form, with the exact-model LQI, observer and fixed weights. Its model is the nominal robot with 2
+  ticks of delay and 0.04 N m of friction.
+- Friction and delay matter little: 99 % are {by_friction} mm with 0 to 0.02, to 0.04, to 0.06, to 0.08 N m, and
+  {by_delay} mm with 1, 2, 3 ticks of delay.
 
 ## With learning, and without the push
 
@@ -89,11 +83,7 @@ def main(folder: Path) -> None:
 
     bands = []
     for low in (0.0, 0.02, 0.04, 0.06):
-        own = rmse[(friction >= low) & (friction < low + 0.02)]
-        bands.append(
-            f"| {low:g} to {low + 0.02:g} | {own.size} | {np.nanmedian(own):.3f} | {np.nanquantile(own, 0.99):.3f} |"
-        )
-    kept = json.loads(table.schema.metadata[b"stewart_drake.sweep"])
+        bands.append(f"{np.nanquantile(rmse[(friction >= low) & (friction < low + 0.02)], 0.99):.3f}")
     text = TEXT.format(
         runs=runs,
         completed=f"All {runs}" if done.all() else f"{int(done.sum())} of {runs}",
@@ -101,10 +91,9 @@ def main(folder: Path) -> None:
         position=spread(rmse),
         rotation=spread(row["rmse_norm_deg"].astype(float)),
         saturated=100.0 * np.nanmax(row["saturated_fraction"].astype(float)),
-        judged=(kept.get("compared") or "").partition(". ")[2],
         worst_mm=np.nanmax(row["error_max_mm"].astype(float)),
         worst_deg=np.nanmax(row["error_max_deg"].astype(float)),
-        by_friction="\n".join(bands),
+        by_friction=", ".join(bands),
         learning=markdown_table(
             ["", "50 %", "95 %", "99 %", "largest"],
             [[way, *spread(np.array(found)).split(" | ")] for way, found in {"pushed": rmse, **ways}.items()],

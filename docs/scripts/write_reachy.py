@@ -111,7 +111,7 @@ def two(value: float) -> str:
 
 def shown(row: dict, *columns: str) -> str:
     """Numbers, or that the head has turned over."""
-    return " / ".join(two(row[name]) for name in columns) if row["rmse_norm_deg"] < 90.0 else "turns over"
+    return ", ".join(two(row[name]) for name in columns) if row["rmse_norm_deg"] < 90.0 else "turns over"
 
 
 DEG, MM, RIPPLE = "rmse_norm_deg", "rmse_norm_mm", "ripple_mm_s"
@@ -155,13 +155,18 @@ def of_makers_servos(rows: Rows) -> str:
 
 
 def of_dances(rows: Rows) -> str:
-    """A line a move."""
-    lines = []
+    """A line a move that had to be changed, and one for the largest of all others."""
+    lines, others = [], []
     for name in dict.fromkeys(key[1] for key in rows):
         old, new = (rows[way, name, MAKERS] for way in ("angles, 50 Hz", "exact model, 50 Hz"))
+        if name not in SMALLER and name not in SMOOTHED:
+            others.append((old, new))
+            continue
         how = [f"{100.0 * SMALLER[name]:g} % of its size"] if name in SMALLER else []
         how += [f"averaged over {1e3 * SMOOTHED[name]:g} ms"] if name in SMOOTHED else []
         lines.append((f"`{name}`", ", ".join(how), shown(old, DEG, MM), shown(new, DEG, MM)))
+    most = (", ".join(two(max(pair[way][column] for pair in others)) for column in (DEG, MM)) for way in (0, 1))
+    lines.append((f"the other {len(others)}, largest", "", *most))
     return markdown_table(("move", "changed", "angles [deg], [mm]", "exact model [deg], [mm]"), lines)
 
 
@@ -227,7 +232,7 @@ Command: `stewart-drake compare reachy`, after `pip install mujoco` and
   `xl330_m288`); a command acts a period and 10 ms after it was sent. RMS errors of the second half, lag included. On
   our own plant they differ by {apart}. *dance*: `groovy_sway_and_roll`. *fixed weights*: `tuner: block`.
 - It depends on four numbers of a motor: stiffness, damping, delay, friction. Nobody publishes them, and the stiffness
-  of the XL330 is 0.6 to 1.7 N m/rad by who computes it. [Learning](adaptation.md#on-the-makers-model) corrects them.
+  of the XL330 is 0.6 to 1.7 N m/rad by who computes it. [Learning](adaptation.md) corrects them.
 - A loop of your own at 100 Hz makes slow motion quieter, and little else better. Torques need servos in current mode at
   100 Hz; they do not depend on the servo's stiffness, and tremble more.
 

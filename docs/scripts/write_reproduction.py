@@ -20,8 +20,8 @@ Command: `stewart-drake reproduce`; `make reproduction` writes this page.
 
 Numbers in brackets are the paper's equations, roman numbers its sections. Runs are on (37), (38) unless a row gives
 another motion, and followed if they are [completed](../promises.md#outcomes-tell-the-truth). The first two rows of
-Fig. 7 have the worst of six starts that differ by 1e-10: without gravity the loop with the network is chaotic. The
-notebooks under `notebooks/paper/` explain the claims; [departures.md](../departures.md) lists what we do otherwise.
+Fig. 7 have the worst of six starts that differ by 1e-10: without gravity the loop with the network is chaotic. See
+also [departures.md](../departures.md) and `notebooks/paper/`.
 
 """
 
