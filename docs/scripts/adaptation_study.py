@@ -317,9 +317,8 @@ half an hour on two cores.
 
 {strange}
 
-A crank that sticks harder than it slides jumps, and a command every 20 ms comes too late to stop that. Friction that
-grows with the torque, and commands that come late, are a [plant and motors of your own](../your_own_loop.md), in
-`docs/scripts/strange_robots.py`.
+A crank that sticks harder than it slides jumps, and a command every 20 ms comes too late to stop that. Two rows are
+[a plant and motors of one's own](../your_own_loop.md), in `docs/scripts/strange_robots.py`.
 
 ## By torque at 1 kHz
 
@@ -343,7 +342,7 @@ between two steps of the encoders.
 
 ## Many robots
 
-{many} more robots of each kind learn while they nod for {short:g} s from a cold start.
+{many} more of each kind, learning while they nod for {short:g} s from a cold start.
 
 {of_many}
 
@@ -352,8 +351,6 @@ between two steps of the encoders.
 5000 robots with wrong models, pushes and faults of encoders or motors, at 52302213: learning saves 91 that are lost
 without it, and loses four. In three a push moves a head on servos, which do not answer a push. In the fourth an encoder
 freezes 2.3 s after a cold start: the safety layer finds that late, and the head moves 20.6 deg instead of 7.5 deg.
-
-`make results` recomputes some of these numbers.
 """
 
 

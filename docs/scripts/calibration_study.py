@@ -45,8 +45,6 @@ How exactly does `calibrate` find a robot's geometry, and how far off is the rob
 Half widths of the 95 % intervals with estimated frames, medians over legs and robots:
 
 {widths}
-
-`make results` recomputes some of these numbers.
 """
 HEADER = (
     "robot",

@@ -332,18 +332,19 @@ daemon, 400 MB.
 ![Pitch of a nod over time, and its error](drive.png)
 
 - RMS errors of the second half, lag included; ripple is the RMS error of the velocity above 2 Hz. A nod is 15 deg at
-  1 Hz, breathing 5 mm at 0.1 Hz. Rows that learn have a cold start and {nod:.0f}, {look:.0f} and {breathing:.0f} s.
+  1 Hz, breathing 5 mm at 0.1 Hz. Runs with learning have a cold start and last {nod:.0f}, {look:.0f} and
+  {breathing:.0f} s.
 - *Angles of the inverse kinematics* is what its owners send. *Exact model* is `drive reachy_daemon`, with the numbers
   of the maker's MJCF, where the ball joints of the rods have a motor's friction. A real head hardly has such joints,
   and its motors have other numbers: see [Reachy Mini](reachy.md).
-- *Learning*: `--set adaptation="{{kind: regression, noise: 0.06, slowest: 0.05}}"`, with `ball_joints: true` but in the
-  first of these rows. *Free*: the friction of the ball joints is unknown at the start, their axes are known.
+- *Learning*: `--set adaptation="{{kind: regression, noise: 0.06, slowest: 0.05}}"`, with `ball_joints: true` except in
+  the first of these rows. *Free*: the friction of the ball joints is unknown at the start, their axes are known.
 - *Frozen*: the model that looking around left, by `--keep-model`; an identification from commands and angles alone.
 
 ## What was learnt
 
 Looking around, ball joints free in the model, after {look:.0f} s. The file has 0.1 N m and 0.15 N m s/rad in motors and
-ball joints. A factor that all numbers share hardly shows in commands and angles: see the interval of the torque.
+ball joints. Commands and angles hardly show a common factor of all numbers, so the interval of the torque is wide.
 
 {learnt}
 
@@ -366,8 +367,6 @@ The maker's model in our own loop, without the daemon, and the exact model witho
 
 MuJoCo's dry friction reverses gradually, some ms before the motion does, and about three axes of the body. The model
 has no such lead; `model.friction.joints` has the axes. Without friction the rest is that of 50 Hz and of the steps.
-
-`make results` recomputes some of these numbers.
 """
 SHOWN = {"head", "torque", "joints"}
 """Words of the rows that are shown of what was learnt."""

@@ -188,8 +188,6 @@ def main():
         DRAKE.format(robots=ON_DRAKE, motions=" or ".join(f"`{each[6]}`" for each in ROBOT_OF.values())).lstrip(),
         *header(DRAKE_HEADER),
         *drake,
-        "",
-        "`make results` recomputes some of these numbers.",
     ]
     OUT.write_text("\n".join([*lines, ""]), encoding="utf-8")
 

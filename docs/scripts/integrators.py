@@ -233,12 +233,10 @@ RMS position error [µm] of shipped scenarios on the closed form, with the frict
 
 ## Three engines, one robot
 
-The same loop on all engines with steps of 1 ms: the largest distance between two runs, and the processor time of a step
-of the plant. With encoders and dry friction, a reading that falls into the next count is worth micrometres.
+The same loop with steps of 1 ms: the largest distance between two runs, and the processor time of a step of the plant.
+With encoders and dry friction, a reading that falls into the next count is worth micrometres.
 
 {engines}
-
-`make results` recomputes some of these numbers.
 """
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ GAINS = (0.05, 6.0)
 BLOCK = "tuner={kind: block}"
 OBSERVER = "estimator.kind=observer"
 WEIGHTS = "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
-MAIN, CORNER = "observer", "policy, at the worst corner of its box"
+MAIN, CORNER = "observer", "policy, worst corner of its range"
 HEAVIER, BOTH = "learning, head too heavy in the model", "policy at that corner, head too heavy in the model"
 NOD, SLOW = "LQI, observer, start weights, as in `reachy_nod`", "PID for slow buses, as in `reachy_slow_bus`"
 SLOW_LIGHTER, SLOW_HEAVIER = "the same, head too light in the model", "the same, head too heavy in the model"
@@ -68,7 +68,7 @@ How much wrong gain, and how much more delay, does the loop bear at any pose? Co
 - *Disk*: the loop is stable while each motor gives (1 + d/2) / (1 - d/2) times its command and the complex |d| is below
   this margin. It covers gain and phase together: 0.45 means gains from 0.63 to 1.58, or 25 deg. Every
   motor has a d of its own. Delay is in addition to the loop's.
-- Rows of policy and learning are extremes, frozen: the middle of the policy's box and its worst corner ({corner};
+- Rows of policy and learning are extremes, frozen: the middle of the policy's range and its worst corner ({corner};
   Reachy Mini: {reachy_corner}); a head whose mass in the model is {lighter:.2f} or {heavier:.2f} times the true one,
   which is how far learning may be off before it has seen anything (95 %).
 - The loop for slow buses has {slow_most:.2f} or more at 95 % of the poses. At the worst pose the head leans by
@@ -86,8 +86,6 @@ Do these margins hold in a simulation? The nonlinear loop on the closed form at 
 forgotten. *Linear*: where the spectral radius of the linear loop is 1.
 
 {diverges}
-
-`make results` recomputes some of these numbers.
 """
 
 
@@ -136,13 +134,13 @@ def scenarios(corner, reachy_corner):
     """The loops of the table by name, with the policy's worst corners."""
     found = {name: load_scenario("exact_breathing", changes) for name, changes in ROWS.items()}
     base = load_scenario("exact_breathing", [OBSERVER, BLOCK])
-    found["policy, in the middle of its box"] = at_setting(base, Policy.load().centre)
+    found["policy, middle of its range"] = at_setting(base, Policy.load().centre)
     found[CORNER] = at_setting(base, corner)
     lighter, heavier = head_shares()
     found["learning, head too light in the model"] = modelled(found[MAIN], lighter)
     found[HEAVIER], found[BOTH] = modelled(found[MAIN], heavier), modelled(found[CORNER], heavier)
     found[NOD] = load_scenario("reachy_nod")
-    found["the same, policy at the worst corner of its box"] = at_setting(found[NOD], reachy_corner)
+    found["the same, policy, worst corner of its range"] = at_setting(found[NOD], reachy_corner)
     # What linear loops leave out is left out of the simulated one too.
     found[SLOW] = load_scenario("reachy_slow_bus").replace({"adaptation": None, "controller.dead_band": 0.0})
     found[SLOW_LIGHTER], found[SLOW_HEAVIER] = (modelled(found[SLOW], share) for share in (lighter, heavier))

@@ -123,11 +123,10 @@ HEADER = (
 )
 TABLE = """{table}
 
-- {beyond} of {runs} faults ({share} %) go more than 5 deg or 10 mm farther than a stop at the onset; {drifts} of them
-  are drifts.
-- With the layer {farther} go farther than without by more than 0.1 mm, and {tilted} tilt more by more than 0.1 deg, at
-  most {most} deg.
-- {wrong} trips name a leg that is not at fault."""
+- {beyond} of {runs} faults ({share} %) go more than 5 deg or 10 mm farther than a stop; {drifts} of them are drifts.
+- Farther with the layer than without: {farther} by more than 0.1 mm, {tilted} by more than 0.1 deg (at most {most}
+  deg).
+- Trips that name a wrong leg: {wrong}."""
 PAGE = """# Random faults
 
 How far does a platform travel after a fault of any kind, at any time, with the safety layer and without?
@@ -147,8 +146,6 @@ The same during `reachy_nod` and `reachy_look_around`. The bus has a tick of 10 
 a wrong torque shows later.
 
 {reachy}
-
-`make results` recomputes some of these numbers.
 """
 
 if __name__ == "__main__":

@@ -90,8 +90,6 @@ guess that has no friction. Of the motors: their mean, and the one farthest from
 {mujoco}
 
 Errors are up to five times the intervals: these do not include that dry friction is soft in MuJoCo.
-
-`make results` recomputes some of these numbers.
 """
 MUJOCO = {"kind": "mujoco", "model_file": "reachy_mini", "motor_class": "xc330m288t"} | dict.fromkeys(
     ("passive_friction", "passive_armature"), 0.0

@@ -53,8 +53,6 @@ J = sqrt((RMSE / 0.03 deg)^2 + (RMSE / 0.03 mm)^2 + (RMS change of torque in a m
 
 Runs and start are in [fair.yaml](../../diagrams/comparisons/fair.yaml); `stewart-drake compare fair` writes all
 figures.
-
-`make results` recomputes some of these numbers.
 """
 
 
@@ -149,8 +147,8 @@ def answer(of: dict[str, dict[tuple[str, str], float]]) -> str:
         low, high = min(ratio, key=ratio.__getitem__), max(ratio, key=ratio.__getitem__)
         whole = mean_cost(of[name].values()) / mean_cost(of[lqi].values())
         lines.append(
-            f"- {name}: {whole:.2f} times the cost of the LQI; from {ratio[low]:.2f} times ({', '.join(low)}) "
-            f"to {ratio[high]:.2f} times ({', '.join(high)})."
+            f"- {name}: {whole:.2f} times the cost of the LQI, from {ratio[low]:.2f} ({', '.join(low)}) "
+            f"to {ratio[high]:.2f} ({', '.join(high)})."
         )
     return "\n".join(lines)
 

@@ -47,7 +47,6 @@ No monitor trips, and all runs are completed. The platform travels by at most {n
 {borne}
 
 Runs of {duration:g} s of the exact-model LQI at 1 kHz with `safety: {{}}`, faults from {onset:g} s on.
-`make results` recomputes some of these numbers.
 """
 
 
@@ -67,11 +66,11 @@ class Row(NamedTuple):
         """Monitors and latencies; a monitor that trips again is not repeated."""
         found = {end and end.group("monitor", "latency") for end in self.ends}
         if len(found) == 1:
-            return " ".join(filter(None, found.pop() or ())) or "-"
+            return " ".join(filter(None, found.pop() or ())).replace("_", " ") or "-"
         words, last = [], None
         for end in self.ends:
             monitor = end and end["monitor"]
-            name = f"{monitor} " if monitor and monitor != last else ""
+            name = f"{monitor} ".replace("_", " ") if monitor and monitor != last else ""
             words.append(f"{name}{end['latency'] or ''}".strip() if end and monitor else "-")
             last = monitor or last
         return ", ".join(filter(None, words)) if any(word != "-" for word in words) else "-"
@@ -105,7 +104,7 @@ def write(plain: str, observed: str) -> str:
             tripped.append((f"`{name}`", outcome, row.trips, row.travel, trips, seen.travel))
     support = [float(found) for found in re.findall(r"external force of ([\d.]+) N", plain)]
     header = ("fault", "outcome", "trips after [ms]", "travel [deg], [mm]")
-    observer = ("with an observer: trips after [ms]", "with an observer: travel [deg], [mm]")
+    observer = ("observer: trips after [ms]", "observer: travel [deg], [mm]")
     return TEXT.format(
         count=len(other),
         tripped=markdown_table((*header, *observer), tripped),

@@ -47,8 +47,6 @@ run is in [monte_carlo.parquet](monte_carlo.parquet).
 The same robots and motions with `adaptation: regression`. RMSE of position, second half [mm]:
 
 {learning}
-
-`make results` recomputes some of these numbers.
 """
 
 

@@ -248,13 +248,11 @@ In the file ball joints have a motor's dry friction of 0.1 N m and damping of 0.
 
 ## The maker's dances
 
-All moves of `reachy_mini_dances_library` 0.2.1 at 50 Hz with the XL330. *changed*: moves that jump, or turn a corner
-too fast for 0.52 N m, are averaged (standard deviation of a Gaussian); two are made smaller, as they go beyond the
-cranks' range or speed. `diagrams/comparisons/reachy_dance.py` plays them in any scenario.
+All moves of `reachy_mini_dances_library` 0.2.1 at 50 Hz with the XL330. *changed*: moves that jump, or turn
+too fast for 0.52 N m, are averaged (standard deviation of a Gaussian); two that go beyond the cranks' range or speed
+are made smaller. `diagrams/comparisons/reachy_dance.py` plays them in any scenario.
 
 {dances}
-
-`make results` recomputes some of these numbers.
 """
 
 if __name__ == "__main__":

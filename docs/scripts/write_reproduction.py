@@ -26,9 +26,6 @@ also [departures.md](../departures.md) and `notebooks/paper/`.
 """
 
 
-TAIL = "\n\n`make results` recomputes some of these numbers.\n"
-
-
 def main() -> None:
     """Runs both sizes and writes the table and the page; how far a number may move stays as it was."""
     found = {size: [c for result in reproduce(size == "quick").values() for c in result.claims] for size in SIZES}
@@ -41,7 +38,7 @@ def main() -> None:
             default = f"{1e-3 * max(abs(quick.ours), abs(full.ours)):.1g}"
             table.writerow((full.name, f"{quick.ours:.6g}", f"{full.ours:.6g}", within.get(full.name, default)))
     table = markdown_table(("claim", "paper", "ours", "verdict"), rows(found["full"]))
-    PAGE.write_text(HEAD + table + TAIL, encoding="utf-8")
+    PAGE.write_text(HEAD + table + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -24,13 +24,13 @@ SAMPLES = 40_000
 DIRECTIONS = 3000  # Straight ways from home, of which the shortest is what is free in every direction
 HEADER = (
     "robot",
-    "platform joints at [mm]",
+    "joints at [mm]",
     "positions [cm^3]",
-    "orientations [% of all]",
+    "orientations [%]",
     "free in all directions",
     "conditioning: home, worst",
     "torque at rest [N m]",
-    "error in motion [mm], [deg]",
+    "error [mm], [deg]",
 )
 
 
@@ -41,13 +41,12 @@ Command: `python docs/scripts/write_robots.py`.
 
 {table}
 
-- *Workspaces* around home, within the limits of a scenario that gives none: positions without turning, orientations
-  without moving, {samples:,} poses each. *Free in all directions*: the largest ball of positions and of Euler angles.
+- *Joints at*: distance of the platform's joints from its centre. *Workspaces* around home, within the limits of a
+  scenario that gives none: positions without turning, orientations without moving, {samples:,} poses each. *Free in
+  all directions*: the largest ball of positions and of Euler angles.
 - *Conditioning*: smallest over largest singular value of the rods' lines, at home and at the worst of these positions.
-- *In motion*: `{scenario}`, {duration} s of roll 6 deg, pitch 3 deg and heave 4 mm at 3 rad/s by the exact-model LQI at
+- *Error*: `{scenario}`, {duration} s of roll 6 deg, pitch 3 deg and heave 4 mm at 3 rad/s by the exact-model LQI at
   1 kHz, encoders of 17 bits, weights sized by the robot; RMSE of the second half.
-
-`make results` recomputes some of these numbers.
 """
 
 

@@ -62,8 +62,6 @@ rest {hold}: motors with dry friction stay {rest:.2g} deg off (median) whatever 
   [margins](margins.md).
 - A newer training with a wider range cost 0.62 of *best fixed* where the shipped policy cost 0.65 (at da6aa01c), but
   more for the paper's robot and in kinds never trained on. So the older policy stays.
-
-`make results` recomputes some of these numbers.
 """
 COLUMNS = {
     "candidate": "tuner",
