@@ -24,7 +24,6 @@ SAMPLES = 40_000
 DIRECTIONS = 3000  # Straight ways from home, of which the shortest is what is free in every direction
 HEADER = (
     "robot",
-    "joints at [mm]",
     "positions [cm^3]",
     "orientations [%]",
     "free in all directions",
@@ -41,9 +40,8 @@ Command: `python docs/scripts/write_robots.py`.
 
 {table}
 
-- *Joints at*: distance of the platform's joints from its centre. *Workspaces* around home, within the limits of a
-  scenario that gives none: positions without turning, orientations without moving, {samples:,} poses each. *Free in
-  all directions*: the largest ball of positions and of Euler angles.
+- *Workspaces* around home, within the limits of a scenario that gives none: positions without turning, orientations
+  without moving, {samples:,} poses each. *Free in all directions*: the largest ball of positions and of Euler angles.
 - *Conditioning*: smallest over largest singular value of the rods' lines, at home and at the worst of these positions.
 - *Error*: `{scenario}`, {duration} s of roll 6 deg, pitch 3 deg and heave 4 mm at 3 rad/s by the exact-model LQI at
   1 kHz, encoders of 17 bits, weights sized by the robot; RMSE of the second half.
@@ -66,7 +64,6 @@ def _poses(robot: RobotParameters) -> tuple[str, ...]:
     places = spaces["position"]
     worst = float(places.measures.conditioning[places.connected].min(initial=1.0)) if places.connected.any() else 0.0
     return (
-        f"{1e3 * robot.characteristic_length:.0f}",
         f"{1e6 * sizes['position']:.3g}",
         f"{100.0 * sizes['orientation']:.2g}",
         f"{1e3 * free['position']:.1f} mm, {np.degrees(free['orientation']):.1f} deg",
