@@ -52,7 +52,7 @@ ROWS = {
 }
 TEXT = """# How far the loop is from instability
 
-How much wrong gain, and how much more delay, does the loop bear at any pose? Command: `make margins`, five minutes;
+How much wrong gain, and how much more delay, does the loop tolerate at any pose? Command: `make margins`, five minutes;
 `stewart-drake margins` for a scenario of your own.
 
 | loop | stable, of {poses} | {margins} |

@@ -40,7 +40,7 @@ all columns, and what every fault is; `docs/scripts/write_faults.py` makes this 
 - With a dead motor the other five cannot carry the platform: they need an external force of {support} N to hold it at
   rest. So brakes must close.
 
-## Faults that the loop bears
+## Faults that the loop tolerates
 
 No monitor trips, and all runs are completed. The platform travels by at most {nothing:g} mm with {still}.
 
