@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from simulated_calibration import coverage, gains, run_trial
 
+from stewart_drake.base.markdown import markdown_table
 from stewart_drake.estimation.geometry import FRAMES, PER_LEG, table_names
 from stewart_drake.estimation.poses import MeasurementNoise, Measurements, candidate_poses, plan_poses
 from stewart_drake.mechanics.kinematics import inverse_kinematics
@@ -25,20 +26,36 @@ SETTINGS = (
     ("servo_hexapod", "planned", ()),
     ("reachy_mini", "planned", ()),
 )
+SHOWN = (0, 1, 4)
+"""Settings with a column of widths."""
 NOISE = MeasurementNoise(position=2e-5, rotation=1e-4)
 TEXT = """# What a calibration is worth
 
-`make calibration` simulates {robots} robots per row, each off by up to ±1 mm and ±1 mrad (uniform) in each of its
-{numbers} parameters. They are calibrated from {poses} poses and tested at {unseen} others. The tracker's noise is
-0.02 mm and 0.1 mrad per coordinate (standard deviation), the encoders have 17 bits; a trial's seed is its number.
+How exactly does `calibrate` find a robot's geometry, and how far off is the robot then? Command: `make calibration`.
 
-"Estimated" frames: the positions of the tracker and of its marker were unknown. The error before is then the guess's
-after its frames were fitted, which hides a good part of it. Errors are RMS over the test poses, medians over the
-robots. The last column is the share of 95 % intervals that hold the truth: over all parameters, and from the least to
-the most of a kind.
+{table}
 
-| robot | poses | frames | before [mm, mrad] | after [mm, mrad] | times smaller: median | worst robot | truth held |
-|---|---|---|---|---|---|---|---|"""
+- {robots} robots a row, off by up to ±1 mm and ±1 mrad (uniform) in each of their {numbers} parameters, are
+  calibrated from {poses} poses and tested at {unseen} others: RMS, medians over the robots. The last column is the
+  share of the 95 % intervals that hold the truth: over all parameters, and from the least to the most of a kind.
+- The tracker has noise of 0.02 mm and 0.1 mrad per coordinate, the encoders have 17 bits.
+- *Estimated* frames: the positions of the tracker and of its marker are unknown, and fitted with the geometry. That
+  hides a good part of the error before.
+
+Half widths of the 95 % intervals with estimated frames, medians over legs and robots:
+
+{widths}
+"""
+HEADER = (
+    "robot",
+    "poses",
+    "frames",
+    "before [mm], [mrad]",
+    "after [mm], [mrad]",
+    "times smaller: median",
+    "worst robot",
+    "intervals that hold the truth",
+)
 
 
 def poses(robot, limits, seed):
@@ -67,31 +84,26 @@ def rows():
         middle = ", ".join(f"{g:.0f}" for g in np.median(gain, axis=0))
         kinds = [value for key, value in inside.items() if key != "all"]
         share = f"{100 * inside['all']:.1f} % ({100 * min(kinds):.1f} to {100 * max(kinds):.1f} %)"
-        yield f"| `{name}` | {kind} | {frames} | {errors[0]} | {errors[1]} | {middle} | {least} | {share} |", widths
+        yield (f"`{name}`", kind, frames, *errors, middle, least, share), widths
 
 
 def main():
     """Runs the study."""
     table, widths = zip(*rows(), strict=True)
-    names = table_names()
-    columns = [f"`{name}`, {kind}, {'known' if known else 'estimated'}" for name, kind, known in SETTINGS]
-    widths_table = [
-        f"| {name} | {' | '.join(f'{1e3 * width[at]:.3f}' for width in widths)} |" for at, name in enumerate(names)
+    # Of the paper's robot by planned and by random poses, and of Reachy Mini, with frames that are estimated.
+    columns = [f"`{SETTINGS[at][0]}`, {SETTINGS[at][1]}" for at in SHOWN]
+    rows_of_widths = [
+        (name, *(f"{1e3 * widths[at][place]:.3f}" for at in SHOWN)) for place, name in enumerate(table_names())
     ]
-    lines = [
-        TEXT.format(robots=ROBOTS, numbers=6 * PER_LEG, poses=POSES, unseen=UNSEEN),
-        *table,
-        "",
-        "Half widths of the 95 % intervals, medians over legs and robots:",
-        "",
-        f"| | {' | '.join(columns)} |",
-        "|---|" + "---|" * len(columns),
-        *widths_table,
-        "",
-        "`make results` recomputes some of these numbers.",
-        "",
-    ]
-    OUT.write_text("\n".join(lines), encoding="utf-8")
+    text = TEXT.format(
+        robots=ROBOTS,
+        numbers=6 * PER_LEG,
+        poses=POSES,
+        unseen=UNSEEN,
+        table=markdown_table(HEADER, table),
+        widths=markdown_table(("", *columns), rows_of_widths),
+    )
+    OUT.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

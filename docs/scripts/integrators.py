@@ -24,6 +24,7 @@ ROBOT, STILL = RobotParameters(), np.zeros(6)
 TICK, TICKS = 0.001, 400  # [s] for which a torque is held, and how many of them there are.
 AMPLITUDE = np.array([np.radians(16.0), np.radians(-8.0), np.radians(10.0), 0.01, -0.01, 0.025])
 FRICTION = {"motor_friction": 0.05, "motor_damping": 0.02}
+SHOWN = (1.0, 0.1)  # [ms] of the steps below that the tables have; the picture has all.
 STEPS = {"drake": (1.0, 0.5, 0.25, 0.1), "euler": (1.0, 0.25, 0.1, 0.01), "rk4": (1.0, 0.5, 0.1)}  # [ms]
 ENGINES = {
     name: ("duration=2", *keys)
@@ -189,7 +190,7 @@ def main() -> None:
         lines = [
             (row.engine, f"{1e3 * row.step:g} ms", f"{row.error:.1e} mm", f"{1e3 * row.seconds:.1f} ms")
             for row in made
-            if row.friction == friction
+            if row.friction == friction and round(1e3 * row.step, 6) in SHOWN
         ]
         tables[friction] = markdown_table(("engine", "step", "error", "processor time for a second"), lines)
     save_figure(draw(made), OUT / "integrators.png")
@@ -200,45 +201,42 @@ def main() -> None:
 
 
 OF_ENGINES = (
-    *("scenario, 2 s", "Drake from closed form [µm]", "MuJoCo from closed form [µm]", "Drake from MuJoCo [µm]"),
-    "step of Drake / MuJoCo / closed form [µs]",
+    *("scenario, 2 s", "Drake, closed form [µm]", "MuJoCo, closed form [µm]", "Drake, MuJoCo [µm]"),
+    "step: Drake / MuJoCo / closed form [µs]",
 )
 TEXT = """# How exact the engines are
 
-One mechanism, the paper's, driven by torques that a 1 kHz controller holds for a millisecond each: a motion by 25 mm
-and 16 deg and back in 0.4 s. The error is the largest distance, at any tick, of the platform from where the finest
-steps of `rk4` bring it. (At the end it is smaller: on the way back much of an error of first order cancels.)
+How far is the platform off with each engine, and what does a second of simulation cost? Command: `make integrators`, on
+one core.
 
 {plain}
 
 ![error against processor time](integrators.png)
 
-`plant.integrator: rk4` is for figures that must not depend on the step. All others but MuJoCo's `rk4`, whose joints are
-soft, come to it with the first power of the step. In a closed loop Drake's plant and `semi_implicit` stay within 1e-7 m
-of each other (`tests/runs/test_closed_form_run.py`); open, as here, they part further.
+- The paper's robot, moved by 25 mm and 16 deg and back in 0.4 s by torques that are held for 1 ms. The error is the
+  largest distance of the platform, at any tick, from where the finest steps of `rk4` bring it.
+- `plant.integrator: rk4` is for figures that must not depend on the step. The errors of the others shrink with the
+  first power of the step, but for MuJoCo's `rk4`, whose joints are soft.
 
 ## With friction
 
-Dry friction of 0.05 N m and viscous friction of 0.02 N m s/rad in each motor. Where a motor turns
-round or sticks, all are of first order; `rk4` takes such a step as eight.
+Dry friction of 0.05 N m and viscous friction of 0.02 N m s/rad in each motor. Where a motor sticks or turns round, all
+are of first order; `rk4` divides such a step into eight.
 
 {rubbing}
 
 ## What that means for tracking
 
-RMS position error [µm] of shipped scenarios on the closed form, friction of the motors included.
+RMS position error [µm] of shipped scenarios on the closed form, with the friction of their motors.
 
 {tracking}
 
 ## Three engines, one robot
 
-The same loop with `plant: drake`, `mujoco` and `closed_form`, steps of 1 ms: largest difference of the platform's
-position, and processor time of a step of the plant alone. Where sensors round and motors have dry friction, a reading
-that falls into the next count is worth micrometres.
+The same loop with steps of 1 ms: the largest distance between two runs, and the processor time of a step of the plant.
+With encoders and dry friction, a reading that falls into the next count is worth micrometres.
 
 {engines}
-
-Command: `make integrators`, on one core. `make results` recomputes some of these numbers.
 """
 
 if __name__ == "__main__":

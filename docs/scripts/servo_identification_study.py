@@ -36,11 +36,13 @@ BREATH = {"kind": "sine", "amplitude": [0.0, 0.0, 0.0, 0.0, 0.0, 0.005], "angula
 SCHEMES = {
     "plain": "angles of the inverse kinematics",
     "before": "exact model, nominal constants",
-    "after": "exact model, identified, readings believed 10 ms old",
-    "told": "exact model, identified, age of the readings told",
+    "after": "exact model, identified, 10 ms of age assumed",
+    "told": "exact model, identified, age of the readings known",
     "truth": "exact model, truth known",
 }
 FIGURES = ("nod [deg]", "look around [deg]", "breathing [mm]", "its ripple [mm/s]")
+CONSTANTS = ("", "error: median, largest", "95 % interval, half width", "intervals that hold the truth")
+FIRST = "nod of the first robot [deg]"
 STRANGE: dict[str, dict[str, Any]] = {
     "as above": {},
     "stiction of 1.4 times the Coulomb friction": {"plant.friction.break_away": 1.4},
@@ -54,55 +56,40 @@ KINDS = {"stiffness": 1.0, "delay": 1e3, "platform_mass": 1e3, "damping": 1e3, "
 UNITS = ("N m/rad", "ms", "g", "mN m s/rad", "mN m")
 TEXT = """# Servos, identified from commands and angles alone
 
-`make servo_identification` simulates {robots} Reachy Minis whose servos take angles (XL330-M288, P gain 300), on the
-closed form with steps of 0.25 ms. Each has constants that are told to nobody: stiffness 0.7 to 1.3 times and damping
-0.8 to 1.2 times the nominal, Coulomb and viscous friction 0 to 3 times (each motor 15 % apart), a delay of the
-commands of 10 to 50 ms (believed: 30), readings 0 to 20 ms old (believed: 10), a head of 0.8 to 1.2 times the mass.
-Commands go out at 50 Hz, encoders and servos have 12 bits. A trial's seed is its number.
-
-Each plays the motion of `stewart-drake excite --robot reachy_mini --motors xl330_m288` for 20 s, with the nominal
-constants. `identify` gets time, commands and angles of that log, and the drawing of the robot: no torque, nothing of
-its servos. Then the robot nods (15 deg at 1 Hz), looks around and breathes (5 mm at 0.1 Hz), as in `stewart-drake
-compare reachy`. Figures are RMS errors over the second half: median / 95th percentile / largest of the robots. Ripple
-is the RMS error of the velocity above 2 Hz. Lost is a robot that does not complete a motion; its errors count as
-infinite.
+How well does a robot follow after `identify` has found the constants of its servos from 20 s of commands and angles?
+Command: `make servo_identification`, a quarter of an hour on two cores.
 
 {table}
 
-- **The readings' age** is what is left: commands and angles tell only its sum with the delay, so 10 ms more of it
-  are a motion 10 ms late. A time stamp of the bus, or one filmed motion, tells it.
-- With it told, what is left is that of the 12 bits, of the 50 Hz and of dry friction.
+- {robots} Reachy Minis with servos that take angles at 50 Hz (XL330-M288, 12 bits). RMS errors of the second half:
+  median, 95th percentile, largest robot. Ripple: RMS error of the velocity above 2 Hz.
+- At random, unknown: stiffness 0.7 to 1.3 times the nominal, damping 0.8 to 1.2, friction 0 to 3, head 0.8 to 1.2
+  times; commands 10 to 50 ms late (model: 30), readings 0 to 20 ms old (model: 10).
+- The motion is that of `stewart-drake excite --robot reachy_mini --motors xl330_m288`.
+- Commands and angles show only the sum of the readings' age and the delay. A time stamp of the bus, or one filmed
+  motion, shows the age; with it the robot follows as with the true constants.
 
 ## What was identified
 
-Errors of the constants (with the age told), all motors, beside half the width of the 95 % intervals, and the share of
-the intervals that hold the truth. Damping is that of the servo and its viscous friction, which act as one.
+Errors of the constants of all motors, the age of the readings known. Damping is that of the servo and its viscous
+friction, which act as one.
 
 {constants}
 
-## The first robot
-
-{first}
-
 ## What is not in the model
 
-A robot with friction of 1.4 times the nominal (seed 5) and something that `identify` knows nothing of: errors of what
-was identified, and of motions with it, with the age told.
+One robot (seed 5, friction 1.4 times the nominal) with something that `identify` knows nothing of.
 
 {strange}
 
 ## By torque, on the maker's model
 
-The same robot as its maker's MuJoCo model (`plant: {{kind: mujoco, model_file: reachy_mini, motor_class: xc330m288t,
-passive_friction: 0, passive_armature: 0}}`), with motors that take torque: 60 s at 100 Hz under a controller that
-believes in a head 20 % too light and in no friction. `identify` gets angles and torques of that log, and the same
-beliefs. Beside it the model's own numbers; of each motor the mean, and the one farthest from it.
+The MuJoCo model of Reachy Mini with motors that take torque, 60 s at 100 Hz. `identify` gets angles, torques and a
+guess that has no friction. Of the motors: their mean, and the one farthest from it.
 
 {mujoco}
 
 Errors are up to five times the intervals: these do not include that dry friction is soft in MuJoCo.
-
-`make results` recomputes some of these numbers.
 """
 MUJOCO = {"kind": "mujoco", "model_file": "reachy_mini", "motor_class": "xc330m288t"} | dict.fromkeys(
     ("passive_friction", "passive_armature"), 0.0
@@ -242,7 +229,7 @@ def three_of(values: np.ndarray) -> tuple[float, float, float]:
 
 def spread(values: np.ndarray) -> str:
     """`three_of`, in words."""
-    return " / ".join("lost" if np.isinf(value) else f"{value:.3g}" for value in three_of(values))
+    return ", ".join("lost" if np.isinf(value) else f"{value:.3g}" for value in three_of(values))
 
 
 def page(
@@ -254,7 +241,7 @@ def page(
         [
             words,
             *(spread(rows[:, at, column]) for column in range(4)),
-            str(int(np.isinf(rows[:, at]).any(axis=1).sum())),
+            f"{rows[0, at, 0]:.3g}",
         ]
         for at, words in enumerate(SCHEMES.values())
     ]
@@ -265,14 +252,12 @@ def page(
         inside = f"{100.0 * np.mean(off <= width):.0f} %"
         name = f"{kind.replace('_', ' ')} [{unit}]"
         constants.append([name, f"{np.median(off):.2g}, {off.max():.2g}", f"{np.median(width):.2g}", inside])
-    first = [[words, *(f"{value:.3g}" for value in rows[0, at])] for at, words in enumerate(SCHEMES.values())]
     return TEXT.format(
         robots=len(trials),
-        table=markdown_table(["commands", *FIGURES, "lost"], table),
-        constants=markdown_table(["", "error: median, largest", "half width, median", "hold the truth"], constants),
-        first=markdown_table(["commands", *FIGURES], first),
+        table=markdown_table(["commands", *FIGURES, FIRST], table),
+        constants=markdown_table(CONSTANTS, constants),
         strange=markdown_table(["", "stiffness", "delay", "Coulomb, worst", *FIGURES], others),
-        mujoco=markdown_table(["", "the model's own", "believed", "identified"], maker),
+        mujoco=markdown_table(["", "in the model", "guess", "identified"], maker),
     )
 
 

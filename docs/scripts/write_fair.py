@@ -11,42 +11,48 @@ from pathlib import Path
 from stewart_drake.analysis.linear_loop import linear_loops, poses_to_stand_at
 from stewart_drake.analysis.margins import loop_margins
 from stewart_drake.base.atomic_files import checksum
-from stewart_drake.base.markdown import TextTable, number
+from stewart_drake.base.markdown import markdown_table, number
 from stewart_drake.base.yaml_files import find_file, parse_yaml, read_mapping
 from stewart_drake.logs.metrics import mean_cost
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.comparison import Comparison
 from stewart_drake.studies.experiment import run_experiment
-from stewart_drake.studies.tune import SEARCHED, START, TUNED, load_tuning
+from stewart_drake.studies.tune import START, TUNED, load_tuning
 
 POSES = 100
 
 TEXT = """# What the LQI itself adds
 
-Four controllers have the same observer and the same friction compensation. The same search, CMA-ES with {evaluations}
-evaluations each, tunes their gains and the observer's disturbance for the same cost over the same {runs} runs:
-J = sqrt((RMSE / 0.03 deg)^2 + (RMSE / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2), averaged
-over the runs. Runs, bounds, start and scales are in [fair.yaml](../../diagrams/comparisons/fair.yaml). The search
-runs on the closed form; the verdict is on Drake's plant with other noise. {made}
+With the same observer, the same friction compensation and the same search for gains: is the exact-model LQI better than
+simpler controllers? Command: `make fair` (an hour), or `make fair_verdict` for the settings that are kept.
 
-{answer}
-
-A few percent decide nothing: with the settings of the first search, a change of the observer took computed torque from
-0.90 to 1.04 times the cost of the LQI. The two tie.
-
-The tuned settings are less robust; of the cost's runs only those with a payload or a later tick show it. The disk
-margin, all six motors at once, least of {poses} random poses near home (`stewart-drake margins`; 0.45 means 25 deg; not
-available for a user's own controller) is: {margins}. So none of these settings is a default.
+**Cost of the runs, at the start of the search and tuned**
 
 {settings}
-"tuned, as searched" has the verdict's noise on the closed form: its difference from "tuned" is due to the plant.
+
+J = sqrt((RMSE / 0.03 deg)^2 + (RMSE / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2), the mean of
+{runs} runs on Drake's plant; 1000 for a run that is not completed. Disk margin: all six motors at once, the least of
+{poses} poses near home (`stewart-drake margins`; 0.45 means 25 deg). A user's own controller has none.
 
 ![Cost over evaluations](fair_search.png)
 
-## The verdict, before and after
+- The LQI and computed torque tie. A few percent decide nothing: with the settings of the first search, a change of the
+  observer took computed torque from 0.90 to 1.04 times the cost of the LQI.
+{answer}
+- A search for the least cost leaves small margins, so none of these settings is a default.
+- CMA-ES with {evaluations} evaluations tunes gains and the observer's disturbance, on the closed form with other noise.
+  {made}
 
-{verdict}
-`make results` recomputes some of these numbers.
+**Cost by condition**
+
+{conditions}
+
+**RMSE as believed, tuned, over the second half of a run**
+
+{errors}
+
+Runs and start are in [fair.yaml](../../diagrams/comparisons/fair.yaml); `stewart-drake compare fair` writes all
+figures.
 """
 
 
@@ -54,11 +60,11 @@ def main(searched: Path | None) -> None:
     """Writes them; ends with a line where the search is not whole."""
     results = Path(__file__).parents[1] / "results"
     kept = results.parents[1] / "diagrams" / "comparisons" / "tuned" / "fair.yaml"
-    made = "The settings are those of an earlier search, tested\nagain by `make fair_verdict`."
+    made = "The settings are those of an earlier search, tested again."
     if searched is not None:
         shutil.copyfile(searched / "tuned.yaml", kept)
         shutil.copyfile(searched / "tune.png", results / "fair_search.png")
-        made = "`make fair` makes all of this page."
+        made = "All is of one search."
     tuned = parse_yaml(kept.read_text(encoding="utf-8"), "tuned")["controllers"]
     tuning = load_tuning("fair")
     if set(tuned) != set(tuning.start):
@@ -66,42 +72,55 @@ def main(searched: Path | None) -> None:
     # Where the search has its verdict too, so that nothing is run twice.
     folder = (searched or Path("runs/fair-tune")) / f"verdict-{checksum(tuned)[:8]}"
     table = run_experiment(tuning.test(tuned), folder).rows["comparison"]
-    page = TEXT.format(
-        poses=POSES,
-        margins=margins(),
-        runs=len(costs(table, f"{next(iter(tuned))}, tuned")),
-        evaluations=tuning.evaluations,
-        made=made,
-        answer=answer({name: costs(table, f"{name}, tuned") for name in tuned}),
-        settings=settings(table, tuned),
-        verdict=(folder / "comparison.md").read_text(encoding="utf-8"),
-    )
+    page = write(table, tuned, tuning.evaluations, made, (folder / "comparison.md").read_text(encoding="utf-8"))
     (results / "fair_comparison.md").write_text(page, encoding="utf-8")
 
 
-def settings(table: list[dict], tuned: dict[str, dict[str, float]]) -> str:
-    """Cost before and after, and what was found."""
+def write(table: list[dict], tuned: dict[str, dict[str, float]], evaluations: int, made: str, verdict: str) -> str:
+    """The page of rows of a comparison, settings, and the comparison's own page."""
+    return TEXT.format(
+        poses=POSES,
+        runs=len(costs(table, f"{next(iter(tuned))}, tuned")),
+        evaluations=evaluations,
+        made=made,
+        answer=answer({name: costs(table, f"{name}, tuned") for name in tuned}),
+        settings=settings(table, tuned, margins()),
+        conditions=part(verdict, "cost: ", TUNED),
+        errors=part(verdict, "as believed: ", TUNED, columns=7),
+    )
+
+
+def settings(table: list[dict], tuned: dict[str, dict[str, float]], margins: dict[str, list[float]]) -> str:
+    """Cost and margin before and after, and what was found."""
     rows = []
     for name, found in tuned.items():
-        means = (mean_cost(costs(table, f"{name}, {way}").values()) for way in (START, TUNED, SEARCHED))
+        means = (mean_cost(costs(table, f"{name}, {way}").values()) for way in (START, TUNED))
+        least = [f"{margin:.2f}" for margin in margins.get(name, [])] or ["-", "-"]
         shown = ", ".join(f"{key.rpartition('.')[2]} {value:g}" for key, value in found.items())
-        rows.append((name, *map(number, means), shown))
-    title = "Cost of the verdict, mean of the runs, at the start of the search and tuned"
-    return TextTable(title, ("controller", START, TUNED, SEARCHED, "setting"), rows).markdown()
+        rows.append((name, *map(number, means), *least, shown))
+    header = ("controller", START, TUNED, f"disk margin, {START}", f"disk margin, {TUNED}", "setting")
+    return markdown_table(header, rows)
 
 
-def margins() -> str:
+def part(page: str, title: str, *ways: str, columns: int | None = None) -> str:
+    """The rows of some ways in a table of a comparison's page, and its first columns."""
+    _, _, text = page.partition(f"**{title}")
+    lines = [line.strip("| ").split(" | ") for line in text.split("\n\n")[1].strip().splitlines()]
+    rows = [line for line in lines[2:] if line[0].endswith(tuple(f", {way}" for way in ways))]
+    return markdown_table(lines[0][:columns], [row[:columns] for row in rows])
+
+
+def margins() -> dict[str, list[float]]:
     """Least disk margin of each controller of the package, all motors at once, as it starts and as it was tuned."""
     data = read_mapping("comparison", find_file("comparison", "fair"), 80)
-    folder, said = find_file("comparison", "fair").parent, []
+    folder, found = find_file("comparison", "fair").parent, {}
     before, after = (Comparison.from_dict({**data, **each}, folder) for each in ({"tuned": None}, {}))
     names = [trial.labels["controller"] for trial in after.trials]
     for name in dict.fromkeys(names):
         place = names.index(name)
         if after.scenario(place).controller.code is None:
-            least = [least_disk(each.scenario(place)) for each in (before, after)]
-            said.append(f"{name} {least[0]:.2f} at the start of the search, {least[1]:.2f} tuned")
-    return "; ".join(said)
+            found[name] = [least_disk(each.scenario(place)) for each in (before, after)]
+    return found
 
 
 def least_disk(scenario: Scenario) -> float:
@@ -128,8 +147,8 @@ def answer(of: dict[str, dict[tuple[str, str], float]]) -> str:
         low, high = min(ratio, key=ratio.__getitem__), max(ratio, key=ratio.__getitem__)
         whole = mean_cost(of[name].values()) / mean_cost(of[lqi].values())
         lines.append(
-            f"- {name}: {whole:.2f} times the cost of the {lqi} over all runs; from {ratio[low]:.2f} times "
-            f"({', '.join(low)}) to {ratio[high]:.2f} times ({', '.join(high)})."
+            f"- {name}: {whole:.2f} times the cost of the LQI, from {ratio[low]:.2f} ({', '.join(low)}) "
+            f"to {ratio[high]:.2f} ({', '.join(high)})."
         )
     return "\n".join(lines)
 

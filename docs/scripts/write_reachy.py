@@ -111,11 +111,10 @@ def two(value: float) -> str:
 
 def shown(row: dict, *columns: str) -> str:
     """Numbers, or that the head has turned over."""
-    return " / ".join(two(row[name]) for name in columns) if row["rmse_norm_deg"] < 90.0 else "turns over"
+    return ", ".join(two(row[name]) for name in columns) if row["rmse_norm_deg"] < 90.0 else "turns over"
 
 
 DEG, MM, RIPPLE = "rmse_norm_deg", "rmse_norm_mm", "ripple_mm_s"
-LARGEST = ("torque_peak", "crank_speed_peak_deg_s")
 IN_PICTURE = {
     "angles, 50 Hz": ("the angles of the inverse kinematics, as sent today", ORANGE, "s"),
     "stiffness believed 1.3 times": ("exact model, but stiffness believed 1.3 times", GREY, "D"),
@@ -130,10 +129,9 @@ def expected(rows: Rows) -> str:
     for name in dict.fromkeys(key[0] for key in rows):
         at = {motion: rows[name, motion, MAKERS] for motion in (*MOTIONS, DANCE)}
         figures = (shown(at["nod"], DEG), shown(at["look around"], DEG), shown(at["breathing"], MM, RIPPLE))
-        most = (two(max(row[column] for row in at.values())) for column in LARGEST)
-        lines.append((name, *figures, shown(at[DANCE], DEG, MM), *most))
-    header = ("", "nod [deg]", "look around [deg]", "breathing [mm], its ripple [mm/s]")
-    return markdown_table((*header, "dance [deg], [mm]", "peak torque [N m]", "peak speed [deg/s]"), lines)
+        lines.append((name, *figures, shown(at[DANCE], DEG, MM)))
+    header = ("", "nod [deg]", "look around [deg]", "breathing [mm], its ripple [mm/s]", "dance [deg], [mm]")
+    return markdown_table(header, lines)
 
 
 def apart(rows: Rows) -> str:
@@ -146,32 +144,30 @@ def apart(rows: Rows) -> str:
     return f"{np.median(shares):.2g} % (median), at most {max(shares):.2g} %"
 
 
-def of_makers_servos(rows: Rows) -> tuple[str, str]:
-    """Tables of motions: with ball joints that turn freely, and on the model as it is."""
-    tables = []
-    for free, under in ((True, "free"), (False, "as it is")):
-        names = [key[::2] for key in rows if key[1] == "nod" and key[2].endswith(under)]
-        if not free:
-            names = [name for name in names if "torque" not in name[0]]
-        lines = []
-        for motion, columns in (("nod", (DEG,)), ("look around", (DEG,)), ("breathing", (MM, RIPPLE))):
-            unit = "deg" if columns == (DEG,) else "mm, ripple mm/s"
-            lines.append((f"{motion} [{unit}]", *(shown(rows[name, motion, at], *columns) for name, at in names)))
-        tables.append(markdown_table(("", *(name for name, _ in names)), lines))
-    return tables[0], tables[1]
+def of_makers_servos(rows: Rows) -> str:
+    """A table of motions, with ball joints that turn freely."""
+    names = [key[::2] for key in rows if key[1] == "nod" and key[2].endswith("free")]
+    lines = []
+    for motion, columns in (("nod", (DEG,)), ("look around", (DEG,)), ("breathing", (MM, RIPPLE))):
+        unit = "deg" if columns == (DEG,) else "mm, ripple mm/s"
+        lines.append((f"{motion} [{unit}]", *(shown(rows[name, motion, at], *columns) for name, at in names)))
+    return markdown_table(("", *(name for name, _ in names)), lines)
 
 
 def of_dances(rows: Rows) -> str:
-    """A line a move."""
-    lines = []
+    """A line a move that had to be changed, and one for the largest of all others."""
+    lines, others = [], []
     for name in dict.fromkeys(key[1] for key in rows):
         old, new = (rows[way, name, MAKERS] for way in ("angles, 50 Hz", "exact model, 50 Hz"))
+        if name not in SMALLER and name not in SMOOTHED:
+            others.append((old, new))
+            continue
         how = [f"{100.0 * SMALLER[name]:g} % of its size"] if name in SMALLER else []
         how += [f"averaged over {1e3 * SMOOTHED[name]:g} ms"] if name in SMOOTHED else []
-        most = (two(new[column]) for column in LARGEST)
-        lines.append((f"`{name}`", ", ".join(how), shown(old, DEG, MM), shown(new, DEG, MM), *most))
-    header = ("move", "made possible by", "angles [deg], [mm]", "exact model [deg], [mm]")
-    return markdown_table((*header, "torque [N m]", "speed [deg/s]"), lines)
+        lines.append((f"`{name}`", ", ".join(how), shown(old, DEG, MM), shown(new, DEG, MM)))
+    most = (", ".join(two(max(pair[way][column] for pair in others)) for column in (DEG, MM)) for way in (0, 1))
+    lines.append((f"the other {len(others)}, largest", "", *most))
+    return markdown_table(("move", "changed", "angles [deg], [mm]", "exact model [deg], [mm]"), lines)
 
 
 @styled
@@ -206,72 +202,57 @@ def main() -> None:
     """Writes the page and its picture."""
     comparison = altered()
     rows = rows_of(comparison, "compare")
-    free, as_it_is = of_makers_servos(rows_of(makers_servos(), "servos"))
+    servos = rows_of(makers_servos(), "servos")
     page = TEXT.format(
-        expected=expected(rows), apart=apart(rows), free=free, as_it_is=as_it_is,
+        expected=expected(rows),
+        apart=apart(rows),
+        free=of_makers_servos(servos),
+        rubbing=shown(servos["kp 2.54, exact model", "nod", "xc330m288t, as it is"], DEG),
         dances=of_dances(rows_of(dances(), "dances")),
-    )  # fmt: skip
+    )
     save_figure(draw(comparison, rows), OUT / "reachy.png")
     (OUT / "reachy.md").write_text(page, encoding="utf-8")
 
 
 TEXT = """# What an owner of Reachy Mini can expect
 
-Simulated: no head has been measured. The plant is the MuJoCo model that the maker ships, with ball joints that turn
-freely; the servos are XL330-M288 at 5 V, with the constants of the preset `xl330_m288`; a command acts a period and
-10 ms after it was sent. RMS errors over the second half of a run, lag included. On our own plant they differ by
-{apart}.
+How far is the head from where it should be, with the angles that its software sends today, and with angles that the
+exact model corrects (`controller: {{kind: feedforward}}`)? Simulated: no head has been measured.
 
-**What you have.** The head's own software sends the angles of the inverse kinematics, 50 times a second. Its servos are
-springs: they lag, swing and hang.
-
-**What you can have.** The same servos, bus and 50 Hz, but angles that the exact model corrects
-(`controller: {{kind: feedforward}}`): each angle is that of the time when it acts, plus what makes the servo give the
-torque that the head's weight, inertia and friction ask for. It needs no reading.
+Command: `stewart-drake compare reachy`, after `pip install mujoco` and
+`pip install --no-deps reachy_mini==1.13.0 reachy_mini_dances_library==0.2.1`. `make reachy` writes this page.
 
 ![A nod over time, and errors of all motions](reachy.png)
 
 {expected}
 
-*dance*: `groovy_sway_and_roll` of the maker's library. *fixed weights*: `tuner: block`. Peaks are those of these four
-motions, of 0.52 N m and 618 deg/s that the servo has.
-
-**What it depends on.**
-
-- *Four numbers of a motor*: stiffness, damping, delay and friction. Three lines have one of them wrong.
-  Nobody publishes them, and the stiffness of one and the same XL330 is 0.6 to 1.7 N m/rad by who computes it.
-  [Learning](adaptation.md#on-the-makers-model) brings them back to the exact model: the next three lines, each from a
-  cold start.
-- *The loop.* That of the head's daemon has 50 Hz. A loop of your own at 100 Hz makes the slow motion quieter, and
-  little else better.
-- *The kind of command.* Torques need servos in current mode, and 100 Hz. They do not depend on the servo's stiffness,
-  and tremble more.
-
-Command: `stewart-drake compare reachy`, after `pip install mujoco` and
-`pip install --no-deps reachy_mini==1.13.0 reachy_mini_dances_library==0.2.1`.
+- *Angles*: those of the inverse kinematics, as today. *Exact model*: the angle of the time at which the command acts,
+  plus what makes the servo give the torque for weight, inertia and friction. It needs no reading.
+- The MuJoCo model that the maker ships, with ball joints that turn freely; servos XL330-M288 at 5 V (preset
+  `xl330_m288`); a command acts a period and 10 ms after it was sent. RMS errors of the second half, lag included. On
+  our own plant they differ by {apart}. *dance*: `groovy_sway_and_roll`. *fixed weights*: `tuner: block`.
+- It depends on four numbers of a motor: stiffness, damping, delay, friction. Nobody publishes them, and the stiffness
+  of the XL330 is 0.6 to 1.7 N m/rad by who computes it. [Learning](adaptation.md) corrects them.
+- A loop of your own at 100 Hz makes slow motion quieter, and little else better. Torques need servos in current mode at
+  100 Hz; they do not depend on the servo's stiffness, and tremble more.
 
 ## With the motors of the maker's files
 
-The MJCF has two motors: `xc330m288t`, of stiffness kp 2.54, which it calls "probably wrong", and `perfect_actuator`, of
-kp 10, with which its simulation runs. 100 Hz, each with its own friction and inertia, ball joints that turn freely:
+The MJCF has two motors: `xc330m288t` with kp 2.54, which it calls "probably wrong", and `perfect_actuator` with kp 10,
+with which its simulation runs. 100 Hz, friction and inertia of the file, ball joints that turn freely:
 
 {free}
 
-As the file is, its ball joints have a motor's dry friction of 0.1 N m and damping of 0.15 N m s/rad. No law that knows
-the motors alone can help there; a real head has hardly such joints.
-
-{as_it_is}
+In the file ball joints have a motor's dry friction of 0.1 N m and damping of 0.15 N m s/rad. With these a nod by kp
+2.54 and the exact model is {rubbing} deg off. A real head hardly has such joints.
 
 ## The maker's dances
 
-All moves of `reachy_mini_dances_library` 0.2.1, repeated, 50 Hz, with the XL330 of the first table; torque and speed
-are the largest of the exact model. `diagrams/comparisons/reachy_dance.py` plays them in any scenario. Some jump, or
-turn a corner too fast for 0.52 N m, until they are averaged over some time (a Gaussian's standard deviation); two go
-beyond the cranks' range or speed at full size. `run` refuses them as they are and says how much smaller they can be.
+All moves of `reachy_mini_dances_library` 0.2.1 at 50 Hz with the XL330. *changed*: moves that jump, or turn
+too fast for 0.52 N m, are averaged (standard deviation of a Gaussian); two that go beyond the cranks' range or speed
+are made smaller. `diagrams/comparisons/reachy_dance.py` plays them in any scenario.
 
 {dances}
-
-Made by `make reachy`, two minutes. `make results` recomputes some of these numbers.
 """
 
 if __name__ == "__main__":

@@ -15,18 +15,15 @@ SIZES = ("quick", "full")
 PAGE = Path(__file__).parents[1] / "results" / "reproduction.md"
 HEAD = """# The paper, claim by claim
 
-What `stewart-drake reproduce` prints at full size. The claims are those of *Intelligent Optimal Feed-Back Torque
-Control of a 6DOF Surgical Rotary Robot*; numbers in brackets are its equations, roman numbers its sections. Claims
-about runs are on (37), (38) unless they say otherwise. Without gravity the loop with the network is chaotic: the first
-two rows of Fig. 7 have the worst of six starts that differ by 1e-10. A run counts as followed if it is
-[completed](../promises.md#outcomes-tell-the-truth). The notebooks under `notebooks/paper/` show the evidence and
-explain it; [departures.md](../departures.md) lists each departure from the print. `make reproduction` writes this page,
-and the numbers with which the command compares.
+Which claims of *Intelligent Optimal Feed-Back Torque Control of a 6DOF Surgical Rotary Robot* hold?
+Command: `stewart-drake reproduce`; `make reproduction` writes this page.
+
+Numbers in brackets are the paper's equations, roman numbers its sections. Runs are on (37), (38) unless a row gives
+another motion, and followed if they are [completed](../promises.md#outcomes-tell-the-truth). The first two rows of
+Fig. 7 have the worst of six starts that differ by 1e-10: without gravity the loop with the network is chaotic. See
+also [departures.md](../departures.md) and `notebooks/paper/`.
 
 """
-
-
-TAIL = "\n\n`make results` recomputes some of these numbers.\n"
 
 
 def main() -> None:
@@ -41,7 +38,7 @@ def main() -> None:
             default = f"{1e-3 * max(abs(quick.ours), abs(full.ours)):.1g}"
             table.writerow((full.name, f"{quick.ours:.6g}", f"{full.ours:.6g}", within.get(full.name, default)))
     table = markdown_table(("claim", "paper", "ours", "verdict"), rows(found["full"]))
-    PAGE.write_text(HEAD + table + TAIL, encoding="utf-8")
+    PAGE.write_text(HEAD + table + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
