@@ -1,4 +1,4 @@
-"""Robots of unknown motors that learn them, docs/results/adaptation.md: `make adaptation`, half an hour on two cores.
+"""Robots that learn their unknown motors, docs/results/adaptation.md: `make results/adaptation`, half an hour.
 
 `--robots 500` draws more; `--many` prints the table of many robots alone, ten minutes.
 """
@@ -296,7 +296,8 @@ def ends(column: np.ndarray) -> str:
 
 TEXT = """# Robots that learn their motors
 
-How far off is a robot whose motors nobody has measured, if it learns them while it moves? Command: `make adaptation`,
+How far off is a robot whose motors nobody has measured, if it learns them while it moves?
+Command: `make results/adaptation`,
 half an hour on two cores.
 
 {table}

@@ -1,4 +1,4 @@
-"""Measures what a calibration is worth, and writes docs/results/calibration.md: `make calibration`.
+"""Measures what a calibration is worth, and writes docs/results/calibration.md: `make results/calibration`.
 
 For each setting: robots that are off in every parameter, 60 measured poses, other poses to assess it by.
 """
@@ -31,7 +31,8 @@ SHOWN = (0, 1, 4)
 NOISE = MeasurementNoise(position=2e-5, rotation=1e-4)
 TEXT = """# What a calibration is worth
 
-How exactly does `calibrate` find a robot's geometry, and how far off is the robot then? Command: `make calibration`.
+How exactly does `calibrate` find a robot's geometry, and how far off is the robot then?
+Command: `make results/calibration`.
 
 {table}
 

@@ -1,4 +1,4 @@
-"""Drives the daemon of Reachy Mini's maker; writes docs/results/drive.md and its picture: `make drive`, ten minutes.
+"""Drives the daemon of Reachy Mini; writes docs/results/drive.md and its picture: `make results/drive`, ten minutes.
 
 The daemon is the maker's own, unchanged, in its simulation; docs/scripts/reachy_daemon.py installs and starts it.
 """
@@ -324,7 +324,7 @@ def draw(logs: Mapping[tuple[str, str], SimulationLog]) -> Figure:
 TEXT = """# Through the maker's own daemon
 
 How well does `stewart-drake drive` move Reachy Mini through the daemon of its maker? The daemon is that of
-`reachy_mini` 1.12.0, unchanged, in its own MuJoCo simulation, at 50 Hz. Command: `make drive`; it installs the
+`reachy_mini` 1.12.0, unchanged, in its own MuJoCo simulation, at 50 Hz. Command: `make results/drive`; it installs the
 daemon, 400 MB.
 
 {table}

@@ -1,4 +1,4 @@
-"""Measures what an identification is worth, and writes docs/results/identification.md: `make identification`.
+"""Measures what an identification is worth, and writes docs/results/identification.md: `make results/identification`.
 
 First many simulated robots: the exact inverse dynamics, friction and noise. Then a few on the Drake plant, each
 identified from a run there, and the controller before and after.
@@ -41,7 +41,7 @@ ROBOT_OF = {
 TEXT = """# What an identification is worth
 
 How well does `identify` find payload and friction from a log of angles and torques, and how well does the controller
-follow with them? Command: `make identification`, half an hour.
+follow with them? Command: `make results/identification`, half an hour.
 """
 HEADER = (
     "robot",

@@ -1,4 +1,4 @@
-"""Error and time of every engine, docs/results/integrators.md and its picture: `make integrators`, five minutes."""
+"""Error and time of every engine, docs/results/integrators.md: `make results/integrators`, five minutes."""
 
 import sys
 import time
@@ -206,7 +206,8 @@ OF_ENGINES = (
 )
 TEXT = """# How exact the engines are
 
-How far is the platform off with each engine, and what does a second of simulation cost? Command: `make integrators`, on
+How far is the platform off with each engine, and what does a second of simulation cost?
+Command: `make results/integrators`, on
 one core.
 
 {plain}

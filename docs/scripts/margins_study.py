@@ -1,4 +1,4 @@
-"""Margins of the linear loop over the near box, and docs/results/margins.md: `make margins`."""
+"""Margins of the linear loop over the near box, and docs/results/margins.md: `make results/margins`."""
 
 import itertools
 import time
@@ -52,7 +52,8 @@ ROWS = {
 }
 TEXT = """# How far the loop is from instability
 
-How much wrong gain, and how much more delay, does the loop tolerate at any pose? Command: `make margins`, five minutes;
+How much wrong gain, and how much more delay, does the loop tolerate at any pose?
+Command: `make results/margins`, five minutes;
 `stewart-drake margins` for a scenario of your own.
 
 | loop | stable, of {poses} | {margins} |

@@ -1,4 +1,4 @@
-"""Blind trials of `identify` on servos, docs/results/servo_identification.md: `make servo_identification`, ten minutes.
+"""Blind trials of `identify` on servos: `make results/servo_identification`, ten minutes.
 
 Each robot is a Reachy Mini with constants that nobody is told. It plays 20 s of commands; from these and its angles its
 constants are identified, and then it nods, looks around and breathes with what is believed then.
@@ -57,7 +57,7 @@ UNITS = ("N m/rad", "ms", "g", "mN m s/rad", "mN m")
 TEXT = """# Servos, identified from commands and angles alone
 
 How well does a robot follow after `identify` has found the constants of its servos from 20 s of commands and angles?
-Command: `make servo_identification`, a quarter of an hour on two cores.
+Command: `make results/servo_identification`, a quarter of an hour on two cores.
 
 {table}
 

@@ -1,4 +1,4 @@
-"""Searches what a trained tuner has to beat, and keeps it with the package: `make tuner_baselines`.
+"""Searches the settings that a trained tuner has to beat: `python docs/scripts/tuner_baselines.py runs/baselines`.
 
 python docs/scripts/tuner_baselines.py runs/tuner-baselines
 

@@ -24,7 +24,7 @@ POSES = 100
 TEXT = """# What the LQI itself adds
 
 With the same observer, the same friction compensation and the same search for gains: is the exact-model LQI better than
-simpler controllers? Command: `make fair` (an hour), or `make fair_verdict` for the settings that are kept.
+simpler controllers? Command: `make results/fair_comparison`. A new search takes an hour: `stewart-drake tune fair`.
 
 **Cost of the runs, at the start of the search and tuned**
 

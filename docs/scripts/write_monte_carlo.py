@@ -1,4 +1,4 @@
-"""Writes docs/results/monte_carlo.md and .parquet from the table of the sweep: `make montecarlo`.
+"""Writes docs/results/monte_carlo.md and .parquet from the table of the sweep: `make results/monte_carlo`.
 
 python docs/scripts/write_monte_carlo.py runs/monte_carlo     # a folder that `stewart-drake sweep monte_carlo` made
 """
@@ -24,7 +24,8 @@ WAYS: dict[str, dict[str, Any]] = {
 }
 TEXT = """# A thousand robots that differ from the controller's model
 
-How well does one controller follow on robots that are not as its model has them? Command: `make montecarlo`; one row a
+How well does one controller follow on robots that are not as its model has them?
+Command: `make results/monte_carlo`; one row a
 run is in [monte_carlo.parquet](monte_carlo.parquet).
 
 | of {runs} runs of 4 s | 50 % | 95 % | 99 % | largest |

@@ -1,4 +1,4 @@
-"""What an owner of Reachy Mini has and can have: docs/results/reachy.md and its picture, `make reachy`, two minutes.
+"""What an owner of Reachy Mini has and can have, docs/results/reachy.md: `make results/reachy`, two minutes.
 
 Needs the packages `reachy_mini` and `reachy_mini_dances_library` of its maker.
 """
@@ -220,7 +220,7 @@ How far is the head from where it should be, with the angles that its software s
 exact model corrects (`controller: {{kind: feedforward}}`)? Simulated: no head has been measured.
 
 Command: `stewart-drake compare reachy`, after `pip install mujoco` and
-`pip install --no-deps reachy_mini==1.13.0 reachy_mini_dances_library==0.2.1`. `make reachy` writes this page.
+`pip install --no-deps reachy_mini==1.13.0 reachy_mini_dances_library==0.2.1`. `make results/reachy` writes this page.
 
 ![A nod over time, and errors of all motions](reachy.png)
 

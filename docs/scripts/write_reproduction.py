@@ -1,6 +1,6 @@
 """The paper's claims at both sizes: stewart_drake/paper/claims.csv, and docs/results/reproduction.md from it.
 
-python docs/scripts/write_reproduction.py     # the better part of an hour on two cores; `make reproduction`
+python docs/scripts/write_reproduction.py     # the better part of an hour on two cores; `make results/reproduction`
 """
 
 import csv
@@ -16,7 +16,7 @@ PAGE = Path(__file__).parents[1] / "results" / "reproduction.md"
 HEAD = """# The paper, claim by claim
 
 Which claims of *Intelligent Optimal Feed-Back Torque Control of a 6DOF Surgical Rotary Robot* hold?
-Command: `stewart-drake reproduce`; `make reproduction` writes this page.
+Command: `stewart-drake reproduce`; `make results/reproduction` writes this page.
 
 Numbers in brackets are the paper's equations, roman numbers its sections. Runs are on (37), (38) unless a row gives
 another motion, and followed if they are [completed](../promises.md#outcomes-tell-the-truth). The first two rows of

@@ -1,4 +1,4 @@
-"""Writes docs/results/tuner.md and its picture from a verdict: `make tuner_verdict`.
+"""Writes docs/results/tuner.md and its picture from a verdict: `make results/tuner`.
 
 python docs/scripts/write_tuner.py runs/tuner-fast runs/tuner-drake   # of `stewart-drake tuner judge` on these plants
 """
@@ -18,7 +18,7 @@ AT_REST = [("kind", "=", "hold"), ("robot", "=", "reachy_mini")]
 TEXT = """# What a tuner is worth
 
 A tuner changes the weights of the regulator while the robot moves. How much does the shipped one, `tuner: policy`, save
-against settings that stay fixed? Command: `make tuner_verdict`.
+against settings that stay fixed? Command: `make results/tuner`.
 
 {fast}
 
@@ -30,7 +30,8 @@ against settings that stay fixed? Command: `make tuner_verdict`.
   a delay of at least one tick, and [learning](../adaptation.md) from a cold start. All seeds are new.
 - *best fixed* is one setting for all kinds, *stiff* one for {rough}.
   *schedule* changes between two settings. *best of the nine pairs* has the paper's omega_Q and omega_R. *oracle* has a
-  setting for each kind and robot. All are in `stewart_drake/weights/baselines.yaml` (`make tuner_baselines`).
+  setting for each kind and robot. All are in `stewart_drake/weights/baselines.yaml`
+  (`python docs/scripts/tuner_baselines.py runs/tuner-baselines`).
 
 ## By kind
 

@@ -37,7 +37,7 @@ NAMES = ("speed", "damping", "integral", "disturbance")
 SIZE = len(NAMES)
 STEP = 0.03
 """[-] share of its box by which a setting moves in a tick, at most. Per second instead, the setting of a slow robot
-would jump, which can make its loop unstable: docs/results/tuner_safety.md."""
+would jump, which can make its loop unstable: docs/results/tuner.md."""
 FADE = 0.5
 """[-] distance of noise or latency from the training data, in their standard deviations, at which the output has faded
 to the centre."""

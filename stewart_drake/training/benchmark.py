@@ -34,7 +34,7 @@ MIN_COST = 1e-3
 """Floor of a cost: encoders that never change give zero cost, and a ratio to it has no meaning."""
 LOWEST, HIGHEST = np.array([-0.05, -0.8, -2.2, -2.2]), np.array([0.5, 0.7, 0.1, 1.0])
 """Box of settings (4,) for searches and training. The shipped policy has a smaller one, see
-docs/results/tuner_safety.md."""
+docs/results/tuner.md."""
 ROUGH = ("load jump", "pushes", "blows", "saturation", "stiction")
 """Kinds in which a stiff loop helps most."""
 DIGITS = 3  # Of a setting, in runs and in files
