@@ -67,6 +67,11 @@ page_adaptation = $(SCRIPT)/adaptation_study.py
 page_calibration = $(SCRIPT)/calibration_study.py
 # Ten minutes; the daemon of Reachy Mini's maker is installed first.
 page_drive = $(SCRIPT)/drive_reachy.py
+define page_faults
+$(CLI) faults --out runs/faults
+$(CLI) faults --out runs/faults-observer --set estimator.kind=observer
+$(SCRIPT)/write_faults.py runs/faults runs/faults-observer
+endef
 # Three minutes, from the settings that are kept. With the folder of `tune fair` as argument the script keeps new ones.
 page_fair_comparison = $(SCRIPT)/write_fair.py
 # Half an hour.
