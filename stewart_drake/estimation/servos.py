@@ -108,13 +108,6 @@ _BALL_JOINTS = (
 _MOTION = "a motion in which all motors turn; `excite` designs one"
 
 
-_BALL_JOINTS = (
-    "friction of the rods' ball joints is not identified here; let `drive` learn it: --set "
-    '"adaptation={kind: regression, ball_joints: true, noise: 0.06, slowest: 0.05}" --keep-model head.yaml'
-)
-_MOTION = "a motion in which all motors turn; `excite` designs one"
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class ServoIdentification(Result):
     """Servos and head of a robot, and how well they are known.
