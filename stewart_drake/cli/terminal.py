@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import json
 import os
 import signal
-import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -121,40 +119,6 @@ def _set_interrupt(handler: Any) -> None:
     # Another thread than the first gets no signals, and a handler of C's cannot be set again.
     with suppress(ValueError, TypeError):
         signal.signal(signal.SIGINT, handler)
-
-
-class Output(io.FileIO):
-    """What standard output or error is written to; where it is full, the rest is dropped, and `problem` says why."""
-
-    problem = ""
-
-    def write(self, data: Any) -> int:
-        try:
-            return super().write(data)
-        except BrokenPipeError:
-            raise
-        except OSError as error:
-            self.problem = error.strerror or str(error)
-            return len(data)
-
-
-def open_output() -> Output:
-    """Puts it under `sys.stdout` and `sys.stderr`, closed or not; the first of these.
-
-    A command comes to its end, whatever becomes of what it prints.
-    """
-    _opened("stderr", 2)
-    return _opened("stdout", 1)
-
-
-def _opened(name: str, place: int) -> Output:
-    before: Any = getattr(sys, name)
-    output = Output(os.open(os.devnull, os.O_WRONLY) if before is None else place, "w", closefd=False)
-    if before is getattr(sys, f"__{name}__"):  # and not what a caller has put there
-        # A sign that the terminal's encoding does not have is a question mark there.
-        encoding, lines = getattr(before, "encoding", "utf-8"), place == 2 or output.isatty()
-        setattr(sys, name, io.TextIOWrapper(io.BufferedWriter(output), encoding, "replace", line_buffering=lines))
-    return output
 
 
 def drop_output() -> None:

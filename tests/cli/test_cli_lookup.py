@@ -161,10 +161,3 @@ def test_where_standard_output_is_full_a_command_says_so_and_comes_to_its_end():
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, check=False)
     said = b"stewart-drake: disk: standard output: No space left on device\n"
     assert (ended.returncode, ended.stderr) == (3, said)
-
-
-def test_where_standard_error_is_full_a_command_goes_on():
-    code = "from stewart_drake.cli.terminal import *; open_output(); sys.stderr.write('a\\n'); print(1)"
-    with Path("/dev/full").open("wb") as full:
-        ended = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=full, check=False)
-    assert (ended.returncode, ended.stdout) == (0, b"1\n")
