@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import inspect
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -174,7 +175,10 @@ class Seconds(click.ParamType):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         from stewart_drake.base.units import in_unit
 
-        return self.range.convert(in_unit(value, param.opts[0] if param else self.name, "s"), param, ctx)
+        with suppress(ValueError):
+            return self.range.convert(float(value), param, ctx)
+        number = click.FLOAT.convert(in_unit(value, param.opts[0] if param else self.name, "s"), param, ctx)
+        return self.range.convert(number, param, ctx)
 
 
 SECONDS = Seconds()

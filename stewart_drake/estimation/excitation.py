@@ -98,9 +98,7 @@ def excite(
     best, waves = min(motions, key=lambda each: each[0])
     spread = 0.3
     for change in range(changes):
-        other = waves * (1.0 + spread * rng.standard_normal(waves.shape))
-        other += spread * rng.standard_normal(waves.shape) * np.abs(waves).mean(axis=(0, 1))
-        other *= np.exp(0.3 * spread * rng.standard_normal())
+        other = _changed(waves, spread, rng)
         better = feasible(other, 1.0) and (now := condition(other)) < best
         if better:
             best, waves = now, other
@@ -109,6 +107,13 @@ def excite(
         progress(_BEGINNINGS + change + 1.0)
     faded = AdjustedReference(motion=_reference(robot, waves), fade_in=_FADE)
     return Excitation(faded, best, random_condition)
+
+
+def _changed(waves: np.ndarray, spread: float, rng: np.random.Generator) -> np.ndarray:
+    """Amplitudes changed at random by about a share `spread`, together and one by one."""
+    other = waves * (1.0 + spread * rng.standard_normal(waves.shape))
+    other += spread * rng.standard_normal(waves.shape) * np.abs(waves).mean(axis=(0, 1))
+    return np.asarray(other * np.exp(0.3 * spread * rng.standard_normal()))
 
 
 def _reference(robot: RobotParameters, waves: np.ndarray) -> SumReference:

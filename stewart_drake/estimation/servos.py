@@ -101,6 +101,7 @@ class ServoRecording(CrankReadings):
                 raise ConfigurationError(f"{self.source}: {what}_{still.argmax()}", "the same in all rows", _MOTION)
 
 
+AnyLog = ServoRecording | SimulationLog | str | Path
 _BALL_JOINTS = (
     "friction of the rods' ball joints is not identified here; let `drive` learn it: --set "
     '"adaptation={kind: regression, ball_joints: true, noise: 0.06, slowest: 0.05}" --keep-model head.yaml'
@@ -190,10 +191,10 @@ class ServoIdentification(Result):
 
 def identify_servos(
     robot: RobotParameters,
-    logs: Sequence[ServoRecording | SimulationLog | str | Path],
+    logs: Sequence[AnyLog],
     hold: Collection[str] = (),
     ask: Collection[str] = ASKED,
-    validate: Sequence[ServoRecording | SimulationLog | str | Path] = (),
+    validate: Sequence[AnyLog] = (),
     reading_age: float = 0.0,
 ) -> ServoIdentification:
     """Stiffness, damping, friction and delay of servos that take angles, and the head's mass, without any torque.
@@ -219,11 +220,7 @@ def identify_servos(
         raise ConfigurationError("logs", "none", "at least one log")
     if not 0.0 <= reading_age <= 1.0:
         raise ConfigurationError("reading_age", reading_age, "a number of seconds from 0 to 1")
-
-    def read(log: ServoRecording | SimulationLog | str | Path) -> ServoRecording:
-        return log if isinstance(log, ServoRecording) else load_servo_recording(log)
-
-    recordings, unseen = [read(log) for log in logs], [read(log) for log in validate]
+    recordings, unseen = ([load_servo_recording(log) for log in some] for some in (logs, validate))
     first, source = recordings[0], ", ".join(each.source for each in recordings)
     for each in recordings:
         if abs(each.rate / first.rate - 1.0) > 0.01:
@@ -250,16 +247,20 @@ def identify_servos(
     # The jackknife; what was found of the simulated robot is as uncertain.
     width = _STUDENT * np.sqrt(2.0 * (_PIECES - 1) * np.var(without, axis=0))
     _refuse_other(source, max(map(_rms, played[: len(recordings)])) / changes, _UNEXPLAINED)
-    stiffness = values[STIFFNESS].mean()
-    sizes = np.repeat(stiffness * np.array([1.0, 0.1, 0.03]), LEG_COUNT).tolist() + [_FEW, values[MASS], np.inf]
-    for parameter, by, size in zip(PARAMETERS, width, sizes, strict=True):
-        if parameter.kind in {*ask} - {*hold} and by > _UNKNOWN * size:
-            got = f"an interval of ± {by:.2g} {parameter.unit}"
-            raise ConfigurationError(f"{source}: {parameter}", got, _MOTION)
+    _refuse_undetermined(source, values, width, {*ask} - {*hold})
     errors = tuple((each.source, _rms(off)) for each, off in zip((*recordings, *unseen), played, strict=True))
     at = np.searchsorted(first.time, samples.time)
     samples = replace(samples, measured=first.angles[at], source=source)
     return ServoIdentification(robot, values, width, samples, played[0][at], errors, len(recordings))
+
+
+def _refuse_undetermined(source: str, values: np.ndarray, width: np.ndarray, kinds: Collection[str]) -> None:
+    """Refuses values (21,) of some kinds with intervals (21,) that are wide beside their size."""
+    sizes = np.repeat(values[STIFFNESS].mean() * np.array([1.0, 0.1, 0.03]), LEG_COUNT).tolist()
+    for parameter, by, size in zip(PARAMETERS, width, [*sizes, _FEW, values[MASS], np.inf], strict=True):
+        if parameter.kind in kinds and by > _UNKNOWN * size:
+            got = f"an interval of ± {by:.2g} {parameter.unit}"
+            raise ConfigurationError(f"{source}: {parameter}", got, _MOTION)
 
 
 class _Rows:
@@ -367,8 +368,10 @@ def possible(values: np.ndarray) -> np.ndarray:
     return np.maximum(values, least)
 
 
-def load_servo_recording(log: SimulationLog | str | Path) -> ServoRecording:
+def load_servo_recording(log: AnyLog) -> ServoRecording:
     """A recording from a log of this package whose motors take angles, or from a CSV file with `QUANTITIES`."""
+    if isinstance(log, ServoRecording):
+        return log
     if not isinstance(log, SimulationLog):
         if Path(log).suffix.lower() == ".csv":
             return ServoRecording.of_file(log, f"recording {log}")
