@@ -224,7 +224,7 @@ def identify(
         return torques.samples_of(robot, recording, bandwidth)
 
     fitted, unseen = [read(log) for log in logs], [read(log) for log in validate]
-    samples = torques.together(fitted)
+    samples = torques.merge_samples(fitted)
     estimate = least_squares(robot, samples, hold, ask)
     values = consistent(robot, estimate)
 
@@ -293,7 +293,7 @@ def _noise(samples: Samples, values: np.ndarray) -> np.ndarray:
     used = samples.used.astype(float)
     residual = (samples.measured - samples.predicted(values)) * used
     covariance = residual.T @ residual / np.maximum(used.T @ used, 1.0)
-    # Pairs seldom in motion torques.together could make it indefinite; half of what is common is on the safe side.
+    # Pairs seldom in motion at the same time could make it indefinite; half of what is common is on the safe side.
     covariance = 0.5 * (covariance + np.diag(np.diag(covariance)))
     return covariance + 1e-12 * float(np.mean(samples.measured**2)) * np.eye(LEG_COUNT)
 

@@ -236,9 +236,9 @@ def identify_servos(
     try:
         values = found
         for _ in range(_CORRECTIONS):
-            again = of.estimate(_joined([replayed(robot, each, values, reading_age) for each in recordings]), values)
-            values = possible(values + found - again)
-        played = [replayed(robot, each, values, reading_age).angles - each.angles for each in (*recordings, *unseen)]
+            again = of.estimate(_joined([replay(robot, each, values, reading_age) for each in recordings]), values)
+            values = feasible(values + found - again)
+        played = [replay(robot, each, values, reading_age).angles - each.angles for each in (*recordings, *unseen)]
     except RunFailure as failure:
         allowed = "angles and commands of the guessed robot; it cannot follow them with what was identified"
         raise ConfigurationError(source, str(failure).splitlines()[0], allowed) from failure
@@ -304,7 +304,7 @@ class _Rows:
 
 def motors_of(values: np.ndarray) -> tuple[dict[str, Any], dict[str, Any]]:
     """Motors and friction as keys of `model`, of parameters (21,)."""
-    values = possible(values)
+    values = feasible(values)
     stiffness, damping = float(values[STIFFNESS].mean()), float(values[DAMPING].min())
     motors = {"kind": "position", "stiffness": stiffness, "ratios": (values[STIFFNESS] / stiffness).tolist()}
     viscous = (values[DAMPING] - damping).tolist()
@@ -318,7 +318,7 @@ def _joined(recordings: Sequence[ServoRecording]) -> np.ndarray:
     return np.vstack([part for each in recordings for part in (np.hstack([each.angles, each.commands]), gap)])
 
 
-def replayed(guess: RobotParameters, recording: ServoRecording, values: np.ndarray, age: float) -> ServoRecording:
+def replay(guess: RobotParameters, recording: ServoRecording, values: np.ndarray, age: float) -> ServoRecording:
     """What a simulated robot of parameters (21,) does with the commands of a recording; it begins there at rest.
 
     What the estimate makes of it, less what it was made with, is the estimate's bias by filter, reversals and steps: B.
@@ -326,7 +326,7 @@ def replayed(guess: RobotParameters, recording: ServoRecording, values: np.ndarr
     """
     import scipy.signal
 
-    robot, values = with_head(guess, values), possible(values)
+    robot, values = with_head(guess, values), feasible(values)
     friction = {"coulomb": values[COULOMB].tolist(), "viscous": values[DAMPING].tolist()}
     options = {"integrator": "rk4", "time_step": _SERVO_STEP, "friction": friction}
     plant = ClosedFormOptions.from_dict(options).make(robot, recording.gravity)
@@ -361,7 +361,7 @@ def with_head(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
     return guess.replace(**heavier | {"rotor_inertia": float(values[ROTOR])})
 
 
-def possible(values: np.ndarray) -> np.ndarray:
+def feasible(values: np.ndarray) -> np.ndarray:
     """Parameters (21,) without negative delay, damping and friction."""
     least = np.full(len(PARAMETERS), -np.inf)
     least[DAMPING.start : DELAY + 1] = 0.0

@@ -340,7 +340,7 @@ def samples_of_motion(
     return Samples(time, np.zeros_like(known), columns, known, speed, used, pieces, step, 1.0, source)
 
 
-def together(parts: Sequence[Samples]) -> Samples:
+def merge_samples(parts: Sequence[Samples]) -> Samples:
     ends = np.cumsum([0, *(len(part.time) for part in parts)]).tolist()
     arrays = ("time", "measured", "columns", "known", "rates", "used")
     joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}

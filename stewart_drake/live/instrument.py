@@ -35,7 +35,7 @@ _RECORDED, _EVERY = 120.0, 0.001  # [s] that a recorder keeps, and between two o
 # --- sliders of keys ---
 
 
-class Knob(NamedTuple):
+class Slider(NamedTuple):
     """A key that a slider sets: where it stands, what the panel calls it, and its range."""
 
     group: str
@@ -48,7 +48,7 @@ class Knob(NamedTuple):
     whole: bool = False
 
 
-def as_instrument(scenario: Scenario) -> Scenario:
+def for_live_page(scenario: Scenario) -> Scenario:
     """The scenario with its gains and beliefs said: else they would follow where a slider changes the machine."""
     said = {name: getattr(scenario, name).to_dict() for name in ("controller", "tuner", "estimator")}
     said |= {"model.delay": scenario.belief.delay, "model.reading_age": scenario.belief.reading_age}
@@ -60,9 +60,9 @@ def as_instrument(scenario: Scenario) -> Scenario:
 _SPREAD, _MOTORS_SPREAD = 10.0**1.5, 10.0**0.5  # Of a slider's ends, from where it began.
 
 
-def knobs_of(scenario: Scenario, begun: Scenario) -> list[Knob]:
+def knobs_of(scenario: Scenario, begun: Scenario) -> list[Slider]:
     """The sliders of a scenario as it is now; gains go around where they began."""
-    found: list[Knob] = []
+    found: list[Slider] = []
 
     def around(group: str, place: str, options: Section, first: Section, spread: float) -> None:
         if getattr(first, "kind", "") != getattr(options, "kind", ""):
@@ -70,23 +70,23 @@ def knobs_of(scenario: Scenario, begun: Scenario) -> list[Knob]:
         for key, label in options.knobs:
             if (centre := float(np.max(getattr(first, key)))) > 0.0:
                 ends = centre / spread, centre * spread
-                found.append(Knob(group, f"{place}.{key}", label, options.unit_of(key), *ends, logarithmic=True))
+                found.append(Slider(group, f"{place}.{key}", label, options.unit_of(key), *ends, logarithmic=True))
 
     tuner = ("tuner",) if scenario.controller.weighted else ()
     for name in ("controller", *tuner, "estimator"):
         around("Gains", name, getattr(scenario, name), getattr(begun, name), _SPREAD)
     most = 0.2 * float(scenario.robot.effort_limits.min())
-    found.append(Knob("Machine", "plant.motor_friction", "friction", "N m", 0.0, most))
-    found.append(Knob("Machine", "command_delay", "delay", "ticks", 0, 8, whole=True))
-    found.append(Knob("Belief", "model.friction.coulomb", "friction", "N m", 0.0, most))
-    found.append(Knob("Belief", "model.delay", "delay", "ticks", 0, 8, whole=True))
+    found.append(Slider("Machine", "plant.motor_friction", "friction", "N m", 0.0, most))
+    found.append(Slider("Machine", "command_delay", "delay", "ticks", 0, 8, whole=True))
+    found.append(Slider("Belief", "model.friction.coulomb", "friction", "N m", 0.0, most))
+    found.append(Slider("Belief", "model.delay", "delay", "ticks", 0, 8, whole=True))
     around("Machine", "motors", scenario.motors, begun.motors, _MOTORS_SPREAD)
     if scenario.model.motors is not None:
         around("Belief", "model.motors", scenario.model.motors, begun.motors, _MOTORS_SPREAD)
     return found
 
 
-def knob_value(scenario: Scenario, knob: Knob) -> float:
+def knob_value(scenario: Scenario, knob: Slider) -> float:
     """Where a slider stands; of six motors the largest, and 0 where the section is not there."""
     value: Any = scenario
     for name in knob.key.split("."):
@@ -94,7 +94,7 @@ def knob_value(scenario: Scenario, knob: Knob) -> float:
     return float(np.max(value))
 
 
-def turned(scenario: Scenario, knob: Knob, value: float) -> dict[str, Any]:
+def changes_of_slider(scenario: Scenario, knob: Slider, value: float) -> dict[str, Any]:
     """What to change in the scenario where a slider goes to a value, which its range bounds."""
     value = min(max(value, knob.low), knob.high)
     if knob.key.startswith("model.friction.") and scenario.model.friction is None:
@@ -176,7 +176,7 @@ def largest(robot: RobotParameters, gravity: float, axes: slice) -> float:
 # --- tests: a step, a sine ---
 
 
-class Probe:
+class AddedMotion:
     """A step or a sine that is added to the reference of one coordinate, and what the loop made of it.
 
     `result` is a sentence once it is over.

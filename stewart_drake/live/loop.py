@@ -13,7 +13,7 @@ from stewart_drake.base.errors import one_line
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.disturbances import total_wrench
-from stewart_drake.live.instrument import Probe, Recorder, Spring, TurningSpring
+from stewart_drake.live.instrument import AddedMotion, Recorder, Spring, TurningSpring
 from stewart_drake.live.steering import GOVERNED, HandReference, Reached
 from stewart_drake.plant.plant_options import ANGLES
 from stewart_drake.safety import Stillness
@@ -42,7 +42,7 @@ class LiveLoop:
         scenario = self._begun
         self.ended, self._push, self._push_ends = "", np.zeros(6), -1
         self.spring: Spring | TurningSpring | None = None
-        self.test: Probe | None = None
+        self.test: AddedMotion | None = None
         self._pulled: dict[str, Any] | None = None
         self._step = on_grid(scenario.plant.time_step)
         self.record = Recorder(self._step)
@@ -60,7 +60,7 @@ class LiveLoop:
         self._loop = loop
         self.record.changes.append((self.time, changes))
 
-    def beside(self, changes: Mapping[str, Any]) -> LiveLoop:
+    def copy_with(self, changes: Mapping[str, Any]) -> LiveLoop:
         """Another loop that goes on from here, with other keys of the scenario, on a plant of its own."""
         other = LiveLoop(self.scenario)
         other._loop.take_over(self._loop)

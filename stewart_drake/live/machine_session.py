@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError, one_line
-from stewart_drake.live.session import SLICE, PageSession, drawn, six_of
+from stewart_drake.live.session import SLICE, Command, PageSession, as_six, drawn
 from stewart_drake.live.steering import HandReference, nearest_allowed
 from stewart_drake.logs.log import MAX_ROWS
 from stewart_drake.machines.machine import Machine
@@ -77,12 +76,12 @@ class MachineSession(PageSession):
             except Exception as error:  # Who has no picture can stop it still.
                 self.message = one_line(error)
 
-    def _aim(self, command: Mapping[str, Any]) -> None:
-        reached = self._hand.aim(self.scenario, six_of(command["pose"]))
+    def _aim(self, command: Command) -> None:
+        reached = self._hand.aim(self.scenario, as_six(command["pose"]))
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
-    def _move(self, command: Mapping[str, Any]) -> None:
+    def _move(self, command: Command) -> None:
         on, reference, scenario = bool(command["on"]), self._hand, self.scenario
         if on and self._motion.own_time(self._drive.time) > scenario.duration - 2.0 * RAMP:
             raise ConfigurationError("motion", "on", f"off after the scenario's duration, {scenario.duration:g} s")

@@ -18,14 +18,14 @@ from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, one
 from stewart_drake.base.real_time import Pace
 from stewart_drake.base.tables import COORDINATES
 from stewart_drake.live.instrument import (
-    Probe,
+    AddedMotion,
     Spring,
     TurningSpring,
-    as_instrument,
+    changes_of_slider,
+    for_live_page,
     knob_value,
     knobs_of,
     spring,
-    turned,
     turning_spring,
 )
 from stewart_drake.live.loop import LiveLoop
@@ -50,6 +50,8 @@ CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
     "computed torque": {"controller": "computed_torque"},
 }
 """What can be chosen in the panel: name -> scenario key -> value."""
+Command = Mapping[str, Any]
+"""What a page asks for: `do`, the name of an action, and its arguments; all of it is to be checked."""
 LARGEST = 1e6  # Number that a page may send.
 ROWS_KEPT, COMMANDS_KEPT = 50, 200
 """Rows that a page may be late, one that reads more slowly misses some; commands that may wait for the loop."""
@@ -65,7 +67,7 @@ class PageSession:
         self._rows: deque[str] = deque(maxlen=ROWS_KEPT)
         self._published, self._news, self._receiving = 0, threading.Condition(), threading.Lock()
         # What asks can name no key of the scenario, and so no code, file or other robot.
-        self._do: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {}
+        self._do: Mapping[str, Callable[[Command], Any]] = {}
 
     def tell(self, command: Any) -> int:
         """Hands over a command from any thread; its number, which rows have once obeyed; queue.Full if many wait."""
@@ -110,7 +112,7 @@ class LiveSession(PageSession):
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__()
-        scenario = as_instrument(scenario)
+        scenario = for_live_page(scenario)
         self.loop = LiveLoop(scenario)
         self.ghost: LiveLoop | None = None
         self._ghosts, self.speed, self._test, self._begun = "", 1.0, "", scenario
@@ -125,12 +127,12 @@ class LiveSession(PageSession):
             "turn": self._turn,
             "release": self._release,
             "payload": lambda command: self._change({"plant.payload_mass": _number(command["mass"])}),
-            "dead": lambda command: self._change({"motors.dead": _of_leg(command["leg"])}),
+            "dead": lambda command: self._change({"motors.dead": _leg_key(command["leg"])}),
             "freeze": self._freeze,
             "kappa": lambda command: self.loop.change({"tuner.kappa": _number(command["value"])}),
             "knob": self._set_knob,
             "controller": self._choose,
-            "ghost": self._haunt,
+            "ghost": self._add_second_robot,
             "test": self._begin_test,
             "pause": self._pause,
             "step": self._one_tick,
@@ -155,8 +157,8 @@ class LiveSession(PageSession):
             self.publish(self.row())
             pace.wait()
 
-    def _aim(self, command: Mapping[str, Any]) -> None:
-        reached = self.loop.aim(six_of(command["pose"]))
+    def _aim(self, command: Command) -> None:
+        reached = self.loop.aim(as_six(command["pose"]))
         if self.ghost is not None:
             self.ghost.reference.goal = reached.pose
         if reached.limit:
@@ -170,17 +172,17 @@ class LiveSession(PageSession):
     def _change(self, changes: Mapping[str, Any]) -> None:
         self._each(lambda loop: loop.change(changes))
 
-    def _push(self, command: Mapping[str, Any]) -> None:
-        wrench, duration = six_of(command["wrench"]), _number(command["duration"])
+    def _push(self, command: Command) -> None:
+        wrench, duration = as_six(command["wrench"]), _number(command["duration"])
         self._touch()
         self._each(lambda loop: loop.push(wrench, duration))
 
-    def _pull(self, command: Mapping[str, Any]) -> None:
+    def _pull(self, command: Command) -> None:
         """`point` (3,) [m] of the platform, in P, towards `place` (3,) [m] in B."""
         point, place = (_numbers(command[name], 3) for name in ("point", "place"))
         self._hold(spring(self.loop.scenario.robot, self.loop.scenario.gravity, point, place))
 
-    def _turn(self, command: Mapping[str, Any]) -> None:
+    def _turn(self, command: Command) -> None:
         """By `turn` (3,) [rad], a rotation vector in B, from how the platform stood when the hand took it."""
         scenario, before = self.loop.scenario, self.loop.spring
         held = before.held if isinstance(before, TurningSpring) else rotation_matrix(self.loop.pose[:3])
@@ -197,58 +199,58 @@ class LiveSession(PageSession):
             self._change({"safety.unexplained_torque": None})
             self.message = "a hand acts on it: safety.unexplained_torque is off until Reset"
 
-    def _release(self, _: Mapping[str, Any]) -> None:
+    def _release(self, _: Command) -> None:
         self._each(lambda loop: setattr(loop, "spring", None))
 
-    def _set_knob(self, command: Mapping[str, Any]) -> None:
+    def _set_knob(self, command: Command) -> None:
         """A slider: only keys that the panel has, within their range; of the controller's side not the ghost's."""
         knobs, key = {each.key: each for each in knobs_of(self.loop.scenario, self._begun)}, command["key"]
         if (knob := knobs.get(key)) is None:
             raise ConfigurationError("slider", key, f"one that there is now: {', '.join(knobs)}")
-        change = turned(self.loop.scenario, knob, _number(command["value"]))
+        change = changes_of_slider(self.loop.scenario, knob, _number(command["value"]))
         (self._change if knob.group == "Machine" else self.loop.change)(change)
 
-    def _haunt(self, command: Mapping[str, Any]) -> None:
+    def _add_second_robot(self, command: Command) -> None:
         """A second robot beside the first, with another controller; from where the first is."""
         name = command["controller"]
         self.ghost, self._ghosts = None, ""
         if name is not None:
-            self.ghost, self._ghosts = self.loop.beside({**self._own, **CONTROLLERS[name]}), name
+            self.ghost, self._ghosts = self.loop.copy_with({**self._own, **CONTROLLERS[name]}), name
 
-    def _begin_test(self, command: Mapping[str, Any]) -> None:
+    def _begin_test(self, command: Command) -> None:
         axis, robot = COORDINATES.index(command["axis"]), self.loop.scenario.robot
         size = 0.01 * (1.0 if axis < 3 else robot.characteristic_length)
         frequency = min(max(_number(command.get("frequency", 1.0)), 0.2), 20.0)
         kind = "step" if command["kind"] == "step" else "sine"
-        self._each(lambda loop: setattr(loop, "test", Probe(kind, axis, size, frequency, loop.time)))
+        self._each(lambda loop: setattr(loop, "test", AddedMotion(kind, axis, size, frequency, loop.time)))
         at = f", {frequency:g} Hz" if kind == "sine" else ""
         self._test = f"{kind} of {COORDINATES[axis]}{at}: under way"
 
-    def _one_tick(self, _: Mapping[str, Any]) -> None:
+    def _one_tick(self, _: Command) -> None:
         self.paused = True
         self._each(lambda loop: loop.advance(round(loop.scenario.controller.period / loop.scenario.plant.time_step)))
 
-    def _set_speed(self, command: Mapping[str, Any]) -> None:
+    def _set_speed(self, command: Command) -> None:
         self.speed = min(max(_number(command["value"]), 0.1), 2.0)
 
-    def _save(self, _: Mapping[str, Any]) -> None:
+    def _save(self, _: Command) -> None:
         scenario = self.loop.scenario.replace({"name": f"{self.loop.scenario.name}-by-hand"})
         with claimed_place(scenario) as folder:
             self.loop.record.save(folder, scenario)
         self.message = f"saved in {folder}: log.csv, and scenario.yaml, with motion, pushes and the last settings"
 
-    def _freeze(self, command: Mapping[str, Any]) -> None:
-        leg = _of_leg(command["leg"])
+    def _freeze(self, command: Command) -> None:
+        leg = _leg_key(command["leg"])
         self._change({"sensors.faults": [] if leg is None else [{"kind": "freeze", **leg}]})
 
-    def _choose(self, command: Mapping[str, Any]) -> None:
+    def _choose(self, command: Command) -> None:
         self.loop.change({**self._own, **CONTROLLERS[command["name"]]})
         self._controller = command["name"]
 
-    def _pause(self, command: Mapping[str, Any]) -> None:
+    def _pause(self, command: Command) -> None:
         self.paused = bool(command["on"])
 
-    def _reset(self, _: Mapping[str, Any]) -> None:
+    def _reset(self, _: Command) -> None:
         self.loop.reset()
         self.ghost, self._ghosts, self._test = None, "", ""
         self._controller = next(iter(CONTROLLERS))
@@ -322,11 +324,11 @@ def _errors(pose: np.ndarray, wanted: np.ndarray) -> dict[str, float]:
     }
 
 
-def _of_leg(leg: Any) -> dict[str, int] | None:
+def _leg_key(leg: Any) -> dict[str, int] | None:
     return None if leg is None else {"leg": int(_number(leg))}
 
 
-def six_of(values: Any) -> np.ndarray:
+def as_six(values: Any) -> np.ndarray:
     """Six numbers up to `LARGEST`; else a ValueError."""
     return _numbers(values, 6)
 

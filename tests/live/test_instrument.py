@@ -7,13 +7,13 @@ from scipy.spatial.transform import Rotation
 from stewart_drake.live.instrument import (
     FORCE,
     MOMENT,
-    Probe,
+    AddedMotion,
     Spring,
-    as_instrument,
+    changes_of_slider,
+    for_live_page,
     knob_value,
     knobs_of,
     largest,
-    turned,
     turning_spring,
 )
 from stewart_drake.live.loop import LiveLoop
@@ -142,13 +142,13 @@ def test_the_robot_beside_has_errors_of_its_own():
 
 
 def test_sliders_stand_where_the_scenario_does_and_go_no_farther_than_their_ends():
-    scenario = as_instrument(load_scenario("exact_breathing").replace({**SWAY, "tuner": "block"}))
+    scenario = for_live_page(load_scenario("exact_breathing").replace({**SWAY, "tuner": "block"}))
     knobs = {knob.key: knob for knob in knobs_of(scenario, scenario)}
     assert {"tuner.q_pose", "estimator.disturbance", "plant.motor_friction", "model.friction.coulomb"} <= set(knobs)
     for knob in knobs.values():
         assert knob.low <= knob_value(scenario, knob) <= knob.high
         for value in (knob.low - 1.0, knob.high + 1.0):
-            changed = scenario.replace(turned(scenario, knob, value))
+            changed = scenario.replace(changes_of_slider(scenario, knob, value))
             assert knob_value(changed, knob) == pytest.approx(min(max(value, knob.low), knob.high))
 
 
@@ -185,7 +185,7 @@ def test_a_step_and_a_sine_give_their_figures_of_both_robots():
 
 
 def test_a_sine_of_a_loop_of_first_order_has_its_gain_and_phase():
-    probe, tau = Probe("sine", 5, 0.001, 2.0, 0.0), 0.05
+    probe, tau = AddedMotion("sine", 5, 0.001, 2.0, 0.0), 0.05
     times, value = np.arange(0.0, 2.2, 1e-4), 0.0
     for time in times:
         value += 1e-4 / tau * (probe.added(time)[5] - value)
@@ -236,7 +236,7 @@ def test_what_was_done_is_saved_and_runs_again(tmp_path, monkeypatch):
 def test_a_loop_beside_begins_where_the_first_one_is():
     loop = LiveLoop(load_scenario("sway").replace(SWAY))
     loop.advance(500)
-    other = loop.beside({"controller": "pid"})
+    other = loop.copy_with({"controller": "pid"})
     assert np.array_equal(other.pose, loop.pose)
     other.advance(300)
     assert np.linalg.norm(other.pose - loop.pose) > 1e-3
