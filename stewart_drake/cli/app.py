@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import traceback
-from io import TextIOWrapper
+from io import StringIO, TextIOWrapper
 
 import click
 
@@ -27,6 +27,8 @@ def main() -> None:
         # What `nohup` has shut out stays out.
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
+    # A closed stream is None.
+    sys.stdout, sys.stderr = (stream or StringIO() for stream in (sys.stdout, sys.stderr))
     for stream in (sys.stdout, sys.stderr):
         # A sign that the terminal's encoding does not have is a question mark there.
         if isinstance(stream, TextIOWrapper):

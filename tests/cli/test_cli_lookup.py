@@ -161,3 +161,9 @@ def test_where_standard_output_is_full_a_command_says_so_and_comes_to_its_end():
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, check=False)
     said = b"stewart-drake: disk: standard output: No space left on device\n"
     assert (ended.returncode, ended.stderr) == (3, said)
+
+
+@pytest.mark.slow
+def test_a_command_whose_output_is_closed_comes_to_its_end():
+    ended = subprocess.run(["sh", "-c", f"'{sys.executable}' -m stewart_drake explain lost >&- 2>&-"], check=False)
+    assert ended.returncode == 0
