@@ -191,7 +191,9 @@ def weighed() -> tuple[float, float]:
         "adaptation": "regression",
     }
     log = run(load_scenario("exact_breathing").replace(changes), check=False)
-    return float(log["learnt"][-1, 0] - log.scenario.controller_model.robot.platform_mass), float(log["learnt_half_width"][-1, 0])
+    return float(log["learnt"][-1, 0] - log.scenario.controller_model.robot.platform_mass), float(
+        log["learnt_half_width"][-1, 0]
+    )
 
 
 def slow_bus(seed: int, scheme: str, motion: str, changes: dict[str, Any] | None = None) -> Scenario:

@@ -13,12 +13,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.config import Vector6
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import reach_margin, rotation_matrix
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.scenario.limits import ReferenceLimits, limit_bounds, measure_poses
 
 Kind = Literal["position", "orientation"]
@@ -33,16 +31,6 @@ LIMIT_NAMES = (
 """Limits of `limits.RULES` that a pose at rest can break, with one for the swing of either joint."""
 ALL_ANGLES = np.array([np.pi, 0.5 * np.pi, np.pi])
 """[rad] largest roll, pitch and yaw; together they cover all orientations."""
-OTHER_CENTERS: tuple[tuple[Kind, str, Vector6], ...] = (
-    ("position", "roll 15 deg", (np.pi / 12.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
-    ("position", "roll 30 deg", (np.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
-    ("position", "pitch 30 deg", (0.0, np.pi / 6.0, 0.0, 0.0, 0.0, 0.0)),
-    ("position", "yaw 30 deg", (0.0, 0.0, np.pi / 6.0, 0.0, 0.0, 0.0)),
-    ("orientation", "Z {:.3g} mm lower", (0.0, 0.0, 0.0, 0.0, 0.0, -0.05)),
-    ("orientation", "Z {:.3g} mm higher", (0.0, 0.0, 0.0, 0.0, 0.0, 0.05)),
-    ("orientation", "X {:.3g} mm further", (0.0, 0.0, 0.0, 0.1, 0.0, 0.0)),
-)
-"""Further centres, relative to the centre; lengths are for the paper's robot."""
 
 _LEAST = {"transmission", "conditioning", "clearance"}  # Lower bounds.
 _COARSE = 40**3  # Cells of the search for the box of the poses in reach.
@@ -321,43 +309,24 @@ def study_poses(
 ) -> tuple[dict[str, Any], dict[Kind, Survey]]:
     """Workspaces around a centre (6,) [rad, m]: plain numbers, and surveys of positions and orientations.
 
-    Sizes are in m^3, or shares of all orientations; None for a centre out of reach.
+    Sizes are in m^3, or shares of all orientations.
     """
     center = np.asarray(center, dtype=float)
-
-    def surveyed(kind: Kind, center: np.ndarray, samples: int) -> Survey:
-        return survey(robot, limits, spanning_grid(robot, kind, center, samples), gravity)
-
-    def distances(along: np.ndarray) -> dict[Kind, Boundary]:
-        return {kind: boundary(robot, limits, kind, center, along, gravity) for kind in KINDS}
-
     surveys: dict[Kind, Survey] = {}
     for kind in KINDS:
-        surveys[kind] = surveyed(kind, center, samples)
-        progress(0.3 * len(surveys))
-    boundaries, ends = distances(spread_directions(directions)), distances(np.concatenate([-np.eye(3), np.eye(3)]))
-    progress(0.8)
-    others: dict[str, float | None] = {}
-    for kind, words, for_paper in OTHER_CENTERS:
-        offset = np.array(LENGTH.value(for_paper, robot))
-        name = f"{kind}, {words.format(1e3 * np.abs(offset[3:]).max())}"
-        try:
-            region = surveyed(kind, center + offset, max(8, samples // 20))
-            others[name] = region.size(region.connected)
-        except ConfigurationError:
-            others[name] = None
+        surveys[kind] = survey(robot, limits, spanning_grid(robot, kind, center, samples), gravity)
+        progress(0.4 * len(surveys))
+    axes = np.concatenate([-np.eye(3), np.eye(3)])
+    # Of orientations first, as in a pose.
+    ends = [boundary(robot, limits, kind, center, axes, gravity).radius.reshape(2, 3) for kind in reversed(KINDS)]
+    along = spread_directions(directions)
+    boundaries = {kind: boundary(robot, limits, kind, center, along, gravity) for kind in KINDS}
     progress(1.0)
-    down_up, cuts = (
-        np.hstack([end.reshape(2, 3) for end in pair])
-        for pair in zip(ends["orientation"], ends["position"], strict=True)
-    )
     numbers = {
         "poses": sum(len(region.grid.poses) for region in surveys.values()),
         "center": center.tolist(),
-        "ranges": (center + down_up * [[-1.0], [1.0]]).tolist(),
-        "range_cuts": [[LIMIT_NAMES[i] if i >= 0 else None for i in row] for row in cuts.tolist()],
+        "ranges": (center + np.hstack(ends) * [[-1.0], [1.0]]).tolist(),
         "workspaces": {kind: _workspace(surveys[kind], *boundaries[kind]) for kind in KINDS},
-        "other_centers": others,
     }
     return numbers, surveys
 
@@ -370,7 +339,6 @@ def _workspace(region: Survey, radius: np.ndarray, limit: np.ndarray) -> dict[st
         **{mask: region.size(getattr(region, mask)) for mask in ("spanning", "regular", "feasible", "connected")},
         "box": None if box is None else box.tolist(),
         "inscribed_radius": float(radius.min()),
-        "boundary_volume": float(4.0 / 3.0 * np.pi * (radius**3).mean()),
         "first": {LIMIT_NAMES[i]: float(first[i]) for i in np.argsort(-first, kind="stable") if first[i] > 0.0},
         "smallest": {
             name: float(within[name].min()) if len(within) else None

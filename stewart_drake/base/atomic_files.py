@@ -23,6 +23,7 @@ PACKAGE = Path(__file__).resolve().parents[1]
 """Folder of this package; in a checkout, beside `sdf` and `diagrams`."""
 MAX_FILE_BYTES = 100_000_000
 """[byte] of any file that a scenario names."""
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 CHECKSUM, NOT_FINITE = "checksum", "not_finite"
 """Keys that `seal` and `plain_json` add."""
 
@@ -96,7 +97,7 @@ def _disk_errors(what: str) -> Iterator[None]:
         yield
     except OSError as error:
         why = error.strerror or str(error)
-        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
+        if error.errno in DISK_FULL:
             raise DiskError(f"{what}: {why}") from error
         raise ConfigurationError(what, why, "a file in a writable folder") from error
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
-import pickle
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -108,28 +107,10 @@ def specialised(function: Any, arguments: Sequence[Any]) -> Callable[..., Any]:
     return cast("Callable[..., Any]", function.overloads[types].entry_point)
 
 
-class _Sealed(bytes):
-    """Is pickled with a digest: of machine code a changed bit can end the process."""
-
-    def __reduce__(self) -> Any:
-        return _unsealed, (bytes(self), hashlib.sha256(self).digest())
-
-
-def _unsealed(content: bytes, digest: bytes) -> Any:
-    if hashlib.sha256(content).digest() != digest:
-        raise ValueError("a file has changed since it was written")
-    return pickle.loads(content)
-
-
 class _Cache(_FunctionCache):
     """numba's cache of a function, whose files may be damaged, and their disk full, at any time."""
 
     told = False
-
-    def __init__(self, function: Any) -> None:
-        super().__init__(function)
-        dump = self._cache_file._dump
-        self._cache_file._dump = lambda entry: pickle.dumps(_Sealed(dump(entry)))
 
     @contextmanager
     def _guard_against_spurious_io_errors(self) -> Iterator[None]:

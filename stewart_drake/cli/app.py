@@ -5,12 +5,14 @@ from __future__ import annotations
 import signal
 import sys
 import traceback
+from io import StringIO, TextIOWrapper
 
 import click
 
+from stewart_drake.base.atomic_files import DISK_FULL
 from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, quiet_libraries, raised_at
 from stewart_drake.cli.options import EXIT_BAD_INPUT, EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_RUN_FAILED, cli
-from stewart_drake.cli.terminal import drop_output, open_output, say
+from stewart_drake.cli.terminal import drop_output, say
 
 DEBUG = "--debug"
 """Anywhere among the arguments: the traceback of whatever goes wrong."""
@@ -25,7 +27,13 @@ def main() -> None:
         # What `nohup` has shut out stays out.
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
-    arguments, output = [each for each in sys.argv[1:] if each != DEBUG], open_output()
+    # A closed stream is None.
+    sys.stdout, sys.stderr = (stream or StringIO() for stream in (sys.stdout, sys.stderr))
+    for stream in (sys.stdout, sys.stderr):
+        # A sign that the terminal's encoding does not have is a question mark there.
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    arguments = [argument for argument in sys.argv[1:] if argument != DEBUG]
     try:
         with quiet_libraries():
             cli(arguments, prog_name="stewart-drake", standalone_mode=False)
@@ -43,9 +51,6 @@ def main() -> None:
             status = error.code if isinstance(error.code, int) else _end(error)
     except (Exception, KeyboardInterrupt) as error:
         status = _end(error)
-    if output.problem:
-        say(f"disk: standard output: {output.problem}")
-        status = status or EXIT_RUN_FAILED
     sys.exit(status)
 
 
@@ -75,6 +80,11 @@ def _end(error: BaseException) -> int:
         return EXIT_BAD_INPUT
     if isinstance(error, StewartDrakeError):
         say(f"{error.reason}: {error}")
+        return EXIT_RUN_FAILED
+    if isinstance(error, OSError) and error.errno in DISK_FULL:
+        # Files raise a DiskError: this is what the command prints.
+        drop_output()
+        say(f"disk: standard output: {error.strerror}")
         return EXIT_RUN_FAILED
     if isinstance(error, MemoryError):
         say("out of memory")

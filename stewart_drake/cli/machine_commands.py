@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -12,7 +13,11 @@ from stewart_drake.cli.run_commands import begin_with, end, keep, leave
 from stewart_drake.cli.terminal import print_table, progress_bar, shown_compiling, tell
 from stewart_drake.logs.signals import SCALES
 from stewart_drake.runs.outputs import begin_journal, check_place, claimed_place, prepare_file
-from stewart_drake.scenario.scenario import load_driven
+from stewart_drake.scenario.scenario import Scenario, load_driven
+
+if TYPE_CHECKING:
+    from stewart_drake.machines.machine import Machine
+    from stewart_drake.runs.drive import Start
 
 
 @command(
@@ -44,7 +49,7 @@ def drive(
     from stewart_drake.logs.mcap_file import check_mcap
     from stewart_drake.machines.machine import open_machine
     from stewart_drake.runs.checks import check_scenario
-    from stewart_drake.runs.drive import Drive, as_logged, connected, held_controller, measured_home
+    from stewart_drake.runs.drive import Drive, as_logged, connected, held_controller
 
     loaded = begin_with(load_driven, scenario, overrides, keep_model)
     if out is not None:
@@ -59,26 +64,7 @@ def drive(
         held_controller(loaded, loaded.start()[0])
     try:
         start = connected(loaded, opened, seconds)
-        belief = loaded.controller_model
-        planned = [
-            ("angles now [rad]", "  ".join(f"{angle:.4f}" for angle in start.angles)),
-            ("pose now [deg, mm]", "  ".join(f"{value:.2f}" for value in SCALES * start.pose)),
-            (
-                "model.home, if this is its home pose",
-                str(measured_home(belief.robot, start.angles, belief.home).tolist()),
-            ),
-            ("its tick", "-" if opened.period is None else f"{1e3 * opened.period:.2f} ms"),
-            ("way to the motion", f"{start.motion.approach:.1f} s"),
-            ("until it rests again", f"{start.duration:.1f} s"),
-        ]
-        print_table(f"{loaded.name} on {machine}", planned)
-        if (
-            machine == "sim:"
-            and not loaded.plant.joints_rub
-            and belief.friction is not None
-            and belief.friction.joints is not None
-        ):
-            tell("sim: has ball joints that turn freely, and the model believes that they rub: it will not follow well")
+        _print_plan(loaded, machine, opened, start)
         if dry:
             tell("nothing was moved")
             return
@@ -96,6 +82,26 @@ def drive(
         if driven is not None:
             tell(f"{driven.ending}{opened.after and f'; {opened.after}'}")
     end(log, place == claimed)
+
+
+def _print_plan(loaded: Scenario, url: str, machine: Machine, start: Start) -> None:
+    """Where a machine stands, and how it comes to the motion."""
+    from stewart_drake.runs.drive import measured_home
+
+    model = loaded.controller_model
+    home = measured_home(model.robot, start.angles, model.home).tolist()
+    rows = [
+        ("angles now [rad]", "  ".join(f"{angle:.4f}" for angle in start.angles)),
+        ("pose now [deg, mm]", "  ".join(f"{value:.2f}" for value in SCALES * start.pose)),
+        ("model.home, if this is its home pose", str(home)),
+        ("its tick", "-" if machine.period is None else f"{1e3 * machine.period:.2f} ms"),
+        ("way to the motion", f"{start.motion.approach:.1f} s"),
+        ("until it rests again", f"{start.duration:.1f} s"),
+    ]
+    print_table(f"{loaded.name} on {url}", rows)
+    joints = None if model.friction is None else model.friction.joints
+    if url == "sim:" and joints is not None and not loaded.plant.joints_rub:
+        tell("sim: has ball joints that turn freely, and the model believes that they rub: it will not follow well")
 
 
 @command(

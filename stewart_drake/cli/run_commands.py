@@ -232,32 +232,37 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     tell("what each limit is: stewart-drake explain limits")
     machine = ("", "simulated", "believed")
     print_table("the machine, and what `model` believes of it", checks.beliefs(loaded), machine, numbers=())
+    changes = _feasible_changes(loaded, scale, retime)
+    if out is not None and changes:
+        write_atomically(out, to_yaml(loaded.replace(changes).to_dict()).encode())
+        tell(f"scenario in {out}")
+    checks.check_scenario(loaded)
+    plant.raise_if_infeasible()
+
+
+def _feasible_changes(loaded: Scenario, scale: bool, retime: bool) -> dict[str, Any]:
+    """Keys of a scenario with its motion smaller, or slower, as far as its limits ask; prints by how much."""
+    from stewart_drake.runs.checks import fit_amplitude, fit_speed
+
     motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
     changes: dict[str, Any] = {}
     if scale:
         try:
             with working("looking for the largest size"):
-                changes["reference"], factor = checks.fit_amplitude(*motion)
+                changes["reference"], factor = fit_amplitude(*motion)
             tell(f"feasible at {factor:.4f} of its size")
         except InfeasibleReferenceError as error:
             tell(f"infeasible at every size; even at rest in its centre, {error}")
     if retime:
         try:
             with working("looking for the highest speed"):
-                changes["reference"], factor = checks.fit_speed(*motion)
-            changes["duration"] = factor * loaded.duration
-            tell(
-                "feasible at its own speed"
-                if factor == 1.0
-                else f"feasible {factor:.4f} times slower, over {changes['duration']:.4g} s"
-            )
+                changes["reference"], factor = fit_speed(*motion)
+            changes["duration"] = duration = factor * loaded.duration
+            slower = f"feasible {factor:.4f} times slower, over {duration:.4g} s"
+            tell("feasible at its own speed" if factor == 1.0 else slower)
         except InfeasibleReferenceError as error:
             tell(f"infeasible at every speed; even at rest, {error}")
-    if out is not None and changes:
-        write_atomically(out, to_yaml(loaded.replace(changes).to_dict()).encode())
-        tell(f"scenario in {out}")
-    checks.check_scenario(loaded)
-    plant.raise_if_infeasible()
+    return changes
 
 
 _QUICK_POSES = 50

@@ -64,13 +64,13 @@ def sweep(sweep: str, out: Path | None, runs: int | None, **options: Any) -> Non
     Writes sweep.parquet and .csv: one row per run, with random values, outcome and metrics. A run that is rejected,
     fails or crashes its worker also has a row, with the reason. sweep.png and .pdf show the error against what varied.
     """
-    from stewart_drake.studies.experiment import refusals, run_experiment
-    from stewart_drake.studies.sweep import load_sweep, summary, write_picture
+    from stewart_drake.studies.experiment import refusals, run_experiment, write_figures
+    from stewart_drake.studies.sweep import load_sweep, summary
 
     loaded = load_sweep(sweep, runs)
     with _under_way(loaded.name, loaded.runs, out, **options) as way:
         result = run_experiment(loaded, *way)
-        drawn = write_picture(loaded, result)
+        drawn = write_figures(loaded.figures(result.rows), result.folder)
     print_table(loaded.name, summary(result.rows["sweep"]))
     where = f"table{' and picture' if drawn else ''} in {result.folder}"
     _print_sheets((), *refusals(result.rows["sweep"]), result.compared, where)
@@ -83,13 +83,13 @@ def compare(comparison: str, out: Path | None, quick: bool, robot: str | None, *
 
     Writes comparison.parquet, .csv and .md, bands.parquet and .csv (frequency response), and plots.
     """
-    from stewart_drake.studies.comparison import load_comparison, write_pictures
-    from stewart_drake.studies.experiment import run_experiment
+    from stewart_drake.studies.comparison import load_comparison
+    from stewart_drake.studies.experiment import run_experiment, write_figures
 
     loaded = load_comparison(comparison, quick, robot)
     with _under_way(f"{loaded.name}{'-quick' if quick else ''}", loaded.runs, out, **options) as way:
         result = run_experiment(loaded, *way)
-        write_pictures(loaded, result)
+        write_figures(loaded.figures(result.rows), result.folder)
     _print_sheets(loaded.sheets(result.rows), result.compared, f"tables and pictures in {result.folder}")
     _exit_if_refused(result)
 
@@ -104,12 +104,13 @@ def tune(
     are compared as in the file, in OUT/verdict-*. Writes tuned.yaml (for the key `tuned` of the comparison),
     tune.parquet and .csv (one row per evaluation), tune.md, and tune.png and .pdf.
     """
-    from stewart_drake.studies.tune import load_tuning, run_tuning, write_picture
+    from stewart_drake.studies.experiment import write_figures
+    from stewart_drake.studies.tune import load_tuning, run_tuning
 
     loaded = load_tuning(comparison, controllers, budget, quick)
     with _under_way(f"{loaded.name}{'-tune-quick' if quick else '-tune'}", loaded.runs, out, **options) as way:
         result = run_tuning(loaded, *way)
-        write_picture(result, way[0])
+        write_figures(loaded.figures({"tune": result.rows}), way[0])
     where = f"settings in {way[0] / 'tuned.yaml'}, tables of the verdict in {result.test.folder}"
     _print_sheets(result.sheets, where)
 
@@ -153,11 +154,11 @@ def show(file: Path | None) -> None:
 def judge(file: Path | None, out: Path, seeds: int, plant: Any, only: tuple[str, ...], **options: Any) -> None:
     """FILE is a policy's weights file [default: the shipped one].
 
-    The situations are new to all of them. Writes verdict.md, .parquet, .csv and .png.
+    The situations are new to all of them. Writes verdict.md, .parquet, .csv, .png and .pdf.
     """
     from stewart_drake.control.policy import Policy
-    from stewart_drake.studies.experiment import run_experiment
-    from stewart_drake.training.benchmark import BEST_FIXED, Baselines, candidates, evaluation, write_picture
+    from stewart_drake.studies.experiment import run_experiment, write_figures
+    from stewart_drake.training.benchmark import BEST_FIXED, Baselines, candidates, evaluation
 
     Policy.load(file)
     policy = {"kind": "policy", **({} if file is None else {"weights_file": str(file)})}
@@ -165,7 +166,7 @@ def judge(file: Path | None, out: Path, seeds: int, plant: Any, only: tuple[str,
     kept = [name for name in named if not only or name in (BEST_FIXED, "policy", *only)]
     loaded = evaluation({name: named[name] for name in kept}, seeds, plant)
     with _under_way(loaded.name, loaded.runs, out, **options) as way:
-        write_picture(run_experiment(loaded, *way).rows["verdict"], way[0])
+        write_figures(loaded.figures(run_experiment(loaded, *way).rows), way[0])
     tell((way[0] / "verdict.md").read_text(encoding="utf-8"))
 
 

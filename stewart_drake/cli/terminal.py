@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import json
 import os
 import signal
-import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -44,20 +42,14 @@ def console(stderr: bool = False) -> Any:
 
 @contextmanager
 def progress_bar(title: str, total: float, unit: str = "s") -> Iterator[Callable[..., None]]:
-    """A bar of simulated seconds (or of runs, epochs); yields what takes how much is done, and what is done now."""
+    """A bar of simulated seconds (or of runs, epochs); yields a function of how much is done, and of a new title."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    digits = 2 if unit == "s" else 0
+    count = f"{{task.completed:.{2 if unit == 's' else 0}f}} / {{task.total:.{2 if unit == 's' else 0}f}} {unit}"
+    columns = TextColumn("{task.description}"), BarColumn(), TextColumn(count), TimeElapsedColumn()
+    # A refresh thread would take the interpreter from the simulation at every step.
     bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn(f"{{task.completed:.{digits}f}} / {{task.total:.{digits}f}} {unit}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console(stderr=True),
-        disable=bool(_asked(QUIET)),
-        # A refresh thread would take the interpreter from the simulation at every step.
-        auto_refresh=False,
+        *columns, TimeRemainingColumn(), console=console(stderr=True), disable=bool(_asked(QUIET)), auto_refresh=False
     )
     task = bar.add_task(title, total=total)
 
@@ -74,21 +66,15 @@ def progress_bar(title: str, total: float, unit: str = "s") -> Iterator[Callable
             bar.stop()
 
 
-def _moving(title: str) -> tuple[Any, Any]:
-    """A bar that moves for as long as something takes, gone afterwards; and its task."""
+def working(title: str) -> Any:
+    """A bar that moves within the context, for work of unknown length; gone afterwards."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns, terminal = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()), console(stderr=True)
-    unseen = bool(_asked(QUIET)) or not terminal.is_terminal
-    bar = Progress(*columns, console=terminal, transient=True, disable=unseen)
-    return bar, bar.add_task(title, total=None)
-
-
-@contextmanager
-def working(title: str) -> Iterator[None]:
-    """A moving bar for work that does not say how far it is."""
-    with _moving(title)[0]:
-        yield
+    hidden = bool(_asked(QUIET)) or not terminal.is_terminal
+    bar = Progress(*columns, console=terminal, transient=True, disable=hidden)
+    bar.add_task(title, total=None)
+    return bar
 
 
 @contextmanager
@@ -99,17 +85,17 @@ def shown_compiling() -> Iterator[None]:
     """
     from numba.core import event
 
-    (bar, task), depth, laws = _moving(""), 0, 0
-    asked: list[Any] = []
+    bar, depth, laws = working(""), 0, 0
+    interrupts: list[Any] = []
     handler = signal.getsignal(signal.SIGINT)
 
     class Line(event.Listener):
         def on_start(self, event: Any) -> None:  # noqa: ARG002
             nonlocal depth, laws
             if depth == 0:
-                _set_interrupt(lambda *given: asked.append(given))
+                _set_interrupt(lambda *received: interrupts.append(received))
             depth, laws = depth + 1, laws + 1
-            bar.update(task, description=f"compiling, once on this machine: {laws} functions")
+            bar.update(bar.task_ids[0], description=f"compiling, once on this machine: {laws} functions")
             bar.start()
 
         def on_end(self, event: Any) -> None:  # noqa: ARG002
@@ -118,8 +104,8 @@ def shown_compiling() -> Iterator[None]:
             if depth == 0:
                 bar.stop()
                 _set_interrupt(handler)
-                if asked and callable(handler):
-                    handler(*asked.pop())
+                if interrupts and callable(handler):
+                    handler(*interrupts.pop())
 
     with event.install_listener("numba:compile", Line()):
         try:
@@ -133,40 +119,6 @@ def _set_interrupt(handler: Any) -> None:
     # Another thread than the first gets no signals, and a handler of C's cannot be set again.
     with suppress(ValueError, TypeError):
         signal.signal(signal.SIGINT, handler)
-
-
-class Output(io.FileIO):
-    """What standard output or error is written to; where it is full, the rest is dropped, and `problem` says why."""
-
-    problem = ""
-
-    def write(self, data: Any) -> int:
-        try:
-            return super().write(data)
-        except BrokenPipeError:
-            raise
-        except OSError as error:
-            self.problem = error.strerror or str(error)
-            return len(data)
-
-
-def open_output() -> Output:
-    """Puts it under `sys.stdout` and `sys.stderr`, closed or not; the first of these.
-
-    A command comes to its end, whatever becomes of what it prints.
-    """
-    _opened("stderr", 2)
-    return _opened("stdout", 1)
-
-
-def _opened(name: str, place: int) -> Output:
-    before: Any = getattr(sys, name)
-    output = Output(os.open(os.devnull, os.O_WRONLY) if before is None else place, "w", closefd=False)
-    if before is getattr(sys, f"__{name}__"):  # and not what a caller has put there
-        # A sign that the terminal's encoding does not have is a question mark there.
-        encoding, lines = getattr(before, "encoding", "utf-8"), place == 2 or output.isatty()
-        setattr(sys, name, io.TextIOWrapper(io.BufferedWriter(output), encoding, "replace", line_buffering=lines))
-    return output
 
 
 def drop_output() -> None:
@@ -203,46 +155,27 @@ def print_table(
     if right is None:
         columns = list(enumerate(zip(*rows, strict=True)))[1:]
         right = [k for k, cells in columns if not any(header) or any(map(_is_number, cells))]
-    terminal = console()
-    widths, longest = [], []
-    for place, (name, *cells) in enumerate(zip(header, *rows, strict=True)):
-        longest.append(max(map(len, (name, *cells))))
-        # Numbers stay in one line.
-        whole = any(header) and place in right
-        words = name.split() + [part for cell in cells for part in ([cell] if whole else cell.split())]
-        widths.append(min(max(map(len, words), default=0), max(_WORD, terminal.width // 3)))
-    # The first number stays in sight.
-    first = min(right, default=0)
-    if any(header) and 0 < first < len(widths):
-        room = (terminal.width - 1 - 3 * (first + 1) - widths[first]) // first
-        widths[:first] = [min(width, max(_WORD, room)) for width in widths[:first]]
-    shown = max(2, sum(end < terminal.width for end in itertools.accumulate(3 + width for width in widths)))
-    widths = _widened(widths[:shown], longest, terminal.width - 1 - 3 * shown, rows)
-    terminal.print(title, style="bold", markup=False, soft_wrap=True)
-    table = Table(show_header=any(header))
+    terminal, table = console(), Table(show_header=any(header))
+    # Numbers stay in one line.
+    whole = [any(header) and place in right for place in range(len(header))]
+    widths = [_least_width(*column) for column in zip(whole, header, *rows, strict=True)]
+    most = max(_WORD, terminal.width // 3)
+    shown = max(2, sum(end < terminal.width for end in itertools.accumulate(3 + min(w, most) for w in widths)))
     for place, name in enumerate(header[:shown]):
         side: Any = "right" if place in right else "left"
-        table.add_column(escape(name), justify=side, overflow="fold", width=widths[place])
+        table.add_column(escape(name), justify=side, overflow="fold", no_wrap=whole[place])
     for row in rows:
         table.add_row(*map(escape, row[:shown]))
+    terminal.print(title, style="bold", markup=False, soft_wrap=True)
     terminal.print(table)
     if shown < len(header):
         tell(f"more columns in a wider terminal or with --json: {', '.join(header[shown:])}")
 
 
-def _widened(widths: list[int], longest: list[int], room: int, rows: Iterable[Sequence[str]]) -> list[int]:
-    """Widths of columns that fill the room: whole columns first, or evenly, as it takes fewer lines."""
-    even, whole = list(widths), list(widths)
-    for _ in range(room - sum(widths)):
-        place = max(range(len(even)), key=lambda at: longest[at] - even[at])
-        even[place] += longest[place] > even[place]
-    for place in sorted(range(len(whole)), key=lambda at: longest[at] - whole[at]):
-        whole[place] += max(0, min(longest[place] - whole[place], room - sum(whole)))
-
-    def lines(wide: list[int]) -> int:
-        return sum(max(-(-len(cell) // width) for cell, width in zip(row, wide, strict=False)) for row in rows)
-
-    return min(whole, even, key=lines)
+def _least_width(whole: bool, name: str, *cells: str) -> int:
+    """Of a column whose cells are folded between words, or are kept whole."""
+    words = name.split() + [word for cell in cells for word in ([cell] if whole else cell.split())]
+    return max(map(len, words), default=0)
 
 
 def _plain(cell: str) -> float | str:

@@ -130,14 +130,6 @@ def _both(
     return metrics
 
 
-def _worst_half_rms(rows: RunRows) -> np.ndarray:
-    """(2,) [rad, m] the larger of both halves' root mean square length."""
-    lengths = [np.sum(rows.error[half] ** 2, axis=0) for half in (rows.tick & ~rows.second_half, rows.second_half_tick)]
-    counts = np.array([max(1, rows.ticks - rows.second_half_ticks), rows.second_half_ticks])
-    means: np.ndarray = np.reshape(lengths, (2, 2, 3)).sum(axis=2) / counts[:, None]
-    return np.sqrt(means).max(axis=0)
-
-
 def _ripple(index: int) -> Callable[[RunRows], float | None]:
     def ripple(rows: RunRows) -> float | None:
         both = rows.ripple
@@ -196,8 +188,8 @@ METRICS: tuple[Metric, ...] = (
     ),
     *_both("rmse_norm", "RMS length of the {what} error", lambda t: t.second_half_rms_norms, "second_half_ticks"),
     *_both(
-        "worst_half_rmse_norm", "RMS length of the {what} error, the larger of both halves", _worst_half_rms,
-        "second_half_ticks",
+        "worst_half_rmse_norm", "RMS length of the {what} error, the larger of both halves",
+        lambda t: t.worst_half_rms_norms, "second_half_ticks",
     ),
     Metric(
         "pose_rmse_mm", "mm", "RMS of both errors together, rotations times the characteristic length",
@@ -366,10 +358,9 @@ def assessed(
 
 def figures_of(rows: RunRows) -> dict[str, Any]:
     """Every metric of a run by name, in values that JSON has; None of what was not measured, or not finite."""
-    if rows.steps and not is_measured(rows.signals):
-        return plain_json(dict.fromkeys(metric.name for metric in metrics_of(rows.scenario)))
+    known = is_measured(rows.signals) or not rows.steps
     with np.errstate(all="ignore"):
-        return plain_json({metric.name: metric.value(rows) for metric in metrics_of(rows.scenario)})
+        return plain_json({each.name: each.value(rows) if known else None for each in metrics_of(rows.scenario)})
 
 
 def run_metrics(log: SimulationLog) -> dict[str, Any]:

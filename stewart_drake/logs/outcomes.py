@@ -112,12 +112,21 @@ class RunRows:
     @property
     def second_half_rms(self) -> np.ndarray:
         """(6,) [rad, m] RMS error of the second half."""
-        return np.sqrt(np.mean(self.error[self.second_half_tick] ** 2, axis=0))
+        return self._rms(self.second_half_tick)
 
     @property
     def second_half_rms_norms(self) -> np.ndarray:
-        """(2,) [rad, m] RMS length of the rotational and of the translational error likewise."""
+        """(2,) [rad, m] RMS length of the rotational and of the translational error of the second half."""
         return np.linalg.norm(self.second_half_rms.reshape(2, 3), axis=1)
+
+    @property
+    def worst_half_rms_norms(self) -> np.ndarray:
+        """(2,) [rad, m] the same of the half where it is larger."""
+        first = np.linalg.norm(self._rms(self.tick & ~self.second_half).reshape(2, 3), axis=1)
+        return np.maximum(first, self.second_half_rms_norms)
+
+    def _rms(self, rows: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.sum(self.error[rows] ** 2, axis=0) / max(1, np.count_nonzero(rows)))
 
     @property
     def ripple(self) -> np.ndarray | None:

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.analysis.feasibility import largest_amplitude
-from stewart_drake.base.atomic_files import locked_folder
 from stewart_drake.base.config import to_plain
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.families import given_keys
@@ -27,7 +26,7 @@ from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.comparison_file import KINDS, Bands, CompareFile, TunedFile, check_names
 from stewart_drake.studies.experiment import (
     Experiment,
-    Result,
+    Figures,
     Show,
     Tables,
     error_prefix,
@@ -179,30 +178,23 @@ class Comparison(Experiment):
     def page(self, rows: Mapping[str, list[Row]]) -> str:
         return "\n".join(sheet.markdown() for sheet in self.sheets(rows))
 
+    def figures(self, rows: Mapping[str, list[Row]]) -> Figures:
+        # matplotlib takes a second to load.
+        from stewart_drake.plotting.study_plots import plot_bands, plot_error, plot_rmse
+
+        runs, bands = self.shown(rows["comparison"]), rows["bands"]
+        figures = {"rmse": partial(plot_rmse, runs)}
+        reference = self.file.traced or self.trials[0].labels["reference"]
+        traced = [row for row in runs if row["reference"] == reference]
+        if any("trace" in row for row in traced):
+            figures["error"] = partial(plot_error, traced, self.file.band)
+        if any(row.get("ratio") is not None for row in bands):
+            figures["bands"] = partial(plot_bands, bands)
+        return figures
+
 
 def load_comparison(path: str | Path, quick: bool = False, robot: str | None = None) -> Comparison:
     return load_experiment("comparison", path, partial(Comparison.from_dict, quick=quick, robot=robot))
-
-
-def write_pictures(comparison: Comparison, result: Result) -> None:
-    # matplotlib takes a second to load.
-    from stewart_drake.plotting import save_figure
-    from stewart_drake.plotting.study_plots import plot_bands, plot_error, plot_rmse
-
-    rows, bands = comparison.shown(result.rows["comparison"]), result.rows["bands"]
-    figures = {"rmse": partial(plot_rmse, rows)}
-    traced = [
-        row for row in rows if row["reference"] == (comparison.file.traced or comparison.trials[0].labels["reference"])
-    ]
-    if any("trace" in row for row in traced):
-        figures["error"] = partial(plot_error, traced, comparison.file.band)
-    if any(row.get("ratio") is not None for row in bands):
-        figures["bands"] = partial(plot_bands, bands)
-    with locked_folder(result.folder):
-        for name, draw in figures.items():
-            figure = draw()
-            for suffix in ("png", "pdf"):
-                save_figure(figure, result.folder / f"{name}.{suffix}")
 
 
 # --- runs ---

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self, TypeVar
 
 from pydantic import Field
 
-from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.atomic_files import locked_folder, write_atomically
 from stewart_drake.base.code import TRUST, anchored
 from stewart_drake.base.config import NAME, NAME_WORDS, Section, Text, with_message
 from stewart_drake.base.errors import ConfigurationError, StewartDrakeError
@@ -31,11 +31,14 @@ from stewart_drake.studies.workers import Workers
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    from matplotlib.figure import Figure
 
 T = TypeVar("T")
 StudyName = Annotated[Text, Field(max_length=80, pattern=NAME), with_message(f"at most 80 {NAME_WORDS}")]
 Tables = Mapping[str, tuple[Sequence[Column], list[Row]]]
 """Name of a table -> its columns, and its rows, which may say more."""
+Figures = Mapping[str, Callable[[], "Figure"]]
+"""Name of a figure -> what draws it."""
 RunTrials = Callable[[Sequence[Trial]], list[Row]]
 """See `RowStore.rows`."""
 INCIDENTAL = (
@@ -103,6 +106,10 @@ class Experiment:
         """Markdown of the rows by table; empty for no page."""
         return ""
 
+    def figures(self, rows: Mapping[str, list[Row]]) -> Figures:  # noqa: ARG002
+        """Of the rows by table."""
+        return {}
+
     def scenario(self, index: int) -> Scenario:
         """The scenario of run `index`; ConfigurationError where its values do not make one."""
         return self.trials[index].scenario()
@@ -166,6 +173,19 @@ def run_experiment(
             text = page if compared is None else f"{page}\n{compared}\n"
             write_atomically(folder / f"{experiment.kind}.md", text.encode())
     return result
+
+
+def write_figures(figures: Figures, folder: Path) -> bool:
+    """Writes each figure as .png and .pdf; whether there are any."""
+    # matplotlib takes a second to load.
+    from stewart_drake.plotting import save_figure
+
+    with locked_folder(folder):
+        for name, draw in figures.items():
+            figure = draw()
+            for suffix in ("png", "pdf"):
+                save_figure(figure, folder / f"{name}.{suffix}")
+    return bool(figures)
 
 
 def load_experiment(kind: str, path: str | Path, make: Callable[[dict[str, Any], Path], T]) -> T:

@@ -9,13 +9,13 @@ from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.atomic_files import locked_folder
 from stewart_drake.base.code import TRUST
 from stewart_drake.base.config import Count, Flag, Positive, Real, Section, Seed, Text, check_plain, shorten
 from stewart_drake.base.errors import ConfigurationError
@@ -28,7 +28,7 @@ from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.experiment import (
     INCIDENTAL,
     Experiment,
-    Result,
+    Figures,
     StudyFile,
     StudyName,
     error_prefix,
@@ -251,7 +251,26 @@ class Draws(Sequence[Trial]):
                 raise ConfigurationError(where, error.value, error.allowed) from None
 
 
-def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Experiment:
+class Sweep(Experiment):
+    def figures(self, rows: Mapping[str, list[Row]]) -> Figures:
+        """The error against each key that was varied, or a map where two run through a grid."""
+        # matplotlib takes a second to load.
+        from stewart_drake.plotting.study_plots import plot_map, plot_sweep
+
+        given = {**self.work["distributions"]}
+        # Of a factor the factor is shown; a list has no axis.
+        names = {key: f"{key}.factor" if each["factor"] else key for key, each in given.items()}
+        kinds = {column.name: column.kind for column in self.columns}
+        varied = {key: name for key, name in names.items() if kinds[name] != "json"}
+        if not varied:
+            return {}
+        units = {name: "" if given[key]["factor"] else unit_at(self.base, key) for key, name in varied.items()}
+        labels = {name: f"{name} [{unit}]" if unit else name for name, unit in units.items()}
+        are_grids = len(given) == len(varied) == 2 and all(each["kind"] == "grid" for each in given.values())
+        return {"sweep": partial(plot_map if are_grids else plot_sweep, rows["sweep"], labels)}
+
+
+def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Sweep:
     """From plain values of a `SweepFile`; paths relative to `folder`."""
     file, base = SweepFile.read("sweep", data, folder)
     if file.mismatch:
@@ -270,7 +289,7 @@ def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Experimen
     draws = Draws(base, file, runs)
     scenario = {key: value for key, value in base.to_dict().items() if key != "name"}
     distributions = {key: each.to_dict() for key, each in file.distributions.items()}
-    return Experiment(
+    return Sweep(
         kind="sweep",
         name=file.name,
         base=base,
@@ -295,33 +314,7 @@ def _without_units(base: Scenario, key: str, distribution: Distribution) -> Dist
     return dataclasses.replace(distribution, values=tuple(values))
 
 
-def write_picture(sweep: Experiment, result: Result) -> bool:
-    """sweep.png and .pdf: the error against each key that was varied, or a map where two run through a grid.
-
-    Returns whether there is something to draw.
-    """
-    # matplotlib takes a second to load.
-    from stewart_drake.plotting import save_figure
-    from stewart_drake.plotting.study_plots import plot_map, plot_sweep
-
-    rows, given = result.rows["sweep"], {**sweep.work["distributions"]}
-    # Of a factor the factor is shown; a list has no axis.
-    names = {key: f"{key}.factor" if each["factor"] else key for key, each in given.items()}
-    kinds = {column.name: column.kind for column in sweep.columns}
-    varied = {key: name for key, name in names.items() if kinds[name] != "json"}
-    if not varied:
-        return False
-    are_grids = len(given) == len(varied) == 2 and all(each["kind"] == "grid" for each in given.values())
-    units = {name: "" if given[key]["factor"] else unit_at(sweep.base, key) for key, name in varied.items()}
-    labels = {name: f"{name} [{unit}]" if unit else name for name, unit in units.items()}
-    figure = (plot_map if are_grids else plot_sweep)(rows, labels)
-    with locked_folder(result.folder):
-        for suffix in ("png", "pdf"):
-            save_figure(figure, result.folder / f"sweep.{suffix}")
-    return True
-
-
-def load_sweep(path: str | Path, runs: int | None = None) -> Experiment:
+def load_sweep(path: str | Path, runs: int | None = None) -> Sweep:
     more = {} if runs is None else {"runs": runs}
     return load_experiment("sweep", path, lambda data, folder: make_sweep({**data, **more}, folder))
 

@@ -24,6 +24,7 @@ from stewart_drake.studies.comparison import Comparison
 from stewart_drake.studies.comparison_file import TuneOptions, check_names
 from stewart_drake.studies.experiment import (
     Experiment,
+    Figures,
     Result,
     RunTrials,
     error_prefix,
@@ -156,6 +157,12 @@ class Tuning(Experiment):
             function=simulate_unchecked if evaluation else trial.function,
         )
 
+    def figures(self, rows: Mapping[str, list[Row]]) -> Figures:
+        # matplotlib takes a second to load.
+        from stewart_drake.plotting.study_plots import plot_search
+
+        return {"tune": partial(plot_search, rows["tune"])}
+
     def test(self, tuned: Mapping[str, Setting]) -> Comparison:
         """The comparison's own runs of each controller before and after the search; the start where it found none."""
         controllers: dict[str, Any] = {}
@@ -235,17 +242,6 @@ def run_tuning(
         write_atomically(folder / "tune.md", "\n".join(sheet.markdown() for sheet in sheets).encode())
         write_atomically(folder / "tuned.yaml", to_yaml({"name": tuning.name, "controllers": tuned}).encode())
     return TuneResult(rows, tuned, test, sheets)
-
-
-def write_picture(result: TuneResult, folder: Path) -> None:
-    # matplotlib takes a second to load.
-    from stewart_drake.plotting import save_figure
-    from stewart_drake.plotting.study_plots import plot_search
-
-    figure = plot_search(result.rows)
-    with locked_folder(folder):
-        for suffix in ("png", "pdf"):
-            save_figure(figure, folder / f"tune.{suffix}")
 
 
 def setting_at(keys: Iterable[str], point: np.ndarray) -> Setting:

@@ -88,8 +88,8 @@ def run_jobs(
 ) -> None:
     """Does the work of each key, in any order; `keep` gets each result in this process as it comes.
 
-    Where a worker process dies, what was under way is done again, one piece at a time; `died` gives the result of work
-    whose process dies twice, and without it all ends.
+    Where a worker process dies, the work that was under way is done again, one piece at a time; `died` gives the result
+    of work whose process dies twice. Without it that is an error.
     """
     workers = workers or Workers()
     if workers.count == 0:
@@ -99,11 +99,11 @@ def run_jobs(
         return
     waiting, suspects = deque(keys), list[K]()
     while waiting:
-        if lost := _work_off(waiting, work, keep, workers):
-            # Where not even nothing can be done, no work is to blame.
-            if _work_off(deque([None]), lambda _: (int, ()), lambda *_: None, workers):
-                raise StewartDrakeError(WORKER_GONE)
-            suspects += lost
+        suspects += _work_off(waiting, work, keep, workers)
+        # Where no process starts at all, no work is to blame.
+        nothing: deque[int] = deque([0] if suspects else [])
+        if _work_off(nothing, lambda _: (int, ()), lambda *_: None, workers):
+            raise StewartDrakeError(WORKER_GONE)
     for key in suspects:
         if _work_off(deque([key]), work, keep, workers):
             if died is None:
@@ -131,25 +131,23 @@ def run_all(
 def _work_off(
     waiting: deque[K], work: Callable[[K], Work], keep: Callable[[K, Any], None], workers: Workers
 ) -> list[K]:
-    """Takes work from `waiting` until there is none, a process dies, or all are worn; what was under way then."""
-    source, executor = str(versions.source_digest()), workers.executor()
+    """Takes work from `waiting` until there is none, a process dies, or all are worn; what a death has left undone."""
+    source, executor, died = str(versions.source_digest()), workers.executor(), False
     pending: dict[Future[Any], K] = {}
-    lost: list[K] = []
     try:
-        while not lost and (pending or (waiting and workers.left > 0)):
+        while not died and (pending or (waiting and workers.left > 0)):
             while waiting and workers.left > 0 and len(pending) <= workers.count:
-                function, arguments = work(waiting[0])
-                future = _submit(executor, _checked, source, function, arguments)
+                future = _submit(executor, _checked, source, *work(waiting[0]))
                 pending[future] = waiting.popleft()
                 workers.left -= 1
             for future in wait(pending, return_when=FIRST_COMPLETED).done:
-                key, error = pending.pop(future), future.exception()
+                error = future.exception()
                 if isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker":  # the latter Dask's
-                    lost.append(key)
+                    died = True
                 elif error is not None:
                     raise error
                 else:
-                    keep(key, future.result())
+                    keep(pending.pop(future), future.result())
     except BrokenExecutor:
         pass  # It broke between two pieces of work.
     except BaseException as error:
@@ -164,7 +162,7 @@ def _work_off(
         future.cancel()
     if workers.left <= 0:
         workers.replace()
-    return [*lost, *pending.values()]
+    return list(pending.values())
 
 
 def _submit(executor: Executor, *call: Any) -> Future[Any]:
@@ -190,7 +188,7 @@ def _checked(source: str, function: Callable[..., Any], arguments: tuple[Any, ..
 
 @lru_cache(maxsize=1)
 def _own_source() -> str:
-    return versions.source_digest()  # once a process: what is loaded does not change
+    return versions.source_digest()  # What this process has loaded does not change.
 
 
 def start_worker(parent: int) -> None:
@@ -210,8 +208,8 @@ def _connected(address: str) -> Any:
     with installed_with("stewart-drake[dask]"):
         import distributed
     # One line of ours stands for the tracebacks that it logs of a cluster that goes away.
-    for name in [each for each in logging.root.manager.loggerDict if each.startswith(("distributed", "tornado"))]:
-        logging.getLogger(name).disabled = True
+    for name in logging.root.manager.loggerDict:
+        logging.getLogger(name).disabled |= name.startswith(("distributed", "tornado"))
     connect: Any = distributed.Client  # untyped in parts
     try:
         client = connect(address, timeout=CONNECT_TIMEOUT, set_as_default=False)

@@ -8,12 +8,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.atomic_files import PACKAGE, checksum, locked_folder
+from stewart_drake.base.atomic_files import PACKAGE, checksum
 from stewart_drake.base.config import Real, Section, Text
 from stewart_drake.base.markdown import markdown_table
 from stewart_drake.base.registry import TUNERS
@@ -23,7 +24,7 @@ from stewart_drake.control.policy import NAMES, disturbance_of, weights_of
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import METRICS, OUTCOME, Column, run_cost, run_metrics
 from stewart_drake.scenario.scenario import Scenario
-from stewart_drake.studies.experiment import Experiment, RunTrials, grouped, not_completed
+from stewart_drake.studies.experiment import Experiment, Figures, RunTrials, grouped, not_completed
 from stewart_drake.studies.runs import Row, RowStore, Trial, identity, simulate_unchecked
 from stewart_drake.training.situations import HELD_OUT, KINDS, ROBOTS, Case, Changes, kinds_of, situation
 
@@ -284,6 +285,17 @@ class Evaluation(Experiment):
         ]
         return "\n\n".join(lines) + "\n"
 
+    def figures(self, rows: Mapping[str, list[Row]]) -> Figures:
+        # matplotlib takes a second to load.
+        from stewart_drake.plotting.study_plots import plot_costs
+
+        table = rows[self.kind]
+        names = dict.fromkeys(row["candidate"] for row in table if row["candidate"] != BEST_FIXED)
+        shown = {name: [estimate([cell]) for cell in ratios(table, name)] for name in names}
+        cells = dict.fromkeys((row["kind"], row["robot"]) for row in table)
+        labels = [kind if robot == "paper" else f"{kind}, {robot}" for kind, robot in cells]
+        return {self.kind: partial(plot_costs, labels, shown, BEST_FIXED)}
+
 
 def _never_worse(table: Sequence[Row], first: str, fixed: Sequence[str]) -> list[str]:
     """Tables by kind: errors and torque changes alone, and the first candidate relative to the fixed settings."""
@@ -331,16 +343,3 @@ def evaluation(candidates: Mapping[str, Candidate], seeds: int, plant: PlantKind
         columns=COLUMNS,
         work=_work(plant),
     )
-
-
-def write_picture(rows: Sequence[Row], folder: Path) -> None:
-    # The import takes a second.
-    from stewart_drake.plotting import save_figure
-    from stewart_drake.plotting.study_plots import plot_costs
-
-    names = dict.fromkeys(row["candidate"] for row in rows if row["candidate"] != BEST_FIXED)
-    shown = {name: [estimate([cell]) for cell in ratios(rows, name)] for name in names}
-    cells = dict.fromkeys((row["kind"], row["robot"]) for row in rows)
-    labels = [kind if robot == "paper" else f"{kind}, {robot}" for kind, robot in cells]
-    with locked_folder(folder):
-        save_figure(plot_costs(labels, shown, BEST_FIXED), folder / "verdict.png")

@@ -117,4 +117,6 @@ def test_directions_stand_for_equal_parts_of_the_sphere_and_ways_and_grid_agree_
     volume = 4.0 / 3.0 * np.pi * (surface.radius**3).mean()
     assert volume == pytest.approx(found.size(found.connected), rel=0.03)
     numbers, _ = study_poses(ROBOT, LIMITS, 9.81, HOME, 2000, 500)
-    assert numbers["workspaces"]["position"]["boundary_volume"] == pytest.approx(volume)
+    assert numbers["workspaces"]["position"]["inscribed_radius"] == surface.radius.min()
+    ends = boundary(ROBOT, LIMITS, "position", HOME, np.eye(3)).radius
+    np.testing.assert_array_equal(numbers["ranges"][1][3:], HOME[3:] + ends)

@@ -74,15 +74,12 @@ def test_a_second_process_compiles_nothing_and_a_change_below_reaches_what_was_c
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("ending", "size"), [("nbi", 40), ("nbc", None)])
-def test_a_damaged_cache_is_dropped_with_a_line_and_made_again(tmp_path, monkeypatch, ending, size):
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_a_damaged_cache_is_dropped_with_a_line_and_made_again(tmp_path, monkeypatch, ending):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     assert answer(tmp_path, 2.0) == (2.0, 1, 0, 0)
     for file in (tmp_path / "cache").rglob(f"*.{ending}"):
-        content = bytearray(file.read_bytes())[:size]
-        if size is None:
-            content[-100] ^= 1  # in machine code a bit that ends the process
-        file.write_bytes(content)
+        file.write_bytes(file.read_bytes()[:40])
     assert answer(tmp_path, 2.0) == (2.0, 1, 0, 1)
     assert answer(tmp_path, 2.0) == (2.0, 0, 1, 0)
 

@@ -8,7 +8,8 @@ from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.yaml_files import parse_yaml
 from stewart_drake.logs.metrics import mean_cost
 from stewart_drake.studies.comparison import Comparison
-from stewart_drake.studies.tune import START, TUNED, Tuning, minimise, run_tuning, write_picture
+from stewart_drake.studies.experiment import write_figures
+from stewart_drake.studies.tune import START, TUNED, Tuning, minimise, run_tuning
 from stewart_drake.studies.workers import Workers
 
 FILE = {
@@ -85,7 +86,7 @@ def test_what_is_found_goes_into_the_comparison(done):
     assert tuning(tuned="nowhere.yaml").start["pid"] == plan.start["pid"]
     table = pq.read_table(folder / "tune.parquet")
     assert table["cost"].to_pylist() == [row["cost"] for row in result.rows]
-    write_picture(result, folder)
+    write_figures(plan.figures({"tune": result.rows}), folder)
     assert {"tune.md", "tune.png", "tune.pdf"} <= {path.name for path in folder.iterdir()}
 
 
