@@ -102,8 +102,8 @@ class Record(_Base):
 
     @classmethod
     def of(cls, numbers: np.ndarray) -> Self:
-        """The record in the numbers of a signal (n,), for Python: its fields are attributes."""
-        result: Any = np.ascontiguousarray(numbers, dtype=float).view(cls.layout).view(np.recarray)[0]
+        """The record in a row (n,) of a signal, or those in rows (m, n), for Python: fields are attributes."""
+        result: Any = np.ascontiguousarray(numbers, dtype=float).view(cls.layout).view(np.recarray)[..., 0][()]
         return result
 
 
