@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -30,6 +30,11 @@ from stewart_drake.plant.plant_options import MechanismOptions, foreign_state
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import Moderate
 from stewart_drake.robot.robot_files import robot_model
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from stewart_drake.plant.mjcf_legs import Fit
 
 _MAX_BYTES = 10_000_000
 _CLOSED, _NOT_CLOSED, _ITERATIONS = 1e-12, 1e-9, 100
@@ -196,12 +201,12 @@ class _File:
         for element in [element for group in groups for element in group]:
             self.spec.delete(element)
 
-    def _actuators(self, model: Any, joint: int) -> list[int]:
+    def _actuators(self, model: mujoco.MjModel, joint: int) -> list[int]:
         on_joint = int(self.mujoco.mjtTrn.mjTRN_JOINT), int(self.mujoco.mjtTrn.mjTRN_JOINTINPARENT)
         found = (model.actuator_trnid[:, 0] == joint) & np.isin(model.actuator_trntype, on_joint)
         return np.flatnonzero(found).tolist()
 
-    def _force_range(self, model: Any, joint: int) -> tuple[float, float]:
+    def _force_range(self, model: mujoco.MjModel, joint: int) -> tuple[float, float]:
         """Lowest and highest torque [N m] of the model's actuators of a joint."""
         low, high = model.jnt_actfrcrange[joint] if model.jnt_actfrclimited[joint] else (-np.inf, np.inf)
         for actuator in self._actuators(model, joint):
@@ -220,8 +225,8 @@ class _File:
                 setattr(joint, key, getattr(default.joint, key))
         self.limits[:] = default.actuator.forcerange if np.any(default.actuator.forcerange) else (-np.inf, np.inf)
 
-    def fit(self, robot: RobotParameters) -> Any:
-        """Match of its legs and frames to the robot's, a `mjcf_legs.Fit`."""
+    def fit(self, robot: RobotParameters) -> Fit:
+        """Match of its legs and frames to the robot's."""
         fit, most = self.mjcf_legs.fit_frames(robot, self.legs), self.mjcf_legs.ALLOWED
         if not fit.residual <= most:
             allowed = f"a model of `robot` within {1e3 * most:g} mm, not {1e3 * fit.residual:.4g} mm ({fit.worst})"
@@ -283,7 +288,7 @@ class MujocoPlant:
 
     def _add_platform(
         self, file: _File, frame: tuple[np.ndarray, np.ndarray], options: MujocoOptions
-    ) -> tuple[Any, Any]:
+    ) -> tuple[mujoco.MjsSite, mujoco.MjsBody]:
         """Adds site P to a model, and the payload to its body; returns both."""
         data, quaternion, (rotation, place) = self._mujoco.MjData(file.model), np.empty(4), frame
         self._mujoco.mj_kinematics(file.model, data)
@@ -373,7 +378,7 @@ class MujocoPlant:
         self._integrate(model, data)
         return self._measure()
 
-    def _runge_kutta(self, model: Any, data: Any) -> None:
+    def _runge_kutta(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._mujoco.mj_RungeKutta(model, data, 4)
 
     def _measure(self) -> np.ndarray:
