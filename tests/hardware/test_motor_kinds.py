@@ -42,7 +42,7 @@ def test_motors_give_no_more_than_their_limit_on_every_plant(kind, motors):
 class DrivenMotors(MotorOptions):
     """Motors that take voltages."""
 
-    takes, unit = "voltage", "V"
+    command_quantity, unit = "voltage", "V"
 
     kind: Literal["driven"] = "driven"
     constant: Positive = 0.25
