@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stewart_drake.estimation.calibration import calibrate
-from stewart_drake.estimation.calibration_fit import located
+from stewart_drake.estimation.calibration import calibrate, located
 from stewart_drake.estimation.geometry import (
     CRANK,
     HOMING,

@@ -1,28 +1,46 @@
-"""Calibration of a robot's geometry from measured poses: the result, its tables and its report."""
+"""A robot's geometry from measured poses: two least-squares problems, one after the other; or why poses do not fit.
+
+First the errors of the rods' lengths, which exist for any guess; then the tracker's errors, weighted by their
+covariance: the maximum of the likelihood.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+import math
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+import scipy.optimize
+from scipy.spatial.transform import Rotation
+from scipy.special import stdtrit
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.tables import numbers_to_csv
 from stewart_drake.estimation import core, geometry
-from stewart_drake.estimation.calibration_fit import best_closures, fit_closures, fit_tracker
-from stewart_drake.estimation.core import Estimate, Result
+from stewart_drake.estimation.core import Estimate, Result, Unidentifiable
+from stewart_drake.estimation.corrections import corrections
 from stewart_drake.estimation.geometry import OF_ROBOT, PARAMETERS, PER_LEG, SIZE, PoseModel
 from stewart_drake.estimation.poses import MeasurementNoise, Measurements, load_measurements
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
-_SHARE = 1e-3  # [-] of an unidentifiable direction beyond which a parameter has no interval.
-_NOISY = 2.0  # [-] errors over the stated noise from which on the stated noise, or the model, is doubtful.
+_CONFIDENCE = 0.95
+_SHARE = 1e-3  # [-] of an unidentifiable direction beyond which a parameter has no interval
+_NOISY = 2.0  # [-] errors over the stated noise from which on the noise as stated, or the model, is doubtful
+_SEARCH = {"x_scale": 0.1, "xtol": 1e-12, "ftol": 1e-12, "gtol": None}
+"""Steps are a tenth of `scales` at most: a free one from a crude guess may turn a motor's axis over."""
+_FIRST_CALLS, _CALLS = 10, 200
+"""Calls of the errors at most: six find what fits, and what does not fit needs no minimum."""
+_LEAST_POSES = 4  # to locate the tracker's frames
 _SAME = 1e-9  # [rad, m] less than any tracker's last digit, more than a file's.
+_MISFIT = _BETTER = 5.0
+"""[-] closures over their noise from which a reason is looked for, and how many times smaller one must make them."""
+_FAR = 0.3  # [-] change of a parameter, in `scales`, that nobody's guess is off by.
+_Function = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -217,9 +235,187 @@ def calibrate(
     if good.all() and np.abs(geometry.difference(believed, measurements.marker)).max() < _SAME:
         got = "the poses that the guess has at these crank angles"
         raise ConfigurationError(measurements.source, got, "measured poses; is this a plan, not measured yet?")
-    start = best_closures(partial(fit_closures, robot, known_frames, free, noise), robot, measurements)
-    estimate, noise_ratio = fit_tracker(start, noise)
+    fit = partial(_fit_closures, robot, known_frames, free, noise)
+    start = _explained(fit, robot, measurements)
+    estimate, noise_ratio = _fit_tracker(start, noise)
     known = tuple(frame for frame in geometry.FRAMES if frame in known_frames)
     held = tuple(kind for kind in geometry.KINDS if kind in hold)
     calibrated = geometry.as_robot(robot, estimate.values)
     return Calibration(calibrated, start.model, measurements, known, held, estimate, noise_ratio)
+
+
+class _ClosureFit(NamedTuple):
+    """The smallest closures, at a step (k,) along identifiable `directions` (`SIZE`, k) [m, rad].
+
+    `misfit` [-] is their size over their noise, `relative` (`OF_ROBOT`,) [-] the size of each change in `scales`.
+    """
+
+    model: PoseModel
+    measurements: Measurements
+    directions: np.ndarray
+    unidentifiable: tuple[Unidentifiable, ...]
+    step: np.ndarray
+    change: np.ndarray
+    relative: np.ndarray
+    misfit: float
+
+    @property
+    def score(self) -> float:
+        return self.misfit if self.relative.max() <= _FAR else np.inf
+
+    def closures(self, angle: float = 0.0) -> np.ndarray:
+        """Errors (n, 6) [m] of the rods' lengths at readings that are larger by `angle` [rad]."""
+        at = self.model.platform(self.change, self.measurements.marker)
+        return self.model.closures(self.change, at, self.measurements.angles + angle)
+
+
+def _minimised(errors: _Function, slope: _Function, directions: np.ndarray, start: np.ndarray, calls: int) -> Any:
+    """The result of `scipy.optimize.least_squares` for the step along directions; errors and slope take the change."""
+    return scipy.optimize.least_squares(
+        lambda step: errors(directions @ step).ravel(),
+        start,
+        lambda step: (slope(directions @ step) @ directions).reshape(-1, len(step)),
+        max_nfev=calls,
+        **_SEARCH,
+    )
+
+
+def _fit_closures(
+    guess: RobotParameters,
+    known: Collection[str],
+    free: np.ndarray,
+    noise: MeasurementNoise,
+    measurements: Measurements,
+) -> _ClosureFit:
+    """The first of the two least-squares problems: the smallest errors of the rods' lengths."""
+    least = free.shape[1] // 6 + 1
+    if len(measurements) < least:
+        allowed = f"at least {least} poses for {free.shape[1]} unknown numbers, better some 60"
+        raise ConfigurationError(measurements.source, f"{len(measurements)} rows", allowed)
+    model, size, nothing = located(guess, measurements, known), geometry.scales(guess), np.zeros(SIZE)
+    observed, angles = measurements.marker, measurements.angles
+    at = model.platform(nothing, observed)
+    slope = model.whitening(nothing, at, angles, noise) @ model.tracker_slope(nothing, at, angles)
+    slope = (slope @ (size[:, None] * free)).reshape(-1, free.shape[1])
+    free, unidentifiable = core.identifiable(slope, free, size, geometry.LARGEST_DEVIATION)
+    directions, cranks = size[:, None] * free, float(guess.crank_lengths.max())
+    unit = math.hypot(noise.position, guess.characteristic_length * noise.rotation, cranks * noise.encoder)
+    result = _minimised(
+        lambda change: model.closures(change, model.platform(change, observed), angles) / unit,
+        lambda change: model.closure_slope(change, observed, angles) / unit,
+        directions,
+        np.zeros(directions.shape[1]),
+        _FIRST_CALLS,
+    )
+    misfit = math.sqrt(2.0 * result.cost / (result.fun.size - result.x.size))
+    change = directions @ result.x
+    relative = np.abs(change / size)[:OF_ROBOT]
+    return _ClosureFit(model, measurements, directions, unidentifiable, result.x, change, relative, misfit)
+
+
+def _fit_tracker(start: _ClosureFit, noise: MeasurementNoise) -> tuple[Estimate, float]:
+    """The second of the two least-squares problems: the smallest errors of the tracker; their size over the noise."""
+    model, measurements, directions = start.model, start.measurements, start.directions
+    observed, angles = measurements.marker, measurements.angles
+
+    def predicted(change: np.ndarray) -> np.ndarray:
+        at, error = model.predicted(change, angles, model.platform(change, observed))
+        if (error > geometry.CLOSED).any():
+            key = f"{measurements.source}: row {int(error.argmax()) + 1}, crank_angle"
+            got = f"readings at which no calibrated legs close: a rod is off by {error.max():.3g} m"
+            raise ConfigurationError(key, got, "a pose that is not singular, and a guess close to the robot")
+        return at
+
+    white = model.whitening(start.change, predicted(start.change), angles, noise)
+    result = _minimised(
+        lambda change: np.einsum("nij,nj->ni", white, model.tracker_error(change, predicted(change), observed)),
+        lambda change: white @ model.tracker_slope(change, predicted(change), angles, observed),
+        directions,
+        start.step,
+        _CALLS,
+    )
+    freedom = result.fun.size - result.x.size
+    ratio = math.sqrt(2.0 * result.cost / freedom)
+    # Scaled by what the residuals say of the noise, so that noise which is larger than stated widens the intervals.
+    root = ratio * np.linalg.inv(np.linalg.qr(result.jac, mode="r"))
+    estimate = Estimate(
+        PARAMETERS,
+        geometry.scales(model.guess),
+        directions @ result.x,
+        directions,
+        root @ root.T,
+        result.jac.T @ result.jac,
+        start.unidentifiable,
+        float(stdtrit(freedom, 0.5 + 0.5 * _CONFIDENCE)),
+    )
+    return estimate, ratio
+
+
+def located(guess: RobotParameters, measurements: Measurements, known: Collection[str]) -> PoseModel:
+    """The guess with the frames at which its own poses at the readings come nearest to the measured ones."""
+    believed, good = PoseModel(guess).assembled(measurements.angles)
+    observed = measurements.marker[good]
+    if len(observed) < _LEAST_POSES:
+        got = f"readings, of which only {len(observed)} of {len(measurements)} are possible for this robot"
+        allowed = "readings in rad (or _deg), in the order of the legs, near the crank angles of the guess"
+        raise ConfigurationError(f"{measurements.source}: crank_angle", got, allowed)
+    free = [at for at in range(OF_ROBOT, SIZE) if PARAMETERS[at].kind not in known]
+    if not free:
+        return PoseModel(guess)
+    base, marker, length = np.eye(4), np.eye(4), guess.characteristic_length
+    size = np.array([length] * 3 + [1.0] * 3)
+    if "base" not in known:
+        # Turns from pose to pose are turned by the base alone; shifts nearly so, and they show it if no pose is turned.
+        there, here = (np.concatenate(np.hsplit(size * geometry.steps(frames), 2)) for frames in (observed, believed))
+        turn = Rotation.align_vectors(there, here)[0].as_matrix()
+        base = geometry.transform(turn, (observed[:, :3, 3] - believed[:, :3, 3] @ turn.T).mean(axis=0))
+    if "platform" not in known:
+        turns = np.swapaxes(believed[:, :3, :3], -1, -2) @ base[:3, :3].T @ observed[:, :3, :3]
+        marker = geometry.transform(Rotation.from_matrix(turns).mean().as_matrix(), np.zeros(3))
+    model = PoseModel(guess, base, marker)
+
+    def error(frames: np.ndarray) -> np.ndarray:
+        return (size * model.tracker_error(directions @ frames, believed, observed)).ravel()
+
+    directions = np.eye(SIZE)[:, free]
+    return model.with_frames(directions @ scipy.optimize.least_squares(error, np.zeros(len(free)), x_scale="jac").x)
+
+
+def _explained(
+    fit: Callable[[Measurements], _ClosureFit], guess: RobotParameters, measurements: Measurements
+) -> _ClosureFit:
+    """The fit of measurements; refuses them if others, that are right if something is wrong, fit much better."""
+    start, reason, best = None, None, np.inf
+    try:
+        start = fit(measurements)
+        best = max(start.misfit / _BETTER, _MISFIT if start.score == np.inf else 0.0)
+    except ConfigurationError as error:
+        reason = error
+    off = None if start is None else np.abs(start.closures()).max(axis=-1)
+    for table, *message in corrections(guess, measurements, off) if start is None or start.score > _MISFIT else ():
+        try:
+            score = fit(Measurements.of_table(table, measurements.source)).score
+        except ConfigurationError:
+            continue
+        if score < best:
+            best, reason = score, ConfigurationError(*message)
+            if score <= _MISFIT:
+                break
+    if reason is not None:
+        raise reason
+    assert start is not None
+    if start.score == np.inf:
+        at = int(start.relative.argmax())
+        parameter = PARAMETERS[at]._replace(owner="")
+        off = f"{abs(start.change[at]):.3g} {parameter.unit}"
+        got = f"poses that give a {parameter} of leg {at // PER_LEG} {off} off the guess"
+        allowed = "readings of this robot; is it another one, or are two encoders swapped?"
+        raise ConfigurationError(measurements.source, got, allowed)
+    by_angle = geometry.derivative(lambda step: start.closures(step[0]), np.eye(1))[..., 0]
+    # With a leg's own angle its closure grows on the branch +1: the rod then pulls against the crank's motion.
+    wrong = (np.sign(by_angle) == -guess.branches).all(axis=0)
+    if wrong.any():
+        leg = int(wrong.argmax())
+        allowed = f"{-guess.branches[leg]}, the branch of the readings of {measurements.source}"
+        raise ConfigurationError(f"robot.legs.{leg}.branch", int(guess.branches[leg]), allowed)
+    return start
