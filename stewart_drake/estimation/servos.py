@@ -384,7 +384,7 @@ def load_servo_recording(log: AnyLog) -> ServoRecording:
             return ServoRecording.of_file(log, f"recording {log}")
         log = load_log(log)
     source = f"log of {log.scenario.name}"
-    if (motors := log.scenario.motors).takes != "angle":
+    if (motors := log.scenario.motors).command_quantity != "angle":
         raise ConfigurationError(source, f"motors.kind {motors.kind}", "a log of motors that take angles")
     rows, angles = torques.readings_of_log(log, source)
     return ServoRecording(log.time[rows], angles, log["commanded_angle"][rows], log.scenario.gravity, source)
@@ -394,7 +394,7 @@ def take_angles(logs: Iterable[str | Path]) -> bool:
     """Whether the first of some logs is one of motors that take angles."""
     log = Path(next(iter(logs)))
     if log.suffix.lower() != ".csv":
-        return load_log(log).scenario.motors.takes == "angle"
+        return load_log(log).scenario.motors.command_quantity == "angle"
     names = ""
     # A file that cannot be read is refused when it is loaded.
     with contextlib.suppress(OSError, ValueError), log.open(encoding="utf-8-sig") as stream:

@@ -224,7 +224,7 @@ def load_recording(path: str | Path, lag: float = 0.0) -> Recording:
 def recording_of_log(log: SimulationLog, source: str = "log") -> Recording:
     """Readings of encoders and amplifiers in a run."""
     motors = log.scenario.motors
-    if motors.takes != "torque":
+    if motors.command_quantity != "torque":
         allowed = f"a log of motors that take torque: those of kind {motors.kind} change theirs between two rows; "
         allowed += "of motors that take angles `identify_servos`"
         raise ConfigurationError(source, f"motors.kind {motors.kind}", allowed)

@@ -157,7 +157,7 @@ def command_path(
         command = "safe_torque"
     elif scenario.controller.code is not None or scenario.link.faults:
         # Motors would cut an infinite torque to one that looks valid. The package's controllers never give one.
-        finite = _FINITE._replace(constants={"what": scenario.motors.takes}, period=step)
+        finite = _FINITE._replace(constants={"what": scenario.motors.command_quantity}, period=step)
         parts.append(finite.connected(command=command))
         command = "checked"
     motors = scenario.motors.part(scenario.robot, step)
@@ -274,11 +274,13 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
     inverse = [part.connected(**law_inputs) for part in motors.inverse_parts(context)]
     if inverse and safety is not None:
         # The layer is behind the link, and its limits are torques.
-        allowed = f"motors that take torque [N m], with a safety layer; these take {motors.takes} [{motors.unit}]"
+        allowed = (
+            f"motors that take torque [N m], with a safety layer; these take {motors.command_quantity} [{motors.unit}]"
+        )
         raise ConfigurationError("motors.kind", motors.kind, allowed)
     command = "command" if inverse else "torque"
     if inverse:
-        logged[f"commanded_{motors.takes}"] = command
+        logged[f"commanded_{motors.command_quantity}"] = command
 
     # Densities and tuner, for a controller with weights; the tuner may set the disturbance that an observer expects.
     density = []
