@@ -22,7 +22,7 @@ REFERENCES = Family(
         "adjusted": "references.motions:AdjustedReference",
     },
     default="sine",
-    own="references.recorded:UserReference",
+    user_section="references.recorded:UserReference",
     methods=("evaluate", "__call__"),
 )
 CONTROLLERS = Family(
@@ -33,11 +33,12 @@ CONTROLLERS = Family(
         "feedforward": "control.feedforward:FeedforwardOptions",
     },
     default="lqi",
-    own="control.user_controller:PythonOptions",
+    user_section="control.user_controller:PythonOptions",
     methods=("GetInputPort", "__call__"),
-    gone={
+    former={
+        "python": "the path of your class or function as the kind itself, such as path/to/file.py:Class",
         "decoupled_pid": "pid with inertia: robot, feedforward: motion, derivative: difference, sticking: 4 and "
-        "dead_band: 2.5; kp, ki, kd for natural_frequency, integral_frequency, damping"
+        "dead_band: 2.5; kp, ki, kd for natural_frequency, integral_frequency, damping",
     },
 )
 TUNERS = Family(
@@ -53,7 +54,7 @@ TUNERS = Family(
 SENSORS = Family(
     {"ideal": "hardware.sensors:IdealSensors", "encoders": "hardware.sensors:EncoderOptions"},
     default="ideal",
-    own="hardware.sensors:UserSensors",
+    user_section="hardware.sensors:UserSensors",
     methods=("parts",),
 )
 PLANTS = Family(
@@ -63,7 +64,7 @@ PLANTS = Family(
         "mujoco": "plant.mujoco_plant:MujocoOptions",
     },
     default="drake",
-    own="plant.plant_options:UserPlantOptions",
+    user_section="plant.plant_options:UserPlantOptions",
     methods=("step",),
 )
 MOTORS = Family(
@@ -73,24 +74,24 @@ MOTORS = Family(
         "current": "hardware.servos:CurrentMotors",
     },
     default="torque",
-    own="hardware.motors:UserMotors",
+    user_section="hardware.motors:UserMotors",
     methods=("torque",),
 )
 ESTIMATORS = Family(
     {"difference": "control.estimator:DifferenceOptions", "observer": "control.observer:ObserverOptions"},
     default="difference",
-    own="control.estimator:UserEstimator",
+    user_section="control.estimator:UserEstimator",
     methods=("parts",),
 )
 ADAPTATIONS = Family(
     {"regression": "control.adaptation:RegressionOptions"},
     default="regression",
-    own="control.base:UserAdaptation",
+    user_section="control.base:UserAdaptation",
     methods=("parts",),
 )
-OWN_MONITORS = Family({}, own="safety.limits:UserMonitor", methods=("look",))
+OWN_MONITORS = Family({}, user_section="safety.limits:UserMonitor", methods=("look",))
 """Those of the user's own, under `safety.monitors`; the others stand in `safety.limits`."""
-OWN_METRICS = Family({}, own="logs.metrics:UserMetric", methods=("of",))
+OWN_METRICS = Family({}, user_section="logs.metrics:UserMetric", methods=("of",))
 """Those of the user's own, under `metrics`; the others stand in `logs.metrics`."""
 DISTURBANCES = Family(
     {
@@ -100,7 +101,7 @@ DISTURBANCES = Family(
         "sine": "hardware.disturbances:SineWrench",
         "noise": "hardware.disturbances:NoiseWrench",
     },
-    own="hardware.disturbances:UserDisturbance",
+    user_section="hardware.disturbances:UserDisturbance",
     methods=("evaluate",),
 )
 MACHINES = Table({"reachy": "reachy.machine:ReachyMachine", "udp": "machines.udp:UdpMachine"})

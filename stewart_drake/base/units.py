@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from typing import Any
-
-from stewart_drake.base.errors import ConfigurationError
+from typing import Any, NamedTuple
 
 UNITS: Mapping[str, tuple[str, float]] = {
     **{"rad": ("rad", 1.0), "deg": ("rad", math.radians(1.0)), "°": ("rad", math.radians(1.0)), "mrad": ("rad", 1e-3)},
@@ -26,28 +24,51 @@ _TEXT = r"^[-+.\d]+ *[A-Za-z°]"
 _MEASURE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z°][\w/^ ]*?)\s*")
 
 
-def in_unit(value: Any, key: str, units: str, place: tuple[int, int] = (0, 1)) -> Any:
+def in_unit(value: Any, units: str, index: int = 0, length: int = 1) -> Any:
     """A text such as `30 deg` as a number of the field's unit, in lists too; what is no such text stays.
 
-    Of several units, `rad, m`, the first ones are for the first numbers of a list; `place` is the index and the length.
+    Of several units, `rad, m`, the first ones are for the first items of a list; `index` is the place in one.
     """
     if isinstance(value, (list, tuple)) and units:
-        return tuple(in_unit(each, key, units, (index, len(value))) for index, each in enumerate(value))
-    match = _MEASURE.fullmatch(value) if isinstance(value, str) and units else None
-    if match is None:
-        return value
+        return tuple(in_unit(item, units, place, len(value)) for place, item in enumerate(value))
     several = units.split(", ")
-    unit = several[place[0] * len(several) // place[1]]
-    base, size = UNITS.get(unit, (unit, 1.0))
+    unit = several[index * len(several) // length]
+    found = _measured(value, unit)
+    return value if found is None or found.factor == 0.0 else float(found.number) * found.factor / _size(unit)
+
+
+def wrong_unit(value: Any, unit: str) -> str:
+    """What is allowed in place of a text with another unit, such as `3 mm` for seconds; empty for anything else."""
+    found = _measured(value, unit)
+    if found is None or found.factor != 0.0:
+        return ""
+    base, _ = UNITS.get(unit, (unit, 1.0))
+    bases = ("rad/s", "Hz") if base == "rad/s" else (base,)
+    fitting = [name for name, (of, _) in UNITS.items() if of in bases]
+    allowed = f"a number [{unit}]" + (f", or one with {', '.join(fitting)} behind it" if fitting else "")
+    return allowed + _reciprocal(found.number, found.unit, base)
+
+
+def _size(unit: str) -> float:
+    return UNITS.get(unit, (unit, 1.0))[1]
+
+
+class _Measured(NamedTuple):
+    number: str
+    unit: str
+    factor: float  # Size of its unit; 0 where it is of something else than the field's.
+
+
+def _measured(value: Any, unit: str) -> _Measured | None:
+    """A text such as `30 deg` where a number in `unit` is expected; None for what is no such text."""
+    match = _MEASURE.fullmatch(value) if isinstance(value, str) and unit else None
+    if match is None:
+        return None
+    base, _ = UNITS.get(unit, (unit, 1.0))
     of, factor = UNITS.get(match[2], ("", 0.0))
     if (of, base) == ("Hz", "rad/s"):
         of, factor = base, math.tau * factor
-    if of != base or not factor:
-        bases = ("rad/s", "Hz") if base == "rad/s" else (base,)
-        fitting = [name for name, (each, _) in UNITS.items() if each in bases]
-        allowed = f"a number [{unit}]" + (f", or one with {', '.join(fitting)} behind it" if fitting else "")
-        raise ConfigurationError(key, value, allowed + _reciprocal(match[1], match[2], base))
-    return float(match[1]) * factor / size
+    return _Measured(match[1], match[2], factor if of == base else 0.0)
 
 
 def _reciprocal(number: str, name: str, wanted: str) -> str:

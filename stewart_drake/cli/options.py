@@ -173,11 +173,11 @@ class Seconds(click.ParamType):
         self.range = click.FloatRange(min=least)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        from stewart_drake.base.units import in_unit
+        from stewart_drake.base.config import number_in
 
         with suppress(ValueError):
             return self.range.convert(float(value), param, ctx)
-        number = click.FLOAT.convert(in_unit(value, param.opts[0] if param else self.name, "s"), param, ctx)
+        number = number_in(param.opts[0] if param else self.name, value, "s")
         return self.range.convert(number, param, ctx)
 
 

@@ -68,7 +68,7 @@ class DifferenceOptions(EstimatorOptions):
         return (difference_part(self, context),)
 
 
-class UserEstimator(UserParts, EstimatorOptions, key="estimator"):
+class UserEstimator(UserParts, EstimatorOptions, key="estimator"):  # type: ignore[misc]
     """Your own estimator: `parts(context)` returns parts that make of `reading` the signal `measurement` (12,)."""
 
 

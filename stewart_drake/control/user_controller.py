@@ -20,7 +20,7 @@ from stewart_drake.loop.part import LoopContext, Part
 _EXPECTED = "a LeafSystem of pydrake, or what is called as torque = f(measurement, setpoint, time)"
 
 
-class PythonOptions(UserMade, ControllerOptions):
+class PythonOptions(UserMade, ControllerOptions):  # type: ignore[misc]
     """Your own controller, by its import path.
 
     A function `torque = f(measurement, setpoint, time)`, or a class of objects that are called so, runs with every
@@ -56,7 +56,7 @@ class PythonOptions(UserMade, ControllerOptions):
         """The user's LeafSystem, or a function that is called at every tick."""
         controller = self.load()
         if isinstance(controller, type):
-            controller = self.construct({"robot": context.robot, "period": self.period, "gravity": context.gravity})
+            controller = self.new_object({"robot": context.robot, "period": self.period, "gravity": context.gravity})
         if _is_system(controller):
             return (self._system_part(controller, len(context.tuner.weights)),)
         return (function_part(controller),)

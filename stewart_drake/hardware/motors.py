@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.base.code import UserCode
-from stewart_drake.base.config import LegNumber, Natural, NotNegative, Section, Seed, Share
+from stewart_drake.base.config import InOtherKinds, LegNumber, Natural, NotNegative, Section, Seed, Share
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.families import UserMade
 from stewart_drake.base.jit import fields, new_record, njit, record
@@ -126,7 +126,7 @@ def within_limit(torque: Any, limit: Any) -> Any:
 class MotorOptions(Section, ABC, key="motors"):
     """Base of the options of motors; the loop asks these, not which kind it is."""
 
-    own_keys = frozenset({"resolution"})
+    kind_keys = frozenset({"resolution"})
     takes: ClassVar[str] = "torque"
     """What its command is."""
     unit: ClassVar[str] = "N m"
@@ -135,6 +135,8 @@ class MotorOptions(Section, ABC, key="motors"):
     """Whether a command is an angle, which a motor holds by itself."""
     by_torque: ClassVar[bool] = True
     """Whether a command is a torque."""
+    dead = InOtherKinds(None)
+    """A motor that loses its torque."""
 
     kind: str
     """Kind of motor."""
@@ -203,11 +205,6 @@ class MotorOptions(Section, ABC, key="motors"):
         """Whether they give what is asked for, within their limit."""
         return False
 
-    @property
-    def dead(self) -> DeadMotor | None:
-        """A motor that loses its torque."""
-        return None
-
 
 class TorqueMotors(MotorOptions):
     """Motors that take torques, with imperfections; by default there are none."""
@@ -256,7 +253,7 @@ class TorqueMotors(MotorOptions):
         return Part("motors", limit_torque, {}, inputs, ("torque",), first, period=time_step, parameters=numbers)
 
 
-class UserMotors(UserMade, MotorOptions, key="motors"):
+class UserMotors(UserMade, MotorOptions, key="motors"):  # type: ignore[misc]
     """Your own motors: `torque(command, angles, rates, time)` returns the six torques [N m] that they give.
 
     It is called at every step of the plant: command (6,) [N m], or [rad] where `model.motors` are believed to take
@@ -267,7 +264,7 @@ class UserMotors(UserMade, MotorOptions, key="motors"):
     asked = "torque(command, angles, rates, time) returns six torques [N m]"
 
     def part(self, robot: RobotParameters, time_step: float) -> Part:
-        motors = self.construct({"robot": robot, "time_step": time_step})
+        motors = self.new_object({"robot": robot, "time_step": time_step})
         if not callable(getattr(motors, "torque", None)):
             raise self.refusal("one without torque")
         guard = UserCode(type(motors).__module__)

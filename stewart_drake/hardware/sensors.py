@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.config import Natural, NotNegative, Section, Seed, Vector6
+from stewart_drake.base.config import InOtherKinds, Natural, NotNegative, Section, Seed, Vector6
 from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.hardware.faults import EncoderFault, Fault, PoseFault, Signal, tick_numbers
 from stewart_drake.loop.part import Part
@@ -23,7 +23,7 @@ _STREAM = 1  # Of random numbers, see `faults.tick_numbers`.
 class SensorOptions(Section, key="sensors"):
     """Base of the options of sensors; wiring, safety and logs ask these, not which kind it is."""
 
-    reading: ClassVar[Literal["angles", "pose"]] = "pose"
+    reading: ClassVar[Any] = InOtherKinds("pose")
     """What a reading is: the six angles of the cranks [rad], or pose [rad, m] and its rate."""
     kind: str
     """Kind of sensor."""
@@ -109,7 +109,7 @@ class EncoderOptions(SensorOptions):
         return np.rint(angles / self.quantum) * self.quantum if self.quantum > 0.0 else angles
 
 
-class UserSensors(UserParts, SensorOptions, key="sensors"):
+class UserSensors(UserParts, SensorOptions, key="sensors"):  # type: ignore[misc]
     """Your own sensors: `parts(period)` returns parts that make of `plant_pose` or `crank_state` the signal `reading`.
 
     The period of the readings is in [s].

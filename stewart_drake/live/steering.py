@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import NamedTuple
 
@@ -96,7 +95,7 @@ class HandReference:
         if (begun == self.goal).all():
             return
         speed = min(scenario.limits.crank_speed or np.inf, CRANK_SPEED)
-        limits = dataclasses.replace(scenario.limits, crank_speed=speed)
+        limits = scenario.limits.replace(crank_speed=speed)
         own = self.at(time)[:6] - hand.state[0]
         for share in 0.5 ** np.arange(7):
             target = self.goal if share == 1.0 else begun + share * (self.goal - begun)

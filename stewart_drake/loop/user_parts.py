@@ -15,7 +15,7 @@ class UserParts(UserMade):
 
     def parts(self, context: Any) -> tuple[Part, ...]:
         """Those that a new object gives; of a sensor the argument is the period [s] of its readings."""
-        made = self.construct({})
+        made = self.new_object({})
         if not callable(getattr(made, "parts", None)):
             raise self.refusal("one without parts")
         with self.code.blamed(self.code_key, f"a class whose {self.asked} and does not raise"):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from functools import partial
 from importlib.resources import files
 from typing import Any
@@ -91,7 +90,7 @@ def reproduce(study: Reproduction) -> Result:
     controllers = {name: paper_scenario(base, 10.0, *condition, pair_of(ratio)) for name, ratio in FIXED.items()}
     controllers[TUNER] = study.under_tuner(controllers["ratio 1"])
     scenarios: dict[tuple[str, Any], Scenario] = {
-        (name, who): scenario.replace({"reference": asdict(motion), "duration": duration})
+        (name, who): scenario.replace({"reference": motion.to_dict(), "duration": duration})
         for name, (motion, duration) in trajectories.items()
         for who, scenario in controllers.items()
     }

@@ -312,7 +312,7 @@ def fit_speed(
 def adjusted(reference: Reference, scale: float = 1.0, slowdown: float = 1.0) -> AdjustedReference:
     """A motion made smaller and slower; one that is adjusted already is not wrapped again."""
     if isinstance(reference, AdjustedReference):
-        return dataclasses.replace(reference, scale=scale * reference.scale, slowdown=slowdown * reference.slowdown)
+        return reference.replace(scale=scale * reference.scale, slowdown=slowdown * reference.slowdown)
     motion: Any = reference
     return AdjustedReference(motion=motion, scale=scale, slowdown=slowdown)
 

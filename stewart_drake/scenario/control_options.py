@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, nullcontext
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
@@ -15,6 +14,7 @@ from stewart_drake.base.config import (
     NAME_WORDS,
     Natural,
     NotNegative,
+    Reading,
     Section,
     Text,
     Vector6,
@@ -118,12 +118,11 @@ class ControlOptions(Section):
     """The safety layer between controller and motors; null for none."""
 
     @classmethod
-    def _validated(cls, data: Any, key: str, **details: Any) -> Any:
-        if not isinstance(data, dict):
-            return super()._validated(data, key, **details)
-        data, defaults = _with_robots(data, cls.nominal_robot)
-        with defaults:
-            return super()._validated(data, key, **details)
+    def _read(cls, data: Any, reading: Reading, key: str | None = None, **details: Any) -> Self:
+        if isinstance(data, dict):
+            data, defaults = _with_robots(data, cls.nominal_robot)
+            reading = reading._replace(defaults=defaults)
+        return super()._read(data, reading, key, **details)
 
     @classmethod
     def from_dict(cls, data: Any, key: str | None = None, trust_code: bool = False) -> Self:
@@ -222,9 +221,7 @@ class ControlOptions(Section):
 _ROBOT: TypeAdapter[RobotParameters | None] = TypeAdapter(AnyRobot | None)
 
 
-def _with_robots(
-    data: dict[str, Any], nominal: RobotParameters | None
-) -> tuple[dict[str, Any], AbstractContextManager[None]]:
+def _with_robots(data: dict[str, Any], nominal: RobotParameters | None) -> tuple[dict[str, Any], Any]:
     """The keys with the robots read, and the defaults of these robots, and of how soon a command acts.
 
     Without the key `robot` it is `nominal`, or where that is None the one that is believed.
@@ -252,7 +249,7 @@ def _with_robots(
             friction["model"] = {"friction": {"coulomb": gear.coulomb, "viscous": gear.viscous, "width": 0.004}}
     except (ConfigurationError, ValueError, TypeError, OverflowError):
         # The checks will say what is wrong with it.
-        return data, nullcontext()
+        return data, None
     if "model" in data:
         robots["model"] = model
     believed = believed or robot

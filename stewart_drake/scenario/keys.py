@@ -112,7 +112,7 @@ def _change_kind(key: str, here: dict[str, Any], kind: Any, family: Family) -> N
     old, new = family.resolve(here), family.resolve({"kind": kind})
     if old is not None and new is not None and here.get("kind", family.default) != kind:
         fields = old.__pydantic_fields__
-        lost = set(here) & set(fields) - (set(new.__pydantic_fields__) - new.own_keys)
+        lost = set(here) & set(fields) - (set(new.__pydantic_fields__) - new.kind_keys)
         if dropped := sorted(name for name in lost if to_plain(here.pop(name)) != to_plain(fields[name].default)):
             name = getattr(kind, "__name__", kind)
             _say_once(f"{key}: dropped {', '.join(dropped)}, which {name} lacks or takes for something else")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import Field, TypeAdapter
 
@@ -13,6 +13,7 @@ from stewart_drake.base.config import (
     Count,
     NotNegative,
     Positive,
+    Reading,
     to_plain,
 )
 from stewart_drake.base.errors import ConfigurationError
@@ -80,10 +81,10 @@ class Scenario(ControlOptions):
     controller.period."""
 
     @classmethod
-    def _validated(cls, data: Any, key: str, **details: Any) -> Any:
-        scenario = super()._validated(data, key, **details)
+    def _read(cls, data: Any, reading: Reading, key: str | None = None, **details: Any) -> Self:
+        scenario = super()._read(data, reading, key, **details)
         if isinstance(data, dict) and "duration" not in data and isinstance(scenario.reference, RecordedReference):
-            vars(scenario)["duration"] = scenario.reference.end
+            scenario.__dict__["duration"] = scenario.reference.end
             scenario.rules()
         return scenario
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import math
 from abc import abstractmethod
@@ -260,7 +259,7 @@ def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Experimen
         kept |= {"delay": belief.delay, "reading_age": belief.reading_age, "motors": belief.motors.to_dict()}
         base = base.replace({f"model.{key}": value for key, value in kept.items() if getattr(model, key) is None})
     values = {key: _without_units(base, key, each) for key, each in file.distributions.items()}
-    file = dataclasses.replace(file, distributions=values)
+    file = file.replace(distributions=values)
     runs = file.runs
     if runs is None:
         grids = [len(each.values) for each in file.distributions.values() if isinstance(each, Grid)]
@@ -292,7 +291,7 @@ def _without_units(base: Scenario, key: str, distribution: Distribution) -> Dist
         with suppress(ConfigurationError):
             value = value_at(with_changes(base, {key: each}).in_full(), key)
             values[-1] = value if isinstance(value, (int, float)) else each
-    return dataclasses.replace(distribution, values=tuple(values))
+    return distribution.replace(values=tuple(values))
 
 
 def write_picture(sweep: Experiment, result: Result) -> bool:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from datetime import date
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -113,14 +113,12 @@ def fast_scenario(case: Case) -> Scenario:
 class GivenTuner(PolicyTuner):
     """A tuner that has its source of settings already, in the place of a policy file."""
 
-    adapts: ClassVar[bool] = False
-
 
 def tuned_by(source: SettingSource, scenario: Scenario, kappa: float = 0.0) -> Scenario:
     """A scenario with block weights and a source of settings."""
     q_pose, q_rate, q_integral, r = scenario.tuner.weights
     tuner = GivenTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=kappa)
-    vars(tuner)["_source"] = source
+    tuner._source = source
     return scenario.replace({"tuner": tuner})
 
 

@@ -50,7 +50,7 @@ count = Metric("count", "", "of steps", lambda tally: tally.steps, "steps", kind
 PLACES = {
     "reference": ("reference: {{kind: '{}'}}", "Rise"),
     "disturbance": ("disturbances: ['{}']", "Push"),
-    "python controller": ("controller: {{kind: python, system: '{}'}}", "Weight"),
+    "controller": ("controller: {{kind: '{}'}}", "Weight"),
     "monitor": ("safety: {{monitors: [{{kind: '{}'}}]}}", "Look"),
     "metric": ("metrics: ['{}']", "count"),
     "part": ("reference: {{kind: sum, parts: [hold, {{kind: '{}'}}]}}", "Rise"),
