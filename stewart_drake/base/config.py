@@ -16,8 +16,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
-from types import UnionType
-from typing import Annotated, Any, ClassVar, NamedTuple, Self, Union, cast, get_args, get_origin
+from typing import Annotated, Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 from pydantic import (
@@ -35,7 +34,7 @@ from pydantic import (
     model_validator,
 )
 from pydantic.fields import FieldInfo
-from pydantic_core import CoreSchema, PydanticCustomError
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.keys import TINY, Key, all_keys, allowed_text, join_or, keys_of, part_at, unit_and_text
@@ -45,7 +44,7 @@ MAX_SEED = 2**63 - 1
 
 
 def with_message(text: str) -> WrapValidator:
-    """In `Annotated`, last: what is said of a value that the type does not take."""
+    """The message for a value that a type does not take; must come last in `Annotated`."""
 
     def checked(value: Any, handler: Callable[[Any], Any]) -> Any:
         try:
@@ -57,9 +56,9 @@ def with_message(text: str) -> WrapValidator:
 
 
 Real = Annotated[float, Strict()]
-"""A finite number; an integer will do."""
+"""A finite number; integers are accepted."""
 Phase = Annotated[float, Strict(), Field(ge=-math.tau, le=math.tau)]
-"""[rad] within a turn: more was meant in degrees."""
+"""[rad] within a turn; a larger number was probably meant in degrees."""
 Count = Annotated[int, Strict()]
 Positive = Annotated[float, Strict(), Field(ge=TINY)]
 NotNegative = Annotated[float, Strict(), Field(ge=0.0)]
@@ -75,33 +74,24 @@ Window = Annotated[int, Strict(), Field(ge=1)]
 Flag = Annotated[bool, Strict()]
 Text = Annotated[str, Strict()]
 NAME = r"^\w[\w .+-]*$"
+"""Pattern of a name that can be used for a folder."""
 NAME_WORDS = "letters, digits and _, and after the first of them space and . + - too"
-"""Of a name that can be a folder's."""
 Vector6 = tuple[Real, Real, Real, Real, Real, Real]
 """roll, pitch, yaw, X, Y, Z."""
 PositivePair = tuple[Positive, Positive]
 
 
-def one_for_six(number: Any, unit: str = "") -> BeforeValidator:
-    """In `Annotated` of six numbers of a type, which have one unit: a single number stands for all six."""
+def one_for_six(number: Any) -> BeforeValidator:
+    """In `Annotated` of six numbers of one type: a single number is accepted for all six."""
 
-    def spread(given: Any) -> Any:
-        if isinstance(given, (int, float)):
-            try:
-                check_value("", given, number, unit)
-            except ConfigurationError as error:
-                # What is no such number stays, and the message on it names both forms; a hint at its unit goes first.
-                if "; did you mean" in error.allowed:
-                    raise as_problem(ConfigurationError("", given, error.allowed)) from None
-                return given
-            return (given,) * 6
-        return given
+    def repeated(value: Any) -> Any:
+        return (value,) * 6 if isinstance(value, (int, float)) else value
 
-    return BeforeValidator(spread, json_schema_input_type=number | tuple[(number,) * 6])  # type: ignore[misc]
+    return BeforeValidator(repeated, json_schema_input_type=number | tuple[(number,) * 6])  # type: ignore[misc]
 
 
 SixNumbers = Annotated[Vector6, one_for_six(Real)]
-"""Of one unit, in the same order; one number stands for all."""
+"""Six numbers of one unit, or one number for all."""
 
 
 class Reading(NamedTuple):
@@ -202,7 +192,7 @@ class Section(BaseModel):
             try:
                 return cast(Self, cls.__pydantic_validator__.validate_python(data, context=reading, **details))
             except ValidationError as error:
-                raise explain(error, cls, data, cls.section_key if key is None else key) from None
+                raise _as_one(error, cls.section_key if key is None else key) from None
 
     @model_validator(mode="after")
     def _obeys_rules(self) -> Self:
@@ -223,13 +213,16 @@ class Section(BaseModel):
             if defaults is None or defaults(cls, {}) is None:
                 return data
             given, private = data.given(), data.__pydantic_private__
-        if not isinstance(given, dict):
-            return handler(given)
+        values = given
         try:
+            if not isinstance(given, dict):
+                return handler(given)
             values = {name: in_unit(plain(value), cls._units.get(name, "")) for name, value in given.items()}
             if defaults is not None and (filled := defaults(cls, values)) is not None:
                 values = {name: {} for name in cls._default_sections} | filled
             result = handler(values)
+        except ValidationError as error:
+            raise explain(error, cls, values) from None
         except RecursionError:
             raise as_problem(ConfigurationError("", data, "values that do not contain themselves")) from None
         result.model_fields_set.intersection_update(given)
@@ -333,7 +326,7 @@ def check_value(key: str, value: Any, kind: Any, unit: str = "") -> None:
     try:
         _adapter(kind).validate_python(plain(value))
     except ValidationError as error:
-        raise explain(error, kind, value, key, unit) from None
+        raise _as_one(explain(error, kind, value, unit), key) from None
 
 
 def number_in(key: str, text: str, unit: str) -> float:
@@ -390,32 +383,31 @@ def as_problem(error: ConfigurationError) -> PydanticCustomError:
     return PydanticCustomError("rule", "expected {allowed}", {"error": error, "allowed": error.allowed})
 
 
-def explain(error: ValidationError, kind: Any, data: Any, key: str, unit: str = "") -> ConfigurationError:
-    """What pydantic found wrong with the data of a section, or of a type with a unit: one error, unknown keys first."""
-    lines: dict[str, ConfigurationError] = {}
+def explain(error: ValidationError, kind: Any, data: Any, unit: str = "") -> ValidationError:
+    """What pydantic found wrong with the data of a section, or of another type with a unit, in our words."""
+    lines = []
     for report in error.errors(include_url=False):
         location, problem = _problem(report, kind, data, unit)
-        keys = [key, *(shorten(str(part)) for part in location if part != "[key]"), problem.key]
-        line = ConfigurationError(".".join(filter(None, keys)) or "scenario", problem.value, problem.allowed)
-        lines[str(line)] = line
-    first, *others = sorted(lines.values(), key=lambda line: not line.allowed.startswith("no such"))
-    first.others = tuple(others)
-    return first
+        lines.append(InitErrorDetails(type=as_problem(problem), loc=location, input=report["input"]))
+    return ValidationError.from_exception_data("section", lines)
 
 
 def _problem(report: Any, kind: Any, data: Any, unit: str) -> tuple[tuple[Any, ...], ConfigurationError]:
-    """Where a report of pydantic is, and in our words what is wrong there."""
+    """Where a report of pydantic is, and what is wrong there."""
     error, location, value, context = report["type"], report["loc"], report["input"], report.get("ctx", {})
-    section, path = _innermost(kind, data, location)
-    if section is not None:
-        name, *path = path or ("",)
+    path = location
+    if isinstance(kind, type) and issubclass(kind, Section) and location:
+        name, path = location[0], location[1:]
         if error == "extra_forbidden":
-            return location, ConfigurationError("", value, _unknown_here(section, str(name)))
-        kind, unit = _type_of(section.__pydantic_fields__.get(name)), section.unit_of(name)
-    if error == "missing" and isinstance(location[-1], str):
-        return location, ConfigurationError("", None, f"a value{unit and f' [{unit}]'}; this key is required")
+            return location, ConfigurationError("", value, _unknown_here(kind, str(name)))
+        if error == "missing" and not path:
+            unit = kind.unit_of(name) and f" [{kind.unit_of(name)}]"
+            return location, ConfigurationError("", None, f"a value{unit}; this key is required")
+        data, unit, kind = data.get(name), kind.unit_of(name), _type_of(kind.__pydantic_fields__.get(name))
     if error == "missing":  # An item of a list that is too short: what is wrong is the list.
         location, path = location[:-1], ()
+    if path and isinstance(data, (int, float)):  # One number for all six.
+        location, path, value = location[: -len(path)], (), data
     if isinstance(value, str) and unit and (allowed := wrong_unit(value, _part(kind, path, unit)[1].split(", ")[0])):
         return location[: len(location) - len(path)], ConfigurationError("", value, allowed)
     if error == "rule":
@@ -434,43 +426,34 @@ def _problem(report: Any, kind: Any, data: Any, unit: str) -> tuple[tuple[Any, .
     return location, ConfigurationError("", value, allowed)
 
 
+def _as_one(error: ValidationError, key: str) -> ConfigurationError:
+    """Problems in our words as one error, unknown keys first."""
+    lines: dict[str, ConfigurationError] = {}
+    for report in error.errors(include_url=False):
+        problem: ConfigurationError = report["ctx"]["error"]
+        keys = [key, *(shorten(str(part)) for part in report["loc"] if part != "[key]"), problem.key]
+        line = ConfigurationError(".".join(filter(None, keys)) or "scenario", problem.value, problem.allowed)
+        lines[str(line)] = line
+    first, *others = sorted(lines.values(), key=lambda line: not line.allowed.startswith("no such"))
+    first.others = tuple(others)
+    return first
+
+
 def _part(kind: Any, path: Sequence[int | str], unit: str) -> tuple[Mapping[str, Any], str]:
     return part_at(_schema_of(kind), _schema_of(kind), path, unit)
-
-
-def _unknown_here(section: Any, key: str) -> str:
-    if key in section.moved_keys:
-        return f"no such key; it is now {section.moved_keys[key]}"
-    kinds = section.family.kinds_with(key) if section.family else ()
-    return unknown_key(key, list(section.__pydantic_fields__), kinds)
-
-
-def _innermost(kind: Any, data: Any, location: tuple[Any, ...]) -> tuple[Any, tuple[Any, ...]]:
-    """The innermost section on the way to a location in data of a type, and the rest of the way; None without one."""
-    section, path = None, location
-    for depth, part in enumerate(location):
-        family = None
-        while get_origin(kind) in (Annotated, Union, UnionType):
-            family = family or next((each for each in getattr(kind, "__metadata__", ()) if hasattr(each, "resolve")), 0)
-            kind = get_args(kind)[0]
-        kind, inner = family.resolve(data) if family else kind, get_args(kind)
-        if isinstance(kind, type) and issubclass(kind, Section):
-            section, path, kind = kind, location[depth:], _type_of(kind.__pydantic_fields__.get(part))
-        elif get_origin(kind) is tuple and isinstance(part, int):
-            kind = inner[0] if ... in inner else inner[min(part, len(inner) - 1)]
-        else:
-            kind = inner[-1] if inner else None
-        try:
-            data = data[part]
-        except (TypeError, KeyError, IndexError):
-            data = getattr(data, str(part), None)
-    return section, path
 
 
 def _type_of(field: FieldInfo | None) -> Any:
     if field is None:
         return None
     return Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
+
+
+def _unknown_here(section: type[Section], key: str) -> str:
+    if key in section.moved_keys:
+        return f"no such key; it is now {section.moved_keys[key]}"
+    kinds = section.family.kinds_with(key) if section.family else ()
+    return unknown_key(key, list(section.__pydantic_fields__), kinds)
 
 
 def unit_hints(section: Any, largest: Mapping[str, float], key: str = "") -> list[str]:
