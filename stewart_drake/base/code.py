@@ -15,16 +15,16 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any, Self
 
+from pydantic import ValidationInfo
 from pydantic_core import CoreSchema, core_schema
 
 from stewart_drake.base.atomic_files import digest, read_checked
-from stewart_drake.base.config import as_problem, did_you_mean
+from stewart_drake.base.config import Reading, as_problem, did_you_mean
 from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.base.yaml_files import shipped_folder
 
@@ -34,18 +34,6 @@ CLASS_PATH = rf"^(.+\.py|{_NAME}(\.{_NAME})*):{_NAME}$"
 _FORMS = "module:Class or path/to/file.py:Class"
 _PACKAGE_OF_FILES = "stewart_drake_user"
 """Holds the modules that are made from a user's files; it is not on disk."""
-TRUST: ContextVar[bool] = ContextVar("trust", default=False)
-"""Whether code that is named now may run."""
-
-
-@contextmanager
-def trusting_code(trust: bool = True) -> Iterator[None]:
-    """Context manager: user code named within it may run, then and later; with `trust` off it changes nothing."""
-    before = TRUST.set(trust or TRUST.get())
-    try:
-        yield
-    finally:
-        TRUST.reset(before)
 
 
 @dataclass(frozen=True, repr=False)
@@ -58,7 +46,7 @@ class CodePath(os.PathLike[str]):
     trusted: bool = field(default=True, compare=False)  # Whether it may run.
 
     @classmethod
-    def of(cls, value: Any) -> Self:
+    def of(cls, value: Any, trust_code: bool = False) -> Self:
         """From a text, relative paths from the current folder, or a class or object that was given in Python."""
         if isinstance(value, cls):
             return value
@@ -66,11 +54,11 @@ class CodePath(os.PathLike[str]):
         if not isinstance(value, str):
             return cls(place, name, value)
         if not place.endswith(".py"):
-            return cls(place, name, trusted=TRUST.get())
+            return cls(place, name, trusted=trust_code)
         # Without `..`, and not where links lead: this very path is what is opened.
         path = os.path.abspath(place)  # noqa: PTH100
         shipped = Path(os.path.realpath(path)).is_relative_to(shipped_folder("scenarios").parent)
-        return cls(path, name, trusted=TRUST.get() or shipped)
+        return cls(path, name, trusted=trust_code or shipped)
 
     @property
     def in_file(self) -> bool:
@@ -128,15 +116,15 @@ class CodePath(os.PathLike[str]):
         return repr(str(self))
 
     @classmethod
-    def _validate(cls, value: Any) -> Self:
+    def _validate(cls, value: Any, info: ValidationInfo) -> Self:
         is_path = isinstance(value, str) and re.fullmatch(CLASS_PATH, value)
         if not is_path and not isinstance(value, (cls, type)):
             raise as_problem(ConfigurationError("", value, _FORMS))
-        return cls.of(value)
+        return cls.of(value, isinstance(info.context, Reading) and info.context.trust_code)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(cls._validate)
+        return core_schema.with_info_plain_validator_function(cls._validate)
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: Any) -> dict[str, Any]:

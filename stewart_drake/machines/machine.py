@@ -103,13 +103,14 @@ class Machine(Protocol):
         """Lets go; the machine holds where it is. Never raises, and may be called twice."""
 
 
-def open_machine(url: str, scenario: Scenario) -> Machine:
+def open_machine(url: str, scenario: Scenario, trust_code: bool = False) -> Machine:
     """The machine that a URL names, not connected yet.
 
     Args:
         url: `reachy://HOST:PORT`, `udp://HOST:PORT`, `serial:DEVICE` or `serial:DEVICE:BAUD`, `sim:` or `sim:SCENARIO`,
             or a class of the user's own, `mine.py:MyMachine` or `module:Class`, whose code has to be trusted.
         scenario: What is driven; what its motors are believed to take, and the limits of its robot, are the machine's.
+        trust_code: Let the code of such a class run.
 
     Raises:
         ConfigurationError: A URL that names no machine, code that is not trusted, a machine that takes something else.
@@ -123,7 +124,7 @@ def open_machine(url: str, scenario: Scenario) -> Machine:
     elif kind == "sim":
         machine = imported("machines.simulated:SimulatedMachine")(scenario, rest)
     elif re.fullmatch(CLASS_PATH, url):
-        machine = imported("machines.user_machine:UserMachine")(scenario, url)
+        machine = imported("machines.user_machine:UserMachine")(scenario, url, trust_code)
     else:
         raise ConfigurationError("machine", url, _URLS)
     return Homed(machine, scenario.belief.home) if any(scenario.belief.home) else machine

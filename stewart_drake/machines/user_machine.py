@@ -30,8 +30,8 @@ class UserMachine:
     reading: the last one again, older. A constructor that names `scenario` or `robot` gets them.
     """
 
-    def __init__(self, scenario: Scenario, url: str) -> None:
-        code, offered = CodePath.of(url), {"scenario": scenario, "robot": scenario.belief.robot}
+    def __init__(self, scenario: Scenario, url: str, trust_code: bool = False) -> None:
+        code, offered = CodePath.of(url, trust_code), {"scenario": scenario, "robot": scenario.belief.robot}
         kind = code.load("machine")
         with code.blamed("machine", "a class that can be constructed, of scenario and robot where it names them"):
             names = inspect.signature(kind).parameters

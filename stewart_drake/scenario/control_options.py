@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import Field, TypeAdapter
 
-from stewart_drake.base.code import ROBOT_KEY, trusting_code
+from stewart_drake.base.code import ROBOT_KEY
 from stewart_drake.base.config import (
     NAME,
     NAME_WORDS,
@@ -127,10 +127,9 @@ class ControlOptions(Section):
     @classmethod
     def from_dict(cls, data: Any, key: str | None = None, trust_code: bool = False) -> Self:
         """Options from plain values; with `trust_code`, code that they name may run."""
-        with trusting_code(trust_code):
-            return super().from_dict(data, key)
+        return cls._read(data, Reading(trust_code), key)
 
-    def replace(self, changes: Mapping[str, Any] | None = None, **keys: Any) -> Self:
+    def replace(self, changes: Mapping[str, Any] | None = None, trust_code: bool = False, **keys: Any) -> Self:
         """The keys that were given with some of them changed, checked again: what was but a default is one anew.
 
         Another kind, `{"plant": "closed_form"}` or `{"plant.kind": "closed_form"}`, keeps the keys that it has too; a
@@ -138,13 +137,14 @@ class ControlOptions(Section):
 
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as
-                `robot.legs[2].rod_length`, come last. New code is named within `trusting_code`.
+                `robot.legs[2].rod_length`, come last.
+            trust_code: Let code run that the changes name; what ran before still may.
             keys: Likewise, those at the top.
 
         Raises:
             ConfigurationError: As for the class.
         """
-        return with_keys(type(self), self.given(), {**(changes or {}), **keys})
+        return with_keys(type(self), self.given(), {**(changes or {}), **keys}, trust_code)
 
     def in_full(self) -> dict[str, Any]:
         """`to_dict`, with what each leg of the robots has where `legs` leaves it to the symmetric robot."""

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import Field, TypeAdapter
 
-from stewart_drake.base.code import anchored, trusting_code
+from stewart_drake.base.code import anchored
 from stewart_drake.base.config import (
     Count,
     NotNegative,
@@ -182,7 +182,7 @@ def load_controller(path: str | Path, overrides: Iterable[str] = (), trust_code:
     return _load(ControlOptions, "controller", path, overrides, trust_code)
 
 
-def load_driven(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
+def load_driven(path: str | Path, overrides: Iterable[str] = (), trust_code: bool = False) -> Scenario:
     """A scenario, or a controller's file as one, whose robot and motors are then those that it believes in."""
     try:
         file = find_file("scenario", path)
@@ -192,8 +192,8 @@ def load_driven(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
         except ConfigurationError:
             raise error from None
     if not set(read_mapping("scenario", file, 100)) <= set(ControlOptions.__pydantic_fields__):
-        return load_scenario(file, overrides)
-    control = load_controller(file, overrides)
+        return load_scenario(file, overrides, trust_code)
+    control = load_controller(file, overrides, trust_code)
     robot, motors = to_plain(control.belief.robot), to_plain(control.belief.motors)
     sensors = "encoders" if control.belief.reading == "angles" else "ideal"
     trusted = all(part.code.trusted for part in user_parts(control))
@@ -205,8 +205,7 @@ def _load(kind: type[_Options], what: str, path: str | Path, overrides: Iterable
     path = find_file(what, path)
     data = anchored(read_mapping(what, path, 100), path.parent)
     changes = anchored(parse_changes(overrides, "controller.period=0.002"), Path())
-    with trusting_code(trust_code):
-        return with_keys(kind, data, changes)
+    return with_keys(kind, data, changes, trust_code)
 
 
 def scenario_schema() -> dict[str, Any]:

@@ -15,7 +15,6 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.base.atomic_files import locked_folder
-from stewart_drake.base.code import TRUST
 from stewart_drake.base.config import Count, Flag, Positive, Real, Section, Seed, Text, check_plain, shorten
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.families import Family, given_keys
@@ -174,9 +173,9 @@ class SweepFile(StudyFile):
 class Draws(Sequence[Trial]):
     """Trials of a sweep; the draws for run i follow from the file's `seed`, i and the key alone."""
 
-    def __init__(self, base: Scenario, file: SweepFile, count: int) -> None:
+    def __init__(self, base: Scenario, file: SweepFile, count: int, trust_code: bool) -> None:
         self.base, self.file, self._count, self._given = base, file, count, given_keys(base)
-        self._trust_code = TRUST.get()
+        self._trust_code = trust_code
         data = base.in_full()
         with error_prefix("distributions."):
             self._values = {key: value_at(data, key) for key in file.distributions}
@@ -241,7 +240,7 @@ class Draws(Sequence[Trial]):
         if isinstance(current, list) and not distribution.factor and not isinstance(distribution, Choice):
             raise ConfigurationError(where, key, f"a component such as {key}[0], or factor: true, or the kind choice")
         try:
-            with_changes(self.base, self._changes({key: distribution.at(0.5)}))
+            with_changes(self.base, self._changes({key: distribution.at(0.5)}), self._trust_code)
         except TypeError:
             raise ConfigurationError(where, current, "a key with a number or numbers, to multiply") from None
         except ConfigurationError as error:
@@ -250,9 +249,9 @@ class Draws(Sequence[Trial]):
                 raise ConfigurationError(where, error.value, error.allowed) from None
 
 
-def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Experiment:
+def make_sweep(data: Mapping[str, Any], folder: Path | None = None, trust_code: bool = False) -> Experiment:
     """From plain values of a `SweepFile`; paths relative to `folder`."""
-    file, base = SweepFile.read("sweep", data, folder)
+    file, base = SweepFile.read("sweep", data, folder, trust_code)
     if file.mismatch:
         belief, model = base.belief, base.model
         kept = {"robot": base.to_dict()["robot"], "gravity": belief.gravity, "noise": belief.noise}
@@ -266,7 +265,7 @@ def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Experimen
         if not grids:
             raise ConfigurationError("runs", None, "a number of runs; optional only where a key has a grid")
         runs = math.prod(grids)
-    draws = Draws(base, file, runs)
+    draws = Draws(base, file, runs, trust_code)
     scenario = {key: value for key, value in base.to_dict().items() if key != "name"}
     distributions = {key: each.to_dict() for key, each in file.distributions.items()}
     return Experiment(
@@ -320,9 +319,9 @@ def write_picture(sweep: Experiment, result: Result) -> bool:
     return True
 
 
-def load_sweep(path: str | Path, runs: int | None = None) -> Experiment:
+def load_sweep(path: str | Path, runs: int | None = None, trust_code: bool = False) -> Experiment:
     more = {} if runs is None else {"runs": runs}
-    return load_experiment("sweep", path, lambda data, folder: make_sweep({**data, **more}, folder))
+    return load_experiment("sweep", path, lambda data, folder: make_sweep({**data, **more}, folder, trust_code))
 
 
 def make_simulator(sweep: Experiment, **options: Any) -> Callable[[Callable[[], int]], Any]:

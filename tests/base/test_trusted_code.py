@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from stewart_drake.base.code import trusting_code
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.yaml_files import shipped_folder
 from stewart_drake.logs.log import load_log
@@ -167,6 +166,5 @@ def test_a_study_asks_before_it_begins_and_its_workers_take_its_word(parts, tmp_
     with refused():
         run_experiment(make_sweep(study), tmp_path / "out", Workers(0))
     assert not ran(parts)
-    with trusting_code():
-        plan = make_sweep(study)
+    plan = make_sweep(study, trust_code=True)
     assert run_experiment(plan, tmp_path / "out", Workers(0)).rows["sweep"][0]["status"] in ("completed", "lost")
