@@ -1,7 +1,7 @@
-"""Code of the user's own that a file names: where it is, whether it may run, and what it raises.
+"""Users' code that a file names: where it is, whether it may run, and what it raises.
 
-A class or object stands as `module:Class` or `path/to/file.py:Class`. To name it is always allowed and runs nothing;
-`CodePath.load` asks that who read the file has trusted the code in it.
+A class or object is named by `module:Class` or `path/to/file.py:Class`. Naming it is always allowed and runs nothing;
+`CodePath.load` runs it, and refuses to unless the file was read with `trust_code=True`.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ _NAME = r"[A-Za-z_]\w*"
 CLASS_PATH = rf"^(.+\.py|{_NAME}(\.{_NAME})*):{_NAME}$"
 _FORMS = "module:Class or path/to/file.py:Class"
 _PACKAGE_OF_FILES = "stewart_drake_user"
-"""Holds the modules that are made from a user's files; it is not on disk."""
+"""Package of the modules that are made from users' files; it exists in memory only."""
 
 
 @dataclass(frozen=True, repr=False)
 class CodePath(os.PathLike[str]):
-    """A class or object by its import path, or itself where it was given in Python; the type of a key."""
+    """A class or object by its import path, or as it was given in Python; the type of a key."""
 
     place: str  # Its module, or the whole path of its file.
     name: str
@@ -66,26 +66,26 @@ class CodePath(os.PathLike[str]):
         return self.given is None and self.place.endswith(".py")
 
     @property
-    def own_module(self) -> str:
-        """Package that the user's frames in a traceback are of."""
+    def user_module(self) -> str:
+        """Package of the user's frames in a traceback."""
         if self.in_file:
             return _PACKAGE_OF_FILES
         return self.place if self.given is not None else self.place.partition(".")[0]
 
     def find(self, key: str) -> None:
-        """Raises a `ConfigurationError` where its file is missing; `key` is where it stands."""
+        """Raises a `ConfigurationError` if its file is missing; `key` is the key that names it."""
         if self.in_file and not os.path.isfile(self.place):  # noqa: PTH113 - it never raises
             raise ConfigurationError(key, self, f"{_FORMS}, of a file that can be read")
 
     def check(self, key: str) -> None:
-        """Raises a `ConfigurationError` where its file is missing, or it is not trusted."""
+        """Raises a `ConfigurationError` if its file is missing, or it is not trusted."""
         self.find(key)
         if not self.trusted:
             allowed = f"code that you trust; read {self.place}, then add --trust-code (trust_code=True)"
             raise ConfigurationError(key, self, allowed)
 
     def load(self, key: str) -> Any:
-        """What the path names, whatever it is; see `check`."""
+        """The object that the path names, once it is checked, see `check`."""
         if self.given is not None:
             return self.given
         self.check(key)
@@ -98,13 +98,13 @@ class CodePath(os.PathLike[str]):
 
     @contextmanager
     def blamed(self, key: str, allowed: str) -> Iterator[None]:
-        """Says of whatever the user's code raises that it is no good value of the key."""
+        """Turns whatever the user's code raises into a `ConfigurationError` for the key."""
         try:
             yield
         except (ConfigurationError, KeyboardInterrupt):
             raise
         except BaseException as error:  # SystemExit too
-            text = _in_a_line(error, _frames_of(error.__traceback__, self.own_module))
+            text = _in_a_line(error, _frames_of(error.__traceback__, self.user_module))
             raise ConfigurationError(key, self, f"{allowed} ({text})") from error
 
     def __fspath__(self) -> str:
@@ -132,13 +132,13 @@ class CodePath(os.PathLike[str]):
 
 
 def path_of(given: Any) -> str:
-    """What stands in a file for a class or an object that was given in Python."""
+    """The path, for a file, of a class or an object that was given in Python."""
     kind = given if isinstance(given, type) or inspect.isfunction(given) else type(given)
     return f"{kind.__module__}:{kind.__name__}"
 
 
 def source_of(thing: Any) -> str:
-    """Name and source of a function, class or module, to tell whether it has changed; else its compiled code."""
+    """Name and source code of a function, class or module, to see if it has changed; else its compiled code."""
     try:
         # Python 3.13 gives a class that was made by a call the source of its base.
         return f"{getattr(thing, '__qualname__', '')} {inspect.getsource(thing)}"
@@ -197,7 +197,7 @@ class UserCode(AbstractContextManager[None]):
         # The first frame is the one that has this guard; without another, the user's code could not even be called.
         frames = _frames_of(trace.tb_next, *self._modules)
         if frames or trace.tb_next is None:
-            # Of an endless recursion the first frames say enough.
+            # The first frames are enough, of an endless recursion.
             lines = traceback.format_exception(type(error), error, frames[0], limit=20) if frames else []
             text = f"the user's code raised {_in_a_line(error, frames)}"
             raise ControllerError(text, "".join(lines).rstrip()) from error
@@ -239,7 +239,7 @@ def anchored(data: Any, folder: Path) -> Any:
 
 
 def file_digests(data: Any) -> dict[str, str | None]:
-    """Path of each file that is named in plain values -> sha256 of its content, None where it cannot be read.
+    """Path of every file named in plain values -> sha256 of its content, None if it cannot be read.
 
     The file of a module is known once that is imported.
     """
@@ -257,7 +257,7 @@ def file_digests(data: Any) -> dict[str, str | None]:
 
 
 def with_texts(data: Any, change: Callable[[str, str], str], key: str = "") -> Any:
-    """A copy of plain values with each text changed, by a function of the last part of its key and the text.
+    """A copy of plain values with every text changed by a function of the last part of its key and the text.
 
     Of a list it is the key of the list; of `values`, from which a sweep chooses, the key above.
     """
@@ -266,7 +266,7 @@ def with_texts(data: Any, change: Callable[[str, str], str], key: str = "") -> A
     if isinstance(data, Mapping):
         lasts = {name: str(name).rpartition(".")[2] for name in data}
         return {name: with_texts(data[name], change, key if last == "values" else last) for name, last in lasts.items()}
-    return [with_texts(each, change, key) for each in data] if isinstance(data, (list, tuple)) else data
+    return [with_texts(item, change, key) for item in data] if isinstance(data, (list, tuple)) else data
 
 
 def _file_in(key: str, text: str) -> str | None:

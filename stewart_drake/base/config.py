@@ -194,19 +194,10 @@ class Section(BaseModel):
             except ValidationError as error:
                 raise _as_one(error, cls.section_key if key is None else key) from None
 
-    @model_validator(mode="after")
-    def _obeys_rules(self) -> Self:
-        try:
-            self.rules()
-        except ConfigurationError as error:
-            error.key = error.key.removeprefix(f"{self.section_key}.")
-            raise as_problem(error) from None
-        return self
-
     @model_validator(mode="wrap")
     @classmethod
     def _completed(cls, data: Any, handler: Callable[[Any], Self], info: ValidationInfo) -> Self:
-        """Takes texts with units as numbers, and fills in defaults that follow the robot."""
+        """Takes texts with units as numbers, fills in defaults that follow the robot, and checks the rules."""
         defaults = info.context.defaults if isinstance(info.context, Reading) else None
         given, private = data, None
         if isinstance(data, cls):
@@ -221,13 +212,17 @@ class Section(BaseModel):
             if defaults is not None and (filled := defaults(cls, values)) is not None:
                 values = {name: {} for name in cls._default_sections} | filled
             result = handler(values)
+            result.rules()
         except ValidationError as error:
             raise explain(error, cls, values) from None
+        except ConfigurationError as error:
+            error.key = error.key.removeprefix(f"{cls.section_key}.")
+            raise as_problem(error) from None
         except RecursionError:
             raise as_problem(ConfigurationError("", data, "values that do not contain themselves")) from None
         result.model_fields_set.intersection_update(given)
-        if private:
-            result.__pydantic_private__ = private
+        if private is not None:
+            result.__pydantic_private__ = dict(private)
         elif nulls := [name for name in given if given[name] is None and getattr(result, name) is not None]:
             result._nulls = frozenset(nulls)
         return result
@@ -290,7 +285,7 @@ class Section(BaseModel):
 
 
 def plain(value: Any) -> Any:
-    """Numpy's numbers and truth values as Python's, lists and arrays of one axis as tuples; all else as it is."""
+    """NumPy's scalars as Python's, lists and one-dimensional arrays as tuples; anything else unchanged."""
     if isinstance(value, (np.floating, np.integer, np.bool_)):
         return value.item()
     if isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.ndim == 1):
@@ -299,22 +294,22 @@ def plain(value: Any) -> Any:
 
 
 def to_plain(value: Any) -> Any:
-    """A value of a section, or numpy's, in what JSON and YAML have."""
+    """A value of a section, or of NumPy, in types that JSON and YAML have."""
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     if isinstance(value, (str, os.PathLike)):
         return str(value)
     if isinstance(value, (list, tuple)):
-        return [to_plain(each) for each in value]
+        return [to_plain(item) for item in value]
     if isinstance(value, Section):
         return value.to_dict()
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-    return {key: to_plain(each) for key, each in value.items()} if isinstance(value, Mapping) else value
+    return {key: to_plain(item) for key, item in value.items()} if isinstance(value, Mapping) else value
 
 
 def check_plain(key: str, value: Any) -> None:
-    """Raises a `ConfigurationError` for what is not plain values, such as a file can hold."""
+    """Raises a `ConfigurationError` for values that a file cannot hold."""
     try:
         json.dumps(value, allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:
@@ -352,34 +347,34 @@ def _schema_of(kind: Any) -> dict[str, Any]:
 
 
 def shorten(key: str) -> str:
-    """A key as one short line, whatever is in it."""
+    """A key as one short printable line."""
     key = key if key and key.isprintable() else repr(key)
     return key if len(key) <= 60 else f"{key[:57]}..."
 
 
 def did_you_mean(given: Any, known: Iterable[str]) -> str:
-    """`; did you mean X?` where one of the known names is close to what was given, else nothing."""
+    """`; did you mean X?` if a known name is close to the given one, else an empty text."""
     if not isinstance(given, str) or not given:
         return ""
     known = list(known)
-    close = difflib.get_close_matches(given, known, n=1) or [each for each in known if each.startswith(given)]
+    close = difflib.get_close_matches(given, known, n=1) or [name for name in known if name.startswith(given)]
     return f"; did you mean {close[0]}?" if close else ""
 
 
 def choices_text(given: Any, choices: Sequence[str]) -> str:
-    """Choices in words, and the one that was perhaps meant."""
+    """Choices in words, and the closest one."""
     return join_or(choices) + did_you_mean(given, choices)
 
 
 def unknown_key(key: Any, keys: Sequence[str], kinds: Sequence[str] = ()) -> str:
-    """What is said of a key that is none of those that are there; `kinds` are others of the section that have it."""
+    """The message for an unknown key; `kinds` are other kinds of the section that have it."""
     guess = f"; kind {join_or(kinds)} has it." if kinds else did_you_mean(key, keys)
     return f"no such key{guess}{' The' if guess else '; the'} keys here are {', '.join(keys)}"
 
 
 def as_problem(error: ConfigurationError) -> PydanticCustomError:
-    """An error with a key of its own section as pydantic passes it on to the sections around it."""
-    # Pydantic writes out all of it, but not an integer of thousands of digits.
+    """A `ConfigurationError`, with a key relative to its section, as an error that pydantic collects."""
+    # Not the value: pydantic would format it, and fails for an integer of thousands of digits.
     return PydanticCustomError("rule", "expected {allowed}", {"error": error, "allowed": error.allowed})
 
 
@@ -454,24 +449,3 @@ def _unknown_here(section: type[Section], key: str) -> str:
         return f"no such key; it is now {section.moved_keys[key]}"
     kinds = section.family.kinds_with(key) if section.family else ()
     return unknown_key(key, list(section.__pydantic_fields__), kinds)
-
-
-def unit_hints(section: Any, largest: Mapping[str, float], key: str = "") -> list[str]:
-    """A sentence for each number of a section that is larger than its unit allows, but not in a smaller one."""
-    hints = []
-    for name in section.__pydantic_fields__:
-        value, units = getattr(section, name), section.unit_of(name).split(", ")
-        place = f"{key or section.section_key}.{name}"
-        if isinstance(value, tuple) and value and isinstance(value[0], Section):
-            hints += [hint for k, each in enumerate(value) for hint in unit_hints(each, largest, f"{place}[{k}]")]
-        if isinstance(value, Section):
-            hints += unit_hints(value, largest, place)
-        flat = list(np.ravel(np.array(value, dtype=object))) if isinstance(value, (int, float, tuple)) else []
-        length = 6 if len(flat) % 6 == 0 else max(1, len(flat))
-        for index, number in enumerate(flat):
-            unit = units[index % length * len(units) // length]
-            most = largest.get(unit, float("inf"))
-            if isinstance(number, (int, float)) and abs(number) > most:
-                other = smaller_unit(float(number), unit, lambda each, most=most: abs(each) <= most)  # type: ignore[misc]
-                hints.append(f"{place} has {number:g} {unit}{other}")
-    return hints

@@ -1,4 +1,4 @@
-"""Families of kinds, and how a user's own class becomes one of them; the kinds themselves are in `registry`."""
+"""Families of kinds, and how a user's class becomes a kind; the kinds themselves are in `registry`."""
 
 from __future__ import annotations
 
@@ -24,14 +24,13 @@ _Kind = TypeVar("_Kind")
 _PACKAGE = __name__.partition(".")[0]
 USER_CLASS = "module:Class"
 """A user's class, among the `choices` of a family."""
-NOTHING_YET = "one that a program has added"
 NO_FORMER: Mapping[str, str] = {}
 
 
 class Table:
-    """Objects by name, in `Annotated` the type of a key that holds such a name.
+    """Objects by name; in `Annotated` it is the type of a key whose value is such a name.
 
-    `lines`: name -> `module:name` in this package, imported when it is asked for, or the object itself.
+    `lines`: name -> the object, or its `module:name` in this package, which is imported on first use.
     """
 
     def __init__(self, lines: dict[str, Any]) -> None:
@@ -49,7 +48,7 @@ class Table:
         return self._lines[name]
 
     def add(self, name: str, thing: Any) -> None:
-        """Adds an object; a `ConfigurationError` where the name means something already."""
+        """Adds an object; raises a `ConfigurationError` if the name is taken."""
         self._check_new(name)
         self._lines[name] = thing
 
@@ -58,9 +57,9 @@ class Table:
             raise ConfigurationError("kind", name, f"a new name; there are already {join_or(self.names)}")
 
     def added_code(self) -> dict[str, str]:
-        """Kind -> source of what was added from outside of the package, and of the modules that it stands in.
+        """Kind -> source code of what was added from outside of the package, and of its module.
 
-        Results are kept under it: a kind with other code is another kind.
+        It is part of the identity of stored results: a kind with other code is another kind.
         """
         sources: dict[str, str] = {}
         for kind, line in self._lines.items():
@@ -83,9 +82,10 @@ class Table:
 
 
 class Family(Table):
-    """The kinds of one part of a scenario, told apart by the key `kind`; in `Annotated`, the type of the part.
+    """The kinds of one part of a scenario: a union of sections discriminated by the key `kind`.
 
-    It does what pydantic's discriminated unions do, but kinds are imported when they are asked for, and may be added.
+    Use it in `Annotated` as the type of the part. Unlike in a union of pydantic's, kinds are imported on first use and
+    can be added.
 
     Args:
         lines: Kind -> its section, see `Table`.
@@ -122,7 +122,7 @@ class Family(Table):
     @property
     def choices(self) -> list[str]:
         """For messages."""
-        return [*self.kinds, *self._paths, *([USER_CLASS] if self._user_line else [])] or [NOTHING_YET]
+        return [*self.kinds, *self._paths, *([USER_CLASS] if self._user_line else [])]
 
     def __getitem__(self, name: str) -> Any:
         section = super().__getitem__(name)
@@ -134,14 +134,14 @@ class Family(Table):
         return [kind for kind in self.kinds if key in self[kind].__pydantic_fields__]
 
     def add(self, section: type[Section]) -> None:  # type: ignore[override]
-        """Adds a kind: its section, whose `kind` has its name as the default; again too, as in a notebook."""
+        """Adds a section as a kind, named by the default of its field `kind`; the same class may be added again."""
         kind = section.__pydantic_fields__["kind"].default
         if kind in self._lines and path_of(self[kind]) == path_of(section):
             del self._lines[kind]
         super().add(kind, section)
 
     def register(self, name: str, path: str) -> None:
-        """Lets a name stand for the import path of a user's class, `module:Class`, wherever a kind does."""
+        """Makes a name a kind: short for the import path of a user's class, `module:Class`."""
         if self._user_line is None or ":" not in path:
             raise ConfigurationError(name, path, "module:Class, for a part that may be your own class")
         self._check_new(name)
@@ -215,23 +215,19 @@ class Family(Table):
                 alone.append(kind)
         if self._user_line is not None:
             ways.append({"type": "string", "pattern": CLASS_PATH})
-        if not ways:
-            named = {"type": "string", "description": f"Kind: {NOTHING_YET}."}
-            keys = {"properties": {"kind": named}, "required": ["kind"]}
-            return {"type": "object", "title": "Added", "description": "A kind of your own program.", **keys}
         return {"anyOf": [*ways, {"enum": alone}]}
 
 
 class UserMade(Section):
-    """Base of sections for what a class of the user's own makes.
+    """Base of the sections for a user's class.
 
-    In a file `kind` is the import path of the class. In Python it may also be the class itself or an object, and an
-    object may replace the whole section.
+    In a file `kind` is the import path of the class. In Python it may be the class or an object, and either may replace
+    the whole section.
     """
 
     kind_keys = frozenset({"arguments"})
     asked: ClassVar[str]
-    """What an object of the class does, such as `evaluate(t) returns ...`; begins with its method."""
+    """The method that its objects need, and what that returns, such as `evaluate(t) returns ...`."""
 
     kind: CodePath
     """Import path of your class, from the folder of the file that names it: path/to/file.py:Class, or module:Class. Its
@@ -259,14 +255,14 @@ class UserMade(Section):
         return hash(repr(self))
 
     def load(self) -> Any:
-        """The class, not called; a `ConfigurationError` where it is none, or cannot be loaded."""
+        """The class; raises a `ConfigurationError` if it cannot be loaded or is not a class."""
         loaded = self.code.load(self.code_key)
         if not isinstance(loaded, type) and self.code.given is None:
             raise ConfigurationError(self.code_key, self.code, f"a class, not a {type(loaded).__name__}")
         return loaded if isinstance(loaded, type) else type(loaded)
 
     def new_object(self, offered: Mapping[str, Any]) -> Any:
-        """The object: with `arguments` and what the constructor names of `offered`, or as it was given."""
+        """A new object, from `arguments` and those of `offered` that the constructor names; or the object given."""
         kind, given = self.load(), self.code.given
         if given is not None and not isinstance(given, type):
             return given
@@ -277,7 +273,7 @@ class UserMade(Section):
 
     @cached_property
     def made(self) -> Any:
-        """The object; a `ConfigurationError` where it does not have the method."""
+        """The object, made once; raises a `ConfigurationError` if it lacks the method."""
         made = self.new_object({})
         method = self.asked.partition("(")[0]
         if not callable(getattr(made, method, None)):
@@ -285,11 +281,11 @@ class UserMade(Section):
         return made
 
     def refusal(self, answer: str) -> ConfigurationError:
-        """The error that says what is asked of the class, and what came instead."""
+        """The error for a class that does something else than required."""
         return ConfigurationError(self.code_key, self.code, f"a class whose {self.asked}, not {answer}")
 
     def numbers(self, answer: Any) -> np.ndarray:
-        """An answer of the object as an array, else a `ConfigurationError`."""
+        """What a method of the object returned, as an array; raises a `ConfigurationError` if it is not numbers."""
         try:
             return np.asarray(answer, dtype=float)
         except (TypeError, ValueError):
@@ -297,34 +293,34 @@ class UserMade(Section):
 
 
 def given_keys(value: Any) -> Any:
-    """What was given of a section, and of those in it, in plain values but for code, which need not be trusted anew."""
+    """The keys that were given, of the sections inside too; plain values except for code, which stays trusted."""
     if isinstance(value, Section):
         value = value.given()
     if isinstance(value, (list, tuple)):
-        return [given_keys(each) for each in value]
-    return {key: given_keys(each) for key, each in value.items()} if isinstance(value, Mapping) else value
+        return [given_keys(item) for item in value]
+    return {key: given_keys(item) for key, item in value.items()} if isinstance(value, Mapping) else value
 
 
 def refuse_given(section: Any) -> None:
-    """Refuses what was given in Python as a class or an object, where results are kept and known again by content."""
+    """Refuses classes and objects that were given in Python, where results are stored and identified by files."""
     for part in user_parts(section):
         if part.code.given is not None:
             raise ConfigurationError(part.code_key, part.code, "a class by its import path, to run it many times")
 
 
 def user_parts(section: Any) -> list[UserMade]:
-    """Every part of the user's own in a section, and in those inside."""
+    """All sections for a user's class in a section."""
     return [part for _, part in placed(section, UserMade)]
 
 
 def place_users(section: Any) -> None:
-    """Tells the sections of a user's classes where they stand, for messages."""
+    """Gives the sections for users' classes their keys in a scenario, for messages."""
     for place, part in placed(section, UserMade):
         part._place = place
 
 
 def placed(section: Any, kind: type[_Kind], place: str = "") -> Iterator[tuple[str, _Kind]]:
-    """Every section of a kind in a section, itself too, and where it stands."""
+    """All sections of a class in a section, itself included, with their keys."""
     if isinstance(section, kind):
         yield place, section
     fields = section.__pydantic_fields__ if isinstance(section, Section) else None

@@ -1,8 +1,8 @@
 """Every kind of plant, motor, controller, tuner, sensor, reference, disturbance, monitor, fault, machine and recording.
 
-A kind is one line here: its section, which also makes its part of the loop, see `part.LoopContext`; for faults one
-object. Names are texts, imported when a kind is asked for: to read a scenario takes neither Drake nor what the scenario
-does not name. `Family.add` and `Table.add` take a kind from outside of the package. Metrics stand in `logs.metrics`.
+A kind is one line here: the class of its section, which also makes its part of the loop, see `part.LoopContext`; of
+faults an object. It is imported on first use: reading a scenario needs neither Drake nor kinds that it does not name.
+`Family.add` and `Table.add` add kinds from outside of the package. Metrics are in `logs.metrics`.
 """
 
 from stewart_drake.base.families import Family, Table
@@ -90,9 +90,9 @@ ADAPTATIONS = Family(
     methods=("parts",),
 )
 OWN_MONITORS = Family({}, user_section="safety.limits:UserMonitor", methods=("look",))
-"""Those of the user's own, under `safety.monitors`; the others stand in `safety.limits`."""
+"""Users' monitors, under `safety.monitors`; the package's are in `safety.limits`."""
 OWN_METRICS = Family({}, user_section="logs.metrics:UserMetric", methods=("of",))
-"""Those of the user's own, under `metrics`; the others stand in `logs.metrics`."""
+"""Users' metrics, under `metrics`; the package's are in `logs.metrics`."""
 DISTURBANCES = Family(
     {
         "constant": "hardware.disturbances:ConstantWrench",
@@ -105,9 +105,9 @@ DISTURBANCES = Family(
     methods=("evaluate",),
 )
 MACHINES = Table({"reachy": "reachy.machine:ReachyMachine", "udp": "machines.udp:UdpMachine"})
-"""By the scheme of an address: a class that is made of scenario, host and port; `default_port` where it has one."""
+"""Scheme of an address -> a class that is called with scenario, host and port; it may have a `default_port`."""
 RECORDINGS = Table({".json": "reachy.moves:read_rows"})
-"""Of recorded motions by the ending of a file, besides tables: a function from a path to rows (n, 7) [s, rad, m]."""
+"""Ending of a file with a recorded motion -> a function from its path to rows (n, 7) [s, rad, m]; tables need none."""
 
 
 def _faults(*kinds: str, **others: str) -> Table:
@@ -119,5 +119,5 @@ POSE_FAULTS = _faults("freeze", "nan", "late")
 COMMAND_FAULTS = _faults("nan", "inf", offset="jump", chatter="chatter")
 MOTOR_FAULTS = _faults(reversed="inverted", swapped="swapped")
 
-REGISTERED = [each for each in vars().copy().values() if isinstance(each, (Family, Table))]
-"""All of them."""
+REGISTERED = [kinds for kinds in vars().copy().values() if isinstance(kinds, Table)]
+"""All families and tables."""

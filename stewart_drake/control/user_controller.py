@@ -90,7 +90,7 @@ def _is_system(loaded: Any) -> bool:
 
 def user_code(section: Any) -> UserCode:
     """The guard around what may call a user's code, see `UserCode`: of a scenario or of a part of it."""
-    return UserCode(*(part.code.own_module for part in user_parts(section)))
+    return UserCode(*(part.code.user_module for part in user_parts(section)))
 
 
 def failure_of(error: BaseException, section: Any) -> RunFailure:

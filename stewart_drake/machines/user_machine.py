@@ -38,7 +38,7 @@ class UserMachine:
             self._own = kind(**{name: value for name, value in offered.items() if name in names})
         if missing := [name for name in METHODS if not callable(getattr(self._own, name, None))]:
             raise ConfigurationError("machine", code, f"a class with {', '.join(METHODS)}; {missing[0]} is missing")
-        self.name, self._guard, self._limits = str(code), UserCode(code.own_module), machine.command_limits(scenario)
+        self.name, self._guard, self._limits = str(code), UserCode(code.user_module), machine.command_limits(scenario)
         self.takes: Takes = getattr(self._own, "takes", None) or scenario.belief.motors.takes  # type: ignore[assignment]
         machine.check_takes(scenario, self.takes, self.name)
         self._last: Reading | None = None

@@ -17,7 +17,7 @@ _BELIEVED = ("controller", "tuner", "estimator", "safety")
 
 
 class OfRobot(NamedTuple):
-    """In `Annotated`, beside a field whose default is for the paper's robot: what it is for another one."""
+    """In `Annotated`: how the default of a field, which is for the paper's robot, is scaled to another robot."""
 
     value: Callable[[Any, RobotParameters], Any]
     null: bool = False
@@ -45,12 +45,12 @@ def defaults_of(
     def with_defaults(section: type[Section], given: dict[str, Any]) -> dict[str, Any] | None:
         if section is RobotParameters:
             return None
-        own = believed if section.section_key in _BELIEVED else robot
+        scaled_to = believed if section.section_key in _BELIEVED else robot
         more = (others or {}).get(section.section_key, {})
         if not given.keys() & more.keys() and more.keys() <= section.__pydantic_fields__.keys():
             given = {**given, **more}
         return given | {
-            name: marker.at(field.default, own, latency)
+            name: marker.at(field.default, scaled_to, latency)
             for name, field in section.__pydantic_fields__.items()
             for marker in field.metadata
             if isinstance(marker, OfRobot) and given.get(name, ...) is (None if marker.null else ...)
@@ -73,7 +73,7 @@ def times(measure: Callable[[RobotParameters], float], power: float = 1.0, slowe
         if not isinstance(default, tuple):
             return default * scale
         half = len(default) // 2
-        return (*default[:half], *(each * scale for each in default[half:]))
+        return (*default[:half], *(number * scale for number in default[half:]))
 
     return OfRobot(value, slower=slower)
 

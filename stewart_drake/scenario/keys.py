@@ -92,7 +92,7 @@ def _assign(section: type[Section], data: dict[str, Any], key: str, value: Any, 
         found = _type_at(inner, part) if isinstance(part, str) else found
         inside = _opened(part, found, here.get(part) if isinstance(here, dict) else here[part])
         if inside is None:
-            inside = [{} if isinstance(each, dict) else each for each in full] if isinstance(full, list) else {}
+            inside = [{} if isinstance(item, dict) else item for item in full] if isinstance(full, list) else {}
         _refuse_part(key, inside, path[depth + 1], str(part))
         here[part] = inside
         here, inner = inside, found.resolve(inside) if isinstance(found, Family) else found
@@ -127,19 +127,19 @@ def _say_once(line: str) -> None:
 
 
 def _type_at(section: Any, name: str) -> Any:
-    """The family of what stands at a key of a section, also as an element of a list; else its section; else None."""
+    """The family of kinds at a key of a section, also of the items of a list; else its section's class, or None."""
     field = getattr(section, "__pydantic_fields__", {}).get(name)
     types: list[Any] = [] if field is None else [field.annotation, *field.metadata]
     while types:
-        each = types.pop()
-        if isinstance(each, Family) or (isinstance(each, type) and issubclass(each, Section)):
-            return each
-        types += get_args(each)
+        found = types.pop()
+        if isinstance(found, Family) or (isinstance(found, type) and issubclass(found, Section)):
+            return found
+        types += get_args(found)
     return None
 
 
 def _opened(name: str | int, family: Any, value: Any) -> Any:
-    """A copy of what stands at a key, to change something in it; `family` is that of its kinds, if it has some."""
+    """A copy of the value at a key, to change something in it; `family` is that of its kinds, if any."""
     if name == ROBOT_KEY and isinstance(value, str):
         value = robot_section(value)
     elif isinstance(family, Family):
