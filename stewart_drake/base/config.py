@@ -125,11 +125,7 @@ class Section(BaseModel):
     """
 
     model_config = ConfigDict(
-        frozen=True,
-        extra="forbid",
-        allow_inf_nan=False,
-        use_attribute_docstrings=True,
-        ignored_types=(InOtherKinds,),
+        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True, ignored_types=(InOtherKinds,)
     )
     section_key: ClassVar[str] = ""
     kind_keys: ClassVar[frozenset[str]] = frozenset()
@@ -174,15 +170,7 @@ class Section(BaseModel):
 
     @classmethod
     def from_dict(cls, data: Any, key: str | None = None) -> Self:
-        """A section from plain values, as YAML gives them.
-
-        Args:
-            data: Keys and values.
-            key: Goes before the key in messages; None takes that of the class.
-
-        Raises:
-            ConfigurationError: As for the class.
-        """
+        """A section from plain values, as YAML gives them; `key` is its place in messages, by default the class's."""
         return cls._read(data, Reading(), key)
 
     @classmethod
@@ -206,7 +194,7 @@ class Section(BaseModel):
             given, private = data.given(), data.__pydantic_private__
         values = given
         try:
-            if not isinstance(given, dict):
+            if not isinstance(given, Mapping):
                 return handler(given)
             values = {name: in_unit(plain(value), cls._units.get(name, "")) for name, value in given.items()}
             if defaults is not None and (filled := defaults(cls, values)) is not None:
@@ -252,11 +240,7 @@ class Section(BaseModel):
         return {name: to_plain(getattr(self, name)) for name in self.__pydantic_fields__}
 
     def rules(self) -> None:
-        """Rules between fields.
-
-        Raises:
-            ConfigurationError: Names the key in this section, its value and what is allowed.
-        """
+        """Raises a `ConfigurationError` for a broken rule between fields; its key is relative to this section."""
 
     def __eq__(self, other: object) -> bool:
         # Pydantic would compare cached arrays as well.
@@ -403,16 +387,19 @@ def _problem(report: Any, kind: Any, data: Any, unit: str) -> tuple[tuple[Any, .
         location, path = location[:-1], ()
     if path and isinstance(data, (int, float)):  # One number for all six.
         location, path, value = location[: -len(path)], (), data
-    if isinstance(value, str) and unit and (allowed := wrong_unit(value, _part(kind, path, unit)[1].split(", ")[0])):
-        return location[: len(location) - len(path)], ConfigurationError("", value, allowed)
-    if error == "rule":
+    if error == "rule" and not (isinstance(value, str) and unit):
         return location, context["error"]
     if error == "model_type":
         return location, ConfigurationError("", value, "a section")
     if error == "invalid_key" or "[key]" in location:
         return location, ConfigurationError("", value, "keys that are texts")
-    part, unit = _part(kind, path, unit)
-    allowed = allowed_text(part, _schema_of(kind), unit)
+    root = _schema_of(kind)
+    part, unit = part_at(root, root, path, unit)
+    if allowed := wrong_unit(value, unit.split(", ")[0]):
+        return location[: len(location) - len(path)], ConfigurationError("", value, allowed)
+    if error == "rule":
+        return location, context["error"]
+    allowed = allowed_text(part, root, unit)
     if error == "finite_number":
         allowed = allowed.replace("number", "finite number", 1)
     allowed += did_you_mean(value, re.findall("'([^']*)'", context.get("expected", "")))
@@ -432,10 +419,6 @@ def _as_one(error: ValidationError, key: str) -> ConfigurationError:
     first, *others = sorted(lines.values(), key=lambda line: not line.allowed.startswith("no such"))
     first.others = tuple(others)
     return first
-
-
-def _part(kind: Any, path: Sequence[int | str], unit: str) -> tuple[Mapping[str, Any], str]:
-    return part_at(_schema_of(kind), _schema_of(kind), path, unit)
 
 
 def _type_of(field: FieldInfo | None) -> Any:

@@ -153,8 +153,14 @@ class Family(Table):
             return data()
         if self.is_user_code(data) or (isinstance(data, str) and data in self.kinds):
             data = {"kind": data}
-        kind = data.get("kind") if isinstance(data, Mapping) else None
-        return {**data, "kind": self._paths[kind]} if isinstance(kind, str) and kind in self._paths else data
+        if not isinstance(data, Mapping):
+            return data
+        data, kind = {**data}, data.get("kind")
+        if isinstance(kind, str) and kind in self._paths:
+            data["kind"] = self._paths[kind]
+        elif self.is_user_code(kind) and not isinstance(kind, str):
+            data["kind"] = CodePath.of(kind)
+        return data
 
     def resolve(self, data: Any) -> Any:
         """Class of the section that is given for a part; None where it is none of these."""
@@ -181,10 +187,6 @@ class Family(Table):
         section = self.resolve(value)
         if section is None:
             raise as_problem(self._refusal(value))
-        if isinstance(value, Mapping):
-            value = {**value}
-            if self.is_user_code(value.get("kind")) and not isinstance(value["kind"], str):
-                value["kind"] = CodePath.of(value["kind"])
         return section.__pydantic_validator__.validate_python(value, context=reading)
 
     def _validate(self, value: Any, info: ValidationInfo) -> Any:
