@@ -110,14 +110,10 @@ def fast_scenario(case: Case) -> Scenario:
     return scenario.replace({"plant.kind": "closed_form", "plant.time_step": step, "log_period": None})
 
 
-class GivenTuner(PolicyTuner):
-    """A tuner that has its source of settings already, in the place of a policy file."""
-
-
 def tuned_by(source: SettingSource, scenario: Scenario, kappa: float = 0.0) -> Scenario:
     """A scenario with block weights and a source of settings."""
     q_pose, q_rate, q_integral, r = scenario.tuner.weights
-    tuner = GivenTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=kappa)
+    tuner = PolicyTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=kappa)
     tuner._source = source
     return scenario.replace({"tuner": tuner})
 

@@ -224,6 +224,23 @@ def test_a_change_of_kind_keeps_what_the_new_kind_has_and_names_what_it_drops(ca
         ({"reference": "spline"}, "reference.times: expected .*, got None; this key is required\n.*poses: .*"),
         ({"tuner": np.array([1.0, 2.0])}, "tuner: expected a section with kind .* or such a kind alone, got .*"),
         ({"reference": ["hold"]}, "reference: expected a section with kind .* or such a kind alone, got .*"),
+        (
+            {"disturbances": ["noise", {"kind": "sine", "wrench": [0] * 6, "frequency": "4 s"}]},
+            r"disturbances.0.rms: .*\ndisturbances.1.frequency: expected a number \[Hz\].*4 s is 0.25 Hz\), got .*",
+        ),
+        (
+            {"initial_offset": [0, "3 s", 0, 0, 0, 0]},
+            r"initial_offset: expected a number \[rad\], or one .*, got '3 s'",
+        ),
+        (
+            {"plant": {"friction": {"coulomb": -1}}},
+            r"plant.friction.coulomb: expected a number \[N m\] at least 0 .* or a list of 6, .*, got -1",
+        ),
+        ({"sensors": {"kind": "encoders", "delay": 5}}, r"sensors.delay: .* at most 1, got 5; did you mean 5 ms\?"),
+        (
+            {"controller": {"kind": "mine:Mine", "arguments": {1: 2}}},
+            "controller.arguments.1: expected keys that are texts, .*",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_kind_is_a_line_a_problem_under_its_key(data, line):

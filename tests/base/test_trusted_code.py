@@ -132,6 +132,9 @@ def test_trust_stays_with_what_was_read_and_goes_no_further(parts):
     trusted = Scenario.from_dict(text, trust_code=True)
     for each in (trusted, trusted.replace({"duration": 0.1}), pickle.loads(pickle.dumps(trusted))):
         assert each.disturbances[0].code.trusted
+    rise = trusted.replace({"reference": f"{parts}:Rise"}, trust_code=True)
+    assert rise.reference.code.trusted
+    assert rise.disturbances[0].code.trusted
     for each in (Scenario(**text), trusted.replace(text), trusted.replace({"reference": f"{parts}:Rise"})):
         with refused():
             run(each)
