@@ -3,7 +3,6 @@
 from stewart_drake.analysis.feasibility import check_reference as check_reference
 from stewart_drake.analysis.linear_loop import linearize as linearize
 from stewart_drake.analysis.response import bode as bode
-from stewart_drake.base.code import trusting_code as trusting_code
 from stewart_drake.base.errors import ConfigurationError as ConfigurationError
 from stewart_drake.base.errors import StewartDrakeError as StewartDrakeError
 from stewart_drake.control.base import Measurement as Measurement

@@ -1,4 +1,4 @@
-"""A controller of one's own for `kind: python`: anything that is called with measurement, setpoint and time will do."""
+"""A user's controller: anything that is called with measurement, setpoint and time will do."""
 
 import numpy as np
 

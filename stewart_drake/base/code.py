@@ -1,7 +1,7 @@
-"""Code of the user's own that a file names: where it is, whether it may run, and what it raises.
+"""Users' code that a file names: where it is, whether it may run, and what it raises.
 
-A class or object stands as `module:Class` or `path/to/file.py:Class`. To name it is always allowed and runs nothing;
-`CodePath.load` asks that who read the file has trusted the code in it.
+A class or object is named by `module:Class` or `path/to/file.py:Class`. Naming it is always allowed and runs nothing;
+`CodePath.load` runs it, and refuses to unless the file was read with `trust_code=True`.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any, Self
 
+from pydantic import ValidationInfo
 from pydantic_core import CoreSchema, core_schema
 
 from stewart_drake.base.atomic_files import digest, read_checked
-from stewart_drake.base.config import as_problem, did_you_mean
+from stewart_drake.base.config import Reading, as_problem, did_you_mean
 from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.base.yaml_files import shipped_folder
 
@@ -33,24 +33,12 @@ _NAME = r"[A-Za-z_]\w*"
 CLASS_PATH = rf"^(.+\.py|{_NAME}(\.{_NAME})*):{_NAME}$"
 _FORMS = "module:Class or path/to/file.py:Class"
 _PACKAGE_OF_FILES = "stewart_drake_user"
-"""Holds the modules that are made from a user's files; it is not on disk."""
-TRUST: ContextVar[bool] = ContextVar("trust", default=False)
-"""Whether code that is named now may run."""
-
-
-@contextmanager
-def trusting_code(trust: bool = True) -> Iterator[None]:
-    """Context manager: user code named within it may run, then and later; with `trust` off it changes nothing."""
-    before = TRUST.set(trust or TRUST.get())
-    try:
-        yield
-    finally:
-        TRUST.reset(before)
+"""Package of the modules that are made from users' files; it exists in memory only."""
 
 
 @dataclass(frozen=True, repr=False)
 class CodePath(os.PathLike[str]):
-    """A class or object by its import path, or itself where it was given in Python; the type of a key."""
+    """A class or object by its import path, or as it was given in Python; the type of a key."""
 
     place: str  # Its module, or the whole path of its file.
     name: str
@@ -58,7 +46,7 @@ class CodePath(os.PathLike[str]):
     trusted: bool = field(default=True, compare=False)  # Whether it may run.
 
     @classmethod
-    def of(cls, value: Any) -> Self:
+    def of(cls, value: Any, trust_code: bool = False) -> Self:
         """From a text, relative paths from the current folder, or a class or object that was given in Python."""
         if isinstance(value, cls):
             return value
@@ -66,11 +54,11 @@ class CodePath(os.PathLike[str]):
         if not isinstance(value, str):
             return cls(place, name, value)
         if not place.endswith(".py"):
-            return cls(place, name, trusted=TRUST.get())
+            return cls(place, name, trusted=trust_code)
         # Without `..`, and not where links lead: this very path is what is opened.
         path = os.path.abspath(place)  # noqa: PTH100
         shipped = Path(os.path.realpath(path)).is_relative_to(shipped_folder("scenarios").parent)
-        return cls(path, name, trusted=TRUST.get() or shipped)
+        return cls(path, name, trusted=trust_code or shipped)
 
     @property
     def in_file(self) -> bool:
@@ -78,26 +66,26 @@ class CodePath(os.PathLike[str]):
         return self.given is None and self.place.endswith(".py")
 
     @property
-    def own_module(self) -> str:
-        """Package that the user's frames in a traceback are of."""
+    def user_module(self) -> str:
+        """Package of the user's frames in a traceback."""
         if self.in_file:
             return _PACKAGE_OF_FILES
         return self.place if self.given is not None else self.place.partition(".")[0]
 
     def find(self, key: str) -> None:
-        """Raises a `ConfigurationError` where its file is missing; `key` is where it stands."""
+        """Raises a `ConfigurationError` if its file is missing; `key` is the key that names it."""
         if self.in_file and not os.path.isfile(self.place):  # noqa: PTH113 - it never raises
             raise ConfigurationError(key, self, f"{_FORMS}, of a file that can be read")
 
     def check(self, key: str) -> None:
-        """Raises a `ConfigurationError` where its file is missing, or it is not trusted."""
+        """Raises a `ConfigurationError` if its file is missing, or it is not trusted."""
         self.find(key)
         if not self.trusted:
             allowed = f"code that you trust; read {self.place}, then add --trust-code (trust_code=True)"
             raise ConfigurationError(key, self, allowed)
 
     def load(self, key: str) -> Any:
-        """What the path names, whatever it is; see `check`."""
+        """The object that the path names, once it is checked, see `check`."""
         if self.given is not None:
             return self.given
         self.check(key)
@@ -110,13 +98,13 @@ class CodePath(os.PathLike[str]):
 
     @contextmanager
     def blamed(self, key: str, allowed: str) -> Iterator[None]:
-        """Says of whatever the user's code raises that it is no good value of the key."""
+        """Turns whatever the user's code raises into a `ConfigurationError` for the key."""
         try:
             yield
         except (ConfigurationError, KeyboardInterrupt):
             raise
         except BaseException as error:  # SystemExit too
-            text = _in_a_line(error, _frames_of(error.__traceback__, self.own_module))
+            text = _in_a_line(error, _frames_of(error.__traceback__, self.user_module))
             raise ConfigurationError(key, self, f"{allowed} ({text})") from error
 
     def __fspath__(self) -> str:
@@ -128,15 +116,15 @@ class CodePath(os.PathLike[str]):
         return repr(str(self))
 
     @classmethod
-    def _validate(cls, value: Any) -> Self:
+    def _validate(cls, value: Any, info: ValidationInfo) -> Self:
         is_path = isinstance(value, str) and re.fullmatch(CLASS_PATH, value)
         if not is_path and not isinstance(value, (cls, type)):
             raise as_problem(ConfigurationError("", value, _FORMS))
-        return cls.of(value)
+        return cls.of(value, isinstance(info.context, Reading) and info.context.trust_code)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(cls._validate)
+        return core_schema.with_info_plain_validator_function(cls._validate)
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: Any) -> dict[str, Any]:
@@ -144,13 +132,13 @@ class CodePath(os.PathLike[str]):
 
 
 def path_of(given: Any) -> str:
-    """What stands in a file for a class or an object that was given in Python."""
+    """The path, for a file, of a class or an object that was given in Python."""
     kind = given if isinstance(given, type) or inspect.isfunction(given) else type(given)
     return f"{kind.__module__}:{kind.__name__}"
 
 
 def source_of(thing: Any) -> str:
-    """Name and source of a function, class or module, to tell whether it has changed; else its compiled code."""
+    """Name and source code of a function, class or module, to see if it has changed; else its compiled code."""
     try:
         # Python 3.13 gives a class that was made by a call the source of its base.
         return f"{getattr(thing, '__qualname__', '')} {inspect.getsource(thing)}"
@@ -209,7 +197,7 @@ class UserCode(AbstractContextManager[None]):
         # The first frame is the one that has this guard; without another, the user's code could not even be called.
         frames = _frames_of(trace.tb_next, *self._modules)
         if frames or trace.tb_next is None:
-            # Of an endless recursion the first frames say enough.
+            # The first frames are enough, of an endless recursion.
             lines = traceback.format_exception(type(error), error, frames[0], limit=20) if frames else []
             text = f"the user's code raised {_in_a_line(error, frames)}"
             raise ControllerError(text, "".join(lines).rstrip()) from error
@@ -251,7 +239,7 @@ def anchored(data: Any, folder: Path) -> Any:
 
 
 def file_digests(data: Any) -> dict[str, str | None]:
-    """Path of each file that is named in plain values -> sha256 of its content, None where it cannot be read.
+    """Path of every file named in plain values -> sha256 of its content, None if it cannot be read.
 
     The file of a module is known once that is imported.
     """
@@ -269,7 +257,7 @@ def file_digests(data: Any) -> dict[str, str | None]:
 
 
 def with_texts(data: Any, change: Callable[[str, str], str], key: str = "") -> Any:
-    """A copy of plain values with each text changed, by a function of the last part of its key and the text.
+    """A copy of plain values with every text changed by a function of the last part of its key and the text.
 
     Of a list it is the key of the list; of `values`, from which a sweep chooses, the key above.
     """
@@ -278,7 +266,7 @@ def with_texts(data: Any, change: Callable[[str, str], str], key: str = "") -> A
     if isinstance(data, Mapping):
         lasts = {name: str(name).rpartition(".")[2] for name in data}
         return {name: with_texts(data[name], change, key if last == "values" else last) for name, last in lasts.items()}
-    return [with_texts(each, change, key) for each in data] if isinstance(data, (list, tuple)) else data
+    return [with_texts(item, change, key) for item in data] if isinstance(data, (list, tuple)) else data
 
 
 def _file_in(key: str, text: str) -> str | None:

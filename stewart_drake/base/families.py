@@ -1,37 +1,36 @@
-"""Families of kinds, and how a user's own class becomes one of them; the kinds themselves are in `registry`."""
+"""Families of kinds, and how a user's class becomes a kind; the kinds themselves are in `registry`."""
 
 from __future__ import annotations
 
 import inspect
 import sys
 from collections.abc import Iterator, Mapping
+from copy import copy
 from functools import cached_property
 from importlib import import_module
 from operator import attrgetter
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
-from pydantic import Field, GetJsonSchemaHandler
+from pydantic import Field, GetJsonSchemaHandler, PrivateAttr, ValidationInfo
 from pydantic_core import CoreSchema, core_schema
 
 from stewart_drake.base.code import CLASS_PATH, CodePath, path_of, source_of
-from stewart_drake.base.config import Section, as_problem, check_plain, choices_text
+from stewart_drake.base.config import Reading, Section, as_problem, check_plain, choices_text
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.keys import join_or
 
 _Kind = TypeVar("_Kind")
 _PACKAGE = __name__.partition(".")[0]
 USER_CLASS = "module:Class"
-"""How a kind of a user's own is written, among the `choices` of a family."""
-
-NOTHING_YET = "one that a program has added"
-NOTHING_GONE: Mapping[str, str] = {}
+"""A user's class, among the `choices` of a family."""
+NO_FORMER: Mapping[str, str] = {}
 
 
 class Table:
-    """Objects by name, in `Annotated` the type of a key that holds such a name.
+    """Objects by name; in `Annotated` it is the type of a key whose value is such a name.
 
-    `lines`: name -> `module:name` in this package, imported when it is asked for, or the object itself.
+    `lines`: name -> the object, or its `module:name` in this package, which is imported on first use.
     """
 
     def __init__(self, lines: dict[str, Any]) -> None:
@@ -49,7 +48,7 @@ class Table:
         return self._lines[name]
 
     def add(self, name: str, thing: Any) -> None:
-        """Adds an object; a `ConfigurationError` where the name means something already."""
+        """Adds an object; raises a `ConfigurationError` if the name is taken."""
         self._check_new(name)
         self._lines[name] = thing
 
@@ -58,9 +57,9 @@ class Table:
             raise ConfigurationError("kind", name, f"a new name; there are already {join_or(self.names)}")
 
     def added_code(self) -> dict[str, str]:
-        """Kind -> source of what was added from outside of the package, and of the modules that it stands in.
+        """Kind -> source code of what was added from outside of the package, and of its module.
 
-        Results are kept under it: a kind with other code is another kind.
+        It is part of the identity of stored results: a kind with other code is another kind.
         """
         sources: dict[str, str] = {}
         for kind, line in self._lines.items():
@@ -70,122 +69,128 @@ class Table:
                     sources[kind] = f"{sources.get(kind, '')}{source_of(part)}{source_of(sys.modules.get(module))}"
         return sources
 
-    def _validate(self, value: Any) -> Any:
+    def _validate(self, value: Any, _: ValidationInfo) -> Any:
         if isinstance(value, str) and value in self._lines:
             return value
         raise as_problem(ConfigurationError("", value, choices_text(value, self.names)))
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(self._validate)
+        return core_schema.with_info_plain_validator_function(self._validate)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         return {"enum": self.names, "type": "string"}
 
 
 class Family(Table):
-    """The kinds of one part of a scenario: a union told apart by the key `kind`; in `Annotated`, the type of the part.
+    """The kinds of one part of a scenario: a union of sections discriminated by the key `kind`.
 
-    A text that is a kind stands for a section of nothing else. `default` is the kind where the key is absent, `own` the
-    section for a user's own class, a `UserMade`, and `methods` what an object of the user's own has one of. `gone`:
-    kinds that there were -> what to write now.
+    Use it in `Annotated` as the type of the part. Unlike in a union of pydantic's, kinds are imported on first use and
+    can be added.
+
+    Args:
+        lines: Kind -> its section, see `Table`.
+        default: The kind where the key `kind` is absent; None where it must be there.
+        user_section: The section for a user's class, a `UserMade`; None where there can be none.
+        methods: A user's object has one of these.
+        former: Kind of an earlier version -> what to write now.
     """
 
     def __init__(
         self,
         lines: dict[str, Any],
         default: str | None = None,
-        own: str | None = None,
+        user_section: str | None = None,
         methods: tuple[str, ...] = (),
-        without: tuple[str, ...] = (),
-        gone: Mapping[str, str] = NOTHING_GONE,
+        former: Mapping[str, str] = NO_FORMER,
     ) -> None:
         super().__init__(lines)
-        self._gone = gone
-        self.default, self._own, self._methods, self._without = default, own, methods, without
+        self.default, self._user_line, self._methods, self._former = default, user_section, methods, former
+        self._excluded: tuple[str, ...] = ()
         self._paths: dict[str, str] = {}
 
     def excluding(self, *kinds: str) -> Family:
-        """The same kinds, without some and without a default."""
-        family = Family(self._lines, None, self._own, self._methods, kinds)
-        family._paths = self._paths
+        """The same kinds without some, and without a default."""
+        family = copy(self)
+        family.default, family._excluded = None, kinds
         return family
 
     @property
     def kinds(self) -> list[str]:
         """Names of the kinds."""
-        return [kind for kind in self._lines if kind not in self._without]
+        return [kind for kind in self._lines if kind not in self._excluded]
 
     @property
     def choices(self) -> list[str]:
         """For messages."""
-        return [*self.kinds, *self._paths, *([USER_CLASS] if self._own else [])] or [NOTHING_YET]
+        return [*self.kinds, *self._paths, *([USER_CLASS] if self._user_line else [])]
 
     def __getitem__(self, name: str) -> Any:
         section = super().__getitem__(name)
-        section.kinds_with = self._kinds_with
+        section.family = self
         return section
 
-    def _kinds_with(self, key: str) -> list[str]:
+    def kinds_with(self, key: str) -> list[str]:
+        """The kinds that have a key."""
         return [kind for kind in self.kinds if key in self[kind].__pydantic_fields__]
 
     def add(self, section: type[Section]) -> None:  # type: ignore[override]
-        """Adds a kind: its section, whose `kind` has its name as the default; again too, as in a notebook."""
+        """Adds a section as a kind, named by the default of its field `kind`; the same class may be added again."""
         kind = section.__pydantic_fields__["kind"].default
         if kind in self._lines and path_of(self[kind]) == path_of(section):
             del self._lines[kind]
         super().add(kind, section)
 
     def register(self, name: str, path: str) -> None:
-        """Lets a name stand for the import path of a user's own class, `module:Class`, wherever a kind does."""
-        if self._own is None or ":" not in path:
+        """Makes a name a kind: short for the import path of a user's class, `module:Class`."""
+        if self._user_line is None or ":" not in path:
             raise ConfigurationError(name, path, "module:Class, for a part that may be your own class")
         self._check_new(name)
         self._paths[name] = path
 
     def normalise(self, data: Any) -> Any:
-        """A section as written, in full; what stands for one is a kind, or a user's class or object."""
+        """What is given for a part as keys: a kind alone, or a user's class or object, becomes `{"kind": ...}`."""
         if isinstance(data, type) and issubclass(data, Section):
             return data()
-        if not isinstance(data, Mapping) and (self._is_own(data) or (isinstance(data, str) and data in self.kinds)):
+        if self.is_user_code(data) or (isinstance(data, str) and data in self.kinds):
             data = {"kind": data}
-        kind = data.get("kind") if isinstance(data, Mapping) else None
-        if kind == "python" and self._own is not None and "system" in data:
-            # Another way to write a path.
-            return {"kind": data["system"], **{key: data[key] for key in data if key not in ("kind", "system")}}
-        return {**data, "kind": self._paths[kind]} if isinstance(kind, str) and kind in self._paths else data
+        if not isinstance(data, Mapping):
+            return data
+        data, kind = {**data}, data.get("kind")
+        if isinstance(kind, str) and kind in self._paths:
+            data["kind"] = self._paths[kind]
+        elif self.is_user_code(kind) and not isinstance(kind, str):
+            data["kind"] = CodePath.of(kind)
+        return data
 
     def resolve(self, data: Any) -> Any:
-        """Class of a section that is written, or of one that is one of these; None where it is not."""
+        """Class of the section that is given for a part; None where it is none of these."""
         data = self.normalise(data)
         kind = data.get("kind", self.default) if isinstance(data, Mapping) else getattr(data, "kind", None)
-        section = self._own_section if self._is_own(kind) else self[kind] if kind in self.kinds else None
+        section = self._user_section if self.is_user_code(kind) else self[kind] if kind in self.kinds else None
         return section if isinstance(data, Mapping) or (section is not None and isinstance(data, section)) else None
 
     @property
-    def _own_section(self) -> Any:
-        return None if self._own is None else imported(self._own)
+    def _user_section(self) -> Any:
+        return None if self._user_line is None else imported(self._user_line)
 
-    def _is_own(self, kind: Any) -> bool:
+    def is_user_code(self, kind: Any) -> bool:
         """Whether a kind is a user's import path, class or object."""
-        if self._own is None or kind is None or isinstance(kind, Section):
+        if self._user_line is None or kind is None or isinstance(kind, (Section, Mapping)):
             return False
         if isinstance(kind, str):
             return ":" in kind or kind in self._paths
         return isinstance(kind, (type, CodePath)) or any(hasattr(kind, method) for method in self._methods)
 
-    def section(self, value: Any) -> Any:
-        """The section that is written, or one that is there already, checked."""
+    def section(self, value: Any, reading: Reading | None = None) -> Any:
+        """The section of what is given for a part, checked."""
         value = self.normalise(value)
         section = self.resolve(value)
         if section is None:
             raise as_problem(self._refusal(value))
-        if isinstance(value, Mapping):
-            value = {**value}
-            if self._is_own(value.get("kind")) and not isinstance(value["kind"], str):
-                value["kind"] = CodePath.of(value["kind"])
-        return section.__pydantic_validator__.validate_python(value)
+        return section.__pydantic_validator__.validate_python(value, context=reading)
 
-    _validate = section
+    def _validate(self, value: Any, info: ValidationInfo) -> Any:
+        return self.section(value, info.context)
 
     def _refusal(self, value: Any) -> ConfigurationError:
         if not isinstance(value, (Mapping, Section)):
@@ -197,44 +202,42 @@ class Family(Table):
         return ConfigurationError("kind", kind, f"{self._choices_text(kind)}{required}")
 
     def _choices_text(self, kind: Any) -> str:
-        return self._gone.get(str(kind), choices_text(kind, self.choices))
+        return self._former.get(str(kind), choices_text(kind, self.choices))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        sections = {kind: self[kind] for kind in self.kinds} | ({None: self._user_section} if self._user_line else {})
         ways: list[dict[str, Any]] = []
         alone = list(self._paths)
-        for kind in [*self.kinds, *([None] if self._own else [])]:
-            section = self._own_section if kind is None else self[kind]
-            ways.append({**handler(section.__pydantic_core_schema__)})
+        for kind, section in sections.items():
+            ways.append({**handler.resolve_ref_schema(handler(section.__pydantic_core_schema__))})
             section.describe(ways[-1])
             if kind not in (self.default, None):
                 ways[-1]["required"] = ["kind"]
             if kind is not None and not any(field.is_required() for field in section.__pydantic_fields__.values()):
                 alone.append(kind)
-        if self._own is not None:
+        if self._user_line is not None:
             ways.append({"type": "string", "pattern": CLASS_PATH})
-        if not ways:
-            named = {"type": "string", "description": f"Kind: {NOTHING_YET}."}
-            keys = {"properties": {"kind": named}, "required": ["kind"]}
-            return {"type": "object", "title": "Added", "description": "A kind of your own program.", **keys}
         return {"anyOf": [*ways, {"enum": alone}]}
 
 
 class UserMade(Section):
-    """Base of sections for what a class of the user's own makes.
+    """Base of the sections for a user's class.
 
-    In a file `kind` is the import path of the class. In Python it may also be the class itself or an object, and an
-    object may replace the whole section.
+    In a file `kind` is the import path of the class. In Python it may be the class or an object, and either may replace
+    the whole section.
     """
 
-    own_keys = frozenset({"arguments"})
+    kind_keys = frozenset({"arguments"})
     asked: ClassVar[str]
-    """What an object of the class does, such as `evaluate(t) returns ...`; begins with its method."""
+    """The method that its objects need, and what that returns, such as `evaluate(t) returns ...`."""
 
     kind: CodePath
     """Import path of your class, from the folder of the file that names it: path/to/file.py:Class, or module:Class. Its
     code is run."""
     arguments: dict[str, Any] = Field(default_factory=dict)
     """Keyword arguments of the constructor, plain values."""
+    _place: str = PrivateAttr("")
+    """Key of the scenario that has it; empty outside of one."""
 
     def rules(self) -> None:
         """Arguments are plain values."""
@@ -248,17 +251,20 @@ class UserMade(Section):
     @property
     def code_key(self) -> str:
         """Key of the scenario that has it, for messages."""
-        return f"{vars(self).get('place', self.section_key)}.kind"
+        return f"{self._place or self.section_key}.kind"
+
+    def __hash__(self) -> int:
+        return hash(repr(self))
 
     def load(self) -> Any:
-        """The class, not called; a `ConfigurationError` where it is none, or cannot be loaded."""
+        """The class; raises a `ConfigurationError` if it cannot be loaded or is not a class."""
         loaded = self.code.load(self.code_key)
         if not isinstance(loaded, type) and self.code.given is None:
             raise ConfigurationError(self.code_key, self.code, f"a class, not a {type(loaded).__name__}")
         return loaded if isinstance(loaded, type) else type(loaded)
 
-    def construct(self, offered: Mapping[str, Any]) -> Any:
-        """The object: with `arguments` and what the constructor names of `offered`, or as it was given."""
+    def new_object(self, offered: Mapping[str, Any]) -> Any:
+        """A new object, from `arguments` and those of `offered` that the constructor names; or the object given."""
         kind, given = self.load(), self.code.given
         if given is not None and not isinstance(given, type):
             return given
@@ -269,19 +275,19 @@ class UserMade(Section):
 
     @cached_property
     def made(self) -> Any:
-        """The object; a `ConfigurationError` where it does not have the method."""
-        made = self.construct({})
+        """The object, made once; raises a `ConfigurationError` if it lacks the method."""
+        made = self.new_object({})
         method = self.asked.partition("(")[0]
         if not callable(getattr(made, method, None)):
             raise self.refusal(f"one without {method}")
         return made
 
     def refusal(self, answer: str) -> ConfigurationError:
-        """The error that says what is asked of the class, and what came instead."""
+        """The error for a class that does something else than required."""
         return ConfigurationError(self.code_key, self.code, f"a class whose {self.asked}, not {answer}")
 
     def numbers(self, answer: Any) -> np.ndarray:
-        """An answer of the object as an array, else a `ConfigurationError`."""
+        """What a method of the object returned, as an array; raises a `ConfigurationError` if it is not numbers."""
         try:
             return np.asarray(answer, dtype=float)
         except (TypeError, ValueError):
@@ -289,39 +295,40 @@ class UserMade(Section):
 
 
 def given_keys(value: Any) -> Any:
-    """What was given of a section, and of those in it, in plain values but for code, which need not be trusted anew."""
+    """The keys that were given, of the sections inside too; plain values except for code, which stays trusted."""
     if isinstance(value, Section):
         value = value.given()
     if isinstance(value, (list, tuple)):
-        return [given_keys(each) for each in value]
-    return {key: given_keys(each) for key, each in value.items()} if isinstance(value, Mapping) else value
+        return [given_keys(item) for item in value]
+    return {key: given_keys(item) for key, item in value.items()} if isinstance(value, Mapping) else value
 
 
 def refuse_given(section: Any) -> None:
-    """Refuses what was given in Python as a class or an object, where results are kept and known again by content."""
+    """Refuses classes and objects that were given in Python, where results are stored and identified by files."""
     for part in user_parts(section):
         if part.code.given is not None:
             raise ConfigurationError(part.code_key, part.code, "a class by its import path, to run it many times")
 
 
 def user_parts(section: Any) -> list[UserMade]:
-    """Every part of the user's own in a section, and in those inside."""
+    """All sections for a user's class in a section."""
     return [part for _, part in placed(section, UserMade)]
 
 
 def place_users(section: Any) -> None:
-    """Tells the sections of a user's classes where they stand, for messages."""
+    """Gives the sections for users' classes their keys in a scenario, for messages."""
     for place, part in placed(section, UserMade):
-        vars(part)["place"] = place
+        part._place = place
 
 
 def placed(section: Any, kind: type[_Kind], place: str = "") -> Iterator[tuple[str, _Kind]]:
-    """Every section of a kind in a section, itself too, and where it stands."""
+    """All sections of a class in a section, itself included, with their keys."""
     if isinstance(section, kind):
         yield place, section
-    if isinstance(section, (Section, tuple)):
-        named = list(vars(section).items()) if isinstance(section, Section) else enumerate(section)
-        for name, part in named:
+    fields = section.__pydantic_fields__ if isinstance(section, Section) else None
+    named = () if fields is None else ((name, getattr(section, name)) for name in fields)
+    for name, part in enumerate(section) if isinstance(section, tuple) else named:
+        if isinstance(part, (Section, tuple)):
             yield from placed(part, kind, f"{place}.{name}" if place else str(name))
 
 

@@ -11,14 +11,14 @@ import numpy as np
 
 Schema = Mapping[str, Any]
 TINY = float(np.finfo(float).tiny)
-"""Smallest number whose reciprocal is finite: what counts as above 0."""
-_LARGEST_SHOWN = 1e15  # Where a computer's numbers end nobody has to know.
+"""Smallest number with a finite reciprocal; positive numbers must be at least this."""
+_LARGEST_SHOWN = 1e15  # Larger bounds are left out of messages.
 _NOUNS = {"boolean": "true or false", "string": "a text", "number": "a number", "integer": "a whole number"}
 _BOUNDS = {"exclusiveMinimum": "above", "minimum": "at least", "exclusiveMaximum": "below", "maximum": "at most"}
 
 
 class Key(NamedTuple):
-    """A key of a section; `name` is dotted, `kind` that of the section, `default` empty where there is none."""
+    """A key of a section; `name` is dotted, `kind` is that of the section, an empty `default` means none."""
 
     name: str
     kind: str
@@ -51,7 +51,7 @@ def keys_of(section: Schema, root: Schema, path: str = "") -> list[Key]:
 
 
 def all_keys(section: Schema, root: Schema, path: str = "", depth: int = 4) -> Iterator[Key]:
-    """The keys of a section and of those in it, to a depth; the text of a kind is that of its section."""
+    """The keys of a section and of the sections in it, to a depth; the text of `kind` is that of its section."""
     for key in keys_of(section, root, path):
         about = " ".join(section["description"].partition("\n\n")[0].split())
         yield key._replace(text=about) if key.chooses_kind else key
@@ -60,7 +60,7 @@ def all_keys(section: Schema, root: Schema, path: str = "", depth: int = 4) -> I
 
 
 def sections_at(schema: Schema, root: Schema, path: str) -> Iterator[tuple[str, Schema]]:
-    """Path and schema of the sections at a key, one for each kind; also in its list, path[i], or mapping, path.NAME."""
+    """Path and schema of the sections at a key, one per kind; in a list at path[i], in a mapping at path.NAME."""
     for way in _ways(schema, root):
         if "properties" in way:
             yield path, way
@@ -95,15 +95,15 @@ def allowed_text(schema: Schema, root: Schema, unit: str = "") -> str:
     for way in _ways(schema, root):
         kind, inner = str(way.get("type")), (_items(way) or [{}])[0]
         if "const" in way or "enum" in way:
-            texts += [str(each) for each in way.get("enum", [way.get("const")])]
+            texts += [str(choice) for choice in way.get("enum", [way.get("const")])]
         elif "properties" in way:
             texts.append("a section")
         elif kind == "array":
             least, is_fixed = way.get("minItems", 0), way.get("minItems") == way.get("maxItems")
             count = f" of {'' if is_fixed else 'at least '}{least}" if least else ""
             is_plain = is_fixed and allowed_text(inner, root) == "a number"
-            each = f" numbers{behind}" if is_plain else f", each {allowed_text(inner, root, unit)}"
-            texts.append(f"a list{count}{each}")
+            items = f" numbers{behind}" if is_plain else f", each {allowed_text(inner, root, unit)}"
+            texts.append(f"a list{count}{items}")
         elif kind == "object":
             texts.append(f"names, each with {allowed_text(inner, root)}")
         elif ":" in way.get("pattern", ""):
@@ -120,9 +120,9 @@ def allowed_text(schema: Schema, root: Schema, unit: str = "") -> str:
 
 
 def part_at(schema: Schema, root: Schema, path: Sequence[int | str], unit: str) -> tuple[Schema, str]:
-    """What stands at a path inside a part of a schema, of a list or mapping, and its unit of those of the whole."""
+    """The schema at a path in lists and mappings of a schema, and its unit among those of the whole."""
     for step in path:
-        inside = next(((way, each) for way in _ways(schema, root) for each in _items(way)), None)
+        inside = next(((way, item) for way in _ways(schema, root) for item in _items(way)), None)
         if inside is None:
             break
         count, units = len(inside[0].get("prefixItems", ())), unit.split(", ")
@@ -136,8 +136,8 @@ def _ways(schema: Schema, root: Schema) -> Iterator[Schema]:
     if "$ref" in schema:
         yield from _ways(root["$defs"][schema["$ref"].rpartition("/")[2]], root)
     elif "anyOf" in schema:
-        for each in schema["anyOf"]:
-            yield from _ways(each, root)
+        for way in schema["anyOf"]:
+            yield from _ways(way, root)
     else:
         kind = schema.get("type")
         yield {**schema, "type": kind[0]} if isinstance(kind, list) else schema
@@ -146,4 +146,4 @@ def _ways(schema: Schema, root: Schema) -> Iterator[Schema]:
 def _items(schema: Schema) -> list[Schema]:
     """What the values in a list or mapping may be."""
     inner = [*schema.get("prefixItems", [])[:1], schema.get("items"), schema.get("additionalProperties")]
-    return [each for each in inner if isinstance(each, dict)]
+    return [schema for schema in inner if isinstance(schema, dict)]

@@ -1,8 +1,8 @@
 """Every kind of plant, motor, controller, tuner, sensor, reference, disturbance, monitor, fault, machine and recording.
 
-A kind is one line here: its section, which also makes its part of the loop, see `part.LoopContext`; for faults one
-object. Names are texts, imported when a kind is asked for: to read a scenario takes neither Drake nor what the scenario
-does not name. `Family.add` and `Table.add` take a kind from outside of the package. Metrics stand in `logs.metrics`.
+A kind is one line here: the class of its section, which also makes its part of the loop, see `part.LoopContext`; of
+faults an object. It is imported on first use: reading a scenario needs neither Drake nor kinds that it does not name.
+`Family.add` and `Table.add` add kinds from outside of the package. Metrics are in `logs.metrics`.
 """
 
 from stewart_drake.base.families import Family, Table
@@ -22,7 +22,7 @@ REFERENCES = Family(
         "adjusted": "references.motions:AdjustedReference",
     },
     default="sine",
-    own="references.recorded:UserReference",
+    user_section="references.recorded:UserReference",
     methods=("evaluate", "__call__"),
 )
 CONTROLLERS = Family(
@@ -33,11 +33,12 @@ CONTROLLERS = Family(
         "feedforward": "control.feedforward:FeedforwardOptions",
     },
     default="lqi",
-    own="control.user_controller:PythonOptions",
+    user_section="control.user_controller:PythonOptions",
     methods=("GetInputPort", "__call__"),
-    gone={
+    former={
+        "python": "the path of your class or function as the kind itself, such as path/to/file.py:Class",
         "decoupled_pid": "pid with inertia: robot, feedforward: motion, derivative: difference, sticking: 4 and "
-        "dead_band: 2.5; kp, ki, kd for natural_frequency, integral_frequency, damping"
+        "dead_band: 2.5; kp, ki, kd for natural_frequency, integral_frequency, damping",
     },
 )
 TUNERS = Family(
@@ -53,7 +54,7 @@ TUNERS = Family(
 SENSORS = Family(
     {"ideal": "hardware.sensors:IdealSensors", "encoders": "hardware.sensors:EncoderOptions"},
     default="ideal",
-    own="hardware.sensors:UserSensors",
+    user_section="hardware.sensors:UserSensors",
     methods=("parts",),
 )
 PLANTS = Family(
@@ -63,7 +64,7 @@ PLANTS = Family(
         "mujoco": "plant.mujoco_plant:MujocoOptions",
     },
     default="drake",
-    own="plant.plant_options:UserPlantOptions",
+    user_section="plant.plant_options:UserPlantOptions",
     methods=("step",),
 )
 MOTORS = Family(
@@ -73,25 +74,25 @@ MOTORS = Family(
         "current": "hardware.servos:CurrentMotors",
     },
     default="torque",
-    own="hardware.motors:UserMotors",
+    user_section="hardware.motors:UserMotors",
     methods=("torque",),
 )
 ESTIMATORS = Family(
     {"difference": "control.estimator:DifferenceOptions", "observer": "control.observer:ObserverOptions"},
     default="difference",
-    own="control.estimator:UserEstimator",
+    user_section="control.estimator:UserEstimator",
     methods=("parts",),
 )
 ADAPTATIONS = Family(
     {"regression": "control.adaptation:RegressionOptions"},
     default="regression",
-    own="control.base:UserAdaptation",
+    user_section="control.base:UserAdaptation",
     methods=("parts",),
 )
-OWN_MONITORS = Family({}, own="safety.options:UserMonitor", methods=("look",))
-"""Monitors of the user, under `safety.monitors`; the others are in `safety.options`."""
-OWN_METRICS = Family({}, own="logs.metrics:UserMetric", methods=("of",))
-"""Those of the user's own, under `metrics`; the others stand in `logs.metrics`."""
+OWN_MONITORS = Family({}, user_section="safety.options:UserMonitor", methods=("look",))
+"""Users' monitors, under `safety.monitors`; the package's are in `safety.options`."""
+OWN_METRICS = Family({}, user_section="logs.metrics:UserMetric", methods=("of",))
+"""Users' metrics, under `metrics`; the package's are in `logs.metrics`."""
 DISTURBANCES = Family(
     {
         "constant": "hardware.disturbances:ConstantWrench",
@@ -100,13 +101,13 @@ DISTURBANCES = Family(
         "sine": "hardware.disturbances:SineWrench",
         "noise": "hardware.disturbances:NoiseWrench",
     },
-    own="hardware.disturbances:UserDisturbance",
+    user_section="hardware.disturbances:UserDisturbance",
     methods=("evaluate",),
 )
 MACHINES = Table({"reachy": "reachy.machine:ReachyMachine", "udp": "machines.udp:UdpMachine"})
-"""By the scheme of an address: a class that is made of scenario, host and port; `default_port` where it has one."""
+"""Scheme of an address -> a class that is called with scenario, host and port; it may have a `default_port`."""
 RECORDINGS = Table({".json": "reachy.moves:read_rows"})
-"""Of recorded motions by the ending of a file, besides tables: a function from a path to rows (n, 7) [s, rad, m]."""
+"""Ending of a file with a recorded motion -> a function from its path to rows (n, 7) [s, rad, m]; tables need none."""
 
 
 def _faults(*kinds: str, **others: str) -> Table:
@@ -118,5 +119,5 @@ POSE_FAULTS = _faults("freeze", "nan", "late")
 COMMAND_FAULTS = _faults("nan", "inf", offset="jump", chatter="chatter")
 MOTOR_FAULTS = _faults(reversed="inverted", swapped="swapped")
 
-REGISTERED = [each for each in vars().copy().values() if isinstance(each, (Family, Table))]
-"""All of them."""
+REGISTERED = [kinds for kinds in vars().copy().values() if isinstance(kinds, Table)]
+"""All families and tables."""

@@ -1,13 +1,11 @@
-"""Units behind numbers in texts: `30 deg`, `300 mm`, `1.5 Hz`; and what was perhaps meant without one."""
+"""Numbers with units as texts: `30 deg`, `300 mm`, `1.5 Hz`; and a guess at the unit that was meant."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Callable, Mapping
-from typing import Any
-
-from stewart_drake.base.errors import ConfigurationError
+from typing import Any, NamedTuple
 
 UNITS: Mapping[str, tuple[str, float]] = {
     **{"rad": ("rad", 1.0), "deg": ("rad", math.radians(1.0)), "°": ("rad", math.radians(1.0)), "mrad": ("rad", 1e-3)},
@@ -21,37 +19,56 @@ UNITS: Mapping[str, tuple[str, float]] = {
     **{"rad/s^2": ("rad/s^2", 1.0), "deg/s^2": ("rad/s^2", math.radians(1.0))},
     **{"kg m^2": ("kg m^2", 1.0), "g mm^2": ("kg m^2", 1e-9)},
 }
-"""What may stand behind a number in a text, as in `30 deg` -> the unit that it is a multiple of, and its size."""
+"""Unit after a number in a text, as in `30 deg` -> the SI unit, and its size in that."""
 _TEXT = r"^[-+.\d]+ *[A-Za-z°]"
 _MEASURE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z°][\w/^ ]*?)\s*")
 
 
-def in_unit(value: Any, key: str, units: str, place: tuple[int, int] = (0, 1)) -> Any:
-    """A text such as `30 deg` as a number of the field's unit, in lists too; what is no such text stays.
+def in_unit(value: Any, units: str, index: int = 0, length: int = 1) -> Any:
+    """A text such as `30 deg` as a number in the unit of a field, in lists too; anything else as it is.
 
-    Of several units, `rad, m`, the first ones are for the first numbers of a list; `place` is the index and the length.
+    Of several units, `rad, m`, the first ones are for the first items of a list; `index` is the place in it.
     """
     if isinstance(value, (list, tuple)) and units:
-        return tuple(in_unit(each, key, units, (index, len(value))) for index, each in enumerate(value))
-    match = _MEASURE.fullmatch(value) if isinstance(value, str) and units else None
-    if match is None:
-        return value
+        return tuple(in_unit(item, units, place, len(value)) for place, item in enumerate(value))
     several = units.split(", ")
-    unit = several[place[0] * len(several) // place[1]]
+    found = _measured(value, several[index * len(several) // length])
+    return value if found is None or found.number is None else found.number
+
+
+def wrong_unit(value: Any, unit: str) -> str:
+    """What is allowed instead of a text with another unit, such as `3 mm` for seconds; empty for anything else."""
+    found = _measured(value, unit)
+    if found is None or found.number is not None:
+        return ""
+    base, _ = UNITS.get(unit, (unit, 1.0))
+    bases = ("rad/s", "Hz") if base == "rad/s" else (base,)
+    fitting = [name for name, (of, _) in UNITS.items() if of in bases]
+    allowed = f"a number [{unit}]" + (f", or one with {', '.join(fitting)} behind it" if fitting else "")
+    return allowed + _reciprocal(found.written, found.unit, base)
+
+
+class _Measured(NamedTuple):
+    """A text such as `30 deg`: its parts, and the number in the unit of a field; None where the units do not fit."""
+
+    written: str
+    unit: str
+    number: float | None
+
+
+def _measured(value: Any, unit: str) -> _Measured | None:
+    match = _MEASURE.fullmatch(value) if isinstance(value, str) and unit else None
+    if match is None:
+        return None
     base, size = UNITS.get(unit, (unit, 1.0))
     of, factor = UNITS.get(match[2], ("", 0.0))
     if (of, base) == ("Hz", "rad/s"):
         of, factor = base, math.tau * factor
-    if of != base or not factor:
-        bases = ("rad/s", "Hz") if base == "rad/s" else (base,)
-        fitting = [name for name, (each, _) in UNITS.items() if each in bases]
-        allowed = f"a number [{unit}]" + (f", or one with {', '.join(fitting)} behind it" if fitting else "")
-        raise ConfigurationError(key, value, allowed + _reciprocal(match[1], match[2], base))
-    return float(match[1]) * factor / size
+    return _Measured(match[1], match[2], float(match[1]) * factor / size if of == base else None)
 
 
 def _reciprocal(number: str, name: str, wanted: str) -> str:
-    """What a period is as a frequency, and the other way round."""
+    """A period as a frequency, or a frequency as a period."""
     unit, size = UNITS.get(name, ("", 1.0))
     if float(number) == 0.0 or (unit, wanted) not in (("s", "Hz"), ("s", "rad/s"), ("Hz", "s")):
         return ""
@@ -62,12 +79,12 @@ def _reciprocal(number: str, name: str, wanted: str) -> str:
 
 
 def or_text(schema: Any) -> Any:
-    """A JSON schema in which a text with a unit may stand for each number."""
+    """A JSON schema in which every number may also be a text with a unit."""
     if isinstance(schema, list):
-        return [or_text(each) for each in schema]
+        return [or_text(item) for item in schema]
     if not isinstance(schema, dict):
         return schema
-    changed = {key: or_text(each) for key, each in schema.items()}
+    changed = {key: or_text(item) for key, item in schema.items()}
     return {**changed, "type": ["number", "string"], "pattern": _TEXT} if changed.get("type") == "number" else changed
 
 

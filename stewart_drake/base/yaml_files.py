@@ -37,9 +37,9 @@ def shipped_folder(kind: str) -> Path:
 
 def find_file(kind: str, name: str | Path) -> Path:
     """The file that `name` means, a path or the stem of a file of the package; `kind` such as `scenario`."""
-    path, shipped = Path(name), {each.stem: each for each in sorted(shipped_folder(f"{kind}s").glob("*.yaml"))}
+    path, shipped = Path(name), {file.stem: file for file in sorted(shipped_folder(f"{kind}s").glob("*.yaml"))}
     try:
-        # What is a pipe or a device says so itself once it is to be read.
+        # A pipe or a device is refused when it is read.
         if path.exists() and not path.is_dir():
             return path
     except OSError as error:
@@ -126,7 +126,7 @@ def to_yaml(data: Any) -> str:
 
 
 class _PlainComposer(Composer):
-    """Refuses aliases, and with them merge keys: a few of them say more than any memory holds."""
+    """Refuses aliases, and with them merge keys: a few nested ones expand beyond any memory."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.parser.check_event(AliasEvent):

@@ -40,6 +40,7 @@ def drive(
     out: Path | None,
     force: bool,
     keep_model: Path | None,
+    trust_code: bool,
 ) -> None:
     """SCENARIO, or a file of a controller alone, drives a machine: to the motion, along it, and to rest.
 
@@ -51,14 +52,14 @@ def drive(
     from stewart_drake.runs.checks import check_scenario
     from stewart_drake.runs.drive import Drive, as_logged, connected, held_controller
 
-    loaded = begin_with(load_driven, scenario, overrides, keep_model)
+    loaded = begin_with(load_driven, scenario, overrides, keep_model, trust_code)
     if out is not None:
         check_place(as_logged(loaded), out, force, duration=False)
     if mcap:
         check_mcap()
     if keep_model is not None:
         prepare_file(keep_model, "--keep-model")
-    opened, driven = open_machine(machine, loaded), None
+    opened, driven = open_machine(machine, loaded, trust_code), None
     with shown_compiling():
         check_scenario(loaded)
         held_controller(loaded, loaded.start()[0])
@@ -109,7 +110,7 @@ def _print_plan(loaded: Scenario, url: str, machine: Machine, start: Start) -> N
     c=opt.option("Folder for the controller as C99.", opt.OUT_FOLDER, "--c"),
     fmu=opt.option("Folder for controller and robot as FMI 3.0 units.", opt.OUT_FOLDER, "--fmu"),
 )
-def export(scenario: str, c: Path | None, fmu: Path | None, overrides: tuple[str, ...]) -> None:
+def export(scenario: str, c: Path | None, fmu: Path | None, overrides: tuple[str, ...], trust_code: bool) -> None:
     """SCENARIO, or a file of a controller alone, becomes a header and a source of C99 that needs math.h alone.
 
     The folder has its reference as a table, a replay with which `make check` compares commands, and an example for a
@@ -121,7 +122,7 @@ def export(scenario: str, c: Path | None, fmu: Path | None, overrides: tuple[str
 
     if c is None and fmu is None:
         raise click.UsageError("export needs --c or --fmu, a folder each")
-    loaded = load_driven(scenario, overrides)
+    loaded = load_driven(scenario, overrides, trust_code)
     with shown_compiling():
         written = [] if c is None else export_controller(loaded, loaded.name, c)
         written += [] if fmu is None else write_units(loaded, loaded.name, fmu)

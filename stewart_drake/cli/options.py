@@ -90,12 +90,6 @@ def _json(context: click.Context, _: click.Parameter, given: bool) -> None:
         context.call_on_close(lambda: print_json(context.meta[AS_JSON]))
 
 
-def _trust(context: click.Context, _: click.Parameter, given: bool) -> None:
-    from stewart_drake.base.code import trusting_code
-
-    context.with_resource(trusting_code(given))
-
-
 def _flag(name: str, callback: Callable[..., None], text: str) -> click.Option:
     return click.Option([name], is_flag=True, expose_value=False, callback=callback, help=text)
 
@@ -173,11 +167,11 @@ class Seconds(click.ParamType):
         self.range = click.FloatRange(min=least)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        from stewart_drake.base.units import in_unit
+        from stewart_drake.base.config import number_in
 
         with suppress(ValueError):
             return self.range.convert(float(value), param, ctx)
-        number = click.FLOAT.convert(in_unit(value, param.opts[0] if param else self.name, "s"), param, ctx)
+        number = number_in(param.opts[0] if param else self.name, value, "s")
         return self.range.convert(number, param, ctx)
 
 
@@ -240,6 +234,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "scheduler": option("Run on a Dask cluster, e.g. tcp://host:8786.", metavar="ADDRESS"),
     "seed": option("Seed of everything random.", click.IntRange(0), default=0),
     "seeds": option("Situations of each kind and robot.", click.IntRange(2), default=14),
+    "trust_code": switch("Allow Python code named in files or by --set to run."),
     "unit": option("Unit of all lengths, in the table and after --set: m, mm, cm or in.", default="m"),
     "validate": option("A log that is predicted, but not fitted.", PATH, multiple=True),
     "video": option("Also write a film of the run: FILE.gif, or FILE.mp4 (needs ffmpeg).", PATH),
@@ -274,8 +269,6 @@ def command(
         for each in inspect.signature(function).parameters.values():
             for part in STUDY_OPTIONS if each.kind is each.VAR_KEYWORD else (each.name,):
                 params.append(_parameter(part, str(each.annotation), own.get(part), example))
-        if {"overrides", "workers"} & {each.name for each in params}:
-            params.append(_flag("--trust-code", _trust, "Allow Python code named in files or by --set to run."))
         text = f"{COMMANDS[path].summary}.\n\n{inspect.cleandoc(function.__doc__ or '')}"
         return parent_group.command(name, cls=kind, help=text, params=params, **(group or {}))(function)
 

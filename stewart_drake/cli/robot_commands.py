@@ -96,9 +96,9 @@ _MODEL: Any = {
 def _model_options(write: Callable[[Scenario], str]) -> Callable[..., None]:
     """A command that writes a scenario's robot for another program."""
 
-    def model(file: Path, robot: str | None, scenario: str, overrides: tuple[str, ...]) -> None:
+    def model(file: Path, robot: str | None, scenario: str, overrides: tuple[str, ...], trust_code: bool) -> None:
         own = [] if robot is None else [f"robot={json.dumps(robot)}"]
-        write_text(file, write(load_scenario(scenario, (*own, *overrides))))
+        write_text(file, write(load_scenario(scenario, (*own, *overrides), trust_code)))
         tell(f"robot in {file}")
 
     model.__doc__ = write.__doc__
@@ -267,7 +267,13 @@ def identify(
     ),
 )
 def excite(
-    robot: str, out: Path, motors: str | None, duration: float | None, hold: tuple[str, ...], overrides: tuple[str, ...]
+    robot: str,
+    out: Path,
+    motors: str | None,
+    duration: float | None,
+    hold: tuple[str, ...],
+    overrides: tuple[str, ...],
+    trust_code: bool,
 ) -> None:
     """Writes a scenario for `run`, within the robot's limits. --set changes limits, encoders or controller."""
     from stewart_drake.analysis.feasibility import check_reference
@@ -290,7 +296,7 @@ def excite(
     )
     duration = duration or (60.0 if motors is None else 20.0)
     own = (f"robot={json.dumps(robot)}", *differences, *(torque if motors is None else angle), f"duration={duration!r}")
-    scenario = load_scenario("exact_breathing", (*own, *overrides))
+    scenario = load_scenario("exact_breathing", (*own, *overrides), trust_code)
     room = ROOM if motors is None else SERVO_ROOM
     with prepared_file(out):
         with progress_bar("designing", float(MOTIONS), unit="motions") as advance:

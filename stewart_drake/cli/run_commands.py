@@ -59,13 +59,14 @@ def run(
     keep_model: Path | None,
     plots: bool,
     video: Path | None,
+    trust_code: bool,
 ) -> None:
     """SCENARIO is a YAML file, or the name of a shipped one such as paper_fig7."""
     from stewart_drake.runs.checks import check_scenario, refuse_unrunnable
     from stewart_drake.runs.simulation import run as simulate
     from stewart_drake.runs.simulation import run_of
 
-    loaded = begin_with(load_scenario, scenario, overrides, keep_model)
+    loaded = begin_with(load_scenario, scenario, overrides, keep_model, trust_code)
     if out is not None:
         check_place(loaded, out, force)
     if video is not None:
@@ -114,13 +115,17 @@ def leave(log: SimulationLog, claimed: Path, graph: str | None = None, machine: 
 
 
 def begin_with(
-    load: Callable[[str, Iterable[str]], Scenario], scenario: str, overrides: Iterable[str], file: Path | None
+    load: Callable[[str, Iterable[str], bool], Scenario],
+    scenario: str,
+    overrides: Iterable[str],
+    file: Path | None,
+    trust_code: bool = False,
 ) -> Scenario:
     """Loads a scenario, with the `model` that an earlier run has left in a file, where there is one.
 
     Refuses to keep what nothing learns, and what was learnt of another robot.
     """
-    own = load(scenario, overrides)
+    own = load(scenario, overrides, trust_code)
     if file is None:
         return own
     if own.adaptation is None or not own.adaptation.is_kept:
@@ -137,7 +142,7 @@ def begin_with(
         allowed = f"what was learnt of this robot and its motors, {machine}, or a new file"
         raise ConfigurationError(f"--keep-model {file}", learnt_of, allowed)
     # What is simulated stays what it was.
-    begun = load(scenario, (f"model={json.dumps(data['model'])}", *overrides))
+    begun = load(scenario, (f"model={json.dumps(data['model'])}", *overrides), trust_code)
     return begun.replace({"robot": own.robot, "motors": own.motors})
 
 
@@ -197,7 +202,9 @@ def _print_run(log: SimulationLog, place: Path, machine: str) -> None:
     "check",
     out=opt.option("Write the feasible scenario; needs --scale or --retime.", opt.OUT_FILE),
 )
-def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None) -> None:
+def check(
+    scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None, trust_code: bool
+) -> None:
     """The check covers the whole run of SCENARIO, or of a controller's file. Your own code is named but not run.
 
     `plant_torque` is with payload, friction and disturbances, which the controller does not know. Exit status 2: the
@@ -207,7 +214,7 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
 
     if out is not None and scale == retime:
         raise click.UsageError("--out needs either --scale or --retime")
-    loaded = load_driven(scenario, overrides)
+    loaded = load_driven(scenario, overrides, trust_code)
     for part in user_parts(loaded):
         part.code.find(part.code_key)
     for code in dict.fromkeys(part.code for part in user_parts(loaded)):
@@ -275,7 +282,7 @@ _QUICK_POSES = 50
     quick=opt.switch(f"At most {_QUICK_POSES} poses, for a first look."),
     example="estimator.kind=observer",
 )
-def margins(scenario: str, out: Path, poses: int, quick: bool, overrides: tuple[str, ...]) -> None:
+def margins(scenario: str, out: Path, poses: int, quick: bool, overrides: tuple[str, ...], trust_code: bool) -> None:
     """SCENARIO is a file or a shipped name [default: exact_breathing].
 
     The loop with sensors, estimator, controller and delay is linearised at rest and opened at the six motor torques.
@@ -286,7 +293,7 @@ def margins(scenario: str, out: Path, poses: int, quick: bool, overrides: tuple[
     """
     from stewart_drake.analysis.linear_loop import linear_loops, poses_to_stand_at
 
-    loaded = load_scenario(scenario, overrides)
+    loaded = load_scenario(scenario, overrides, trust_code)
     chosen = poses_to_stand_at(loaded, min(poses, _QUICK_POSES) if quick else poses, 0)
     with shown_compiling(), progress_bar("margins", float(len(chosen)), unit="poses") as advance:
         loops = linear_loops(loaded, chosen, advance)
@@ -305,7 +312,7 @@ def margins(scenario: str, out: Path, poses: int, quick: bool, overrides: tuple[
 
 
 @command("bode", scenario="exact_breathing", out="runs/bode", example="estimator.kind=observer")
-def bode(scenario: str, out: Path, overrides: tuple[str, ...]) -> None:
+def bode(scenario: str, out: Path, overrides: tuple[str, ...], trust_code: bool) -> None:
     """SCENARIO is a file or a shipped name [default: exact_breathing].
 
     The loop as `margins` has it, at the pose of the start: singular values of the loop gain, of the sensitivity and of
@@ -314,7 +321,7 @@ def bode(scenario: str, out: Path, overrides: tuple[str, ...]) -> None:
     from stewart_drake.analysis import response
     from stewart_drake.plotting.model_plots import plot_bode
 
-    loaded = load_scenario(scenario, overrides)
+    loaded = load_scenario(scenario, overrides, trust_code)
     with shown_compiling():
         found = response.bode(loaded)
     folder = prepare_folder(out)
@@ -337,7 +344,7 @@ def bode(scenario: str, out: Path, overrides: tuple[str, ...]) -> None:
     axis=opt.option("Coordinate.", click.Choice(COORDINATES), default="Z"),
     size=opt.option("Size, e.g. '1 mm' or '1 deg' [default: 0.01 rad, or 0.01 of the robot's size]."),
 )
-def step(scenario: str, out: Path, axis: str, size: str | None, overrides: tuple[str, ...]) -> None:
+def step(scenario: str, out: Path, axis: str, size: str | None, overrides: tuple[str, ...], trust_code: bool) -> None:
     """SCENARIO is a file or a shipped name [default: exact_breathing].
 
     A run of the whole loop that starts beside the pose that it is to hold. Writes step.png.
@@ -345,7 +352,7 @@ def step(scenario: str, out: Path, axis: str, size: str | None, overrides: tuple
     from stewart_drake.plotting.model_plots import plot_step
     from stewart_drake.runs import step_response
 
-    loaded = load_scenario(scenario, overrides)
+    loaded = load_scenario(scenario, overrides, trust_code)
     unit = "rad" if axis in COORDINATES[:3] else "m"
     with shown_compiling():
         found = step_response.step(loaded, axis, None if size is None else number_in("--size", size, unit))
@@ -361,7 +368,7 @@ def step(scenario: str, out: Path, axis: str, size: str | None, overrides: tuple
     scenario=opt.option("Scenario with the robot, limits and controller.", default="paper_fig7"),
     example="limits.clearance=0.01",
 )
-def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]) -> None:
+def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...], trust_code: bool) -> None:
     """Writes workspace.json and figures/.
 
     There are two workspaces: positions at the home orientation, and orientations at the home position. Both respect
@@ -374,7 +381,7 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
     from stewart_drake.runs.checks import check_scenario
     from stewart_drake.studies.visited import motion_numbers
 
-    base = load_scenario(scenario, overrides)
+    base = load_scenario(scenario, overrides, trust_code)
     check_center(base.robot, base.robot.home_pose)
     base.tuner.network()
     try:

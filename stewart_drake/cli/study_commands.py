@@ -58,7 +58,7 @@ def _exit_if_refused(result: Result) -> None:
 
 
 @command("sweep")
-def sweep(sweep: str, out: Path | None, runs: int | None, **options: Any) -> None:
+def sweep(sweep: str, out: Path | None, runs: int | None, trust_code: bool, **options: Any) -> None:
     """SWEEP is a YAML file, or the name of a shipped one such as initial_offset.
 
     Writes sweep.parquet and .csv: one row per run, with random values, outcome and metrics. A run that is rejected,
@@ -67,7 +67,7 @@ def sweep(sweep: str, out: Path | None, runs: int | None, **options: Any) -> Non
     from stewart_drake.studies.experiment import refusals, run_experiment, write_figures
     from stewart_drake.studies.sweep import load_sweep, summary
 
-    loaded = load_sweep(sweep, runs)
+    loaded = load_sweep(sweep, runs, trust_code)
     with _under_way(loaded.name, loaded.runs, out, **options) as way:
         result = run_experiment(loaded, *way)
         drawn = write_figures(loaded.figures(result.rows), result.folder)
@@ -78,7 +78,9 @@ def sweep(sweep: str, out: Path | None, runs: int | None, **options: Any) -> Non
 
 
 @command("compare", comparison="tracking")
-def compare(comparison: str, out: Path | None, quick: bool, robot: str | None, **options: Any) -> None:
+def compare(
+    comparison: str, out: Path | None, quick: bool, robot: str | None, trust_code: bool, **options: Any
+) -> None:
     """COMPARISON is a YAML file or one of tracking, controllers, fair, observer, reachy [default: tracking].
 
     Writes comparison.parquet, .csv and .md, bands.parquet and .csv (frequency response), and plots.
@@ -86,7 +88,7 @@ def compare(comparison: str, out: Path | None, quick: bool, robot: str | None, *
     from stewart_drake.studies.comparison import load_comparison
     from stewart_drake.studies.experiment import run_experiment, write_figures
 
-    loaded = load_comparison(comparison, quick, robot)
+    loaded = load_comparison(comparison, quick, robot, trust_code)
     with _under_way(f"{loaded.name}{'-quick' if quick else ''}", loaded.runs, out, **options) as way:
         result = run_experiment(loaded, *way)
         write_figures(loaded.figures(result.rows), result.folder)
@@ -96,7 +98,13 @@ def compare(comparison: str, out: Path | None, quick: bool, robot: str | None, *
 
 @command("tune")
 def tune(
-    comparison: str, out: Path | None, controllers: tuple[str, ...], budget: int | None, quick: bool, **options: Any
+    comparison: str,
+    out: Path | None,
+    controllers: tuple[str, ...],
+    budget: int | None,
+    quick: bool,
+    trust_code: bool,
+    **options: Any,
 ) -> None:
     """COMPARISON is a YAML file with the key `tune`, or a shipped name such as fair.
 
@@ -107,7 +115,7 @@ def tune(
     from stewart_drake.studies.experiment import write_figures
     from stewart_drake.studies.tune import load_tuning, run_tuning
 
-    loaded = load_tuning(comparison, controllers, budget, quick)
+    loaded = load_tuning(comparison, controllers, budget, quick, trust_code)
     with _under_way(f"{loaded.name}{'-tune-quick' if quick else '-tune'}", loaded.runs, out, **options) as way:
         result = run_tuning(loaded, *way)
         write_figures(loaded.figures({"tune": result.rows}), way[0])
@@ -116,12 +124,14 @@ def tune(
 
 
 @command("faults", out="runs/faults", example="estimator.kind=observer")
-def faults(out: Path, quick: bool, robot: str | None, overrides: tuple[str, ...], **options: Any) -> None:
+def faults(
+    out: Path, quick: bool, robot: str | None, overrides: tuple[str, ...], trust_code: bool, **options: Any
+) -> None:
     """Writes faults.parquet, .csv and .md. --quick runs the platform at rest only, a third of the runs."""
     from stewart_drake.studies.experiment import run_experiment
     from stewart_drake.studies.faults import fault_study, holdable_lines
 
-    plan = fault_study(quick, robot, overrides)
+    plan = fault_study(quick, robot, overrides, trust_code=trust_code)
     with _under_way(plan.name, plan.runs, out, **options) as way:
         rows = run_experiment(plan, *way).rows["faults"]
     holdable = [f"  {line}" for line in holdable_lines(rows)]

@@ -13,7 +13,7 @@ from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import shown_compiling, tell
 from stewart_drake.logs.log import load_log
-from stewart_drake.scenario.scenario import load_driven, load_scenario
+from stewart_drake.scenario.scenario import Scenario, load_driven, load_scenario
 
 
 @command(
@@ -23,7 +23,14 @@ from stewart_drake.scenario.scenario import load_driven, load_scenario
     machine=opt.option("Steer a machine, as `drive` names it, in place of the simulation; it moves."),
     example="plant.payload_mass=0.2",
 )
-def live(scenario: str, machine: str | None, port: int | None, overrides: tuple[str, ...], browser: bool) -> None:
+def live(
+    scenario: str,
+    machine: str | None,
+    port: int | None,
+    overrides: tuple[str, ...],
+    browser: bool,
+    trust_code: bool,
+) -> None:
     """SCENARIO is a file or a shipped name [default: sway].
 
     Pull or turn the platform with the mouse, move it with sliders, change gains, beliefs and the machine, break a
@@ -33,11 +40,11 @@ def live(scenario: str, machine: str | None, port: int | None, overrides: tuple[
     one, which is pale.
     """
     if machine is not None:
-        _steer(scenario, machine, port, overrides, browser)
+        _steer(load_driven(scenario, overrides, trust_code), machine, port, browser, trust_code)
         return
     from stewart_drake.live.start import start_live
 
-    loaded, engine = load_scenario(scenario, overrides), ""
+    loaded, engine = load_scenario(scenario, overrides, trust_code), ""
     if loaded.plant.in_diagram and not any(each.startswith("plant") for each in overrides):
         # What only Drake's plant has stays there.
         with suppress(ConfigurationError):
@@ -58,14 +65,13 @@ def live(scenario: str, machine: str | None, port: int | None, overrides: tuple[
         server.close()
 
 
-def _steer(scenario: str, url: str, port: int | None, overrides: tuple[str, ...], browser: bool) -> None:
+def _steer(loaded: Scenario, url: str, port: int | None, browser: bool, trust_code: bool) -> None:
     from stewart_drake.live.start import start_machine
     from stewart_drake.machines.machine import open_machine
     from stewart_drake.runs.checks import check_scenario
     from stewart_drake.runs.drive import connected
 
-    loaded = load_driven(scenario, overrides)
-    machine = open_machine(url, loaded)
+    machine = open_machine(url, loaded, trust_code)
     try:
         with shown_compiling():
             check_scenario(loaded)

@@ -42,7 +42,7 @@ from stewart_drake.robot.robot_scale import times
 class ControllerOptions(Section, ABC, key="controller"):
     """Base of the options of controllers."""
 
-    own_keys = frozenset({"feedforward", "saturation"})
+    kind_keys = frozenset({"feedforward", "saturation"})
     weighted: ClassVar[bool] = False
     """Whether it takes the weights of the tuner."""
     feedback: ClassVar[bool] = True
@@ -115,7 +115,7 @@ class AdaptationOptions(Section, ABC, key="adaptation"):
         """The parts of the law; inputs may be `measurement` (12,), `reference` (18,) and all signals of the loop."""
 
 
-class UserAdaptation(UserParts, AdaptationOptions, key="adaptation"):
+class UserAdaptation(UserParts, AdaptationOptions, key="adaptation"):  # type: ignore[misc]
     """Your own adaptive law: `parts(context)` returns its parts of the loop, see `AdaptationOptions`.
 
     The class may have `writes`, as these options have.

@@ -69,7 +69,7 @@ class DifferenceOptions(EstimatorOptions):
         return (difference_part(self, context),)
 
 
-class UserEstimator(UserParts, EstimatorOptions, key="estimator"):
+class UserEstimator(UserParts, EstimatorOptions, key="estimator"):  # type: ignore[misc]
     """Your own estimator: `parts(context)` returns parts from `reading` to the signal `measurement` (12,)."""
 
 

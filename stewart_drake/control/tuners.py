@@ -8,7 +8,7 @@ from copy import copy
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
 from stewart_drake.base.config import NotNegative, Period, Positive, Real, Section, Text, Window
 from stewart_drake.base.errors import ConfigurationError
@@ -177,14 +177,15 @@ class PolicyTuner(SettingTuner):
     """Preference from -1, stiff, to 1, quiet: a change of torque counts 10^kappa times as much against an error."""
     weights_file: Text | None = None
     """File of a trained policy, relative to the scenario file; null takes the package's."""
+    _source: SettingSource | None = PrivateAttr(None)
 
     def opened(self) -> Self:
         opened = copy(self)
-        vars(opened)["_source"] = self.source()
+        opened._source = self.source()
         return opened
 
     def source(self) -> SettingSource:
-        return vars(self).get("_source") or Policy.load(self.weights_file)
+        return self._source or Policy.load(self.weights_file)
 
     def content(self) -> str:
         return Policy.content(self.weights_file)

@@ -22,7 +22,7 @@ ControlFunction = Callable[[Measurement, Setpoint, float], Any]
 """From a measurement, a setpoint and the time [s] to six torques [N m]."""
 
 
-class PythonOptions(UserMade, ControllerOptions):
+class PythonOptions(UserMade, ControllerOptions):  # type: ignore[misc]
     """Your own controller, by its import path.
 
     A function `torque = f(measurement, setpoint, time)`, or a class of such callables, runs with every plant:
@@ -58,7 +58,7 @@ class PythonOptions(UserMade, ControllerOptions):
         """A part with the user's LeafSystem, or one that calls the function at every tick."""
         controller = self.load()
         if isinstance(controller, type):
-            controller = self.construct({"robot": context.robot, "period": self.period, "gravity": context.gravity})
+            controller = self.new_object({"robot": context.robot, "period": self.period, "gravity": context.gravity})
         if _is_system(controller):
             return (self._system_part(controller, len(context.tuner.weights)),)
         return (function_part(controller),)
@@ -92,7 +92,7 @@ def _is_system(loaded: object) -> bool:
 
 def user_code(section: object) -> UserCode:
     """Context manager around calls of the user's code in a scenario or a section of it, see `UserCode`."""
-    return UserCode(*(part.code.own_module for part in user_parts(section)))
+    return UserCode(*(part.code.user_module for part in user_parts(section)))
 
 
 def failure_of(error: BaseException, section: object) -> RunFailure:

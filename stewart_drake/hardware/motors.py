@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.base.code import CodePath, UserCode
-from stewart_drake.base.config import LegNumber, Natural, NotNegative, Section, Seed, Share
+from stewart_drake.base.config import InOtherKinds, LegNumber, Natural, NotNegative, Section, Seed, Share
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.families import UserMade
 from stewart_drake.base.jit import njit
@@ -162,7 +162,7 @@ def within_limit(torque: np.ndarray, limit: float | np.ndarray) -> np.ndarray:
 class MotorOptions(Section, ABC, key="motors"):
     """Base of the options of motors: all that the loop asks of any kind."""
 
-    own_keys = frozenset({"resolution"})
+    kind_keys = frozenset({"resolution"})
     command_quantity: ClassVar[str] = "torque"
     """Quantity of a command."""
     unit: ClassVar[str] = "N m"
@@ -171,6 +171,8 @@ class MotorOptions(Section, ABC, key="motors"):
     """Whether a command is an angle, which the motor's controller holds."""
     by_torque: ClassVar[bool] = True
     """Whether a command is a torque."""
+    dead = InOtherKinds(None)
+    """A motor that loses its torque."""
 
     kind: str
     """Kind of motor."""
@@ -239,11 +241,6 @@ class MotorOptions(Section, ABC, key="motors"):
         """Whether they give the command, within their limit."""
         return False
 
-    @property
-    def dead(self) -> DeadMotor | None:
-        """A motor that loses its torque."""
-        return None
-
 
 class TorqueMotors(MotorOptions):
     """Motors that take torques, with imperfections; by default there are none."""
@@ -292,7 +289,7 @@ class TorqueMotors(MotorOptions):
         return Part("motors", limit_torque, {}, inputs, ("torque",), Torque.new(), period=time_step, parameters=numbers)
 
 
-class UserMotors(UserMade, MotorOptions, key="motors"):
+class UserMotors(UserMade, MotorOptions, key="motors"):  # type: ignore[misc]
     """Your own motors: `torque(command, angles, rates, time)` returns the six torques [N m] that they give.
 
     It is called at every step of the plant: command (6,) [N m], or [rad] if `model.motors` take angles; angles (6,)
@@ -303,7 +300,7 @@ class UserMotors(UserMade, MotorOptions, key="motors"):
     asked = "torque(command, angles, rates, time) returns six torques [N m]"
 
     def part(self, robot: RobotParameters, time_step: float) -> Part:
-        motors = self.construct({"robot": robot, "time_step": time_step})
+        motors = self.new_object({"robot": robot, "time_step": time_step})
         if not callable(getattr(motors, "torque", None)):
             raise self.refusal("one without torque")
         guard = UserCode(type(motors).__module__)

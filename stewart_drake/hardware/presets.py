@@ -78,7 +78,7 @@ class Presets(Table):
     def __init__(self, kind: str) -> None:
         super().__init__({name: getattr(preset, kind) for name, preset in PRESETS.items() if getattr(preset, kind)})
 
-    def filled(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def with_defaults(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """The keys, with the defaults of their preset."""
         preset = given.get("preset")
         return {**(self[preset] if preset in self.names else {}), **given}

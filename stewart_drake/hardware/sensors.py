@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.config import Natural, NotNegative, Section, Seed, Vector6
+from stewart_drake.base.config import InOtherKinds, Natural, NotNegative, Section, Seed, Vector6
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Record, Vec6, Vec12, record
 from stewart_drake.hardware.faults import EncoderFault, Fault, PoseFault, Signal, tick_numbers
@@ -24,7 +24,7 @@ _STREAM = 1  # Of random numbers, see `faults.tick_numbers`.
 class SensorOptions(Section, key="sensors"):
     """Base of the options of sensors: all that wiring, safety and logs ask of any kind."""
 
-    reading: ClassVar[Literal["angles", "pose"]] = "pose"
+    reading: ClassVar[Any] = InOtherKinds("pose")
     """What a reading is: the six angles of the cranks [rad], or pose [rad, m] and its rate."""
     kind: str
     """Kind of sensor."""
@@ -110,7 +110,7 @@ class EncoderOptions(SensorOptions):
         return np.rint(angles / self.quantum) * self.quantum if self.quantum > 0.0 else angles
 
 
-class UserSensors(UserParts, SensorOptions, key="sensors"):
+class UserSensors(UserParts, SensorOptions, key="sensors"):  # type: ignore[misc]
     """Your own sensors: `parts(period)` returns parts that compute `reading` from `plant_pose` or `crank_state`.
 
     The period of the readings is in [s].

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from stewart_drake.base.config import Natural, NotNegative, Positive, Text, one_for_six
 from stewart_drake.base.errors import ConfigurationError, Status
@@ -52,9 +52,10 @@ class _CommercialMotors(MotorOptions):
     no_load_speed: Positive | None = None
     """[rad/s] speed at which nothing of `torque_limit` is left; it falls in a straight line. null for any speed."""
 
+    @model_validator(mode="before")
     @classmethod
-    def with_defaults(cls, given: dict[str, Any]) -> dict[str, Any]:
-        return cls.presets.filled(given)
+    def _with_preset(cls, data: Any) -> Any:
+        return cls.presets.with_defaults(data) if isinstance(data, dict) else data
 
     @property
     def nominal(self) -> MotorOptions:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import NamedTuple
 
@@ -92,7 +91,7 @@ class HandReference:
         if (before == self.goal).all():
             return
         speed = min(scenario.limits.crank_speed or np.inf, CRANK_SPEED)
-        limits = dataclasses.replace(scenario.limits, crank_speed=speed)
+        limits = scenario.limits.replace(crank_speed=speed)
         motion = self.at(time)[:6] - hand.state[0]
         for share in 0.5 ** np.arange(7):
             target = self.goal if share == 1.0 else before + share * (self.goal - before)

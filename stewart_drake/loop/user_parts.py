@@ -13,7 +13,7 @@ class UserParts(UserMade):
 
     def parts(self, context: LoopContext | float) -> tuple[Part, ...]:
         """The parts of a new object; a sensor gets the period [s] of its readings in place of a context."""
-        made = self.construct({})
+        made = self.new_object({})
         if not callable(getattr(made, "parts", None)):
             raise self.refusal("one without parts")
         with self.code.blamed(self.code_key, f"a class whose {self.asked} and does not raise"):

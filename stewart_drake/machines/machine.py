@@ -104,13 +104,14 @@ class Machine(Protocol):
         """Closes the connection; the machine holds its position. Never raises, and may be called twice."""
 
 
-def open_machine(url: str, scenario: Scenario) -> Machine:
+def open_machine(url: str, scenario: Scenario, trust_code: bool = False) -> Machine:
     """The machine that a URL names, not connected yet.
 
     Args:
         url: `reachy://HOST:PORT`, `udp://HOST:PORT`, `serial:DEVICE` or `serial:DEVICE:BAUD`, `sim:` or `sim:SCENARIO`,
             or a user's class, `mine.py:MyMachine` or `module:Class`; its code has to be trusted.
         scenario: Scenario that is driven. Kind and limits of the commands are those of its model.
+        trust_code: Let the code of such a class run.
 
     Raises:
         ConfigurationError: A URL that names no machine, code that is not trusted, a machine that takes something else.
@@ -124,7 +125,7 @@ def open_machine(url: str, scenario: Scenario) -> Machine:
     elif kind == "sim":
         machine = imported("machines.simulated:SimulatedMachine")(scenario, rest)
     elif re.fullmatch(CLASS_PATH, url):
-        machine = imported("machines.user_machine:UserMachine")(scenario, url)
+        machine = imported("machines.user_machine:UserMachine")(scenario, url, trust_code)
     else:
         raise ConfigurationError("machine", url, _URLS)
     return Homed(machine, scenario.controller_model.home) if any(scenario.controller_model.home) else machine

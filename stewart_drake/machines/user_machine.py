@@ -32,15 +32,15 @@ class UserMachine:
     there is no new reading. Its constructor may have parameters `scenario` and `robot`.
     """
 
-    def __init__(self, scenario: Scenario, url: str) -> None:
-        code, offered = CodePath.of(url), {"scenario": scenario, "robot": scenario.controller_model.robot}
+    def __init__(self, scenario: Scenario, url: str, trust_code: bool = False) -> None:
+        code, offered = CodePath.of(url, trust_code), {"scenario": scenario, "robot": scenario.controller_model.robot}
         kind = code.load("machine")
         with code.blamed("machine", "a class that can be constructed, of scenario and robot where it names them"):
             names = inspect.signature(kind).parameters
             self._object = kind(**{name: value for name, value in offered.items() if name in names})
         if missing := [name for name in METHODS if not callable(getattr(self._object, name, None))]:
             raise ConfigurationError("machine", code, f"a class with {', '.join(METHODS)}; {missing[0]} is missing")
-        self.name, self._guard, self._limits = str(code), UserCode(code.own_module), machine.command_limits(scenario)
+        self.name, self._guard, self._limits = str(code), UserCode(code.user_module), machine.command_limits(scenario)
         self.takes: Takes = getattr(self._object, "takes", None) or scenario.controller_model.motors.command_quantity  # type: ignore[assignment]
         machine.check_takes(scenario, self.takes, self.name)
         self._last: Reading | None = None

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from functools import partial
 from importlib.resources import files
 from typing import Any
@@ -98,7 +97,7 @@ def reproduce(study: Reproduction) -> Result:
     base, network = study.base, load_network(study.tuner_file)
     trajectories, controllers = _trajectories(study), _controllers(study)
     scenarios: dict[tuple[str, Any], Scenario] = {
-        (name, who): scenario.replace({"reference": asdict(motion), "duration": duration})
+        (name, who): scenario.replace({"reference": motion.to_dict(), "duration": duration})
         for name, (motion, duration) in trajectories.items()
         for who, scenario in controllers.items()
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -13,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.base.code import CodePath, UserCode
-from stewart_drake.base.config import Flag, LegNumber, NotNegative, Real, Section
+from stewart_drake.base.config import Flag, InOtherKinds, LegNumber, NotNegative, Real, Section
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.families import UserMade, imported
 from stewart_drake.mechanics import kinematics_laws as laws
@@ -67,6 +66,12 @@ class PlantOptions(Section, ABC, key="plant"):
     """Kind of plant."""
     time_step: Annotated[Real, Field(ge=MIN_TIME_STEP, le=MAX_TIME_STEP)] = 0.001
     """[s] time step of the plant."""
+    payload_mass = InOtherKinds(0.0)
+    """[kg] on the platform that neither `robot` nor the controller knows."""
+    rod_joint = InOtherKinds("universal")
+    """Joint between crank and rod, of pictures and files."""
+    universal_damping = InOtherKinds(0.0)
+    """[N m s/rad] of that joint."""
 
     @abstractmethod
     def make(self, robot: RobotParameters, gravity: float) -> Plant:
@@ -76,21 +81,6 @@ class PlantOptions(Section, ABC, key="plant"):
     def code(self) -> CodePath | None:
         """The user's code that it runs; None for a kind of the package."""
         return None
-
-    @property
-    def payload_mass(self) -> float:
-        """[kg] on the platform that neither `robot` nor the controller knows."""
-        return 0.0
-
-    @property
-    def rod_joint(self) -> RodJoint:
-        """Joint between crank and rod, for pictures and files."""
-        return "universal"
-
-    @property
-    def universal_damping(self) -> float:
-        """[N m s/rad] of that joint."""
-        return 0.0
 
     def loaded(self, robot: RobotParameters) -> laws.Robot:
         """The robot with its payload as a part of the platform."""
@@ -137,7 +127,7 @@ class MechanismOptions(PlantOptions):
     def braked(self, robot: RobotParameters) -> PlantOptions:
         friction = FrictionOptions(coulomb=tuple(robot.effort_limits.tolist()))
         short = {name: self.__pydantic_fields__[name].default for name in ("motor_friction", "motor_damping")}
-        return dataclasses.replace(self, **short, friction=friction)
+        return self.replace(**short, friction=friction)
 
     @property
     def friction_options(self) -> FrictionOptions:
@@ -206,7 +196,7 @@ def platform_damping_limit(robot: RobotParameters, options: DrakeOptions) -> flo
 # --- the user's own ---
 
 
-class UserPlantOptions(UserMade, PlantOptions, key="plant"):
+class UserPlantOptions(UserMade, PlantOptions, key="plant"):  # type: ignore[misc]
     """Your own plant: `initial(pose, pose_rate)` begins, `step(torque, wrench)` moves it by one time step.
 
     Both return pose (6,) [rad, m] and pose rate (6,) [rad/s, m/s] of the platform; the motion of the cranks follows
@@ -218,7 +208,7 @@ class UserPlantOptions(UserMade, PlantOptions, key="plant"):
     asked = "step(torque, wrench) returns pose and pose rate, or these, crank angles and crank rates, (6,) each"
 
     def make(self, robot: RobotParameters, gravity: float) -> Plant:
-        plant = self.construct({"robot": robot, "gravity": gravity, "time_step": self.time_step})
+        plant = self.new_object({"robot": robot, "gravity": gravity, "time_step": self.time_step})
         for method in ("initial", "step"):
             if not callable(getattr(plant, method, None)):
                 raise self.refusal(f"one without {method}")

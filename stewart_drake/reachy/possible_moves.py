@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -79,7 +78,7 @@ def fix_move(robot: RobotParameters, move: Move) -> tuple[Move, dict[str, float]
     until = np.minimum(time, signal.length)
     given = move.at(move.time[0] + time)._replace(pose=signal.rows(until))
     count, home, limits = len(time), robot.home_pose, _limits(robot)
-    limits = dataclasses.replace(limits, torque_fraction=TORQUE / robot.effort_limit)
+    limits = limits.replace(torque_fraction=TORQUE / robot.effort_limit)
     bounds = limit_bounds(robot, limits)
     smaller, widths, slowdown = np.zeros(count), np.zeros(count), 1.0
     for _ in range(_STEPS):

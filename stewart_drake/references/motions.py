@@ -16,7 +16,7 @@ from stewart_drake.robot.robot_scale import HOME_POSE, LENGTH
 
 HOME: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
 ZERO: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-SixPhases = Annotated[tuple[Phase, Phase, Phase, Phase, Phase, Phase], one_for_six(Phase, "rad")]
+SixPhases = Annotated[tuple[Phase, Phase, Phase, Phase, Phase, Phase], one_for_six(Phase)]
 
 
 @runtime_checkable

@@ -105,9 +105,9 @@ class UserReference(UserMade, key="reference"):
 
     asked = "evaluate(t) returns pose, rate and acceleration, (6,) each"
 
-    def construct(self, offered: Mapping[str, Any]) -> Any:
+    def new_object(self, offered: Mapping[str, Any]) -> Any:
         loaded = self.code.load(self.code_key)
-        made = loaded if inspect.isfunction(loaded) else super().construct(offered)
+        made = loaded if inspect.isfunction(loaded) else super().new_object(offered)
         return made if hasattr(made, "evaluate") or not callable(made) else _PoseFunction(self, made)
 
     @property

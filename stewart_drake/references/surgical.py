@@ -30,7 +30,7 @@ class BreathingReference(Section, key="reference"):
     assumed.
     """
 
-    own_keys = frozenset({"phase"})
+    kind_keys = frozenset({"phase"})
     kind: Literal["breathing"] = "breathing"
     center: Annotated[Vector6, HOME_POSE] = HOME
     """[rad, m] pose at end-exhale, where breathing rests longest."""

@@ -91,8 +91,6 @@ class RobotParameters(Section, key="robot"):
             not perpendicular unit vectors, or the home pose cannot be assembled.
     """
 
-    adapts = False
-
     shaft_circle_radius: Length = 0.20
     """[m] radius of the circle of the motor shafts."""
     shaft_height: Signed = -0.07
@@ -336,10 +334,6 @@ class RobotParameters(Section, key="robot"):
             leg["branch"] = int(branch)
             leg["crank_angle_range"] = angles.tolist() if np.isfinite(angles[0]) else None
         return legs
-
-    def replace(self, **changes: Any) -> RobotParameters:
-        """A robot with some parameters changed, validated again."""
-        return RobotParameters(**{name: getattr(self, name) for name in self.__pydantic_fields__} | changes)
 
     @cached_property
     def central_inertia(self) -> np.ndarray:

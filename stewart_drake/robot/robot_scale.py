@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from stewart_drake.base.config import FILL, Section
+from stewart_drake.base.config import Section
 from stewart_drake.robot.robot_parameters import RobotParameters
 
 PAPER = RobotParameters()
@@ -18,7 +17,7 @@ _BELIEVED = ("controller", "tuner", "estimator", "safety")
 
 
 class OfRobot(NamedTuple):
-    """In `Annotated`, beside a field whose default is for the paper's robot: what it is for another one."""
+    """In `Annotated`: how the default of a field, which is for the paper's robot, is scaled to another robot."""
 
     value: Callable[[Any, RobotParameters], Any]
     null: bool = False
@@ -32,35 +31,32 @@ class OfRobot(NamedTuple):
         return value * (LATENCY / latency) ** self.slower if self.slower and latency > LATENCY else value
 
 
-@contextmanager
 def defaults_of(
     robot: RobotParameters,
     believed: RobotParameters,
     latency: float,
     others: Mapping[str, Mapping[str, Any]] | None = None,
-) -> Iterator[None]:
-    """Within it sections are made with the defaults of a robot whose commands act within a latency [s].
+) -> Callable[[type[Section], dict[str, Any]], dict[str, Any] | None]:
+    """How sections get the defaults of a robot whose commands act within a latency [s], see `Reading`.
 
     `others`: name of a section -> what it has unless one of these keys is given.
     """
 
-    def fill(section: type[Section], given: dict[str, Any]) -> dict[str, Any]:
-        own = believed if section.section_key in _BELIEVED else robot
+    def with_defaults(section: type[Section], given: dict[str, Any]) -> dict[str, Any] | None:
+        if section is RobotParameters:
+            return None
+        scaled_to = believed if section.section_key in _BELIEVED else robot
         more = (others or {}).get(section.section_key, {})
         if not given.keys() & more.keys() and more.keys() <= section.__pydantic_fields__.keys():
             given = {**given, **more}
         return given | {
-            name: marker.at(field.default, own, latency)
+            name: marker.at(field.default, scaled_to, latency)
             for name, field in section.__pydantic_fields__.items()
             for marker in field.metadata
             if isinstance(marker, OfRobot) and given.get(name, ...) is (None if marker.null else ...)
         }
 
-    before = FILL.set(fill)
-    try:
-        yield
-    finally:
-        FILL.reset(before)
+    return with_defaults
 
 
 def times(measure: Callable[[RobotParameters], float], power: float = 1.0, slower: float = 0.0) -> OfRobot:
@@ -77,7 +73,7 @@ def times(measure: Callable[[RobotParameters], float], power: float = 1.0, slowe
         if not isinstance(default, tuple):
             return default * scale
         half = len(default) // 2
-        return (*default[:half], *(each * scale for each in default[half:]))
+        return (*default[:half], *(number * scale for number in default[half:]))
 
     return OfRobot(value, slower=slower)
 

@@ -11,10 +11,11 @@ import numpy as np
 
 from stewart_drake.analysis import feasibility
 from stewart_drake.base.code import ControllerError, file_digests
-from stewart_drake.base.config import to_plain, unit_hints
+from stewart_drake.base.config import Section, to_plain
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError, RunFailure, UnreachablePoseError
 from stewart_drake.base.families import user_parts
 from stewart_drake.base.tables import AXES
+from stewart_drake.base.units import smaller_unit
 from stewart_drake.control.base import check_start
 from stewart_drake.control.user_controller import user_code
 from stewart_drake.hardware.disturbances import total_wrench
@@ -63,7 +64,7 @@ def check_scenario(scenario: Scenario) -> None:
         try:
             report.raise_if_infeasible()
         except InfeasibleReferenceError as error:
-            hints = unit_hints(scenario.reference, _LARGEST) or _length_hint(scenario)
+            hints = _unit_hints(scenario.reference) or _length_hint(scenario)
             hints = hints or _remedies(scenario, report, error.limit)
             error.allowed = "; ".join([error.allowed, *hints])
             raise
@@ -312,7 +313,7 @@ def fit_speed(
 def adjusted(reference: Reference, scale: float = 1.0, slowdown: float = 1.0) -> AdjustedReference:
     """A motion made smaller and slower; one that is adjusted already is not wrapped again."""
     if isinstance(reference, AdjustedReference):
-        return dataclasses.replace(reference, scale=scale * reference.scale, slowdown=slowdown * reference.slowdown)
+        return reference.replace(scale=scale * reference.scale, slowdown=slowdown * reference.slowdown)
     motion: Any = reference
     return AdjustedReference(motion=motion, scale=scale, slowdown=slowdown)
 
@@ -326,3 +327,24 @@ class _Still:
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         pose, rate, acceleration = self.reference.evaluate(time)
         return pose, np.zeros_like(rate), np.zeros_like(acceleration)
+
+
+def _unit_hints(section: Any, key: str = "") -> list[str]:
+    """A sentence for each number of a section that is larger than its unit allows, but not in a smaller unit."""
+    hints = []
+    for name in section.__pydantic_fields__:
+        value, units = getattr(section, name), section.unit_of(name).split(", ")
+        place = f"{key or section.section_key}.{name}"
+        if isinstance(value, Section):
+            hints += _unit_hints(value, place)
+        if isinstance(value, tuple) and value and isinstance(value[0], Section):
+            hints += [hint for k, part in enumerate(value) for hint in _unit_hints(part, f"{place}[{k}]")]
+        flat = list(np.ravel(np.array(value, dtype=object))) if isinstance(value, (int, float, tuple)) else []
+        length = 6 if len(flat) % 6 == 0 else max(1, len(flat))
+        for index, number in enumerate(flat):
+            unit = units[index % length * len(units) // length]
+            most = _LARGEST.get(unit, math.inf)
+            if isinstance(number, (int, float)) and abs(number) > most:
+                other = smaller_unit(float(number), unit, lambda size, most=most: abs(size) <= most)  # type: ignore[misc]
+                hints.append(f"{place} has {number:g} {unit}{other}")
+    return hints

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, nullcontext
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, TypeAdapter
 
-from stewart_drake.base.code import ROBOT_KEY, trusting_code
+from stewart_drake.base.code import ROBOT_KEY
 from stewart_drake.base.config import (
     NAME,
     NAME_WORDS,
     Natural,
     NotNegative,
+    Reading,
     Section,
     Text,
     Vector6,
@@ -118,20 +118,18 @@ class ControlOptions(Section):
     """The safety layer between controller and motors; null for none."""
 
     @classmethod
-    def _validated(cls, data: Any, key: str, **details: Any) -> Any:
-        if not isinstance(data, dict):
-            return super()._validated(data, key, **details)
-        data, defaults = _with_robots(data, cls.nominal_robot)
-        with defaults:
-            return super()._validated(data, key, **details)
+    def _read(cls, data: Any, reading: Reading, key: str | None = None, **details: Any) -> Self:
+        if isinstance(data, dict):
+            data, defaults = _with_robots(data, cls.nominal_robot)
+            reading = reading._replace(defaults=defaults)
+        return super()._read(data, reading, key, **details)
 
     @classmethod
     def from_dict(cls, data: Any, key: str | None = None, trust_code: bool = False) -> Self:
         """Options from plain values; with `trust_code`, code that they name may run."""
-        with trusting_code(trust_code):
-            return super().from_dict(data, key)
+        return cls._read(data, Reading(trust_code), key)
 
-    def replace(self, changes: Mapping[str, Any] | None = None, **keys: Any) -> Self:
+    def replace(self, changes: Mapping[str, Any] | None = None, trust_code: bool = False, **keys: Any) -> Self:
         """The keys that were given with some of them changed, checked again; defaults are computed again.
 
         Another kind, `{"plant": "closed_form"}` or `{"plant.kind": "closed_form"}`, keeps the keys that it has too; a
@@ -139,13 +137,14 @@ class ControlOptions(Section):
 
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as
-                `robot.legs[2].rod_length`, come last. New code is named within `trusting_code`.
+                `robot.legs[2].rod_length`, come last.
+            trust_code: Let code run that the changes name; what ran before still may.
             keys: The same for keys at the top.
 
         Raises:
             ConfigurationError: As for the class.
         """
-        return with_keys(type(self), self.given(), {**(changes or {}), **keys})
+        return with_keys(type(self), self.given(), {**(changes or {}), **keys}, trust_code)
 
     def in_full(self) -> dict[str, Any]:
         """`to_dict`, with the legs of the robots in full where `legs` leaves them to the symmetric robot."""
@@ -222,9 +221,7 @@ class ControlOptions(Section):
 _ROBOT: TypeAdapter[RobotParameters | None] = TypeAdapter(AnyRobot | None)
 
 
-def _with_robots(
-    data: dict[str, Any], nominal: RobotParameters | None
-) -> tuple[dict[str, Any], AbstractContextManager[None]]:
+def _with_robots(data: dict[str, Any], nominal: RobotParameters | None) -> tuple[dict[str, Any], Any]:
     """The keys with the robots read, and the defaults of these robots, and of how soon a command acts.
 
     Without the key `robot` it is `nominal`, or where that is None the one that is believed.
@@ -252,7 +249,7 @@ def _with_robots(
             friction["model"] = {"friction": {"coulomb": gear.coulomb, "viscous": gear.viscous, "width": 0.004}}
     except (ConfigurationError, ValueError, TypeError, OverflowError):
         # The checks will say what is wrong with it.
-        return data, nullcontext()
+        return data, None
     if "model" in data:
         robots["model"] = model
     believed = believed or robot

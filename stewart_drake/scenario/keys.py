@@ -62,20 +62,22 @@ def _refuse_part(key: str, here: Any, part: str | int, inside: str) -> None:
         raise ConfigurationError(key, here, f"an existing key: {inside} has {has}")
 
 
-def with_keys(kind: type[_Options], data: dict[str, Any], changes: Mapping[str, Any]) -> _Options:
+def with_keys(
+    kind: type[_Options], data: dict[str, Any], changes: Mapping[str, Any], trust_code: bool = False
+) -> _Options:
     """A section of given keys and values with some of them changed."""
     components = {key: value for key, value in changes.items() if "[" in key}
     for key, value in changes.items():
         if key not in components:
             _assign(kind, data, key, value, {})
-    section = kind.from_dict(data)
+    section = kind.from_dict(data, trust_code=trust_code)
     if not components:
         return section
     # Components are those of lists in full, defaults included.
     data, full = section.given(), section.in_full()
     for key, value in components.items():
         _assign(kind, data, key, value, full)
-    return kind.from_dict(data)
+    return kind.from_dict(data, trust_code=trust_code)
 
 
 def _assign(section: type[Section], data: dict[str, Any], key: str, value: Any, full: Any) -> None:
@@ -112,7 +114,7 @@ def _change_kind(key: str, here: dict[str, Any], kind: Any, family: Family) -> N
     old, new = family.resolve(here), family.resolve({"kind": kind})
     if old is not None and new is not None and here.get("kind", family.default) != kind:
         fields = old.__pydantic_fields__
-        lost = set(here) & set(fields) - (set(new.__pydantic_fields__) - new.own_keys)
+        lost = set(here) & set(fields) - (set(new.__pydantic_fields__) - new.kind_keys)
         if dropped := sorted(name for name in lost if to_plain(here.pop(name)) != to_plain(fields[name].default)):
             name = getattr(kind, "__name__", kind)
             _log_once(f"{key}: dropped {', '.join(dropped)}, which {name} lacks or takes for something else")

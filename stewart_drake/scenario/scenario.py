@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import Field, TypeAdapter
 
-from stewart_drake.base.code import anchored, trusting_code
+from stewart_drake.base.code import anchored
 from stewart_drake.base.config import (
     Count,
     NotNegative,
     Positive,
+    Reading,
     to_plain,
 )
 from stewart_drake.base.errors import ConfigurationError
@@ -80,10 +81,10 @@ class Scenario(ControlOptions):
     controller.period."""
 
     @classmethod
-    def _validated(cls, data: Any, key: str, **details: Any) -> Any:
-        scenario = super()._validated(data, key, **details)
+    def _read(cls, data: Any, reading: Reading, key: str | None = None, **details: Any) -> Self:
+        scenario = super()._read(data, reading, key, **details)
         if isinstance(data, dict) and "duration" not in data and isinstance(scenario.reference, RecordedReference):
-            vars(scenario)["duration"] = scenario.reference.end
+            scenario.__dict__["duration"] = scenario.reference.end
             scenario.rules()
         return scenario
 
@@ -183,7 +184,7 @@ def load_controller(path: str | Path, overrides: Iterable[str] = (), trust_code:
     return _load(ControlOptions, "controller", path, overrides, trust_code)
 
 
-def load_driven(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
+def load_driven(path: str | Path, overrides: Iterable[str] = (), trust_code: bool = False) -> Scenario:
     """A scenario; or a controller's file as one, with the robot and motors of its model."""
     try:
         file = find_file("scenario", path)
@@ -193,8 +194,8 @@ def load_driven(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
         except ConfigurationError:
             raise error from None
     if not set(read_mapping("scenario", file, 100)) <= set(ControlOptions.__pydantic_fields__):
-        return load_scenario(file, overrides)
-    control = load_controller(file, overrides)
+        return load_scenario(file, overrides, trust_code)
+    control = load_controller(file, overrides, trust_code)
     robot, motors = to_plain(control.controller_model.robot), to_plain(control.controller_model.motors)
     sensors = "encoders" if control.controller_model.reading == "angles" else "ideal"
     trusted = all(part.code.trusted for part in user_parts(control))
@@ -206,8 +207,7 @@ def _load(kind: type[_Options], what: str, path: str | Path, overrides: Iterable
     path = find_file(what, path)
     data = anchored(read_mapping(what, path, 100), path.parent)
     changes = anchored(parse_changes(overrides, "controller.period=0.002"), Path())
-    with trusting_code(trust_code):
-        return with_keys(kind, data, changes)
+    return with_keys(kind, data, changes, trust_code)
 
 
 def scenario_schema() -> dict[str, Any]:

@@ -78,10 +78,15 @@ class Comparison(Experiment):
 
     @classmethod
     def from_dict(
-        cls, data: Mapping[str, Any], folder: Path | None = None, quick: bool = False, robot: str | None = None
+        cls,
+        data: Mapping[str, Any],
+        folder: Path | None = None,
+        quick: bool = False,
+        robot: str | None = None,
+        trust_code: bool = False,
     ) -> Comparison:
         """From plain values of a `CompareFile`; paths relative to `folder`, motions in the size of `robot`."""
-        file, base = CompareFile.read("comparison", data, folder)
+        file, base = CompareFile.read("comparison", data, folder, trust_code)
         parts = {kind: getattr(file, kind) for kind in KINDS}
         if file.tuned is not None:
             if robot is not None:
@@ -102,7 +107,10 @@ class Comparison(Experiment):
         if file.bands is not None:
             runs += _response_runs(file.bands, file.seeds[0], base, parts, quick)
         given = given_keys(base)
-        trials = [trial_of(given, index, f"{file.name} {index}", *run) for index, run in enumerate(runs)]
+        trials = [
+            trial_of(given, index, f"{file.name} {index}", *run, trust_code=trust_code)
+            for index, run in enumerate(runs)
+        ]
         different = {tuple(trial.labels[name] for name in NAMES[:3]): trial for trial in trials}
         variants = [trial.scenario() for trial in different.values()]
         columns = (*_NAMES, *run_columns(*variants), _SETTLING, *(() if file.cost is None else (_COST,)))
@@ -193,8 +201,11 @@ class Comparison(Experiment):
         return figures
 
 
-def load_comparison(path: str | Path, quick: bool = False, robot: str | None = None) -> Comparison:
-    return load_experiment("comparison", path, partial(Comparison.from_dict, quick=quick, robot=robot))
+def load_comparison(
+    path: str | Path, quick: bool = False, robot: str | None = None, trust_code: bool = False
+) -> Comparison:
+    make = partial(Comparison.from_dict, quick=quick, robot=robot, trust_code=trust_code)
+    return load_experiment("comparison", path, make)
 
 
 # --- runs ---

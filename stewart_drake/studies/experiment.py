@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self, TypeVar
 from pydantic import Field
 
 from stewart_drake.base.atomic_files import locked_folder, write_atomically
-from stewart_drake.base.code import TRUST, anchored
+from stewart_drake.base.code import anchored
 from stewart_drake.base.config import NAME, NAME_WORDS, Section, Text, with_message
 from stewart_drake.base.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.base.families import refuse_given, user_parts
@@ -62,7 +62,7 @@ class StudyFile(Section):
     """Scenario key -> value, for every run."""
 
     @classmethod
-    def read(cls, what: str, data: Any, folder: Path | None) -> tuple[Self, Scenario]:
+    def read(cls, what: str, data: Any, folder: Path | None, trust_code: bool) -> tuple[Self, Scenario]:
         """The keys from plain values, and the scenario with `set` in it; paths are relative to `folder`."""
         folder = Path() if folder is None else folder
         if not isinstance(data, Mapping):
@@ -71,9 +71,10 @@ class StudyFile(Section):
         place = folder / given.scenario
         with error_prefix("scenario: "):
             # Unlike `Path.is_file` this never raises, whatever stands in the way.
-            loaded = load_scenario(place if os.path.isfile(place) else given.scenario)  # noqa: PTH113
+            file = place if os.path.isfile(place) else given.scenario  # noqa: PTH113
+            loaded = load_scenario(file, trust_code=trust_code)
         with error_prefix("set."):
-            return given, with_changes(loaded, given.set)
+            return given, with_changes(loaded, given.set, trust_code)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -189,7 +190,6 @@ def write_figures(figures: Figures, folder: Path) -> bool:
 
 
 def load_experiment(kind: str, path: str | Path, make: Callable[[dict[str, Any], Path], T]) -> T:
-    """Code that the file names runs where it is loaded within `trusting_code`."""
     path = find_file(kind, path)
     return make(read_mapping(kind, path, 80), path.parent)
 
@@ -205,7 +205,6 @@ def trial_of(
 ) -> Trial:
     """A run by its number; figures are those of every tick, whatever the scenario wants in a log."""
     changes = {"name": name, **changes, "log_period": None}
-    more = {"trust_code": TRUST.get(), **more}
     return Trial(str(index), base, changes, {"index": index, **labels}, measure, **more)
 
 
@@ -217,9 +216,9 @@ def error_prefix(where: str) -> Iterator[None]:
         raise error.within(where) from None
 
 
-def with_changes(base: Scenario, changes: Mapping[str, Any]) -> Scenario:
+def with_changes(base: Scenario, changes: Mapping[str, Any], trust_code: bool = False) -> Scenario:
     """A scenario with some keys changed; ConfigurationError where none results, or with a part given in Python."""
-    changed = base.replace(changes)
+    changed = base.replace(changes, trust_code)
     refuse_given(changed)
     return changed
 

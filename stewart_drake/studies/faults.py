@@ -89,10 +89,11 @@ class FaultCase(Section):
         return changes
 
 
-def base(robot: str | None = None, overrides: Sequence[str] = ()) -> Scenario:
+def base(robot: str | None = None, overrides: Sequence[str] = (), trust_code: bool = False) -> Scenario:
     """The exact-model LQI of `exact_fig7` behind the safety layer; with another robot, and `key=value` overrides."""
     named = () if robot is None else (f"robot={robot}",)
-    return load_scenario("exact_fig7", (*named, *overrides)).replace({"duration": DURATION, "safety": {}})
+    loaded = load_scenario("exact_fig7", (*named, *overrides), trust_code)
+    return loaded.replace({"duration": DURATION, "safety": {}})
 
 
 FAULTS = {name: FaultCase.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items()}
@@ -166,8 +167,9 @@ def fault_study(
     robot: str | None = None,
     overrides: Sequence[str] = (),
     pairs: Sequence[tuple[FaultCase, str]] = tuple(product(FAULTS.values(), MOTIONS)),
+    trust_code: bool = False,
 ) -> FaultStudy:
-    start = base(robot, overrides)
+    start = base(robot, overrides, trust_code)
     given, trials, cases = given_keys(start), [], []
     for index, (fault, motion) in enumerate(pairs):
         changes, labels = fault.in_motion(motion, start), {"fault": fault.name, "motion": motion}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
@@ -89,5 +88,5 @@ def _fit_reference(
     for name in ("amplitude", "excursion"):
         size = getattr(reference, name, ())
         if np.shape(size) == (6,):
-            return dataclasses.replace(reference, **{name: tuple((MARGIN * share * np.array(size)).tolist())})
+            return reference.replace(**{name: tuple((MARGIN * share * np.array(size)).tolist())})
     return adjusted(reference, scale=MARGIN * share)

@@ -26,7 +26,7 @@ from stewart_drake.base.atomic_files import (
     unseal,
     write_atomically,
 )
-from stewart_drake.base.code import file_digests, trusting_code
+from stewart_drake.base.code import file_digests
 from stewart_drake.base.errors import ConfigurationError, RunFailure, raised_at
 from stewart_drake.base.registry import REGISTERED
 from stewart_drake.control.features import CostScales
@@ -140,8 +140,7 @@ class Trial:
     """Whether code that the changes name may run."""
 
     def scenario(self) -> Scenario:
-        with trusting_code(self.trust_code):
-            return Scenario.from_dict(self.base).replace(self.changes)
+        return Scenario.from_dict(self.base).replace(self.changes, self.trust_code)
 
 
 def execute(trial: Trial) -> Row:

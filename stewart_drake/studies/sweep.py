@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import math
 from abc import abstractmethod
@@ -16,7 +15,6 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.code import TRUST
 from stewart_drake.base.config import Count, Flag, Positive, Real, Section, Seed, Text, check_plain, shorten
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.families import Family, given_keys
@@ -175,9 +173,9 @@ class SweepFile(StudyFile):
 class Draws(Sequence[Trial]):
     """Trials of a sweep; the draws for run i follow from the file's `seed`, i and the key alone."""
 
-    def __init__(self, base: Scenario, file: SweepFile, count: int) -> None:
+    def __init__(self, base: Scenario, file: SweepFile, count: int, trust_code: bool) -> None:
         self.base, self.file, self._count, self._given = base, file, count, given_keys(base)
-        self._trust_code = TRUST.get()
+        self._trust_code = trust_code
         data = base.in_full()
         with error_prefix("distributions."):
             self._values = {key: value_at(data, key) for key in file.distributions}
@@ -242,7 +240,7 @@ class Draws(Sequence[Trial]):
         if isinstance(current, list) and not distribution.factor and not isinstance(distribution, Choice):
             raise ConfigurationError(where, key, f"a component such as {key}[0], or factor: true, or the kind choice")
         try:
-            with_changes(self.base, self._changes({key: distribution.at(0.5)}))
+            with_changes(self.base, self._changes({key: distribution.at(0.5)}), self._trust_code)
         except TypeError:
             raise ConfigurationError(where, current, "a key with a number or numbers, to multiply") from None
         except ConfigurationError as error:
@@ -270,23 +268,23 @@ class Sweep(Experiment):
         return {"sweep": partial(plot_map if are_grids else plot_sweep, rows["sweep"], labels)}
 
 
-def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Sweep:
+def make_sweep(data: Mapping[str, Any], folder: Path | None = None, trust_code: bool = False) -> Sweep:
     """From plain values of a `SweepFile`; paths relative to `folder`."""
-    file, base = SweepFile.read("sweep", data, folder)
+    file, base = SweepFile.read("sweep", data, folder, trust_code)
     if file.mismatch:
         belief, model = base.controller_model, base.model
         kept = {"robot": base.to_dict()["robot"], "gravity": belief.gravity, "noise": belief.noise}
         kept |= {"delay": belief.delay, "reading_age": belief.reading_age, "motors": belief.motors.to_dict()}
         base = base.replace({f"model.{key}": value for key, value in kept.items() if getattr(model, key) is None})
     values = {key: _without_units(base, key, each) for key, each in file.distributions.items()}
-    file = dataclasses.replace(file, distributions=values)
+    file = file.replace(distributions=values)
     runs = file.runs
     if runs is None:
         grids = [len(each.values) for each in file.distributions.values() if isinstance(each, Grid)]
         if not grids:
             raise ConfigurationError("runs", None, "a number of runs; optional only where a key has a grid")
         runs = math.prod(grids)
-    draws = Draws(base, file, runs)
+    draws = Draws(base, file, runs, trust_code)
     scenario = {key: value for key, value in base.to_dict().items() if key != "name"}
     distributions = {key: each.to_dict() for key, each in file.distributions.items()}
     return Sweep(
@@ -311,12 +309,12 @@ def _without_units(base: Scenario, key: str, distribution: Distribution) -> Dist
         with suppress(ConfigurationError):
             value = value_at(with_changes(base, {key: each}).in_full(), key)
             values[-1] = value if isinstance(value, (int, float)) else each
-    return dataclasses.replace(distribution, values=tuple(values))
+    return distribution.replace(values=tuple(values))
 
 
-def load_sweep(path: str | Path, runs: int | None = None) -> Sweep:
+def load_sweep(path: str | Path, runs: int | None = None, trust_code: bool = False) -> Sweep:
     more = {} if runs is None else {"runs": runs}
-    return load_experiment("sweep", path, lambda data, folder: make_sweep({**data, **more}, folder))
+    return load_experiment("sweep", path, lambda data, folder: make_sweep({**data, **more}, folder, trust_code))
 
 
 def make_simulator(sweep: Experiment, **options: Any) -> Callable[[Callable[[], int]], Any]:

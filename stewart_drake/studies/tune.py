@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stewart_drake.base.atomic_files import checksum, locked_folder, write_atomically
-from stewart_drake.base.code import TRUST, trusting_code
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.markdown import TextTable, number
 from stewart_drake.base.yaml_files import to_yaml
@@ -74,13 +73,13 @@ class Tuning(Experiment):
         controllers: Sequence[str] = (),
         budget: int | None = None,
         quick: bool = False,
+        trust_code: bool = False,
     ) -> Tuning:
         """From plain values, see `CompareFile`; `budget` evaluations of each stand in place of `generations`."""
-        trust = TRUST.get()
 
         def compare(changed: Mapping[str, Any]) -> Comparison:
-            with trusting_code(trust):
-                return Comparison.from_dict({**data, "tuned": None, "bands": None, **changed}, folder, quick)
+            changed = {**data, "tuned": None, "bands": None, **changed}
+            return Comparison.from_dict(changed, folder, quick, trust_code=trust_code)
 
         options = compare({}).file.tune
         if options is None:
@@ -182,9 +181,13 @@ class Tuning(Experiment):
 
 
 def load_tuning(
-    path: str | Path, controllers: Sequence[str] = (), budget: int | None = None, quick: bool = False
+    path: str | Path,
+    controllers: Sequence[str] = (),
+    budget: int | None = None,
+    quick: bool = False,
+    trust_code: bool = False,
 ) -> Tuning:
-    make = partial(Tuning.from_dict, controllers=controllers, budget=budget, quick=quick)
+    make = partial(Tuning.from_dict, controllers=controllers, budget=budget, quick=quick, trust_code=trust_code)
     return load_experiment("comparison", path, make)
 
 

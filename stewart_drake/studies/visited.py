@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -57,7 +56,7 @@ def controlled_motions(base: Scenario, quick: bool = False) -> dict[str, Scenari
     scale = AMPLITUDE_SHARE * largest_scale(*of_robot, all_axes, short["duration"], base.gravity)
     references["all six axes"] = all_axes(scale)
     motions = {own: base.replace(whole), "the same without gravity, weights 1/1": base.replace(whole | without)}
-    motions |= {name: base.replace(short | {"reference": asdict(each)}) for name, each in references.items()}
+    motions |= {name: base.replace(short | {"reference": each.to_dict()}) for name, each in references.items()}
     return {name: scenario for name, scenario in motions.items() if _can_be_run(scenario)}
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from datetime import date
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -116,17 +116,11 @@ def fast_scenario(case: Case) -> Scenario:
     return scenario.replace({"plant.kind": "closed_form", "plant.time_step": step, "log_period": None})
 
 
-class GivenTuner(PolicyTuner):
-    """A tuner with a source of settings in place of a policy file."""
-
-    adapts: ClassVar[bool] = False
-
-
 def tuned_by(source: SettingSource, scenario: Scenario, kappa: float = 0.0) -> Scenario:
     """A scenario with block weights and a source of settings."""
     q_pose, q_rate, q_integral, r = scenario.tuner.weights
-    tuner = GivenTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=kappa)
-    vars(tuner)["_source"] = source
+    tuner = PolicyTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=kappa)
+    tuner._source = source
     return scenario.replace({"tuner": tuner})
 
 

@@ -1,4 +1,3 @@
-import dataclasses
 import math
 
 import numpy as np
@@ -11,7 +10,7 @@ from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.scenario.limits import ReferenceLimits
 
 ALL = ReferenceLimits()
-NONE = ReferenceLimits(**{field.name: None for field in dataclasses.fields(ReferenceLimits)})
+NONE = ReferenceLimits(**dict.fromkeys(ReferenceLimits.__pydantic_fields__))
 GRAVITY = 9.81
 AXES = np.eye(6)
 HOME = tuple(ROBOT.home_pose)
@@ -19,7 +18,7 @@ HOME = tuple(ROBOT.home_pose)
 
 def only(**limits):
     """Limits of which all but these are off."""
-    return dataclasses.replace(NONE, **limits)
+    return NONE.replace(**limits)
 
 
 def sine(axis, amplitude, frequency_hz, center=HOME):

@@ -1,5 +1,3 @@
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,7 +18,7 @@ from stewart_drake.scenario import limits
 from stewart_drake.scenario.limits import PLACES, ReferenceLimits, limit_margins
 
 ALL = ReferenceLimits()
-NONE = ReferenceLimits(**{field.name: None for field in dataclasses.fields(ReferenceLimits)})
+NONE = ReferenceLimits(**dict.fromkeys(ReferenceLimits.__pydantic_fields__))
 GRAVITY = 9.81
 
 

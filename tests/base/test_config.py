@@ -1,6 +1,5 @@
 """Sections: what each field refuses and how it says so, kinds and families, and the JSON schema of all that."""
 
-import dataclasses
 import math
 import pickle
 import re
@@ -62,10 +61,10 @@ NEEDED = {
 def sections_in(annotation):
     """Classes of sections in a type, and in theirs."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
-        kind = annotation.__pydantic_fields__.get("kind")
+        kind = annotation.model_fields.get("kind")
         if kind is None or kind.annotation is not str or kind.metadata:
             yield annotation
-        for field in annotation.__pydantic_fields__.values():
+        for field in annotation.model_fields.values():
             yield from sections_in(field.annotation)
     for part in get_args(annotation):
         yield from sections_in(part)
@@ -75,12 +74,12 @@ FAMILIES = (REFERENCES, CONTROLLERS, TUNERS, SENSORS, ESTIMATORS, DISTURBANCES)
 KINDS = [family[kind] for family in FAMILIES for kind in family.kinds]
 STARTS = (Scenario, UserReference, UserDisturbance, PythonOptions, *KINDS)
 EVERY = dict.fromkeys(section for start in STARTS for section in sections_in(start))
-FIELDS = [(section, name) for section in EVERY for name in section.__pydantic_fields__]
+FIELDS = [(section, name) for section in EVERY for name in section.model_fields]
 assert len(EVERY) > 30
 
 
 def valid(section):
-    kind = getattr(section, "kind", None)
+    kind = section.model_fields["kind"].default if "kind" in section.model_fields else None
     if kind == "sine" and section.section_key == "disturbances":
         kind = "sine wrench"
     return section(**NEEDED.get(kind, NEEDED.get(section.__name__, {})))
@@ -94,7 +93,7 @@ def test_every_field_refuses_what_means_nothing_there_under_its_own_name(section
     good, key = valid(section), ".".join(filter(None, (section.section_key, name)))
     for junk in (math.nan, math.inf, -1e300, "1", True, 3, (), ("x",), {}, b"1", None, 10**400, np.zeros(4), object()):
         try:
-            result = dataclasses.replace(good, **{name: junk})
+            result = good.replace(**{name: junk})
         except ConfigurationError as refused:
             error = refused
         else:
@@ -103,7 +102,7 @@ def test_every_field_refuses_what_means_nothing_there_under_its_own_name(section
             assert not isinstance(junk, bytes)
             assert not isinstance(junk, (int, float)) or math.isfinite(junk)
             assert not isinstance(junk, str) or name in TAKES_TEXT
-            assert junk is not True or section.__pydantic_fields__[name].annotation is bool
+            assert junk is not True or section.model_fields[name].annotation is bool
             continue
         assert field_of(error).startswith(key) or error.key.rpartition(".")[0] == section.section_key, error
         assert all(line.isprintable() and len(line) < 1000 for line in str(error).split("\n"))
@@ -121,7 +120,7 @@ def test_any_section_comes_back_from_a_file_and_a_worker_has_texts_and_says_what
             section.from_dict({**good, **data})
         return caught.value.key
 
-    for name, field in section.__pydantic_fields__.items():
+    for name, field in section.model_fields.items():
         assert field.description or name == "kind", f"{section.__name__}.{name} has no text"
         key = ".".join(filter(None, (section.section_key, name)))
         assert meant(name, {name + name[-1]: 1}) == key + name[-1]
@@ -225,6 +224,23 @@ def test_a_change_of_kind_keeps_what_the_new_kind_has_and_names_what_it_drops(ca
         ({"reference": "spline"}, "reference.times: expected .*, got None; this key is required\n.*poses: .*"),
         ({"tuner": np.array([1.0, 2.0])}, "tuner: expected a section with kind .* or such a kind alone, got .*"),
         ({"reference": ["hold"]}, "reference: expected a section with kind .* or such a kind alone, got .*"),
+        (
+            {"disturbances": ["noise", {"kind": "sine", "wrench": [0] * 6, "frequency": "4 s"}]},
+            r"disturbances.0.rms: .*\ndisturbances.1.frequency: expected a number \[Hz\].*4 s is 0.25 Hz\), got .*",
+        ),
+        (
+            {"initial_offset": [0, "3 s", 0, 0, 0, 0]},
+            r"initial_offset: expected a number \[rad\], or one .*, got '3 s'",
+        ),
+        (
+            {"plant": {"friction": {"coulomb": -1}}},
+            r"plant.friction.coulomb: expected a number \[N m\] at least 0 .* or a list of 6, .*, got -1",
+        ),
+        ({"sensors": {"kind": "encoders", "delay": 5}}, r"sensors.delay: .* at most 1, got 5; did you mean 5 ms\?"),
+        (
+            {"controller": {"kind": "mine:Mine", "arguments": {1: 2}}},
+            "controller.arguments.1: expected keys that are texts, .*",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_kind_is_a_line_a_problem_under_its_key(data, line):
@@ -245,8 +261,9 @@ def test_the_schema_takes_what_loads_and_nothing_else(section, monkeypatch):
     good = valid(section).to_dict()
     assert schema.is_valid(good)
     # Without the rules between fields.
-    monkeypatch.setattr(Section, "__post_init__", lambda _: None)
-    for name in section.__pydantic_fields__:
+    for each in EVERY:
+        monkeypatch.setattr(each, "rules", lambda _: None)
+    for name in section.model_fields:
         for junk in PLAIN_JUNK:
             document = {**good, name: junk}
             try:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from stewart_drake.base.code import trusting_code
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.yaml_files import shipped_folder
 from stewart_drake.logs.log import load_log
@@ -50,7 +49,7 @@ count = Metric("count", "", "of steps", lambda tally: tally.steps, "steps", kind
 PLACES = {
     "reference": ("reference: {{kind: '{}'}}", "Rise"),
     "disturbance": ("disturbances: ['{}']", "Push"),
-    "python controller": ("controller: {{kind: python, system: '{}'}}", "Weight"),
+    "controller": ("controller: {{kind: '{}'}}", "Weight"),
     "monitor": ("safety: {{monitors: [{{kind: '{}'}}]}}", "Look"),
     "metric": ("metrics: ['{}']", "count"),
     "part": ("reference: {{kind: sum, parts: [hold, {{kind: '{}'}}]}}", "Rise"),
@@ -133,6 +132,9 @@ def test_trust_stays_with_what_was_read_and_goes_no_further(parts):
     trusted = Scenario.from_dict(text, trust_code=True)
     for each in (trusted, trusted.replace({"duration": 0.1}), pickle.loads(pickle.dumps(trusted))):
         assert each.disturbances[0].code.trusted
+    rise = trusted.replace({"reference": f"{parts}:Rise"}, trust_code=True)
+    assert rise.reference.code.trusted
+    assert rise.disturbances[0].code.trusted
     for each in (Scenario(**text), trusted.replace(text), trusted.replace({"reference": f"{parts}:Rise"})):
         with refused():
             run(each)
@@ -167,6 +169,5 @@ def test_a_study_asks_before_it_begins_and_its_workers_take_its_word(parts, tmp_
     with refused():
         run_experiment(make_sweep(study), tmp_path / "out", Workers(0))
     assert not ran(parts)
-    with trusting_code():
-        plan = make_sweep(study)
+    plan = make_sweep(study, trust_code=True)
     assert run_experiment(plan, tmp_path / "out", Workers(0)).rows["sweep"][0]["status"] in ("completed", "lost")

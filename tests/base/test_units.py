@@ -14,7 +14,7 @@ from stewart_drake.references import SineReference
 @given(st.floats(-1e6, 1e6), st.sampled_from([*UNITS]))
 def test_a_number_with_a_unit_is_that_many_of_it(number, unit):
     base, size = UNITS[unit]
-    assert in_unit(f"{number!r} {unit}", "key", base) == pytest.approx(number * size, rel=1e-12)
+    assert in_unit(f"{number!r} {unit}", base) == pytest.approx(number * size, rel=1e-12)
 
 
 def test_each_number_of_a_list_has_the_unit_of_its_place():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from made_machines import SERVOS, TORQUES
 
-from stewart_drake.base.code import trusting_code
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.machines.machine import MachineError, open_machine
 
@@ -75,8 +74,7 @@ def mine(tmp_path, monkeypatch):
 
     def opened(name, answer="None", scenario=SERVOS, trust=True):
         (tmp_path / "mine.py").write_text(MINE.replace("{answer}", answer), encoding="utf-8")
-        with trusting_code(trust):
-            return open_machine(f"mine.py:{name}", scenario)
+        return open_machine(f"mine.py:{name}", scenario, trust)
 
     return opened
 

@@ -1,4 +1,3 @@
-import dataclasses
 import re
 
 import numpy as np
@@ -17,7 +16,7 @@ from stewart_drake.scenario.limits import ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
 
 ROBOT, LIMITS, GRAVITY = RobotParameters(), ReferenceLimits(), 9.81
-WEAK = dataclasses.replace(ROBOT, effort_limit=0.45)
+WEAK = ROBOT.replace(effort_limit=0.45)
 FAST = SineReference(angular_frequency=(14.0,) * 6)
 BEATS = HeartbeatReference(excursion=(0.0, 0.0, 0.0, 0.004, 0.0, 0.01), rate=2.0, premature_beats=(2,))
 REACH = MinimumJerkReference(
@@ -91,7 +90,7 @@ def test_a_motion_whose_rates_do_not_fit_its_poses_is_named():
 def test_the_torque_of_the_plant_has_what_the_controller_does_not_know():
     assert plant_report(Scenario()).smallest == {}
     # At rest a payload in the middle is weight alone: of a heavier platform, or a force from outside.
-    heavier = static_torque(dataclasses.replace(ROBOT, platform_mass=ROBOT.platform_mass + 2.0), ROBOT.home_pose)
+    heavier = static_torque(ROBOT.replace(platform_mass=ROBOT.platform_mass + 2.0), ROBOT.home_pose)
     hold = Scenario(reference={"kind": "hold"}, duration=0.1)
     push = [{"kind": "constant", "wrench": [0, 0, 0, 0, 0, -2.0 * GRAVITY]}]
     for more in ({"plant.payload_mass": 2.0}, {"disturbances": push}):

@@ -192,7 +192,7 @@ def test_a_controller_of_the_users_is_kept_with_its_results_which_can_be_run_aga
     code = tmp_path / "elsewhere" / "mine.py"
     code.parent.mkdir()
     code.write_text("one = 1\n")
-    log = made_log(scenario={"controller": {"kind": "python", "system": f"{code}:Mine"}})
+    log = made_log(scenario={"controller": {"kind": f"{code}:Mine"}})
     folder = write(log, tmp_path / "out")
     assert names(folder) == ALWAYS | {"code"}
     assert str(load_scenario(folder / "scenario.yaml").controller.kind) == f"{folder / 'code' / 'mine.py'}:Mine"

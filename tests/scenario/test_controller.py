@@ -19,6 +19,7 @@ from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
 from stewart_drake.plant.closed_form import ClosedForm
 from stewart_drake.plant.plant_options import ANGLES, POSE
 from stewart_drake.scenario.assembly import loop_of
+from stewart_drake.scenario.control_options import ControlOptions
 
 ENCODERS = {"sensors": {"kind": "encoders"}, "estimator": {"kind": "difference", "rate_cutoff": 150.0}}
 OBSERVED = {
@@ -87,7 +88,7 @@ def test_the_shipped_controller_is_that_of_the_shipped_scenario():
     shipped, own = load_controller("reachy_mini"), load_scenario("reachy_nod").control()
     assert shipped.controller_model.noise == pytest.approx(own.controller_model.noise, rel=0.01)
     assert shipped.controller_model._replace(noise=own.controller_model.noise) == own.controller_model
-    for name in set(vars(own)) - {"name", "model", "_given"}:
+    for name in set(ControlOptions.model_fields) - {"name", "model"}:
         assert getattr(shipped, name) == getattr(own, name), name
 
 

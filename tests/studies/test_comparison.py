@@ -3,7 +3,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from stewart_drake.analysis.response import sine_response
-from stewart_drake.base.code import trusting_code
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.markdown import number
 from stewart_drake.runs.simulation import run
@@ -49,10 +48,9 @@ def done(tmp_path_factory):
 
 
 def test_controllers_of_a_comparison_may_change_the_kind_of_motors():
-    with trusting_code():
-        comparison = load_comparison("reachy")
-        # Of each controller the first motion and condition.
-        motors = [comparison.scenario(k).motors.kind for k in range(0, comparison.runs, 12)]
+    comparison = load_comparison("reachy", trust_code=True)
+    # Of each controller the first motion and condition.
+    motors = [comparison.scenario(k).motors.kind for k in range(0, comparison.runs, 12)]
     assert motors == ["position"] * 10 + ["torque"] * 3
 
 
