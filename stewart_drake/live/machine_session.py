@@ -36,7 +36,10 @@ class MachineSession(PageSession):
         self._hand = HandReference(scenario.reference, BANDWIDTH)
         self._motion = PacedMotion(self._hand, start.pose, start.motion.approach)
         own = start._replace(motion=self._motion, duration=min(MAX_ROWS * scenario.reading_period, 1e6))
-        self._drive, self._motors = Drive(scenario, machine, own, most=ROWS_IN_MEMORY), scenario.controller_model.motors
+        self._drive, self._motors = (
+            Drive(scenario, machine, own, max_rows=ROWS_IN_MEMORY),
+            scenario.controller_model.motors,
+        )
         self._pose, self._ended = start.pose, ""
         self._do = {"aim": self._aim, "move": self._move, "stop": lambda _: self._drive.stop()}
         self.row()  # Compiles.
