@@ -11,7 +11,7 @@ from stewart_drake.cli.options import command
 from stewart_drake.cli.run_commands import begin_with, end, keep, leave
 from stewart_drake.cli.terminal import print_table, progress_bar, shown_compiling, tell
 from stewart_drake.logs.signals import SCALES
-from stewart_drake.runs.outputs import begin_journal, check_place, claimed_place, prepare_file
+from stewart_drake.runs.outputs import begin_journal, check_run_folder, new_run_folder, prepare_file
 from stewart_drake.scenario.scenario import load_driven
 
 
@@ -44,11 +44,11 @@ def drive(
     from stewart_drake.logs.mcap_file import check_mcap
     from stewart_drake.machines.machine import open_machine
     from stewart_drake.runs.checks import check_scenario
-    from stewart_drake.runs.drive import Drive, as_logged, connected, held_controller, measured_home
+    from stewart_drake.runs.drive import Drive, as_logged, connected, drive_controller, measured_home
 
     loaded = begin_with(load_driven, scenario, overrides, keep_model)
     if out is not None:
-        check_place(as_logged(loaded), out, force, duration=False)
+        check_run_folder(as_logged(loaded), out, force, duration=False)
     if mcap:
         check_mcap()
     if keep_model is not None:
@@ -56,7 +56,7 @@ def drive(
     opened, driven = open_machine(machine, loaded), None
     with shown_compiling():
         check_scenario(loaded)
-        held_controller(loaded, loaded.start()[0])
+        drive_controller(loaded, loaded.start()[0])
     try:
         start = connected(loaded, opened, seconds)
         belief = loaded.controller_model
@@ -82,7 +82,7 @@ def drive(
         if dry:
             tell("nothing was moved")
             return
-        with claimed_place(as_logged(loaded), out, force, duration=False) as claimed:
+        with new_run_folder(as_logged(loaded), out, force, duration=False) as claimed:
             journal = begin_journal(as_logged(loaded), claimed)
             with progress_bar(loaded.name, start.duration) as advance:
                 driven = Drive(loaded, opened, start, journal)

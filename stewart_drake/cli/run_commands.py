@@ -34,9 +34,9 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import metrics_of, run_metrics
 from stewart_drake.logs.outcomes import describe_outcome
 from stewart_drake.runs.outputs import (
-    check_place,
-    claimed_place,
+    check_run_folder,
     draw_run,
+    new_run_folder,
     prepare_file,
     prepare_folder,
     save_run,
@@ -67,7 +67,7 @@ def run(
 
     loaded = begin_with(load_scenario, scenario, overrides, keep_model)
     if out is not None:
-        check_place(loaded, out, force)
+        check_run_folder(loaded, out, force)
     if video is not None:
         from stewart_drake.runs.pictures import check_film
 
@@ -82,7 +82,7 @@ def run(
         prepare_file(video)
     if keep_model is not None:
         prepare_file(keep_model, "--keep-model")
-    with claimed_place(loaded, out, force) as claimed:
+    with new_run_folder(loaded, out, force) as claimed:
         with shown_compiling(), progress_bar(loaded.name, loaded.duration) as advance:
             log = simulate(loaded, progress=advance, check=False, prepared=prepared)
         place = leave(log, claimed, graph, plots=plots)
@@ -231,7 +231,7 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
         tell(f"reference: {note}")
     tell("what each limit is: stewart-drake explain limits")
     machine = ("", "simulated", "believed")
-    print_table("the machine, and what `model` believes of it", checks.beliefs(loaded), machine, numbers=())
+    print_table("the machine, and what `model` believes of it", checks.compared_with_model(loaded), machine, numbers=())
     motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
     changes: dict[str, Any] = {}
     if scale:
