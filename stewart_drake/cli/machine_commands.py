@@ -8,7 +8,7 @@ import click
 
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
-from stewart_drake.cli.run_commands import begin_with, end, keep, leave
+from stewart_drake.cli.run_commands import exit_unless_completed, load_learnt, save_learnt, write_results
 from stewart_drake.cli.terminal import print_table, progress_bar, shown_compiling, tell
 from stewart_drake.logs.signals import SCALES
 from stewart_drake.runs.outputs import begin_journal, check_run_folder, new_run_folder, prepare_file
@@ -46,7 +46,7 @@ def drive(
     from stewart_drake.runs.checks import check_scenario
     from stewart_drake.runs.drive import Drive, as_logged, connected, drive_controller, measured_home
 
-    loaded = begin_with(load_driven, scenario, overrides, keep_model)
+    loaded = load_learnt(load_driven, scenario, overrides, keep_model)
     if out is not None:
         check_run_folder(as_logged(loaded), out, force, duration=False)
     if mcap:
@@ -87,15 +87,15 @@ def drive(
             with progress_bar(loaded.name, start.duration) as advance:
                 driven = Drive(loaded, opened, start, journal)
                 log = driven.run(advance)
-            place = leave(log, claimed, machine=machine)
-            keep(log, keep_model)
+            place = write_results(log, claimed, machine=machine)
+            save_learnt(log, keep_model)
             if mcap:
                 log.save(place / "run.mcap")
     finally:
         opened.disconnect()
         if driven is not None:
             tell(f"{driven.ending}{opened.after and f'; {opened.after}'}")
-    end(log, place == claimed)
+    exit_unless_completed(log, place == claimed)
 
 
 @command(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,7 +62,7 @@ def to_mcap(log: SimulationLog) -> bytes:
 
 _Stamps = list[dict[str, int]]  # Seconds and nanoseconds by row.
 _Message = tuple[int, dict[str, object]]  # Row of the log, and JSON object.
-_Topic = tuple[str, str, dict[str, object], Iterator[_Message]]
+_Topic = tuple[str, str, Mapping[str, object], Iterator[_Message]]
 
 
 def _topics(log: SimulationLog) -> Iterator[_Topic]:

@@ -69,38 +69,38 @@ SIGNALS: Mapping[str, Signal] = {
     "commanded_current": _legs("A", "current commanded to motors with current control"),
     "torque_applied": _legs("N m", "torque at the motors, delayed and within their limit", title="applied"),
     "crank_angle": _legs("rad", "true angle of a simulated crank, from the horizontal", source="measured", part=ANGLES),
-    "reading": _legs("rad", "angle of a crank as the controller read it; not a number where nothing was read"),
+    "reading": _legs("rad", "angle of a crank as read by the controller; NaN without a reading"),
     "weights": _numbers(("omega_q", "omega_r"), "weights in use"),
     "block_weights": _numbers(
         ("q_pose", "q_rate", "q_integral", "r"), "block weights in use, in place of `weights`", source="weights"
     ),
     "setting": _numbers((*NAMES, "outside"), _OUTSIDE, title="Tuner"),
     "density": _numbers(_DENSITY, "density features"),
-    "lateness": Signal((), ("s",), "of a tick on a machine"),
-    "reading_age": Signal((), ("s",), "of a machine's reading when it was used"),
+    "lateness": Signal((), ("s",), "lateness of a tick on a machine"),
+    "reading_age": Signal((), ("s",), "age of a machine's reading when it was used"),
     "loop_gap": _legs("m", "distance from rod end to platform joint"),
     "measured_pose": _axes(
         "rad",
         "m",
-        "pose that is measured or estimated; the true one without this signal",
+        "measured or estimated pose; without this signal it is the true one",
         source="measurement",
         part=slice(0, 6),
     ),
-    "measured_pose_rate": _axes("rad/s", "m/s", "its rate", source="measurement", part=slice(6, 12)),
-    "pose_reading": _axes("rad", "m", "pose as it was read; the true one without it and `reading`", part=slice(0, 6)),
-    "pose_rate_reading": _axes("rad/s", "m/s", "its rate", source="pose_reading", part=slice(6, 12)),
-    "innovation": _legs("rad", "readings less what the observer expected"),
+    "measured_pose_rate": _axes("rad/s", "m/s", "rate of `measured_pose`", source="measurement", part=slice(6, 12)),
+    "pose_reading": _axes("rad", "m", "pose as read from a sensor", part=slice(0, 6)),
+    "pose_rate_reading": _axes("rad/s", "m/s", "rate of `pose_reading`", source="pose_reading", part=slice(6, 12)),
+    "innovation": _legs("rad", "readings minus the observer's predictions"),
     "disturbance": Signal(
-        ("mx", "my", "mz", "fx", "fy", "fz"), ("N m",) * 3 + ("N",) * 3, "wrench from outside on the platform"
+        ("mx", "my", "mz", "fx", "fy", "fz"), ("N m",) * 3 + ("N",) * 3, "external wrench on the platform"
     ),
     "safety": _numbers(
         ("level", "monitor", "leg"),
         "state of the safety layer: numbers in safety.LEVELS and safety.MONITORS, leg or -1",
     ),
-    "learnt": Signal(_LEARNT, _LEARNT_UNITS, "what is learnt of the head and of each motor: see docs/adaptation.md"),
-    "learnt_half_width": Signal(_LEARNT, _LEARNT_UNITS, "half the width of its 95 % intervals"),
-    "learnt_center_of_mass": Signal(_PLACE, ("m",) * 6, "likewise the head's centre of mass, in the tool's frame or P"),
-    "learnt_joints": Signal(_JOINTS, ("N m s/rad", "N m") * 2, "likewise friction of the rods' ball joints"),
+    "learnt": Signal(_LEARNT, _LEARNT_UNITS, "learnt parameters of head and motors: see docs/adaptation.md"),
+    "learnt_half_width": Signal(_LEARNT, _LEARNT_UNITS, "half widths of the 95 % intervals of `learnt`"),
+    "learnt_center_of_mass": Signal(_PLACE, ("m",) * 6, "learnt centre of mass of the head, in the tool's frame or P"),
+    "learnt_joints": Signal(_JOINTS, ("N m s/rad", "N m") * 2, "learnt friction of the rods' ball joints"),
     "plant_state": Signal((), (), "positions and velocities of the MultibodyPlant"),
 }
 """All signals of logs; a log has those of its scenario. `block_weights` replace `weights`. A tuner of settings gives

@@ -351,7 +351,7 @@ class Drive:
         self._log_tick(reading, age, late)
 
     def _log_tick(self, reading: Reading, age: float, late: float) -> None:
-        signals = {
+        signals: dict[str, float | np.ndarray] = {
             name: self._controller.signal(of) if isinstance(of, str) else of
             for name, of in self._controller.logged.items()
         }

@@ -40,7 +40,7 @@ def robot_scene(robot: RobotParameters, ghost: bool = False) -> dict[str, object
     camera, target = viewpoint(robot)
     model = ElementTree.fromstring(sdf_text(robot, collision=False)).iter("link")
     links = {str(link.get("name")): [_shape(visual) for visual in link.iter("visual")] for link in model}
-    disc = {
+    disc: dict[str, object] = {
         "kind": "cylinder",
         "size": reference_disc(robot),
         "at": np.ravel(on_platform(robot, np.zeros(3), np.zeros(3))).tolist(),
