@@ -30,6 +30,7 @@ WRITE_INTERVAL = 0.05  # [s] of rows that a killed process loses.
 SYNC_INTERVAL = 1.0  # [s] of rows that a computer loses without power.
 _MAX_BYTES = 10**10
 _MAX_HEADER_BYTES = 10**8
+LogFields = dict[str, Any]  # Arguments of a `SimulationLog`.
 
 
 class Journal:
@@ -68,7 +69,7 @@ class Journal:
         if self._thread.is_alive():
             self._thread.join()
 
-    def log_fields(self, ended_by: RunFailure | KeyboardInterrupt | None, **known: Any) -> dict[str, Any]:
+    def log_fields(self, ended_by: RunFailure | KeyboardInterrupt | None, **known: Any) -> LogFields:
         """Fields of a `SimulationLog` of these rows, see `fields_of`; `known` are further ones."""
         return fields_of(self.scenario, self._rows.columns(), ended_by, **self._about, **known)
 
@@ -96,7 +97,7 @@ def _sealed(row: np.ndarray, number: int) -> bytes:
     return content + np.float64(crc32(content, number)).tobytes()
 
 
-def cut_off(path: Path) -> dict[str, Any]:
+def cut_off(path: Path) -> LogFields:
     """Fields of a `SimulationLog` from the journal of a killed drive, up to its first damaged row.
 
     After a power failure a disk may have zeros or old content in place of rows.
@@ -126,8 +127,8 @@ def fields_of(
     columns: Mapping[str, np.ndarray],
     ended_by: RunFailure | KeyboardInterrupt | None,
     safety: Mapping[str, Any] | None = None,
-    **known: Any,
-) -> dict[str, Any]:
+    **known: object,
+) -> LogFields:
     """Fields of a `SimulationLog` from the columns of a drive and the first trip of the `safety` layer."""
     with np.errstate(all="ignore"):
         rows = RunRows(scenario, _signals(scenario, dict(columns)) if columns else {})

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 MAX_ROWS = 2_000_000
 """Largest number of rows of a run: with 140 numbers in a row 2.2 GB of memory, and 33 minutes at steps of 1 ms."""
 
+Report = Mapping[str, Any]  # Named values as in JSON.
 _VERSION = 4  # Of the file format.
 _MAX_BYTES = 10**10  # Of a file.
 
@@ -79,12 +80,12 @@ class SimulationLog(Mapping[str, np.ndarray]):
     outcome_time: float | None = None
     end_time: float = 0.0
     leg: int | None = None
-    warnings: tuple[Mapping[str, Any], ...] = ()
-    safety: Mapping[str, Any] | None = None
+    warnings: tuple[Report, ...] = ()
+    safety: Report | None = None
     wall_time: float = 0.0
     versions: Mapping[str, str | None] = field(default_factory=dict)
     files: Mapping[str, str | None] = field(default_factory=dict)
-    figures: Mapping[str, Any] | None = None
+    figures: Report | None = None
 
     __eq__ = object.__eq__
     __hash__ = object.__hash__

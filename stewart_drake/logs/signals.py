@@ -50,53 +50,39 @@ _OUTSIDE = "decades of a tuner's setting above the base, and the distance of its
 _LEARNT = ("mass", "delay", *(f"{what}_{leg}" for what in ("drive", "viscous", "coulomb") for leg in LEG_NAMES))
 _LEARNT_UNITS = ("kg", "s", *("1",) * 6, *("N m s/rad",) * 6, *("N m",) * 6)
 _PLACE = (*"xyz", *(f"{axis}_half_width" for axis in "xyz"))
+_WRENCH = ("mx", "my", "mz", "fx", "fy", "fz")
 _JOINTS = ("viscous", "dry", "viscous_half_width", "dry_half_width")
 SIGNALS: Mapping[str, Signal] = {
     "time": Signal((), ("s",), "simulated time"),
-    "pose": _axes("rad", "m", "pose of the platform, P in B; measured on a machine", source="measured", part=POSE),
-    "pose_rate": _axes("rad/s", "m/s", "Euler rates and velocity of the platform", source="measured", part=RATE),
-    "reference": _axes("rad", "m", "reference pose", source="reference", part=slice(0, 6)),
-    "reference_rate": _axes("rad/s", "m/s", "rate of the reference", source="reference", part=slice(6, 12)),
-    "reference_acceleration": _axes(
-        "rad/s^2", "m/s^2", "acceleration of the reference", source="reference", part=slice(12, 18)
-    ),
-    "error": _axes(
-        "rad", "m", "pose minus reference at the latest tick; with an observer, when its command acts", title="Error"
-    ),
+    "pose": _axes("rad", "m", "pose of the platform, P in B; measured on a machine", "measured", POSE),
+    "pose_rate": _axes("rad/s", "m/s", "Euler rates and velocity of the platform", "measured", RATE),
+    "reference": _axes("rad", "m", "reference pose", "reference", POSE),
+    "reference_rate": _axes("rad/s", "m/s", "rate of the reference", "reference", RATE),
+    "reference_acceleration": _axes("rad/s^2", "m/s^2", "acceleration of the reference", "reference", slice(12, 18)),
+    "error": _axes("rad", "m", "pose minus reference at the latest tick, or when its command acts", title="Error"),
     "integral": _axes("rad s", "m s", "integral state z after the latest tick", title="Integral state"),
     "torque": _legs("N m", "torque commanded by the controller, about the motor axis", title="commanded"),
     "commanded_angle": _legs("rad", "angle commanded to motors with position control"),
     "commanded_current": _legs("A", "current commanded to motors with current control"),
     "torque_applied": _legs("N m", "torque at the motors, delayed and within their limit", title="applied"),
-    "crank_angle": _legs("rad", "true angle of a simulated crank, from the horizontal", source="measured", part=ANGLES),
+    "crank_angle": _legs("rad", "true angle of a simulated crank, from the horizontal", "measured", ANGLES),
     "reading": _legs("rad", "angle of a crank as read by the controller; NaN without a reading"),
     "weights": _numbers(("omega_q", "omega_r"), "weights in use"),
     "block_weights": _numbers(
-        ("q_pose", "q_rate", "q_integral", "r"), "block weights in use, in place of `weights`", source="weights"
+        ("q_pose", "q_rate", "q_integral", "r"), "block weights in use, in place of `weights`", "weights"
     ),
     "setting": _numbers((*NAMES, "outside"), _OUTSIDE, title="Tuner"),
     "density": _numbers(_DENSITY, "density features"),
     "lateness": Signal((), ("s",), "lateness of a tick on a machine"),
     "reading_age": Signal((), ("s",), "age of a machine's reading when it was used"),
     "loop_gap": _legs("m", "distance from rod end to platform joint"),
-    "measured_pose": _axes(
-        "rad",
-        "m",
-        "measured or estimated pose; without this signal it is the true one",
-        source="measurement",
-        part=slice(0, 6),
-    ),
-    "measured_pose_rate": _axes("rad/s", "m/s", "rate of `measured_pose`", source="measurement", part=slice(6, 12)),
-    "pose_reading": _axes("rad", "m", "pose as read from a sensor", part=slice(0, 6)),
-    "pose_rate_reading": _axes("rad/s", "m/s", "rate of `pose_reading`", source="pose_reading", part=slice(6, 12)),
+    "measured_pose": _axes("rad", "m", "measured or estimated pose, if not the true one", "measurement", POSE),
+    "measured_pose_rate": _axes("rad/s", "m/s", "rate of `measured_pose`", "measurement", RATE),
+    "pose_reading": _axes("rad", "m", "pose as read from a sensor", part=POSE),
+    "pose_rate_reading": _axes("rad/s", "m/s", "rate of `pose_reading`", "pose_reading", RATE),
     "innovation": _legs("rad", "readings minus the observer's predictions"),
-    "disturbance": Signal(
-        ("mx", "my", "mz", "fx", "fy", "fz"), ("N m",) * 3 + ("N",) * 3, "external wrench on the platform"
-    ),
-    "safety": _numbers(
-        ("level", "monitor", "leg"),
-        "state of the safety layer: numbers in safety.LEVELS and safety.MONITORS, leg or -1",
-    ),
+    "disturbance": Signal(_WRENCH, ("N m",) * 3 + ("N",) * 3, "external wrench on the platform"),
+    "safety": _numbers(("level", "monitor", "leg"), "indices in safety.LEVELS and safety.MONITORS; leg or -1"),
     "learnt": Signal(_LEARNT, _LEARNT_UNITS, "learnt parameters of head and motors: see docs/adaptation.md"),
     "learnt_half_width": Signal(_LEARNT, _LEARNT_UNITS, "half widths of the 95 % intervals of `learnt`"),
     "learnt_center_of_mass": Signal(_PLACE, ("m",) * 6, "learnt centre of mass of the head, in the tool's frame or P"),

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from stewart_drake.plotting import style as look
 
-Rows = Sequence[Mapping[str, Any]]
+Row = Mapping[str, Any]
+Rows = Sequence[Row]
 Styles = Mapping[str, Mapping[str, Any]]
 
 _COLORS = (look.GREY, look.YELLOW, look.ORANGE, look.BLUE, look.PURPLE, look.GREEN, look.TEXT, look.SKY)
@@ -225,11 +226,11 @@ def _tick_label(value: float | str) -> str:
     return str(value) if isinstance(value, (str, bool)) else f"{value:g}"
 
 
-def _rmse(row: Mapping[str, Any]) -> float:
+def _rmse(row: Row) -> float:
     return min(max(row["rmse_norm_mm"], _MIN_DRAWN), look.LARGEST_DRAWN)
 
 
-def _completed(row: Mapping[str, Any]) -> bool:
+def _completed(row: Row) -> bool:
     return row["status"] == "completed" and row.get("rmse_norm_mm") is not None
 
 
