@@ -127,7 +127,7 @@ def scenario(seed: int, scheme: str, motion: str, belief: dict[str, Any] | None 
 
 def kept(log: SimulationLog) -> dict[str, Any]:
     """`model` with what a run has learnt, as `run --keep-model` leaves it."""
-    return model_of(last_learnt(log), log.scenario.belief)
+    return model_of(last_learnt(log), log.scenario.controller_model)
 
 
 def figures(seed: int, scheme: str, changes: dict[str, Any] | None = None) -> list[float]:
@@ -190,7 +190,9 @@ def weighed() -> tuple[float, float]:
         "adaptation": "regression",
     }
     log = run(load_scenario("exact_breathing").replace(changes), check=False)
-    return float(log["learnt"][-1, 0] - log.scenario.belief.robot.platform_mass), float(log["learnt_half_width"][-1, 0])
+    return float(log["learnt"][-1, 0] - log.scenario.controller_model.robot.platform_mass), float(
+        log["learnt_half_width"][-1, 0]
+    )
 
 
 def slow_bus(seed: int, scheme: str, motion: str, changes: dict[str, Any] | None = None) -> Scenario:

@@ -169,7 +169,7 @@ def figures(log: SimulationLog, age: float | None = None) -> Figures:
 
 def kept(log: SimulationLog) -> dict[str, Any]:
     """What a run has learnt, as `--keep-model` leaves it."""
-    return {"model": {**log.scenario.model.given(), **model_of(last_learnt(log), log.scenario.belief)}}
+    return {"model": {**log.scenario.model.given(), **model_of(last_learnt(log), log.scenario.controller_model)}}
 
 
 class ByWallClock(ReachyMachine):
@@ -247,7 +247,7 @@ def played(url: str, scheme: str | None, motion: str) -> tuple[float, float]:
     pose = motion_there.evaluate(times)[0]
     move = Move(motion, times, pose, np.zeros((len(times), 2)), np.zeros(len(times)))
     sent = shaped_move(scenario, move)[0].pose if scheme else pose
-    angles, told = inverse_kinematics(scenario.belief.robot, sent), []
+    angles, told = inverse_kinematics(scenario.controller_model.robot, sent), []
     for row in angles:
         told.append(machine.read())
         machine.command(row)

@@ -221,7 +221,7 @@ def _pushed(scenario, pose, gain, late):
         "motors": {"kind": "current", "torque_constant": gain},
         "model.motors": {"kind": "current"},
         "model.friction": None,
-        "model.noise": scenario.belief.noise,
+        "model.noise": scenario.controller_model.noise,
         "model.delay": scenario.command_delay,
         "command_delay": scenario.command_delay + late,
         "sensors.noise": 0.0,

@@ -142,7 +142,7 @@ def with_truth(scenario: Scenario) -> Scenario:
     """A scenario where the controller knows the robot, its motors and their friction, and of a payload the mass."""
     real, levels = scenario.robot, scenario.plant.friction_options
     robot = real.replace(platform_mass=real.platform_mass + scenario.plant.payload_mass)
-    friction = {"coulomb": levels.coulomb, "viscous": levels.viscous, "width": scenario.belief.friction.width}
+    friction = {"coulomb": levels.coulomb, "viscous": levels.viscous, "width": scenario.controller_model.friction.width}
     known = {"robot": robot, "motors": scenario.motors.nominal, "friction": friction}
     return scenario.replace({"robot": robot, "plant.payload_mass": 0.0, "model": known, "adaptation": None})
 
