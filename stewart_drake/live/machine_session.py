@@ -65,7 +65,7 @@ class MachineSession(PageSession):
         return why
 
     def _advance(self, now: float) -> None:
-        own = self._motion.own_time(now)
+        own = self._motion.motion_time(now)
         self._hand.advance(own)
         if own > self.scenario.duration - RAMP:
             self._hand.share.target = np.zeros(1)
@@ -74,7 +74,7 @@ class MachineSession(PageSession):
         while not over.wait(SLICE):
             try:
                 self.obey()
-                self._hand.govern(self.scenario, self._motion.own_time(self._drive.time))
+                self._hand.govern(self.scenario, self._motion.motion_time(self._drive.time))
                 self.publish(self.row())
             except Exception as error:  # Without a picture the machine can still be stopped.
                 self.message = one_line(error)
@@ -86,7 +86,7 @@ class MachineSession(PageSession):
 
     def _move(self, command: Mapping[str, Any]) -> None:
         on, reference, scenario = bool(command["on"]), self._hand, self.scenario
-        if on and self._motion.own_time(self._drive.time) > scenario.duration - 2.0 * RAMP:
+        if on and self._motion.motion_time(self._drive.time) > scenario.duration - 2.0 * RAMP:
             raise ConfigurationError("motion", "on", f"off after the scenario's duration, {scenario.duration:g} s")
         if on:
             # The motion may be infeasible about the present pose.

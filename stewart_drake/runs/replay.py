@@ -9,7 +9,6 @@ import re
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import TypedDict
 
 import numpy as np
 
@@ -38,10 +37,11 @@ def write_replay(
     their `places`, or numbered.
     """
     logs = [logs] if isinstance(logs, SimulationLog) else list(logs)
-    runs = [_replay_data(log, name) for log, name in zip(logs, distinct_names(logs, places), strict=True)]
+    names = distinct_names(logs, places)
+    runs = [_replay_data(log, name) for log, name in zip(logs, names, strict=True)]
     # "</script>" in a text must not end the script element.
     data = json.dumps(runs).replace("<", "\\u003c")
-    page = {"title": html.escape(", ".join(run["name"] for run in runs)), "data": data}
+    page = {"title": html.escape(", ".join(names)), "data": data}
     page |= {"styles": "".join(map(_page_file, _STYLES))}
     page |= {"scripts": "</script>\n<script>".join(map(_page_file, _SCRIPTS))}
     text = re.sub(r"\{\{ (\w+) \}\}", lambda match: page[match[1]], _page_file("replay.html"))
@@ -52,21 +52,8 @@ def _page_file(name: str) -> str:
     return (files("stewart_drake") / "pages" / name).read_text(encoding="utf-8")
 
 
-class _Replay(TypedDict):
-    """Data of a run for the page."""
-
-    name: str
-    scene: dict[str, object]
-    frames: list[float]  # [s] times of the frames.
-    links: str  # `link_poses` as float32, in base64.
-    lines: list[tuple[str, bool]]  # Texts, and whether they are emphasised.
-    time: list[float | None]  # [s] of the points of the traces.
-    rotation_deg: list[float | None]
-    position_m: list[float | None]
-    torque: list[list[float | None]]  # [N m] by motor.
-
-
-def _replay_data(log: SimulationLog, name: str) -> _Replay:
+def _replay_data(log: SimulationLog, name: str) -> dict[str, object]:
+    """Data of a run for the page: links as float32 in base64, traces with five digits."""
     # Without Drake's state the links follow from the platform's pose.
     usable = np.flatnonzero(np.isfinite(log.signals.get("plant_state", log["pose"])).all(axis=1))
     if len(usable) == 0:
