@@ -9,10 +9,10 @@ import click
 
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
-from stewart_drake.cli.run_commands import begin_with, end, keep, leave
+from stewart_drake.cli.run_commands import exit_unless_completed, load_learnt, save_learnt, write_results
 from stewart_drake.cli.terminal import print_table, progress_bar, shown_compiling, tell
 from stewart_drake.logs.signals import SCALES
-from stewart_drake.runs.outputs import begin_journal, check_place, claimed_place, prepare_file
+from stewart_drake.runs.outputs import begin_journal, check_run_folder, new_run_folder, prepare_file
 from stewart_drake.scenario.scenario import Scenario, load_driven
 
 if TYPE_CHECKING:
@@ -50,11 +50,11 @@ def drive(
     from stewart_drake.logs.mcap_file import check_mcap
     from stewart_drake.machines.machine import open_machine
     from stewart_drake.runs.checks import check_scenario
-    from stewart_drake.runs.drive import Drive, as_logged, connected, held_controller
+    from stewart_drake.runs.drive import Drive, as_logged, connected, drive_controller
 
-    loaded = begin_with(load_driven, scenario, overrides, keep_model, trust_code)
+    loaded = load_learnt(load_driven, scenario, overrides, keep_model, trust_code)
     if out is not None:
-        check_place(as_logged(loaded), out, force, duration=False)
+        check_run_folder(as_logged(loaded), out, force, duration=False)
     if mcap:
         check_mcap()
     if keep_model is not None:
@@ -62,27 +62,27 @@ def drive(
     opened, driven = open_machine(machine, loaded, trust_code), None
     with shown_compiling():
         check_scenario(loaded)
-        held_controller(loaded, loaded.start()[0])
+        drive_controller(loaded, loaded.start()[0])
     try:
         start = connected(loaded, opened, seconds)
         _print_plan(loaded, machine, opened, start)
         if dry:
             tell("nothing was moved")
             return
-        with claimed_place(as_logged(loaded), out, force, duration=False) as claimed:
+        with new_run_folder(as_logged(loaded), out, force, duration=False) as claimed:
             journal = begin_journal(as_logged(loaded), claimed)
             with progress_bar(loaded.name, start.duration) as advance:
                 driven = Drive(loaded, opened, start, journal)
                 log = driven.run(advance)
-            place = leave(log, claimed, machine=machine)
-            keep(log, keep_model)
+            place = write_results(log, claimed, machine=machine)
+            save_learnt(log, keep_model)
             if mcap:
                 log.save(place / "run.mcap")
     finally:
         opened.disconnect()
         if driven is not None:
             tell(f"{driven.ending}{opened.after and f'; {opened.after}'}")
-    end(log, place == claimed)
+    exit_unless_completed(log, place == claimed)
 
 
 def _print_plan(loaded: Scenario, url: str, machine: Machine, start: Start) -> None:

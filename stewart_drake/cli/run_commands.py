@@ -34,9 +34,9 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import metrics_of, run_metrics
 from stewart_drake.logs.outcomes import describe_outcome
 from stewart_drake.runs.outputs import (
-    check_place,
-    claimed_place,
+    check_run_folder,
     draw_run,
+    new_run_folder,
     prepare_file,
     prepare_folder,
     save_run,
@@ -66,9 +66,9 @@ def run(
     from stewart_drake.runs.simulation import run as simulate
     from stewart_drake.runs.simulation import run_of
 
-    loaded = begin_with(load_scenario, scenario, overrides, keep_model, trust_code)
+    loaded = load_learnt(load_scenario, scenario, overrides, keep_model, trust_code)
     if out is not None:
-        check_place(loaded, out, force)
+        check_run_folder(loaded, out, force)
     if video is not None:
         from stewart_drake.runs.pictures import check_film
 
@@ -83,11 +83,11 @@ def run(
         prepare_file(video)
     if keep_model is not None:
         prepare_file(keep_model, "--keep-model")
-    with claimed_place(loaded, out, force) as claimed:
+    with new_run_folder(loaded, out, force) as claimed:
         with shown_compiling(), progress_bar(loaded.name, loaded.duration) as advance:
             log = simulate(loaded, progress=advance, check=False, prepared=prepared)
-        place = leave(log, claimed, graph, plots=plots)
-    keep(log, keep_model)
+        place = write_results(log, claimed, graph, plots=plots)
+    save_learnt(log, keep_model)
     if (place / "replay.html").exists():
         other = "run exact_fig7" if loaded.name == "paper_fig7" else "live"
         tell(f"open {place / 'replay.html'}; try: stewart-drake {other}")
@@ -97,11 +97,13 @@ def run(
         with progress_bar("film", log.end_time) as advance:
             write_film(log, video, progress=advance)
         tell(f"film in {video}")
-    end(log, place == claimed)
+    exit_unless_completed(log, place == claimed)
 
 
-def leave(log: SimulationLog, claimed: Path, graph: str | None = None, machine: str = "", plots: bool = True) -> Path:
-    """Saves a log in a folder, prints its figures and draws its pictures; where they are."""
+def write_results(
+    log: SimulationLog, claimed: Path, graph: str | None = None, machine: str = "", plots: bool = True
+) -> Path:
+    """Saves a log, prints its metrics and draws its pictures; returns the folder that was used."""
     place, problem = save_run(log, claimed)
     _print_run(log, place, machine)
     try:
@@ -114,40 +116,40 @@ def leave(log: SimulationLog, claimed: Path, graph: str | None = None, machine: 
     return place
 
 
-def begin_with(
+def load_learnt(
     load: Callable[[str, Iterable[str], bool], Scenario],
     scenario: str,
     overrides: Iterable[str],
     file: Path | None,
     trust_code: bool = False,
 ) -> Scenario:
-    """Loads a scenario, with the `model` that an earlier run has left in a file, where there is one.
+    """Loads a scenario, with the `model` that an earlier run saved in `file`, if it exists.
 
-    Refuses to keep what nothing learns, and what was learnt of another robot.
+    Raises a ConfigurationError if the scenario does not learn, or the model is that of another robot.
     """
-    own = load(scenario, overrides, trust_code)
+    loaded = load(scenario, overrides, trust_code)
     if file is None:
-        return own
-    if own.adaptation is None or not own.adaptation.is_kept:
-        kind = None if own.adaptation is None else own.adaptation.kind
+        return loaded
+    if loaded.adaptation is None or not loaded.adaptation.is_kept:
+        kind = None if loaded.adaptation is None else loaded.adaptation.kind
         raise ConfigurationError(
             "adaptation.kind", kind, "regression, for --keep-model; try --set adaptation=regression"
         )
     if not file.exists():
-        return own
-    data, machine = read_mapping("model", file, 100), machine_text(own.controller_model)
+        return loaded
+    data, machine = read_mapping("model", file, 100), machine_text(loaded.controller_model)
     if (keys := set(data) - {"name", _LEARNT_OF}) != {"model"}:
         raise ConfigurationError(f"--keep-model {file}", join_or(sorted(map(str, keys))), "a file with `model` alone")
     if (learnt_of := data.get(_LEARNT_OF, machine)) != machine:
         allowed = f"what was learnt of this robot and its motors, {machine}, or a new file"
         raise ConfigurationError(f"--keep-model {file}", learnt_of, allowed)
-    # What is simulated stays what it was.
-    begun = load(scenario, (f"model={json.dumps(data['model'])}", *overrides), trust_code)
-    return begun.replace({"robot": own.robot, "motors": own.motors})
+    # The model does not change the simulated robot.
+    learnt = load(scenario, (f"model={json.dumps(data['model'])}", *overrides), trust_code)
+    return learnt.replace({"robot": loaded.robot, "motors": loaded.motors})
 
 
-def keep(log: SimulationLog, file: Path | None) -> None:
-    """Leaves what was learnt in a file, for the next run; of a run that failed or was stopped, nothing."""
+def save_learnt(log: SimulationLog, file: Path | None) -> None:
+    """Saves the learnt parameters in a file for the next run, unless the run failed or was stopped."""
     if file is None or not len(log.time):
         return
     if log.status not in ("completed", "interrupted"):
@@ -163,14 +165,14 @@ def keep(log: SimulationLog, file: Path | None) -> None:
         tell(f"adaptation.{key} begins without friction all the same: --set adaptation.{key}=false")
 
 
-def end(log: SimulationLog, in_place: bool) -> None:
-    """Ends the command with the status of a log that was not completed, or could not go where it was to be."""
+def exit_unless_completed(log: SimulationLog, in_place: bool) -> None:
+    """Exits with an error status if the run was not completed, or its results are in another folder."""
     if log.status != "completed":
         why = (log.message or "").removeprefix(f"{log.reason}: ")
         say(f"{describe_outcome(log.status, log.reason, log.outcome_time)}: {why}")
         sys.exit(opt.EXIT_INTERRUPTED if log.status == "interrupted" else opt.EXIT_RUN_FAILED)
     if not in_place:
-        # A disk was full: where the results were to be there are none.
+        # The disk was full.
         sys.exit(opt.EXIT_RUN_FAILED)
 
 
@@ -238,7 +240,7 @@ def check(
         tell(f"reference: {note}")
     tell("what each limit is: stewart-drake explain limits")
     machine = ("", "simulated", "believed")
-    print_table("the machine, and what `model` believes of it", checks.beliefs(loaded), machine, numbers=())
+    print_table("the machine, and what `model` believes of it", checks.compared_with_model(loaded), machine, numbers=())
     changes = _feasible_changes(loaded, scale, retime)
     if out is not None and changes:
         write_atomically(out, to_yaml(loaded.replace(changes).to_dict()).encode())

@@ -18,7 +18,7 @@ from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.tables import COORDINATES, POSE, numbers_to_csv
 from stewart_drake.base.yaml_files import to_yaml
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.rows import Rows, side_by_side
+from stewart_drake.logs.rows import Rows, row_layout
 from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_jacobian, rotation_matrix
@@ -247,7 +247,7 @@ class Recorder:
 
     def __init__(self, step: float) -> None:
         self.every = max(1, round(_RECORD_PERIOD / step))
-        self.rows = Rows(side_by_side(_COLUMNS), round(_RECORDED / (self.every * step)))
+        self.rows = Rows(row_layout(_COLUMNS), round(_RECORDED / (self.every * step)))
         self.pushes: list[dict[str, Any]] = []
         self.changes: list[tuple[float, Mapping[str, Any]]] = []
 

@@ -36,7 +36,10 @@ class MachineSession(PageSession):
         self._hand = HandReference(scenario.reference, BANDWIDTH)
         self._motion = PacedMotion(self._hand, start.pose, start.motion.approach)
         own = start._replace(motion=self._motion, duration=min(MAX_ROWS * scenario.reading_period, 1e6))
-        self._drive, self._motors = Drive(scenario, machine, own, most=ROWS_IN_MEMORY), scenario.controller_model.motors
+        self._drive, self._motors = (
+            Drive(scenario, machine, own, max_rows=ROWS_IN_MEMORY),
+            scenario.controller_model.motors,
+        )
         self._pose, self._ended = start.pose, ""
         self._do = {"aim": self._aim, "move": self._move, "stop": lambda _: self._drive.stop()}
         self.row()  # Compiles.
@@ -62,7 +65,7 @@ class MachineSession(PageSession):
         return why
 
     def _advance(self, now: float) -> None:
-        own = self._motion.own_time(now)
+        own = self._motion.motion_time(now)
         self._hand.advance(own)
         if own > self.scenario.duration - RAMP:
             self._hand.share.target = np.zeros(1)
@@ -71,7 +74,7 @@ class MachineSession(PageSession):
         while not over.wait(SLICE):
             try:
                 self.obey()
-                self._hand.govern(self.scenario, self._motion.own_time(self._drive.time))
+                self._hand.govern(self.scenario, self._motion.motion_time(self._drive.time))
                 self.publish(self.row())
             except Exception as error:  # Without a picture the machine can still be stopped.
                 self.message = one_line(error)
@@ -83,7 +86,7 @@ class MachineSession(PageSession):
 
     def _move(self, command: Mapping[str, Any]) -> None:
         on, reference, scenario = bool(command["on"]), self._hand, self.scenario
-        if on and self._motion.own_time(self._drive.time) > scenario.duration - 2.0 * RAMP:
+        if on and self._motion.motion_time(self._drive.time) > scenario.duration - 2.0 * RAMP:
             raise ConfigurationError("motion", "on", f"off after the scenario's duration, {scenario.duration:g} s")
         if on:
             # The motion may be infeasible about the present pose.

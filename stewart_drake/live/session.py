@@ -31,7 +31,7 @@ from stewart_drake.live.instrument import (
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.robot import RobotParameters
-from stewart_drake.runs.outputs import claimed_place
+from stewart_drake.runs.outputs import new_run_folder
 from stewart_drake.runs.scene import link_poses
 from stewart_drake.safety import standstill_text
 from stewart_drake.scenario.scenario import Scenario
@@ -234,7 +234,7 @@ class LiveSession(PageSession):
 
     def _save(self, _: Mapping[str, Any]) -> None:
         scenario = self.loop.scenario.replace({"name": f"{self.loop.scenario.name}-by-hand"})
-        with claimed_place(scenario) as folder:
+        with new_run_folder(scenario) as folder:
             self.loop.record.save(folder, scenario)
         self.message = f"saved in {folder}: log.csv, and scenario.yaml, with motion, pushes and the last settings"
 

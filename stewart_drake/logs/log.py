@@ -1,9 +1,9 @@
-"""The log of one run: named signals with units and frames, arrays in memory, kept as a Parquet or CSV file."""
+"""The log of one run: named signals with units and frames, in memory and as a Parquet, CSV or MCAP file."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -24,14 +24,15 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 MAX_ROWS = 2_000_000
-"""Of a run: all of them are in memory, 140 numbers each, 2.2 GB. At steps of 1 ms they are 33 minutes."""
+"""Largest number of rows of a run: with 140 numbers in a row 2.2 GB of memory, and 33 minutes at steps of 1 ms."""
 
-_VERSION = 4
+Report = Mapping[str, Any]  # Named values as in JSON.
+_VERSION = 4  # Of the file format.
 _MAX_BYTES = 10**10  # Of a file.
 
 
 def _columns(name: str, state_names: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Name without its unit, and unit of each column of a signal."""
+    """Names and units of the columns of a signal."""
     spec = SIGNALS[name]
     if name == "plant_state":
         return [(f"{name}_{entry}", _state_unit(entry)) for entry in state_names]
@@ -52,18 +53,22 @@ class SimulationLog(Mapping[str, np.ndarray]):
     """Signals of one run by name, `log["pose"]`, and how it ended.
 
     Attributes:
-        scenario: As run.
+        scenario: Scenario of the run.
         signals: Name -> array, (n,) for time and (n, k) for the rest, see `SIGNALS`.
         state_names: Names of the columns of `plant_state`.
-        status, reason, message: See `outcomes.OUTCOMES`; the reason as a fixed name, and in one line, or None.
-        outcome_time, end_time: [s] time of the reason, or None; simulated time reached.
+        status: See `outcomes.OUTCOMES`.
+        reason: Name of the reason, or None.
+        message: The reason in one line, or None.
+        outcome_time: [s] time of the reason, or None.
+        end_time: [s] simulated time reached.
         leg: Leg 0..5 of the reason, or None.
         warnings: See `outcomes.find_warnings`.
         safety: monitor, level, time [s], leg, cause of the first trip of the safety layer, and worst level; or None.
-        wall_time: [s] spent in the simulation.
-        versions, files: Of what ran; path of each file that the scenario names -> sha256, None if unreadable.
-        figures: The metrics, from every tick and step of the run, whatever rows the log has; None where nobody took
-            them. Those that are not finite are None and named in `not_finite`.
+        wall_time: [s] duration of the simulation.
+        versions: Versions of the packages.
+        files: Path of a file that the scenario names -> sha256, None if unreadable.
+        figures: The metrics, from all ticks and steps of the run, also those without a row; None if not computed.
+            Metrics that are not finite are None and named in `not_finite`.
     """
 
     scenario: Scenario
@@ -75,12 +80,12 @@ class SimulationLog(Mapping[str, np.ndarray]):
     outcome_time: float | None = None
     end_time: float = 0.0
     leg: int | None = None
-    warnings: tuple[Mapping[str, Any], ...] = ()
-    safety: Mapping[str, Any] | None = None
+    warnings: tuple[Report, ...] = ()
+    safety: Report | None = None
     wall_time: float = 0.0
     versions: Mapping[str, str | None] = field(default_factory=dict)
     files: Mapping[str, str | None] = field(default_factory=dict)
-    figures: Mapping[str, Any] | None = None
+    figures: Report | None = None
 
     __eq__ = object.__eq__
     __hash__ = object.__hash__
@@ -103,39 +108,39 @@ class SimulationLog(Mapping[str, np.ndarray]):
 
     @property
     def learns(self) -> bool:
-        """Whether an adaptive law tells what it learns, and is not frozen."""
-        told = {"learnt", "learnt_half_width"} <= self.signals.keys()
-        return told and not getattr(self.scenario.adaptation, "frozen", False)
+        """Whether an adaptive law logs what it learns, and is not frozen."""
+        logged = {"learnt", "learnt_half_width"} <= self.signals.keys()
+        return logged and not getattr(self.scenario.adaptation, "frozen", False)
 
     @cached_property
     def rows(self) -> RunRows:
-        """What metrics and outcome are computed from, of the rows of this log."""
+        """Rows of this log for the computation of metrics and outcome."""
         return RunRows(self.scenario, self.signals)
 
     @property
     def time(self) -> np.ndarray:
-        """(n,) [s] of each row."""
+        """(n,) [s] times of the rows."""
         return self.signals["time"]
 
     @property
     def error(self) -> np.ndarray:
-        """(n, 6) [rad, m] true pose minus reference at every row; not a number where nothing was measured."""
+        """(n, 6) [rad, m] true pose minus reference; NaN if nothing was measured."""
         error = self.rows.error
         return error if is_measured(self.signals) else np.full_like(error, np.nan)
 
     @property
     def error_norms(self) -> tuple[np.ndarray, np.ndarray]:
-        """Length of the (roll, pitch, yaw) error (n,) [deg] and of the position error (n,) [mm] at every row."""
+        """Norms of the (roll, pitch, yaw) error (n,) [deg] and of the position error (n,) [mm]."""
         rotation, position = np.linalg.norm((SCALES * self.error).reshape(-1, 2, 3), axis=2).T
         return rotation, position
 
     @property
     def second_half(self) -> np.ndarray:
-        """(n,) whether a row is in the second half of the planned duration."""
+        """(n,) mask of the rows in the second half of the planned duration."""
         return self.rows.second_half
 
     def outcome(self) -> dict[str, Any]:
-        """What the log says besides its signals, in values that JSON has."""
+        """Attributes besides scenario and signals, as JSON values."""
         return {name: getattr(self, name) for name in _OUTCOME} | {"warnings": list(self.warnings)}
 
     def table(self) -> pa.Table:
@@ -147,7 +152,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
             columns = _columns(signal, self.state_names)
             for column, (name, unit) in zip(np.atleast_2d(values.T), columns, strict=True):
                 about = {"unit": unit, "text": SIGNALS[signal].text}
-                # pa.array would import pandas, to see whether it is one of its series.
+                # pa.array would import pandas, which is slow.
                 data = pa.py_buffer(np.ascontiguousarray(column))
                 arrays.append(pa.Array.from_buffers(pa.float64(), len(column), [None, data]))
                 named.append(pa.field(tables.column_name(name, unit), pa.float64(), nullable=False, metadata=about))
@@ -156,7 +161,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
     def __repr__(self) -> str:
         tick, time = self.scenario.controller.period, self.signals.get("time", np.empty(0))
         row = f", every {np.median(np.diff(time)):.4g} s" if len(time) > 1 else ""
-        # Only a controller with weights has densities; others ignore the tuner.
+        # Only controllers with densities use the tuner.
         tuner = f", tuner {self.scenario.tuner.kind}" if "density" in self.signals else ""
         when = self.end_time if self.outcome_time is None else self.outcome_time
         lines = [
@@ -173,7 +178,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
     def to_pandas(self) -> Any:
         """The signals as a pandas.DataFrame, a column per component."""
         with installed_with("pandas", "table() gives the same as an Arrow table"):
-            import pandas  # noqa: F401 - pyarrow loads it
+            import pandas  # noqa: F401 - used by pyarrow
         return self.table().to_pandas()
 
     def to_parquet(self) -> bytes:
@@ -181,7 +186,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return tables.to_parquet(tables.with_about(self.table(), "run", about))
 
     def to_csv(self) -> bytes:
-        """The signals alone."""
+        """The signals as CSV."""
         return tables.to_csv(self.table())
 
     def to_mcap(self) -> bytes:
@@ -191,7 +196,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return to_mcap(self)
 
     def save(self, path: str | Path) -> None:
-        """Writes the log to a file, in the format that the end of its name says: .parquet, .csv or .mcap, for Foxglove.
+        """Writes the log to a file, .parquet, .csv or, for Foxglove, .mcap.
 
         Raises:
             ConfigurationError: Another ending; the folder is missing or not writable.
@@ -203,35 +208,37 @@ class SimulationLog(Mapping[str, np.ndarray]):
         write_atomically(Path(path), formats[ending]())
 
 
-_OUTCOME = tuple(each.name for each in fields(SimulationLog) if each.name not in ("scenario", "signals", "state_names"))
-"""What a log says besides its signals."""
+_SIGNALS = ("scenario", "signals", "state_names")
+_OUTCOME = tuple(entry.name for entry in fields(SimulationLog) if entry.name not in _SIGNALS)
 
 
 def distinct_names(logs: Sequence[SimulationLog], places: Sequence[object] = ()) -> list[str]:
-    """Names of their scenarios; where several have the same the places that they are from, or numbers."""
+    """Names of the logs' scenarios; equal names are replaced by the `places` of the logs, or get numbers."""
     names = [log.scenario.name for log in logs]
     names = [str(place) if names.count(name) > 1 else name for name, place in zip(names, places or names, strict=True)]
     return [
-        name if names.count(name) == 1 else f"{name} ({names[: place + 1].count(name)})"
-        for place, name in enumerate(names)
+        name if names.count(name) == 1 else f"{name} ({names[: index + 1].count(name)})"
+        for index, name in enumerate(names)
     ]
 
 
 def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLog:
-    """Reads a log, or results folder, written by `SimulationLog.save` or by the commands `run` and `drive`.
+    """Reads a log, or a results folder, written by `SimulationLog.save` or by the commands `run` and `drive`.
 
-    Of a `drive` that was killed it is the log until then, with the reason `cut_off`.
+    The log of a killed `drive` ends with its last row, with the reason `cut_off`.
+
+    Args:
+        path: File or folder.
+        scenario: Scenario of a CSV file, which contains none; None takes the default one.
 
     Raises:
-        ConfigurationError: Missing file, not a log of this package, or not as it was written; a CSV file says nothing
-        of
-            its `scenario`, the default one where None is given.
+        ConfigurationError: The file is missing, no log of this package, or damaged.
     """
-    # Unlike `Path.is_dir` this never raises.
+    # `Path.is_dir` may raise.
     if os.path.isdir(path):  # noqa: PTH112
-        place, path = Path(path), Path(path) / "log.parquet"
-        if not path.exists() and (place / JOURNAL).exists():
-            return SimulationLog(**cut_off(place / JOURNAL))
+        folder, path = Path(path), Path(path) / "log.parquet"
+        if not path.exists() and (folder / JOURNAL).exists():
+            return SimulationLog(**cut_off(folder / JOURNAL))
     path = Path(path)
     key = f"log {path}"
     if path.suffix == ".csv":
@@ -256,22 +263,24 @@ def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLo
 def _read_signals(path: Path, key: str) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
     """Signals of a table by name, and the names of the plant's states."""
 
+    def states_in(names: Iterable[str]) -> tuple[str, ...]:
+        return tuple(name.removeprefix("plant_state_") for name in names if name.startswith("plant_state_"))
+
     def choose(names: list[str]) -> dict[str, tuple[str, float]]:
-        there = dict.fromkeys(tables.quantity_of(name)[0] for name in names)
-        states = tuple(name.removeprefix("plant_state_") for name in there if name.startswith("plant_state_"))
-        known = [column for signal in SIGNALS for column in _columns(signal, states)]
-        given = {name.lower() for name in there}
+        quantities = dict.fromkeys(tables.quantity_of(name)[0] for name in names)
+        known = [column for signal in SIGNALS for column in _columns(signal, states_in(quantities))]
+        given = {name.lower() for name in quantities}
         return {name: tables.column_of(names, name, unit, key) for name, unit in known if name.lower() in given}
 
     columns = tables.read_columns(path, key, choose, _MAX_BYTES, MAX_ROWS + 1)
-    state_names = tuple(name.removeprefix("plant_state_") for name in columns if name.startswith("plant_state_"))
+    state_names = states_in(columns)
     signals: dict[str, np.ndarray] = {}
     for signal in SIGNALS:
-        wanted = [name for name, _ in _columns(signal, state_names)]
-        missing = [name for name in wanted if name not in columns]
-        if wanted and not missing:
-            signals[signal] = columns[signal] if wanted == [signal] else np.stack([columns[n] for n in wanted], axis=-1)
-        elif signal == "time" or len(missing) < len(wanted):
+        names = [name for name, _ in _columns(signal, state_names)]
+        missing = [name for name in names if name not in columns]
+        if names and not missing:
+            signals[signal] = columns[signal] if names == [signal] else np.stack([columns[n] for n in names], axis=-1)
+        elif signal == "time" or len(missing) < len(names):
             raise ConfigurationError(key, f"no column of {missing[0]}", "all columns of a signal, and time")
     tables.refuse_back(key, signals["time"])
     return signals, state_names

@@ -1,15 +1,15 @@
 """A log as an MCAP file for Foxglove and other viewers: signals, poses and a scene of cranks and rods, as JSON.
 
-Foxglove knows its own schemas by their names: docs.foxglove.dev/docs/visualization/message-schemas. Times are those of
-the run, from zero.
+Schemas with the names in docs.foxglove.dev/docs/visualization/message-schemas are drawn by Foxglove. Times start from
+zero.
 """
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,26 +21,23 @@ from stewart_drake.mechanics.kinematics import leg_geometry, quaternion
 if TYPE_CHECKING:
     from stewart_drake.logs.log import SimulationLog
 
-_FRAME, _PICTURES = "base", 30.0  # Frame B; [1/s] of the scene.
+_FRAME = "base"  # Frame B.
+_SCENE_RATE = 30.0  # [1/s] of the scene's updates, at most.
 _POSES = ("pose", "reference", "measured_pose")
 _COLOURS = {"cranks": (0.84, 0.37, 0.0), "rods": (0.5, 0.52, 0.58), "platform": (0.0, 0.45, 0.7)}
-_LINE_LIST, _LINE_LOOP = 2, 1  # Of foxglove.LinePrimitive.
+_LINE_LIST, _LINE_LOOP = 2, 1  # Types of foxglove.LinePrimitive.
 _NUMBER, _OBJECT = {"type": "number"}, {"type": "object"}
 _TIME = {"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 
 
 def check_mcap() -> None:
-    """Whether a log can be written as MCAP, for whoever asks before a run.
-
-    Raises:
-        MissingPackageError: The package mcap is missing.
-    """
+    """Raises a MissingPackageError if a log cannot be written as MCAP."""
     with installed_with("stewart-drake[mcap]", "a log can be saved as .parquet or .csv without it"):
         import mcap.writer  # noqa: F401
 
 
 def to_mcap(log: SimulationLog) -> bytes:
-    """The log as MCAP: a topic for each signal and `_pose` topics, `/joint_states`, `/scene` at most 30 times a second.
+    """The log as MCAP: a topic per signal, poses in the base, `/joint_states`, and `/scene` at most 30 times a second.
 
     Raises:
         MissingPackageError: The package mcap is missing.
@@ -63,15 +60,17 @@ def to_mcap(log: SimulationLog) -> bytes:
     return file.getvalue()
 
 
-_Topic = tuple[str, str, dict[str, Any], Iterator[tuple[int, dict[str, Any]]]]
+_Stamps = list[dict[str, int]]  # Seconds and nanoseconds by row.
+_Message = tuple[int, dict[str, object]]  # Row of the log, and JSON object.
+_Topic = tuple[str, str, Mapping[str, object], Iterator[_Message]]
 
 
 def _topics(log: SimulationLog) -> Iterator[_Topic]:
-    """Topic, name of its schema, properties, and messages with their rows."""
+    """Name, name of the schema, properties and messages of the topics."""
     stamps = [{"sec": int(time), "nsec": round(1e9 * (float(time) % 1.0)) % 10**9} for time in log.time]
     for name, values in log.signals.items():
         columns = log.state_names if name == "plant_state" else SIGNALS[name].components or ("value",)
-        # Each message has its time.
+        # Messages have time stamps.
         if columns and name != "time":
             yield f"/{name}", f"stewart_drake.{name}", dict.fromkeys(columns, _NUMBER), _numbers(columns, values)
     stamped = {"timestamp": _TIME, "frame_id": {"type": "string"}, "pose": _OBJECT}
@@ -86,25 +85,25 @@ def _topics(log: SimulationLog) -> Iterator[_Topic]:
         yield "/scene", "foxglove.SceneUpdate", {"entities": {"type": "array", "items": _OBJECT}}, _scene(stamps, log)
 
 
-def _numbers(columns: tuple[str, ...], values: np.ndarray) -> Iterator[tuple[int, dict[str, Any]]]:
+def _numbers(columns: tuple[str, ...], values: np.ndarray) -> Iterator[_Message]:
     for row, numbers in enumerate(values.reshape(len(values), len(columns)).tolist()):
         # JSON has no NaN.
         yield row, {name: value for name, value in zip(columns, numbers, strict=True) if np.isfinite(value)}
 
 
-def _point(xyz: Any) -> dict[str, float]:
+def _point(xyz: np.ndarray) -> dict[str, float]:
     return dict(zip("xyz", map(float, xyz), strict=True))
 
 
-def _poses(stamps: list[Any], poses: np.ndarray) -> Iterator[tuple[int, dict[str, Any]]]:
-    for row, (turn, pose) in enumerate(zip(quaternion(poses[:, :3]), poses, strict=True)):
+def _poses(stamps: _Stamps, poses: np.ndarray) -> Iterator[_Message]:
+    for row, (rotation, pose) in enumerate(zip(quaternion(poses[:, :3]), poses, strict=True)):
         if np.isfinite(pose).all():
-            orientation = dict(zip("wxyz", map(float, turn), strict=True))
-            placed = {"position": _point(pose[3:]), "orientation": orientation}
-            yield row, {"timestamp": stamps[row], "frame_id": _FRAME, "pose": placed}
+            orientation = dict(zip("wxyz", map(float, rotation), strict=True))
+            message = {"position": _point(pose[3:]), "orientation": orientation}
+            yield row, {"timestamp": stamps[row], "frame_id": _FRAME, "pose": message}
 
 
-def _joints(stamps: list[Any], log: SimulationLog, angles: np.ndarray) -> Iterator[tuple[int, dict[str, Any]]]:
+def _joints(stamps: _Stamps, log: SimulationLog, angles: np.ndarray) -> Iterator[_Message]:
     torques = log.signals.get("torque_applied")
     # JSON has no NaN.
     for row in np.flatnonzero(np.isfinite(angles).all(axis=1)).tolist():
@@ -115,23 +114,25 @@ def _joints(stamps: list[Any], log: SimulationLog, angles: np.ndarray) -> Iterat
         yield row, {"timestamp": stamps[row], "joints": joints}
 
 
-def _scene(stamps: list[Any], log: SimulationLog) -> Iterator[tuple[int, dict[str, Any]]]:
+def _scene(stamps: _Stamps, log: SimulationLog) -> Iterator[_Message]:
     """Lines from shaft to tip, from tip to joint, and around the joints of the platform."""
-    robot, after = log.scenario.robot, -np.inf
+    robot, next_time = log.scenario.robot, -np.inf
     for row, time in enumerate(log.time):
-        if time < after - 1e-9 or not np.isfinite(log["pose"][row]).all():
+        if time < next_time - 1e-9 or not np.isfinite(log["pose"][row]).all():
             continue
-        after, legs = time + 1.0 / _PICTURES, leg_geometry(robot, log["pose"][row])
+        next_time, legs = time + 1.0 / _SCENE_RATE, leg_geometry(robot, log["pose"][row])
         tips = robot.shaft_positions + robot.crank_lengths[:, None] * legs.crank
         ends = log["pose"][row, 3:] + legs.arm
-        lines = (("cranks", _LINE_LIST, np.stack([robot.shaft_positions, tips], axis=1).reshape(-1, 3)),
-                 ("rods", _LINE_LIST, np.stack([tips, ends], axis=1).reshape(-1, 3)),
-                 ("platform", _LINE_LOOP, ends))  # fmt: skip
+        lines = (
+            ("cranks", _LINE_LIST, np.stack([robot.shaft_positions, tips], axis=1).reshape(-1, 3)),
+            ("rods", _LINE_LIST, np.stack([tips, ends], axis=1).reshape(-1, 3)),
+            ("platform", _LINE_LOOP, ends),
+        )
         entity = {"timestamp": stamps[row], "frame_id": _FRAME, "id": "robot", "lifetime": {"sec": 0, "nsec": 0}}
         thickness = {"thickness": 0.05 * robot.characteristic_length, "scale_invariant": False}
-        still = {"position": _point(np.zeros(3)), "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+        base = {"position": _point(np.zeros(3)), "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
         drawn = [
-            {"type": kind, "pose": still, "points": [_point(p) for p in points], "color": _colour(name), **thickness}
+            {"type": kind, "pose": base, "points": [_point(p) for p in points], "color": _colour(name), **thickness}
             for name, kind, points in lines
         ]
         yield row, {"deletions": [], "entities": [{**entity, "frame_locked": False, "metadata": [], "lines": drawn}]}

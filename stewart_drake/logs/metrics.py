@@ -1,4 +1,4 @@
-"""Numbers of a run: one table of metrics, each a name, a unit, a text and a function of the run's rows."""
+"""Metrics of a run: a table of names, units, texts and functions of the run's rows."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 ValueKind = Literal["number", "integer", "flag", "text", "json"]
 Over = Literal["steps", "ticks", "second_half_steps", "second_half_ticks"]
-INTEGRAL_TIME = 5.0  # [s] when the paper looks at the integral states.
-FAILED = 1000.0  # Cost of a run that was not completed; no other costs more.
+INTEGRAL_TIME = 5.0  # [s] at which the paper gives the integral states.
+FAILED = 1000.0  # Cost of a run that was not completed, and upper limit of all costs.
 _TYPES: dict[ValueKind, tuple[type, ...]] = {
     "number": (float, int), "integer": (int,), "flag": (bool,), "text": (str,), "json": (dict, list)
 }  # fmt: skip
@@ -37,31 +37,31 @@ class Column:
     """A column of a table."""
 
     name: str
-    unit: str  # 1 for a ratio, empty for what has none.
+    unit: str  # 1 for a ratio; empty for texts and flags.
     text: str
-    kind: ValueKind = "number"  # Of its values; `json` for lists, written as text.
+    kind: ValueKind = "number"  # Type of the values; `json` for lists, written as text.
 
 
 class MetricError(StewartDrakeError):
-    """A metric raised something."""
+    """A user's metric raised an error or returned an invalid value."""
 
     reason = "metric_raised"
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A figure of a run.
+    """A metric of a run.
 
     Attributes:
-        name: Key of metrics.json, and column of tables; it means the same everywhere.
-        unit: Of its numbers, separated by commas where they differ.
-        text: What it measures; `over` adds the part of the run.
-        of: Computes it from the rows of a run, see `outcomes.RunRows`; called only where there are such rows.
-        over: The rows that it uses; without any, or without a signal that it asks for, it is None.
-        parts: Columns of a metric that is a list, one for each of its numbers.
-        label: In tables that are read; empty for those that are not shown there.
-        form: How its numbers are shown.
-        kind: Of its values.
+        name: Key in metrics.json and column in tables.
+        unit: Unit of its numbers; several are separated by commas.
+        text: Description; `over` adds the part of the run.
+        of: Function of the rows of a run, see `outcomes.RunRows`; called only if there are rows `over`.
+        over: The rows that it uses. Without such rows, or without a signal that it needs, the metric is None.
+        parts: Columns of a metric that is a list, one per number.
+        label: Name in the terminal's table; empty to leave it out.
+        form: Format of its numbers in that table.
+        kind: Type of its values.
     """
 
     name: str
@@ -75,7 +75,7 @@ class Metric:
     kind: ValueKind = "number"
 
     def value(self, rows: RunRows) -> Any:
-        """The metric of a run in plain values, None where there is nothing to compute it from."""
+        """The metric of a run as a plain value, or None."""
         if not getattr(rows, self.over):
             return None
         try:
@@ -115,7 +115,7 @@ class Metric:
 def _both(
     name: str, text: str, of: Callable[[RunRows], np.ndarray], over: Over, label: str = "", by_axis: bool = False
 ) -> list[Metric]:
-    """A metric of angles [deg] and one of lengths [mm]; `of` has both, (2,) or (6,) [rad, m]."""
+    """A metric of angles [deg] and one of lengths [mm], from the values (2,) or (6,) [rad, m] of `of`."""
     metrics = []
     for index, (what, size) in enumerate((("roll, pitch, yaw", "angle"), ("position", "distance"))):
         unit, scale = DISPLAY_UNITS[3 * index], SCALES[3 * index]
@@ -139,7 +139,7 @@ def _ripple(index: int) -> Callable[[RunRows], float | None]:
 
 
 def _peak_speed(rows: RunRows) -> float | None:
-    """[deg/s] by differences of the crank angles; None for a single row."""
+    """[deg/s] from differences of the crank angles; None for a single row."""
     if rows.steps < 2:
         return None
     angle = rows["crank_angle" if "crank_angle" in rows.signals else "reading"]
@@ -147,7 +147,7 @@ def _peak_speed(rows: RunRows) -> float | None:
 
 
 def _torque_change(rows: RunRows) -> float | None:
-    """[N m] RMS of the torque asked for, or that servos give, tick to tick of the second half; None without such."""
+    """[N m] RMS change of the commanded torque, or of the servos' torque, between ticks of the second half, or None."""
     asked = rows.scenario.motors.torque_of(rows.signals)
     if asked is None:
         return None
@@ -157,19 +157,19 @@ def _torque_change(rows: RunRows) -> float | None:
 
 
 def _integral(rows: RunRows) -> np.ndarray | None:
-    """(6,) [rad s, m s] integral states at `INTEGRAL_TIME`; None where the run ended earlier."""
+    """(6,) [rad s, m s] integral states at `INTEGRAL_TIME`; None if the run ended earlier."""
     if rows.time[-1] < INTEGRAL_TIME - 1e-9:
         return None
     return rows["integral"][np.flatnonzero(rows.tick & (rows.time <= INTEGRAL_TIME + 1e-9))[-1]]
 
 
 def _of_weights(function: Callable[[np.ndarray], float]) -> Callable[[RunRows], float]:
-    """A function of the two weights (n, 2) at the ticks."""
+    """A metric by a function of the weights (n, 2) at the ticks."""
     return lambda rows: float(function(rows["weights"][rows.tick]))
 
 
 def _of_torque(function: Callable[[np.ndarray], float], rows: str = "") -> Callable[[RunRows], float]:
-    """A function of the motors' torques (n, 6), in a mask of rows; a machine may not tell them."""
+    """A metric by a function of the applied torques (n, 6), at the rows of a mask named `rows`."""
     return lambda table: float(function(table["torque_applied"][getattr(table, rows) if rows else slice(None)]))
 
 
@@ -273,7 +273,7 @@ METRICS: tuple[Metric, ...] = (
         "steps", kind="flag",
     ),
 )  # fmt: skip
-"""Of every run, from all control ticks, and peaks from every step of the plant, whatever rows the log keeps."""
+"""Metrics of all runs, from all control ticks; peaks are from all steps of the plant."""
 
 OUTCOME: tuple[Column, ...] = (
     Column(
@@ -291,11 +291,11 @@ OUTCOME: tuple[Column, ...] = (
     Column("leg", "", "leg 0..5 of the outcome", "integer"),
     Column(NOT_FINITE, "", "metrics that are null because they are not finite, with their values", "text"),
 )  # fmt: skip
-"""How a run ended, before the metrics."""
+"""Columns of the outcome; those of the metrics follow."""
 
 
 class UserMetric(UserMade, key="metrics"):
-    """Your own `Metric`, by its import path; in Python it may be the object itself."""
+    """A user's `Metric`, by its import path, or in Python the object."""
 
     asked = "of(rows) returns plain values"
 
@@ -314,11 +314,11 @@ class UserMetric(UserMade, key="metrics"):
 
 
 def metrics_of(*scenarios: Scenario) -> list[Metric]:
-    """The metrics of every run, and the scenarios' own; a ConfigurationError for a name with a meaning."""
+    """`METRICS` and those of the scenarios; a ConfigurationError if a name is already used."""
     metrics = list(METRICS)
     for metric in (own.made for scenario in scenarios for own in scenario.metrics):
         if metric not in metrics:
-            # A sweep has a column for each key of the scenario that it varies.
+            # A sweep's table has columns of scenario keys too.
             taken = {each.name for each in metrics} | {column.name for column in _columns(metrics)}
             taken |= set(type(scenarios[0]).__pydantic_fields__)
             for name in (metric.name, *metric.parts):
@@ -337,7 +337,7 @@ def columns(*scenarios: Scenario) -> tuple[Column, ...]:
 
 
 def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:
-    """Metrics of a run by column, from `run_metrics`; and `not_finite`, named likewise."""
+    """The result of `run_metrics` by table column; so are the names in `not_finite`."""
     row: dict[str, Any] = {}
     named: dict[str, str] = {}
     for metric in metrics_of(*scenarios):
@@ -364,15 +364,14 @@ def figures_of(rows: RunRows) -> dict[str, Any]:
 
 
 def run_metrics(log: SimulationLog) -> dict[str, Any]:
-    """Figures of a run, ready for JSON; every key is always there.
+    """Outcome and metrics of a run as JSON values; all keys are always present.
 
-    For a log from `run` they use every control tick, and peaks every step of the plant, whatever rows the log has. For
-    another log they use its rows.
+    For a log from `run` the metrics use all control ticks, and peaks all steps of the plant. For other logs they use
+    the log's rows.
 
     Returns:
-        How it ended, see `SimulationLog`; rmse_deg to finite, see `METRICS`; not_finite: figures that were NaN or
-        infinite, and are None; real_time_factor; git_revision; versions; files: sha256 of each file that the scenario
-        names.
+        The outcome, see `SimulationLog`; the metrics, see `METRICS`; not_finite: metrics that were NaN or infinite, and
+        are None; real_time_factor; git_revision; versions; files: sha256 by file that the scenario names.
     """
     figures = figures_of(log.rows) if log.figures is None else log.figures
     outcome = log.outcome()
@@ -391,7 +390,7 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
 
 
 def run_cost(figures: Mapping[str, Any], status: str, period: float, scales: CostScales) -> float:
-    """`cost` of a run with ticks of `period` [s] from its metrics, at most `FAILED`; that if not completed."""
+    """`cost` of a run with a control `period` [s] from its metrics, at most `FAILED`; `FAILED` if not completed."""
     parts = [figures.get(name) for name in ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")]
     if status != "completed" or None in parts:
         return FAILED
@@ -400,5 +399,5 @@ def run_cost(figures: Mapping[str, Any], status: str, period: float, scales: Cos
 
 
 def mean_cost(costs: Iterable[float]) -> float:
-    """Mean of the costs of some runs: where errors are large they count for more."""
+    """Arithmetic mean of the costs of some runs, dominated by those with large errors."""
     return fmean(costs)

@@ -1,4 +1,4 @@
-"""What happened in a run: its rows, one for each step of the plant, and from them how it ended; pure."""
+"""The rows of a run, one per step of the plant, and the outcome and warnings computed from them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from stewart_drake.scenario.scenario import Scenario
 
 Status = Literal["completed", "stopped", "lost", "failed", "interrupted", "unknown"]
-"""How a run ended; `OUTCOMES` says what each means."""
+"""How a run ended, see `OUTCOMES`."""
 OUTCOMES: Mapping[str, str] = {
     "completed": "The controller was in charge to the end, and the motion was followed.",
     "stopped": "The safety layer held the robot at the end, or until its time limit. The message names the monitor, "
@@ -35,22 +35,22 @@ OUTCOMES: Mapping[str, str] = {
     "rejected": "In a study: the run was refused before it began. The message says why.",
     "raised": "In a study: any other error. The reason names it.",
 }
-"""What each status of a run means, and the two more that a row of a study can have."""
+"""Meaning of the status of a run; the last two occur only in rows of studies."""
 
-SETTLING, SETTLING_SHARE = 3.0, 0.6  # [s], share of the run; the shorter is left out at the start.
-SHORTEST = 0.5  # [s] of a run whose errors are compared with its motion.
-WINDOW = 2.0  # [s] over which an error is averaged, at least: half a slow breath. In less a sine's peak would count.
-LEAST_MOTION = 0.003  # Of the characteristic length, 0.33 mm for the paper's; a load moves a robot by that much.
-MUCH_SATURATION = 0.01  # Share of torques at the limit above which there is a warning.
-POORLY_FOLLOWED = 0.5  # Error over motion above which a run that was completed has a warning.
-LARGE_GAP = 0.1  # Share of the position's RMSE above which the loop gap is a warning: the time step may show.
-RIPPLE = 2.0  # [Hz] from which on an error of velocity counts as ripple: what trembles, rather than lags.
-RIPPLE_PERIODS = 4.0  # Of that frequency, which a second half must have.
-NOISES = 3.0  # Standard deviations of a reading that add to what a robot which holds its place may be off.
-AT_REST = 1e-6  # Of a motion's largest rate, below which it rests.
-EXCURSION = 10.0  # Times that by which it may be off for a moment.
-LOOK, MOST_LOOKS = 0.005, 100_000  # [s] between two poses that are held against the limits, at least; and how many.
-REST, CUT = 0.25, 2.0  # Share of a run that may follow on its motion, and motion over run, beyond which that is said.
+SETTLING, SETTLING_SHARE = 3.0, 0.6  # [s], share of the run; the shorter of both is left out at the start.
+SHORTEST = 0.5  # [s] Errors of shorter runs are not compared with the motion.
+WINDOW = 2.0  # [s] Least length of a window for RMS values, half a slow breath.
+LEAST_MOTION = 0.003  # Of the characteristic length, 0.33 mm for the paper's robot. A load moves a robot by as much.
+MUCH_SATURATION = 0.01  # Share of torques at the limit, for a warning.
+POORLY_FOLLOWED = 0.5  # Error over motion of a completed run, for a warning.
+LARGE_GAP = 0.1  # Loop gap over the RMSE of the position, for a warning: the error may depend on the time step.
+RIPPLE = 2.0  # [Hz] Velocity errors of higher frequencies are ripple.
+RIPPLE_PERIODS = 4.0  # Least number of periods of that frequency in the second half.
+NOISES = 3.0  # Standard deviations of a reading, added to the allowed error of a robot that holds its pose.
+AT_REST = 1e-6  # Of a motion's largest rate; at lower rates it rests.
+EXCURSION = 10.0  # Peak over RMS of the allowed error of a robot that holds its pose.
+LOOK, MOST_LOOKS = 0.005, 100_000  # [s] between poses that are checked against the limits, and their largest number.
+REST, CUT = 0.25, 2.0  # Rest after the motion over the run, and motion over run, for a warning.
 
 
 def pose_distance(pose: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -60,14 +60,14 @@ def pose_distance(pose: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def is_measured(signals: Mapping[str, np.ndarray]) -> bool:
-    """Whether the pose of a log was measured or simulated: it is that of commands where a machine tells nothing."""
+    """Whether the pose of a log was measured or simulated, and not computed from commands of a machine."""
     if "crank_angle" in signals or "measured_pose" in signals or "reading" not in signals:
         return True
     return bool(np.isfinite(signals["reading"]).any())
 
 
 class MissingSignal(ConfigurationError, KeyError):
-    """A log, such as one from a CSV file, has no signal of this name."""
+    """The log has no signal of this name."""
 
     def __init__(self, name: str, signals: Iterable[str]) -> None:
         super().__init__("log", ", ".join(signals), f"one with the signal {name}{did_you_mean(name, signals)}")
@@ -76,11 +76,15 @@ class MissingSignal(ConfigurationError, KeyError):
 
 
 class RunRows:
-    """Signals of a run, `rows["pose"]` and so on, with masks over them; errors are true pose minus reference.
+    """Signals of a run by name, `rows["pose"]`, with masks of rows; errors are true pose minus reference.
 
-    time (n,) [s]; masks (n,) tick, second_half (of the planned duration), second_half_tick, in_charge (the controller);
-    counts steps, ticks, second_half_steps, second_half_ticks; tick_number (n,) of the latest tick; error (n, 6)
-    [rad, m].
+    Attributes:
+        time: (n,) [s].
+        tick: (n,) mask of the rows at control ticks.
+        tick_number: (n,) number of the latest tick.
+        second_half, second_half_tick: (n,) masks of the second half of the planned duration, and of its ticks.
+        in_charge: (n,) mask of the rows in which the controller is in charge, not the safety layer.
+        steps, ticks, second_half_steps, second_half_ticks: Numbers of rows.
     """
 
     def __init__(self, scenario: Scenario, signals: Mapping[str, np.ndarray]) -> None:
@@ -89,7 +93,7 @@ class RunRows:
         stride = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
         self.tick, self.tick_number = step % stride == 0, step // stride
         if not np.allclose(self.time, step * scenario.plant.time_step, rtol=0.0, atol=1e-6):
-            # On a machine each row is a tick, of the length that it has there.
+            # On a machine every row is a tick, and ticks vary in length.
             self.tick, self.tick_number = np.ones(len(self.time), bool), np.arange(len(self.time))
         self.second_half = self.time >= 0.5 * scenario.duration - 1e-9
         self.second_half_tick = self.second_half & self.tick
@@ -106,7 +110,7 @@ class RunRows:
 
     @cached_property
     def error(self) -> np.ndarray:
-        """(n, 6) [rad, m] of every row."""
+        """(n, 6) [rad, m] true pose minus reference."""
         return self["pose"] - self["reference"] if self.steps else np.empty((0, 6))
 
     @property
@@ -130,10 +134,10 @@ class RunRows:
 
     @property
     def ripple(self) -> np.ndarray | None:
-        """(2,) [rad/s, m/s] RMS length of the second half's rotational and translational velocity error above `RIPPLE`.
+        """(2,) [rad/s, m/s] RMS rotational and translational velocity errors above `RIPPLE` in the second half.
 
-        By its spectrum, without its linear trend, in a Hann window, from every row: between two ticks a robot trembles
-        too. None for a half that is too short, or for rows too far apart to show it.
+        From the spectrum of all rows in a Hann window, without the linear trend. None if the half is too short, or the
+        rows are too far apart.
         """
         count, time = self.second_half_steps, self.time[self.second_half]
         period = float(time[-1] - time[0]) / (count - 1) if count > 1 else 0.0
@@ -149,38 +153,38 @@ class RunRows:
 
     @cached_property
     def sizes(self) -> dict[str, np.ndarray]:
-        """Angle and distance from the reference and largest loop gap (n,) [rad, m, m]."""
+        """Angle and distance from the reference and largest loop gap, (n,) [rad, m, m]."""
         rotation, position = pose_distance(self["pose"], self["reference"])
         return {"rotation": rotation, "position": position, "loop_gap": self["loop_gap"].max(axis=1)}
 
     @cached_property
     def largest(self) -> dict[str, float]:
-        """The largest of each of `sizes`; of the first two while the controller was in charge."""
+        """Maxima of `sizes`; those of angle and distance are while the controller was in charge."""
         counted = {name: size if name == "loop_gap" else size[self.in_charge] for name, size in self.sizes.items()}
         return {name: float(size.max(initial=0.0)) for name, size in counted.items()}
 
     @cached_property
     def at_limit(self) -> np.ndarray:
-        """(n, 6) whether a torque is at its limit, at ticks at which the controller was in charge."""
+        """(n, 6) mask of torques at their limit, at ticks with the controller in charge."""
         limit, asked = self.scenario.robot.effort_limits, self.scenario.motors.torque_of(self.signals)
         if asked is None:
             return np.zeros((self.steps, 6), bool)
-        # A controller that limits the torque itself asks for the limit and no more.
+        # Controllers that limit their torques never exceed the limit.
         more = asked is self.signals.get("torque") and self.scenario.controller.asks_for_more
         full = np.abs(asked) > limit if more else np.abs(asked) >= limit
         return full & (self.tick & self.in_charge)[:, None]
 
     @property
     def saturated_share(self) -> float:
-        """Of the torques at ticks."""
+        """Share of the torques at ticks that are at their limit."""
         return int(self.at_limit.sum()) / (6 * self.ticks)
 
     @cached_property
     def motion_sizes(self) -> tuple[float, float]:
-        """[m] size of the reference's motion, 0 where it is too small to count, and of the platform's.
+        """Sizes [m] of the reference's motion, 0 if negligible, and of the platform's motion.
 
-        The largest RMS about the mean in any window of `WINDOW` or a little more; rotations times the characteristic
-        length.
+        A size is the largest RMS about the mean in any window of at least `WINDOW`, with rotations times the
+        characteristic length.
         """
         counts = self.tick & self.in_charge
         if not counts.any():
@@ -192,16 +196,16 @@ class RunRows:
 
     @property
     def motion_ratio(self) -> float | None:
-        """None for a motion that is small."""
+        """Size of the platform's motion over that of the reference; None if negligible."""
         wanted, made = self.motion_sizes
         return made / wanted if wanted else None
 
     @cached_property
     def worst_window(self) -> tuple[float, float, float] | None:
-        """RMS error over motion where that is worst, and begin and end [s]; None for a small motion or a run too short.
+        """Largest ratio of RMS error to motion, and begin and end [s] of its window, or None.
 
-        Each window after `SETTLING` is compared with the size of the motion; the whole run with its own RMS motion and
-        the error at its start.
+        Windows after `SETTLING` are compared with the size of the motion; the whole run with the RMS of its motion plus
+        the error at its start. None if the motion is negligible or the run too short.
         """
         size, counts = self.motion_sizes[0], self.tick & self.in_charge
         if not size or self.worst_error is None:
@@ -216,7 +220,7 @@ class RunRows:
 
     @cached_property
     def worst_error(self) -> tuple[float, float, float] | None:
-        """[m] RMS error in the worst window after `SETTLING`, its begin and end [s]; None for a run too short."""
+        """Largest RMS error [m] in a window after `SETTLING`, with its begin and end [s]; None if the run is short."""
         counts, duration = self.tick & self.in_charge, self.scenario.duration
         settled = min(SETTLING, SETTLING_SHARE * duration)
         late = counts & (self.time >= settled - 1e-9)
@@ -227,7 +231,7 @@ class RunRows:
         return float(errors[worst]), settled + worst * length, settled + (worst + 1) * length
 
     def poorly_held(self) -> tuple[float, float, str] | None:
-        """When [s], by how much [m] and in words a robot that should hold its place does not; None where it does."""
+        """Time [s], error [m] and text if a robot with a constant reference does not hold its pose; else None."""
         if self.worst_error is None or self.motion_sizes[0]:
             return None
         (rms, begin, end), noise = self.worst_error, self.scenario.sensors.reading_noise
@@ -239,7 +243,7 @@ class RunRows:
         return (self.time[row], off[row], f"the error reached {1e3 * off[row]:.2g} mm") if off[row] > bound else None
 
     def wrong_length(self) -> tuple[float, float, str] | None:
-        """Where [s] a motion ends long before the run or is cut, its length over the run's, and words; else None."""
+        """Time [s], motion over run and text if the motion ends long before the run or is cut; else None."""
         moving, duration = np.abs(self["reference_rate"]).max(axis=1), self.scenario.duration
         end = getattr(self.scenario.reference, "end", 0.0)
         if end > CUT * duration:
@@ -251,7 +255,7 @@ class RunRows:
 
     @cached_property
     def excursion(self) -> tuple[LimitMargin, float, float] | None:
-        """What the motion made of the scenario's limits, see `longest_excursion`; None where it kept to them."""
+        """Longest excursion of the motion from the scenario's limits, see `longest_excursion`; None without one."""
         rows, scenario = np.flatnonzero(self.tick), self.scenario
         rows = rows[:: max(1, round(LOOK / scenario.controller.period), len(rows) // MOST_LOOKS)]
         motion = self.time[rows], self["pose"][rows], self["pose_rate"][rows]
@@ -262,12 +266,12 @@ class RunRows:
         return None if self.worst_window is None else self.worst_window[0]
 
     def _about_mean(self, name: str, counts: np.ndarray) -> np.ndarray:
-        """(n, 6) [m]."""
+        """(n, 6) [m] a signal at some rows minus its mean, with rotations times the characteristic length."""
         values = self._scale * (self[name][counts] - self["reference"][0])
         return values - values.mean(axis=0)
 
     def _window_rms(self, counts: np.ndarray, begin: float, values: np.ndarray) -> np.ndarray:
-        """RMS length of values (n, 6) at rows that count, in each equal window from a time [s] to the end."""
+        """RMS length of values (n, 6) at some rows, by equal windows from a time [s] to the end."""
         count = max(1, int((self.scenario.duration - begin) / WINDOW + 1e-9))
         length = (self.scenario.duration - begin) / count
         window = np.minimum(((self.time[counts] - begin) / length + 1e-9).astype(np.int64), count - 1)
@@ -275,7 +279,10 @@ class RunRows:
         return np.sqrt(sums / np.maximum(1, np.bincount(window, minlength=count)))
 
     def left(self) -> dict[str, tuple[float, int | None]]:
-        """Bounds left, once inside, by the controller in charge -> when [s] and leg or None; 0 s for never inside."""
+        """Bounds that were exceeded with the controller in charge -> time [s], and leg or None.
+
+        A run may start outside of a bound; the time is 0 if it never came inside.
+        """
         worst_of: dict[str, tuple[float, int | None]] = {}
         for name, size in self.sizes.items() if self.steps else ():
             bound = getattr(self.scenario.bounds, name)
@@ -291,18 +298,18 @@ class RunRows:
         return worst_of
 
     def standstill(self) -> tuple[float, int | None] | None:
-        """When [s] a crank of a robot in charge stands while its reference moves, and its leg; None for never."""
+        """Time [s] and leg of the first crank at standstill while its reference moves; else None."""
         rows, robot = np.flatnonzero(self.tick & self.in_charge), self.scenario.robot
         try:
             cranks = inverse_kinematics(robot, self["pose"][rows])
         except StewartDrakeError:
-            # Of a robot that has come apart other bounds tell.
+            # A robot with open loops exceeds other bounds.
             return None
         found = first_standstill(robot, self.scenario.controller.period, cranks, self["reference"][rows])
         return None if found is None else (float(self.time[rows[found[0]]]), found[1])
 
     def interventions(self) -> tuple[int, dict[str, Any] | None]:
-        """How often the safety layer took over; and since when, by whom and where it has now, or None."""
+        """Number of times that the safety layer took over; monitor, time and leg if it is in charge at the end."""
         if "safety" not in self.signals or not self.steps:
             return 0, None
         taken = self._level > 0.0
@@ -316,7 +323,7 @@ class RunRows:
 
 
 class Outcome(NamedTuple):
-    """How a run ended; fields as of `SimulationLog`."""
+    """How a run ended; fields as in `SimulationLog`."""
 
     status: Status
     reason: str | None = None
@@ -326,7 +333,7 @@ class Outcome(NamedTuple):
 
 
 def describe_outcome(status: str, reason: str | None, time: float | None = None) -> str:
-    """How a run ended in a few words, such as `failed, crank_dead_centre at t = 0.650 s`."""
+    """Text on how a run ended, such as `failed, crank_dead_centre at t = 0.650 s`."""
     words = status if reason in (None, status) else f"{status}, {reason}"
     return words if time is None else f"{words} at t = {time:.3f} s"
 
@@ -334,7 +341,7 @@ def describe_outcome(status: str, reason: str | None, time: float | None = None)
 def assess(
     rows: RunRows, trip: Mapping[str, Any] | None, end_time: float, ended_by: RunFailure | KeyboardInterrupt | None
 ) -> Outcome:
-    """How a run ended, by what happened in it, not by the clock; `trip`: the first of the safety layer or None."""
+    """Outcome of a run, from its rows, the error that ended it, and the safety layer's first `trip`, or None."""
     if isinstance(ended_by, KeyboardInterrupt):
         return Outcome("interrupted", "interrupted", "stopped by the user", end_time)
     held = isinstance(ended_by, SafetyStop) and trip is not None and trip["last"] != "end"
@@ -377,7 +384,7 @@ def _error_over_motion(rows: RunRows) -> str:
 
 
 def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None) -> tuple[dict[str, Any], ...]:
-    """What a reader should know beside the outcome: name, time [s], number and text of each."""
+    """Warnings of a run: name, time [s], number and text."""
     events: list[tuple[str, float, float, str]] = []
     if rows.steps and not is_measured(rows.signals):
         text = "the machine does not tell its angles: the pose is that of its commands, and no error is known"

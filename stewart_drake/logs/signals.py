@@ -1,9 +1,9 @@
-"""One table of the signals of a run, for log, metrics and figures: where each comes from, its columns, units, title."""
+"""Table of the signals of a log: columns, units, text, title, and the loop's signal that they come from."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,107 +12,90 @@ from stewart_drake.control.policy import NAMES
 from stewart_drake.plant.plant_options import ANGLES, POSE, RATE
 
 LEG_NAMES = tuple(map(str, range(6)))
-DISPLAY_UNITS = ("deg",) * 3 + ("mm",) * 3
-SCALES = np.array([180.0 / np.pi] * 3 + [1e3] * 3)
-"""Of a pose in tables and figures that are read: units, and factors to them from [rad, m]."""
+ALL = slice(None)
+DISPLAY_UNITS = ("deg",) * 3 + ("mm",) * 3  # Of a pose in tables and figures.
+SCALES = np.array([180.0 / np.pi] * 3 + [1e3] * 3)  # Factors from [rad, m] to `DISPLAY_UNITS`.
 
 
 class Signal(NamedTuple):
-    """A signal: its components (none for a scalar), the unit of each, a text, and of which signal of the loop it is.
+    """A signal of a log."""
 
-    `source` is that signal's name, None for the same, and `part` what of it is taken.
-    """
-
-    components: tuple[str, ...]
+    components: tuple[str, ...]  # Empty for a scalar.
     units: tuple[str, ...]
     text: str
-    source: str | None = None
-    part: slice = slice(None)
-    title: str = ""
+    source: str | None = None  # Name of the loop's signal; None for the same name.
+    part: slice = ALL  # Columns of the source.
+    title: str = ""  # Of a figure.
 
     def of(self, values: np.ndarray) -> np.ndarray | None:
-        """Its values (n, k) in those of its source; None where they are another signal's."""
-        taken = values if values.ndim == 1 else values[:, self.part]
-        return taken if not self.components or taken.shape[1] == len(self.components) else None
+        """Values (n, k) of the signal from those of its source; None if the number of columns differs."""
+        columns = values if values.ndim == 1 else values[:, self.part]
+        return columns if not self.components or columns.shape[1] == len(self.components) else None
 
 
-def _axes(angle: str, length: str, text: str, **more: Any) -> Signal:
-    return Signal(AXES, (angle,) * 3 + (length,) * 3, text, **more)
+def _axes(angle: str, length: str, text: str, source: str | None = None, part: slice = ALL, title: str = "") -> Signal:
+    return Signal(AXES, (angle,) * 3 + (length,) * 3, text, source, part, title)
 
 
-def _legs(unit: str, text: str, **more: Any) -> Signal:
-    return Signal(LEG_NAMES, (unit,) * 6, f"{text}, by leg 0..5", **more)
+def _legs(unit: str, text: str, source: str | None = None, part: slice = ALL, title: str = "") -> Signal:
+    return Signal(LEG_NAMES, (unit,) * 6, f"{text}, by leg 0..5", source, part, title)
 
 
-def _numbers(components: tuple[str, ...], text: str, **more: Any) -> Signal:
-    return Signal(components, ("1",) * len(components), text, **more)
+def _numbers(components: tuple[str, ...], text: str, source: str | None = None, title: str = "") -> Signal:
+    return Signal(components, ("1",) * len(components), text, source, title=title)
 
 
 _DENSITY = (*(f"error_{axis}" for axis in AXES), *(f"torque_{leg}" for leg in LEG_NAMES))
-_OUTSIDE = "decades of a tuner's setting above the base, and how far what it hears lies outside of its training"
+_OUTSIDE = "decades of a tuner's setting above the base, and the distance of its inputs from their training range"
 _LEARNT = ("mass", "delay", *(f"{what}_{leg}" for what in ("drive", "viscous", "coulomb") for leg in LEG_NAMES))
 _LEARNT_UNITS = ("kg", "s", *("1",) * 6, *("N m s/rad",) * 6, *("N m",) * 6)
 _PLACE = (*"xyz", *(f"{axis}_half_width" for axis in "xyz"))
+_WRENCH = ("mx", "my", "mz", "fx", "fy", "fz")
 _JOINTS = ("viscous", "dry", "viscous_half_width", "dry_half_width")
 SIGNALS: Mapping[str, Signal] = {
     "time": Signal((), ("s",), "simulated time"),
-    "pose": _axes("rad", "m", "pose of the platform, P in B; measured on a machine", source="measured", part=POSE),
-    "pose_rate": _axes("rad/s", "m/s", "Euler rates and velocity of the platform", source="measured", part=RATE),
-    "reference": _axes("rad", "m", "reference pose", source="reference", part=slice(0, 6)),
-    "reference_rate": _axes("rad/s", "m/s", "rate of the reference", source="reference", part=slice(6, 12)),
-    "reference_acceleration": _axes(
-        "rad/s^2", "m/s^2", "acceleration of the reference", source="reference", part=slice(12, 18)
-    ),
-    "error": _axes(
-        "rad", "m", "pose minus reference at the latest tick; with an observer, when its command acts", title="Error"
-    ),
+    "pose": _axes("rad", "m", "pose of the platform, P in B; measured on a machine", "measured", POSE),
+    "pose_rate": _axes("rad/s", "m/s", "Euler rates and velocity of the platform", "measured", RATE),
+    "reference": _axes("rad", "m", "reference pose", "reference", POSE),
+    "reference_rate": _axes("rad/s", "m/s", "rate of the reference", "reference", RATE),
+    "reference_acceleration": _axes("rad/s^2", "m/s^2", "acceleration of the reference", "reference", slice(12, 18)),
+    "error": _axes("rad", "m", "pose minus reference at the latest tick, or when its command acts", title="Error"),
     "integral": _axes("rad s", "m s", "integral state z after the latest tick", title="Integral state"),
     "torque": _legs("N m", "torque commanded by the controller, about the motor axis", title="commanded"),
-    "commanded_angle": _legs("rad", "angle that motors which take one are told"),
-    "commanded_current": _legs("A", "current that motors which take one are told"),
+    "commanded_angle": _legs("rad", "angle commanded to motors with position control"),
+    "commanded_current": _legs("A", "current commanded to motors with current control"),
     "torque_applied": _legs("N m", "torque at the motors, delayed and within their limit", title="applied"),
-    "crank_angle": _legs("rad", "true angle of a simulated crank, from the horizontal", source="measured", part=ANGLES),
-    "reading": _legs("rad", "angle of a crank as the controller read it; not a number where nothing was read"),
+    "crank_angle": _legs("rad", "true angle of a simulated crank, from the horizontal", "measured", ANGLES),
+    "reading": _legs("rad", "angle of a crank as read by the controller; NaN without a reading"),
     "weights": _numbers(("omega_q", "omega_r"), "weights in use"),
     "block_weights": _numbers(
-        ("q_pose", "q_rate", "q_integral", "r"), "block weights in use, in place of `weights`", source="weights"
+        ("q_pose", "q_rate", "q_integral", "r"), "block weights in use, in place of `weights`", "weights"
     ),
     "setting": _numbers((*NAMES, "outside"), _OUTSIDE, title="Tuner"),
     "density": _numbers(_DENSITY, "density features"),
-    "lateness": Signal((), ("s",), "of a tick on a machine"),
-    "reading_age": Signal((), ("s",), "of a machine's reading when it was used"),
+    "lateness": Signal((), ("s",), "lateness of a tick on a machine"),
+    "reading_age": Signal((), ("s",), "age of a machine's reading when it was used"),
     "loop_gap": _legs("m", "distance from rod end to platform joint"),
-    "measured_pose": _axes(
-        "rad",
-        "m",
-        "pose that is measured or estimated; the true one without this signal",
-        source="measurement",
-        part=slice(0, 6),
-    ),
-    "measured_pose_rate": _axes("rad/s", "m/s", "its rate", source="measurement", part=slice(6, 12)),
-    "pose_reading": _axes("rad", "m", "pose as it was read; the true one without it and `reading`", part=slice(0, 6)),
-    "pose_rate_reading": _axes("rad/s", "m/s", "its rate", source="pose_reading", part=slice(6, 12)),
-    "innovation": _legs("rad", "readings less what the observer expected"),
-    "disturbance": Signal(
-        ("mx", "my", "mz", "fx", "fy", "fz"), ("N m",) * 3 + ("N",) * 3, "wrench from outside on the platform"
-    ),
-    "safety": _numbers(
-        ("level", "monitor", "leg"),
-        "state of the safety layer: numbers in safety.LEVELS and safety.MONITORS, leg or -1",
-    ),
-    "learnt": Signal(_LEARNT, _LEARNT_UNITS, "what is learnt of the head and of each motor: see docs/adaptation.md"),
-    "learnt_half_width": Signal(_LEARNT, _LEARNT_UNITS, "half the width of its 95 % intervals"),
-    "learnt_center_of_mass": Signal(_PLACE, ("m",) * 6, "likewise the head's centre of mass, in the tool's frame or P"),
-    "learnt_joints": Signal(_JOINTS, ("N m s/rad", "N m") * 2, "likewise friction of the rods' ball joints"),
+    "measured_pose": _axes("rad", "m", "measured or estimated pose, if not the true one", "measurement", POSE),
+    "measured_pose_rate": _axes("rad/s", "m/s", "rate of `measured_pose`", "measurement", RATE),
+    "pose_reading": _axes("rad", "m", "pose as read from a sensor", part=POSE),
+    "pose_rate_reading": _axes("rad/s", "m/s", "rate of `pose_reading`", "pose_reading", RATE),
+    "innovation": _legs("rad", "readings minus the observer's predictions"),
+    "disturbance": Signal(_WRENCH, ("N m",) * 3 + ("N",) * 3, "external wrench on the platform"),
+    "safety": _numbers(("level", "monitor", "leg"), "indices in safety.LEVELS and safety.MONITORS; leg or -1"),
+    "learnt": Signal(_LEARNT, _LEARNT_UNITS, "learnt parameters of head and motors: see docs/adaptation.md"),
+    "learnt_half_width": Signal(_LEARNT, _LEARNT_UNITS, "half widths of the 95 % intervals of `learnt`"),
+    "learnt_center_of_mass": Signal(_PLACE, ("m",) * 6, "learnt centre of mass of the head, in the tool's frame or P"),
+    "learnt_joints": Signal(_JOINTS, ("N m s/rad", "N m") * 2, "learnt friction of the rods' ball joints"),
     "plant_state": Signal((), (), "positions and velocities of the MultibodyPlant"),
 }
-"""Every signal of a log, where the scenario has it: block_weights stand in place of `weights`, setting where a tuner of
-settings is, the measured pose beside the true one where there are encoders, an observer or a sensor that fails,
-innovation with an observer. `plant_state` has one column per entry of the plant's state, named by Drake."""
+"""All signals of logs; a log has those of its scenario. `block_weights` replace `weights`. A tuner of settings gives
+`setting`, an observer `innovation`; the measured pose is logged if encoders, an observer or a faulty sensor make it
+differ from the true one. `plant_state` has one column per entry of the plant's state, named by Drake."""
 
 
 def signals_of(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Signals by their names in a log, of what was logged (n, k) by the names of their sources."""
+    """Signals of a log by name, from the values (n, k) of the loop's signals."""
     sources = {name: signal.source or name for name, signal in SIGNALS.items()}
-    taken = {name: SIGNALS[name].of(values[of]) for name, of in sources.items() if of in values}
-    return {name: each for name, each in taken.items() if each is not None}
+    signals = {name: SIGNALS[name].of(values[source]) for name, source in sources.items() if source in values}
+    return {name: columns for name, columns in signals.items() if columns is not None}

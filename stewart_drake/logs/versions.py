@@ -1,4 +1,4 @@
-"""Which versions produced a result."""
+"""Versions of the software that produced a result."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from stewart_drake.base.atomic_files import PACKAGE
 
 
 def collect_versions() -> dict[str, str | None]:
-    """Versions of Python, this package and what it computes with; the git revision of a checkout."""
+    """Versions of Python, this package, drake, numpy and scipy; git revision and digest of the source."""
     versions: dict[str, str | None] = {"python": platform.python_version(), "platform": platform.platform()}
     versions |= {name: package_version(name) for name in ("stewart-drake", "drake", "numpy", "scipy")}
     return {**versions, "git_revision": git_revision(), "source": source_digest()}
 
 
 def package_version(name: str) -> str | None:
-    """None where it is not installed."""
+    """Version of an installed package, or None."""
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
@@ -26,7 +26,7 @@ def package_version(name: str) -> str | None:
 
 
 def source_digest() -> str:
-    """Digest of this package's Python files, for where there is no git."""
+    """Digest of this package's Python files."""
     content = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*.py")):
         content.update(str(path.relative_to(PACKAGE)).encode() + b"\0" + path.read_bytes())
@@ -34,7 +34,7 @@ def source_digest() -> str:
 
 
 def git_revision() -> str | None:
-    """Revision of this package's checkout, with `-dirty` for changed files; None outside of one."""
+    """Revision of this package's git checkout, with `-dirty` after changes; None without git."""
     root = PACKAGE.parent
     if not (root / ".git").exists():
         return None

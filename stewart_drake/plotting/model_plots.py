@@ -1,4 +1,4 @@
-"""Pictures of a calibration, an identification, a loop's margins and its responses; each a PNG."""
+"""Figures of calibration, identification, stability margins, and frequency and step responses."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from stewart_drake.estimation.servos import ServoIdentification
 from stewart_drake.plotting import style as look
 from stewart_drake.robot.leg import LEG_COUNT
 
-_SHOWN = 20.0  # [s] of a recording
-_LARGEST = 2.0  # [-] disk margin from which on it bounds no gain; drawn no further
+_TIME_SHOWN = 20.0  # [s] of a recording.
+_MAX_MARGIN = 2.0  # [-] Larger disk margins, which bound no gain, are clipped.
 
 
 @look.styled
 def plot_calibration(calibration: Calibration, path: str | Path) -> None:
-    """Errors of each pose before and after, and the parameters' changes with their 95 % intervals."""
+    """Pose errors before and after calibration, and the changes of the parameters with 95 % intervals."""
     figure, axes = look.panels(2, 2, 7.0)
     rows = np.arange(len(calibration.measurements)) + 1
     kinds = ((slice(3, 6), "Error of the position", "mm"), (slice(0, 3), "Error of the rotation", "mrad"))
@@ -37,7 +37,7 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
     change, width = 1e3 * np.stack([calibration.change, calibration.half_width])[:, :OF_ROBOT].reshape(
         2, LEG_COUNT, PER_LEG
     )
-    # What is unidentifiable, or was held, has no change and no interval.
+    # Unidentifiable and held parameters have no interval.
     width = np.where(np.isfinite(width), width, np.nan)
     for panel, unit, kind in ((axes[0, 1], "m", "lengths"), (axes[1, 1], "rad", "angles")):
         columns = [at for at, parameter in enumerate(LEG_PARAMETERS) if parameter.unit == unit]
@@ -54,19 +54,20 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
 
 @look.styled
 def plot_identification(identification: Identification | ServoIdentification, path: str | Path) -> None:
-    """What was measured of each motor and what is left of it, over the first seconds and over the crank's rate."""
+    """Measurement and residual by motor, over the first seconds and over the crank's rate."""
     figure, axes = look.panels(6, 2, 12.0, sharex="col", width_ratios=[2, 1])
-    samples, left = identification.samples, identification.left
-    what, unit = identification.measured
-    first = samples.pieces[0].start
-    some = slice(first, first + int(_SHOWN / samples.step))
-    time = samples.time[some]
+    samples, residuals = identification.samples, identification.left
+    name, unit = identification.measured
+    start = samples.pieces[0].start
+    rows = slice(start, start + int(_TIME_SHOWN / samples.step))
+    time = samples.time[rows]
     for leg, (over_time, over_rate) in enumerate(axes):
-        used, rest, moving = samples.used[some, leg], left[some, leg], samples.used[:, leg]
-        over_time.plot(time, samples.measured[some, leg], color=look.BLUE, label=what, linewidth=1.0)
-        over_time.plot(time, np.where(used, rest, np.nan), color=look.ORANGE, label="residual", linewidth=1.0)
-        over_time.plot(time, np.where(used, np.nan, rest), color=look.GREY, label="residual, not used", linewidth=1.0)
-        over_rate.plot(samples.rates[moving, leg], 1e3 * left[moving, leg], ".", color=look.ORANGE, markersize=2)
+        used, residual, moving = samples.used[rows, leg], residuals[rows, leg], samples.used[:, leg]
+        unused = np.where(used, np.nan, residual)
+        over_time.plot(time, samples.measured[rows, leg], color=look.BLUE, label=name, linewidth=1.0)
+        over_time.plot(time, np.where(used, residual, np.nan), color=look.ORANGE, label="residual", linewidth=1.0)
+        over_time.plot(time, unused, color=look.GREY, label="residual, not used", linewidth=1.0)
+        over_rate.plot(samples.rates[moving, leg], 1e3 * residuals[moving, leg], ".", color=look.ORANGE, markersize=2)
         over_time.set(title=f"Motor {leg}", ylabel=unit)
         over_rate.set(ylabel=f"residual [m{unit}]")
     axes[-1, 0].set(xlabel="time [s]")
@@ -77,19 +78,19 @@ def plot_identification(identification: Identification | ServoIdentification, pa
 
 @look.styled
 def plot_margins(margins: LoopMargins, path: str | Path) -> None:
-    """Disk margin all at once at each frequency, and which share of the poses has less than a margin."""
+    """Disk margin of all motors at once over frequency, and the distribution of the margins over the poses."""
     figure, ((curves, shares),) = look.panels(1, 2, 4.0)
-    drawn = np.minimum(margins.curves, _LARGEST)
+    drawn = np.minimum(margins.curves, _MAX_MARGIN)
     curves.fill_between(margins.frequencies, drawn.min(axis=0), drawn.max(axis=0), color=look.SKY, alpha=0.5, lw=0)
     curves.plot(margins.frequencies, np.median(drawn, axis=0), color=look.BLUE, label="median, and all poses")
     look.logarithmic(curves, "x")
     curves.set(title="All motors at once, by frequency", xlabel="frequency [rad/s]", ylabel="disk margin [-]")
     percent = 100.0 * (np.arange(len(margins.radius)) + 1) / len(margins.radius)
     for motor, color in enumerate((look.SKY, *look.COLORS[1:4], *look.COLORS[5:], look.GREY)):
-        own = np.sort(np.minimum(margins.single.disk[:, motor], _LARGEST))
-        shares.plot(own, percent, color=color, lw=1.0, label=f"motor {motor} alone")
-    every = np.sort(np.minimum(margins.all_at_once.disk, _LARGEST))
-    shares.plot(every, percent, color=look.BLUE, lw=2.0, label="all at once")
+        single = np.sort(np.minimum(margins.single.disk[:, motor], _MAX_MARGIN))
+        shares.plot(single, percent, color=color, lw=1.0, label=f"motor {motor} alone")
+    all_motors = np.sort(np.minimum(margins.all_at_once.disk, _MAX_MARGIN))
+    shares.plot(all_motors, percent, color=look.BLUE, lw=2.0, label="all at once")
     shares.set(title="Share of poses with a smaller margin", xlabel="disk margin [-]", ylabel="%")
     curves.set_ylim(0.0)
     shares.set_xlim(0.0)
@@ -100,7 +101,7 @@ def plot_margins(margins: LoopMargins, path: str | Path) -> None:
 
 @look.styled
 def plot_bode(response: FrequencyResponse, path: str | Path) -> None:
-    """Gains of the opened loop, and of what it makes of disturbances and noise, over frequency."""
+    """Singular values of the open loop, of the sensitivity and of the complementary sensitivity over frequency."""
     figure, ((opened, closed),) = look.panels(1, 2, 4.0, sharex=True)
     for panel, parts in ((opened, ("loop",)), (closed, ("sensitivity", "complementary"))):
         for name, color in zip(parts, (look.BLUE, look.ORANGE), strict=False):
@@ -118,7 +119,7 @@ def plot_bode(response: FrequencyResponse, path: str | Path) -> None:
 
 @look.styled
 def plot_step(response: StepResponse, title: str, path: str | Path) -> None:
-    """How a coordinate goes to its wanted value, which is 1."""
+    """Step response of a coordinate, relative to the step."""
     figure, ((panel,),) = look.panels(1, 1, 4.0)
     panel.plot(response.time, response.value, color=look.BLUE)
     panel.axhspan(0.98, 1.02, color=look.SKY, alpha=0.4, linewidth=0)

@@ -1,4 +1,4 @@
-"""Figures of sweeps, of comparisons of controllers, of searches for gains, and of what tuners of settings cost."""
+"""Figures of sweeps, comparisons of controllers, tuning of gains, and costs of tuners."""
 
 from __future__ import annotations
 
@@ -10,38 +10,41 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, LogLocator
+from numpy.typing import ArrayLike
 
 from stewart_drake.plotting import style as look
 
-Rows = Sequence[Mapping[str, Any]]
+Row = Mapping[str, Any]
+Rows = Sequence[Row]
 Styles = Mapping[str, Mapping[str, Any]]
 
 _COLORS = (look.GREY, look.YELLOW, look.ORANGE, look.BLUE, look.PURPLE, look.GREEN, look.TEXT, look.SKY)
 _LOOKS = tuple(zip(_COLORS, "v^Dos>h*", strict=True))
 _CROSS: dict[str, Any] = {"marker": "x", "markersize": 6.5, "markeredgewidth": 2.0, "linestyle": "none"}
 _DASHED: dict[str, Any] = {"color": look.TEXT, "linestyle": (0, (4, 3)), "linewidth": 0.9}
-_SMALLEST = 1e-6  # [mm] what is smaller is drawn here
-_PHASE_SHOWN = 1e-3  # Ratio of amplitudes; below -60 dB there is no phase to speak of
+_MIN_DRAWN = 1e-6  # [mm] Smaller errors are clipped.
+_MIN_RATIO = 1e-3  # Of amplitudes; below -60 dB the phase is not drawn.
 
 
 @look.styled
 def plot_sweep(rows: Rows, varied: Mapping[str, str]) -> Figure:
-    """RMSE of the position against each key that varied; a run that was not completed is a cross at the top.
+    """RMSE of the position over the varied keys; runs that were not completed are crosses at the top.
 
-    `varied`: column -> what stands at its axis.
+    `varied`: column -> label of its axis.
     """
-    beside = min(3, len(varied))
-    lines = -(-len(varied) // beside)
-    figure, axes = look.panels(lines, beside, 0.6 + 2.9 * lines, sharey=True)
-    done, failed = ([row for row in rows if _done(row) is wanted] for wanted in (True, False))
-    sizes = np.array([_drawn(row) for row in done] or [1.0])
-    spread = sizes.max() > 10.0 * sizes.min()
-    top = float(sizes.max()) * (2.0 if spread else 1.1)
+    columns = min(3, len(varied))
+    lines = -(-len(varied) // columns)
+    figure, axes = look.panels(lines, columns, 0.6 + 2.9 * lines, sharey=True)
+    completed, failed = ([row for row in rows if _completed(row) is status] for status in (True, False))
+    errors = np.array([_rmse(row) for row in completed] or [1.0])
+    wide = errors.max() > 10.0 * errors.min()
+    top = float(errors.max()) * (2.0 if wide else 1.1)
     for panel, (key, label) in zip(axes.flat, varied.items(), strict=False):
-        panel.plot([_at(row[key]) for row in done], sizes[: len(done)], ".", color=look.BLUE, markersize=5.0)
-        panel.plot([_at(row[key]) for row in failed], [top] * len(failed), color=look.ORANGE, **_CROSS)
+        x_values = [_x_value(row[key]) for row in completed]
+        panel.plot(x_values, errors[: len(completed)], ".", color=look.BLUE, markersize=5.0)
+        panel.plot([_x_value(row[key]) for row in failed], [top] * len(failed), color=look.ORANGE, **_CROSS)
         panel.set(xlabel=label)
-        if spread:
+        if wide:
             look.logarithmic(panel, "y")
             panel.set_ylim(None, 1.3 * top)
         else:
@@ -57,38 +60,36 @@ def plot_sweep(rows: Rows, varied: Mapping[str, str]) -> Figure:
 
 @look.styled
 def plot_map(rows: Rows, varied: Mapping[str, str]) -> Figure:
-    """RMSE of the position over two keys of a grid: the median of the runs of a cell, grey where none completed.
+    """RMSE of the position over two keys of a grid: the median of the runs of a cell; grey if none completed.
 
-    `varied`: column -> what stands at its axis.
+    `varied`: column -> label of its axis.
     """
-    # Names stand as they were given.
+    # Numbers are sorted, names keep their order.
     keys = list(varied)
     across, up = (list(dict.fromkeys(row[key] for row in rows)) for key in keys)
-    across, up = (each if any(isinstance(v, str) for v in each) else sorted(each) for each in (across, up))
+    across, up = (values if any(isinstance(v, str) for v in values) else sorted(values) for values in (across, up))
     cells = np.full((len(up), len(across)), np.nan)
-    for j, high in enumerate(up):
-        for i, wide in enumerate(across):
-            own = [row for row in rows if (row[keys[0]], row[keys[1]]) == (wide, high)]
-            values = [_drawn(row) for row in own if _done(row)]
-            cells[j, i] = np.median(values) if values else np.nan
+    for (j, i), _ in np.ndenumerate(cells):
+        cell = [row for row in rows if (row[keys[0]], row[keys[1]]) == (across[i], up[j]) and _completed(row)]
+        cells[j, i] = np.median([_rmse(row) for row in cell]) if cell else np.nan
     figure, ((panel,),) = look.panels(1, 1, 5.0, width=6.5)
-    shown = panel.imshow(cells, origin="lower", aspect="auto", cmap="viridis")
+    image = panel.imshow(cells, origin="lower", aspect="auto", cmap="viridis")
     panel.set_facecolor(look.GREY)
     panel.grid(visible=False)
     for (j, i), value in np.ndenumerate(cells):
         if cells.size <= 100 and np.isfinite(value):
             dark = value < 0.5 * (np.nanmin(cells) + np.nanmax(cells))
             panel.text(i, j, f"{value:.3g}", ha="center", va="center", fontsize=8, color="white" if dark else "black")
-    panel.set_xticks(range(len(across)), [_named(value) for value in across], rotation=30 if len(across) > 6 else 0)
-    panel.set_yticks(range(len(up)), [_named(value) for value in up])
+    panel.set_xticks(range(len(across)), [_tick_label(value) for value in across], rotation=30 * (len(across) > 6))
+    panel.set_yticks(range(len(up)), [_tick_label(value) for value in up])
     panel.set(xlabel=varied[keys[0]], ylabel=varied[keys[1]])
-    figure.colorbar(shown, label="RMSE [mm]")
+    figure.colorbar(image, label="RMSE [mm]")
     return figure
 
 
 @look.styled
 def plot_rmse(rows: Rows) -> Figure:
-    """RMSE of the position by reference and controller, a panel a condition; failures at the right edge."""
+    """RMSE of the position by reference and controller, with a panel per condition; failures at the right edge."""
     styles = _styles(rows)
     conditions: dict[str, list[str]] = {}
     for row in reversed(rows):
@@ -96,15 +97,15 @@ def plot_rmse(rows: Rows) -> Figure:
     lanes = [max(2.5, len(styles)) * len(references) for references in conditions.values()][::-1]
     height = 1.4 + 0.2 * sum(lanes) + 0.55 * len(lanes)
     figure, axes = look.panels(len(lanes), 1, height, sharex=True, height_ratios=lanes)
-    values = [_drawn(row) for row in rows if _done(row)] or [1.0]
+    values = [_rmse(row) for row in rows if _completed(row)] or [1.0]
     low, high = min(values) / 2.0, max(values) * 2.0
     for panel, (condition, references) in zip(axes.flat[::-1], conditions.items(), strict=True):
         for row in (row for row in rows if row["condition"] == condition):
             style, lane = styles[row["controller"]], list(styles).index(row["controller"])
             y = references.index(row["reference"]) + (0.5 * (len(styles) - 1) - lane) * 0.8 / max(4, len(styles))
-            if _done(row):
-                panel.plot([low, _drawn(row)], [y, y], color=style["color"], linewidth=1.0, alpha=0.45)
-                panel.plot(_drawn(row), y, **style)
+            if _completed(row):
+                panel.plot([low, _rmse(row)], [y, y], color=style["color"], linewidth=1.0, alpha=0.45)
+                panel.plot(_rmse(row), y, **style)
             else:
                 panel.plot(high * (high / low) ** 0.05, y, color=style["color"], **_CROSS)
         look.logarithmic(panel, "x")
@@ -113,27 +114,27 @@ def plot_rmse(rows: Rows) -> Figure:
         panel.set_yticks(range(len(references)), references, fontsize=10)
         panel.grid(axis="y", visible=False)
     axes[-1, 0].set_xlabel("RMSE [mm]")
-    crosses = [] if all(map(_done, rows)) else [Line2D([], [], color=look.TEXT, label="not completed", **_CROSS)]
+    crosses = [] if all(map(_completed, rows)) else [Line2D([], [], color=look.TEXT, label="not completed", **_CROSS)]
     _legend(figure, styles, crosses)
     return figure
 
 
 @look.styled
 def plot_error(rows: Rows, band: float) -> Figure:
-    """Pose error over time on one reference, a panel a condition; `band` [mm] counts as settled."""
+    """Pose error over time on one reference, with a panel per condition; settled within `band` [mm]."""
     rows = [row for row in rows if row.get("trace") and len(row["trace"]["time"])]
     styles = {name: {"color": style["color"]} for name, style in _styles(rows).items()}
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
     figure, axes = look.panels(len(conditions), 1, 1.3 + 2.3 * len(conditions), sharex=True, sharey=True)
     for row in rows:
         panel, color = axes[conditions.index(row["condition"]), 0], styles[row["controller"]]["color"]
-        # What is exactly zero, such as the start, has no place on this axis; null was no number.
-        size = np.clip(np.array(row["trace"]["pose_mm"], dtype=float), 0.1 * _SMALLEST, look.LARGEST_DRAWN)
-        panel.plot(row["trace"]["time"], size, color=color, linewidth=1.5)
+        # The axis is logarithmic, and errors may be zero; null becomes NaN.
+        error = np.clip(np.array(row["trace"]["pose_mm"], dtype=float), 0.1 * _MIN_DRAWN, look.LARGEST_DRAWN)
+        panel.plot(row["trace"]["time"], error, color=color, linewidth=1.5)
         if row["status"] != "completed":
-            panel.plot(row["trace"]["time"][-1], size[-1], color=color, **_CROSS)
-    sizes = [min(value, look.LARGEST_DRAWN) for row in rows for value in row["trace"]["pose_mm"] if value] or [band]
-    limits = max(_SMALLEST, 0.3 * float(np.percentile(sizes, 2.0))), 2.0 * max(sizes)
+            panel.plot(row["trace"]["time"][-1], error[-1], color=color, **_CROSS)
+    errors = [min(value, look.LARGEST_DRAWN) for row in rows for value in row["trace"]["pose_mm"] if value] or [band]
+    limits = max(_MIN_DRAWN, 0.3 * float(np.percentile(errors, 2.0))), 2.0 * max(errors)
     has_band = limits[0] < band < limits[1]
     for panel, condition in zip(axes.flat, conditions, strict=True):
         if has_band:
@@ -149,7 +150,7 @@ def plot_error(rows: Rows, band: float) -> Figure:
 
 @look.styled
 def plot_bands(rows: Rows) -> Figure:
-    """Bode plot of the closed loop, from reference to pose: magnitude and phase over frequency, a column an axis."""
+    """Bode plot of the closed loop, from reference to pose: magnitude and phase, with a column per axis."""
     styles = _styles(rows)
     names = list(dict.fromkeys(row["reference"] for row in rows))
     figure, grid = look.panels(2, len(names), 6.2, sharex=True, sharey="row")
@@ -163,8 +164,8 @@ def plot_bands(rows: Rows) -> Figure:
             if points:
                 frequency, ratio, angle = np.array(points, dtype=float).T
                 line = {**style, "linestyle": "-", "linewidth": 1.5, "markersize": 5.6}
-                magnitude.plot(frequency, 20.0 * np.log10(ratio.clip(_PHASE_SHOWN, look.LARGEST_DRAWN)), **line)
-                angle = np.where(ratio > _PHASE_SHOWN, np.degrees(np.unwrap(np.radians(angle))), np.nan)
+                magnitude.plot(frequency, 20.0 * np.log10(ratio.clip(_MIN_RATIO, look.LARGEST_DRAWN)), **line)
+                angle = np.where(ratio > _MIN_RATIO, np.degrees(np.unwrap(np.radians(angle))), np.nan)
                 phase.plot(frequency, angle, **line)
         for panel in (magnitude, phase):
             look.logarithmic(panel, "x")
@@ -180,14 +181,14 @@ def plot_bands(rows: Rows) -> Figure:
 
 @look.styled
 def plot_search(rows: Rows) -> Figure:
-    """Cost of every evaluation, and the least until then, a panel a controller."""
+    """Costs of all evaluations, and the least cost so far, with a panel per controller."""
     names = list(dict.fromkeys(row["controller"] for row in rows))
-    beside = min(2, len(names))
-    lines = -(-len(names) // beside)
-    figure, axes = look.panels(lines, beside, 0.6 + 2.4 * lines, sharex=True, sharey=True)
+    columns = min(2, len(names))
+    lines = -(-len(names) // columns)
+    figure, axes = look.panels(lines, columns, 0.6 + 2.4 * lines, sharex=True, sharey=True)
     for panel, name in zip(axes.flat, names, strict=False):
-        own = [row for row in rows if row["controller"] == name]
-        number, costs, best = ([row[key] for row in own] for key in ("evaluation", "cost", "best"))
+        trials = [row for row in rows if row["controller"] == name]
+        number, costs, best = ([row[key] for row in trials] for key in ("evaluation", "cost", "best"))
         panel.plot(number, costs, ".", color=look.GREY, markersize=4.0)
         panel.step(number, best, where="post", color=look.BLUE, linewidth=1.8)
         look.logarithmic(panel, "y")
@@ -198,38 +199,38 @@ def plot_search(rows: Rows) -> Figure:
 
 
 @look.styled
-def plot_costs(kinds: Sequence[str], ratios: Mapping[str, Any], against: str) -> Figure:
-    """Cost over that of one candidate, a line a kind; ratios (kinds, 3) with both ends of the interval."""
+def plot_costs(kinds: Sequence[str], ratios: Mapping[str, ArrayLike], baseline: str) -> Figure:
+    """Costs of candidates over that of a baseline, by kind; ratios (kinds, 3): value, ends of its interval."""
     figure, ((panel,),) = look.panels(1, 1, 1.6 + 0.34 * len(kinds))
     panel.axvline(1.0, color=look.TEXT, linewidth=1.2)
-    places = np.arange(len(kinds))[::-1]
-    for number, (name, each) in enumerate(ratios.items()):
+    rows = np.arange(len(kinds))[::-1]
+    for number, (name, candidate) in enumerate(ratios.items()):
         color, marker = _LOOKS[(number + 3) % len(_LOOKS)]
-        value, low, high = np.array(each, dtype=float).T
-        at = places - 0.11 * (number - 0.5 * (len(ratios) - 1))
-        panel.hlines(at, low, high, color=color, linewidth=1.4)
-        panel.plot(value, at, marker, color=color, markersize=5.0, label=name)
+        value, low, high = np.array(candidate, dtype=float).T
+        y = rows - 0.11 * (number - 0.5 * (len(ratios) - 1))
+        panel.hlines(y, low, high, color=color, linewidth=1.4)
+        panel.plot(value, y, marker, color=color, markersize=5.0, label=name)
     look.logarithmic(panel, "x")
-    panel.set_yticks(places, kinds)
-    panel.set(title=f"Cost in new situations, relative to: {against}", xlabel="ratio [-], lower is better")
+    panel.set_yticks(rows, kinds)
+    panel.set(title=f"Cost in new situations, relative to: {baseline}", xlabel="ratio [-], lower is better")
     panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
 
-def _at(value: Any) -> Any:
-    """Where a value stands on an axis; a text has a place of its own."""
+def _x_value(value: float | str) -> float | str:
+    """A number, or a category."""
     return str(value) if isinstance(value, (str, bool)) else value
 
 
-def _named(value: Any) -> str:
+def _tick_label(value: float | str) -> str:
     return str(value) if isinstance(value, (str, bool)) else f"{value:g}"
 
 
-def _drawn(row: Mapping[str, Any]) -> float:
-    return min(max(row["rmse_norm_mm"], _SMALLEST), look.LARGEST_DRAWN)
+def _rmse(row: Row) -> float:
+    return min(max(row["rmse_norm_mm"], _MIN_DRAWN), look.LARGEST_DRAWN)
 
 
-def _done(row: Mapping[str, Any]) -> bool:
+def _completed(row: Row) -> bool:
     return row["status"] == "completed" and row.get("rmse_norm_mm") is not None
 
 

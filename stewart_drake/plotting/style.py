@@ -1,18 +1,20 @@
-"""What figures share; they are made without pyplot: no window opens and no global setting changes."""
+"""Common style and helpers of figures, without pyplot: no window opens and no global setting changes."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import matplotlib.style
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
+from numpy.typing import ArrayLike
 
 from stewart_drake.base import tables
 from stewart_drake.base.atomic_files import write_atomically
@@ -22,25 +24,24 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 DPI = 150
-LARGEST_DRAWN = 1e9
-"""What is larger, after a blow-up, is drawn here: matplotlib's arithmetic ends long before that of numbers."""
+LARGEST_DRAWN = 1e9  # Larger values of a diverging run are clipped, as matplotlib cannot draw them.
 BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"
-"""Okabe and Ito's palette, which people with any colour vision can tell apart."""
+"""The palette of Okabe and Ito, for any colour vision."""
 COLORS = (BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW)
 GREY, TEXT = "#8C8C8C", "#222222"
 
 COORDINATES = tuple(zip(tables.COORDINATES, DISPLAY_UNITS, strict=True))
-"""Names and units in figures; `SCALES` brings a pose to them."""
+"""Names and units of a pose in figures, see `SCALES`."""
 
-_STYLE: Any = ["default", Path(__file__).with_name("figure.mplstyle")]
+_STYLE_FILE = Path(__file__).with_name("figure.mplstyle")
 
 
 def styled(plot: Callable[P, T]) -> Callable[P, T]:
-    """A function that draws in the style of this package, whatever the user's matplotlib is set to."""
+    """Decorator: draws in the style of this package, independent of the user's settings of matplotlib."""
 
     @wraps(plot)
     def draw_styled(*args: P.args, **options: P.kwargs) -> T:
-        with matplotlib.style.context(_STYLE):
+        with matplotlib.style.context(["default", _STYLE_FILE]):
             return plot(*args, **options)
 
     return draw_styled
@@ -49,12 +50,12 @@ def styled(plot: Callable[P, T]) -> Callable[P, T]:
 def panels(rows: int, columns: int, height: float, width: float = 9.0, **subplots: Any) -> tuple[Figure, np.ndarray]:
     figure = Figure(figsize=(width, height))
     axes: np.ndarray = figure.subplots(rows, columns, squeeze=False, **subplots)
-    quiet(axes.flat)
+    light_grid(axes.flat)
     return figure, axes
 
 
-def quiet(axes: Any) -> None:
-    """Ticks and grids in quiet colours; they are made when a figure is shown, out of `styled`."""
+def light_grid(axes: Iterable[Axes]) -> None:
+    """Light colours of ticks and grids, which matplotlib creates later, outside of `styled`."""
     for panel in axes:
         panel.tick_params(which="both", color=GREY, labelcolor=TEXT, labelsize=9)
         panel.grid(color="#E6E6E6", linewidth=0.8)
@@ -62,9 +63,9 @@ def quiet(axes: Any) -> None:
 
 
 class _Decades(LogLocator):
-    """Ticks at decades, and at 2 and 5 times those where there are few."""
+    """Ticks at decades, and over less than two decades also at 2 and 5 times these."""
 
-    def tick_values(self, vmin: float, vmax: float) -> Any:
+    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
         self.set_params(subs=(1.0, 2.0, 5.0) if vmax < 100.0 * vmin else (1.0,))
         return super().tick_values(vmin, vmax)
 
@@ -78,7 +79,7 @@ def logarithmic(panel: Axes, which: str) -> None:
         axis.set_minor_locator(NullLocator())
 
 
-def legend_below(figure: Figure, handles: Sequence[Any], columns: int = 4, size: float = 10.0) -> None:
+def legend_below(figure: Figure, handles: Sequence[Artist], columns: int = 4, size: float = 10.0) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=size)
 
 
@@ -87,16 +88,16 @@ def chart(
     title: str,
     x: str,
     y: str,
-    curves: Mapping[str, tuple[Any, Any]],
+    curves: Mapping[str, tuple[ArrayLike, ArrayLike]],
     style: str = "-",
     decades: str = "",
     height: float = 4.0,
 ) -> Figure:
-    """Curves (x, y) by name in one panel; `decades` are the axes that are logarithmic; texts for y are named rows."""
+    """Curves (x, y) by name in one panel; `decades` names the logarithmic axes; y may be texts."""
     figure, ((panel,),) = panels(1, 1, height)
-    for number, (name, (along, values)) in enumerate(curves.items()):
-        # Colours come again after the last; dashes tell such curves apart.
-        (line,) = panel.plot(along, values, style, label=name)
+    for number, (name, (x_values, y_values)) in enumerate(curves.items()):
+        # Once the colours repeat, lines are dashed.
+        (line,) = panel.plot(x_values, y_values, style, label=name)
         if number >= len(COLORS) and line.get_linestyle() == "-":
             line.set_linestyle("--")
     logarithmic(panel, decades)
@@ -107,10 +108,10 @@ def chart(
 
 @styled
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Writes a figure, whole or not at all: as a PNG of 150 dots an inch, or for print as a PDF."""
+    """Writes a figure as PNG with `DPI`, or as PDF; a file is complete or not written at all."""
     stream, path = io.BytesIO(), Path(path)
-    # Without a date or version in it, the same log gives the same file.
-    unsaid = ("Creator", "Producer", "CreationDate") if path.suffix == ".pdf" else ("Software",)
-    metadata: Any = dict.fromkeys(unsaid)
+    # Without date and versions, so that the same log gives the same file.
+    omitted = ("Creator", "Producer", "CreationDate") if path.suffix == ".pdf" else ("Software",)
+    metadata: Any = dict.fromkeys(omitted)
     figure.savefig(stream, format=path.suffix[1:], dpi=DPI, facecolor="white", metadata=metadata)
     write_atomically(path, stream.getvalue())

@@ -1,8 +1,6 @@
-"""Figures of workspaces: maps of what the robot can do."""
+"""Maps of the robot's capabilities over its workspace."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -20,20 +18,20 @@ CAPABILITIES = {
     "force": ("Force in any direction [N]", 1.0, "viridis"),
     "moment": ("Moment in any direction [N m]", 1.0, "viridis"),
 }
-"""Measures of what the robot can do at a pose: name with unit, factor to it, colours."""
+"""Measures of the capabilities at a pose: title with unit, factor to the unit, colour map."""
 
 
 @look.styled
 def plot_capability(survey: Survey) -> Figure:
-    """Six measures over a slice of a grid, with the edge of what the limits allow, and both singularities."""
+    """Six measures over a slice of a grid, with the boundary of the limits and both kinds of singularity."""
     grid, measures = survey.grid, survey.measures
-    # In mm and degrees, the longer side along x; on equal lengths the first.
+    # In mm and degrees, with the longer side along x.
     x, y = sorted((i for i in range(3) if grid.counts[i] > 1), key=lambda i: -(grid.high - grid.low)[i])
     (fixed,) = {0, 1, 2} - {x, y}
-    of, scales = list(grid.coordinates), SCALES[list(grid.coordinates)]
-    names, units = zip(*(look.COORDINATES[axis] for axis in of), strict=True)
+    coordinates, scales = list(grid.coordinates), SCALES[list(grid.coordinates)]
+    names, units = zip(*(look.COORDINATES[axis] for axis in coordinates), strict=True)
     ends = scales * np.stack([grid.low, grid.high])
-    extent: Any = (*ends[:, x], *ends[:, y])
+    (left, right), (bottom, top) = ends[:, x].tolist(), ends[:, y].tolist()
 
     def field(values: np.ndarray) -> np.ma.MaskedArray:
         """(n_y, n_x) of values (n,)."""
@@ -50,10 +48,11 @@ def plot_capability(survey: Survey) -> Figure:
     figure, axes = look.panels(2, 3, 1.1 + 2.0 * (1.0 + height), width=12.0)
     for panel, (name, (title, scale, cmap)) in zip(axes.flat, CAPABILITIES.items(), strict=True):
         values = field(scale * getattr(measures, name))
-        # Near a singularity forces and torques have no bound; a few pixels must not take all the colours.
+        # Percentiles, as forces and torques are unbounded near a singularity.
         low, high = np.percentile(values.compressed(), [3.0, 97.0]) if values.count() else (0.0, 1.0)
         if cmap == "RdBu":
             low, high = -max(abs(low), high), max(abs(low), high)
+        extent = left, right, bottom, top
         image = panel.imshow(
             values, extent=extent, origin="lower", interpolation="nearest", cmap=cmap, vmin=low, vmax=high
         )
@@ -62,13 +61,14 @@ def plot_capability(survey: Survey) -> Figure:
         panel.set(aspect="equal" if equal else "auto", facecolor="#E9E9E6", **labels)
         panel.grid(visible=False)
         panel.spines[:].set(visible=True, color=look.GREY)
-        for _, each, level, color, width in lines:
-            drawn = field(each)
+        for _, margin, level, color, width in lines:
+            drawn = field(margin)
             if drawn.count() and drawn.min() < level < drawn.max():
-                along = (scales[i] * grid.axes[i] for i in (x, y))
-                panel.contour(*along, drawn, levels=[level], colors=[color], linewidths=width)
-        if np.isclose(grid.axes[fixed][0], grid.center[of[fixed]]):
-            panel.plot(*(scales[i] * grid.center[of[i]] for i in (x, y)), "+", color=look.TEXT, markersize=11, mew=2)
+                axes_values = (scales[i] * grid.axes[i] for i in (x, y))
+                panel.contour(*axes_values, drawn, levels=[level], colors=[color], linewidths=width)
+        if np.isclose(grid.axes[fixed][0], grid.center[coordinates[fixed]]):
+            center = (scales[i] * grid.center[coordinates[i]] for i in (x, y))
+            panel.plot(*center, "+", color=look.TEXT, markersize=11, mew=2)
     keys = [Line2D([], [], color=color, linewidth=width, label=label) for label, _, _, color, width in lines]
     look.legend_below(figure, [*keys, Line2D([], [], color=look.TEXT, marker="+", linestyle="", label="centre")])
     at = f"{names[fixed]} = {scales[fixed] * grid.axes[fixed][0]:.0f} {units[fixed]}"

@@ -94,7 +94,7 @@ def fix_move(robot: RobotParameters, move: Move) -> tuple[Move, dict[str, float]
         fast = ~np.all([kept[name] for name in MOTION_LIMITS], axis=0) & ~outside
         if not (outside | fast).any():
             break
-        at = np.minimum(np.rint(motion.own_time(times)[0] / (STEP * slowdown)).astype(int), count - 1)
+        at = np.minimum(np.rint(motion.rows_time(times)[0] / (STEP * slowdown)).astype(int), count - 1)
         smaller[np.unique(at[outside])] += SMALLER
         np.minimum(smaller, 1.0, out=smaller)
         slowdown *= 1.0 + SLOWER * float((widths[at[fast]] >= SMOOTHEST).any() and not outside.any())
@@ -146,7 +146,7 @@ def shaped_move(scenario: Scenario, move: Move) -> tuple[Move, np.ndarray]:
             raise ConfigurationError("move", got, allowed) from None
     robot, made = (
         scenario.controller_model.robot,
-        move.at(move.time[0] + motion.own_time(times)[0])._replace(time=times),
+        move.at(move.time[0] + motion.rows_time(times)[0])._replace(time=times),
     )
     pose, shares = motion.evaluate(times)[0], np.zeros(len(times))
     plain = kinematics.inverse_kinematics(robot, pose)

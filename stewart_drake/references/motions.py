@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
-from typing import Annotated, Any, Literal, Protocol, runtime_checkable
+from typing import Annotated, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import Field
@@ -16,6 +17,7 @@ from stewart_drake.robot.robot_scale import HOME_POSE, LENGTH
 
 HOME: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
 ZERO: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+Curve = Callable[[float | np.ndarray], np.ndarray]  # Of time (n,) [s].
 SixPhases = Annotated[tuple[Phase, Phase, Phase, Phase, Phase, Phase], one_for_six(Phase)]
 
 
@@ -180,7 +182,7 @@ class SplineReference(Section, key="reference"):
         return pose, rate, acceleration
 
     @cached_property
-    def _splines(self) -> tuple[Any, Any, Any]:
+    def _splines(self) -> tuple[Curve, ...]:
         from scipy.interpolate import make_interp_spline
 
         rest = [(1, np.zeros(6)), (2, np.zeros(6))]

@@ -65,7 +65,7 @@ class PacedMotion:
         pose, rate, acceleration = (values.reshape(*shape, 6) for values in rows)
         return pose, rate, acceleration
 
-    def own_time(self, time: float) -> float:
+    def motion_time(self, time: float) -> float:
         """[s] time of the motion; 0 during the approach."""
         (path_time,), _, _ = self._path_time(np.array([time]))
         return max(float(risen(path_time - self.approach)[0]), 0.0)

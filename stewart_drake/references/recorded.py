@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -105,7 +105,7 @@ class UserReference(UserMade, key="reference"):
 
     asked = "evaluate(t) returns pose, rate and acceleration, (6,) each"
 
-    def new_object(self, offered: Mapping[str, Any]) -> Any:
+    def new_object(self, offered: Mapping[str, object]) -> object:
         loaded = self.code.load(self.code_key)
         made = loaded if inspect.isfunction(loaded) else super().new_object(offered)
         return made if hasattr(made, "evaluate") or not callable(made) else _PoseFunction(self, made)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.references.motions import Curve
 from stewart_drake.references.paced import risen, timed
 
 CUTOFF = 20.0
@@ -64,7 +64,7 @@ class RowsMotion:
         pose = pose[new]
         self.length = float(time[-1])
         """[s] from the first row to the last."""
-        self.recorded: Any = CubicSpline(time, pose)
+        self.recorded: Curve = CubicSpline(time, pose)
         """Poses (n, 6) at times (n,) [s], before the low pass."""
         self._grid, spline = time, self.recorded
         if is_signal and cutoff is not None:
@@ -77,7 +77,7 @@ class RowsMotion:
             padding = min(math.ceil(_PERIODS / (cutoff * step)), steps)
             smooth = sosfiltfilt(low_pass, self.recorded(self._grid), axis=0, padlen=padding)
             spline = CubicSpline(self._grid, smooth)
-        self._splines: tuple[Any, ...] = spline, spline.derivative(1), spline.derivative(2)
+        self._splines: tuple[Curve, ...] = spline, spline.derivative(1), spline.derivative(2)
         self._settle = min(settle, self.length)
         self.end = self.length + 0.5 * self._settle
         """[s] time from which it is at rest."""
@@ -99,7 +99,7 @@ class RowsMotion:
         """Poses (n, 6) at times [s] of the rows, before it slows down."""
         return np.asarray(self._splines[0](time))
 
-    def own_time(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def rows_time(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Time of the rows [s] at times from 0, its pace and the change of that [1/s]."""
         lost, pace, change = risen(time - (self.length - 0.5 * self._settle), self._settle)
         rows_time = np.where(time < self.end, np.clip(time - lost, 0.0, self.length), self.length)
@@ -108,7 +108,7 @@ class RowsMotion:
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pose, rate and acceleration (..., 6) at times [s] from 0."""
         time = np.asarray(time, dtype=float)
-        rows_time, pace, change = self.own_time(time)
+        rows_time, pace, change = self.rows_time(time)
         pace, change = np.where(time < 0.0, 0.0, pace), np.where(time < 0.0, 0.0, change)
         pose, rate, acceleration = (spline(rows_time) for spline in self._splines)
         return timed((pose, rate, acceleration), pace, change)

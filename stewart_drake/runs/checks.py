@@ -1,11 +1,10 @@
-"""What is checked before a run: that its motion keeps to the limits; and making a motion feasible."""
+"""Checks before a run that the motion is within the limits, and ways to make a motion feasible."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 
@@ -30,20 +29,19 @@ from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sam
 from stewart_drake.scenario.limits import LimitMargin, ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
 
-_LARGEST = {"rad": math.tau, "m": 2.0}
-"""Of what a motion is made; more was perhaps meant in degrees or millimetres."""
-_NUDGES = 100
-_SLOWEST = 1e-3  # [-] of its speed at which a motion is tried
+_LARGEST = {"rad": math.tau, "m": 2.0}  # Sizes of a motion; larger numbers are perhaps degrees or millimetres.
+_MAX_SPEED_STEPS = 100  # Steps of `SEARCH_RTOL` from the result of a bisection to a feasible slowdown.
+_MIN_SPEED = 1e-3  # [-] Least share of a motion's speed that is tried.
 _FRICTION = ("coulomb", "dry", "N m"), ("break_away", "break-away", "N m"), ("viscous", "viscous", "N m s/rad")
-_FEW = 500  # Samples of a motion, beside its worst ones, that a hint looks at
-_FALL = 0.03  # Of the characteristic length, free fall before a command acts: a loop that is slow for its robot.
-_SOON = 30  # Ticks; assumed.
-_PASSED: set[Any] = set()  # Motions that have passed: a search runs the same one a thousand times.
-_KEPT = 64  # Of these.
+_HINT_SAMPLES = 500  # Samples of a motion for a hint, beside those with the smallest margins.
+_SLOW_LOOP_FALL = 0.03  # Of the characteristic length. In a slow loop the free fall before a command acts is longer.
+_SLOW_LOOP_TICKS = 30  # A slow loop fails within this number of ticks; assumed.
+_PASSED: set[object] = set()  # Checked motions, as a search runs the same one a thousand times.
+_MAX_PASSED = 64
 
 
 def refuse_unrunnable(scenario: Scenario) -> None:
-    """Refuses code that is not trusted, and a run whose rows, one a step of the plant, are too many for memory."""
+    """Raises a ConfigurationError for code that is not trusted, and for more steps of the plant than fit in memory."""
     for part in user_parts(scenario):
         part.code.check(part.code_key)
     step = scenario.plant.time_step
@@ -53,13 +51,13 @@ def refuse_unrunnable(scenario: Scenario) -> None:
 
 
 def check_scenario(scenario: Scenario) -> None:
-    """Refuses a run whose reference leaves the limits, or at whose start the robot cannot stand."""
-    compared = (scenario.robot, scenario.controller_model, scenario.limits, scenario.safety, scenario.gravity)
-    moves = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
-    subject = (*compared, *moves, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
-    # A user's code is asked again.
-    known = not user_parts(scenario)
-    if not (known and subject in _PASSED):
+    """Raises a ConfigurationError if the motion leaves the limits, or the robot cannot hold the start pose."""
+    setup = (scenario.robot, scenario.controller_model, scenario.limits, scenario.safety, scenario.gravity)
+    motion = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
+    key = (*setup, *motion, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
+    # A user's code may give other results the next time.
+    repeatable = not user_parts(scenario)
+    if not (repeatable and key in _PASSED):
         report = motion_report(scenario)
         try:
             report.raise_if_infeasible()
@@ -71,58 +69,59 @@ def check_scenario(scenario: Scenario) -> None:
         _check_rates(scenario)
         if scenario.safety is not None:
             _check_safety(scenario, scenario.safety)
-        if known:
-            if len(_PASSED) >= _KEPT:
+        if repeatable:
+            if len(_PASSED) >= _MAX_PASSED:
                 _PASSED.clear()
-            _PASSED.add(subject)
+            _PASSED.add(key)
     with np.errstate(all="ignore"):
         start = scenario.start()[0]
         feasibility.refuse_turns("initial_offset", start[None], np.zeros(1))
         try:
             check_start(scenario.robot, start)
         except RunFailure as failure:
-            key, value = "reference", start.tolist()
+            name, value = "reference", start.tolist()
             if any(scenario.initial_offset):
-                key, value = "initial_offset", list(scenario.initial_offset)
-            raise ConfigurationError(key, value, f"a start pose that the robot can hold ({failure})") from None
+                name, value = "initial_offset", list(scenario.initial_offset)
+            raise ConfigurationError(name, value, f"a start pose that the robot can hold ({failure})") from None
 
 
 def _length_hint(scenario: Scenario) -> list[str]:
-    """What a motion says that goes further than metres."""
+    """A hint for motions of many metres."""
     pose, _, _ = scenario.reference.evaluate(np.linspace(0.0, scenario.duration, 101))
     farthest = float(np.abs(pose[:, 3:]).max())
     return [f"the motion goes to {farthest:.4g} m: are its lengths in mm?"] if farthest > _LARGEST["m"] else []
 
 
 def _remedies(scenario: Scenario, report: feasibility.FeasibilityReport, limit: str) -> list[str]:
-    """How much smaller, and how much slower, the motion can be done, from few samples and its worst ones."""
-    motion, duration = scenario.reference, scenario.duration
-    every = feasibility.checked_times(duration)
+    """Texts on a feasible size and a feasible speed of the motion, from some samples and those of smallest margin."""
+    motion, times = scenario.reference, feasibility.checked_times(scenario.duration)
     worst = [margin.time for margin in report.smallest.values()]
-    times = np.union1d(every[:: math.ceil(len(every) / _FEW)], worst)
+    times = np.union1d(times[:: math.ceil(len(times) / _HINT_SAMPLES)], worst)
 
     def feasible(scale: float, speed: float) -> bool:
-        at, changed = times / speed, adjusted(motion, scale, 1.0 / speed)
-        signals = changed.evaluate(at)
-        return feasibility.check_motion(scenario.robot, scenario.limits, at, *signals, scenario.gravity).feasible
+        slower = times / speed
+        signals = adjusted(motion, scale, 1.0 / speed).evaluate(slower)
+        return feasibility.check_motion(scenario.robot, scenario.limits, slower, *signals, scenario.gravity).feasible
 
     with user_code(scenario), np.errstate(all="ignore"):
         scale = feasibility.largest_share(lambda share: feasible(share, 1.0))
-        speed = feasibility.bisect(lambda share: feasible(1.0, share), _SLOWEST, 1.0)
-    # `check` runs no user's code.
-    smaller, slower = ("", "") if user_parts(motion) else (" (`stewart-drake check --scale`)", " (`check --retime`)")
-    ways = []
+        speed = feasibility.bisect(lambda share: feasible(1.0, share), _MIN_SPEED, 1.0)
+    # The command `check` runs no user's code.
+    by_scale, by_retime = (
+        ("", "") if user_parts(motion) else (" (`stewart-drake check --scale`)", " (`check --retime`)")
+    )
+    remedies = []
     if scale > 0.0:
-        ways.append(f"about {min(100.0 * scale, 99.0):.2g} % of its size{smaller}")
-    if speed > _SLOWEST:
-        ways.append(f"about {max(1.0 / speed, 1.01):.3g} times slower{slower}")
-    possible = f"it can be done at {', or '.join(ways)}" if ways else "smaller or slower it cannot be done either"
+        remedies.append(f"about {min(100.0 * scale, 99.0):.2g} % of its size{by_scale}")
+    if speed > _MIN_SPEED:
+        remedies.append(f"about {max(1.0 / speed, 1.01):.3g} times slower{by_retime}")
+    text = f"it can be done at {', or '.join(remedies)}" if remedies else "smaller or slower it cannot be done either"
     jump = limit in ("crank_speed", "torque") and speed < 0.05
-    return [possible, *(["does it jump, or is one of its numbers in another unit?"] if jump else [])]
+    return [text, *(["does it jump, or is one of its numbers in another unit?"] if jump else [])]
 
 
 def _check_rates(scenario: Scenario) -> None:
-    """Refuses a user's motion whose rate, or acceleration, is not the derivative of what it belongs to."""
+    """Refuses a user's motion if its rate or acceleration is not the derivative of its pose or rate."""
     if not user_parts(scenario.reference):
         return
     h = 1e-5
@@ -130,22 +129,22 @@ def _check_rates(scenario: Scenario) -> None:
     with user_code(scenario), np.errstate(all="ignore"):
         here, before, after = (scenario.reference.evaluate(times + shift) for shift in (0.0, -h, h))
     for order, name in ((1, "rate"), (2, "acceleration")):
-        moves, says = (after[order - 1] - before[order - 1]) / (2.0 * h), here[order]
-        apart = np.abs(moves - says)
-        wrong = apart > 1e-2 * np.abs(says).max(axis=0) + 1e-3
-        # Where a motion has a corner nothing is wrong.
+        difference, given = (after[order - 1] - before[order - 1]) / (2.0 * h), here[order]
+        error = np.abs(difference - given)
+        wrong = error > 1e-2 * np.abs(given).max(axis=0) + 1e-3
+        # A motion may have some corners.
         if wrong.any(axis=1).mean() > 0.2:
-            row, axis = np.unravel_index(np.argmax(np.where(wrong, apart, 0.0)), apart.shape)
+            row, axis = np.unravel_index(np.argmax(np.where(wrong, error, 0.0)), error.shape)
             unit = ("rad" if axis < 3 else "m") + ("/s" if order == 1 else "/s^2")
-            got = f"{AXES[axis]} {says[row, axis]:.4g} {unit} at t = {times[row]:.3f} s"
+            got = f"{AXES[axis]} {given[row, axis]:.4g} {unit} at t = {times[row]:.3f} s"
             allowed = f"a motion whose {name} is the derivative of its {'pose' if order == 1 else 'rate'}"
-            raise ConfigurationError("reference", got, f"{allowed}, there {moves[row, axis]:.4g} {unit}")
+            raise ConfigurationError("reference", got, f"{allowed}, there {difference[row, axis]:.4g} {unit}")
 
 
 def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:
     motion = (scenario.robot, scenario.limits, scenario.reference, scenario.duration, scenario.gravity)
     try:
-        # Where numbers overflow a limit is broken, or the check names the signal.
+        # Overflows are reported as a violated limit or as a signal that is not finite.
         with user_code(scenario), np.errstate(all="ignore"):
             return feasibility.check_reference(*motion)
     except ControllerError as error:
@@ -159,11 +158,11 @@ def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:
 
 
 def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
-    """The margin of torque with what the limits do not know: payload, motor friction, disturbances, motors as sold.
+    """Smallest torque margin with payload, motor friction, disturbances and torque-speed curves, unlike `limits`.
 
-    Empty where there is nothing of it, or where the robot cannot do the motion at all.
+    Empty if the plant has none of these, or if the robot cannot do the motion at all.
     """
-    pushes = [each for each in scenario.disturbances if not user_parts(each)]
+    pushes = [disturbance for disturbance in scenario.disturbances if not user_parts(disturbance)]
     robot, plant, time = scenario.robot, scenario.plant, feasibility.checked_times(scenario.duration)
     friction, names = plant.friction_of(robot)[0], ["disturbances"] * bool(pushes)
     if plant.payload_mass > 0.0:
@@ -190,64 +189,62 @@ def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
     return feasibility.FeasibilityReport({}, None)
 
 
-def beliefs(scenario: Scenario) -> list[tuple[str, str, str]]:
-    """What is simulated of the machine, and what the controller's side believes of it, a row each."""
+def _range_text(value: object, unit: str) -> str:
+    """Smallest and largest of some numbers with their unit."""
+    with suppress(TypeError, ValueError):
+        values = np.array(value, dtype=float)
+        low, high = np.min(values), np.max(values)
+        return f"{low:.4g} {unit}" if low == high else f"{low:.4g} to {high:.4g} {unit}"
+    return "its own"
 
-    def text(value: Any, unit: str) -> str:
-        with suppress(TypeError, ValueError):
-            low, high = np.min(np.array(value, dtype=float)), np.max(np.array(value, dtype=float))
-            return f"{low:.4g} {unit}" if low == high else f"{low:.4g} to {high:.4g} {unit}"
-        return "its own"
 
-    belief, nominal, plant = scenario.controller_model, scenario.default_model, scenario.plant
-    own, facts = plant.simulated(scenario.robot)
-    true, model = scenario.robot.to_dict() | own, belief.robot.to_dict()
-    rows = [
-        (f"robot.{key}", text(true[key], unit), text(model[key], unit))
-        for key, unit in ((key, RobotParameters.unit_of(key)) for key in true)
-        if true[key] != model[key] or key in own
+def _motors_text(motors: MotorOptions, key: str) -> str:
+    value = motors.to_dict().get(key)
+    return "none" if value is None or value == [] else _range_text(value, type(motors).unit_of(key))
+
+
+def compared_with_model(scenario: Scenario) -> list[tuple[str, str, str]]:
+    """Table of the simulated machine and the controller's model: name, true value, value of the model."""
+    model, correct, plant, text = scenario.controller_model, scenario.default_model, scenario.plant, _range_text
+    simulated, facts = plant.simulated(scenario.robot)
+    robot, model_robot = scenario.robot.to_dict() | simulated, model.robot.to_dict()
+    robot_rows = [
+        (f"robot.{key}", text(robot[key], unit), text(model_robot[key], unit))
+        for key, unit in ((key, RobotParameters.unit_of(key)) for key in robot)
+        if robot[key] != model_robot[key] or key in simulated
     ]
-    rubs, believed = plant.friction_options.record()[0], (belief.friction or FrictionOptions()).record()[0]
-
-    def of_motors(motors: MotorOptions, key: str) -> str:
-        value = motors.to_dict().get(key)
-        return "none" if value is None or value == [] else text(value, type(motors).unit_of(key))
-
-    kinds = str(scenario.motors.kind), str(belief.motors.kind)
-    keys = scenario.motors.to_dict() | belief.motors.to_dict()
-    apart = [key for key in keys if scenario.motors.to_dict().get(key) != belief.motors.to_dict().get(key)]
+    friction, model_friction = plant.friction_options.record()[0], (model.friction or FrictionOptions()).record()[0]
+    kinds = str(scenario.motors.kind), str(model.motors.kind)
+    motors, model_motors = scenario.motors.to_dict(), model.motors.to_dict()
     return [
-        *(rows or [("robot", "", "the simulated one")]),
+        *(robot_rows or [("robot", "", "the simulated one")]),
         *((name, text(value, unit), "") for name, value, unit in facts),
         *(
-            (f"{words} friction", text(rubs[key].tolist(), unit), text(believed[key].tolist(), unit))
+            (f"{words} friction", text(friction[key].tolist(), unit), text(model_friction[key].tolist(), unit))
             for key, words, unit in _FRICTION
         ),
         ("payload", text(plant.payload_mass, "kg"), text(0.0, "kg")),
-        ("gravity", text(scenario.gravity, "m/s^2"), text(belief.gravity, "m/s^2")),
-        ("noise of a crank's angle", text(nominal.noise, "rad"), text(belief.noise, "rad")),
-        ("delay of a command [ticks]", str(nominal.delay), str(belief.delay)),
-        ("age of a reading", text(nominal.reading_age, "s"), text(belief.reading_age, "s")),
+        ("gravity", text(scenario.gravity, "m/s^2"), text(model.gravity, "m/s^2")),
+        ("noise of a crank's angle", text(correct.noise, "rad"), text(model.noise, "rad")),
+        ("delay of a command [ticks]", str(correct.delay), str(model.delay)),
+        ("age of a reading", text(correct.reading_age, "s"), text(model.reading_age, "s")),
         *([] if kinds == ("torque", "torque") else [("motors", *kinds)]),
         *(
-            (f"motors.{key}", of_motors(scenario.motors, key), of_motors(belief.motors, key))
-            for key in apart
-            if key != "kind"
+            (f"motors.{key}", _motors_text(scenario.motors, key), _motors_text(model.motors, key))
+            for key in motors | model_motors
+            if key != "kind" and motors.get(key) != model_motors.get(key)
         ),
     ]
 
 
 def likely_cause(scenario: Scenario, ended: float) -> str:
-    """Why a run that ended at a time [s] was perhaps not completed, which its motion does not show; or nothing.
-
-    A loop that is too slow for its robot loses it within `_SOON` ticks.
-    """
+    """A likely cause why a run was not completed: weak motors, or a slow loop if it `ended` [s] early; else empty."""
     if worst := plant_report(scenario).first_violation:
         return f"{worst.where} needs {worst.value:.4g} N m, its motor has {worst.bound:.4g} N m"
-    period, slow = scenario.controller.period, _FALL * scenario.robot.characteristic_length
+    period, slow = scenario.controller.period, _SLOW_LOOP_FALL * scenario.robot.characteristic_length
     fall = 0.5 * scenario.gravity * (period * (1 + scenario.loop_delay)) ** 2
     if (
-        ended > _SOON * period
+        ended > _SLOW_LOOP_TICKS * period
         or fall < slow
         or scenario.sensors.faults
         or not (scenario.link.perfect and scenario.motors.perfect)
@@ -257,7 +254,7 @@ def likely_cause(scenario: Scenario, ended: float) -> str:
 
 
 def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
-    """Refuses what the safety layer would stop, if everything goes well."""
+    """Refuses a motion that the safety layer would stop without any fault."""
     robot, gravity, *_ = scenario.controller_model
     try:
         with user_code(scenario), np.errstate(all="ignore"):
@@ -276,7 +273,7 @@ def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
 def fit_amplitude(
     robot: RobotParameters, limits: ReferenceLimits, reference: Reference, duration: float, gravity: float
 ) -> tuple[Reference, float]:
-    """The motion made smaller about its centre until it is feasible, and its size [-], to a relative 1e-4."""
+    """The motion scaled about its centre to be feasible, and the scale [-], the largest one to a relative 1e-4."""
     if feasibility.check_reference(robot, limits, reference, duration, gravity).feasible:
         return reference, 1.0
     feasibility.check_reference(robot, limits, adjusted(reference, scale=0.0), duration, gravity).raise_if_infeasible()
@@ -287,10 +284,10 @@ def fit_amplitude(
 def fit_speed(
     robot: RobotParameters, limits: ReferenceLimits, reference: Reference, duration: float, gravity: float
 ) -> tuple[Reference, float]:
-    """The motion made slower until it is feasible, and its slowdown >= 1 [-], to a relative 1e-4.
+    """The motion slowed down to be feasible, and the slowdown >= 1 [-], the smallest one to a relative 1e-4.
 
-    Slowed by k a crank's speed is 1/k, and its motor's torque static + (torque - static) / k^2, of what it was at the
-    same pose: where standing still is feasible, so is every k above the smallest feasible one, and bisection finds it.
+    A slowdown k divides the crank speeds at a pose by k, and changes the torques to static + (torque - static) / k^2.
+    So if rest is feasible at all poses, all k above a smallest one are feasible, and bisection finds it.
     """
     samples_per_second = 500.0
 
@@ -300,27 +297,26 @@ def fit_speed(
 
     if feasible(1.0):
         return reference, 1.0
-    feasibility.check_reference(robot, limits, _Still(reference), duration, gravity).raise_if_infeasible()
-    # On the way, at the same poses whatever the slowdown; in the end at the full rate.
+    feasibility.check_reference(robot, limits, _AtRest(reference), duration, gravity).raise_if_infeasible()
+    # The bisection checks the same poses at all slowdowns; the result is checked at the full rate.
     speed = feasibility.bisect(lambda speed: feasible(1.0 / speed, samples_per_second * speed), 0.0, 1.0)
     if speed > 0.0:
-        for slowdown in (1.0 + feasibility.SEARCH_RTOL * np.arange(_NUDGES)) / speed:
+        for slowdown in (1.0 + feasibility.SEARCH_RTOL * np.arange(_MAX_SPEED_STEPS)) / speed:
             if feasible(float(slowdown)):
                 return adjusted(reference, slowdown=float(slowdown)), float(slowdown)
     raise ConfigurationError("reference", reference, "a motion that is feasible at some speed above zero")
 
 
 def adjusted(reference: Reference, scale: float = 1.0, slowdown: float = 1.0) -> AdjustedReference:
-    """A motion made smaller and slower; one that is adjusted already is not wrapped again."""
+    """A motion scaled and slowed down; an `AdjustedReference` is not wrapped again."""
     if isinstance(reference, AdjustedReference):
         return reference.replace(scale=scale * reference.scale, slowdown=slowdown * reference.slowdown)
-    motion: Any = reference
-    return AdjustedReference(motion=motion, scale=scale, slowdown=slowdown)
+    return AdjustedReference(motion=reference, scale=scale, slowdown=slowdown)
 
 
 @dataclasses.dataclass(frozen=True)
-class _Still:
-    """A motion's poses, at rest."""
+class _AtRest:
+    """The poses of a motion, all at rest."""
 
     reference: Reference
 
@@ -329,7 +325,7 @@ class _Still:
         return pose, np.zeros_like(rate), np.zeros_like(acceleration)
 
 
-def _unit_hints(section: Any, key: str = "") -> list[str]:
+def _unit_hints(section: object, key: str = "") -> list[str]:
     """A sentence for each number of a section that is larger than its unit allows, but not in a smaller unit."""
     hints = []
     for name in section.__pydantic_fields__:

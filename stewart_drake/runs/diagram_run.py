@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from pydrake.systems.analysis import Simulator, SimulatorStatus
 
@@ -12,11 +10,11 @@ from stewart_drake.runs.engine import Run
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.systems.diagram import ClosedLoop
 
-SUBSTEPS = 10  # Parts of the plant's step in which continuous state of a user's controller is integrated.
+SUBSTEPS = 10  # Integration steps per step of the plant, for the continuous state of a user's controller.
 
 
 class DiagramRun(Run):
-    """The loop of a scenario as a Diagram."""
+    """A run of the scenario's Diagram."""
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
@@ -27,11 +25,10 @@ class DiagramRun(Run):
         loop = self._loop
         self._simulator = Simulator(loop)
         if loop.num_continuous_states() > 0:
-            # Only a user's controller has them. Steps as error control wants them would end nowhere once a derivative
-            # is not a number.
+            # Of a user's controller. Fixed steps, as error control never ends once a derivative is not a number.
             integrator, step = self._simulator.get_mutable_integrator(), self.scenario.plant.time_step / SUBSTEPS
             integrator.set_fixed_step_mode(True)
-            # The step wanted at first comes before the largest one: Drake refuses it where it is larger.
+            # In this order: Drake refuses an initial step above the maximum.
             integrator.request_initial_step_size_target(step)
             integrator.set_maximum_step_size(step)
         self._context = self._simulator.get_mutable_context()
@@ -39,7 +36,7 @@ class DiagramRun(Run):
     def advance(self, step: int) -> None:
         status = self._simulator.AdvanceTo(step * self._step)
         if status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition:
-            # A user's system has ended the run.
+            # A user's system ended the run.
             raise RunFailure(" ".join(status.FormatMessage().split()), reason="controller_stopped")
 
     @property
@@ -51,17 +48,18 @@ class DiagramRun(Run):
         count, values = self._loop.rows(self._context)
         return count, {**values, "loop_gap": self._loop.plant.loop_gap(values["plant_state"])}
 
-    def safety_state(self) -> Any:
+    def safety_state(self) -> np.ndarray:
         return self._loop.systems["safety"].state(self._context)
 
     def graph(self) -> str:
         return self._loop.graph()
 
     def close(self) -> None:
-        """Lets go of the Diagram, which Python's garbage collector would keep for ever.
+        """Frees the Diagram.
 
-        pydrake ties systems, ports and diagrams together in cycles, by attributes of these objects, which CPython takes
-        for held from outside: it visits the attributes of a system that is written in Python twice, once for each base.
+        pydrake connects systems, ports and diagrams in reference cycles by attributes of these objects. CPython visits
+        the attributes of a system written in Python twice, once per base class, and so takes the cycles for referenced
+        from outside and never collects them.
         """
         super().close()
         for system in (*self._loop.GetSystems(), self._loop):

@@ -1,10 +1,9 @@
-"""One run of a loop, with a row for each step of the plant: what all have in common, and that of a stepped plant."""
+"""One run of a loop, with a row per step of the plant: the base class, and the run of a stepped plant."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 
@@ -17,12 +16,12 @@ from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 
 class Run(ABC):
-    """A run of a scenario; peaks and bounds need every step of the plant, whatever the log keeps.
+    """A run of a scenario. It records all steps of the plant, for peaks and bounds; a log may have fewer rows.
 
     Attributes:
-        scenario: What it is of.
-        state_names: Names of the signal `plant_state`, where there is one.
-        closed: Whether it has been used.
+        scenario: Scenario of the run.
+        state_names: Names of the columns of the signal `plant_state`, if there is one.
+        closed: Whether the run is over; it can be used once.
     """
 
     state_names: tuple[str, ...] = ()
@@ -32,10 +31,10 @@ class Run(ABC):
         self.scenario, self._step = scenario, on_grid(scenario.plant.time_step)
 
     def prepare(self) -> None:
-        """To the start. First it takes two ticks there and back: numba compiles in the first call of a function."""
+        """Compiles the loop's code in a trial step, then goes to the start."""
         scenario = self.scenario
         if scenario.controller.code is None and scenario.plant.code is None and scenario.motors.code is None:
-            # What is wrong with them shows in the run itself, with a log.
+            # Errors will be raised again in the run itself, with a log.
             with suppress(StewartDrakeError), drake_guard("compiling"), np.errstate(all="ignore"):
                 self.begin()
                 self.advance(1)
@@ -43,23 +42,23 @@ class Run(ABC):
 
     @abstractmethod
     def begin(self) -> None:
-        """To the scenario's start, without rows."""
+        """Goes to the scenario's start and discards all rows."""
 
     @abstractmethod
     def advance(self, step: int) -> None:
-        """Up to a step of the plant, with a row for each; a RunFailure ends it."""
+        """Simulates up to a step of the plant; a RunFailure ends the run."""
 
     @property
     @abstractmethod
     def time(self) -> float:
-        """[s] that is reached."""
+        """[s] simulated time."""
 
     @abstractmethod
     def rows(self) -> tuple[int, dict[str, np.ndarray]]:
-        """How many rows there are, and what was logged (n, k), by names in `Loop.logged`, beside what is measured."""
+        """Number of rows, and logged values (n, k) by the names in `Loop.logged`, with `measured`."""
 
     def signals(self) -> dict[str, np.ndarray]:
-        """Signals by their names in a log."""
+        """Signals of a log by name."""
         count, values = self.rows()
         values["time"] = times_of(np.arange(count), self.scenario.plant.time_step)
         if self.scenario.sensors.exact and self.scenario.estimator.exact:
@@ -69,15 +68,15 @@ class Run(ABC):
         return signals_of(values)
 
     @abstractmethod
-    def safety_state(self) -> Any:
-        """The record (1,) of the safety layer."""
+    def safety_state(self) -> np.ndarray:
+        """State of the safety layer, a record (1,)."""
 
     def graph(self) -> str | None:
-        """Graphviz text, where there is a Diagram."""
+        """Graphviz text of the Diagram, if there is one."""
         return None
 
     def close(self) -> None:
-        """Its rows and states are those of one run."""
+        """Ends the use of this object."""
         self.closed = True
 
 
@@ -87,10 +86,11 @@ class SteppedRun(Run):
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
         self._loop = SteppedLoop(scenario)
-        # What a log takes stands in front of most of what a law that learns remembers.
         runner, logged = self._loop.runner, {"measured": "measured", **self._loop.parts.logged}
         self._places = {name: runner.places[of] if isinstance(of, str) else of for name, of in logged.items()}
-        self._kept = runner.values[: max(each.stop for each in self._places.values() if isinstance(each, slice))]
+        # Logged signals come first in the vector of all values; the large states of learning laws follow.
+        end = max(place.stop for place in self._places.values() if isinstance(place, slice))
+        self._row_values = runner.values[:end]
 
     def begin(self) -> None:
         self._rows = Rows(self._places)
@@ -105,7 +105,7 @@ class SteppedRun(Run):
 
     def _row(self) -> None:
         self._loop.run_parts()
-        self._rows.append(self._kept)
+        self._rows.append(self._row_values)
 
     @property
     def time(self) -> float:
@@ -114,5 +114,5 @@ class SteppedRun(Run):
     def rows(self) -> tuple[int, dict[str, np.ndarray]]:
         return len(self._rows), self._rows.columns()
 
-    def safety_state(self) -> Any:
+    def safety_state(self) -> np.ndarray:
         return self._loop.runner.state("safety")

@@ -1,4 +1,4 @@
-"""The folder that a run leaves behind: taken before the run, its log and metrics written first, then pictures."""
+"""The results folder of a run: locked before the run; log and metrics are written first, then pictures."""
 
 from __future__ import annotations
 
@@ -25,31 +25,31 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.scenario.scenario import Scenario
 
-_AS_RUN = "# As run by stewart-drake: every key, defaults included.\n"
-_ROOM = 10_000  # [byte] that a disk has at least
-_CODE = "code"  # Folder with the files of the user's classes.
+_HEADER = "# As run by stewart-drake: every key, defaults included.\n"
+_MIN_SPACE = 10_000  # [byte] that must fit on the disk.
+_CODE = "code"  # Folder for the files of the user's classes.
 _RESULTS = ("log.parquet", "metrics.json", "run.mcap")
 _PLOTS = ("states.png", "torques.png", "learnt.png")
 _PICTURES = ("diagram.dot", "diagram.svg", "replay.html", *_PLOTS)
-"""What a run may leave or not; else what is in a results folder is the user's own, and stays."""
+"""Files that a new run removes; other files in the folder are the user's, and are kept."""
 
 
 def prepare_folder(path: str | Path, named: str | Path | None = None, key: str = "--out") -> Path:
-    """Makes a folder, and sure that something can be written to it; `named` is what the user called it."""
+    """Makes a folder and checks that it can be written to; `named` is the path for messages."""
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as stream:
-            stream.write(bytes(_ROOM))
+            stream.write(bytes(_MIN_SPACE))
     except OSError as error:
-        # Unlike `Path.is_file` this never raises, whatever stands in the way.
+        # `Path.is_file` may raise.
         why = "this is a file" if os.path.isfile(folder) else error.strerror  # noqa: PTH113
         raise ConfigurationError(key, str(named or path), f"a folder that can be written to ({why})") from None
     return folder
 
 
 def prepare_file(path: Path, key: str = "--out") -> None:
-    """Makes sure, before anything is computed, that a file can be written afterwards; its folder is made."""
+    """Checks before a computation that its file can be written, and makes the folder."""
     prepare_folder(path.parent, path, key)
     if path.is_dir():
         raise ConfigurationError(key, str(path), "a file, not a folder")
@@ -57,141 +57,145 @@ def prepare_file(path: Path, key: str = "--out") -> None:
 
 @contextmanager
 def prepared_file(path: Path) -> Iterator[None]:
-    """As `prepare_file`; a folder that was made for it and is empty at the end is removed."""
-    made = [folder for folder in path.absolute().parents if not folder.exists()]
+    """As `prepare_file`; new folders that are empty at the end are removed."""
+    new_folders = [folder for folder in path.absolute().parents if not folder.exists()]
     prepare_file(path)
     try:
         yield
     finally:
         with suppress(OSError):
-            for folder in made:
+            for folder in new_folders:
                 folder.rmdir()
 
 
 def check_ending(key: str, path: Path, *endings: str) -> None:
-    """Raises a `ConfigurationError` for a file whose name ends otherwise: the ending says what is written."""
+    """Raises a `ConfigurationError` for a file with another ending."""
     if path.suffix not in endings:
         raise ConfigurationError(key, str(path), f"a name that ends in {' or '.join(endings)}")
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a file as a whole, and its folder where there is none."""
+    """Writes a file, complete or not at all; makes its folder."""
     prepare_file(path)
     write_atomically(path, text.encode())
 
 
-def check_place(scenario: Scenario, out: str | Path, force: bool = False, duration: bool = True) -> Path:
-    """The folder `out`, which has no content but results of the same scenario, or of any with `force`.
+def check_run_folder(scenario: Scenario, out: str | Path, force: bool = False, duration: bool = True) -> Path:
+    """Resolves the folder `out` and checks that it is empty or has results of this scenario; of any with `force`.
 
-    Without `duration` that may differ: on a machine it depends on where that stands.
+    Without `duration` the scenarios' durations may differ: on a machine they depend on its pose at the start.
     """
-    place = Path(os.path.realpath(out))
+    folder = Path(os.path.realpath(out))
     try:
-        # A killed run leaves no more than these.
-        if not place.exists() or all(path.name.endswith((".lock", ".part")) for path in place.iterdir()):
-            return place
-        before = (place / "scenario.yaml").read_bytes() if (place / "scenario.yaml").is_file() else b""
+        # A killed run may leave these files.
+        if not folder.exists() or all(path.name.endswith((".lock", ".part")) for path in folder.iterdir()):
+            return folder
+        old = (folder / "scenario.yaml").read_bytes() if (folder / "scenario.yaml").is_file() else b""
     except OSError as error:
         raise ConfigurationError("--out", str(out), f"a folder that can be written to ({error.strerror})") from None
-    if not before.startswith(_AS_RUN.encode()):
+    if not old.startswith(_HEADER.encode()):
         raise ConfigurationError("--out", str(out), "a new or empty folder, or one with the results of a run")
-    own = _own_files(scenario)["scenario.yaml"]
+    new = _scenario_files(scenario)["scenario.yaml"]
     if not duration:
-        before, own = (re.sub(rb"(?m)^duration: .*$", b"", text) for text in (before, own))
-    if before != own and not force:
+        old, new = (re.sub(rb"(?m)^duration: .*$", b"", text) for text in (old, new))
+    if old != new and not force:
         allowed = "a folder without the results of another scenario, or --force to replace them"
         raise ConfigurationError("--out", str(out), allowed)
-    return place
+    return folder
 
 
 @contextmanager
-def claimed_place(
+def new_run_folder(
     scenario: Scenario, out: str | Path | None = None, force: bool = False, duration: bool = True
 ) -> Iterator[Path]:
-    """A folder that is this process's alone within: `out`, or the first of runs/NAME, runs/NAME-2 and so on.
+    """Makes and locks the results folder of a run: `out`, or the first new one of runs/NAME, runs/NAME-2 and so on.
 
-    A folder that was made for it and is empty at the end is removed.
+    It is unlocked afterwards; a new folder that is then empty is removed.
     """
     if out is None:
-        place, made = prepare_folder("runs") / scenario.name, True
+        folder, is_new = prepare_folder("runs") / scenario.name, True
         for number in itertools.count(2):
             try:
-                place.mkdir()
+                folder.mkdir()
                 break
             except FileExistsError:
-                place = place.with_name(f"{scenario.name}-{number}")
+                folder = folder.with_name(f"{scenario.name}-{number}")
     else:
-        place = Path(os.path.realpath(out))
-        made = not place.exists()
+        folder = Path(os.path.realpath(out))
+        is_new = not folder.exists()
     try:
-        prepare_folder(place, out)
-        with locked_folder(place):
+        prepare_folder(folder, out)
+        with locked_folder(folder):
             if out is not None:
-                check_place(scenario, out, force, duration)
-            yield place
+                check_run_folder(scenario, out, force, duration)
+            yield folder
     finally:
-        if made:
+        if is_new:
             with suppress(OSError):
-                place.rmdir()
+                folder.rmdir()
 
 
-def save_run(log: SimulationLog, place: Path) -> tuple[Path, str | None]:
-    """Writes log.parquet, metrics.json and scenario.yaml, and in code/ the user's classes, in place of an earlier run.
+def save_run(log: SimulationLog, folder: Path) -> tuple[Path, str | None]:
+    """Writes log.parquet, metrics.json, scenario.yaml, and in code/ the user's classes; replaces an earlier run.
 
-    No signal comes between. Where the disk is full they go to a new folder for temporary files. Where they are, and
-    what is to be said of it.
+    Signals wait until all are written. If the disk is full, they go to a new folder for temporary files.
+
+    Returns:
+        The folder, and a line on a full disk, or None.
     """
     with signals_held():
         metrics = json.dumps(run_metrics(log), indent=2, allow_nan=False) + "\n"
-        files = {"log.parquet": log.to_parquet(), "metrics.json": metrics.encode(), **_own_files(log.scenario)}
+        files = {"log.parquet": log.to_parquet(), "metrics.json": metrics.encode(), **_scenario_files(log.scenario)}
+        problem = None
         try:
-            _put(files, place)
+            _write_files(files, folder)
+            used = folder
         except DiskError as error:
-            other = Path(tempfile.mkdtemp(prefix=f"{place.name}-"))
+            used = Path(tempfile.mkdtemp(prefix=f"{folder.name}-"))
             try:
-                _put(files, other)
+                _write_files(files, used)
             except DiskError:
-                shutil.rmtree(other)
+                shutil.rmtree(used)
                 raise error from None
-            (place / JOURNAL).unlink(missing_ok=True)
-            return other, f"{error}; the results are in {other}"
-        (place / JOURNAL).unlink(missing_ok=True)
-    return place, None
+            problem = f"{error}; the results are in {used}"
+        (folder / JOURNAL).unlink(missing_ok=True)
+    return used, problem
 
 
-def begin_journal(scenario: Scenario, place: Path) -> Path:
-    """Where the rows of a run on a machine are to go; what the folder has of an earlier run is removed.
+def begin_journal(scenario: Scenario, folder: Path) -> Path:
+    """Writes the scenario, removes the results of an earlier run, and returns the path of the journal.
 
-    A killed run leaves them with its scenario, and `load_log` opens the folder.
+    `load_log` opens the folder of a killed drive by its journal.
     """
     with signals_held():
-        _put(_own_files(scenario), place, (*_RESULTS, JOURNAL))
-    return place / JOURNAL
+        _write_files(_scenario_files(scenario), folder, (*_RESULTS, JOURNAL))
+    return folder / JOURNAL
 
 
-def _put(files: Mapping[str, bytes], place: Path, old: tuple[str, ...] = ()) -> None:
-    paths = {place / name: content for name, content in files.items()}
+def _write_files(files: Mapping[str, bytes], folder: Path, remove: tuple[str, ...] = ()) -> None:
+    """Writes files, all or none, and removes old pictures, old code and the files `remove`."""
+    paths = {folder / name: content for name, content in files.items()}
     for path in paths:
         path.parent.mkdir(exist_ok=True)
-    before = {*(place / _CODE).glob("*.py"), *(place / name for name in (*_PICTURES, *old))}
-    write_together(paths, before - set(paths))
+    old = {*(folder / _CODE).glob("*.py"), *(folder / name for name in (*_PICTURES, *remove))}
+    write_together(paths, old - set(paths))
     with suppress(OSError):
-        (place / _CODE).rmdir()
+        (folder / _CODE).rmdir()
 
 
-def draw_run(log: SimulationLog, place: Path, graph: str | None = None, plots: bool = True) -> str | None:
-    """Writes diagram.dot, diagram.svg, replay.html, and as plots states.png, torques.png, learnt.png of what it learns.
+def draw_run(log: SimulationLog, folder: Path, graph: str | None = None, plots: bool = True) -> str | None:
+    """Writes diagram.dot, diagram.svg, replay.html, and with `plots` states.png, torques.png and perhaps learnt.png.
 
-    Returns what is missing and why, or None.
+    Returns a line on missing pictures, or None.
     """
     try:
         if graph is not None:
-            _draw_graph(graph, place)
+            _draw_graph(graph, folder)
         if len(log.time):
-            _draw(log, place, plots)
+            _draw(log, folder, plots)
     except (StewartDrakeError, OSError, MemoryError) as error:
-        wanted = [*_PLOTS[: 2 + log.learns], "replay.html"] if plots else ["replay.html"]
-        missing = ", ".join(name for name in wanted if not (place / name).exists())
+        names = [*_PLOTS[: 2 + log.learns], "replay.html"] if plots else ["replay.html"]
+        missing = ", ".join(name for name in names if not (folder / name).exists())
         return f"pictures: {error or 'no memory is left'}; missing: {missing}"
     return None
 
@@ -207,27 +211,27 @@ def _draw(log: SimulationLog, folder: Path, plots: bool) -> None:
     from stewart_drake.runs.replay import write_replay
 
     if plots:
-        # matplotlib takes as long as a run of seconds.
+        # Importing matplotlib takes seconds.
         from stewart_drake.plotting import plot_learnt, plot_states, plot_torques, save_figure
 
         for name, plot in zip(_PLOTS[: 2 + log.learns], (plot_states, plot_torques, plot_learnt), strict=False):
             save_figure(plot(log), folder / name)
-    # Of a run without a finite state there is nothing to replay.
+    # Only finite states can be replayed.
     if np.isfinite(log.signals.get("plant_state", log["pose"])).all(axis=1).any():
         write_replay(log, folder / "replay.html")
 
 
-def _own_files(scenario: Scenario) -> dict[str, bytes]:
-    """The scenario as run, and the files of the user's classes that it runs."""
+def _scenario_files(scenario: Scenario) -> dict[str, bytes]:
+    """scenario.yaml and copies of the user's classes, as content by file name."""
     files: dict[str, bytes] = {}
-    here: dict[str, str] = {}
+    copies: dict[str, str] = {}
     for code in [part.code for part in user_parts(scenario) if part.code.in_file]:
-        # Of a log from elsewhere the code may be gone; then its results do without.
+        # The code of a log from another computer may be missing.
         with suppress(ConfigurationError):
             content, path = read_code(code.place), f"{_CODE}/{Path(code.place).stem}"
-            # Of two files of one name the second gets a number.
+            # A second file of the same name gets a number.
             names = (f"{path}.py", *(f"{path}_{number}.py" for number in range(2, len(files) + 2)))
-            here[str(code)] = next(name for name in names if files.setdefault(name, content) == content)
-            here[str(code)] += f":{code.name}"
-    data = with_texts(scenario.to_dict(), lambda _, text: here.get(text, text))
-    return {"scenario.yaml": (_AS_RUN + to_yaml(data)).encode(), **files}
+            copies[str(code)] = next(name for name in names if files.setdefault(name, content) == content)
+            copies[str(code)] += f":{code.name}"
+    data = with_texts(scenario.to_dict(), lambda _, text: copies.get(text, text))
+    return {"scenario.yaml": (_HEADER + to_yaml(data)).encode(), **files}

@@ -1,4 +1,4 @@
-"""Still pictures of a robot, and the film of a run, by Drake's VTK renderer: no display and no GPU are needed."""
+"""Pictures of a robot and films of runs by Drake's VTK renderer, without a display or a GPU."""
 
 from __future__ import annotations
 
@@ -32,14 +32,15 @@ from stewart_drake.runs.scene import REFERENCE_COLOUR, reference_disc, viewpoint
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-LENS = 32.0  # [deg] vertical field of view
-FRAMES_PER_SECOND, MAX_FRAMES = 20.0, 1200
+LENS = 32.0  # [deg] vertical field of view.
+FRAMES_PER_SECOND = 20.0
+MAX_FRAMES = 1200
 
 
 class Studio:
-    """A robot on a white floor in soft light, before a camera; width and height in pixels.
+    """A robot on a white floor in soft light, and a camera; width and height in pixels.
 
-    `film` is for many pictures: few lights, no shadows, and the reference as a translucent disc.
+    With `film` pictures are fast: few lights, no shadows, and a translucent disc at the reference pose.
     """
 
     def __init__(
@@ -86,10 +87,10 @@ class Studio:
         passes: int = 1,
         progress: Callable[[float], None] = lambda _: None,
     ) -> Image:
-        """The robot in a state of the plant, with the pose (6,) [rad, m] of the reference.
+        """The robot in a state of the plant, with the reference pose (6,) [rad, m].
 
-        VTK knows only hard shadows and rough edges. Many pictures, each under other lights and shifted by a fraction of
-        a pixel, average to soft ones.
+        VTK renders hard shadows and jagged edges. The average of `passes` pictures with different lights, shifted by
+        fractions of a pixel, has soft shadows and smooth edges.
         """
         from PIL import Image
 
@@ -124,7 +125,7 @@ class Studio:
                 default_clear_color=[1.0, 1.0, 1.0], lights=lights, cast_shadows=not self._film, shadow_map_size=1024
             )
             self._scene_graph.AddRenderer(self._scene, f"studio {number}", geometry.MakeRenderEngineVtk(engine))
-        # A renderer added to a Context learns where things are from the next change of the state only.
+        # A renderer added to a Context gets the poses at the next change of the state.
         plant = self.stewart.plant
         plant.SetPositions(self._plant_context, plant.GetPositions(self._plant_context).copy())
 
@@ -141,7 +142,7 @@ def render_png(
 ) -> None:
     """Writes a PNG of the robot at a pose (6,) [rad, m]; more `passes` give softer shadows and smoother edges.
 
-    `progress` gets the number of passes done. It needs the system's libEGL.
+    `progress` gets the number of finished passes. The system's libEGL is needed.
     """
     studio = Studio(robot, width, height)
     studio.picture(studio.stewart.assemble(pose), passes=passes, progress=progress).save(path)
@@ -155,14 +156,14 @@ def write_film(
     width: int = 480,
     progress: Callable[[float], None] = lambda _: None,
 ) -> None:
-    """Writes the motion of a run as an animated picture, with clock and error.
+    """Writes the motion of a run as a film, with time and error.
 
     Args:
         log: A run, completed or not.
-        path: Ends in .gif, or in .mp4 where the program ffmpeg is installed.
-        frames_per_second: [1/s]; less where there would be more than `MAX_FRAMES` of them.
+        path: Ends in .gif, or in .mp4 if the program ffmpeg is installed.
+        frames_per_second: [1/s]; lower if there would be more than `MAX_FRAMES`.
         width: [px].
-        progress: Gets the time [s] that is drawn.
+        progress: Gets the time [s] of the latest frame.
 
     Raises:
         ConfigurationError: Another ending, no ffmpeg, no row of finite state, or a folder that cannot be written to.
@@ -181,7 +182,7 @@ def film_frames(
     width: int = 480,
     progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[list[Image], float]:
-    """The pictures of a film, and how many of them make a second; arguments and errors as of `write_film`."""
+    """Frames of a film and their rate [1/s]; arguments and errors as in `write_film`."""
     states = log.signals.get("plant_state")
     usable = np.flatnonzero(np.isfinite(log["pose"] if states is None else states).all(axis=1))
     if len(usable) == 0:
@@ -194,7 +195,7 @@ def film_frames(
     rotation, position = log.error_norms
     frames: list[Image] = []
     with drake_guard("rendering the film"):
-        # Drawn twice as large: its edges become smooth.
+        # Rendered at twice the size, for smooth edges.
         size = width, width * 5 // 6
         studio = Studio(log.scenario.robot, 2 * size[0], 2 * size[1], log.scenario.plant.rod_joint, film=True)
         for row in rows:
@@ -206,7 +207,7 @@ def film_frames(
 
 
 def save_film(frames: list[Image], rate: float, path: Path) -> None:
-    """Writes pictures, `rate` of them a second, as .gif or .mp4."""
+    """Writes frames at a rate [1/s] as .gif or .mp4."""
     write_atomically(path, _gif(frames, rate) if path.suffix == ".gif" else _mp4(frames, rate))
 
 
@@ -231,7 +232,7 @@ def _captioned(image: Image, name: str, time: float, rotation: float, position: 
 def _gif(frames: list[Image], rate: float) -> bytes:
     from PIL import Image
 
-    # One palette for all frames, without dithering: what does not move stays the same, and the file small.
+    # One palette for all frames, without dithering: pixels at rest do not change, which keeps the file small.
     palette = frames[len(frames) // 2].quantize(128, method=Image.Quantize.MEDIANCUT)
     reduced = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     stream = io.BytesIO()
@@ -269,7 +270,7 @@ def _painted(color: geometry.Rgba) -> geometry.PerceptionProperties:
 
 
 def _add_floor(scene_graph: geometry.SceneGraph, source: geometry.SourceId, robot: RobotParameters) -> None:
-    """A white disc just below the base, or below the cranks where they hang lower at home."""
+    """A white disc just below the base, or below the cranks if they are lower at home."""
     tips = robot.shaft_positions[:, 2] + robot.crank_lengths * leg_geometry(robot, robot.home_pose).crank[:, 2]
     top = min(robot.base_height - 6.0 * robot.link_radius, float(tips.min()) - 3.0 * robot.link_radius)
     thickness = 0.01
@@ -283,13 +284,13 @@ def _add_floor(scene_graph: geometry.SceneGraph, source: geometry.SourceId, robo
 
 
 def _studio_lights(passes: int, per_pass: int) -> list[list[geometry.LightParameter]]:
-    """Lights of each pass: samples of a lamp above, of a lamp round the camera, and of a bright sky."""
+    """Lights by pass: samples of a lamp above, of a lamp around the camera, and of a bright sky."""
     spread = _spread(passes * per_pass)
     angle = 2.0 * np.pi * spread[:, 1]
     disc = np.sqrt(spread[:, :1]) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     one = np.ones((len(disc), 1))
-    # Directions in which light travels; those of the sky fill a hemisphere, denser towards its top (Lambert's law). The
-    # intensities together light the floor just white, like the background.
+    # Directions of the light; those of the sky fill a hemisphere, denser towards its top (Lambert's law). With these
+    # intensities the floor is as white as the background.
     sky = 0.97 * disc
     groups = (
         ("world", 0.56, np.hstack([0.1 * disc + [-0.3, 0.38], -one])),

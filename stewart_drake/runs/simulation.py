@@ -1,4 +1,4 @@
-"""Running a scenario: one run, one log."""
+"""Simulates a scenario and returns its log."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from stewart_drake.runs.engine import Run, SteppedRun
 from stewart_drake.safety import first_trip
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
-CHUNK = 0.05  # [s] simulated time between two calls of `progress`.
+PROGRESS_INTERVAL = 0.05  # [s] of simulated time between two calls of `progress`.
 
 
 def run_of(scenario: Scenario) -> Run:
-    """What runs the scenario's kind of plant."""
+    """The run of a scenario, by its kind of plant."""
     if not scenario.plant.in_diagram:
         return SteppedRun(scenario)
-    # Drake takes seconds to import.
+    # Importing Drake takes seconds.
     from stewart_drake.runs.diagram_run import DiagramRun
 
     return DiagramRun(scenario)
@@ -47,18 +47,18 @@ def run(
 ) -> SimulationLog:
     """Simulates a scenario, `run("paper_fig7")`.
 
-    A run that breaks midway does not raise: its log so far comes back, with how it ended, see `outcomes.OUTCOMES`.
+    A run that fails midway does not raise; its log has the rows so far and the outcome, see `outcomes.OUTCOMES`.
 
     Args:
-        scenario: What to run; a file, or the name of a shipped one, is read.
-        progress: Called with the simulated time [s] regularly; its exceptions pass through, but KeyboardInterrupt,
-            which ends the run as Ctrl-C does.
-        check: Check the reference against `scenario.limits` first.
-        prepared: What `run_of` has made of this scenario, closed afterwards; None makes one.
+        scenario: A scenario, a file, or the name of a shipped one.
+        progress: Called regularly with the simulated time [s]. A KeyboardInterrupt from it ends the run; other
+            exceptions pass through.
+        check: Whether to check the reference against `scenario.limits` first.
+        prepared: The result of `run_of` for this scenario, closed afterwards; None makes one.
 
     Raises:
-        ConfigurationError: Found before the run: an invalid scenario, a motion that the robot cannot do, or `prepared`
-            is of another scenario or has run.
+        ConfigurationError: The scenario is invalid, the robot cannot do the motion, or `prepared` is of another
+            scenario or was used before.
         UnreachablePoseError: The start pose is out of reach, with `check` off.
     """
     if isinstance(scenario, (str, Path)):
@@ -70,13 +70,13 @@ def run(
         got = f"one of {prepared.scenario.name}{' that has run' if prepared.closed else ''}"
         raise ConfigurationError("prepared", got, "what run_of has made of this scenario, for this run alone")
     prepared = run_of(scenario) if prepared is None else prepared
-    # What lies on the disk now is what the run is made of.
+    # Digests before the run, as a file may change during it.
     files = file_digests(scenario.to_dict())
     try:
         return _simulate(prepared, scenario, files, progress)
     except BaseException as error:
-        # A notebook keeps the traceback. Its frames hold views of Contexts that are gone, and pydrake would hand one of
-        # those out for the next Context at the same address: a crash.
+        # A notebook keeps the traceback, and its frames views of freed Contexts. pydrake would return such a view for
+        # the next Context at the same address, and crash.
         traceback.clear_frames(error.__traceback__)
         raise
     finally:
@@ -90,12 +90,12 @@ def _simulate(
     with drake_guard("preparing the simulator"), guard:
         prepared.prepare()
     total = int(scenario.duration / time_step + 1e-6)
-    chunk = max(1, int(CHUNK / time_step))
+    chunk = max(1, int(PROGRESS_INTERVAL / time_step))
     ended_by: RunFailure | KeyboardInterrupt | None = None
     start = time.perf_counter()
     try:
         for done in (*range(chunk, total, chunk), total):
-            # What `progress` raises is not ours, so it stays outside of the guard.
+            # `progress` is outside of the guard, so that its exceptions stay as they are.
             with drake_guard("simulation"), guard, np.errstate(all="ignore"):
                 prepared.advance(done)
             if progress is not None:
@@ -112,9 +112,9 @@ def _simulate(
         trip = first_trip(prepared.safety_state(), scenario.controller.period, scenario.safety.monitor_names)
     when = ended_by.time if isinstance(ended_by, RunFailure) else None
     end_time = _nominal(prepared.time if when is None else when, time_step)
-    # A second Ctrl-C does not lose what the first has ended.
+    # A second Ctrl-C must not lose the log.
     with signals_held() as held, np.errstate(all="ignore"):
-        # Metrics and outcome are those of every step of the plant, whatever rows the log keeps.
+        # Metrics and outcome use all steps of the plant; the log has one row per stride.
         rows = RunRows(scenario, prepared.signals())
         fields = assessed(rows, trip, end_time, ended_by)
         if held and ended_by is None:
@@ -141,10 +141,10 @@ def _simulate(
 
 @cache
 def _versions() -> dict[str, str | None]:
-    """Of what runs in this process: it goes on with the code that it has loaded."""
+    """Versions at the first run: a process continues with the code that it has loaded."""
     return collect_versions()
 
 
 def _nominal(time_on_grid: float, time_step: float) -> float:
-    """Simulated time without the rounding of `sampling.on_grid`."""
+    """Simulated time [s] as a multiple of the step, without the rounding of `sampling.on_grid`."""
     return float(times_of(np.round(time_on_grid / time_step), time_step))

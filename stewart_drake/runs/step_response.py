@@ -1,4 +1,4 @@
-"""The step response of the whole loop: a run that starts beside the pose that it is to hold."""
+"""Step response of the nonlinear loop: a run that starts at an offset from a constant reference."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from stewart_drake.logs.outcomes import describe_outcome
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
-_SIZE = 0.01  # [rad], or times the characteristic length.
+_DEFAULT_SIZE = 0.01  # [rad], or times the characteristic length.
 
 
 def step(scenario: Scenario | str | Path, axis: str = "Z", size: float | None = None) -> StepResponse:
-    """The response of a scenario's nonlinear loop to a step of the wanted pose.
+    """Response of a scenario's nonlinear loop to a step of the reference.
 
     Args:
-        scenario: A scenario, its file or its name; its motion gives the pose at t = 0, its duration counts.
+        scenario: A scenario, its file or its name; the step ends at the pose of its motion at t = 0.
         axis: roll, pitch, yaw, X, Y or Z.
         size: [rad] or [m] of the step; None takes 0.01 rad, or a hundredth of the characteristic length.
 
@@ -32,13 +32,12 @@ def step(scenario: Scenario | str | Path, axis: str = "Z", size: float | None = 
         scenario = load_scenario(scenario)
     number, offset = COORDINATES.index(axis), [0.0] * 6
     if size is None:
-        size = _SIZE * (1.0 if number < 3 else scenario.robot.characteristic_length)
+        size = _DEFAULT_SIZE * (1.0 if number < 3 else scenario.robot.characteristic_length)
     if size == 0.0:
         raise ConfigurationError("size", size, "a number other than 0")
     offset[number] = -size
-    pose = [float(each) for each in scenario.start()[0]]
-    changed = scenario.replace({"reference": {"kind": "hold", "pose": pose}, "initial_offset": offset})
-    log = run(changed)
+    pose = scenario.start()[0].tolist()
+    log = run(scenario.replace({"reference": {"kind": "hold", "pose": pose}, "initial_offset": offset}))
     if log.status != "completed":
         outcome = describe_outcome(log.status, log.reason, log.outcome_time)
         raise RunFailure(f"{outcome}: such a run has no step response", reason="step")

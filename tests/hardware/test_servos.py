@@ -16,7 +16,7 @@ from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.plotting.run_plots import plot_torques
-from stewart_drake.runs.checks import beliefs
+from stewart_drake.runs.checks import compared_with_model
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario.controller import Controller
 from stewart_drake.scenario.scenario import Scenario, load_scenario
@@ -262,7 +262,7 @@ def test_what_motors_take_must_be_believed(motors, believed):
 
 def test_a_check_says_what_is_believed_of_servos():
     changes = {"model.motors": {"kind": "position", "stiffness": 1.3}}
-    rows = beliefs(load_scenario("reachy_nod").replace({**REACHY, **changes}))
+    rows = compared_with_model(load_scenario("reachy_nod").replace({**REACHY, **changes}))
     assert ("motors", "position", "position") in rows
     assert ("motors.stiffness", "1 N m/rad", "1.3 N m/rad") in rows
 

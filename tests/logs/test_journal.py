@@ -18,7 +18,7 @@ ROWS = 40
 
 
 def row(number):
-    still = {"reference": np.concatenate([HOME, np.zeros(12)]), "reading": ANGLES, "told_pose": np.full(6, np.nan)}
+    still = {"reference": np.concatenate([HOME, np.zeros(12)]), "reading": ANGLES, "reported_pose": np.full(6, np.nan)}
     return {
         "time": 0.005 * number,
         **still,

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from stewart_drake.logs.rows import Rows, side_by_side
+from stewart_drake.logs.rows import Rows, row_layout
 
-PLACES = side_by_side({"time": (), "pose": (6,)}) | {"weights": np.array([1.0, 2.0])}
+PLACES = row_layout({"time": (), "pose": (6,)}) | {"weights": np.array([1.0, 2.0])}
 
 
-def filled(count, most=None):
-    rows = Rows(PLACES, most)
+def filled(count, max_rows=None):
+    rows = Rows(PLACES, max_rows)
     for number in range(count):
         rows.append(np.full(7, float(number)))
     return rows
@@ -23,7 +23,7 @@ def test_rows_come_back_by_name():
 
 def test_with_a_limit_the_latest_are_kept():
     for count in (1, 1023, 1024, 1025, 5000):
-        rows = filled(count, most=1000)
+        rows = filled(count, max_rows=1000)
         time = rows.columns()["time"]
         assert len(time) == len(rows) >= min(count, 1000)
         np.testing.assert_array_equal(time, np.arange(count - len(rows), count))

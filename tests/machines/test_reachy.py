@@ -13,7 +13,7 @@ from made_machines import SERVOS, go_on
 from stewart_drake.base.errors import MissingPackageError
 from stewart_drake.machines.machine import MachineError, open_machine
 from stewart_drake.mechanics.kinematics import forward_kinematics
-from stewart_drake.reachy.machine import COUNTED
+from stewart_drake.reachy.machine import PERIOD_TICKS
 
 websockets = pytest.importorskip("websockets")
 STATUS, *MESSAGES = (Path(__file__).parent / "reachy_messages.jsonl").read_text(encoding="utf-8").splitlines()
@@ -178,7 +178,7 @@ def test_it_opens_again(machine):
     for _ in range(3):
         machine.disconnect()
         machine.connect()
-        assert machine.read().number < COUNTED + 5
+        assert machine.read().number < PERIOD_TICKS + 5
 
 
 @pytest.mark.parametrize(("url", "package"), [("reachy://", "websockets"), ("serial:/dev/ttyACM0", "serial")])

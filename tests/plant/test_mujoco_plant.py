@@ -26,7 +26,7 @@ from stewart_drake.plant.mujoco_plant import MujocoOptions
 from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES, POSE, RATE
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_files import load_robot, robot_model
-from stewart_drake.runs.checks import beliefs
+from stewart_drake.runs.checks import compared_with_model
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario.scenario import load_scenario
 
@@ -208,7 +208,7 @@ def test_what_blows_up_is_said_without_a_file_of_mujocos(tmp_path, monkeypatch):
 @makers
 def test_the_makers_model_is_the_robot_that_we_believe():
     scenario = load_scenario("reachy_nod").replace({"plant": {"kind": "mujoco", "model_file": "reachy_mini"}})
-    rows = {name: (simulated, believed) for name, simulated, believed in beliefs(scenario)}
+    rows = {name: (simulated, believed) for name, simulated, believed in compared_with_model(scenario)}
     misfit = next(name for name in rows if name.startswith("misfit"))
     assert float(rows[misfit][0].removesuffix(" mm")) < 0.001
     for key in ("platform_mass", "rod_mass", "crank_mass"):

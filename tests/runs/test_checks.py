@@ -121,7 +121,7 @@ def test_motors_as_sold_give_less_at_speed_than_the_robots_limit():
 
 
 def test_motions_that_have_passed_are_remembered_and_not_for_ever(monkeypatch):
-    monkeypatch.setattr(checks, "_KEPT", 3)
+    monkeypatch.setattr(checks, "_MAX_PASSED", 3)
     monkeypatch.setattr(checks, "_PASSED", set())
     for duration in (0.1, 0.2, 0.3, 0.4, 0.4):
         checks.check_scenario(Scenario(reference="hold", duration=duration))

@@ -12,7 +12,7 @@ from stewart_drake.machines.machine import MachineError, Reading
 from stewart_drake.machines.simulated import SimulatedRobot
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.references.paced import RAMP
-from stewart_drake.runs.drive import APPROACH_SPEED, HOLD, Drive, connected
+from stewart_drake.runs.drive import APPROACH_SPEED, HOLD_TIME, Drive, connected
 from stewart_drake.runs.replay import write_replay
 
 SERVOS = {
@@ -90,7 +90,7 @@ def test_it_comes_from_where_the_robot_stands_to_the_motion_and_rests_at_its_end
     log = Drive(BASE, machine, start).run()
     assert (log.status, machine.gone) == ("completed", True)
     np.testing.assert_allclose(log["reference"][0], ROTATED, atol=1e-6)
-    assert log.end_time == pytest.approx(start.motion.approach + 2.0 + RAMP + HOLD, abs=0.05)
+    assert log.end_time == pytest.approx(start.motion.approach + 2.0 + RAMP + HOLD_TIME, abs=0.05)
     np.testing.assert_allclose(log["reference"][-1], BASE.reference.evaluate(2.0)[0], atol=1e-9)
     speeds = np.diff(machine.commands, axis=0) / 0.02
     assert np.abs(speeds[: int(start.motion.approach / 0.02)]).max() < 0.7
@@ -179,7 +179,7 @@ def test_what_goes_wrong_slows_it_down_on_its_path_and_is_told(event, status, re
     machine = Servos(at=130, event=event)
     log = driven(machine, BASE.replace({"duration": 10.0}))
     assert (log.status, log.reason, machine.gone) == (status, reason, True)
-    assert log.end_time < 130 * 0.02 + RAMP + HOLD + 0.7
+    assert log.end_time < 130 * 0.02 + RAMP + HOLD_TIME + 0.7
     moved = np.abs(np.diff(machine.commands, axis=0)).max(axis=1)
     assert moved.max() < 0.12
     assert bool(moved[-5:].max() < 0.01) == rests

@@ -17,7 +17,7 @@ from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.versions import source_digest
 from stewart_drake.runs import outputs
-from stewart_drake.runs.outputs import claimed_place, draw_run, prepare_file, save_run
+from stewart_drake.runs.outputs import draw_run, new_run_folder, prepare_file, save_run
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 from stewart_drake.systems.diagram import build_diagram
@@ -31,7 +31,7 @@ def names(folder):
 
 
 def write(log, out=None, graph=None, force=False, draw=outputs._draw_graph):
-    with claimed_place(log.scenario, out, force) as place:
+    with new_run_folder(log.scenario, out, force) as place:
         assert save_run(log, place) == (place, None)
         if graph is not None:
             draw(graph, place)
@@ -73,12 +73,12 @@ def test_without_a_place_each_run_gets_the_next_number(tmp_path, monkeypatch):
 def test_a_place_is_taken_before_the_run_and_left_as_it_was_where_nothing_comes_of_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     first, other = made_log().scenario, made_log(scenario={"gravity": 0.0}).scenario
-    with claimed_place(first, "out"), claimed_place(first) as one, claimed_place(first) as two:
+    with new_run_folder(first, "out"), new_run_folder(first) as one, new_run_folder(first) as two:
         assert (one, two) == (Path("runs/made"), Path("runs/made-2"))
         for force in (False, True):
             with (
                 pytest.raises(ConfigurationError, match="no other process is using"),
-                claimed_place(other, "out", force),
+                new_run_folder(other, "out", force),
             ):
                 pass
     assert names(tmp_path) == {"runs"}
@@ -139,15 +139,15 @@ def test_on_a_full_disk_the_results_of_before_stay_and_the_new_ones_go_elsewhere
 ):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     write(made_log(), tmp_path / "out")
-    log, whole, full = made_log(wall_time=3.0), outputs._put, DiskError("log.parquet: No space left on device")
+    log, whole, full = made_log(wall_time=3.0), outputs._write_files, DiskError("log.parquet: No space left on device")
 
     def full_in_out(files, place):
         if place.name == "out":
             raise full
         whole(files, place)
 
-    monkeypatch.setattr(outputs, "_put", full_in_out)
-    with claimed_place(log.scenario, tmp_path / "out") as place:
+    monkeypatch.setattr(outputs, "_write_files", full_in_out)
+    with new_run_folder(log.scenario, tmp_path / "out") as place:
         other, problem = save_run(log, place)
     assert (load_log(tmp_path / "out").wall_time, load_log(other).wall_time) == (2.0, 3.0)
     assert problem == f"{full}; the results are in {other}"

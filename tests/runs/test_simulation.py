@@ -58,14 +58,14 @@ def test_a_run_that_breaks_at_its_first_tick_has_a_log_without_rows(tmp_path, ki
 
 def breaking_at(monkeypatch, tick, error):
     # The first tick of all is taken before the run, in which numba compiles.
-    count, real = itertools.count(-1), PartSystem._ticked
+    count, real = itertools.count(-1), PartSystem._compute
 
     def ticked(self, *rest):
         if self.part.name == "controller" and next(count) == tick:
             raise error
         return real(self, *rest)
 
-    monkeypatch.setattr(PartSystem, "_ticked", ticked)
+    monkeypatch.setattr(PartSystem, "_compute", ticked)
 
 
 @pytest.mark.parametrize(
