@@ -325,7 +325,7 @@ class _AtRest:
         return pose, np.zeros_like(rate), np.zeros_like(acceleration)
 
 
-def _unit_hints(section: object, key: str = "") -> list[str]:
+def _unit_hints(section: Section, key: str = "") -> list[str]:
     """A sentence for each number of a section that is larger than its unit allows, but not in a smaller unit."""
     hints = []
     for name in section.__pydantic_fields__:
