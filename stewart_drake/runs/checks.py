@@ -62,7 +62,8 @@ def check_scenario(scenario: Scenario) -> None:
         try:
             report.raise_if_infeasible()
         except InfeasibleReferenceError as error:
-            hints = _unit_hints(scenario.reference) or _length_hint(scenario)
+            hints = _unit_hints(scenario.reference) if isinstance(scenario.reference, Section) else []
+            hints = hints or _length_hint(scenario)
             hints = hints or _remedies(scenario, report, error.limit)
             error.allowed = "; ".join([error.allowed, *hints])
             raise
