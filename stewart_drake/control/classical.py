@@ -1,13 +1,14 @@
-"""Classical controllers: PID on the crank angles, which most such robots have, and computed torque in task space."""
+"""Classical controllers: PID of the crank angles, which most such robots have, and computed torque in task space."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
 from stewart_drake.base.config import NotNegative, Period, Positive
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Mat6x1, Record, TickResult, Vec2, Vec6, Vec12, Vec18, record
 from stewart_drake.control.base import (
     AT_REFERENCE,
     DERIVATIVE,
@@ -15,6 +16,7 @@ from stewart_drake.control.base import (
     INTEGRAL,
     PROPORTIONAL,
     ControllerOptions,
+    Saturation,
     controller_part,
     heave_inertia,
     limit_and_integrate,
@@ -28,13 +30,14 @@ from stewart_drake.mechanics.kinematics_laws import (
     PARALLEL,
     UNREACHABLE,
     Legs,
+    Robot,
     crank_jacobian,
     crank_rates,
     legs_at,
     robot_record,
     twist_of,
 )
-from stewart_drake.mechanics.linear_algebra import solve
+from stewart_drake.mechanics.linear_algebra import multiply, solve
 
 # --- PID of the cranks -----------------------------------------------------------------------------------------------
 
@@ -46,9 +49,9 @@ class PidOptions(ControllerOptions):
     4e5, 30, 4e7, 1 and a weight length of 0.11 m. With the inertia M of heave and J = d(theta)/dZ, an acceleration gain
     k becomes k M / (6 J^2) at each crank. A scenario scales the gains to another robot by its M / sum J^2.
 
-    For a slow bus: inertia robot, feedforward motion, derivative difference and sticking. Nothing but the reading
-    itself is then fed back, neither a model's rate nor its disturbance: at 100 Hz with a tick of delay what a wrong
-    model says comes too late to be mended.
+    For a slow bus: inertia robot, feedforward motion, derivative difference and sticking. Only the reading is then fed
+    back, not the rate or the disturbance of a model: at 100 Hz with a tick of delay, errors of the model are corrected
+    too late.
     """
 
     saturation: ClassVar[str] = "clamp"
@@ -63,30 +66,29 @@ class PidOptions(ControllerOptions):
     kd: Annotated[NotNegative, DERIVATIVE] = 0.624
     """[N m s/rad] derivative gain, on the error of a crank's rate."""
     inertia: Literal["diagonal", "robot"] = "diagonal"
-    """What makes torques of errors. diagonal: the gains alone. robot: the inertia that the cranks feel at the reference
-    too, so that all motions answer as heave at home does."""
+    """Matrix from errors to torques. diagonal: gains alone. robot: gains times the inertia at the cranks, at the
+    reference, so that all motions respond as heave at home does."""
     feedforward: Literal["none", "gravity", "motion"] = "gravity"
     """Torque added to the feedback. none: nothing. gravity: static torque of all bodies at the measured pose. motion:
-    inverse dynamics of the reference at the time when the command acts; the feedback is that of now."""
+    inverse dynamics of the reference at the time when the command acts; the feedback uses the reference of now."""
     derivative: Literal["rate", "difference"] = "rate"
-    """Rate of a crank's error. rate: from the measured rate of the pose. difference: of the error from tick to tick."""
+    """Rate of a crank's error. rate: from the measured rate of the pose. difference: difference of the error."""
     sticking: NotNegative = 0.0
-    """[N m/rad] torque for the way that the reference goes on while a crank sticks, such as 4; 0 for none. It grows
-    until the crank breaks away, the less so, the better its friction is known by what learns."""
+    """[N m/rad] torque over the travel of the reference while a crank sticks, such as 4; 0 for none. It grows until the
+    crank breaks away, more slowly where an adaptive law knows the friction better."""
     dead_band: NotNegative = 0.0
-    """[counts] of the encoders, such as 2.5. A crank that is to rest and is less far off is right; its integral
-    stays."""
+    """[counts] of the encoders, such as 2.5. The integral of a crank stays while its reference rests and its error is
+    smaller."""
 
     @property
     def looks_ahead(self) -> bool:
-        """Whether its `reference` is that of when its command acts."""
+        """Whether its `reference` is the one of the time when its command acts."""
         return self.feedforward == "motion"
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         robot, by_robot = context.robot, self.inertia == "robot"
         scale = 1.0 / heave_inertia(robot) if by_robot else 1.0
-        params = new_record(
-            _PID,
+        params = PidParams.new(
             self,
             **{name: scale * getattr(self, name) for name in ("kp", "ki", "kd")},
             gravity=context.gravity,
@@ -94,53 +96,80 @@ class PidOptions(ControllerOptions):
             by_robot=by_robot,
             by_difference=self.derivative == "difference",
             count=max(context.noise * np.sqrt(12.0), 1e-4),
-            fade=np.exp(-self.period / FADES),
+            fade=np.exp(-self.period / FADE_TIME),
             **saturation_params(self, robot),
         )
         numbers = {"robot": robot_record(robot), "doubt": np.ones(6), "params": params}
-        part = controller_part(pid_tick, robot, params, PID_STATE, Legs, Legs)
+        part = controller_part(pid_tick, robot, params, PidState, Legs, Legs)
         return (part._replace(inputs={**part.inputs, "reference_now": 18}, parameters=numbers),)
 
 
 GRAVITY, MOTION = 1.0, 2.0
 MOVED, PASSED = 1.5, 3.0
-"""[counts] of the encoders beyond which a crank has moved; that the reference must have passed it."""
-SLOW = 1e-4  # [rad/s] a crank that is to turn more slowly is to rest.
-FADES = 0.3  # [s] time constant with which a torque against sticking fades once the crank has broken away.
-PID_STATE = fields(
-    torque=6, health=2, crank_integral=6, error=6, against=6, anchor=6, passed=6, turning=6, wanted=6, ticks=()
-)
-"""torque [N m]. crank_integral, error: of the crank angles [rad s, rad]. against: torque that grows while a crank
-sticks [N m]. anchor: angle of a crank when it last moved, passed: of the reference then, turning: the sign of its rate,
-wanted: its angle at the tick before [rad]. ticks: done."""
-_PID = fields(
-    period=(), gravity=(), kp=(), ki=(), kd=(), feedforward=(), by_robot=(), by_difference=(), sticking=(),
-    dead_band=(), count=(), fade=(), limit=6, clamp=(),
-)  # fmt: skip
-"""count: [rad] of an encoder. fade: share of a torque against sticking that a tick leaves."""
+"""[counts] of the encoders. A crank has moved beyond the first; it sticks if the reference then travels the second."""
+SLOW = 1e-4  # [rad/s] a reference that turns a crank more slowly is at rest.
+FADE_TIME = 0.3  # [s] time constant with which the torque against sticking fades after the crank has broken away.
+
+
+class PidState(Record):
+    """State of the PID."""
+
+    torque: Vec6  # [N m]
+    health: Vec2  # See `loop.part.HEALTHY`.
+    crank_integral: Vec6  # [rad s] integral of the errors, for the next tick.
+    error: Vec6  # [rad] crank angles minus those of the reference.
+    stick_torque: Vec6  # [N m] torque that grows while a crank sticks.
+    last_moved: Vec6  # [rad] angle of a crank when it last moved.
+    reference_at_move: Vec6  # [rad] angle of the reference at that time.
+    direction: Vec6  # Sign of the reference's crank rate; 0 at rest.
+    reference_angle: Vec6  # [rad] angle of the reference.
+    ticks: float  # Ticks done.
+
+
+class PidParams(Saturation):
+    """Parameters of the PID: numbers of `PidOptions`, gains over the inertia of heave with `inertia: robot`."""
+
+    gravity: float  # [m/s^2]
+    kp: float  # [N m/rad], [1/s^2] with `inertia: robot`; ki and kd likewise.
+    ki: float  # [N m/(rad s)]
+    kd: float  # [N m s/rad]
+    feedforward: float  # 0 for none, GRAVITY or MOTION.
+    by_robot: float  # 1 for `inertia: robot`.
+    by_difference: float  # 1 for `derivative: difference`.
+    sticking: float  # [N m/rad]
+    dead_band: float  # [counts]
+    count: float  # [rad] of an encoder.
+    fade: float  # Factor by which the torque against sticking fades in a tick.
 
 
 @njit
 def pid_tick(
-    robot: Any, doubt: Any, params: Any, measurement: Any, reference: Any, reference_now: Any, legs: Any,
-    target_legs: Any, state: Any,
-) -> Any:  # fmt: skip
+    robot: Robot,
+    doubt: Vec6,
+    params: PidParams,
+    measurement: Vec12,
+    reference: Vec18,
+    reference_now: Vec18,
+    legs: Legs,
+    target_legs: Legs,
+    state: PidState,
+) -> TickResult:
     """T = T_feedforward - M (kp e + kd e' + ki z) with e = theta(pose) - theta(reference), wrapped to half a turn.
 
-    M is 1, or the inertia (J M^-1 J')^-1 that the cranks feel, over that of heave at home. Crank angles by inverse
-    kinematics, their rates by the Jacobian, of the measurement and of the reference alike. The integral changes after
-    it has been used, see `limit_and_integrate`.
+    M is 1, or the inertia (J M^-1 J')^-1 at the cranks over that of heave at home. Crank angles of measurement and
+    reference are by inverse kinematics, their rates by the Jacobian. The integral changes after it has been used, see
+    `limit_and_integrate`.
 
     Args:
-        robot: robot as the controller believes it to be.
-        doubt: (6,) how unknown the Coulomb friction of each motor is, 1 at first.
-        params: Numbers of `PidOptions`, gains over the inertia of heave where they pass that of the robot.
+        robot: The controller's model.
+        doubt: (6,) uncertainty of the Coulomb friction of each motor, 1 at first.
+        params: Options.
         measurement: (12,) pose and rate now.
-        reference: (18,) of the feedforward.
-        reference_now: (18,) of the feedback.
-        legs: `Legs` of the measurement, overwritten.
-        target_legs: `Legs` of the reference, overwritten.
-        state: `PID_STATE` of the tick before; that of this one where the status is OK.
+        reference: (18,) for the feedforward.
+        reference_now: (18,) for the feedback.
+        legs: Of the measurement, overwritten.
+        target_legs: Of the reference, overwritten.
+        state: Of the tick before; of this one where the status is OK.
 
     Returns:
         Status of `base.STATUSES`; leg or -1; margin.
@@ -166,7 +195,7 @@ def pid_tick(
     crank_rates(legs, twist, rates)
     twist_of(reference_now[:6], reference_now[6:12], twist)
     crank_rates(target, twist, target_rates)
-    feedback, counted, integral = np.empty((6, 1)), np.empty(6), state.crank_integral[:]
+    feedback, integral_error, integral = np.empty((6, 1)), np.empty(6), state.crank_integral[:]
     for i in range(6):
         sine = legs.sine[i] * target.cosine[i] - legs.cosine[i] * target.sine[i]
         error = np.arctan2(sine, legs.cosine[i] * target.cosine[i] + legs.sine[i] * target.sine[i])
@@ -176,28 +205,30 @@ def pid_tick(
         state.error[i] = error
         feedback[i, 0] = params.kp * error + params.kd * change + params.ki * integral[i]
         rests = abs(target_rates[i]) < SLOW and abs(error) < params.dead_band * params.count
-        counted[i] = 0.0 if rests else error
+        integral_error[i] = 0.0 if rests else error
         if params.sticking > 0.0:
             angle = np.arctan2(legs.sine[i], legs.cosine[i])
-            _stick(params, doubt[i], i, angle, angle - error, target_rates[i], state)
+            _update_stick_torque(params, doubt[i], i, angle, angle - error, target_rates[i], state)
     if params.by_robot == 1.0 and not _through_inertia(robot, target, feedback):
         return AT_REFERENCE + PARALLEL, -1, 0.0
     for i in range(6):
-        wanted[i] += state.against[i] * state.turning[i] - feedback[i, 0]
+        wanted[i] += state.stick_torque[i] * state.direction[i] - feedback[i, 0]
     state.ticks += 1.0
-    return limit_and_integrate(params, wanted, counted, True, state.torque[:], integral)
+    return limit_and_integrate(params, wanted, integral_error, True, state.torque[:], integral)
 
 
 @njit
-def _through_inertia(robot: Any, legs: Any, column: Any) -> bool:
-    """(J M^-1 J')^-1 times a column (6, 1), in its place: J'^-1 M J^-1; False where there is none."""
-    jacobian, inertia = np.empty((6, 6)), np.empty((6, 6))
+def _through_inertia(robot: Robot, legs: Legs, column: Mat6x1) -> bool:
+    """Multiplies a column (6, 1) by (J M^-1 J')^-1 = J'^-1 M J^-1, in place; False at a singularity."""
+    jacobian, transposed, inertia, torque = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 1))
     crank_jacobian(legs, jacobian)
     task_inertia(robot, legs, inertia)
-    transposed = np.ascontiguousarray(jacobian.T)
+    for i in range(6):
+        for k in range(6):
+            transposed[k, i] = jacobian[i, k]
     if solve(jacobian, column) == 0.0:
         return False
-    torque = inertia @ column
+    multiply(inertia, column, torque)
     if solve(transposed, torque) == 0.0:
         return False
     for i in range(6):
@@ -206,21 +237,26 @@ def _through_inertia(robot: Any, legs: Any, column: Any) -> bool:
 
 
 @njit
-def _stick(params: Any, doubt: float, leg: int, angle: float, wanted: float, rate: float, state: Any) -> None:
-    """Whether a crank sticks while its reference goes on, and the torque against that."""
-    turning = 0.0 if abs(rate) < SLOW else np.sign(rate)
-    way = wanted - state.wanted[leg] if state.ticks > 0.0 else 0.0
-    state.wanted[leg] = wanted
-    moved = abs(angle - state.anchor[leg]) > MOVED * params.count
-    if moved or turning != state.turning[leg] or state.ticks == 0.0:
-        state.anchor[leg], state.passed[leg] = angle, wanted
-    if turning != state.turning[leg]:
-        state.against[leg] = 0.0
-    state.turning[leg] = turning
-    if (wanted - state.passed[leg]) * turning > PASSED * params.count:
-        state.against[leg] += doubt * params.sticking * abs(way)
+def _update_stick_torque(
+    params: PidParams, doubt: float, leg: int, angle: float, target: float, rate: float, state: PidState
+) -> None:
+    """Grows the torque against sticking while a crank stays and its reference travels; fades it otherwise.
+
+    Angles of the crank and of the reference [rad], rate of the reference [rad/s].
+    """
+    direction = 0.0 if abs(rate) < SLOW else np.sign(rate)
+    travel = target - state.reference_angle[leg] if state.ticks > 0.0 else 0.0
+    state.reference_angle[leg] = target
+    moved = abs(angle - state.last_moved[leg]) > MOVED * params.count
+    if moved or direction != state.direction[leg] or state.ticks == 0.0:
+        state.last_moved[leg], state.reference_at_move[leg] = angle, target
+    if direction != state.direction[leg]:
+        state.stick_torque[leg] = 0.0
+    state.direction[leg] = direction
+    if (target - state.reference_at_move[leg]) * direction > PASSED * params.count:
+        state.stick_torque[leg] += doubt * params.sticking * abs(travel)
     else:
-        state.against[leg] *= params.fade
+        state.stick_torque[leg] *= params.fade
 
 
 # --- computed torque -------------------------------------------------------------------------------------------------
@@ -248,24 +284,39 @@ class ComputedTorqueOptions(ControllerOptions):
     integral z waits."""
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
-        params = new_record(_COMPUTED_TORQUE, self, gravity=context.gravity, **saturation_params(self, context.robot))
-        return (controller_part(computed_torque_tick, context.robot, params, COMPUTED_TORQUE_STATE, Legs),)
+        params = ComputedTorqueParams.new(self, gravity=context.gravity, **saturation_params(self, context.robot))
+        return (controller_part(computed_torque_tick, context.robot, params, ComputedTorqueState, Legs),)
 
 
-COMPUTED_TORQUE_STATE = fields(torque=6, integral=6, health=2)
-"""torque [N m]. integral: z for the next tick [rad s, m s]."""
-_COMPUTED_TORQUE = fields(
-    period=(), gravity=(), natural_frequency=(), damping=(), integral_frequency=(), limit=6, clamp=()
-)
+class ComputedTorqueState(Record):
+    """State of computed torque."""
+
+    torque: Vec6  # [N m]
+    integral: Vec6  # [rad s, m s] z for the next tick.
+    health: Vec2  # See `loop.part.HEALTHY`.
+
+
+class ComputedTorqueParams(Saturation):
+    """Parameters of computed torque: numbers of `ComputedTorqueOptions`."""
+
+    gravity: float  # [m/s^2]
+    natural_frequency: float  # [rad/s]
+    damping: float
+    integral_frequency: float  # [rad/s]
 
 
 @njit
-def computed_torque_tick(robot: Any, params: Any, measurement: Any, reference: Any, legs: Any, state: Any) -> Any:
+def computed_torque_tick(
+    robot: Robot,
+    params: ComputedTorqueParams,
+    measurement: Vec12,
+    reference: Vec18,
+    legs: Legs,
+    state: ComputedTorqueState,
+) -> TickResult:
     """Inverse dynamics at the measured pose and rate for q''_d - 2 damping omega e' - omega^2 (e + omega_i z).
 
-    The integral changes after it has been used, see `limit_and_integrate`.
-
-    Arguments and result are as of `pid_tick`, of the numbers of `ComputedTorqueOptions`.
+    The integral changes after it has been used, see `limit_and_integrate`. Result as of `pid_tick`.
     """
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     status, leg, margin = measured_legs(robot, measurement, legs)

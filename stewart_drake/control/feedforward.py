@@ -1,23 +1,24 @@
-"""Feedforward alone: the torque that the reference takes, for motors with a loop of their own. It needs no reading."""
+"""Feedforward alone: inverse dynamics of the reference, for motors with a position loop. It needs no reading."""
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
 from stewart_drake.base.config import Period
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Record, TickResult, Vec2, Vec6, Vec12, Vec18, record
 from stewart_drake.control.base import AT_REFERENCE, ControllerOptions, controller_part
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics_laws import motion_torque, static_torque
-from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, UNREACHABLE, Legs, legs_at
+from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, UNREACHABLE, Legs, Robot, legs_at
 
 
 class FeedforwardOptions(ControllerOptions):
-    """What the exact model asks for at the reference, and no feedback: that is left to motors which take angles.
+    """Torque of the exact model at the reference, without feedback, which is left to motors that take angles.
 
-    The reference is that of the time at which the command acts: the delay of commands and motors, and half a period.
+    The reference is the one of the time at which the command acts: later by the delays and half a period.
     """
 
     feedback: ClassVar[bool] = False
@@ -25,27 +26,40 @@ class FeedforwardOptions(ControllerOptions):
     kind: Literal["feedforward"] = "feedforward"
     period: Period = 0.02
     feedforward: Literal["none", "gravity", "full"] = "full"
-    """The torque. none: none, so that motors which take angles get those of the inverse kinematics. gravity: what holds
-    the robot there. full: inverse dynamics of the motion."""
+    """The torque. none: zero, so that motors which take angles get those of the inverse kinematics. gravity: static
+    torque at the reference. full: inverse dynamics of the motion."""
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         level = {"none": 0.0, "gravity": 1.0, "full": 2.0}[self.feedforward]
-        params = new_record(_PARAMS, gravity=context.gravity, level=level)
-        return (controller_part(feedforward_tick, context.robot, params, fields(torque=6, health=2), Legs),)
+        params = FeedforwardParams.new(gravity=context.gravity, level=level)
+        return (controller_part(feedforward_tick, context.robot, params, FeedforwardState, Legs),)
+
+
+Vec1 = Annotated[np.ndarray, (1,)]
 
 
 def lead_part(period: float) -> Part:
-    """`reference` (18,) -> `aimed` (18,), a little later, by what a delay turns out to be more than it was believed."""
-    numbers = {"lead": np.zeros(1), "params": new_record(fields(period=()), period=period)}
-    return Part("lead", lead_tick, {}, {"reference": 18}, ("aimed",), new_record(_LEAD), parameters=numbers)
+    """`reference` (18,) -> `aimed` (18,), later by the delay that an adaptive law finds beyond the configured one."""
+    numbers = {"lead": np.zeros(1), "params": LeadParams.new(period=period)}
+    return Part("lead", lead_tick, {}, {"reference": 18}, ("aimed",), LeadState.new(), parameters=numbers)
 
 
-_LEAD = fields(aimed=18, acceleration=6, ticks=())
-"""aimed: reference. acceleration: that of the tick before [rad/s^2, m/s^2]. ticks: done."""
+class LeadParams(Record):
+    """Parameters of the lead."""
+
+    period: float  # [s]
+
+
+class LeadState(Record):
+    """State of the lead."""
+
+    aimed: Vec18  # Reference, a little later.
+    acceleration: Vec6  # [rad/s^2, m/s^2] of the reference at the tick before.
+    ticks: float  # Ticks done.
 
 
 @njit
-def lead_tick(lead: Any, params: Any, reference: Any, state: Any) -> None:
+def lead_tick(lead: Vec1, params: LeadParams, reference: Vec18, state: LeadState) -> None:
     """A reference (18,) later by `lead` (1,) [s]: its Taylor series, the jerk by the difference of two ticks."""
     state, h = record(state), lead[0]
     for k in range(6):
@@ -59,12 +73,25 @@ def lead_tick(lead: Any, params: Any, reference: Any, state: Any) -> None:
     state.ticks += 1.0
 
 
-_PARAMS = fields(gravity=(), level=())  # [m/s^2]; 0 for no torque, 1 for that at rest, 2 for that of the motion.
+class FeedforwardParams(Record):
+    """Parameters of the feedforward."""
+
+    gravity: float  # [m/s^2]
+    level: float  # 0 for no torque, 1 for the static one, 2 for inverse dynamics.
+
+
+class FeedforwardState(Record):
+    """State of the feedforward."""
+
+    torque: Vec6  # [N m]
+    health: Vec2  # See `loop.part.HEALTHY`.
 
 
 @njit
-def feedforward_tick(robot: Any, params: Any, _: Any, reference: Any, legs: Any, state: Any) -> Any:
-    """Torque (6,) [N m] of a reference (18,): inverse dynamics, or at rest; status, leg, margin as of `pid_tick`."""
+def feedforward_tick(
+    robot: Robot, params: FeedforwardParams, _: Vec12, reference: Vec18, legs: Legs, state: FeedforwardState
+) -> TickResult:
+    """Torque (6,) [N m] of a reference (18,): inverse dynamics, or at rest; result as of `pid_tick`."""
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     bad = legs_at(robot, reference[:6], legs)
     if bad >= 0:

@@ -50,11 +50,11 @@ def test_the_torque_of_a_crank_that_sticks_grows_and_no_other_does():
         went[2] = 0.0  # It sticks; the others are where they should be.
         pose = forward_kinematics(ROBOT, angles + went, home)
         part.tick(np.concatenate([pose, np.zeros(6)]), np.concatenate(standing(goal)), now, state)
-    against = state["against"][0]
-    assert np.flatnonzero(against).tolist() == [2]
+    torque = state["stick_torque"][0]
+    assert np.flatnonzero(torque).tolist() == [2]
     way = abs(inverse_kinematics(ROBOT, goal) - angles)[2]
     # From the tick on in which its reference is three counts ahead.
-    assert OPTIONS.sticking * (way - 3.0 * count) == pytest.approx(against[2], abs=OPTIONS.sticking * way / 19.0)
+    assert OPTIONS.sticking * (way - 3.0 * count) == pytest.approx(torque[2], abs=OPTIONS.sticking * way / 19.0)
 
 
 def slow(dry, viscous, constant, head, **changes):
