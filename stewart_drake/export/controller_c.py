@@ -13,8 +13,8 @@ from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import FAILURES, ConfigurationError, RunFailure
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.export.loop import LoopSource, table_of
-from stewart_drake.export.printer import TEMPLATES
-from stewart_drake.export.values import number
+from stewart_drake.export.program import TEMPLATES
+from stewart_drake.export.types import number
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.scenario.assembly import ControlSide, control_side
 from stewart_drake.scenario.control_options import ControlOptions
@@ -81,7 +81,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
         "NEEDS": "READING | MEASURED" if side.context.feedback else "READING",
         "MEANS": "angles of the cranks [rad]" if side.context.reading == 6 else "pose [rad, m] and its rate",
         "LIMIT": loop.program.table("command_limit", limit).base,
-        "COMMAND": loop.signals[command].text,
+        "COMMAND": loop.signals[command].array.pointer,
         "PARTS": ", ".join(f'"{part.name}"' for part in parts),
         "REASONS": REASONS,
         "GIVEN": given.rstrip(),

@@ -22,7 +22,7 @@ from stewart_drake.base.jit import njit, record
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.export.controller_c import REASONS, c_name, controller_files, from_template, readings_along
 from stewart_drake.export.loop import LoopSource
-from stewart_drake.export.values import number
+from stewart_drake.export.types import number
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.kinematics_laws import OK, SERIAL, Legs
 from stewart_drake.mechanics.linear_algebra import all_finite

@@ -1,0 +1,202 @@
+"""Compiled laws as C99: a translation of their source, function by function, that people can read.
+
+The laws are a small subset of Python, see docs/export.md: numbers, arrays, records, and functions of these, with the
+types of their annotations. Names stay, docstrings and comments too. A function whose arrays have no size in its
+annotations is printed once for each size. Numbers come out as numba computes them: in the same order, with its rules
+for powers, `min` and NaN.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.base.records import Record
+from stewart_drake.export.expressions import FIELDS, RESERVED
+from stewart_drake.export.source import comment, field_comments, source_of
+from stewart_drake.export.statements import WIDTH, Statements
+from stewart_drake.export.types import (
+    ATOM,
+    Array,
+    Scalar,
+    Signature,
+    Struct,
+    StructType,
+    Untyped,
+    Value,
+    described,
+    number,
+    parameter,
+)
+
+TEMPLATES = Path(__file__).parent / "templates"
+_LETTERS = {"d": "double", "i": "int", "b": "bool"}
+_HELPERS = {
+    re.findall(r"^static \w+ (\w+)", text, re.MULTILINE)[0]: text
+    for text in (TEMPLATES / "helpers.c").read_text(encoding="utf-8").strip().split("\n\n")
+}
+
+
+class Program:
+    """The laws that have been printed so far, and what they need."""
+
+    def __init__(self) -> None:
+        self._functions: dict[str, str] = {}  # Texts, callees first.
+        self._structs: dict[StructType, str] = {}
+        self._tables: dict[str, str] = {}  # Constant arrays and records by name.
+        self._signatures: dict[Any, Signature] = {}
+        self._names = {"initial", "signals", "signal_at", "run_parts", "end_parts", "has_room"}
+        self._owners: dict[str, Any] = {}
+        self._constants: dict[str, Any] = {}
+        self._helpers: set[str] = set()
+        self._results: set[str] = set()
+
+    # --- what the source names ---
+
+    def struct(self, of: StructType) -> str:
+        """Name in C of a record's type: that of its class."""
+        if of not in self._structs:
+            for name in of.layout.names or ():
+                if of.layout[name].names:
+                    self.struct(StructType(of.kind.fields[name], of.layout[name]))
+            name = re.sub(r"(?<!^)(?=[A-Z])", "_", of.kind.__name__.strip("_")).lower()
+            names = name, f"{of.kind.__module__.rsplit('.')[-1]}_{name}", *(f"{name}_{n}" for n in range(2, 100))
+            self._structs[of] = next(name for name in names if name not in self._structs.values())
+        return self._structs[of]
+
+    def struct_of(self, layout: np.dtype) -> StructType:
+        """The type of a record by the layout of its class."""
+        kinds: list[type[Record]] = [Record]
+        for kind in kinds:
+            if getattr(kind, "layout", None) is layout:
+                return StructType(kind, layout)
+            kinds += kind.__subclasses__()
+        raise Untyped("a record without a class; write `NAME.layout`")
+
+    def constant(self, names: Sequence[str], value: Any, module: str) -> Scalar:
+        """A constant of the source, under its own name."""
+        known = number(value)
+        if known.text in ("INFINITY", "-INFINITY", "NAN", "true", "false") or value is np.pi:
+            return known
+        name = "_".join(names).strip("_").upper()
+        for name in (name, f"{module.rsplit('.')[-1].upper()}_{name}"):
+            if self._constants.setdefault(name, known.value) == known.value:
+                return known._replace(text=name, binding=ATOM)
+        return known
+
+    def table(self, hint: str, values: np.ndarray) -> Array:
+        """A constant array."""
+        kind = "double" if values.dtype.kind == "f" else "int"
+        sizes = "".join(f"[{size}]" for size in values.shape)
+        return Array(kind, self._kept(kind, hint, sizes, braced(values)), values.shape, root=None)
+
+    def constant_record(self, hint: str, record: np.ndarray, of: StructType) -> Struct:
+        """A constant record."""
+        return Struct(of, f"&{self._kept(f'struct {self.struct(of)}', hint, '', filled(record))}", None)
+
+    def _kept(self, kind: str, hint: str, sizes: str, value: str) -> str:
+        """Name of a constant with a value: of one that there is, or of a new one."""
+        for name, text in self._tables.items():
+            if text == f"static const {kind} {name}{sizes} = {value};":
+                return name
+        name = self._free(hint, self._tables)
+        self._tables[name] = f"static const {kind} {name}{sizes} = {value};"
+        return name
+
+    def _free(self, hint: str, *taken: Any) -> str:
+        names = hint, *(f"{hint}_{n}" for n in range(2, 100))
+        return next(name for name in names if not any(name in each for each in (self._names, *taken)))
+
+    def helper(self, name: str) -> str:
+        """A function that C may not have, to be printed."""
+        self._helpers.update({name} & _HELPERS.keys())
+        return name
+
+    def result(self, kinds: Sequence[str]) -> str:
+        """Type in C of what a function returns."""
+        if len(kinds) < 2:
+            return kinds[0] if kinds else "void"
+        letters = "".join(kind[0] for kind in kinds)
+        self._results.add(letters)
+        return f"struct result_{letters}"
+
+    def function(self, function: Any, given: Sequence[Value]) -> tuple[Signature, tuple[Value, ...]]:
+        """A function for arguments like these, printed if it has not been, and its parameters."""
+        source, function = source_of(function), getattr(function, "py_func", function)
+        arguments, printed = source.tree.args.args, Statements(self, function, source)
+        if len(arguments) != len(given):
+            raise Untyped(f"a call of `{function.__name__}` with {len(given)} arguments; give all of {len(arguments)}")
+        parameters: tuple[Value, ...] = ()
+        for argument, value in zip(arguments, given, strict=True):
+            if argument.arg not in source.types:
+                text = f"an argument without a type; write `{argument.arg}: Vec6`, `float` or the class of a record"
+                raise source.refusal(source.tree.lineno, f"def {function.__name__}", text)
+            fitting = parameter(printed.c_name(argument.arg), source.types[argument.arg], value)
+            if fitting is None:
+                raise Untyped(f"`{described(value)}` where `{function.__name__}` takes `{ast.unparse(argument)}`")
+            parameters += (fitting,)
+        types = [source.types[argument.arg] for argument in arguments]
+        key = function, parameters
+        if key not in self._signatures:
+            free = [x.shape for x, kind in zip(parameters, types, strict=True) if kind is np.ndarray]
+            sizes = "".join(f"_{'x'.join(map(str, shape))}" for shape in dict.fromkeys(free))
+            name = function.__name__.strip("_")
+            if self._owners.setdefault(name, function) is not function or name in RESERVED:
+                name = f"{function.__module__.rsplit('.')[-1]}_{name}"
+            name = self._free(name + sizes)
+            self._names.add(name)
+            self._signatures[key], text = printed.text(name, parameters)
+            self._functions[name] = text
+        return self._signatures[key], parameters
+
+    # --- text ---
+
+    def text(self) -> str:
+        """All that has been printed, in an order that C takes."""
+        names = [f"#define {name} {number(value).text}" for name, value in self._constants.items()]
+        results = [
+            f"struct result_{letters} {{\n"
+            + "".join(f"    {_LETTERS[k]} {field};\n" for k, field in zip(letters, FIELDS, strict=False))
+            + "};"
+            for letters in sorted(self._results)
+        ]
+        structs = [self._declared(of, name) for of, name in self._structs.items()]
+        helpers = [text for name, text in _HELPERS.items() if name in self._helpers]
+        blocks = ["\n".join(names), *results, *structs, *self._tables.values(), *helpers, *self._functions.values()]
+        return "\n\n".join(filter(None, blocks)) + "\n"
+
+    def _declared(self, of: StructType, name: str) -> str:
+        comments, fields = field_comments(of.kind), []
+        for field in of.layout.names or ():
+            kind = of.layout[field]
+            inner = f"struct {self.struct(StructType(of.kind.fields[field], kind))}" if kind.names else "double"
+            text = f"    {inner} {field}{''.join(f'[{size}]' for size in kind.shape)};"
+            fields.append(f"{text} {comment(comments.get(field, ''))}".rstrip())
+        return f"{comment(of.kind.__doc__ or '')}struct {name} {{\n" + "\n".join(fields) + "\n};"
+
+
+def braced(values: Any) -> str:
+    """Numbers as C initialises an array with them; zeros at the end are left out, as C adds them."""
+    if np.ndim(values) == 0:
+        return number(values).text
+    rows = list(values)
+    while len(rows) > 1 and not np.any(rows[-1]):
+        rows.pop()
+    if np.ndim(rows[0]):
+        return "{\n" + "".join(f"    {braced(row)},\n".replace("\n    ", "\n        ") for row in rows) + "}"
+    lines = textwrap.wrap(", ".join(number(value).text for value in rows), WIDTH - 8, break_on_hyphens=False)
+    return "{" + "\n    ".join(lines) + "}"
+
+
+def filled(record: np.ndarray) -> str:
+    """A record as C initialises one; fields of zeros are left out, as C adds them."""
+    values = {name: record[name] for name in record.dtype.names or ()}
+    texts = {name: filled(value) if value.dtype.names else braced(value[0]) for name, value in values.items()}
+    some = [name for name, value in values.items() if np.any(value.view(np.float64))] or [next(iter(values))]
+    return "{\n" + "\n".join(f"    .{name} = {texts[name]},".replace("\n", "\n    ") for name in some) + "\n}"
