@@ -24,7 +24,7 @@ from stewart_drake.base.jit import fields, new_record, njit, record
 from stewart_drake.base.registry import ADAPTATIONS
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.base import AdaptationOptions
-from stewart_drake.control.features import TUNER_PARAMS
+from stewart_drake.control.features import TunerParams
 from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.export.fmu import plant_part
 from stewart_drake.export.loop import LoopSource, Signal
@@ -318,7 +318,7 @@ def robot_data(name: str, scenario: Scenario) -> dict[str, Any]:
         "friction_now": scenario.plant.motor_friction,
         "friction_ends": FRICTION_ENDS[name],
         "learning": LEARNING,
-        "kappa": TUNER_PARAMS.fields["kappa"][1] // 8,
+        "kappa": TunerParams.layout.fields["kappa"][1] // 8,
         "monitors": list(scenario.safety.monitor_names),
     }
 

@@ -29,6 +29,7 @@ Vector = np.ndarray
 """(n,)"""
 Matrix = np.ndarray
 """(n, m)"""
+Vec1 = Annotated[np.ndarray, (1,)]
 Vec2 = Annotated[np.ndarray, (2,)]
 Vec3 = Annotated[np.ndarray, (3,)]
 Vec4 = Annotated[np.ndarray, (4,)]
@@ -96,6 +97,12 @@ class Record(_Base):
     def empty(cls) -> Self:
         """A structured array (1,) for a law to fill."""
         result: Any = np.empty(1, cls.layout)
+        return result
+
+    @classmethod
+    def of(cls, numbers: np.ndarray) -> Self:
+        """The record in the numbers of a signal (n,), for Python: its fields are attributes."""
+        result: Any = np.ascontiguousarray(numbers, dtype=float).view(cls.layout).view(np.recarray)[0]
         return result
 
 

@@ -1,31 +1,35 @@
-"""Friction and inertia of the rods' ball joints, as torques of the motors, for robots that have them.
+"""Friction and inertia of the rods' ball joints, as motor torques.
 
-Each rod hangs in a ball joint at its crank and in another at the platform. What a joint turns is the difference of the
-angular velocities of the bodies that it joins. A rod may turn about itself, and does so that the moments of its two
-joints about it are in balance, as if all friction were viscous.
+A rod has one ball joint at its crank and one at the platform. The rate of a joint is the difference of the angular
+velocities of the two bodies. A rod is free to spin about its axis; its spin is that at which the moments of its two
+joints about the axis are in balance, with all friction taken as viscous.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
 from stewart_drake.base.config import NotNegative, Positive, Real, Section, SixNumbers
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Mat3, Mat6x3, Record, Vec6, Vec12, record
 from stewart_drake.mechanics.dynamics_laws import twists_of_motion
 from stewart_drake.mechanics.kinematics import rotation_matrix
-from stewart_drake.mechanics.kinematics_laws import LEGS, cross, dot, legs_at
+from stewart_drake.mechanics.kinematics_laws import LEGS, Legs, Robot, cross, dot, legs_at
 from stewart_drake.mechanics.linear_algebra import solve
 
-_AHEAD = 1e-4  # [s] between two instants whose joint rates tell the joints' accelerations.
+_AHEAD = 1e-4  # [s] between the two instants whose joint rates give the joints' accelerations.
+Mat3x6 = Annotated[np.ndarray, (3, 6)]
+JointRates = Annotated[np.ndarray, (2, 6, 3)]
+"""Angular velocities [rad/s] of the joints at the cranks, then of those at the platform."""
 _Turn = tuple[Real, Real, Real]
 SixTurns = tuple[_Turn, _Turn, _Turn, _Turn, _Turn, _Turn]
 NO_TURNS: SixTurns = ((0.0, 0.0, 0.0),) * 6
 
 
 class BallJoints(Section, key="model.friction.joints"):
-    """Ball joints of the rods that rub, or carry an inertia of their own; by default both of a rod are alike."""
+    """Friction and inertia of the rods' ball joints; by default the same in both joints of a rod."""
 
     viscous: NotNegative = 0.0
     """[N m s/rad] viscous friction of a joint."""
@@ -45,26 +49,32 @@ class BallJoints(Section, key="model.friction.joints"):
     """[rad] those of the axes in the joint at the platform, of each leg, from the platform's; null for the rod's."""
 
 
-JOINTS = fields(
-    viscous=(), coulomb=(), width=(), inertia=(), crank=6, platform=6, turns=(2, 6, 3, 3), on_platform=()
-)  # fmt: skip
-"""`BallJoints` as numbers. turns: rotations of the axes at cranks and at the platform; on_platform: whether the latter
-are from the platform's axes."""
+class Joints(Record):
+    """`BallJoints` as numbers."""
+
+    viscous: float  # [N m s/rad]
+    coulomb: float  # [N m]
+    width: float  # [rad/s]
+    inertia: float  # [kg m^2]
+    crank: Vec6  # Share of these that the joint at a crank has.
+    platform: Vec6  # Share that the joint of a leg at the platform has.
+    turns: Annotated[np.ndarray, (2, 6, 3, 3)]  # Rotations of the axes of dry friction, at cranks and platform.
+    on_platform: float  # 1 where those at the platform turn the platform's axes, 0 where they turn the rod's.
 
 
-def joints_record(joints: BallJoints | None) -> np.ndarray:
-    """A `JOINTS` record; zeros for none."""
+def joints_record(joints: BallJoints | None) -> Joints:
+    """The record of ball joints; zeros for joints without friction and inertia."""
     if joints is None:
-        return new_record(JOINTS, width=1.0)
-    turns = np.array([joints.crank_axes, joints.platform_axes or NO_TURNS])
-    return new_record(
-        JOINTS, joints, turns=rotation_matrix(turns), on_platform=joints.platform_axes is not None
-    )  # fmt: skip
+        return Joints.new(width=1.0)
+    turns = rotation_matrix(np.array([joints.crank_axes, joints.platform_axes or NO_TURNS]))
+    return Joints.new(joints, turns=turns, on_platform=joints.platform_axes is not None)
 
 
 @njit
-def joint_rates(robot: Any, joints: Any, legs: Any, twist: Any, at_crank: Any, at_platform: Any) -> None:
-    """Angular velocities (6, 3) [rad/s] of the rods against their cranks, and of the platform against its rods."""
+def joint_rates(
+    robot: Robot, joints: Joints, legs: Legs, twist: Vec6, at_crank: Mat6x3, at_platform: Mat6x3
+) -> None:
+    """Angular velocities (6, 3) [rad/s] of the rods relative to the cranks, and of the platform relative to the rods."""
     axis, arm, rod, tip = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(6):
         e, e_n = legs.e_l[i], legs.e_n[i]
@@ -83,8 +93,8 @@ def joint_rates(robot: Any, joints: Any, legs: Any, twist: Any, at_crank: Any, a
 
 
 @njit
-def joint_axes(joints: Any, legs: Any, leg: int, side: int, out: Any) -> None:
-    """Axes (3, 3) in B of the dry friction in a leg's joint, at its crank or on the other side."""
+def joint_axes(joints: Joints, legs: Legs, leg: int, side: int, out: Mat3) -> None:
+    """Axes (3, 3) in B of the dry friction in the joint of a leg: side 0 at the crank, 1 at the platform."""
     e, axis, base = legs.e_l[leg], np.empty(3), np.empty((3, 3))
     cross(legs.crank[leg], legs.e_n[leg], axis)
     along = dot(axis, e)
@@ -106,10 +116,12 @@ def joint_axes(joints: Any, legs: Any, leg: int, side: int, out: Any) -> None:
 
 
 @njit
-def ball_joint_torques(robot: Any, joints: Any, motion: Any, acceleration: Any, legs: Any, out: Any) -> None:
-    """Adds to torques (6,) [N m] what the joints ask for along a motion (12,) pose and rate, acceleration (6,).
+def ball_joint_torques(
+    robot: Robot, joints: Joints, motion: Vec12, acceleration: Vec6, legs: Legs, out: Vec6
+) -> None:
+    """Adds the torques (6,) [N m] that the joints need along a motion: pose and rate (12,), acceleration (6,).
 
-    Nothing is added where the pose is out of reach or singular.
+    Adds nothing where the pose is out of reach or singular.
     """
     parts = np.zeros((3, 6))
     ball_joint_parts(robot, joints, motion, acceleration, legs, parts)
@@ -118,9 +130,9 @@ def ball_joint_torques(robot: Any, joints: Any, motion: Any, acceleration: Any, 
 
 
 @njit
-def _rates_at(robot: Any, joints: Any, motion: Any, scratch: Any, out: Any) -> bool:
-    """`joint_rates` (2, 6, 3) at a pose and twist (12,); False where it is out of reach."""
-    legs = record(scratch)
+def _rates_at(robot: Robot, joints: Joints, motion: Vec12, legs: Legs, out: JointRates) -> bool:
+    """`joint_rates` at a pose and twist (12,); False where the pose is out of reach."""
+    legs = record(legs)
     if legs_at(robot, motion[:6], legs) >= 0:
         return False
     joint_rates(robot, joints, legs, motion[6:], out[0], out[1])
@@ -128,11 +140,13 @@ def _rates_at(robot: Any, joints: Any, motion: Any, scratch: Any, out: Any) -> b
 
 
 @njit
-def ball_joint_parts(robot: Any, joints: Any, motion: Any, acceleration: Any, legs: Any, out: Any) -> None:
+def ball_joint_parts(
+    robot: Robot, joints: Joints, motion: Vec12, acceleration: Vec6, legs: Legs, out: Mat3x6
+) -> None:
     """Torques (3, 6) of unit viscous friction, unit dry friction and unit inertia of the joints along a motion.
 
-    By virtual work: torques T with T . rates = sum of the joints' moments . their rates, for every twist. What the
-    joints ask for is linear in the three. `out` stays where the pose is out of reach or singular.
+    By virtual work: motor torques T with T . crank rates = sum of joint moments . joint rates, for every twist. The
+    torque is linear in the three. `out` is unchanged where the pose is out of reach or singular.
     """
     twist, change, later, soon = np.empty(6), np.empty(6), np.empty(12), np.empty(1, LEGS)
     twists_of_motion(motion[:6], motion[6:], acceleration, twist, change)
@@ -159,13 +173,13 @@ def ball_joint_parts(robot: Any, joints: Any, motion: Any, acceleration: Any, le
     matrix, work = np.empty((6, 6)), np.zeros((6, 3))
     unit, rates = np.zeros(6), np.empty((2, 6, 3))
     for m in range(6):
-        unit[:] = 0.0
-        unit[m] = 1.0
+        for k in range(6):
+            unit[k] = 1.0 if k == m else 0.0
         joint_rates(robot, joints, legs, unit, rates[0], rates[1])
         for i in range(6):
             for part in range(3):
                 work[m, part] += dot(moments[part, 0, i], rates[0, i]) + dot(moments[part, 1, i], rates[1, i])
-            # J' T = work, J' the transposed Jacobian.
+            # J' T = work, with J the Jacobian of the cranks.
             matrix[m, i] = legs.line[i, m] / legs.lever[i]
     if solve(matrix, work) == 0.0:
         return

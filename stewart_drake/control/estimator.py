@@ -1,40 +1,41 @@
-"""Pose and rate of the platform from the motor encoders alone: forward kinematics, and differences of the angles."""
+"""Pose and rate of the platform from the motor encoders alone: forward kinematics and backward differences."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.base import errors
 from stewart_drake.base.config import Natural, Period, Positive, PositivePair, Section
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Record, TickResult, Vec2, Vec6, Vec12, record
 from stewart_drake.loop.part import HEALTHY, LoopContext, Part
 from stewart_drake.loop.user_parts import UserParts
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
-from stewart_drake.mechanics.kinematics_laws import NO_CONVERGENCE, NOT_FINITE, OK, PARALLEL, SERIAL
+from stewart_drake.mechanics.kinematics_laws import NO_CONVERGENCE, NOT_FINITE, OK, PARALLEL, SERIAL, Legs, Robot
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 from stewart_drake.robot.robot_scale import LENGTH
 
 TOLERANCE = 1e-12  # [m] rod-length error at which Newton's method stops.
 ITERATIONS = 12  # Newton steps at most; a warm start needs two.
 SAME_BRANCH = 1.0 - 1e-6
-"""Cosine between a crank and the inverse kinematics of the pose found from it; below, it is the other branch's."""
-TOO_FAST, OTHER_MODE = 10, 11  # How a tick may end beside the statuses of `kinematics_laws`.
+"""Cosine between a crank and that of the inverse kinematics at the pose found; below it, it is on the other branch."""
+TOO_FAST, OTHER_MODE = 10, 11  # Statuses beside those of `kinematics_laws`.
 
 
 class EstimatorOptions(Section, key="estimator"):
     """Base of the options of estimators."""
 
     exact: ClassVar[bool] = False
-    """Whether it passes on what a sensor of pose and rate says."""
+    """Whether it passes the reading of a sensor of pose and rate on unchanged."""
     kind: str
     period: Period | None = None
-    """[s] between two readings, each of which it takes; controller.period is a whole multiple. Null for the same."""
+    """[s] between two readings; controller.period is a whole multiple. Null for the same."""
 
     @property
     def disturbance_density(self) -> float:
@@ -42,7 +43,7 @@ class EstimatorOptions(Section, key="estimator"):
         return 0.0
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:  # noqa: ARG002
-        """What makes of `reading` the signal `measurement`; none where that is the reading itself."""
+        """From the signal `reading` to `measurement`; none where that is the reading itself."""
         return ()
 
 
@@ -57,8 +58,8 @@ class DifferenceOptions(EstimatorOptions):
     max_speed: Positive = 60.0
     """[rad/s] largest plausible crank speed; a reading that has moved faster is rejected."""
     max_step: Annotated[PositivePair, LENGTH] = (0.2, 0.05)
-    """[rad, m] largest plausible step from the last pose, at first from the start; a pose beyond it is rejected, for
-    Newton's method has found another assembly mode."""
+    """[rad, m] largest plausible step from the last pose, at first from the start; a pose beyond it is rejected as
+    another assembly mode."""
     hold_ticks: Annotated[Natural, Field(le=1000)] = 10
     """Rejected readings in a row that the last good pose may replace before the run ends."""
 
@@ -69,15 +70,31 @@ class DifferenceOptions(EstimatorOptions):
 
 
 class UserEstimator(UserParts, EstimatorOptions, key="estimator"):
-    """Your own estimator: `parts(context)` returns parts that make of `reading` the signal `measurement` (12,)."""
+    """Your own estimator: `parts(context)` returns parts from `reading` to the signal `measurement` (12,)."""
 
 
-PARAMS = fields(period=(), smoothing=(), max_speed=(), max_turn=(), max_shift=(), hold_ticks=())
-"""[s], share of a new difference in the filtered crank rate, [rad/s], [rad], [m], [ticks]; see `DifferenceOptions`."""
-STATE = fields(measurement=12, health=2, angles=6, crank_rate=6, missed=(), assembly_sign=(), started=(), candidate=6)
-"""measurement: pose and its rate [rad, m and 1/s]. angles: the last that were believed [rad]. crank_rate: filtered
-[rad/s]. missed: ticks since. assembly_sign: of the rods' determinant. candidate: pose that was found in the last tick,
-which need not have been believed."""
+class DifferenceParams(Record):
+    """Parameters of `difference_tick`: numbers of `DifferenceOptions`."""
+
+    period: float  # [s]
+    smoothing: float  # Share of a new difference in the filtered crank rate.
+    max_speed: float  # [rad/s]
+    max_turn: float  # [rad]
+    max_shift: float  # [m]
+    hold_ticks: float  # Ticks in a row.
+
+
+class DifferenceState(Record):
+    """State of `difference_tick`."""
+
+    measurement: Vec12  # [rad, m and 1/s] pose and its rate.
+    health: Vec2  # See `loop.part.HEALTHY`.
+    angles: Vec6  # [rad] last accepted reading.
+    crank_rate: Vec6  # [rad/s] filtered.
+    missed: float  # Rejected readings in a row.
+    assembly_sign: float  # Sign of the determinant of the rods' lines.
+    started: float  # 1 once a reading has been accepted.
+    candidate: Vec6  # [rad, m] pose found in the last tick, which may have been rejected.
 
 
 STATUSES = {
@@ -90,33 +107,37 @@ STATUSES = {
     PARALLEL: errors.Status("parallel_singularity", "state.candidate"),
     OTHER_MODE: errors.Status("assembly_mode", "state.candidate", last="state.measurement"),
 }
-"""How a tick of `pose_of_angles` may end."""
+"""How `pose_of_angles` may end."""
 
 
 @njit
-def pose_of_angles(robot: Any, params: Any, angles: Any, legs: Any, state: Any) -> Any:
+def pose_of_angles(
+    robot: Robot, params: DifferenceParams, angles: Vec6, legs: Legs, state: DifferenceState
+) -> TickResult:
     """Forward kinematics from the last pose, and the pose's rate from the difference of the angles (6,).
 
-    The rate lags by half a period; the first repeats the crank rates of the state. A pose is believed if no angle has
-    jumped, Newton's method converges near the last pose, the cranks stand on the robot's branch of the inverse
-    kinematics, and the rods' lines have not changed orientation: between two assembly modes lies a parallel
-    singularity, where their determinant changes sign.
+    The rate lags by half a period; the first repeats the crank rates of the state. A pose is accepted if no angle has
+    jumped, Newton's method converges near the last pose, the cranks are on the robot's branch of the inverse
+    kinematics, and the determinant of the rods' lines has the same sign: it changes at the parallel singularities
+    between assembly modes.
 
-    Returns status, leg or -1, margin; of NO_CONVERGENCE steps taken and error [m]. If not OK only `candidate` changes.
+    Returns status, leg or -1, margin; with NO_CONVERGENCE the steps taken and the error [m]. If not OK only
+    `candidate` changes.
     """
     pose, last = state.candidate[:], state.measurement
     started, elapsed = state.started > 0.0, params.period * (1.0 + state.missed)
     copy_to(pose, last[:6])
     if not all_finite(angles):
         return NOT_FINITE, -1, 0.0
-    if started and (np.abs(angles - state.angles) > params.max_speed * elapsed).any():
-        return TOO_FAST, -1, 0.0
+    for i in range(6):
+        if started and abs(angles[i] - state.angles[i]) > params.max_speed * elapsed:
+            return TOO_FAST, -1, 0.0
     error, steps = laws.forward_kinematics(robot, angles, pose, TOLERANCE, ITERATIONS)
     if not error <= TOLERANCE:
         return NO_CONVERGENCE, steps, error
     bad = laws.legs_at(robot, pose, legs)
     if bad >= 0:
-        # A crank carried across its dead centre, slightly.
+        # A crank slightly beyond its dead centre.
         return SERIAL, bad, legs.reach_margin[bad]
     for i in range(6):
         if legs.cosine[i] * np.cos(angles[i]) + legs.sine[i] * np.sin(angles[i]) < SAME_BRANCH:
@@ -143,7 +164,9 @@ def pose_of_angles(robot: Any, params: Any, angles: Any, legs: Any, state: Any) 
 
 
 @njit
-def difference_tick(robot: Any, params: Any, angles: Any, legs: Any, state: Any) -> Any:
+def difference_tick(
+    robot: Robot, params: DifferenceParams, angles: Vec6, legs: Legs, state: DifferenceState
+) -> TickResult:
     """One tick: `pose_of_angles`; up to `hold_ticks` failures in a row repeat the last state."""
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     result = pose_of_angles(robot, params, angles, legs, state)
@@ -153,11 +176,10 @@ def difference_tick(robot: Any, params: Any, angles: Any, legs: Any, state: Any)
     return result
 
 
-def difference_params(options: DifferenceOptions, period: float) -> np.ndarray:
-    """`PARAMS` record."""
+def difference_params(options: DifferenceOptions, period: float) -> DifferenceParams:
+    """Parameters for a period [s]."""
     cutoff = options.rate_cutoff
-    return new_record(
-        PARAMS,
+    return DifferenceParams.new(
         options,
         period=period,
         smoothing=1.0 if cutoff is None else 1.0 - math.exp(-2.0 * math.pi * cutoff * period),
@@ -169,17 +191,14 @@ def difference_params(options: DifferenceOptions, period: float) -> np.ndarray:
 def difference_part(options: DifferenceOptions, context: LoopContext) -> Part:
     """`reading` (6,) [rad] of encoders -> `measurement` (12,), pose [rad, m] and its rate; see `difference_tick`.
 
-    The pose at the start, which need only be about right, picks the assembly mode. Up to `hold_ticks` failures in a row
-    are bridged by the last good pose and rate.
+    The pose at the start selects the assembly mode; it may be rough.
     """
-    robot, initial = context.robot, new_record(STATE, health=HEALTHY)
+    robot, initial = context.robot, DifferenceState.new(health=HEALTHY)
     initial["measurement"][0, :6] = context.pose
-    # A robot that cannot stand there: the first tick says so, with a log.
+    # Where the robot cannot be at that pose, the first tick fails, with a log.
     with contextlib.suppress(errors.UnreachablePoseError), np.errstate(all="ignore"):
         rates = crank_rates(robot, leg_geometry(robot, context.pose), context.pose, context.pose_rate)
         initial["crank_rate"] = rates if np.isfinite(rates).all() else 0.0
-
     numbers = {"robot": laws.robot_record(robot), "params": difference_params(options, context.period)}
-    outputs, scratch = ("measurement",), (laws.Legs,)
-    part = Part("estimator", difference_tick, {}, {"reading": 6}, outputs, initial, scratch, STATUSES)
+    part = Part("estimator", difference_tick, {}, {"reading": 6}, ("measurement",), initial, (Legs,), STATUSES)
     return part._replace(parameters=numbers)

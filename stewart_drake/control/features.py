@@ -1,19 +1,22 @@
-"""What control is for, in one number, and what a tuner gets of its loop, in numbers that compare between robots.
+"""The cost of a run as one number, and the features of the loop that a tuner uses, which compare between robots.
 
-The densities (35), (36) are the paper's. A density has no scale, so sizes stand beside it: errors and torque changes in
-the units of the cost, innovations of the observer in those of the noise of a reading.
+The densities (35), (36) are the paper's. They have no scale, so there are also errors and torque changes in the units
+of the cost, and innovations of the observer relative to the noise of a reading.
 """
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 
 from stewart_drake.base.config import Positive, Section, Window, check_value
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Matrix, Record, Vec1, Vec4, Vec6, Vec12, Vec18, Vector, record
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.linear_algebra import copy_to
+
+_Number = TypeVar("_Number", float, np.ndarray)
 
 
 class CostScales(Section, key="cost"):
@@ -33,7 +36,7 @@ class CostScales(Section, key="cost"):
         )
 
 
-def cost(rotation: Any, position: Any, torque_change: Any, scales: CostScales) -> Any:
+def cost(rotation: _Number, position: _Number, torque_change: _Number, scales: CostScales) -> _Number:
     """J = sqrt((rotation / its scale)^2 + (position / its scale)^2 + (torque_change / its scale)^2) [-].
 
     Takes numbers, or arrays of any shape: RMS length of the error [deg] and [mm], RMS change of a motor's torque in a
@@ -52,12 +55,12 @@ MEAN_FLOOR = 1e-9
 
 
 @njit
-def density_of(samples: Any, signed: bool, out: Any) -> None:
+def density_of(samples: Matrix, signed: bool, out: Vector) -> None:
     """Densities (k,) [-] of the last sample of a window (n, k), oldest first, n <= m + 1 (fewer while it fills).
 
-    (35), (36), `signed`: x over the window's mean. Deviation: the print is singular where the signed sum crosses zero;
-    the result is held within +-n there. Close to it the quotient is ill-conditioned: rounding errors of the samples
-    decide it. Else |x| over the window's mean |x|, which lies in [0, n] by itself and is well-conditioned.
+    (35), (36), `signed`: x over the window's mean. Deviation: the printed form is singular where the signed sum crosses
+    zero; the result is limited to +-n there, and close to it decided by rounding errors. Otherwise |x| over the mean of
+    |x|, which lies in [0, n] and is well-conditioned.
     """
     count = samples.shape[0]
     for k in range(samples.shape[1]):
@@ -69,10 +72,10 @@ def density_of(samples: Any, signed: bool, out: Any) -> None:
 
 
 @njit
-def density_tick(window: Any, filled: Any, error: Any, torque: Any, signed: bool, out: Any) -> None:
-    """`density_of` an error (6,) [rad, m] and a torque (6,) [N m] that slide into a window (m + 1, 12), oldest first.
+def density_tick(window: Matrix, filled: Vec1, error: Vec6, torque: Vec6, signed: bool, out: Vec12) -> None:
+    """Appends an error [rad, m] and a torque [N m] to a window (m + 1, 12), oldest row first; `density_of` its rows.
 
-    The last `filled` (1,) rows mean something. out: (12,) [-], of the errors, then of the torques.
+    `filled` counts the valid rows, which are the last ones. out: densities of the errors, then of the torques.
     """
     rows = window.shape[0]
     for row in range(rows - 1):
@@ -97,12 +100,20 @@ def density_part(window: int, kind: DensityKind) -> Part:
     check_value("window", window, Window)
     check_value("density", kind, DensityKind)
     constants, inputs = {"signed": kind == "signed"}, {"error": 6, "torque": 6}
-    initial = new_record(fields(density=12, filled=(), window=(window + 1, 12)), density=1.0)
+    initial = DensityState.sized(rows=window + 1).new(density=1.0)
     return Part("density", _density_tick, constants, inputs, ("density",), initial)
 
 
-def _density_tick(signed: bool, error: np.ndarray, torque: np.ndarray, state: np.ndarray) -> None:
-    # Field by field: a record with the window in it would have to be compiled for each length.
+class DensityState(Record):
+    """State of the densities."""
+
+    density: Vec12  # [-] of errors and torques.
+    filled: float  # Valid rows of the window.
+    window: Annotated[np.ndarray, ("rows", 12)]  # [rad, m, N m] errors and torques, oldest row first.
+
+
+def _density_tick(signed: bool, error: Vec6, torque: Vec6, state: DensityState) -> None:
+    # Arrays and not the record, which would be compiled for every length of the window.
     density_tick(state["window"][0], state["filled"], error, torque, signed, state["density"][0])
 
 
@@ -123,34 +134,52 @@ FEATURES = (
     "latency",
     "kappa",
 )
-"""Names of features, as policy files have them; all but the last are decimal logarithms. The first two are mean squares
-of normalised innovations."""
+"""Names of features, as in policy files; all but the last are decimal logarithms. The first two are mean squares of
+normalised innovations."""
+Features = Annotated[np.ndarray, (len(FEATURES),)]
+Vec5 = Annotated[np.ndarray, (5,)]
 TIMES = (0.010, 0.100, 0.020, 0.200, 0.020)
 """[s] over which normalised innovations (twice), error (twice) and torque change are averaged."""
 DRIFT_TIME = 0.020
-"""[s] over which innovations are averaged with their signs: what pushes the robot has one."""
+"""[s] over which signed innovations are averaged; a push has a lasting sign."""
 INNOVATION_FLOOR, DRIFT_FLOOR, COST_FLOOR = 1e-2, 1e-3, 1e-6
 """Added before the logarithm of a square: of innovations, of the drift, of errors and torque changes."""
 LARGEST_SIGNAL = 1e9
-"""Signals are below it, in any unit; squares of it stay finite."""
+"""Implausible signals are above it, in any unit; its square is finite."""
 
-TUNER_PARAMS = fields(
-    period=(), noise=(), latency=(), length=(), kappa=(), rotation=(), position=(), torque_change=(),
-    centre=4, step=4, weights=4, disturbance=(),
-)  # fmt: skip
-"""What a tuner of settings is made for. period [s]. noise of a reading [rad]. latency from a reading to the torque that
-it causes [s]. length: characteristic length of the robot [m]. rotation, position, torque_change: what counts as one in
-the cost [rad], [m] and, from tick to tick, [N m]. centre, step: of a setting. weights, disturbance: of the base."""
-TUNER_STATE = fields(
-    weights=4, disturbance=1, setting=5, averages=5, drift=6, torque=6, ticks=(), hold_left=()
-)  # fmt: skip
-"""weights, disturbance [rad/s^2 per sqrt(s)]. setting: four, and from 0 to 1 how far the features lie outside of the
-training. averages: mean squares over `TIMES`. drift: mean normalised innovations. torque: of the tick before [N m].
-ticks: with features. hold_left: [s] that a schedule stays alert."""
+
+class TunerParams(Record):
+    """Parameters of a tuner of settings."""
+
+    period: float  # [s]
+    noise: float  # [rad] of a reading.
+    latency: float  # [s] from a reading to the torque that it causes.
+    length: float  # [m] characteristic length of the robot.
+    kappa: float  # Smoothness, from stiff, -1, to quiet, 1.
+    rotation: float  # [rad] error that counts as one in the cost.
+    position: float  # [m] likewise.
+    torque_change: float  # [N m] from tick to tick, likewise.
+    centre: Vec4  # Setting in the middle of the box.
+    step: Vec4  # Largest change of the setting in a tick.
+    weights: Vec4  # q_pose, q_rate, q_integral, r at setting 0.
+    disturbance: float  # [rad/s^2 per sqrt(s)] at setting 0.
+
+
+class TunerState(Record):
+    """State of a tuner of settings."""
+
+    weights: Vec4  # q_pose, q_rate, q_integral, r
+    disturbance: Vec1  # [rad/s^2 per sqrt(s)] that the observer expects.
+    setting: Vec5  # The four numbers of the setting, and 1 less the confidence.
+    averages: Vec5  # Mean squares over `TIMES`.
+    drift: Vec6  # Mean normalised innovations.
+    torque: Vec6  # [N m] of the tick before.
+    ticks: float  # Ticks with features.
+    hold_left: float  # [s] for which a schedule still uses its alert setting.
 
 
 @njit
-def _plausible(signal: Any) -> bool:
+def _plausible(signal: Vector) -> bool:
     for value in signal:  # noqa: SIM110 - numba knows no generators here
         if not abs(value) < LARGEST_SIGNAL:
             return False
@@ -159,23 +188,24 @@ def _plausible(signal: Any) -> bool:
 
 @njit
 def compute_features(
-    params: Any, density: Any, error: Any, torque: Any, innovation: Any, reference: Any, state: Any, out: Any
+    params: TunerParams,
+    density: Vec12,
+    error: Vec6,
+    torque: Vec6,
+    innovation: Vec6,
+    reference: Vec18,
+    state: TunerState,
+    out: Features,
 ) -> bool:
-    """Features (13,) [-] of a tick, see `FEATURES`; False, with nothing changed, where a signal is not plausible.
+    """Features (13,) [-] of a tick, see `FEATURES`; False, with nothing changed, where a signal is implausible.
 
-    Args:
-        params: `TUNER_PARAMS`.
-        density: (12,) [-].
-        error: (6,) [rad, m] that the controller sees.
-        torque: (6,) [N m] that is asked for.
-        innovation: (6,) [rad] of the observer.
-        reference: (18,).
-        state: `TUNER_STATE`, whose averages are changed.
-        out: (13,) out.
+    Takes the measured tracking error [rad, m], the commanded torque [N m] and the innovation of the observer [rad];
+    updates the averages of the state.
     """
-    for signal in (density, error, torque, innovation, reference):
-        if not _plausible(signal):
-            return False
+    if not (_plausible(density) and _plausible(error) and _plausible(torque)):
+        return False
+    if not (_plausible(innovation) and _plausible(reference)):
+        return False
     params, state = record(params), record(state)
     period = params.period
     innovations, drift, changes, rotation, position = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -191,7 +221,8 @@ def compute_features(
     for k in range(3):
         rotation += (error[k] / params.rotation) ** 2
         position += (error[3 + k] / params.position) ** 2
-    now = (innovations, innovations, rotation + position, rotation + position, changes)
+    now = np.empty(5)
+    now[0], now[1], now[2], now[3], now[4] = innovations, innovations, rotation + position, rotation + position, changes
     for k in range(5):
         state.averages[k] += period / (period + TIMES[k]) * (now[k] - state.averages[k])
     out[0], out[1] = state.averages[0] + INNOVATION_FLOOR, state.averages[1] + INNOVATION_FLOOR

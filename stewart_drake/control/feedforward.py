@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from stewart_drake.base.config import Period
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Record, TickResult, Vec2, Vec6, Vec12, Vec18, record
+from stewart_drake.base.records import Record, TickResult, Vec1, Vec2, Vec6, Vec12, Vec18, record
 from stewart_drake.control.base import AT_REFERENCE, ControllerOptions, controller_part
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics_laws import motion_torque, static_torque
@@ -33,9 +33,6 @@ class FeedforwardOptions(ControllerOptions):
         level = {"none": 0.0, "gravity": 1.0, "full": 2.0}[self.feedforward]
         params = FeedforwardParams.new(gravity=context.gravity, level=level)
         return (controller_part(feedforward_tick, context.robot, params, FeedforwardState, Legs),)
-
-
-Vec1 = Annotated[np.ndarray, (1,)]
 
 
 def lead_part(period: float) -> Part:

@@ -1,6 +1,6 @@
 """Networks of one hidden layer, their weights files, and the paper's tuner, Fig. 5.
 
-Inference needs no torch. Weights are in a JSON file with a checksum: readable, diffable, no pickle.
+Inference needs no torch. Weights are in a JSON file with a checksum.
 """
 
 from __future__ import annotations
@@ -10,14 +10,15 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
 from stewart_drake.base.atomic_files import PACKAGE, plain_json, read_checked, seal, unseal, write_atomically
 from stewart_drake.base.config import Real, Window, check_value
 from stewart_drake.base.errors import ConfigurationError, Status
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Record, TickResult, Vec2, Vec12, Vector, record
 from stewart_drake.control.features import DensityKind
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.linear_algebra import all_finite
@@ -29,9 +30,20 @@ MAX_BYTES = 1_000_000
 # --- any network -----------------------------------------------------------------------------------------------------
 
 
+class MlpParams(Record):
+    """Arrays of a network of n inputs, h hidden units, which are tanh, and m linear outputs."""
+
+    input_mean: Annotated[np.ndarray, ("n",)]  # Subtracted from the inputs.
+    input_scale: Annotated[np.ndarray, ("n",)]  # Divides them afterwards; > 0.
+    hidden_weights: Annotated[np.ndarray, ("h", "n")]
+    hidden_bias: Annotated[np.ndarray, ("h",)]
+    output_weights: Annotated[np.ndarray, ("m", "h")]
+    output_bias: Annotated[np.ndarray, ("m",)]
+
+
 @njit
-def forward(network: Any, inputs: Any, limit: float, out: Any) -> None:
-    """Outputs (m,) of the record of an `Mlp` for inputs (n,), which are held within +-limit; NaN where one is NaN."""
+def forward(network: MlpParams, inputs: Vector, limit: float, out: Vector) -> None:
+    """Outputs (m,) of a network for inputs (n,), which are limited to +-limit; NaN where one is NaN."""
     hidden = network.hidden_bias.copy()
     for k in range(inputs.size):
         value = inputs[k]
@@ -40,7 +52,8 @@ def forward(network: Any, inputs: Any, limit: float, out: Any) -> None:
         scaled = (value - network.input_mean[k]) / network.input_scale[k]
         for i in range(hidden.size):
             hidden[i] += network.hidden_weights[i, k] * scaled
-    hidden = np.tanh(hidden)
+    for i in range(hidden.size):
+        hidden[i] = np.tanh(hidden[i])
     for m in range(out.size):
         total = network.output_bias[m]
         for i in range(hidden.size):
@@ -50,16 +63,9 @@ def forward(network: Any, inputs: Any, limit: float, out: Any) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Mlp:
-    """A network of n inputs, h hidden units, which are tanh, and m linear outputs; base of what has a weights file.
+    """Base of networks with a weights file: the arrays of `MlpParams`, and their provenance (data, seeds, versions).
 
-    A kind of network adds fields: further arrays, and what stands at the head of its file.
-
-    Attributes:
-        input_mean: (n,) subtracted from the inputs.
-        input_scale: (n,) divides them afterwards; > 0.
-        hidden_weights: (h, n). hidden_bias: (h,).
-        output_weights: (m, h). output_bias: (m,).
-        provenance: Where the weights come from: data, seeds, versions.
+    A kind of network adds further arrays, and the header of its file.
 
     Raises:
         ConfigurationError: A wrong shape, numbers that are not finite or too large, scales that are not positive, a
@@ -75,14 +81,13 @@ class Mlp:
     file_names: ClassVar[Mapping[str, str]] = {}
     """Field -> key in the file, where that differs."""
     largest: ClassVar[float]
-    """Numbers are below it, and positive ones above its reciprocal."""
+    """Bound of all numbers; positive ones are above its reciprocal."""
     positive: ClassVar[tuple[str, ...]]
     ordered: ClassVar[tuple[str, str]]
-    """Arrays of which the first is nowhere above the second."""
-    sizes: ClassVar[tuple[int, int | None, int]]
-    """n, h and m; None for any."""
-    more: ClassVar[Mapping[str, tuple[int, ...]]]
-    """Further arrays: field -> shape."""
+    """Two arrays; the first is nowhere above the second."""
+    record_type: ClassVar[type[MlpParams]]
+    sizes: ClassVar[Mapping[str, int]]
+    """n, m and, where it is fixed, h."""
     input_mean: np.ndarray
     input_scale: np.ndarray
     hidden_weights: np.ndarray
@@ -92,13 +97,14 @@ class Mlp:
     provenance: dict[str, Any] = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:
-        for name, shape in self.shapes().items():
-            value = getattr(self, name)
+        layout = self._sized().layout
+        for name in self.record_type.fields:
+            value, shape = getattr(self, name), layout[name].shape
             try:
                 array = np.array(value)
             except ValueError:
                 array = np.array(None)
-            # Texts, truth values and integers beyond 64 bits come as other kinds; NaN is not below anything.
+            # Text, booleans and integers beyond 64 bits have other kinds; NaN fails the comparison.
             numbers = array.dtype.kind in "fi" and array.shape == shape and 0 not in shape
             if not numbers or not (np.abs(array) < self.largest).all():
                 raise ConfigurationError(self._key(name), value, f"finite numbers of shape {shape}")
@@ -110,24 +116,13 @@ class Mlp:
         if not (getattr(self, low) <= getattr(self, high)).all():
             raise ConfigurationError(low, getattr(self, low).tolist(), f"at most {high}")
 
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shape of each array, by its field."""
-        n, h, m = self.sizes
-        if h is None:
-            h = len(self.hidden_weights) if isinstance(self.hidden_weights, (list, np.ndarray)) else 0
-        return {
-            "input_mean": (n,),
-            "input_scale": (n,),
-            "hidden_weights": (h, n),
-            "hidden_bias": (h,),
-            "output_weights": (m, h),
-            "output_bias": (m,),
-            **self.more,
-        }
+    def _sized(self) -> type[MlpParams]:
+        h = len(self.hidden_weights) if isinstance(self.hidden_weights, (list, np.ndarray)) else 0
+        return self.record_type.sized(**{"h": h, **self.sizes})
 
-    def params(self) -> np.ndarray:
-        """Its arrays as a record (1,), for `forward`."""
-        return new_record(fields(**self.shapes()), self)
+    def params(self) -> MlpParams:
+        """Its arrays as a record, for `forward`."""
+        return self._sized().new(self)
 
     def _key(self, name: str) -> str:
         return self.file_names.get(name, name)
@@ -138,7 +133,7 @@ class Mlp:
         """The network as JSON with a checksum; the same network gives the same bytes."""
         kind, version = self.file_format
         content = {"format": kind, "version": version, **{name: getattr(self, name) for name in self.header}}
-        content |= {self._key(name): getattr(self, name).tolist() for name in self.shapes()}
+        content |= {self._key(name): getattr(self, name).tolist() for name in self.record_type.fields}
         content["provenance"] = plain_json(self.provenance)
         return (json.dumps(seal(content), indent=1) + "\n").encode()
 
@@ -147,7 +142,7 @@ class Mlp:
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> Self:
-        """Reads a weights file, None for the shipped one; ConfigurationError where it is not one of this kind."""
+        """Reads a weights file of this kind, None for the shipped one."""
         kind, version = cls.file_format
         key, content = _key_of(path or cls.shipped), cls.content(path)
         values = unseal(content, key, "`stewart-drake train`")
@@ -167,7 +162,7 @@ class Mlp:
 
     @classmethod
     def content(cls, path: str | Path | None = None) -> str:
-        """Text of a weights file, None for the shipped one, not yet looked at."""
+        """Text of a weights file, None for the shipped one; not yet checked."""
         path = Path(path or cls.shipped)
         try:
             return read_checked(path, _key_of(path), MAX_BYTES).decode()
@@ -183,18 +178,23 @@ def _key_of(path: str | Path) -> str:
 
 INPUTS, HIDDEN, OUTPUTS = 12, 10, 2
 _LARGEST_DENSITY = 1e6
-"""Densities lie within +-(m + 1); anything beyond this is as good as it, and products of it stay finite."""
+"""Limit of densities, which lie within +-(m + 1), so that products stay finite."""
+
+
+class TunerNetworkParams(MlpParams):
+    """Arrays of a `TunerNetwork`."""
+
+    omega_min: Vec2  # Smallest omega_Q, omega_R of the training data; > 0.
+    omega_max: Vec2  # Largest.
 
 
 @dataclass(frozen=True, eq=False)
 class TunerNetwork(Mlp):
     """A trained 12-10-2 network: densities in, log10 of omega_Q and omega_R out, so that no weight is negative.
 
-    Deviation: the paper does not say in which scale its network answers.
+    Deviation: the paper does not give the scale of its network's outputs.
 
     Attributes:
-        omega_min: (2,) smallest omega_Q, omega_R of the training data; > 0.
-        omega_max: (2,) largest.
         density: Kind of density that the network was trained on.
         window: Window m of the training data [ticks].
 
@@ -205,11 +205,11 @@ class TunerNetwork(Mlp):
     file_format = ("stewart-drake tuner", 2)
     shipped = PACKAGE / "weights" / "tuner.json"
     header = ("density", "window")
-    largest = 1e100  # Beyond it numbers, or their reciprocals, would overflow on the way through the network.
+    largest = 1e100  # Larger numbers, or their reciprocals, would overflow in the network.
     positive = ("input_scale", "omega_min", "omega_max")
     ordered = ("omega_min", "omega_max")
-    sizes = (INPUTS, HIDDEN, OUTPUTS)
-    more: ClassVar = dict.fromkeys(ordered, (OUTPUTS,))
+    record_type = TunerNetworkParams
+    sizes: ClassVar = {"n": INPUTS, "h": HIDDEN, "m": OUTPUTS}
     omega_min: np.ndarray
     omega_max: np.ndarray
     density: DensityKind = "magnitude"
@@ -221,7 +221,7 @@ class TunerNetwork(Mlp):
         super().__post_init__()
 
     def log_weights(self, densities: np.ndarray) -> np.ndarray:
-        """Raw output (..., 2), log10 of omega_Q, omega_R, not limited, of densities (..., 12), for data sets."""
+        """Output (..., 2), log10 of omega_Q, omega_R, without limits, of densities (..., 12), for data sets."""
         return self._by_row(lambda network, row, out: forward(network, row, np.inf, out), densities)
 
     def weights(self, densities: np.ndarray) -> np.ndarray:
@@ -237,23 +237,17 @@ class TunerNetwork(Mlp):
 
 
 def load_network(path: str | Path | None = None) -> TunerNetwork:
-    """Reads a weights file.
-
-    Args:
-        path: File written by `TunerNetwork.save`; None takes the one that the package carries.
+    """Reads a weights file, None for the one that the package carries.
 
     Raises:
-        ConfigurationError: The file is missing, no weights file, corrupt, or not of this version.
+        ConfigurationError: The file is missing, no weights file, corrupt, or of another version.
     """
     return TunerNetwork.load(path)
 
 
 @njit
-def network_weights(network: Any, densities: Any, out: Any) -> None:
-    """omega_Q and omega_R (2,) of the record of a network for densities (12,), held within its training's range.
-
-    NaN where a density is NaN.
-    """
+def network_weights(network: TunerNetworkParams, densities: Vec12, out: Vec2) -> None:
+    """omega_Q and omega_R of a network, within the range of its training data; NaN where a density is NaN."""
     forward(network, densities, _LARGEST_DENSITY, out)
     for m in range(OUTPUTS):
         # Limited as a logarithm first: on wild inputs 10**x would overflow.
@@ -265,19 +259,25 @@ def network_weights(network: Any, densities: Any, out: Any) -> None:
 _STATUSES = {1: Status("not_finite", "density", text="density", numbers=slice(INPUTS))}
 
 
+class NetworkState(Record):
+    """State of the paper's tuner."""
+
+    weights: Vec2  # omega_Q, omega_R
+
+
 @njit
-def network_tick(network: Any, densities: Any, state: Any) -> Any:
+def network_tick(network: TunerNetworkParams, densities: Vec12, state: NetworkState) -> TickResult:
     """`network_weights` into a state; the status is 1 where a density is not finite."""
     network_weights(record(network), densities, record(state).weights)
     return 0 if all_finite(densities) else 1, -1, 0.0
 
 
 def network_part(network: TunerNetwork, initial: Sequence[float]) -> Part:
-    """The network as a part of a loop: what a tick finds acts from the next one on.
+    """The network as a part of a loop; its weights act from the next tick on.
 
     `initial` omega_Q, omega_R are clipped to the range that it was trained on.
     """
     check_value("initial", list(initial), tuple[Real, Real])
-    first = new_record(fields(weights=OUTPUTS), weights=np.clip(initial, network.omega_min, network.omega_max))
+    first = NetworkState.new(weights=np.clip(initial, network.omega_min, network.omega_max))
     part = Part("tuner", network_tick, {}, {"density": INPUTS}, ("weights",), first, statuses=_STATUSES)
     return part._replace(end_of_tick=True, parameters={"network": network.params()})

@@ -1,29 +1,31 @@
-"""An observer of the platform's motion: pose, rate and what no model explains, from readings of the cranks' angles.
+"""A disturbance observer: pose and rate of the platform and unmodelled crank accelerations, from crank angles.
 
-Between ticks the exact model predicts; what no model explains is one acceleration of each crank that wanders. A reading
-corrects all three by the steady Kalman filter of theta' = rate, rate' = model + disturbance + white noise,
-disturbance' = white noise, reading = theta + white noise, the same for each crank: noise is alike in all directions
-there. Of a disturbance as a state: C. Johnson, IEEE Trans. Autom. Control 16, 1971.
+Between ticks the exact model predicts. A reading corrects pose, rate and disturbance by the steady Kalman filter of
+theta' = rate, rate' = model + disturbance + white noise, disturbance' = white noise, reading = theta + white noise, for
+one crank at a time: readings have the same noise in all cranks. A disturbance as a state: C. Johnson, IEEE Trans.
+Autom. Control 16, 1971.
 
-A motor that sticks makes such a state hunt: it grows until the crank breaks away and jumps too far. So for motors with
-friction it stays as it is while the reference rests and all cranks stand where it wants them, as far as readings tell.
+With stiction such a state hunts: it grows until the crank breaks away and jumps too far. So for motors with friction it
+is held while the reference rests and all cranks are within the noise of its angles.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.base.config import Natural, Positive
 from stewart_drake.base.errors import ConfigurationError, Status
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Record, TickResult, Vec1, Vec2, Vec6, Vec12, Vec18, Vector, record
 from stewart_drake.control import estimator
 from stewart_drake.control.estimator import (
-    STATE,
     DifferenceOptions,
+    DifferenceParams,
+    DifferenceState,
     EstimatorOptions,
     difference_params,
     pose_of_angles,
@@ -32,28 +34,29 @@ from stewart_drake.loop.part import HEALTHY, LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.mechanics.dynamics_laws import forward_dynamics, task_inertia
+from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics import pose_jacobian
-from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, SERIAL, UNREACHABLE, dot, legs_at
-from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve, spectral_factor
+from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, SERIAL, UNREACHABLE, Legs, Robot, dot, legs_at
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, multiply, set_to, solve, spectral_factor
 
-SMALLEST_NOISE = 1e-5  # [rad] that readings have at least for the observer: finer than that no model is.
-ARRIVED = 6.0  # Standard deviations of a reading within which a crank stands where it is wanted, whatever its friction.
-SLIP = 4.0  # [-] the same in break_away / (inertia bandwidth^2): about half of what a crank that hunts jumps by.
+SMALLEST_NOISE = 1e-5  # [rad] least noise of readings in the observer: no model is more accurate.
+ARRIVED = 6.0  # Standard deviations of a reading within which a crank is at its target, whatever its friction.
+SLIP = 4.0  # [-] the same in break_away / (inertia bandwidth^2): about half of the jump of a crank that hunts.
 # [-] white noise of an acceleration, in units of the disturbance over the bandwidth. It damps the filter's poles: the
-# disk margin of the loop with it is 0.49, without some 0.37.
+# disk margin of the loop is 0.49 with it, 0.37 without.
 WHITE_SHARE = 1.5
-RESTS = 1e-4  # [rad/s] a crank that is to turn more slowly is to rest.
-LONGEST_DELAY = 100  # [ticks] from what is read to a command that acts; the state has place for so many.
-FARTHEST = 0.3  # [s] beyond which a prediction says nothing any more; assumed.
+AT_REST = 1e-4  # [rad/s] crank rate below which a reference is at rest.
+LONGEST_DELAY = 100  # [ticks] from a reading to the command that acts on it.
+FARTHEST = 0.3  # [s] longest prediction; assumed.
 MISSING, AT_FIRST = 7, 16
-"""Status of an encoder that is missing for too long, and what those of the first tick are more."""
-_STATUSES = {
+"""Status of an encoder that is missing for too long; offset of the statuses of the first tick."""
+STATUSES = {
     UNREACHABLE: Status("unreachable_pose", "reading", of_leg=True),
     SERIAL: Status("crank_dead_centre", "state.measurement", of_leg=True),
     PARALLEL: Status("parallel_singularity", "state.measurement"),
     MISSING: Status("encoder", "reading", True, "encoder readings {at}: encoder {leg} is missing or rejected"),
 }
-_STATUSES |= {
+STATUSES |= {
     AT_FIRST + status: ending._replace(
         signal=ending.signal.replace("candidate", "measurement"), last=ending.last.replace("measurement", "read")
     )
@@ -68,7 +71,7 @@ class ObserverOptions(EstimatorOptions):
     knobs = (("disturbance", "observer: disturbance"),)
     kind: Literal["observer"] = "observer"
     disturbance: Annotated[Positive, Field(le=1e6)] = 16.0
-    """[rad/s^2 per sqrt(s)] expected change in a second of each crank's unmodelled acceleration; low is quiet, high is
+    """[rad/s^2 per sqrt(s)] expected change of a crank's unmodelled acceleration in a second; low is quiet, high is
     stiff. With the noise of the readings it sets the bandwidth."""
     max_innovation: Positive = 0.05
     """[rad] largest innovation, reading minus prediction; a reading beyond it is rejected."""
@@ -83,20 +86,36 @@ class ObserverOptions(EstimatorOptions):
         return (observer_part(self, context),)
 
 
-_PARAMS = fields(period=(), gravity=(), noise=(), max_innovation=(), hold_ticks=(), mobility=(), age=(), ahead=())
-"""period [s]. gravity [m/s^2]. noise: of a reading [rad]. max_innovation [rad]. hold_ticks [ticks]. mobility: largest
-acceleration of a crank for its own torque [1/(kg m^2)]. age: of a reading, ahead: from what it tells to the time when
-the command of its tick acts [ticks]."""
-_STATE = fields(
-    measurement=12, predicted=12, disturbance_torque=6, innovation=6, health=2,
-    read=12, next=12, disturbance=6, missed=6, assembly_sign=(), commands=(LONGEST_DELAY + 1, 6),
-)  # fmt: skip
-"""measurement: pose and rate now [rad, m and 1/s]. predicted: likewise when the command of this tick will act.
-disturbance_torque: against what is not explained, for the command [N m]. innovation: readings less what was expected of
-them, 0 where one is missing [rad]. read: pose and rate at the time of which the reading tells. next: what they will
-be a tick later, where a delay makes the observer look ahead. disturbance: acceleration of the cranks that the model
-does not explain [rad/s^2]. missed: ticks in a row without a reading. assembly_sign: of the rods' determinant, 0 before
-the first tick. commands: the last `ahead` + 1, oldest first [N m]."""
+Commands = Annotated[np.ndarray, (LONGEST_DELAY + 1, 6)]
+
+
+class ObserverParams(Record):
+    """Parameters of the observer."""
+
+    period: float  # [s]
+    gravity: float  # [m/s^2]
+    noise: float  # [rad] of a reading.
+    max_innovation: float  # [rad]
+    hold_ticks: float  # Ticks in a row without a reading.
+    mobility: float  # [1/(kg m^2)] largest acceleration of a crank per torque of its motor.
+    age: float  # Age of a reading in ticks.
+    ahead: float  # Ticks from a reading's time to the time when the command of its tick acts.
+
+
+class ObserverState(Record):
+    """State of the observer."""
+
+    measurement: Vec12  # [rad, m and 1/s] pose and rate now.
+    predicted: Vec12  # [rad, m and 1/s] at the time when the command of this tick acts.
+    disturbance_torque: Vec6  # [N m] compensation of the disturbance at that time.
+    innovation: Vec6  # [rad] readings minus predictions; 0 for a missing reading.
+    health: Vec2  # See `loop.part.HEALTHY`.
+    read: Vec12  # [rad, m and 1/s] at the time of the reading.
+    next: Vec12  # [rad, m and 1/s] a tick later; used with a delay.
+    disturbance: Vec6  # [rad/s^2] unmodelled acceleration of the cranks.
+    missed: Vec6  # Ticks in a row without a reading.
+    assembly_sign: float  # Sign of the determinant of the rods' lines; 0 before the first tick.
+    commands: Commands  # [N m] the last `ahead` + 1, oldest first.
 
 
 @njit
@@ -121,8 +140,10 @@ def kalman_gains(noise: float, disturbance: float, period: float) -> tuple[float
 
 
 @njit
-def predict(robot: Any, params: Any, torque: Any, disturbance: Any, pose: Any, rate: Any, legs: Any) -> Any:
-    """Moves pose and rate (6,) by a period under torque (6,) [N m], in place; status, leg, margin as `_observe`."""
+def predict(
+    robot: Robot, params: ObserverParams, torque: Vec6, disturbance: Vec6, pose: Vec6, rate: Vec6, legs: Legs
+) -> TickResult:
+    """Advances pose and rate by a period under a torque [N m], in place; result as of `observer_tick`."""
     acceleration, h = np.empty(6), params.period
     bad = legs_at(robot, pose, legs)
     if bad >= 0:
@@ -137,29 +158,49 @@ def predict(robot: Any, params: Any, torque: Any, disturbance: Any, pose: Any, r
 
 @njit
 def observer_tick(
-    robot: Any, params: Any, first_params: Any, friction: Any, reading: Any, net_torque: Any, reference: Any,
-    disturbance: Any, legs: Any, estimate: Any, state: Any,
-) -> Any:  # fmt: skip
-    """One tick: predicts, corrects by the readings that are accepted, looks ahead; status, leg or -1, margin.
+    robot: Robot,
+    params: ObserverParams,
+    first_params: DifferenceParams,
+    friction: Friction,
+    reading: Vector,
+    net_torque: Vec6,
+    reference: Vec18,
+    disturbance: Vec1,
+    legs: Legs,
+    estimate: DifferenceState,
+    state: ObserverState,
+) -> TickResult:
+    """One tick: predicts, corrects by the accepted readings, looks ahead; see `observer_part`.
 
-    Takes `Robot`, `_PARAMS`, the parameters of the first tick (see `_begin`), `FRICTION`, then the inputs of
-    `observer_part`, `Legs` and `estimator.STATE`, both overwritten, and `_STATE`.
+    `first_params` are for the first tick, see `_begin`; `legs` and `estimate` are overwritten. Returns status of
+    `STATUSES`, leg or -1, margin.
     """
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
-    break_away = record(friction).break_away.max()
+    friction = record(friction)
+    break_away = friction.break_away[0]
+    for i in range(1, 6):
+        break_away = max(break_away, friction.break_away[i])
     if state.assembly_sign == 0.0:
         return _begin(robot, params, record(first_params), reading, legs, record(estimate), state)
     return _observe(robot, params, break_away, reading, net_torque, reference, disturbance[0], legs, state)
 
 
 @njit
-def _begin(robot: Any, params: Any, first_params: Any, reading: Any, legs: Any, estimate: Any, state: Any) -> Any:
-    """The first tick: the pose that its readings tell by `pose_of_angles`, and the rate of the state."""
+def _begin(
+    robot: Robot,
+    params: ObserverParams,
+    first_params: DifferenceParams,
+    reading: Vector,
+    legs: Legs,
+    estimate: DifferenceState,
+    state: ObserverState,
+) -> TickResult:
+    """The first tick: the pose of the readings by `pose_of_angles`, and the rate of the state."""
     estimate.started, estimate.missed, estimate.assembly_sign = 0.0, 0.0, 0.0
     copy_to(estimate.measurement[:], state.measurement[:])
     copy_to(estimate.angles[:], reading[:6])
     if reading.size == 12:
-        estimate.angles[:] = np.nan
+        set_to(estimate.angles[:], np.nan)
         if all_finite(reading[:6]) and legs_at(robot, reading[:6], legs) < 0:
             for i in range(6):
                 estimate.angles[i] = np.arctan2(legs.sine[i], legs.cosine[i])
@@ -176,10 +217,17 @@ def _begin(robot: Any, params: Any, first_params: Any, reading: Any, legs: Any, 
 
 @njit
 def _observe(
-    robot: Any, params: Any, break_away: float, reading: Any, net_torque: Any, reference: Any, density: float,
-    legs: Any, state: Any,
-) -> Any:  # fmt: skip
-    """A tick after the first; status, leg or -1, margin."""
+    robot: Robot,
+    params: ObserverParams,
+    break_away: float,
+    reading: Vector,
+    net_torque: Vec6,
+    reference: Vec18,
+    density: float,
+    legs: Legs,
+    state: ObserverState,
+) -> TickResult:
+    """A tick after the first."""
     cosine, sine = np.empty(6), np.empty(6)
     for i in range(6):
         cosine[i], sine[i] = np.cos(reading[i]), np.sin(reading[i])
@@ -188,10 +236,11 @@ def _observe(
         if bad >= 0 and all_finite(reading[:6]):
             return UNREACHABLE, bad, legs.reach_margin[bad]
         for i in range(6):
-            cosine[i], sine[i] = (legs.cosine[i], legs.sine[i]) if bad < 0 else (np.nan, np.nan)
+            cosine[i] = legs.cosine[i] if bad < 0 else np.nan
+            sine[i] = legs.sine[i] if bad < 0 else np.nan
     for row in range(int(params.ahead)):
         copy_to(state.commands[row], state.commands[row + 1])
-    # What is not a number no motor gives; the safety layer repeats the last command for it.
+    # For a command that is not finite the safety layer repeats the last one.
     if all_finite(net_torque):
         copy_to(state.commands[int(params.ahead)], net_torque)
     status, leg, margin = _correct(robot, params, break_away, cosine, sine, reference, density, state, legs)
@@ -202,10 +251,17 @@ def _observe(
 
 @njit
 def _correct(
-    robot: Any, params: Any, break_away: float, cosine: Any, sine: Any, reference: Any, density: float, state: Any,
-    legs: Any,
-) -> Any:  # fmt: skip
-    """Prediction and correction; pose and rate in the state become those of the reading."""
+    robot: Robot,
+    params: ObserverParams,
+    break_away: float,
+    cosine: Vec6,
+    sine: Vec6,
+    reference: Vec18,
+    density: float,
+    state: ObserverState,
+    legs: Legs,
+) -> TickResult:
+    """Prediction and correction by readings with these cosines and sines; sets `state.read`."""
     h = params.period
     pose, rate = state.next[:6].copy(), state.next[6:].copy()
     if params.ahead == 0.0:
@@ -220,7 +276,7 @@ def _correct(
     to_angle, to_rate, to_disturbance = kalman_gains(params.noise, density, h)
     worst = 0
     for i in range(6):
-        # Of the reading against the crank expected, within half a turn.
+        # Reading minus prediction, within half a turn.
         c, s = legs.cosine[i], legs.sine[i]
         state.innovation[i] = np.arctan2(sine[i] * c - cosine[i] * s, cosine[i] * c + sine[i] * s)
         if abs(state.innovation[i]) <= params.max_innovation:
@@ -242,41 +298,45 @@ def _correct(
         return PARALLEL, -1, 0.0
     predicted = pose.copy()
     laws.rate_of(predicted, turned[:, 0], change)
-    pose += change
+    for k in range(6):
+        pose[k] += change[k]
     laws.rate_of(predicted, turned[:, 1], change)
-    rate += change
+    for k in range(6):
+        rate[k] += change[k]
     copy_to(state.read[:6], pose)
     copy_to(state.read[6:], rate)
-    if not _stands(params, break_away, legs, density, pose, reference):
+    if not _rests_at_target(params, break_away, legs, density, pose, reference):
         for i in range(6):
             state.disturbance[i] += to_disturbance * state.innovation[i]
     return OK, -1, 0.0
 
 
 @njit
-def _stands(params: Any, break_away: float, legs: Any, density: float, pose: Any, reference: Any) -> bool:
-    """Whether a robot with friction in its motors is to rest, and does where it is wanted."""
+def _rests_at_target(
+    params: ObserverParams, break_away: float, legs: Legs, density: float, pose: Vec6, reference: Vec18
+) -> bool:
+    """Whether the motors have stiction, the reference is at rest and all cranks are near its angles."""
     if break_away <= 0.0:
         return False
     turn = bandwidth(params.noise, density, params.period)
     arrived = max(ARRIVED * params.noise, SLIP * break_away * params.mobility / (turn * turn))
-    off, wanted = np.empty(6), np.empty(6)
-    laws.angular_velocity(pose[:3], pose[:3] - reference[:3], off[:3])
-    laws.angular_velocity(pose[:3], reference[6:9], wanted[:3])
-    for k in range(3, 6):
-        off[k], wanted[k] = pose[k] - reference[k], reference[6 + k]
+    difference, error, target = np.empty(6), np.empty(6), np.empty(6)
+    for k in range(6):
+        difference[k] = pose[k] - reference[k]
+    laws.twist_of(pose, difference, error)
+    laws.twist_of(pose, reference[6:12], target)
     for i in range(6):
-        apart = dot(legs.line[i, :3], off[:3]) + dot(legs.line[i, 3:], off[3:])
-        turning = dot(legs.line[i, :3], wanted[:3]) + dot(legs.line[i, 3:], wanted[3:])
+        apart = dot(legs.line[i, :3], error[:3]) + dot(legs.line[i, 3:], error[3:])
+        turning = dot(legs.line[i, :3], target[:3]) + dot(legs.line[i, 3:], target[3:])
         lever = abs(legs.lever[i])
-        if not (abs(apart) <= arrived * lever and abs(turning) <= RESTS * lever):
+        if not (abs(apart) <= arrived * lever and abs(turning) <= AT_REST * lever):
             return False
     return True
 
 
 @njit
-def _look_ahead(robot: Any, params: Any, legs: Any, state: Any) -> Any:
-    """The rest of a tick: what is now and when its command acts, and what the disturbance takes then."""
+def _look_ahead(robot: Robot, params: ObserverParams, legs: Legs, state: ObserverState) -> TickResult:
+    """The rest of a tick: predictions for now and for the time of its command, and the disturbance torque then."""
     predicted, inertia = state.predicted, np.empty((6, 6))
     copy_to(predicted[:], state.read[:])
     for row in range(int(params.ahead) + 1):
@@ -295,15 +355,15 @@ def _look_ahead(robot: Any, params: Any, legs: Any, state: Any) -> Any:
         return SERIAL, bad, legs.reach_margin[bad]
     # T = -J^-T M J^-1 (disturbance).
     task_inertia(robot, legs, inertia)
-    lines, transposed = legs.line.copy(), np.ascontiguousarray(legs.line.T)
-    twist, wrench = np.empty((6, 1)), np.zeros((6, 1))
+    lines, transposed = legs.line.copy(), np.empty((6, 6))
+    twist, wrench = np.empty((6, 1)), np.empty((6, 1))
     for i in range(6):
         twist[i, 0] = legs.lever[i] * state.disturbance[i]
+        for k in range(6):
+            transposed[k, i] = legs.line[i, k]
     if solve(lines, twist) == 0.0:
         return PARALLEL, -1, 0.0
-    for k in range(6):
-        for m in range(6):
-            wrench[k, 0] += inertia[k, m] * twist[m, 0]
+    multiply(inertia, twist, wrench)
     solve(transposed, wrench)
     for i in range(6):
         state.disturbance_torque[i] = -legs.lever[i] * wrench[i, 0]
@@ -311,11 +371,10 @@ def _look_ahead(robot: Any, params: Any, legs: Any, state: Any) -> Any:
 
 
 def observer_part(options: ObserverOptions, context: LoopContext) -> Part:
-    """The observer; its outputs are the first fields of `_STATE`.
+    """The observer as a part of a loop.
 
-    Inputs: reading, (6,) angles of the cranks [rad], NaN for one that is missing, or (12,) pose [rad, m] and its rate;
-    net_torque (6,) [N m] the last command, less what of it the friction takes; reference (18,) wanted now; disturbance
-    (1,) [rad/s^2 per sqrt(s)] to expect.
+    Inputs: reading, (6,) crank angles [rad], NaN for a missing one, or (12,) pose [rad, m] and its rate; net_torque
+    (6,) [N m] the last command less the friction; reference (18,) now; disturbance (1,) [rad/s^2 per sqrt(s)] expected.
     """
     robot, period, age = context.robot, context.period, round(context.reading_age / context.period)
     ahead = age + context.delay
@@ -325,10 +384,9 @@ def observer_part(options: ObserverOptions, context: LoopContext) -> Part:
             allowed = f"at most {most * period:g} s, {reason} sensors.delay"
             raise ConfigurationError("model.reading_age", context.reading_age, allowed)
         raise ConfigurationError("model.delay", context.delay, f"at most {most - age}, {reason} command_delay")
-    # [1/(kg m^2)] acceleration of a crank for its own torque, at home.
+    # [1/(kg m^2)] acceleration of a crank per torque of its motor, at home.
     mobility = np.diag(pose_jacobian(robot, robot.home_pose) @ pose_acceleration_map(robot, robot.home_pose))
-    params = new_record(
-        _PARAMS,
+    params = ObserverParams.new(
         options,
         period=period,
         gravity=context.gravity,
@@ -338,16 +396,12 @@ def observer_part(options: ObserverOptions, context: LoopContext) -> Part:
         ahead=ahead,
     )
     start = np.concatenate([context.pose, context.pose_rate])
-    initial = new_record(_STATE, measurement=start, predicted=start, read=start, health=HEALTHY)
+    initial = ObserverState.new(measurement=start, predicted=start, read=start, health=HEALTHY)
     initial["commands"][0, : ahead + 1] = context.initial_torque
-
     first = difference_params(DifferenceOptions(), period)
     numbers = {"robot": laws.robot_record(robot), "params": params, "first_params": first}
     numbers["friction"] = context.friction.record()
     inputs = {"reading": context.reading, "net_torque": 6, "reference": 18, "disturbance": 1}
-    outputs, expected = (
-        ("measurement", "predicted", "disturbance_torque", "innovation"),
-        np.array([options.disturbance]),
-    )
-    part = Part("observer", observer_tick, {}, inputs, outputs, initial, (laws.Legs, STATE), _STATUSES)
-    return part._replace(connections={"disturbance": expected}, parameters=numbers)
+    outputs = "measurement", "predicted", "disturbance_torque", "innovation"
+    part = Part("observer", observer_tick, {}, inputs, outputs, initial, (Legs, DifferenceState), STATUSES)
+    return part._replace(connections={"disturbance": np.array([options.disturbance])}, parameters=numbers)

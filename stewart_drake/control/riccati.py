@@ -7,19 +7,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError, RiccatiError, drake_guard
 from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Mat3, Mat6, Mat6x3, Mat6x18, Vec3, Vec4, Vec6
 from stewart_drake.mechanics.dynamics import ForceMapKind, force_map
-from stewart_drake.mechanics.linear_algebra import singular_vectors, spectral_factor
+from stewart_drake.mechanics.linear_algebra import set_to, singular_vectors, spectral_factor
 from stewart_drake.robot import RobotParameters
 
 AXES = 6
 STATES = 18
 RiccatiSolver = Literal["drake", "split"]
+Chains = Annotated[np.ndarray, (6, 3, 3)]
+Inputs = Annotated[np.ndarray, (6, 3, 1)]
 
 POSITION = np.arange(0, 12, 2)
 """Indices of the six position errors in the 18 states."""
@@ -39,7 +42,7 @@ def mass_diagonal(robot: RobotParameters) -> np.ndarray:
 
 
 def acceleration_map(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind = "statics") -> np.ndarray:
-    """M^-1 tau (..., 6, 6) of (10): second derivative of poses (..., 6) per unit of torque, in the paper's model."""
+    """M^-1 tau (..., 6, 6) of (10): second derivative of poses (..., 6) per unit torque, in the paper's model."""
     return force_map(robot, pose, kind) / mass_diagonal(robot)[:, None]
 
 
@@ -81,14 +84,14 @@ def discretize(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray,
 
 
 SMALLEST_SINGULAR_VALUE = 1e-13
-"""Of M^-1 tau, as a share of the largest; below it the map counts as singular."""
+"""Of M^-1 tau, relative to the largest; below it the map counts as singular."""
 
 
 @cache  # An import from pydrake.math takes longer than a solution.
 def equation_of_drake() -> Any:
     """Drake's DiscreteAlgebraicRiccatiEquation; a ConfigurationError where Drake is not installed.
 
-    Deviation: (32) as printed has sizes that do not fit and lacks a factor; it solves the standard equation.
+    Deviation: the standard equation; (32) as printed lacks a factor, and its sizes do not fit.
     """
     try:
         from pydrake.math import DiscreteAlgebraicRiccatiEquation
@@ -98,14 +101,14 @@ def equation_of_drake() -> Any:
 
 
 @njit
-def chain_gain_of(p: Any, a: Any, b: Any, r: float, gain: Any) -> bool:
+def chain_gain_of(p: Mat3, a: Mat3, b: Vec3, r: float, gain: Vec3) -> bool:
     """K = (r + b' P b)^-1 b' P A, (31), of a chain, see `chain_gain`; whether A - b K is stable.
 
     N = A - I is nilpotent, so that the closed loop's polynomial in d = z - 1 is d^3 + d^2 K b + d K N b + K N^2 b;
-    stable by Routh's criterion for z = (1 + w) / (1 - w). P (3, 3), A (3, 3), b (3,); gain: (3,) out.
+    stable by Routh's criterion for z = (1 + w) / (1 - w).
     """
     c, power = np.zeros(3), b.copy()
-    gain[:] = 0.0
+    set_to(gain, 0.0)
     for i in range(3):
         pb = p[i, 0] * b[0] + p[i, 1] * b[1] + p[i, 2] * b[2]
         r += b[i] * pb
@@ -123,8 +126,8 @@ def chain_gain_of(p: Any, a: Any, b: Any, r: float, gain: Any) -> bool:
 
 
 @njit
-def chain_gains_of(p: Any, a: Any, b: Any, r: float, gains: Any) -> bool:
-    """`chain_gain_of` for solutions (6, 3, 3) and inputs (6, 3, 1), whether all are stable; gains: (6, 3) out."""
+def chain_gains_of(p: Chains, a: Mat3, b: Inputs, r: float, gains: Mat6x3) -> bool:
+    """`chain_gain_of` six chains; whether all are stable."""
     stable = True
     for i in range(6):
         stable = chain_gain_of(p[i], a, b[i, :, 0], r, gains[i]) and stable
@@ -132,15 +135,15 @@ def chain_gains_of(p: Any, a: Any, b: Any, r: float, gains: Any) -> bool:
 
 
 @njit
-def chain_gain(s: float, period: float, weights: Any, gain: Any) -> bool:
+def chain_gain(s: float, period: float, weights: Vec4, gain: Vec3) -> bool:
     """Optimal gain of a chain of integrators z' = e, e' = v, v' = s u, sampled with period T.
 
     The return difference on the unit circle is a cubic, see `spectral_factor`; the gain is read off the closed loop's
     polynomial in d = z - 1 (as for a single input in K. J. Astrom, B. Wittenmark, Computer-Controlled Systems).
     No digits are lost to fast sampling, where all poles crowd at z = 1, nor to weights far apart.
 
-    Takes s > 0 per unit of u, T [s], and weights (4,) q_e, q_v, q_z, r, each > 0. gain: (3,) out, k_e, k_v, k_z of
-    u = -(k_e e + k_v v + k_z z). False where numbers leave floating point.
+    Takes s > 0 per unit of u, T [s], and weights q_e, q_v, q_z, r > 0; gives k_e, k_v, k_z of
+    u = -(k_e e + k_v v + k_z z). False if a gain overflows.
     """
     t, g = period, s * s / weights[3]
     pose, rate, integral = g * (weights[0] * t**4), g * (weights[1] * t**2), g * (weights[2] * t**6)
@@ -153,10 +156,10 @@ def chain_gain(s: float, period: float, weights: Any, gain: Any) -> bool:
 
 
 @njit
-def decouple(acceleration_map: Any, length: float, left: Any, s: Any, right: Any) -> bool:
+def decouple(acceleration_map: Mat6, length: float, left: Mat6, s: Vec6, right: Mat6) -> bool:
     """Singular vectors of M^-1 tau = U S V', rotations scaled by a length [m]; False where it is singular.
 
-    left, right: (6, 6) out, s_i u_i and v_i in row i. s: (6,) out.
+    Rows i of `left` and `right` become s_i u_i and v_i.
     """
     for i in range(6):
         for k in range(6):
@@ -169,10 +172,10 @@ def decouple(acceleration_map: Any, length: float, left: Any, s: Any, right: Any
 
 
 @njit
-def join(left: Any, s: Any, right: Any, length: float, chains: Any, gain: Any) -> None:
+def join(left: Mat6, s: Vec6, right: Mat6, length: float, chains: Mat6x3, gain: Mat6x18) -> None:
     """K (6, 18) in the paper's state order from gains (6, 3) k_e, k_v, k_z of six chains, see `decouple`."""
-    gain[:] = 0.0
     for j in range(6):
+        set_to(gain[j], 0.0)
         for k in range(6):
             scale = length if k < 3 else 1.0
             for i in range(6):
@@ -183,15 +186,15 @@ def join(left: Any, s: Any, right: Any, length: float, chains: Any, gain: Any) -
 
 
 @njit
-def split_solution(acceleration_map: Any, length: float, period: float, weights: Any, gain: Any) -> bool:
+def split_solution(acceleration_map: Mat6, length: float, period: float, weights: Vec4, gain: Mat6x18) -> bool:
     """LQI gain from six 3-state problems in the singular vectors of M^-1 tau.
 
     With Q = diag(q_e I, q_v I, q_z I), R = r I and M^-1 tau = U S V', the coordinates U'e, U'e', U'z, V'u decouple; the
     six problems differ in s_i alone.
 
-    Takes M^-1 tau (6, 6), the length [m] by which rotations are multiplied in Q (1 is the paper, which weighs radians
-    like metres), and more as `chain_gain`. gain: (6, 18) out, K in the paper's state order, u = -K x. False where the
-    map is singular or the gain leaves floating point.
+    Rotations are multiplied by the length [m] in Q; 1 is the paper's, which weighs radians like metres. Period and
+    weights as of `chain_gain`. `gain` becomes K in the paper's state order, u = -K x. False if the map is singular or a
+    gain overflows.
     """
     left, s, right, chains = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty((6, 3))
     if not decouple(acceleration_map, length, left, s, right):
@@ -215,8 +218,8 @@ def drake_gain(
     """K (6, 18) as of `split_gain`, its six chains solved by Drake: a sixth of the time of one equation of 18 states.
 
     Raises:
-        RiccatiError: The map is singular; Drake finds no solution, or one that does not stabilise, as where weights lie
-            too far apart for it.
+        RiccatiError: The map is singular; Drake finds no solution, or one that does not stabilise, because the weights
+            are too far apart.
         ConfigurationError: Drake is not installed.
     """
     left, s, right, gain = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty((6, 18))
@@ -231,7 +234,7 @@ def drake_gain(
                 p[i] = solve(a, b[i], q, r)
     except Exception as error:
         raise RiccatiError(str(error)) from error
-    # Drake loses digits with the spread of Q and R, and does not look at what is left.
+    # Drake loses digits with the spread of Q and R, without a check.
     if not chain_gains_of(p, a, b, weights[3], chains):
         allowed = "the weights lie too far apart for it; solver: split bears them"
         raise RiccatiError(f"Drake's solution does not stabilise: {allowed}")
@@ -245,14 +248,10 @@ def split_gain(
     """`split_solution` with its input checked; K (6, 18) in the paper's state order, u = -K x.
 
     Raises:
-        RiccatiError: A map that is singular or not (6, 6), a number that is not finite, or not positive where it must
-            be, or gains that leave floating point.
+        RiccatiError: A map that is singular or not (6, 6), a number that is not finite or not positive, or gains that
+            overflow.
     """
-    matrix, blocks, gain = (
-        np.ascontiguousarray(acceleration_map, dtype=float),
-        np.array(weights, float),
-        np.empty((6, 18)),
-    )
+    matrix, blocks, gain = np.array(acceleration_map, float, order="C"), np.array(weights, float), np.empty((6, 18))
     positive = np.array([*blocks, period, length])
     if matrix.shape != (6, 6) or not np.isfinite(matrix).all() or not (np.isfinite(positive) & (positive > 0.0)).all():
         numbers = f"weights {weights}, a period of {period} s and a length of {length} m"

@@ -1,4 +1,4 @@
-"""Where the weights of the LQI come from: options of the tuners."""
+"""Options of the tuners, which give the LQI its weights."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from pydantic import Field
 
 from stewart_drake.base.config import NotNegative, Period, Positive, Real, Section, Text, Window
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.base.jit import new_record
 from stewart_drake.control.base import INTEGRAL_WEIGHT, POSE_WEIGHT, RATE_WEIGHT
 from stewart_drake.control.features import DensityKind, density_part
 from stewart_drake.control.network import TunerNetwork, network_part
 from stewart_drake.control.policy import (
-    SCHEDULE,
     Policy,
+    Schedule,
     SettingSource,
     schedule_tick,
     setting_part,
@@ -217,8 +216,8 @@ class ScheduleTuner(SettingTuner):
     def source(self) -> ScheduleTuner:
         return self
 
-    def params(self) -> np.ndarray:
-        return new_record(SCHEDULE, self)
+    def params(self) -> Schedule:
+        return Schedule.new(self)
 
     @property
     def centre(self) -> np.ndarray:

@@ -204,21 +204,3 @@ def derivatives(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) ->
         ahead, behind = at + way, at - way
         columns.append((function(ahead) - function(behind)) / (ahead[k] - behind[k]))
     return function(at), np.stack(columns, axis=-1)
-
-
-@njit
-def set_to(out: Vector, value: float) -> None:
-    """Sets all elements of a vector to a value."""
-    for k in range(len(out)):
-        out[k] = value
-
-
-@njit
-def multiply(left: Matrix, right: Matrix, out: Matrix) -> None:
-    """Product of two matrices; `out` is another array."""
-    for i in range(left.shape[0]):
-        for j in range(right.shape[1]):
-            total = 0.0
-            for k in range(left.shape[1]):
-                total += left[i, k] * right[k, j]
-            out[i, j] = total

@@ -22,7 +22,8 @@ import numpy as np
 from stewart_drake.base.atomic_files import MAX_FILE_BYTES, checksum, read_checked, seal, unseal, write_atomically
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import record
-from stewart_drake.control.features import FEATURES, CostScales, compute_features
+from stewart_drake.base.records import Record, Vec6, Vec12, Vec18
+from stewart_drake.control.features import FEATURES, CostScales, TunerParams, TunerState, compute_features
 from stewart_drake.control.policy import LARGEST_FEATURE, SIZE, Policy, SettingSource, policy_setting, slew
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.logs.versions import collect_versions
@@ -130,12 +131,21 @@ class FunctionSource:
     def __init__(self, policy: Policy, choose: Callable[[np.ndarray, np.ndarray], float]) -> None:
         self.centre, self.width, self.params, self._choose = policy.centre, policy.width, policy.params, choose
 
-    def kernel(self, tuner_params: np.ndarray, _: np.ndarray, *inputs: np.ndarray) -> None:
+    def kernel(
+        self,
+        params: TunerParams,
+        _: Record,
+        density: Vec12,
+        error: Vec6,
+        torque: Vec6,
+        innovation: Vec6,
+        reference: Vec18,
+        state: TunerState,
+    ) -> None:
         features, setting, confidence = np.empty(len(FEATURES)), self.centre.copy(), 0.0
-        arguments: Any = (*inputs, features)
-        if compute_features(tuner_params, *arguments):
+        if compute_features(params, density, error, torque, innovation, reference, state, features):
             confidence = self._choose(features, setting)
-        slew(tuner_params, setting, confidence, inputs[-1])
+        slew(params, setting, confidence, state)
 
 
 @dataclass(frozen=True)
