@@ -10,7 +10,20 @@ from pydantic import Field
 from stewart_drake.base.config import Flag, Natural, Period, Positive, PositivePair
 from stewart_drake.base.errors import ConfigurationError, RiccatiError, Status
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat6, Mat6x18, Record, TickResult, Vec2, Vec4, Vec6, Vec12, Vec18, Vector, record
+from stewart_drake.base.records import (
+    Mat6,
+    Mat6x1,
+    Mat6x18,
+    Record,
+    TickResult,
+    Vec2,
+    Vec4,
+    Vec6,
+    Vec12,
+    Vec18,
+    Vector,
+    record,
+)
 from stewart_drake.control.base import (
     AT_REFERENCE,
     REFERENCE,
@@ -28,7 +41,7 @@ from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import ForceMapKind
 from stewart_drake.mechanics.dynamics_laws import motion_torque, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot
-from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
+from stewart_drake.mechanics.linear_algebra import all_finite, any_nonzero, copy_to, set_to, solve
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST_SIZE
 from stewart_drake.robot.robot_scale import CHARACTERISTIC_LENGTH
@@ -281,7 +294,7 @@ def _feedforward(
     robot: Robot, params: LqiParams, measurement: Vec12, reference: Vec18, legs: Legs, force: Vec6
 ) -> TickResult:
     """Torque (6,) [N m] that is added to the feedback; overwrites `legs` where it is taken at the reference."""
-    force[:] = 0.0
+    set_to(force, 0.0)
     if params.feedforward == FULL and params.at_reference == 1.0:
         bad = laws.legs_at(robot, reference[:6], legs)
         if bad >= 0:
@@ -307,6 +320,15 @@ def _feedforward(
 
 
 @njit
+def _integral_of_torque(gain: Mat6x18, column: Mat6x1) -> bool:
+    """The integral z that gives a torque (6, 1) by the last block of K, in its place; False where there is none."""
+    block = np.empty((6, 6))
+    for i in range(6):
+        copy_to(block[i], gain[i, 12:])
+    return solve(block, column) != 0.0
+
+
+@njit
 def _command(
     robot: Robot,
     params: LqiParams,
@@ -322,7 +344,7 @@ def _command(
         for i in range(6):
             for k in range(6):
                 column[i, 0] += problem.before[i, 12 + k] * integral[k]
-        if solve(problem.gain[:, 12:].copy(), column) == 0.0:
+        if not _integral_of_torque(problem.gain, column):
             return laws.NO_GAIN, -1, 0.0
         copy_to(integral, column[:, 0])
     force, wanted, error, torque = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
@@ -339,8 +361,8 @@ def _command(
         cut = np.empty((6, 1))
         for i in range(6):
             cut[i, 0] = wanted[i] - torque[i]
-        if cut.any():
-            if solve(problem.gain[:, 12:].copy(), cut) == 0.0:
+        if any_nonzero(cut[:, 0]):
+            if not _integral_of_torque(problem.gain, cut):
                 return laws.NO_GAIN, -1, 0.0
             for k in range(6):
                 integral[k] += params.back_share * cut[k, 0]

@@ -218,6 +218,10 @@ class Expressions:
         raise Untyped(f"the attribute {node.attr}; write a loop")
 
     def _subscript_value(self, node: ast.Subscript) -> Value:
+        if ast.unparse(node.slice) == "0" and isinstance(node.value, ast.Subscript):
+            field, of = getattr(node.value.slice, "value", None), self.value(node.value.value)
+            if isinstance(of, Struct) and isinstance(field, str):  # `state["field"][0]` of an array of one record
+                return of.field(field)
         owner = self.value(node.value)
         indices = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
         if isinstance(owner, Struct) and isinstance(node.slice, ast.Constant) and node.slice.value == 0:

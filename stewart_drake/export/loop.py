@@ -137,7 +137,10 @@ class LoopSource:
         healthy = [f"        {place}[{n}] = {value};" for n, value in enumerate(HEALTHY) if part.fault_tolerant]
         lines += ["    if (result.first == 0) {", *healthy, "        return 0;", "    }"]
         if part.fault_tolerant:
-            lines += ["    /* The state is as it was; the safety layer gets the cause. */", f"    loop->{part.name} = before;"]
+            lines += [
+                "    /* The state is as it was; the safety layer gets the cause. */",
+                f"    loop->{part.name} = before;",
+            ]
         causes, of_leg = np.ones(_STATUSES, dtype=int), np.zeros(_STATUSES, dtype=int)
         for status, ending in part.statuses.items():
             causes[status], of_leg[status] = failure_code(ending.reason), ending.of_leg
@@ -157,7 +160,11 @@ class LoopSource:
         of = struct_type(annotation, value.dtype) if value.dtype.names else None
         if name in part.connections:
             pointer = self.signals[str(part.connections[name])].array.pointer
-            return Struct(of, f"((const struct {self.program.struct(of)} *){pointer})", None) if of else self._input(part, name)
+            return (
+                Struct(of, f"((const struct {self.program.struct(of)} *){pointer})", None)
+                if of
+                else self._input(part, name)
+            )
         if f"{part.name}.{name}" in self._variable:
             if of:
                 return self._record(member, of, value)

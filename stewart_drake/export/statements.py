@@ -148,7 +148,9 @@ class Statements(Expressions):
     def _return(self, node: ast.Return) -> None:
         value = TupleType(()) if node.value is None else self.value(node.value)
         items = value.items if isinstance(value, TupleType) else (self._number(value),)
-        if len(items) != len(self.result) or any(wider(k, x.kind) != k for k, x in zip(self.result, items, strict=True)):
+        if len(items) != len(self.result) or any(
+            wider(k, x.kind) != k for k, x in zip(self.result, items, strict=True)
+        ):
             raise Untyped(f"a result of other types than `{ast.unparse(self.source.tree.returns or node)}`")
         text = f" {value.call}" if isinstance(value, TupleType) and value.call else ""
         if len(items) == 1:
@@ -216,7 +218,9 @@ class Statements(Expressions):
                 self.top.append(f"    {value.kind} {text} = {'false' if value.kind == 'bool' else '0'};")
             elif isinstance(before, Scalar) and before.kind != value.kind:
                 kinds, better = f"{described(before)} before, {described(value)} here", wider(before.kind, value.kind)
-                raise Untyped(f"`{name}`, {kinds}; {'write `0.0` or `float(...)`' if better == 'double' else 'use two names'}")
+                raise Untyped(
+                    f"`{name}`, {kinds}; {'write `0.0` or `float(...)`' if better == 'double' else 'use two names'}"
+                )
             self.emit(f"{f'{value.kind} ' if before is None and here else ''}{text} = {value.text};")
             self.values[name] = Scalar(value.kind, text)
         elif isinstance(value, (Array, Struct)) and value.pointer in (text, getattr(before, "pointer", "")):

@@ -150,7 +150,12 @@ def longer(state: Longer) -> None:
     state = record(state)
     for k in range(len(state.rows)):
         state.rows[k, 1] = state.rows[k, 0] + state.inner.out[k]
-    numbers(state.out, state.inner)
+    counted(state.inner)
+
+
+@njit
+def counted(inner: LawState) -> None:
+    inner.count += 1.0
 
 
 # --- refused ---------------------------------------------------------------------------------------------------------

@@ -76,7 +76,9 @@ def test_a_record_with_a_free_size_and_another_in_it(tmp_path):
 
 @pytest.mark.parametrize("law", laws.REFUSED, ids=lambda law: law.__name__)
 def test_what_is_not_known_is_refused_with_file_and_line(law):
-    with pytest.raises(ConfigurationError, match=rf"laws\.py:\d+: expected what can be printed as C.*{laws.REFUSED[law]}"):
+    with pytest.raises(
+        ConfigurationError, match=rf"laws\.py:\d+: expected what can be printed as C.*{laws.REFUSED[law]}"
+    ):
         source(law)
 
 
