@@ -1,4 +1,4 @@
-"""Wrenches [moment, force] about P in B, (6,) [N m, N], from outside on the platform, as functions of time."""
+"""External wrenches [moment, force] on the platform about P in B, (6,) [N m, N], as functions of time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stewart_drake.base.families import UserMade
 from stewart_drake.base.registry import DISTURBANCES
 from stewart_drake.references.surgical import random_sines
 
-_SINES = 64  # Enough that the sum passes for noise: near-normal, and it repeats after hours. Assumed.
+_SINES = 64  # The sum is close to normal, and repeats after hours. Assumed.
 
 
 class ConstantWrench(Section, key="disturbances"):
@@ -26,7 +26,7 @@ class ConstantWrench(Section, key="disturbances"):
     kind: Literal["constant"] = "constant"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        return _shares(time)[..., None] * np.array(self.wrench)
+        return _active(time)[..., None] * np.array(self.wrench)
 
 
 class StepWrench(Section, key="disturbances"):
@@ -46,13 +46,13 @@ class StepWrench(Section, key="disturbances"):
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
         until = math.inf if self.until is None else self.until
-        return _shares(time, self.time, until)[..., None] * np.array(self.wrench)
+        return _active(time, self.time, until)[..., None] * np.array(self.wrench)
 
 
 class ImpulseWrench(Section, key="disturbances"):
     """A blow: the constant wrench impulse / duration for a short time.
 
-    It is exact where `duration` is a whole number of the plant's steps.
+    It is exact if `duration` is a whole number of the plant's steps.
     """
 
     impulse: Vector6
@@ -64,8 +64,8 @@ class ImpulseWrench(Section, key="disturbances"):
     kind: Literal["impulse"] = "impulse"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        during = _shares(time, self.time, self.time + self.duration)
-        return during[..., None] * (np.array(self.impulse) / self.duration)
+        active = _active(time, self.time, self.time + self.duration)
+        return active[..., None] * (np.array(self.impulse) / self.duration)
 
 
 class SineWrench(Section, key="disturbances"):
@@ -85,10 +85,10 @@ class SineWrench(Section, key="disturbances"):
 
 
 class NoiseWrench(Section, key="disturbances"):
-    """Band-limited noise with a flat spectrum, independent on each axis: a seeded sine in each 64th of the band."""
+    """Band-limited noise with a flat spectrum, independent by axis: one seeded sine per 64th of the band."""
 
     rms: tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
-    """[N m, N] RMS on each axis: moment about P and force, in the base frame B."""
+    """[N m, N] RMS by axis: moment about P and force, in the base frame B."""
     low: NotNegative = 0.5
     """[Hz] lower end of the band."""
     high: Positive = 50.0
@@ -112,9 +112,9 @@ class NoiseWrench(Section, key="disturbances"):
         return random_sines(self.seed, (self.low, self.high), 6, _SINES)
 
 
-def _shares(time: float | np.ndarray, start: float = -math.inf, end: float = math.inf) -> np.ndarray:
+def _active(time: float | np.ndarray, start: float = -math.inf, end: float = math.inf) -> np.ndarray:
     """(...) 1 from `start` on, 0 from `end` on."""
-    # Times of steps are stretched by 1.4e-10 of themselves (`sampling.on_grid`), never shrunk: >= finds the right one.
+    # Times of steps are rounded up by a factor of 1 + 1.4e-10 (`sampling.on_grid`), so that >= finds the right one.
     time = np.asarray(time, dtype=float)
     return ((time >= start) & (time < end)).astype(float)
 
@@ -126,7 +126,7 @@ class UserDisturbance(UserMade, key="disturbances"):
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
         times = np.asarray(time, dtype=float)
-        wrenches = [self.numbers(self.made.evaluate(float(instant))) for instant in times.ravel()]
+        wrenches = [self.numbers(self.made.evaluate(float(t))) for t in times.ravel()]
         wrong = [wrench.shape for wrench in wrenches if wrench.shape != (6,)]
         if wrong:
             raise self.refusal(str(wrong[0]))
@@ -134,7 +134,7 @@ class UserDisturbance(UserMade, key="disturbances"):
 
 
 class Disturbance(Protocol):
-    """Anything that pushes the platform."""
+    """An external wrench on the platform."""
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
         """Wrench (..., 6) [N m, N] at times (...) [s]."""
@@ -145,4 +145,4 @@ AnyDisturbance = Annotated[Disturbance, DISTURBANCES]
 
 def total_wrench(disturbances: Sequence[Disturbance], time: float | np.ndarray) -> np.ndarray:
     """Sum of disturbances (..., 6) [N m, N] at times (...) [s]."""
-    return sum((one.evaluate(time) for one in disturbances), np.zeros((*np.shape(time), 6)))
+    return sum((disturbance.evaluate(time) for disturbance in disturbances), np.zeros((*np.shape(time), 6)))

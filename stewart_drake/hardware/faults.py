@@ -1,4 +1,4 @@
-"""How sensors, commands and motors fail for a while: each kind a function, a line in the registry."""
+"""Temporary faults of sensors, commands and motors; a kind is a function and a line in the registry."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -21,13 +21,13 @@ _BLOCK = 1024
 
 
 def tick_numbers(seed: int, stream: int, tick: int, size: int, normal: bool) -> np.ndarray:
-    """Random numbers (size,) of a tick, normal or in [0, 1): the same whenever asked, independent by stream."""
+    """Random numbers (size,) of a tick, normal or in [0, 1): a function of the arguments, independent by stream."""
     return _block(seed, stream, tick // _BLOCK, size, normal)[tick % _BLOCK]
 
 
 @lru_cache(maxsize=64)
 def _block(seed: int, stream: int, block: int, size: int, normal: bool) -> np.ndarray:
-    # Philox counts: a block is reached without drawing those before it. The low counter words run within the block.
+    # Philox has a counter: a block is reached without drawing the blocks before it. Its low words count in the block.
     generator = np.random.Generator(np.random.Philox(key=[seed, stream], counter=[0, 0, 0, block]))
     values = generator.standard_normal((_BLOCK, size)) if normal else generator.random((_BLOCK, size))
     values.flags.writeable = False
@@ -36,35 +36,35 @@ def _block(seed: int, stream: int, block: int, size: int, normal: bool) -> np.nd
 
 @dataclass
 class Signal:
-    """What a fault finds, and spoils in place."""
+    """A signal, which faults change in place."""
 
-    values: np.ndarray  # (n,) readings or torques, as the faults before have left them.
+    values: np.ndarray  # (n,) readings or torques, after the faults before.
     time: float = 0.0  # [s].
     tick: int = 0  # Of the controller.
-    good: Any = None  # (n,) the last readings before one of the faults that keep them; of sensors.
-    stale: Any = None  # (n,) true readings of as many ticks ago as the fault says; of sensors.
+    good: np.ndarray | None = None  # (n,) readings of a sensor before a fault that keeps them.
+    stale: np.ndarray | None = None  # (n,) true readings of a sensor, `delay` of the fault ago.
 
 
 class FaultKind(NamedTuple):
-    """What a kind of fault does."""
+    """A kind of fault."""
 
-    # Called with the section of the fault and with a `Signal`, whose `values` it changes in place.
-    spoil: Callable[[Any, Any], None]
+    # Changes `values` of the signal in place.
+    spoil: Callable[[Fault, Signal], None]
     needs: str = ""  # Key that this kind must have, and that is null for kinds that do not need it; empty for none.
-    keeps: bool = False  # Whether it goes on from the last good reading, which is then kept; of sensors.
+    keeps: bool = False  # Whether it continues from the last good reading of a sensor, which is then kept.
 
 
-def _kind(value: Callable[[Any, Signal, Any], Any], needs: str = "", keeps: bool = False) -> FaultKind:
-    """A kind by the values of its channels, from fault, signal and what they would be."""
+def _kind(value: Callable[..., float | np.ndarray], needs: str = "", keeps: bool = False) -> FaultKind:
+    """A kind by the values of its channels, from fault, signal and the values without it."""
 
-    def spoil(fault: Any, signal: Signal) -> None:
+    def spoil(fault: Fault, signal: Signal) -> None:
         signal.values[fault.channels] = value(fault, signal, signal.values[fault.channels])
 
     return FaultKind(spoil, needs, keeps)
 
 
-def _swapped(fault: Any, signal: Signal) -> None:
-    pair = [fault.leg, fault.other]
+def _swapped(fault: Fault, signal: Signal) -> None:
+    pair = np.array([fault.leg, fault.other])
     signal.values[pair] = signal.values[pair[::-1]]
 
 
@@ -80,7 +80,7 @@ SWAPPED = FaultKind(_swapped, needs="other")
 
 
 class Fault(Section):
-    """Base of the faults of one place, a signal: the kinds that are allowed there, and the keys that all have."""
+    """Base of the faults of a signal: the kinds that are allowed for it, and common keys."""
 
     kinds: ClassVar[Table]
     kind: str
@@ -98,18 +98,18 @@ class Fault(Section):
     """The second leg of swapped ones, 0 to 5."""
 
     def spoil(self, signal: Signal) -> bool:
-        """Does what its kind does, if it is there at the signal's time; whether it is."""
-        acts = self.time <= signal.time < self.time + (math.inf if self.duration is None else self.duration)
-        if acts:
+        """Changes the signal if the fault is active at its time; returns whether it is."""
+        active = self.time <= signal.time < self.time + (math.inf if self.duration is None else self.duration)
+        if active:
             self.kinds[self.kind].spoil(self, signal)
-        return acts
+        return active
 
     @property
     def channels(self) -> slice:
         return slice(None) if self.leg is None else slice(self.leg, self.leg + 1)
 
     def ticks_late(self, period: float) -> int:
-        """Whole ticks of a period [s] by which it delays a reading."""
+        """Delay of a reading in whole ticks of a period [s]."""
         return math.ceil((self.delay or 0.0) / period - 1e-6)
 
     def rules(self) -> None:
@@ -119,8 +119,8 @@ class Fault(Section):
             if (value is None) == (self.kind in kinds):
                 raise ConfigurationError(key, value, f"{words} for kind {join_or(kinds)}" if kinds else "null")
         if self.other is not None and self.leg in (None, self.other):
-            key, given, apart = ("leg", None, self.other) if self.leg is None else ("other", self.other, self.leg)
-            raise ConfigurationError(key, given, f"a leg from 0 to 5, other than {apart}")
+            key, value, other = ("leg", None, self.other) if self.leg is None else ("other", self.other, self.leg)
+            raise ConfigurationError(key, value, f"a leg from 0 to 5, other than {other}")
 
 
 class EncoderFault(Fault, key="sensors.faults"):

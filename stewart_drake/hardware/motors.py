@@ -5,24 +5,42 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.code import UserCode
+from stewart_drake.base.code import CodePath, UserCode
 from stewart_drake.base.config import LegNumber, Natural, NotNegative, Section, Seed, Share
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.families import UserMade
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Record, Vec6, record
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.hardware.faults import CommandFault, MotorFault, Signal, tick_numbers
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import SMALLEST_SIZE
 
+if TYPE_CHECKING:
+    from stewart_drake.control.adaptation import Learnt
+    from stewart_drake.hardware.presets import Preset
+
 _STREAM = 3  # Of random numbers, see `faults.tick_numbers`.
-SILENCE = 0.1  # [s] without a command after which nobody is in charge; the weight falls by 5 cm in that time.
+SILENCE = 0.1
+"""[s] without a command after which the robot counts as uncontrolled; its weight falls by 5 cm in that time."""
+
+
+class Torque(Record):
+    """State of a part with one output."""
+
+    torque: Vec6  # [N m]
+
+
+class Command(Record):
+    """State of a part with one output."""
+
+    command: Vec6  # In the motors' unit.
 
 
 class LinkOptions(Section, key="link"):
@@ -47,8 +65,8 @@ class LinkOptions(Section, key="link"):
 
     @cached_property
     def perfect(self) -> bool:
-        chance = self.drop_probability or self.late_probability or self.dropped or self.faults
-        return not chance and self.stop_time is None
+        imperfect = self.drop_probability or self.late_probability or self.dropped or self.faults
+        return not imperfect and self.stop_time is None
 
     def fate(self, tick: int, time: float) -> Literal["arrives", "dropped", "late"]:
         drop, late = tick_numbers(self.seed, _STREAM, tick, 2, normal=False)
@@ -58,54 +76,72 @@ class LinkOptions(Section, key="link"):
         return "late" if late < self.late_probability else "arrives"
 
     def silent_since(self, ticks: int, period: float) -> float | None:
-        """[s] since when no command has arrived, `ticks` of a period [s] after the start; None where one just has."""
+        """Time [s] since which no command has arrived, after so many ticks of a period [s]; None if one just has."""
         last = ticks - 1
         while last >= 0 and self.fate(last, last * period) == "dropped":
             last -= 1
         return (last + 1) * period if last < 0 or (ticks - 1 - last) * period > SILENCE else None
 
     def part(self, period: float, time_step: float, initial: np.ndarray) -> Part:
-        """What has arrived by each step [s] of the plant of the commands of each period [s]; first `initial` (6,)."""
+        """The link: commands of every period [s] -> the command in force at every step [s] of the plant.
+
+        The first one is `initial` (6,).
+        """
         per_tick = steps_per("controller.period", period, time_step)
         constants, inputs = {"options": self, "steps_per_tick": per_tick}, {"torque": 6, "time": 1}
-        first = new_record(_LINK_STATE, torque=initial)
-        return Part("link", _carry, constants, inputs, ("torque", "age"), first, period=time_step)
+        first = LinkState.new(torque=initial)
+        return Part("link", _link, constants, inputs, ("torque", "age"), first, period=time_step)
 
 
-_LINK_STATE = fields(torque=6, age=(1,), steps=(), arriving=6, due=(), sent=(), arrived=())
-"""torque: in force [N m]. age: of it, counted from the newest tick there was [ticks]. steps: done. arriving: under way
-[N m]. due: step at which that arrives, 0 for none. sent: its tick. arrived: tick of the command in force."""
+class LinkState(Record):
+    """State of the link between controller and motors."""
+
+    torque: Vec6  # [N m] in force.
+    age: Annotated[np.ndarray, (1,)]  # [ticks] of it, counted from the newest tick.
+    steps: float  # Done.
+    pending: Vec6  # [N m] late command.
+    due: float  # Step at which that arrives, 0 for none.
+    pending_tick: float  # Tick of the late command.
+    tick: float  # Of the command in force.
 
 
-def _carry(options: LinkOptions, steps_per_tick: int, torque: np.ndarray, time: np.ndarray, state: np.ndarray) -> None:
-    now: Any = state[0]
+def _link(options: LinkOptions, steps_per_tick: int, torque: np.ndarray, time: np.ndarray, state: LinkState) -> None:
+    now = state[0]
     step = int(now["steps"])
     if now["due"] > 0.0 and step >= now["due"]:
-        now["torque"], now["arrived"], now["due"] = now["arriving"], now["sent"], 0.0
-    number, within = divmod(step, steps_per_tick)
-    if within == 0:
-        signal = Signal(np.array(torque, dtype=float), float(time[0]), number)
+        now["torque"], now["tick"], now["due"] = now["pending"], now["pending_tick"], 0.0
+    tick, steps_since = divmod(step, steps_per_tick)
+    if steps_since == 0:
+        signal = Signal(np.array(torque, dtype=float), float(time[0]), tick)
         for fault in options.faults:
             fault.spoil(signal)
-        fate = options.fate(number, signal.time)
+        fate = options.fate(tick, signal.time)
         if fate == "arrives":
-            now["torque"], now["arrived"], now["due"] = signal.values, number, 0.0
+            now["torque"], now["tick"], now["due"] = signal.values, tick, 0.0
         elif fate == "late":
-            now["arriving"], now["sent"], now["due"] = signal.values, number, step + 1
-    now["age"], now["steps"] = number - now["arrived"], step + 1
+            now["pending"], now["pending_tick"], now["due"] = signal.values, tick, step + 1
+    now["age"], now["steps"] = tick - now["tick"], step + 1
+
+
+class DelayState(Record):
+    """State of a delay of `ticks`, of a signal of `size` numbers."""
+
+    value: Annotated[np.ndarray, ("size",)]
+    pending: Annotated[np.ndarray, ("ticks", "size")]  # Oldest first.
 
 
 def delay_part(ticks: int, initial: np.ndarray, name: str = "command_delay") -> Part:
-    """A constant delay: `value` (n,) -> that of so many ticks ago, and `initial` (n,) until then."""
+    """A constant delay [ticks] of `value` (n,), which is `initial` until then."""
     size = len(initial)
-    first = new_record(fields(value=size, under_way=(ticks, size)), value=initial, under_way=initial)
+    first = DelayState.sized(ticks=ticks, size=size).new(value=initial, pending=initial)
     return Part(name, _delay, {}, {"value": size}, ("value",), first)
 
 
-def _delay(value: np.ndarray, state: np.ndarray) -> None:
-    state["value"][0], under_way = state["under_way"][0, 0], state["under_way"][0]
-    under_way[:-1] = under_way[1:]
-    under_way[-1] = value
+def _delay(value: np.ndarray, state: DelayState) -> None:
+    pending = state["pending"][0]
+    state["value"][0] = pending[0]
+    pending[:-1] = pending[1:]
+    pending[-1] = value
 
 
 class DeadMotor(Section, key="motors.dead"):
@@ -118,21 +154,21 @@ class DeadMotor(Section, key="motors.dead"):
 
 
 @njit
-def within_limit(torque: Any, limit: Any) -> Any:
-    """Torques (..., 6) [N m] cut to the effort limits (6,) of the motors; what is not a number stays so."""
+def within_limit(torque: np.ndarray, limit: float | np.ndarray) -> np.ndarray:
+    """Torques [N m] limited to the effort limits of the motors; NaN stays NaN."""
     return np.minimum(np.maximum(torque, -limit), limit)
 
 
 class MotorOptions(Section, ABC, key="motors"):
-    """Base of the options of motors; the loop asks these, not which kind it is."""
+    """Base of the options of motors: all that the loop asks of any kind."""
 
     own_keys = frozenset({"resolution"})
     takes: ClassVar[str] = "torque"
-    """What its command is."""
+    """Quantity of a command."""
     unit: ClassVar[str] = "N m"
-    """Of its command."""
+    """Of a command."""
     holds: ClassVar[bool] = False
-    """Whether a command is an angle, which a motor holds by itself."""
+    """Whether a command is an angle, which the motor's controller holds."""
     by_torque: ClassVar[bool] = True
     """Whether a command is a torque."""
 
@@ -141,13 +177,13 @@ class MotorOptions(Section, ABC, key="motors"):
 
     @abstractmethod
     def part(self, robot: RobotParameters, time_step: float) -> Part:
-        """The motors: from `command` (6,) to `torque` (6,) [N m], within their limit; `time_step` is the plant's [s].
+        """The motors: `command` (6,) -> `torque` (6,) [N m], within their limit; `time_step` is the plant's [s].
 
-        It may read `crank_state` (12,), angles [rad] and rates [rad/s], and `time` (1,) [s].
+        Further inputs may be `crank_state` (12,), angles [rad] and rates [rad/s], and `time` (1,) [s].
         """
 
     def inverse_parts(self, context: LoopContext) -> tuple[Part, ...]:  # noqa: ARG002 - the identity needs nothing
-        """Which `command` (6,) gives a `torque` (6,) [N m], as is believed; none where it is the torque itself."""
+        """The motors' inverse model: `torque` (6,) [N m] -> `command` (6,); none if commands are torques."""
         return ()
 
     def initial_command(self, context: LoopContext) -> np.ndarray:
@@ -159,22 +195,22 @@ class MotorOptions(Section, ABC, key="motors"):
         return np.stack([-robot.effort_limits, robot.effort_limits]) / self.gains
 
     def torque_of(self, signals: Mapping[str, np.ndarray]) -> np.ndarray | None:
-        """Of a run's signals the torque (n, 6) [N m] that the motors were asked for, if by their own loop."""
+        """The torque (n, 6) [N m] that was asked of the motors, in a run's signals: by the controller or by servos."""
         return signals.get("torque" if self.by_torque else "torque_applied")
 
     def available(self, robot: RobotParameters, rates: np.ndarray) -> np.ndarray:
-        """Largest torque (..., 6) [N m] of motors that drive cranks at rates (..., 6) [rad/s]; below 0 for none."""
+        """Largest torque (..., 6) [N m] of motors at rates (..., 6) [rad/s]; negative if they can only brake."""
         return np.broadcast_to(robot.effort_limits, rates.shape)
 
     @property
     def gains(self) -> np.ndarray:
-        """(6,) torque [N m] for a unit of each motor's command."""
+        """Torques (6,) [N m] for a unit of command."""
         return np.ones(6)
 
-    def with_learnt(self, value: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
-        """Their keys with what a `control.adaptation.Learnt` tells, and viscous and Coulomb friction (6,) beside them.
+    def with_learnt(self, value: Learnt) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+        """Their keys updated by a `control.adaptation.Learnt`; viscous and Coulomb friction (6,) of the model.
 
-        No keys of motors that take torques: what they move is then believed to be another.
+        Motors that take torques have no such keys.
         """
         return {}, value.viscous, value.coulomb
 
@@ -184,23 +220,23 @@ class MotorOptions(Section, ABC, key="motors"):
         return 0.0
 
     @property
-    def gear(self) -> Any:
-        """The `presets.Preset` of motors that one can buy, for the friction of their gear; None for others."""
+    def gear(self) -> Preset | None:
+        """The preset of commercial motors, for the friction of their gear."""
         return None
 
     @property
     def nominal(self) -> MotorOptions:
-        """The same motors without what nobody intends, as a controller believes them to be."""
+        """The same motors without imperfections, as a controller's model has them."""
         return self
 
     @property
-    def code(self) -> Any:
-        """What of a user's code it runs, a `CodePath`; None for what comes with the package."""
+    def code(self) -> CodePath | None:
+        """The user's code that it runs; None for a kind of the package."""
         return None
 
     @property
     def perfect(self) -> bool:
-        """Whether they give what is asked for, within their limit."""
+        """Whether they give the command, within their limit."""
         return False
 
     @property
@@ -237,7 +273,7 @@ class TorqueMotors(MotorOptions):
         return self.ripple == 0.0 and self.resolution == 0.0 and self.dead is None and not self.faults
 
     def torque(self, command: np.ndarray, angles: np.ndarray, _: np.ndarray, time: float) -> np.ndarray:
-        """Torques (6,) of commands (6,) [N m] at angles (6,) [rad] of the cranks and a time [s], before the limit."""
+        """Torques (6,) [N m] of commands (6,), before the limit; crank angles (6,) [rad], time [s]."""
         torque = np.array(command, dtype=float)
         if self.resolution > 0.0:
             torque = np.rint(torque / self.resolution) * self.resolution
@@ -252,16 +288,16 @@ class TorqueMotors(MotorOptions):
     def part(self, robot: RobotParameters, time_step: float) -> Part:
         if not self.perfect:
             return _motor_part(self.torque, robot, time_step)
-        first, inputs, numbers = new_record(fields(torque=6)), {"command": 6}, {"limit": robot.effort_limits}
-        return Part("motors", limit_torque, {}, inputs, ("torque",), first, period=time_step, parameters=numbers)
+        inputs, numbers = {"command": 6}, {"limit": robot.effort_limits}
+        return Part("motors", limit_torque, {}, inputs, ("torque",), Torque.new(), period=time_step, parameters=numbers)
 
 
 class UserMotors(UserMade, MotorOptions, key="motors"):
     """Your own motors: `torque(command, angles, rates, time)` returns the six torques [N m] that they give.
 
-    It is called at every step of the plant: command (6,) [N m], or [rad] where `model.motors` are believed to take
-    angles; angles (6,) [rad] and rates (6,) [rad/s] of the cranks; time [s]. What exceeds the effort limit is cut
-    afterwards. A constructor that names `robot` or `time_step` gets them.
+    It is called at every step of the plant: command (6,) [N m], or [rad] if `model.motors` take angles; angles (6,)
+    [rad] and rates (6,) [rad/s] of the cranks; time [s]. The torques are then limited to the effort limit. A
+    constructor that names `robot` or `time_step` gets them.
     """
 
     asked = "torque(command, angles, rates, time) returns six torques [N m]"
@@ -274,7 +310,7 @@ class UserMotors(UserMade, MotorOptions, key="motors"):
 
         def torque(command: np.ndarray, angles: np.ndarray, rates: np.ndarray, time: float) -> np.ndarray:
             with guard:
-                # Copies: what it keeps or changes is its own.
+                # Copies, which it may keep or change.
                 result = motors.torque(command.copy(), angles.copy(), rates.copy(), time)
             torque = self.numbers(result)
             if torque.shape != (6,):
@@ -287,19 +323,25 @@ class UserMotors(UserMade, MotorOptions, key="motors"):
 
 
 def _motor_part(torque: Callable[..., np.ndarray], robot: RobotParameters, time_step: float) -> Part:
-    """Motors of which a function of command, angles, rates and time says what they give before their limit."""
+    """Motors by a function of command, angles, rates and time, which gives torques before the limit."""
     constants, inputs = {"torque": torque, "limit": robot.effort_limits}, {"command": 6, "time": 1, "crank_state": 12}
-    return Part("motors", _drive, constants, inputs, ("torque",), new_record(fields(torque=6)), period=time_step)
+    return Part("motors", _motor_torque, constants, inputs, ("torque",), Torque.new(), period=time_step)
 
 
-def _drive(
-    torque: Callable[..., np.ndarray], limit: np.ndarray, command: np.ndarray, time: np.ndarray,
-    crank_state: np.ndarray, state: np.ndarray,
-) -> None:  # fmt: skip
+def _motor_torque(
+    torque: Callable[..., np.ndarray],
+    limit: np.ndarray,
+    command: np.ndarray,
+    time: np.ndarray,
+    crank_state: np.ndarray,
+    state: Torque,
+) -> None:
     state["torque"][0] = within_limit(torque(command, crank_state[:6], crank_state[6:], float(time[0])), limit)
 
 
 @njit
-def limit_torque(limit: Any, command: Any, state: Any) -> None:
-    """Kernel of motors that give what is asked for, within their limit."""
-    record(state).torque[:] = within_limit(command, limit)
+def limit_torque(limit: Vec6, command: Vec6, state: Torque) -> None:
+    """Torques [N m] of motors without imperfections: the command, limited."""
+    state = record(state)
+    for i in range(6):
+        state.torque[i] = within_limit(command[i], limit[i])

@@ -1,7 +1,7 @@
-"""Motors as they are sold: numbers of `motors: {kind: position | current, preset: NAME}`, each with its source.
+"""Commercial motors: the numbers of `motors: {kind: position | current, preset: NAME}`, with their sources.
 
-A preset sets what the other keys are by default, and the friction of its gear where `plant` and `model` say nothing of
-friction. A constant that nobody has published is our own estimate, and says so.
+A preset sets the defaults of the other keys, and of the gear's friction in `plant` and `model`. Unpublished constants
+are estimates, and marked as such.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from stewart_drake.base.families import Table
 
 
 class Preset(NamedTuple):
-    """A motor: keys of its kinds, and friction of its gear."""
+    """A motor: keys for the kinds `position` and `current`, and friction of its gear."""
 
     about: str
     coulomb: float = 0.0  # [N m].
@@ -36,11 +36,11 @@ PRESETS = {
         | {"no_load_speed": math.radians(618.0)},
     ),
     # 30 kg cm and 45 rev/min at 12 V, 12 bits: Feetech's data sheet of the STS3215-C018 (gear 1:345). Stiffness,
-    # damping and friction: class sts3215_345 of the MJCF in reachy_mini 1.13.0, with which, it says, a walking robot
-    # was simulated well. That robot, Open Duck Mini, has the servo at 7.4 V, and a servo's stiffness goes with its
-    # supply: its 17.11 N m/rad are 27.7 at 12 V. Owners at robonine.com measured 1.8 to 2.6 deg under 1.5 kg on 10 cm
-    # at 45 deg, 23 to 33 N m/rad; and of play about 1 deg by hand (issue 134 of TheRobotStudio/SO-ARM100) and 0.87 deg
-    # by an indicator, which is taken; the data sheet has at most 0.5 deg.
+    # damping and friction: class sts3215_345 of the MJCF in reachy_mini 1.13.0, which reports good simulations of a
+    # walking robot with it. That robot, Open Duck Mini, has the servo at 7.4 V, and a servo's stiffness is proportional
+    # to its supply: 17.11 N m/rad become 27.7 at 12 V. Owners at robonine.com measured 1.8 to 2.6 deg under 1.5 kg on
+    # 10 cm at 45 deg, 23 to 33 N m/rad. Play is 0.87 deg, measured with an indicator; about 1 deg by hand (issue 134 of
+    # TheRobotStudio/SO-ARM100), at most 0.5 deg in the data sheet.
     "sts3215": Preset(
         "Feetech STS3215, gear 1:345, at 12 V: 2.94 N m, 270 deg/s",
         coulomb=0.068,
@@ -48,16 +48,15 @@ PRESETS = {
         | {"backlash": math.radians(0.87)},
     ),
     # 20 kg cm and 0.16 s for 60 deg at 6.8 V, dead band 3 us of 2000 us for 180 deg: data sheets of 20 kg cm servos
-    # such as the DS3218. Full torque 4 deg from the angle, friction of 3 % of it and half a degree of play: our own
-    # estimates.
+    # such as the DS3218. Full torque at an error of 4 deg, friction of 3 % of it and half a degree of play: estimates.
     "rc_20kg": Preset(
         "RC servo of 20 kg cm at 6.8 V: 1.96 N m, 375 deg/s",
         coulomb=0.06,
         position={"stiffness": 28.0, "damping": 0.3, "torque_limit": 1.96, "no_load_speed": math.radians(375.0)}
         | {"resolution_bits": None, "dead_band": math.radians(0.27), "backlash": math.radians(0.5)},
     ),
-    # Classes of the MJCF in reachy_mini 1.13.0 (Pollen Robotics): what its simulation runs on; and what it has of the
-    # real motor, of which it says "probably wrong, would need to re-identify".
+    # Classes of the MJCF in reachy_mini 1.13.0 (Pollen Robotics): the one that its simulation uses, and the one of the
+    # real motor, with the remark "probably wrong, would need to re-identify".
     "perfect_actuator": Preset(
         "the actuator of Reachy Mini's simulation",
         coulomb=0.1,
@@ -74,12 +73,12 @@ PRESETS = {
 
 
 class Presets(Table):
-    """The presets that have a kind of motor, in `Annotated` the type of the key that names one."""
+    """The presets of a kind of motor; in `Annotated` the type of a key that names one."""
 
     def __init__(self, kind: str) -> None:
         super().__init__({name: getattr(preset, kind) for name, preset in PRESETS.items() if getattr(preset, kind)})
 
     def filled(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """The keys that were given, and the others of their preset."""
+        """The keys, with the defaults of their preset."""
         preset = given.get("preset")
         return {**(self[preset] if preset in self.names else {}), **given}

@@ -1,43 +1,66 @@
-"""Angles in whole counts, six rounded together: a servo's resolution is what makes a slow motion tremble.
+"""Rounding of angle commands to whole counts, so that a servo's resolution disturbs a slow motion less.
 
-Rounded alone, each command is off by up to half a count at random. Two things make less of it. What the last two
-commands were off by is added to the next so that the errors cancel in the velocity that the servo makes of them
-(noise shaping by linear prediction). And of the whole counts near the six commands those are taken that move the
-platform least from where it should be, since errors of six cranks may cancel in it too.
+Rounding the commands one by one gives random errors of up to half a count. Two methods make them smaller. Noise shaping
+by linear prediction adds the last two rounding errors to the next command, so that they cancel in the servo's velocity.
+And of the whole counts near the six commands those are chosen that move the platform least, because the errors of six
+cranks can cancel there.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Mat6, Record, Vec2, Vec6, Vec18, record
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import crank_inertia
-from stewart_drake.mechanics.kinematics_laws import Legs, crank_jacobian, legs_at, robot_record, twist_of
-from stewart_drake.mechanics.linear_algebra import solve
+from stewart_drake.mechanics.kinematics_laws import (
+    Legs,
+    Robot,
+    crank_jacobian,
+    crank_rates,
+    legs_at,
+    robot_record,
+    twist_of,
+)
+from stewart_drake.mechanics.linear_algebra import largest_size, solve
 
 RESTING = 1e-4
-"""[rad/s] speed of all cranks below which each command is rounded alone: nothing hunts about a place to rest at."""
+"""[rad/s] speed of all cranks below which commands are rounded one by one, so that a robot at rest does not hunt."""
+
+
+class RoundingParams(Record):
+    """Parameters of the rounding."""
+
+    count: float  # [rad]
+    shares: Vec2  # Of the last two errors, added to the next command.
+    length: float  # [m] for a rotation of the platform by 1 rad, as an error.
+
+
+class RoundingState(Record):
+    """State of the rounding."""
+
+    command: Vec6  # [rad]
+    errors: Annotated[np.ndarray, (2, 6)]  # [rad] by which the last two commands were too low, newest first.
 
 
 def shaping(stiffness: float, damping: float, inertia: float, period: float) -> np.ndarray:
-    """Shares (2,) of the last two errors of a command to add to the next one.
+    """Shares (2,) of the last two rounding errors to add to the next command.
 
-    They make the power of the velocity least that errors of a command, held for a period [s] each, cause in a servo of
-    stiffness [N m/rad], damping [N m s/rad] and inertia [kg m^2]: the linear prediction of its response.
+    They minimise the power of the velocity that the errors, held for a period [s], cause in a servo of stiffness
+    [N m/rad], damping [N m s/rad] and inertia [kg m^2]: linear prediction of its response.
     """
     half, square = 0.5 * damping / inertia, stiffness / inertia
-    # The smallest of detunings, where both roots are one.
+    # With a slight detuning of a double root.
     root = np.sqrt(complex(half**2 - square) or 1e-12 * square)
     samples, periods = 32, int(np.ceil(np.clip(20.0 / (half - root.real + 1e-9) / period, 4.0, 2000.0)))
     time = np.arange(samples * periods) * period / samples
     step = (square * (np.exp((root - half) * time) - np.exp(-(root + half) * time)) / (2.0 * root)).real
     pulse = step - np.concatenate([np.zeros(samples), step[:-samples]])
     power = [pulse[lag:] @ pulse[: len(pulse) - lag] for lag in (0, samples, 2 * samples)]
-    shares: np.ndarray = np.linalg.solve([power[:2], power[1::-1]], power[1:])
-    return shares
+    return np.asarray(np.linalg.solve([power[:2], power[1::-1]], power[1:]))
 
 
 def rounding_part(context: LoopContext, stiffness: float, damping: float, count: float) -> Part:
@@ -45,66 +68,75 @@ def rounding_part(context: LoopContext, stiffness: float, damping: float, count:
     robot = context.robot
     inertia = float(np.trace(crank_inertia(robot, context.pose))) / 6.0
     shares = shaping(stiffness, damping, inertia, context.period)
-    params = new_record(_PARAMS, count=count, shares=shares, length=robot.characteristic_length)
+    params = RoundingParams.new(count=count, shares=shares, length=robot.characteristic_length)
     numbers, inputs = {"robot": robot_record(robot), "params": params}, {"command": 6, "reference": 18}
-    return Part("rounding", round_together, {}, inputs, ("command",), new_record(_STATE), (Legs,), parameters=numbers)
-
-
-_PARAMS = fields(count=(), shares=2, length=())
-"""count: [rad]. length: [m] of the platform's turn by a radian, as an error."""
-_STATE = fields(command=6, errors=(2, 6))
-"""command: [rad]. errors: what the last commands and those before fell short by [rad]."""
+    first = RoundingState.new()
+    return Part("rounding", round_commands, {}, inputs, ("command",), first, (Legs,), parameters=numbers)
 
 
 @njit
-def round_together(robot: Any, params: Any, command: Any, reference: Any, legs: Any, state: Any) -> None:
-    """Kernel of `rounding_part`."""
+def round_commands(
+    robot: Robot, params: RoundingParams, command: Vec6, reference: Vec18, legs: Legs, state: RoundingState
+) -> None:
+    """Rounds the commands [rad] of a tick to whole counts."""
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
-    jacobian, twist, wanted, weight = np.empty((6, 6)), np.empty(6), np.empty(6), np.zeros((6, 6))
+    jacobian, twist, rates = np.empty((6, 6)), np.empty(6), np.empty(6)
+    wanted, motion, cost = np.empty(6), np.zeros((6, 6)), np.empty((6, 6))
     moving = legs_at(robot, reference[:6], legs) < 0
     if moving:
-        crank_jacobian(legs, jacobian)
         twist_of(reference[:6], reference[6:12], twist)
-        moving = np.abs(jacobian @ twist).max() > RESTING
+        crank_rates(legs, twist, rates)
+        moving = largest_size(rates) > RESTING
     if moving:
+        # `motion` of the platform per error of a command.
         for i in range(6):
-            weight[i, i] = 1.0
-        moving = solve(jacobian, weight) != 0.0
+            motion[i, i] = 1.0
+        crank_jacobian(legs, jacobian)
+        moving = solve(jacobian, motion) != 0.0
     if not moving:
         for i in range(6):
             state.command[i] = params.count * np.rint(command[i] / params.count)
             state.errors[0, i] = state.errors[1, i] = 0.0
         return
-    # What errors of the six commands cost: the square of how far they move the platform.
+    # Cost of errors: the square of the platform's motion.
     for i in range(3):
         for j in range(6):
-            weight[i, j] *= params.length
-    cost = weight.T @ weight
+            motion[i, j] *= params.length
+    for i in range(6):
+        for j in range(6):
+            cost[i, j] = 0.0
+            for m in range(6):
+                cost[i, j] += motion[m, i] * motion[m, j]
     for i in range(6):
         wanted[i] = command[i] + params.shares[0] * state.errors[0, i] + params.shares[1] * state.errors[1, i]
         state.command[i] = params.count * np.rint(wanted[i] / params.count)
-    _improve(cost, params.count, state.command, wanted)
+    _reduce_cost(cost, params.count, wanted, state.command[:])
     for i in range(6):
         state.errors[1, i] = state.errors[0, i]
         state.errors[0, i] = wanted[i] - state.command[i]
 
 
 @njit
-def _improve(cost: Any, count: float, rounded: Any, wanted: Any) -> None:
-    """Moves one or two of six angles by a count, in place, where the error costs least for it."""
-    pull = cost @ (rounded - wanted)
-    best, first, second, by_first, by_second = 0.0, -1, -1, 0.0, 0.0
+def _reduce_cost(cost: Mat6, count: float, wanted: Vec6, rounded: Vec6) -> None:
+    """Changes one or two of the rounded angles by a count, if and where that reduces the cost most."""
+    slope = np.zeros(6)
     for i in range(6):
-        for one in (-count, count):
-            alone = 2.0 * one * pull[i] + one * one * cost[i, i]
-            if alone < best:
-                best, first, second, by_first = alone, i, -1, one
+        for k in range(6):
+            slope[i] += cost[i, k] * (rounded[k] - wanted[k])
+    best, first, second, first_step, second_step = 0.0, -1, -1, 0.0, 0.0
+    for i in range(6):
+        for sign in range(2):
+            step = count if sign == 1 else -count
+            change = 2.0 * step * slope[i] + step * step * cost[i, i]
+            if change < best:
+                best, first, second, first_step = change, i, -1, step
             for j in range(i):
-                for other in (-count, count):
-                    both = alone + 2.0 * other * (pull[j] + one * cost[i, j]) + other * other * cost[j, j]
+                for other_sign in range(2):
+                    other = count if other_sign == 1 else -count
+                    both = change + 2.0 * other * (slope[j] + step * cost[i, j]) + other * other * cost[j, j]
                     if both < best:
-                        best, first, second, by_first, by_second = both, i, j, one, other
+                        best, first, second, first_step, second_step = both, i, j, step, other
     if first >= 0:
-        rounded[first] += by_first
+        rounded[first] += first_step
     if second >= 0:
-        rounded[second] += by_second
+        rounded[second] += second_step

@@ -11,7 +11,8 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.base.config import Natural, NotNegative, Section, Seed, Vector6
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Record, Vec6, Vec12, record
 from stewart_drake.hardware.faults import EncoderFault, Fault, PoseFault, Signal, tick_numbers
 from stewart_drake.loop.part import Part
 from stewart_drake.loop.user_parts import UserParts
@@ -21,7 +22,7 @@ _STREAM = 1  # Of random numbers, see `faults.tick_numbers`.
 
 
 class SensorOptions(Section, key="sensors"):
-    """Base of the options of sensors; wiring, safety and logs ask these, not which kind it is."""
+    """Base of the options of sensors: all that wiring, safety and logs ask of any kind."""
 
     reading: ClassVar[Literal["angles", "pose"]] = "pose"
     """What a reading is: the six angles of the cranks [rad], or pose [rad, m] and its rate."""
@@ -34,7 +35,7 @@ class SensorOptions(Section, key="sensors"):
 
     @property
     def exact(self) -> bool:
-        """Whether what the controller sees is the truth."""
+        """Whether readings are exact."""
         return False
 
     @property
@@ -48,7 +49,7 @@ class SensorOptions(Section, key="sensors"):
         return 0.0
 
     def parts(self, period: float) -> tuple[Part, ...]:  # noqa: ARG002 - exact readings need none
-        """What makes of `plant_pose` or `crank_state` the signal `reading` in a period [s]; none for `plant_pose`."""
+        """Parts that compute `reading` from `plant_pose` or `crank_state` in a period [s]; none for `plant_pose`."""
         return ()
 
 
@@ -110,7 +111,7 @@ class EncoderOptions(SensorOptions):
 
 
 class UserSensors(UserParts, SensorOptions, key="sensors"):
-    """Your own sensors: `parts(period)` returns parts that make of `plant_pose` or `crank_state` the signal `reading`.
+    """Your own sensors: `parts(period)` returns parts that compute `reading` from `plant_pose` or `crank_state`.
 
     The period of the readings is in [s].
     """
@@ -119,57 +120,73 @@ class UserSensors(UserParts, SensorOptions, key="sensors"):
     """What a reading is: the six angles of the cranks [rad], or pose [rad, m] and its rate."""
 
 
-_ENCODERS = fields(offset=6, noise=(), quantum=())  # [rad] each.
-_ENCODER_STATE = fields(reading=6, ticks=())  # [rad], and ticks done, of which each has its own noise.
+class EncoderParams(Record):
+    """Parameters of the encoders."""
+
+    offset: Vec6  # [rad]
+    noise: float  # [rad] standard deviation.
+    quantum: float  # [rad] of a count; 0 for none.
+
+
+class EncoderState(Record):
+    """State of the encoders."""
+
+    reading: Vec6  # [rad]
+    ticks: float  # Done; the number of the next tick's noise.
 
 
 @njit
-def _read(params: Any, drawn: Any, crank_state: Any, state: Any) -> None:
-    """`EncoderOptions.read` for a tick of a loop, of true angles with noise for standard normal numbers (6,)."""
+def _read(params: EncoderParams, normal: Vec6, crank_state: Vec12, state: EncoderState) -> None:
+    """Readings of a tick; `normal` are standard normal numbers."""
     params, state = record(params), record(state)
     for k in range(6):
-        angle = crank_state[k] + params.offset[k] + params.noise * drawn[k]
+        angle = crank_state[k] + params.offset[k] + params.noise * normal[k]
         state.reading[k] = np.rint(angle / params.quantum) * params.quantum if params.quantum > 0.0 else angle
     state.ticks += 1.0
 
 
 def encoder_part(options: EncoderOptions) -> Part:
     """Encoders without faults: `crank_state` (12,), angles [rad] and rates, -> `reading` (6,) [rad]."""
-    numbers, inputs = {"params": new_record(_ENCODERS, options)}, {"crank_state": 12}
-    initial = new_record(_ENCODER_STATE)
+    numbers, inputs, initial = {"params": EncoderParams.new(options)}, {"crank_state": 12}, EncoderState.new()
     if options.noise == 0.0:
-        return Part("encoders", _read, {"drawn": np.zeros(6)}, inputs, ("reading",), initial, parameters=numbers)
+        return Part("encoders", _read, {"normal": np.zeros(6)}, inputs, ("reading",), initial, parameters=numbers)
     seed = {"seed": options.noise_seed}
     return Part("encoders", _read_with_noise, seed, inputs, ("reading",), initial, parameters=numbers)
 
 
-def _read_with_noise(params: np.ndarray, seed: int, crank_state: np.ndarray, state: np.ndarray) -> None:
+def _read_with_noise(params: EncoderParams, seed: int, crank_state: np.ndarray, state: EncoderState) -> None:
     _read(params, tick_numbers(seed, _STREAM, int(state["ticks"][0]), 6, normal=True), crank_state, state)
 
 
-def faulty_sensor_part(faults: Sequence[Fault], size: int, period: float) -> Part:
-    """A sensor that may fail: true `reading` (n,) and `time` (1,) [s] -> `reading` (n,), fault after fault."""
-    late = tuple(fault.ticks_late(period) for fault in faults)
-    # good: for each channel the last reading before it froze or began to count backwards. before: the true readings of
-    # now and of the ticks before, newest first.
-    kind = fields(reading=size, good=size, before=(1 + max(late, default=0), size), ticks=())
+class FaultySensorState(Record):
+    """State of a sensor of `size` channels that may fail."""
 
-    constants, inputs = {"faults": faults, "late": late}, {"reading": size, "time": 1}
-    return Part("faulty_sensor", _fail, constants, inputs, ("reading",), new_record(kind))
+    reading: Annotated[np.ndarray, ("size",)]
+    good: Annotated[np.ndarray, ("size",)]  # The last readings before a fault that keeps them.
+    history: Annotated[np.ndarray, ("rows", "size")]  # True readings of this tick and those before, newest first.
+    ticks: float  # Done.
+
+
+def faulty_sensor_part(faults: Sequence[Fault], size: int, period: float) -> Part:
+    """A sensor that may fail: true `reading` (n,) and `time` (1,) [s] -> `reading` (n,), with all faults in order."""
+    delays = tuple(fault.ticks_late(period) for fault in faults)
+    constants, inputs = {"faults": faults, "delays": delays}, {"reading": size, "time": 1}
+    first = FaultySensorState.sized(size=size, rows=1 + max(delays, default=0)).new()
+    return Part("faulty_sensor", _fail, constants, inputs, ("reading",), first)
 
 
 def _fail(
-    faults: Sequence[Fault], late: Sequence[int], reading: np.ndarray, time: np.ndarray, state: np.ndarray
+    faults: Sequence[Fault], delays: Sequence[int], reading: np.ndarray, time: np.ndarray, state: FaultySensorState
 ) -> None:
-    good, before, now = state["good"][0], state["before"][0], reading.copy()
+    good, history, now = state["good"][0], state["history"][0], reading.copy()
     if state["ticks"][0] == 0.0:
-        # A sensor that fails from the start repeats what was there at the start.
-        good[:] = before[:] = reading
-    before[1:] = before[:-1].copy()
-    before[0] = reading
+        # A sensor that fails from the start repeats its first true reading.
+        good[:] = history[:] = reading
+    history[1:] = history[:-1].copy()
+    history[0] = reading
     kept = np.zeros(len(reading), dtype=bool)
-    for fault, ago in zip(faults, late, strict=True):
-        if fault.spoil(Signal(now, float(time[0]), int(state["ticks"][0]), good, before[ago])):
+    for fault, delay in zip(faults, delays, strict=True):
+        if fault.spoil(Signal(now, float(time[0]), int(state["ticks"][0]), good, history[delay])):
             kept[fault.channels] |= fault.kinds[fault.kind].keeps
     good[~kept] = reading[~kept]
     state["reading"][0] = now
