@@ -163,9 +163,7 @@ def _within_turn(angle: float) -> float:
 
 
 @njit
-def _close_block(
-    robot: Robot, joints: Joints, params: RegressionParams, legs: Legs, state: RegressionState
-) -> None:
+def _close_block(robot: Robot, joints: Joints, params: RegressionParams, legs: Legs, state: RegressionState) -> None:
     """Appends the means of a block, or those of the last block where it is bad or no pose has its angles.
 
     A block is also bad where a crank jumps, until it is back; but not after missing readings.
@@ -350,14 +348,23 @@ def _fill_row(
     params: RegressionParams, sample: Sample, state: RegressionState, i: int, torque: float, row: Vector
 ) -> None:
     """The equation of a motor: derivatives of its torque by the unknowns, then what of its torque is unexplained."""
-    motor, shared, moments, rate, sign = state.per_motor[i], state.shared, moment_unknowns(state), sample.rates[i], sample.sign[i]
+    motor, shared, moments, rate, sign = (
+        state.per_motor[i],
+        state.shared,
+        moment_unknowns(state),
+        sample.rates[i],
+        sample.sign[i],
+    )
     drive = np.exp(shared[DRIVE] + motor[MOTOR_DRIVE])
     weight_torque = drive * np.exp(shared[HEAD]) * sample.wrench_torque[i, WEIGHT]
     load = weight_torque + drive * sample.other_torque[i]
     for n in range(moments):
         row[N_MOTOR + N_SHARED + n] = drive * sample.wrench_torque[i, MOMENT + n]
         load += drive * shared[N_SHARED + n] * sample.wrench_torque[i, MOMENT + n]
-    damping, coulomb = params.damping[i] + shared[DAMPING] + motor[MOTOR_DAMPING], shared[COULOMB] + motor[MOTOR_COULOMB]
+    damping, coulomb = (
+        params.damping[i] + shared[DAMPING] + motor[MOTOR_DAMPING],
+        shared[COULOMB] + motor[MOTOR_COULOMB],
+    )
     row[MOTOR_DRIVE] = load if params.by_gain == 1.0 else 0.0
     row[MOTOR_DAMPING], row[MOTOR_COULOMB] = rate, sign
     row[N_MOTOR + HEAD], row[N_MOTOR + DRIVE] = weight_torque, load
@@ -410,9 +417,7 @@ def _update(params: RegressionParams, state: RegressionState, rows: Matrix) -> N
         # With bounds on the estimate itself, every sample would bend what is known of the motors.
         most, limit = np.empty(2), largest_size(params.limit[:])
         most[0], most[1] = limit * MOST_DAMPING, limit * MOST_COULOMB
-        constrain_last_two(
-            state.motor_rows, state.shared_rows, state.bounded_per_motor, state.bounded_shared, most
-        )
+        constrain_last_two(state.motor_rows, state.shared_rows, state.bounded_per_motor, state.bounded_shared, most)
         _bound(params, state.bounded_shared[:first])
 
 

@@ -71,9 +71,7 @@ def joints_record(joints: BallJoints | None) -> Joints:
 
 
 @njit
-def joint_rates(
-    robot: Robot, joints: Joints, legs: Legs, twist: Vec6, at_crank: Mat6x3, at_platform: Mat6x3
-) -> None:
+def joint_rates(robot: Robot, joints: Joints, legs: Legs, twist: Vec6, at_crank: Mat6x3, at_platform: Mat6x3) -> None:
     """Angular velocities (6, 3) [rad/s] of the rods relative to the cranks, and of the platform relative to the rods."""
     axis, arm, rod, tip = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(6):
@@ -116,9 +114,7 @@ def joint_axes(joints: Joints, legs: Legs, leg: int, side: int, out: Mat3) -> No
 
 
 @njit
-def ball_joint_torques(
-    robot: Robot, joints: Joints, motion: Vec12, acceleration: Vec6, legs: Legs, out: Vec6
-) -> None:
+def ball_joint_torques(robot: Robot, joints: Joints, motion: Vec12, acceleration: Vec6, legs: Legs, out: Vec6) -> None:
     """Adds the torques (6,) [N m] that the joints need along a motion: pose and rate (12,), acceleration (6,).
 
     Adds nothing where the pose is out of reach or singular.
@@ -140,9 +136,7 @@ def _rates_at(robot: Robot, joints: Joints, motion: Vec12, legs: Legs, out: Join
 
 
 @njit
-def ball_joint_parts(
-    robot: Robot, joints: Joints, motion: Vec12, acceleration: Vec6, legs: Legs, out: Mat3x6
-) -> None:
+def ball_joint_parts(robot: Robot, joints: Joints, motion: Vec12, acceleration: Vec6, legs: Legs, out: Mat3x6) -> None:
     """Torques (3, 6) of unit viscous friction, unit dry friction and unit inertia of the joints along a motion.
 
     By virtual work: motor torques T with T . crank rates = sum of joint moments . joint rates, for every twist. The

@@ -1,4 +1,4 @@
-"""What all controllers share: options, inputs, the torque limit with anti-windup, where none acts, why a tick fails."""
+"""Base of controllers: options, inputs, torque limit with anti-windup, checks of a pose, statuses of a tick."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from stewart_drake.base.code import CodePath
 from stewart_drake.base.config import Period, Section
 from stewart_drake.base.errors import Status, failure
 from stewart_drake.base.jit import njit
@@ -39,13 +40,13 @@ from stewart_drake.robot.robot_scale import times
 
 
 class ControllerOptions(Section, ABC, key="controller"):
-    """Base of the options of controllers; wiring, checks, logs and plots ask these, not which kind it is."""
+    """Base of the options of controllers."""
 
     own_keys = frozenset({"feedforward", "saturation"})
     weighted: ClassVar[bool] = False
     """Whether it takes the weights of the tuner."""
     feedback: ClassVar[bool] = True
-    """Whether it uses what is measured."""
+    """Whether it uses the measurement."""
 
     kind: str
     """Kind of controller."""
@@ -59,22 +60,22 @@ class ControllerOptions(Section, ABC, key="controller"):
 
     @property
     def looks_ahead(self) -> bool:
-        """Whether its `reference` is that of when its command acts, and `reference_now` that of now."""
+        """Whether its `reference` is the one of the time when its command acts, and `reference_now` that of now."""
         return False
 
     @property
     def asks_for_more(self) -> bool:
-        """Whether its torque may exceed the limit, which then says that it has been cut."""
+        """Whether its torque may exceed the motors' limit."""
         return getattr(self, "saturation", "") == "none"
 
     @property
-    def code(self) -> Any:
-        """What of a user's code it runs, a `CodePath`; None for what comes with the package."""
+    def code(self) -> CodePath | None:
+        """The user's code that it runs; None for a kind of the package."""
         return None
 
     @abstractmethod
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
-        """The controller in a loop, one part: measurement and reference to `torque`, and `integral` if it has one."""
+        """The part of a loop from measurement and reference to `torque`, and `integral` if it has one."""
 
 
 _WITH_MODEL = "estimator", "observer", "controller", "friction_compensation", "servo_command", "rounding", "safety"
@@ -82,10 +83,10 @@ _WITH_MODEL = "estimator", "observer", "controller", "friction_compensation", "s
 
 
 class AdaptationOptions(Section, ABC, key="adaptation"):
-    """Base of the options of laws that learn while the robot runs.
+    """Base of the options of adaptive laws, which learn while the robot runs.
 
-    An output of such a law takes the place of parameters of other parts, from the next tick on; which ones is in
-    `writes`. Its numbers are those of the parameter, in that order; the law's state begins with what is believed.
+    From the next tick on an output replaces the parameters of other parts that `writes` lists for it. It has the
+    numbers of the parameter, in the same order, and begins with those of the model.
     """
 
     writes: ClassVar[Mapping[str, tuple[str, ...]]] = {
@@ -97,37 +98,37 @@ class AdaptationOptions(Section, ABC, key="adaptation"):
         "lead": ("lead.lead",),
         "joints": ("friction_compensation.joints",),
     }
-    """Output -> the parameters that it writes, as `part.parameter`. Parts that a loop does not have are passed over."""
+    """Output -> the parameters that it replaces, as `part.parameter`; parts that a loop does not have are ignored."""
 
     is_kept: ClassVar[bool] = False
-    """Whether what it has learnt can be kept as `model`."""
+    """Whether the learnt numbers can be saved as `model`."""
     kind: str
     """Kind of law."""
 
     @property
     def forgets(self) -> str:
-        """Key by which it begins without friction all the same; empty for none."""
+        """Key with which it begins without friction nevertheless; empty for none."""
         return ""
 
     @abstractmethod
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
-        """The law in a loop; inputs may be `measurement` (12,), `reference` (18,) and all signals of the loop."""
+        """The parts of the law; inputs may be `measurement` (12,), `reference` (18,) and all signals of the loop."""
 
 
 class UserAdaptation(UserParts, AdaptationOptions, key="adaptation"):
-    """Your own adaptive law: `parts(context)` returns its parts of the loop, as of `AdaptationOptions`.
+    """Your own adaptive law: `parts(context)` returns its parts of the loop, see `AdaptationOptions`.
 
     The class may have `writes`, as these options have.
     """
 
     @property
     def writes(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
-        """That of the class, or what all laws may write."""
+        """That of the class, else of `AdaptationOptions`."""
         writes: Mapping[str, tuple[str, ...]] = getattr(self.load(), "writes", AdaptationOptions.writes)
         return writes
 
 
-# --- gains in the size that a robot needs to answer as the paper's does -----------------------------------------------
+# --- default gains, scaled from the paper's robot ---------------------------------------------------------------------
 
 
 @lru_cache(maxsize=64)
@@ -139,15 +140,15 @@ def _input_gain(robot: RobotParameters) -> float:
 
 @lru_cache(maxsize=64)
 def heave_inertia(robot: RobotParameters) -> float:
-    """[kg m^2] what heave at home moves, as felt at each crank: M / sum J^2 with J = d(theta)/dZ."""
+    """[kg m^2] inertia of heave at home, at one crank: M / sum J^2 with J = d(theta)/dZ."""
     heave = task_inertia(robot, robot.home_pose)[5, 5]
     return float(heave / np.sum(twist_jacobian(robot, robot.home_pose)[:, 5] ** 2))
 
 
 POSE_WEIGHT, RATE_WEIGHT, INTEGRAL_WEIGHT = (times(_input_gain, -2.0, slower) for slower in (4.0, 2.0, 6.0))
-"""Of errors against torques, for poles at the same place; a natural frequency is the fourth root of the first."""
+"""Weights of errors against torques, for the same poles; the natural frequency is the fourth root of the first."""
 PROPORTIONAL, INTEGRAL, DERIVATIVE = (times(heave_inertia, 1.0, slower) for slower in (2.0, 3.0, 1.0))
-"""Of a crank's error, for the same natural frequency of heave."""
+"""Gains on a crank's error, for the same natural frequency of heave."""
 FREQUENCY = times(lambda _: 1.0, slower=1.0)
 """The same for every robot."""
 
@@ -159,7 +160,7 @@ AT_REFERENCE = 16
 POSE, RATE, REFERENCE, TORQUE = range(8, 12)
 """Statuses of a signal that is not finite."""
 _DEAD_CENTRE_SLACK = 0.05
-"""[-] reach margin down to which a measured pose counts as a crank at its dead centre: loop gap and sensor error."""
+"""[-] reach margin down to which a measured pose counts as a dead centre: allowance for loop gap and sensor error."""
 
 
 _AT_POSE = {
@@ -173,18 +174,18 @@ _AT_POSE = {
     TORQUE: Status("not_finite", text="torque"),
 }
 STATUSES = _AT_POSE | {AT_REFERENCE + k: _AT_POSE[k]._replace(signal="reference") for k in (UNREACHABLE, PARALLEL)}
-"""How a controller's tick may end; what is wrong at the reference's pose is `AT_REFERENCE` more."""
+"""Statuses of a controller's tick; those at the reference's pose are offset by `AT_REFERENCE`."""
 
 
 class Measurement(NamedTuple):
-    """What the sensor reports: pose (6,) [rad, m] and pose_rate (6,) [rad/s, m/s] of P in B, Euler rates."""
+    """Reading of the sensor: pose (6,) [rad, m] and pose_rate (6,) [rad/s, m/s] of P in B, Euler rates."""
 
     pose: np.ndarray
     pose_rate: np.ndarray
 
 
 class Setpoint(NamedTuple):
-    """Where the platform should be: pose, pose_rate, pose_acceleration, each (6,)."""
+    """Target of the platform: pose (6,) [rad, m], pose_rate and pose_acceleration (6,)."""
 
     pose: np.ndarray
     pose_rate: np.ndarray
@@ -193,18 +194,14 @@ class Setpoint(NamedTuple):
 
 @njit
 def measured_legs(robot: Robot, measurement: Vec12, legs: Legs) -> TickResult:
-    """`legs_at` the pose of a measurement (12,), and whether a controller may act there.
-
-    Returns:
-        OK, POSE, RATE, UNREACHABLE, SERIAL or PARALLEL; the leg or -1; the margin.
-    """
+    """`legs_at` the pose of a measurement, and whether a controller may act there: OK, POSE, RATE, UNREACHABLE, ..."""
     if not all_finite(measurement[6:]):
         return RATE, -1, 0.0
     if not all_finite(measurement[:6]):
         return POSE, -1, 0.0
     bad = legs_at(robot, measurement[:6], legs)
     if bad >= 0:
-        # Little beyond reach, the crank has been carried across its dead centre: the robot stands there, so it can.
+        # Slightly out of reach: the crank has been pushed across its dead centre.
         margin = legs.reach_margin[bad]
         if margin >= -_DEAD_CENTRE_SLACK:
             return SERIAL, bad, 0.0
@@ -225,7 +222,7 @@ def _check(robot: Robot, measurement: Vec12, legs: Legs) -> TickResult:
 
 
 def check_start(robot: RobotParameters, pose: np.ndarray) -> None:
-    """Raises the RunFailure with which a controller's tick at a pose (6,) [rad, m] would end, if any."""
+    """Raises the RunFailure of a controller's tick at a pose (6,) [rad, m], if any."""
     at_rest = np.concatenate([pose, np.zeros(6)])
     result = _check(robot_record(robot), at_rest, Legs.empty())
     if result[0] != OK:
@@ -235,10 +232,10 @@ def check_start(robot: RobotParameters, pose: np.ndarray) -> None:
 def controller_part(
     kernel: Callable[..., Any], robot: RobotParameters, params: Record, state: type[Record], *scratch: type[Record]
 ) -> Part:
-    """A controller's part of a loop, with the outputs torque and, where its state has one, integral.
+    """Part of a loop for a controller, with the outputs torque and, if its state has one, integral.
 
-    The kernel takes the robot, its parameters, measurement (12,), reference (18,), the scratch and the state;
-    it returns one of `STATUSES`, leg and margin.
+    The kernel takes the robot, its parameters, measurement (12,), reference (18,), the scratch and the state, and
+    returns one of `STATUSES`, leg and margin.
     """
     outputs = tuple(name for name in ("torque", "integral") if name in state.fields)
     numbers, inputs = {"robot": robot_record(robot), "params": params}, {"measurement": 12, "reference": 18}
@@ -256,7 +253,7 @@ class TrackingError(Record):
 
 @njit
 def tracking_error_tick(measurement: Vec12, reference: Vec18, state: TrackingError) -> None:
-    """Measured pose minus that of the reference, (6,) [rad, m]; the last one stays where one is not finite."""
+    """Measured pose minus that of the reference; unchanged where one is not finite."""
     state = record(state)
     if all_finite(measurement[:6]) and all_finite(reference[:6]):
         for k in range(6):
@@ -264,16 +261,10 @@ def tracking_error_tick(measurement: Vec12, reference: Vec18, state: TrackingErr
 
 
 LEARNT_SIGNALS = ("learnt", "learnt_half_width", "learnt_center_of_mass", "learnt_joints")
-"""What an adaptive law tells of what it has learnt, each with half the widths of its intervals."""
-TRACKING_ERROR = Part(
-    "tracking_error",
-    tracking_error_tick,
-    {},
-    {"measurement": 12, "reference": 18},
-    ("error",),
-    TrackingError.new(),
-)
-"""The tracking error of a loop, for densities, tuners and the log."""
+"""Signals of what an adaptive law has learnt, with half the widths of the confidence intervals."""
+_INPUTS = {"measurement": 12, "reference": 18}
+TRACKING_ERROR = Part("tracking_error", tracking_error_tick, {}, _INPUTS, ("error",), TrackingError.new())
+"""Tracking error of a loop, for densities, tuners and the log."""
 
 
 class Saturation(Record):
@@ -294,18 +285,10 @@ def saturation_params(options: Any, robot: RobotParameters) -> dict[str, Any]:
 def limit_and_integrate(
     params: Saturation, wanted: Vec6, error: Vec6, by_motor: bool, torque: Vec6, integral: Vec6
 ) -> TickResult:
-    """Cuts torques to the limits of the motors, and integrates the error; with `clamp` not while a motor is there.
+    """Limits torques [N m] to those of the motors, and integrates the error; with `clamp` not while a motor saturates.
 
-    Args:
-        params: Limit and anti-windup.
-        wanted: (6,) [N m].
-        error: (6,) what is integrated.
-        by_motor: Whether each element of the integral belongs to one motor, and waits for that one alone.
-        torque: (6,) [N m] out.
-        integral: (6,) changed in place.
-
-    Returns:
-        OK or TORQUE; -1; the torque that is not finite.
+    With `by_motor` element i of the integral waits for motor i only, else all wait for any motor. Returns OK, or TORQUE
+    with the torque that is not finite.
     """
     saturated = False
     for i in range(6):

@@ -1,4 +1,4 @@
-"""The LQI, (19)-(34), by the paper's model or by the exact one: options, the law of a tick, the part of a loop."""
+"""The LQI, (19)-(34), with the paper's model or the exact one: options, the kernel of a tick, the part of a loop."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class LqiOptions(ControllerOptions):
     """Pose and rate at which feedforward `full` is evaluated: the measured ones or the reference's."""
     weight_length: Annotated[Positive | None, Field(le=LARGEST_SIZE), CHARACTERISTIC_LENGTH] = 1.0
     """[m] length that makes rotations comparable with translations in the weight Q; 1 is the paper's. 0.11, the radius
-    of the platform's joints, weighs both alike at the joints. In a scenario null takes the robot's
+    of the platform's joints, gives both the same weight at the joints. In a scenario null takes the robot's
     `characteristic_length`."""
     solver: RiccatiSolver | None = None
     """Solver of the Riccati equation, which decouples into six of 3 states. drake: Drake's, with `plant.kind: drake`
@@ -92,14 +92,14 @@ class LqiOptions(ControllerOptions):
 
     @property
     def length(self) -> float:
-        """[m] `weight_length`; refused where it is null, and no scenario has put the robot's in."""
+        """[m] `weight_length`; a ConfigurationError if it is null outside of a scenario."""
         if self.weight_length is None:
             raise ConfigurationError("controller.weight_length", None, "a length, outside of a scenario")
         return self.weight_length
 
     @property
     def label(self) -> str:
-        """In a few words, for titles."""
+        """Short description, for titles."""
         model = "exact model" if self.model == "exact" else f"force map {self.force_map}"
         return f"{model}, feedforward {self.feedforward}"
 
@@ -140,9 +140,9 @@ class Problem(Record):
 
     weights: Vec4  # q_e, q_v, q_z, r
     map: Mat6  # M^-1 tau
-    changed: float  # 1 where z has to follow weights that are not those of the tick before.
+    changed: float  # 1 where z has to follow a change of the weights.
     gain: Mat6x18  # K for these weights.
-    before: Mat6x18  # K for the weights of the tick before, where they have changed.
+    before: Mat6x18  # K for the weights of the tick before, if they have changed.
 
 
 def block_weights(weights: np.ndarray) -> np.ndarray:
@@ -156,7 +156,7 @@ def block_weights(weights: np.ndarray) -> np.ndarray:
 
 
 def lqi_gain(acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndarray) -> np.ndarray:
-    """K (6, 18) of (31) for M^-1 tau (6, 6), u = -K [e; z] in the paper's state order; RiccatiError where none is.
+    """K (6, 18) of (31) for M^-1 tau (6, 6), u = -K [e; z] in the paper's state order, or RiccatiError.
 
     `weights` are two or four, see `block_weights`.
     """
@@ -222,7 +222,7 @@ def pose_problem(
     problem: Problem,
     state: LqiState,
 ) -> TickResult:
-    """The first half of a tick: legs and the Riccati problem; arguments and result as of `lqi_tick`."""
+    """First half of a tick: legs and the Riccati problem; arguments and result as of `lqi_tick`."""
     robot, params, legs = record(robot), record(params), record(legs)
     problem, state = record(problem), record(state)
     if all_finite(measurement[6:]) and not all_finite(reference):
@@ -259,7 +259,7 @@ def command(
     margin: float,
     state: LqiState,
 ) -> TickResult:
-    """The second half of a tick, once the problem is solved: torque and state, or a bridge where that failed."""
+    """Second half of a tick, after the solution: torque and state, or a bridge if one failed."""
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     if status == laws.OK:
         status, leg, margin = _command(robot, params, measurement, reference, legs, record(problem), state)
@@ -293,7 +293,7 @@ def _feedback(gain: Mat6x18, measurement: Vec12, reference: Vec18, integral: Vec
 def _feedforward(
     robot: Robot, params: LqiParams, measurement: Vec12, reference: Vec18, legs: Legs, force: Vec6
 ) -> TickResult:
-    """Torque (6,) [N m] that is added to the feedback; overwrites `legs` where it is taken at the reference."""
+    """Torque (6,) [N m] added to the feedback; overwrites `legs` if it is taken at the reference."""
     set_to(force, 0.0)
     if params.feedforward == FULL and params.at_reference == 1.0:
         bad = laws.legs_at(robot, reference[:6], legs)
@@ -338,7 +338,7 @@ def _command(
     problem: Problem,
     state: LqiState,
 ) -> TickResult:
-    """(34), feedforward, limits, (23) with the gain of a solved problem; changes the state where all is well."""
+    """(34), feedforward, limits, (23) with the gain of a solved problem; changes the state only if the status is OK."""
     integral, column = state.integral.copy(), np.zeros((6, 1))
     if problem.changed == 1.0:
         for i in range(6):
@@ -380,10 +380,10 @@ def _command(
 
 @njit
 def _bridged(params: LqiParams, measurement: Vec12, reference: Vec18, state: LqiState) -> bool:
-    """Whether a tick that failed goes on with the last good gain and feedforward; z stays as it is.
+    """Bridges a failed tick by the last good gain and feedforward; z is held. Returns whether it could.
 
-    A measurement or reference that is not finite is bridged by the last torque. Not before a good tick, and not where
-    more than `hold_ticks` failed in a row.
+    A measurement or reference that is not finite is bridged by the last torque. None before a good tick, and none after
+    `hold_ticks` failures in a row.
     """
     if state.weights[0] == 0.0 or state.bridged >= params.hold_ticks:
         return False
@@ -411,8 +411,7 @@ def lqi_part(
 ) -> Part:
     """The LQI as a part of a loop, for the controller's model, gravity [m/s^2], and a port of 2 or 4 weights.
 
-    Another `solver` than the options' may be named: `split` is one compiled call and needs no Drake. The part's tick
-    raises where no good tick came before or more than `hold_ticks` failed in a row.
+    `solver` overrides the options'; `split` is one compiled call and needs no Drake.
     """
     params = LqiParams.new(
         options,

@@ -1,4 +1,4 @@
-"""A controller of the user's own: a plain function, or a System of pydrake, by import path or as it is."""
+"""A user's controller: a plain function, or a System of pydrake, by import path or as an object."""
 
 from __future__ import annotations
 
@@ -13,22 +13,24 @@ from stewart_drake.base.code import ControllerError, UserCode
 from stewart_drake.base.config import Period
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, drake_guard, one_line, raised_at
 from stewart_drake.base.families import UserMade, user_parts
-from stewart_drake.base.jit import fields, new_record
+from stewart_drake.base.records import Record, Vec1, Vec2, Vec6, Vec12, Vec18
 from stewart_drake.control.base import ControllerOptions, Measurement, Setpoint
 from stewart_drake.loop.part import LoopContext, Part
 
 _EXPECTED = "a LeafSystem of pydrake, or what is called as torque = f(measurement, setpoint, time)"
+ControlFunction = Callable[[Measurement, Setpoint, float], Any]
+"""From a measurement, a setpoint and the time [s] to six torques [N m]."""
 
 
 class PythonOptions(UserMade, ControllerOptions):
     """Your own controller, by its import path.
 
-    A function `torque = f(measurement, setpoint, time)`, or a class of objects that are called so, runs with every
-    plant: measurement has pose [rad, m] and pose_rate, setpoint pose, pose_rate and pose_acceleration, all (6,); time
-    is in seconds, torque (6,) [N m]. A System of pydrake runs with `plant.kind: drake`.
+    A function `torque = f(measurement, setpoint, time)`, or a class of such callables, runs with every plant:
+    measurement has pose [rad, m] and pose_rate, setpoint pose, pose_rate and pose_acceleration, all (6,); time is in
+    seconds, torque (6,) [N m]. A System of pydrake runs with `plant.kind: drake`.
 
-    It must have the ports of `LqiController`: inputs measurement (12,) and reference (18,), output torque (6,). It may
-    have the input weights, (2,) or (4,) as the tuner gives, and the output integral (6,), which is logged.
+    A System must have the ports of `LqiController`: inputs measurement (12,) and reference (18,), output torque (6,).
+    It may have the input weights, (2,) or (4,) as the tuner gives, and the output integral (6,), which is logged.
 
     A continuous state is integrated by a third-order Runge-Kutta method in tenths of the plant's time step; time
     constants below a 25th of that step diverge.
@@ -45,7 +47,7 @@ class PythonOptions(UserMade, ControllerOptions):
         return f"controller {self.kind.name}"
 
     def load(self) -> Any:
-        """The class, function or object; refused where it is no System of pydrake, and nothing that is called."""
+        """The class, function or object; a ConfigurationError if it is neither a System of pydrake nor callable."""
         loaded = self.code.load(self.code_key)
         called = "__call__" in dir(loaded) if isinstance(loaded, type) else callable(loaded)
         if not (_is_system(loaded) or called):
@@ -53,7 +55,7 @@ class PythonOptions(UserMade, ControllerOptions):
         return loaded
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
-        """The user's LeafSystem, or a function that is called at every tick."""
+        """A part with the user's LeafSystem, or one that calls the function at every tick."""
         controller = self.load()
         if isinstance(controller, type):
             controller = self.construct({"robot": context.robot, "period": self.period, "gravity": context.gravity})
@@ -73,28 +75,35 @@ class PythonOptions(UserMade, ControllerOptions):
                 if port is None or port.get_data_type() != PortDataType.kVectorValued or port.size() != size:
                     expected = f"a LeafSystem with the {side.lower()} port {name} ({size},)"
                     raise ConfigurationError(self.code_key, self.code, expected)
-        return Part("controller", _nothing, {}, inputs, tuple(outputs), np.zeros(1), system=system)
+        return Part("controller", _nothing, {}, inputs, tuple(outputs), ControlTorque.new(), system=system)
 
 
-def _nothing(*_: Any) -> None:
-    """Kernel of a part that is a LeafSystem."""
+class ControlTorque(Record):
+    """State of a user's controller."""
+
+    torque: Vec6  # [N m]
+    health: Vec2  # See `loop.part.HEALTHY`.
 
 
-def _is_system(loaded: Any) -> bool:
-    """Whether something is a System of pydrake, or a class of them; what is one has imported pydrake."""
+def _nothing(*_: object) -> None:
+    """Kernel of a part with a LeafSystem."""
+
+
+def _is_system(loaded: object) -> bool:
+    """Whether an object is a System of pydrake or a class of them; then pydrake has been imported."""
     framework = sys.modules.get("pydrake.systems.framework")
     if framework is None:
         return False
     return issubclass(loaded, framework.System) if isinstance(loaded, type) else isinstance(loaded, framework.System)
 
 
-def user_code(section: Any) -> UserCode:
-    """The guard around what may call a user's code, see `UserCode`: of a scenario or of a part of it."""
+def user_code(section: object) -> UserCode:
+    """Context manager around calls of the user's code in a scenario or a section of it, see `UserCode`."""
     return UserCode(*(part.code.own_module for part in user_parts(section)))
 
 
-def failure_of(error: BaseException, section: Any) -> RunFailure:
-    """What ends a loop of a section, whatever was raised in it; nothing else passes where this is asked."""
+def failure_of(error: BaseException, section: object) -> RunFailure:
+    """The RunFailure for any exception that was raised in a loop of a section."""
     try:
         with drake_guard("a step"), user_code(section):
             raise error
@@ -106,23 +115,26 @@ def failure_of(error: BaseException, section: Any) -> RunFailure:
         return unexpected
 
 
-def function_part(function: Callable[[Measurement, Setpoint, float], Any]) -> Part:
-    """`torque = function(measurement, setpoint, time)` as a part of a loop, six torques [N m] at a time [s].
+def function_part(function: ControlFunction) -> Part:
+    """`torque = function(measurement, setpoint, time)` as a part of a loop.
 
-    An object that is called likewise may remember what it likes: then each run needs one of its own. The part's tick
-    raises ControllerError where the function raises or returns something else, NotFiniteError where a torque is not
-    finite.
+    A callable object with a state serves one run only. A tick raises ControllerError if the function raises or returns
+    something else, NotFiniteError if a torque is not finite.
     """
     guard = UserCode(getattr(function, "__module__", None) or type(function).__module__)
     constants, inputs = {"function": function, "guard": guard}, {"measurement": 12, "reference": 18, "time": 1}
-    return Part("controller", _call, constants, inputs, ("torque",), new_record(fields(torque=6, health=2)))
+    return Part("controller", _call, constants, inputs, ("torque",), ControlTorque.new())
 
 
 def _call(
-    function: Callable[[Measurement, Setpoint, float], Any], guard: UserCode, measurement: np.ndarray,
-    reference: np.ndarray, time: np.ndarray, state: np.ndarray,
-) -> None:  # fmt: skip
-    # Copies: what it keeps or changes is its own.
+    function: ControlFunction,
+    guard: UserCode,
+    measurement: Vec12,
+    reference: Vec18,
+    time: Vec1,
+    state: ControlTorque,
+) -> None:
+    # Copies, which the function may keep or change.
     pose, wanted = measurement.copy(), reference.copy()
     with guard:
         result = function(

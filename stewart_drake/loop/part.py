@@ -1,7 +1,7 @@
-"""The type of which a loop is made, a part: a kernel with parameters, inputs, outputs and a state; what runs parts.
+"""Parts of a loop: a kernel with parameters, inputs, outputs and a state; and what runs them.
 
-A run is an ordered list of parts. Drake's Diagram connects them by name, each in a LeafSystem; `LoopRunner` calls them
-in order on one vector of all signals and states, for the fast engine and for `Controller`.
+A run is an ordered list of parts. Drake's Diagram connects them by name, one LeafSystem per part; `LoopRunner` calls
+them in order on one vector of all signals and states, for the fast engine and for `Controller`.
 """
 
 from __future__ import annotations
@@ -10,65 +10,69 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError, RunFailure, Status, failure, failure_code
 from stewart_drake.base.jit import specialised
-from stewart_drake.base.records import Record
+from stewart_drake.base.records import Record, TickResult
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.robot import RobotParameters
 
+if TYPE_CHECKING:
+    from stewart_drake.control.friction_compensation import FrictionCompensation
+    from stewart_drake.control.tuners import Tuner
+
+Kernel = Callable[..., TickResult | None]
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 HEALTHY = (0.0, -1.0)
-"""The health of a part whose last tick did not fail: no cause, no leg."""
+"""Health of a part after a good tick: no cause, no leg."""
 _HEALTHY = np.array(HEALTHY)
 
 
 class Part(NamedTuple):
-    """A part of the loop.
+    """A part of a loop.
 
     Its kernel is called as `kernel(*parameters, *constants, *inputs, *scratch, state)`, and changes the state in place.
-    It returns nothing, or status, leg or -1, and margin; the status is 0 where all is well, and of another `statuses`
-    gives the error that is raised. The state is then worthless. A kernel of our own is compiled; a user's may be plain
-    Python, and may raise RunFailure.
+    It returns nothing, or status, leg or -1, and margin. Status 0 is success; for another one the error of `statuses`
+    is raised, and the state is undefined. Kernels of this package are compiled; a user's may be plain Python, and may
+    raise RunFailure.
 
-    An input is the last signal of its name: of the same instant by a part before it in the list, or of the tick before
-    by a part after it, or by one that runs at the end of a tick.
+    An input is the latest value of its signal: from the same tick if the part that gives it comes earlier in the list,
+    from the tick before if it comes later or runs at the end of a tick.
 
     Attributes:
         name: In the Diagram and in messages.
         kernel: See above.
-        constants: Name -> what does not change; for a kernel in Python anything.
-        inputs: Port -> size; the kernel gets arrays (size,). The port `time` (1,) [s] is given by who runs the part.
-        outputs: Fields of its state that are signals; they come first in the state, in this order.
-        initial: State before the first tick: a record (1,) of float64 fields, see `jit.fields`.
+        constants: Name -> constant value; any object for a kernel in plain Python.
+        inputs: Port -> size; the kernel gets arrays (size,). The port `time` (1,) [s] is always available.
+        outputs: Fields of the state that are signals; they are its first fields, in this order.
+        initial: State before the first tick.
         scratch: Records that the kernel overwrites.
-        statuses: Status other than 0 -> what it means. The arguments have the names of parameters, constants and
-            inputs, and `state`.
-        error: In the place of `statuses`: result and arguments -> the error.
-        connections: Port or parameter -> name of the signal, where that is not the port's own; or an array that stays,
-            for a port that this loop has no signal for.
-        output_names: Output -> name of the signal, where that is not its own.
-        period: [s] between two ticks; None for that of the controller.
-        end_of_tick: Whether it runs once all others have, so that its outputs act from the next tick on.
-        fault_tolerant: Whether a tick that fails does not end the run: its last state is repeated, and its output
-            `health` (2,) has the cause as `errors.FAILURES` counts it, 0 for none, and the leg or -1.
-        system: A user's own LeafSystem in the place of kernel and state; it runs in a Diagram alone.
-        parameters: Name -> numbers with which the part begins, a record (1,) or an array of float64. A Context may
-            change them, and a signal of as many numbers may take the place of one, see `connections`.
+        statuses: Status other than 0 -> its error, which may refer to parameters, constants, inputs and `state`.
+        error: Replaces `statuses`: from result and arguments to the error.
+        connections: Port or parameter -> name of its signal, by default the same; or a constant array, for a port that
+            has no signal in this loop.
+        output_names: Output -> name of its signal, by default the same.
+        period: [s] between two ticks; None for the controller's.
+        end_of_tick: Whether it runs after all others, so that its outputs act from the next tick on.
+        fault_tolerant: Whether a failed tick does not end the run: the last state is repeated, and its output `health`
+            (2,) has the cause as `errors.FAILURES` counts it, 0 for none, and the leg or -1.
+        system: A user's LeafSystem, which replaces kernel and state; for a Diagram only.
+        parameters: Name -> initial numbers, a record or an array of float64. A Context may change them, and a signal of
+            the same size may replace one, see `connections`.
     """
 
     name: str
-    kernel: Callable[..., Any]
-    constants: Mapping[str, Any]
+    kernel: Kernel
+    constants: Mapping[str, object]
     inputs: Mapping[str, int]
     outputs: tuple[str, ...]
-    initial: np.ndarray
+    initial: Record
     scratch: tuple[type[Record], ...] = ()
     statuses: Mapping[int, Status] = MappingProxyType({})
-    error: Callable[[Any, Mapping[str, Any]], RunFailure] | None = None
+    error: Callable[[TickResult, Mapping[str, Any]], RunFailure] | None = None
     connections: Mapping[str, str | np.ndarray] = NOTHING
     output_names: Mapping[str, str] = NOTHING
     period: float | None = None
@@ -78,25 +82,25 @@ class Part(NamedTuple):
     parameters: Mapping[str, np.ndarray] = NOTHING
 
     @property
-    def leading(self) -> dict[str, Any]:
-        """Parameters and constants, which the kernel gets first, in their order."""
+    def leading(self) -> dict[str, object]:
+        """Parameters and constants, the first arguments of the kernel, in order."""
         return {**self.parameters, **self.constants}
 
     def source(self, port: str) -> str | np.ndarray:
-        """Name of the signal at an input port, or the array that stands there."""
+        """Name of the signal at an input port, or a constant array."""
         return self.connections.get(port, port)
 
     def signal(self, output: str) -> str:
-        """Name of the signal that an output is."""
+        """Name of the signal of an output."""
         return self.output_names.get(output, output)
 
     @property
     def replaced(self) -> tuple[str, ...]:
-        """Parameters whose place a signal takes."""
+        """Parameters that a signal replaces."""
         return tuple(name for name in self.parameters if name in self.connections)
 
     def check_signal(self, name: str, kind: np.dtype) -> None:
-        """Refuses a signal of that kind in the place of a parameter that it does not fit."""
+        """Raises a ConfigurationError if a signal of that dtype does not fit a parameter."""
         wanted = self.parameters[name]
         fits = kind == wanted.dtype if kind.names else kind.base == np.float64
         if not fits or kind.itemsize != wanted.nbytes:
@@ -105,88 +109,85 @@ class Part(NamedTuple):
             raise ConfigurationError(f"{self.name}.{name}", given, allowed)
 
     def size(self, field: str) -> int:
-        """Numbers in a field of its state."""
+        """Size of a field of the state."""
         return self.initial.dtype[field].itemsize // 8
 
-    def tick(self, *inputs: Any) -> None:
-        """A tick by hand: the inputs in their order and then the state, which is changed in place."""
+    def tick(self, *inputs: np.ndarray) -> None:
+        """Runs one tick on the inputs, in order, and the state, the last argument, which is changed in place."""
         BoundPart(self, inputs[:-1], inputs[-1])()
 
     def connected(self, **sources: str | np.ndarray) -> Part:
-        """The part with these signals, or arrays, at those of its ports and parameters that have such a name."""
+        """The part with these signals or arrays at its ports and parameters of these names; others are ignored."""
         known = {port: source for port, source in sources.items() if port in self.inputs or port in self.parameters}
         return self._replace(connections={**self.connections, **known})
 
     def named(self, **signals: str) -> Part:
-        """The part with other names of its outputs."""
+        """The part with other names for the signals of its outputs."""
         return self._replace(output_names={**self.output_names, **signals})
 
 
 class LoopContext(NamedTuple):
-    """What the parts of a scenario's kinds are made for: robot, clock and neighbours.
+    """The rest of the loop, for the method `parts(context)` of estimators, controllers, tuners and adaptive laws."""
 
-    The sections of estimators, controllers, tuners and adaptive laws have a method `parts(context)`.
-    """
-
-    robot: RobotParameters  # As the controller believes it to be.
+    robot: RobotParameters  # The controller's model.
     gravity: float  # [m/s^2].
     period: float  # [s] of the ticks.
     pose: np.ndarray  # (6,) [rad, m] at the start.
     pose_rate: np.ndarray  # (6,) [rad/s, m/s] likewise.
     initial_torque: np.ndarray  # (6,) [N m] at the motors until the first command arrives.
     delay: int  # [ticks] of the commands.
-    reading_age: float  # [s] of a reading when the controller gets it, as believed.
-    latency: float  # [s] from what is read to its torque, as believed.
-    reading: int  # Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
-    noise: float  # [rad] of a reading, as an observer believes it.
-    friction: Any  # Options of the friction of the motors, as believed; zeros for none.
-    motors: Any  # Options of the motors, as believed.
-    tuner: Any  # Options of the tuner, with its file read.
-    disturbance: float  # [rad/s^2 per sqrt(s)] that an observer expects; 0 without one.
-    feedback: bool  # Whether the controller uses what is measured.
-    split: bool  # Whether an LQI takes the compiled split solution whatever its options say.
+    reading_age: float  # [s] of a reading when the controller gets it, in the model.
+    latency: float  # [s] from a measurement to its torque, in the model.
+    reading: int  # Size of a reading: 6 crank angles [rad], or 12 of pose [rad, m] and its rate.
+    noise: float  # [rad] of a reading, for an observer.
+    friction: FrictionCompensation  # Model of the motors' friction; zeros for none.
+    motors: Any  # Model of the motors, a `hardware.motors.MotorOptions`.
+    tuner: Tuner  # With its file read.
+    disturbance: float  # [rad/s^2 per sqrt(s)] expected by an observer; 0 without one.
+    feedback: bool  # Whether the controller uses the measurement.
+    split: bool  # Whether an LQI uses the compiled split solution for any `solver`.
 
     def ticking(self, period: float | None) -> LoopContext:
-        """The same for a part of another period [s], with the delay in its ticks; None for the controller's."""
+        """The context of a part of another period [s], with the delay in its ticks; None for the controller's."""
         if period is None:
             return self
         return self._replace(period=period, delay=round(self.delay * self.period / period))
 
 
 class BoundPart:
-    """A part with its arguments: a call of it is a tick.
+    """A part bound to the arrays of its inputs and its state; a call runs a tick.
 
-    Args:
-        part: The part.
-        inputs: Its inputs, in their order.
-        state: Its state.
-        signals: Signals in the place of parameters, by their names.
+    `signals` replace parameters of their names.
     """
 
     def __init__(
-        self, part: Part, inputs: Sequence[Any], state: np.ndarray, signals: Mapping[str, np.ndarray] = NOTHING
+        self,
+        part: Part,
+        inputs: Sequence[np.ndarray | None],
+        state: np.ndarray,
+        signals: Mapping[str, np.ndarray] = NOTHING,
     ) -> None:
         self.part = part
         self._scratch = tuple(np.zeros(1, getattr(kind, "layout", kind)) for kind in part.scratch)
         self._before = np.empty(part.initial.nbytes // 8)
         for name, array in signals.items():
             part.check_signal(name, np.dtype((array.dtype, array.shape)))
-        # Copies: a kernel is compiled for arrays that may be written, as a signal or a Context's numbers are.
+        # Copies, because kernels are compiled for writable arrays.
         numbers = [signals.get(name, value.copy()).view(value.dtype) for name, value in part.parameters.items()]
         self._constants = tuple(part.constants.values())
         self.bind(numbers, inputs, state)
 
-    def bind(self, parameters: Sequence[np.ndarray], inputs: Sequence[Any], state: np.ndarray) -> None:
-        """Other arrays in the place of those that were given."""
-        self._kernel: Callable[..., Any] = self.part.kernel
+    def bind(self, parameters: Sequence[np.ndarray], inputs: Sequence[np.ndarray | None], state: np.ndarray) -> None:
+        """Replaces the arrays."""
+        self._kernel: Kernel = self.part.kernel
         self.state = state
         if self.part.fault_tolerant:
-            # Plain arrays: numpy copies records field by field.
+            # Plain arrays, because numpy copies records field by field.
             self._numbers, self._health = state.view(np.float64), state["health"][0]
         self.arguments = (*parameters, *self._constants, *inputs, *self._scratch, state)
 
     def __call__(self) -> None:
-        """A tick; raises the named error of a part that is not fault tolerant."""
+        """Runs a tick; raises its error if the part is not fault tolerant."""
         if not self.part.fault_tolerant:
             result = self._kernel(*self.arguments)
             if result is not None and result[0] != 0:
@@ -202,36 +203,36 @@ class BoundPart:
             self._numbers[:] = self._before
             self._health[:] = failure_code(error.reason), -1.0 if error.leg is None else error.leg
 
-    def _error(self, result: Any) -> RunFailure:
+    def _error(self, result: TickResult) -> RunFailure:
         named = dict(zip((*self.part.leading, *self.part.inputs), self.arguments, strict=False))
         named["state"] = self.state
         if self.part.error is not None:
             return self.part.error(result, named)
         return failure(self.part.statuses[result[0]], result[1], result[2], named)
 
-    def fixed(self) -> Callable[[], Any]:
-        """The same tick with the arguments that are bound now and no others, by the shortest way."""
+    def fixed(self) -> Callable[[], object]:
+        """The same tick, faster, for the arrays that are bound now."""
         self._kernel = specialised(self.part.kernel, self.arguments)
         plain = self.part.error is None and not self.part.statuses and not self.part.fault_tolerant
         return partial(self._kernel, *self.arguments) if plain else self
 
 
 class LoopRunner:
-    """Parts with their states, side by side in one vector, called in order outside of a Diagram.
+    """Runs parts in order without a Diagram, with all signals and states in one vector.
 
-    Laws of this package are compiled here, not in the first tick.
+    Kernels are compiled here, not in the first tick.
 
     Args:
         parts: In order.
-        outside: Signals that come from elsewhere -> size; whoever has this object writes them.
-        inside: Signals that are parts of those -> where in `values` they are.
-        period: [s] of the parts that name none.
+        outside: Signals from outside -> size; the caller writes them.
+        inside: Signals that are slices of these -> their slice of `values`.
+        period: [s] of parts without a period.
         step: [s] between two calls of `run`; None for `period`.
 
     Attributes:
-        values: (n,) all signals and states. A copy of it is a snapshot of the whole loop.
-        places: Name of a signal -> where in `values` it is.
-        time: (1,) [s] of the step; to be written before it.
+        values: (n,) all signals and states; a copy is a snapshot of the loop.
+        places: Name of a signal -> its slice of `values`.
+        time: (1,) [s] of the step; the caller writes it before `run`.
     """
 
     def __init__(
@@ -255,12 +256,12 @@ class LoopRunner:
             for output in part.outputs:
                 at = start + part.initial.dtype.fields[output][1] // 8  # type: ignore[index]
                 self.places[part.signal(output)] = slice(at, at + part.size(output))
-        bound = (BoundPart(each, *self._sources(each, state)) for each, state in zip(parts, self._states, strict=True))
-        calls = [each.fixed() for each in bound]
+        bound = (BoundPart(part, *self._sources(part, state)) for part, state in zip(parts, self._states, strict=True))
+        calls = [tick.fixed() for tick in bound]
         steps = [steps_per(f"{part.name}.period", part.period or period, step or period) for part in parts]
         self._cycle = math.lcm(*steps)
         self._rows = list(zip(self._parts, calls, steps, strict=True))
-        self._due: dict[tuple[int, bool], list[Callable[[], Any]]] = {}
+        self._due: dict[tuple[int, bool], list[Callable[[], object]]] = {}
         self.reset()
 
     def _sources(self, part: Part, state: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, dict[str, np.ndarray]]:
@@ -274,12 +275,12 @@ class LoopRunner:
         return self.values[self.places[source]] if isinstance(source, str) else source
 
     def reset(self) -> None:
-        """All states as before the first tick."""
+        """Sets all states to those before the first tick."""
         for part, state in zip(self._parts, self._states, strict=True):
             state[:] = part.initial
 
     def take_over(self, other: LoopRunner) -> None:
-        """Goes on where another one is: each signal from outside, and each part, that both have is as it is there."""
+        """Continues from another runner: copies the outside signals and the states of parts that both have."""
         for name in self._outside & other._outside:
             self.signal(name)[:] = other.signal(name)
         states = {part.name: state for part, state in zip(other._parts, other._states, strict=True)}
@@ -288,19 +289,19 @@ class LoopRunner:
                 state[:] = states[part.name]
 
     def signal(self, name: str) -> np.ndarray:
-        """A signal as it is now; a view."""
+        """Present value of a signal; a view."""
         return self.values[self.places[name]]
 
     def state(self, name: str) -> np.ndarray:
-        """The record (1,) of a part, by its name; a view."""
+        """State of a part, by its name; a view."""
         return next(state for part, state in zip(self._parts, self._states, strict=True) if part.name == name)
 
     def run(self, step: int = 0) -> None:
-        """The parts that are due at a step, but those of the end of a tick; a RunFailure of a part gets the time."""
+        """Runs the parts due at a step, without those of the end of a tick; adds the time to a RunFailure."""
         self._run(step, False)
 
     def end(self, step: int = 0) -> None:
-        """The parts that are due at the end of a step: what acts from the next one on."""
+        """Runs the parts due at the end of a step, whose outputs act from the next one on."""
         self._run(step, True)
 
     def _run(self, step: int, end: bool) -> None:

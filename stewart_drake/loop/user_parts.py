@@ -1,11 +1,9 @@
-"""A sensor, an estimator or an adaptive law by a class of the user's own: it makes the parts that run in the loop."""
+"""Sections for a user's class that makes parts of a loop: a sensor, an estimator or an adaptive law."""
 
 from __future__ import annotations
 
-from typing import Any
-
 from stewart_drake.base.families import UserMade
-from stewart_drake.loop.part import Part
+from stewart_drake.loop.part import LoopContext, Part
 
 
 class UserParts(UserMade):
@@ -13,8 +11,8 @@ class UserParts(UserMade):
 
     asked = "parts(context) returns a tuple of Part"
 
-    def parts(self, context: Any) -> tuple[Part, ...]:
-        """Those that a new object gives; of a sensor the argument is the period [s] of its readings."""
+    def parts(self, context: LoopContext | float) -> tuple[Part, ...]:
+        """The parts of a new object; a sensor gets the period [s] of its readings in place of a context."""
         made = self.construct({})
         if not callable(getattr(made, "parts", None)):
             raise self.refusal("one without parts")
