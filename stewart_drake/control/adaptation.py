@@ -36,7 +36,7 @@ from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.mechanics.kinematics_laws import Legs, Robot, robot_record
+from stewart_drake.mechanics.kinematics_laws import Legs, robot_record
 from stewart_drake.robot import RobotParameters
 
 SIZE_HEAD, SIZE_DRIVE, SIZE_TORQUE, SIZE_MOTOR_DRIVE = 0.25, 0.35, 0.03, 0.06
@@ -225,10 +225,6 @@ def regression_part(
     rest = robot.copy()
     for name in _HEAD:
         rest[name] = 0.0
-    # The head of the model, then heads that have a unit first moment alone.
-    heads = np.repeat(rest, 1 + N_MOMENT)
-    heads[0] = robot[0]
-    heads["platform_moment"][1:] = np.eye(N_MOMENT)
     params = _params(options, context, correlation_time)
     first = _first_state(options, context, params)
     if options.ball_joints:
@@ -245,7 +241,6 @@ def regression_part(
     constants = {
         "robot": robot,
         "rest": rest,
-        "heads": heads,
         "joints": ball_joints,
         "friction": friction,
         "params": params,

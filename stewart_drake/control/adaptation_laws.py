@@ -50,6 +50,7 @@ from stewart_drake.control.square_root_filter import (
     MOTOR_DAMPING,
     MOTOR_DRIVE,
     N_JOINT,
+    N_MOMENT,
     N_MOTOR,
     N_SHARED,
     PUSH,
@@ -78,7 +79,6 @@ limit widens."""
 def regression_tick(
     robot: Robot,
     rest: Robot,
-    heads: Robot,
     joints: Joints,
     friction: Friction,
     params: RegressionParams,
@@ -93,7 +93,6 @@ def regression_tick(
     Args:
         robot: The model at first.
         rest: The same without a head.
-        heads: (4,) `rest` with the head of the model, then with heads of unit first moment alone.
         joints: Ball joints of the model.
         friction: Friction of the motors, of the model.
         params: Parameters.
@@ -113,7 +112,7 @@ def regression_tick(
     if state.blocks < params.first:
         return
     rows = np.zeros((6, N_MOTOR + len(state.shared) + 1))
-    if sample_rows(robot, record(rest), heads, record(joints), params, legs, record(sample), state, rows):
+    if sample_rows(robot, record(rest), record(joints), params, legs, record(sample), state, rows):
         if state.blocks % params.report_period == 0.0:
             forget(
                 state.motor_rows,
@@ -239,7 +238,6 @@ def _add_smoothed(
 def sample_rows(
     robot: Robot,
     rest: Robot,
-    heads: Robot,
     joints: Joints,
     params: RegressionParams,
     legs: Legs,
@@ -254,7 +252,7 @@ def sample_rows(
     _smooth(params, state, sample)
     if legs_at(robot, sample.motion[:6], legs) >= 0:
         return False
-    if not _needed_torques(robot, rest, heads, joints, params, legs, sample, joint_unknowns(state) > 0):
+    if not _needed_torques(robot, rest, joints, params, legs, sample, joint_unknowns(state) > 0):
         return False
     moving = False
     for i in range(6):
@@ -300,7 +298,6 @@ def _smooth(params: RegressionParams, state: RegressionState, sample: Sample) ->
 def _needed_torques(
     robot: Robot,
     rest: Robot,
-    heads: Robot,
     joints: Joints,
     params: RegressionParams,
     legs: Legs,
@@ -313,10 +310,14 @@ def _needed_torques(
     twists_of_motion(motion[:6], motion[6:], sample.acceleration[:], twist, twist_rate)
     if not inverse_dynamics(rest, legs, twist, twist_rate, params.gravity, other):
         return False
-    for n in range(SIDE_PUSH):
-        platform_load(record(heads[n : n + 1]), legs.rotation[:], twist, twist_rate, params.gravity, wrench)
+    platform_load(robot, legs.rotation[:], twist, twist_rate, params.gravity, wrench)
+    for k in range(6):
+        torques[k, WEIGHT] = wrench[k]
+    for n in range(N_MOMENT):
+        _unit_moment(sample.unit_head, n)
+        platform_load(sample.unit_head, legs.rotation[:], twist, twist_rate, params.gravity, wrench)
         for k in range(6):
-            torques[k, WEIGHT + n] = wrench[k]
+            torques[k, MOMENT + n] = wrench[k]
     for n in range(SIDE_PUSH, N_WRENCH):
         for k in range(6):
             torques[k, n] = 1.0 if params.by_angle == 0.0 and k == SIDEWAYS[n - SIDE_PUSH] else 0.0
@@ -341,6 +342,16 @@ def _needed_torques(
         for i in range(6):
             other[i] += joint[i]
     return True
+
+
+@njit
+def _unit_moment(head: Robot, axis: int) -> None:
+    """Makes a head of unit first moment along an axis alone, without mass and inertia."""
+    head.platform_mass = 0.0
+    for k in range(3):
+        head.platform_moment[k] = 1.0 if k == axis else 0.0
+        for m in range(3):
+            head.platform_tensor[k, m] = 0.0
 
 
 @njit

@@ -7,7 +7,7 @@ joints about the axis are in balance, with all friction taken as viscous.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -72,7 +72,7 @@ def joints_record(joints: BallJoints | None) -> Joints:
 
 @njit
 def joint_rates(robot: Robot, joints: Joints, legs: Legs, twist: Vec6, at_crank: Mat6x3, at_platform: Mat6x3) -> None:
-    """Angular velocities (6, 3) [rad/s] of the rods relative to the cranks, and of the platform relative to the rods."""
+    """Angular velocities [rad/s] of the rods relative to the cranks, and of the platform relative to the rods."""
     axis, arm, rod, tip = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(6):
         e, e_n = legs.e_l[i], legs.e_n[i]
@@ -142,7 +142,8 @@ def ball_joint_parts(robot: Robot, joints: Joints, motion: Vec12, acceleration: 
     By virtual work: motor torques T with T . crank rates = sum of joint moments . joint rates, for every twist. The
     torque is linear in the three. `out` is unchanged where the pose is out of reach or singular.
     """
-    twist, change, later, soon = np.empty(6), np.empty(6), np.empty(12), np.empty(1, LEGS)
+    twist, change, later = np.empty(6), np.empty(6), np.empty(12)
+    later_legs: Any = np.empty(1, LEGS)
     twists_of_motion(motion[:6], motion[6:], acceleration, twist, change)
     basis = np.empty((3, 3))
     now, then, moments = np.empty((2, 6, 3)), np.empty((2, 6, 3)), np.zeros((3, 2, 6, 3))
@@ -150,7 +151,7 @@ def ball_joint_parts(robot: Robot, joints: Joints, motion: Vec12, acceleration: 
     for k in range(6):
         later[k] = motion[k] + _AHEAD * (motion[6 + k] + 0.5 * _AHEAD * acceleration[k])
         later[6 + k] = twist[k] + _AHEAD * change[k]
-    if not _rates_at(robot, joints, later, soon, then):
+    if not _rates_at(robot, joints, later, later_legs, then):
         return
     for i in range(6):
         for side in range(2):

@@ -93,9 +93,9 @@ class AdaptationOptions(Section, ABC, key="adaptation"):
         "robot": tuple(f"{part}.robot" for part in _WITH_MODEL),
         "friction": ("observer.friction", "friction_compensation.friction", "safety.friction"),
         "friction_unknown": ("safety.friction_unknown",),
-        "doubt": ("controller.doubt",),
+        "coulomb_uncertainty": ("controller.coulomb_uncertainty",),
         "gain": ("servo_command.gain", "motor_current.gain"),
-        "lead": ("lead.lead",),
+        "command_lead": ("reference_lead.command_lead",),
         "joints": ("friction_compensation.joints",),
     }
     """Output -> the parameters that it replaces, as `part.parameter`; parts that a loop does not have are ignored."""

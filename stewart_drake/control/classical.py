@@ -99,7 +99,7 @@ class PidOptions(ControllerOptions):
             fade=np.exp(-self.period / FADE_TIME),
             **saturation_params(self, robot),
         )
-        numbers = {"robot": robot_record(robot), "doubt": np.ones(6), "params": params}
+        numbers = {"robot": robot_record(robot), "coulomb_uncertainty": np.ones(6), "params": params}
         part = controller_part(pid_tick, robot, params, PidState, Legs, Legs)
         return (part._replace(inputs={**part.inputs, "reference_now": 18}, parameters=numbers),)
 
@@ -145,7 +145,7 @@ class PidParams(Saturation):
 @njit
 def pid_tick(
     robot: Robot,
-    doubt: Vec6,
+    coulomb_uncertainty: Vec6,
     params: PidParams,
     measurement: Vec12,
     reference: Vec18,
@@ -162,7 +162,7 @@ def pid_tick(
 
     Args:
         robot: The controller's model.
-        doubt: (6,) uncertainty of the Coulomb friction of each motor, 1 at first.
+        coulomb_uncertainty: (6,) uncertainty of the Coulomb friction of each motor, 1 at first.
         params: Options.
         measurement: (12,) pose and rate now.
         reference: (18,) for the feedforward.
@@ -208,7 +208,7 @@ def pid_tick(
         integral_error[i] = 0.0 if rests else error
         if params.sticking > 0.0:
             angle = np.arctan2(legs.sine[i], legs.cosine[i])
-            _update_stick_torque(params, doubt[i], i, angle, angle - error, target_rates[i], state)
+            _update_stick_torque(params, coulomb_uncertainty[i], i, angle, angle - error, target_rates[i], state)
     if params.by_robot == 1.0 and not _through_inertia(robot, target, feedback):
         return AT_REFERENCE + PARALLEL, -1, 0.0
     for i in range(6):
@@ -238,7 +238,7 @@ def _through_inertia(robot: Robot, legs: Legs, column: Mat6x1) -> bool:
 
 @njit
 def _update_stick_torque(
-    params: PidParams, doubt: float, leg: int, angle: float, target: float, rate: float, state: PidState
+    params: PidParams, coulomb_uncertainty: float, leg: int, angle: float, target: float, rate: float, state: PidState
 ) -> None:
     """Grows the torque against sticking while a crank stays and its reference travels; fades it otherwise.
 
@@ -254,7 +254,7 @@ def _update_stick_torque(
         state.stick_torque[leg] = 0.0
     state.direction[leg] = direction
     if (target - state.reference_at_move[leg]) * direction > PASSED * params.count:
-        state.stick_torque[leg] += doubt * params.sticking * abs(travel)
+        state.stick_torque[leg] += coulomb_uncertainty * params.sticking * abs(travel)
     else:
         state.stick_torque[leg] *= params.fade
 

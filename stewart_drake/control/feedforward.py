@@ -36,9 +36,11 @@ class FeedforwardOptions(ControllerOptions):
 
 
 def lead_part(period: float) -> Part:
-    """`reference` (18,) -> `aimed` (18,), later by the delay that an adaptive law finds beyond the configured one."""
-    numbers = {"lead": np.zeros(1), "params": LeadParams.new(period=period)}
-    return Part("lead", lead_tick, {}, {"reference": 18}, ("aimed",), LeadState.new(), parameters=numbers)
+    """`reference` (18,) -> `shifted_reference` (18,), later by the delay that is learnt beyond that of the model."""
+    numbers = {"command_lead": np.zeros(1), "params": LeadParams.new(period=period)}
+    return Part(
+        "reference_lead", lead_tick, {}, {"reference": 18}, ("shifted_reference",), LeadState.new(), parameters=numbers
+    )
 
 
 class LeadParams(Record):
@@ -50,22 +52,22 @@ class LeadParams(Record):
 class LeadState(Record):
     """State of the lead."""
 
-    aimed: Vec18  # Reference, a little later.
+    shifted_reference: Vec18  # Reference, a little later.
     acceleration: Vec6  # [rad/s^2, m/s^2] of the reference at the tick before.
     ticks: float  # Ticks done.
 
 
 @njit
-def lead_tick(lead: Vec1, params: LeadParams, reference: Vec18, state: LeadState) -> None:
-    """A reference (18,) later by `lead` (1,) [s]: its Taylor series, the jerk by the difference of two ticks."""
-    state, h = record(state), lead[0]
+def lead_tick(command_lead: Vec1, params: LeadParams, reference: Vec18, state: LeadState) -> None:
+    """A reference (18,) later by `command_lead` [s]: its Taylor series, the jerk by the difference of two ticks."""
+    state, h = record(state), command_lead[0]
     for k in range(6):
         pose, rate, acceleration, jerk = reference[k], reference[6 + k], reference[12 + k], 0.0
         if state.ticks > 0.0:
             jerk = (acceleration - state.acceleration[k]) / record(params).period
-        state.aimed[k] = pose + h * (rate + h * (acceleration / 2.0 + h * jerk / 6.0))
-        state.aimed[6 + k] = rate + h * (acceleration + h * jerk / 2.0)
-        state.aimed[12 + k] = acceleration + h * jerk
+        state.shifted_reference[k] = pose + h * (rate + h * (acceleration / 2.0 + h * jerk / 6.0))
+        state.shifted_reference[6 + k] = rate + h * (acceleration + h * jerk / 2.0)
+        state.shifted_reference[12 + k] = acceleration + h * jerk
         state.acceleration[k] = acceleration
     state.ticks += 1.0
 

@@ -134,6 +134,7 @@ class Sample(Record):
     joint_torque: Annotated[np.ndarray, (N_JOINT, 6)]  # Of unit viscous and unit dry friction of ball joints.
     other_torque: Vec6  # [N m] for rods, cranks and inertia of ball joints.
     wrench_torque: Annotated[np.ndarray, (6, N_WRENCH)]  # For the head; per first moment [kg m]; per sideways push.
+    unit_head: Robot  # A head of unit first moment; its other fields are not used.
 
 
 @njit

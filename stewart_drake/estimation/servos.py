@@ -23,7 +23,8 @@ import numpy as np
 from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.base.tables import CRANK_ANGLES
 from stewart_drake.base.yaml_files import to_yaml
-from stewart_drake.control.adaptation import Learnt, RegressionOptions, regression_part
+from stewart_drake.control.adaptation import RegressionOptions, regression_part
+from stewart_drake.control.regression_records import Learnt
 from stewart_drake.estimation import core, torques
 from stewart_drake.estimation.core import Parameter, Result
 from stewart_drake.estimation.torques import CrankReadings, Samples
@@ -296,13 +297,13 @@ class _Rows:
         model |= {"reading_age": self.age, "gravity": self.gravity}
         loop = {"controller": {"kind": "feedforward", "period": self.period}, "reference": "hold", "model": model}
         # Over a whole log the samples' errors average out.
-        part = regression_part(self.law, context_of(ControlOptions.from_dict(loop)), alike=0.0)
+        part = regression_part(self.law, context_of(ControlOptions.from_dict(loop)), correlation_time=0.0)
         reading, command, state = np.empty(6), np.empty(6), part.initial.copy()
         tick = BoundPart(part, (reading, command), state).fixed()
         for row in rows:
             reading[:], command[:] = row[:6], row[6:]
             tick()
-        known = Learnt.of(state["learnt"][0])
+        known = Learnt.of(state["learnt"].view(float))
         stiffness = motors["stiffness"] * np.array(motors["ratios"]) * known.drive
         rest = motors["delay"] + known.delay, known.mass, values[ROTOR]
         return np.array([*stiffness, *(motors["damping"] + known.viscous), *known.coulomb, *rest])

@@ -252,7 +252,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
         law_inputs["measurement"] = np.zeros(12)
         if adaptation is not None:
             lead = [lead_part(context.period).connected(reference=reference)]
-            law_inputs["reference"] = reference = "aimed"
+            law_inputs["reference"] = reference = "shifted_reference"
     period = context.tuner.period
     tuner = [part._replace(period=period) for part in context.tuner.parts(context.ticking(period))]
     law_inputs["weights"] = "weights" if tuner else np.array(context.tuner.weights)

@@ -11,9 +11,8 @@ from scipy import optimize
 from stewart_drake import Controller, load_robot, load_scenario, run
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.control import adaptation_laws as law
-from stewart_drake.control import arrow_factor
+from stewart_drake.control import square_root_filter
 from stewart_drake.control.adaptation import (
-    Learnt,
     RegressionOptions,
     kernel_weights,
     last_learnt,
@@ -23,15 +22,15 @@ from stewart_drake.control.adaptation import (
     room_of,
     rows_of,
 )
-from stewart_drake.control.arrow_factor import COMMON, JOINT, OWN, PLACE
-from stewart_drake.control.ball_joints import JOINTS as JOINTS_RECORD
 from stewart_drake.control.ball_joints import BallJoints
-from stewart_drake.control.learnt_laws import show_first
+from stewart_drake.control.learnt_parameters import first_intervals
+from stewart_drake.control.regression_records import Learnt, Sample
+from stewart_drake.control.square_root_filter import N_MOTOR, N_SHARED
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import Legs
 from stewart_drake.scenario.assembly import context_of
 
-SIZE = 6 * OWN + COMMON
+SIZE = 6 * N_MOTOR + N_SHARED
 REAL = {"stiffness": 0.85, "ratios": [1.04, 0.97, 1.0, 0.96, 1.03, 1.0], "delay": 0.04, "damping": 0.044}
 DRY = [0.02, 0.022, 0.018, 0.021, 0.019, 0.02]
 SERVOS = {
@@ -67,36 +66,38 @@ def late_error(log):
 
 def arrows(rng, rows=40):
     """A factor with a prior, and the dense rows (n, SIZE), with right-hand sides, that it stands for."""
-    information, shared = np.zeros((6, OWN, OWN + COMMON + 1)), np.zeros((COMMON, COMMON + 1))
+    motor_rows, shared_rows = np.zeros((6, N_MOTOR, N_MOTOR + N_SHARED + 1)), np.zeros((N_SHARED, N_SHARED + 1))
     prior = rng.uniform(0.5, 2.0, SIZE)
-    for k in range(OWN):
-        information[:, k, k] = prior[k : 6 * OWN : OWN]
-    shared[range(COMMON), range(COMMON)] = prior[6 * OWN :]
+    for k in range(N_MOTOR):
+        motor_rows[:, k, k] = prior[k : 6 * N_MOTOR : N_MOTOR]
+    shared_rows[range(N_SHARED), range(N_SHARED)] = prior[6 * N_MOTOR :]
     dense, right = [np.diag(prior)], [np.zeros(SIZE)]
     for leg in rng.integers(0, 6, rows):
-        row = rng.normal(size=OWN + COMMON + 1)
+        row = rng.normal(size=N_MOTOR + N_SHARED + 1)
         whole = np.zeros(SIZE)
-        whole[OWN * leg : OWN * (leg + 1)], whole[6 * OWN :] = row[:OWN], row[OWN:-1]
+        whole[N_MOTOR * leg : N_MOTOR * (leg + 1)], whole[6 * N_MOTOR :] = row[:N_MOTOR], row[N_MOTOR:-1]
         dense.append(whole[None])
         right.append(row[-1:].copy())
-        arrow_factor.add_row(information[leg], shared, row)
-    return information, shared, np.concatenate(dense), np.concatenate(right), prior
+        square_root_filter.add_row(motor_rows[leg], shared_rows, row)
+    return motor_rows, shared_rows, np.concatenate(dense), np.concatenate(right), prior
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
 def test_arrows_are_dense_least_squares(seed):
-    information, shared, dense, right, _ = arrows(np.random.default_rng(seed))
+    motor_rows, shared_rows, dense, right, _ = arrows(np.random.default_rng(seed))
     expected = np.linalg.lstsq(dense, right, rcond=None)[0]
-    covariance, row = np.linalg.inv(dense.T @ dense), np.arange(1.0, OWN + COMMON + 1.0)
+    covariance, row = np.linalg.inv(dense.T @ dense), np.arange(1.0, N_MOTOR + N_SHARED + 1.0)
     whole = np.zeros(SIZE)
-    whole[2 * OWN : 3 * OWN], whole[6 * OWN :] = row[:OWN], row[OWN:]
-    assert arrow_factor.spread_along(information[2], shared, row) == pytest.approx(whole @ covariance @ whole, rel=1e-8)
-    own, common = np.zeros((6, OWN)), np.zeros(COMMON)
-    arrow_factor.solve_arrow(information, shared, own, common)
-    np.testing.assert_allclose(np.concatenate([own.ravel(), common]), expected, atol=1e-9)
-    assert not information[:, :, -1].any()
-    assert not shared[:, -1].any()
+    whole[2 * N_MOTOR : 3 * N_MOTOR], whole[6 * N_MOTOR :] = row[:N_MOTOR], row[N_MOTOR:]
+    assert square_root_filter.variance_along(motor_rows[2], shared_rows, row) == pytest.approx(
+        whole @ covariance @ whole, rel=1e-8
+    )
+    per_motor, shared = np.zeros((6, N_MOTOR)), np.zeros(N_SHARED)
+    square_root_filter.apply_correction(motor_rows, shared_rows, per_motor, shared)
+    np.testing.assert_allclose(np.concatenate([per_motor.ravel(), shared]), expected, atol=1e-9)
+    assert not motor_rows[:, :, -1].any()
+    assert not shared_rows[:, -1].any()
 
 
 @pytest.mark.long
@@ -104,43 +105,45 @@ def test_arrows_are_dense_least_squares(seed):
 @given(st.integers(0, 10**6))
 def test_numbers_that_are_held_move_the_others_to_where_they_are_likeliest(seed):
     rng = np.random.default_rng(seed)
-    information, shared, dense, right, _ = arrows(rng)
+    motor_rows, shared_rows, dense, right, _ = arrows(rng)
     # Two that are nearly the same thing, or the opposite.
-    alike = np.zeros(OWN + COMMON + 1)
-    alike[-3:-1] = 6.0, rng.choice([-6.0, 6.0])
-    dense, right = np.vstack([dense, np.r_[np.zeros(6 * OWN), alike[OWN:-1]]]), np.r_[right, alike[-1]]
-    arrow_factor.add_row(information[0], shared, alike)
-    own, common = np.zeros((6, OWN)), np.zeros(COMMON)
-    arrow_factor.solve_arrow(information, shared, own, common)
-    before = information.copy(), shared.copy()
+    same = np.zeros(N_MOTOR + N_SHARED + 1)
+    same[-3:-1] = 6.0, rng.choice([-6.0, 6.0])
+    dense, right = np.vstack([dense, np.r_[np.zeros(6 * N_MOTOR), same[N_MOTOR:-1]]]), np.r_[right, same[-1]]
+    square_root_filter.add_row(motor_rows[0], shared_rows, same)
+    per_motor, shared = np.zeros((6, N_MOTOR)), np.zeros(N_SHARED)
+    square_root_filter.apply_correction(motor_rows, shared_rows, per_motor, shared)
+    before = motor_rows.copy(), shared_rows.copy()
     least, most = np.full(SIZE, -np.inf), np.full(SIZE, np.inf)
     least[-2:], most[-2:] = 0.0, (0.05, 0.1)
     expected = optimize.lsq_linear(dense, right, (least, most), method="bvls", tol=1e-14).x
-    arrow_factor.hold_between(information, shared, own, common, most[-2:])
-    np.testing.assert_allclose(np.concatenate([own.ravel(), common]), expected, atol=1e-6)
-    np.testing.assert_array_equal(information, before[0])
-    np.testing.assert_array_equal(shared, before[1])
+    square_root_filter.constrain_last_two(motor_rows, shared_rows, per_motor, shared, most[-2:])
+    np.testing.assert_allclose(np.concatenate([per_motor.ravel(), shared]), expected, atol=1e-6)
+    np.testing.assert_array_equal(motor_rows, before[0])
+    np.testing.assert_array_equal(shared_rows, before[1])
 
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 10**6), st.floats(0.01, 1.0), st.floats(0.01, 1.0))
 def test_forgetting_goes_back_to_the_first_information_alone_and_a_push_does_so_faster(seed, keep, keep_push):
     rng = np.random.default_rng(seed)
-    information, shared, dense, _, _ = arrows(rng)
-    arrow_factor.solve_arrow(information, shared, np.zeros((6, OWN)), np.zeros(COMMON))
-    sizes_own, sizes_common = rng.uniform(0.1, 1.0, OWN), rng.uniform(0.1, 1.0, COMMON)
-    first = np.diag(np.concatenate([np.tile(sizes_own, 6), sizes_common]) ** -2.0)
-    arrow_factor.forget(information, shared, keep, keep_push, sizes_own, sizes_common)
+    motor_rows, shared_rows, dense, _, _ = arrows(rng)
+    square_root_filter.apply_correction(motor_rows, shared_rows, np.zeros((6, N_MOTOR)), np.zeros(N_SHARED))
+    motor_sigma, shared_sigma = rng.uniform(0.1, 1.0, N_MOTOR), rng.uniform(0.1, 1.0, N_SHARED)
+    first = np.diag(np.concatenate([np.tile(motor_sigma, 6), shared_sigma]) ** -2.0)
+    square_root_filter.forget(motor_rows, shared_rows, keep, keep_push, motor_sigma, shared_sigma)
     # Correlations of what was known stay, each with its own share.
     kept = np.full(SIZE, keep)
-    kept[6 * OWN + arrow_factor.PUSH : 6 * OWN + arrow_factor.PUSH + 3] = keep_push
+    kept[6 * N_MOTOR + square_root_filter.PUSH : 6 * N_MOTOR + square_root_filter.PUSH + 3] = keep_push
     known = np.sqrt(np.outer(kept, kept)) * (dense.T @ dense)
     covariance = np.linalg.inv(known + np.diag(1.0 - kept) @ first)
-    for k in range(OWN + COMMON):
-        row = np.eye(OWN + COMMON)[k]
-        at = k if k < OWN else 5 * OWN + k
-        assert arrow_factor.spread_along(information[0], shared, row) == pytest.approx(covariance[at, at], rel=1e-8)
-    assert not shared[:, -1].any()  # The estimate stays.
+    for k in range(N_MOTOR + N_SHARED):
+        row = np.eye(N_MOTOR + N_SHARED)[k]
+        at = k if k < N_MOTOR else 5 * N_MOTOR + k
+        assert square_root_filter.variance_along(motor_rows[0], shared_rows, row) == pytest.approx(
+            covariance[at, at], rel=1e-8
+        )
+    assert not shared_rows[:, -1].any()  # The estimate stays.
 
 
 def test_kernels_are_exact_for_parabolas_and_agree_on_a_late_signal():
@@ -162,35 +165,37 @@ def test_intervals_are_those_of_a_dense_covariance_and_at_most_what_the_first_on
     options = {"kind": "regression", "ball_joints": True}
     scenario = servos() if takes == "angle" else load_scenario("reachy_nod").replace({"motors": takes})
     part = regression_part(RegressionOptions.from_dict(options, "adaptation"), context_of(scenario))
-    state, params, bodies = part.initial.copy(), part.constants["params"], part.constants["bodies"]
-    rng, size = np.random.default_rng(1), state["common"].size
-    own, common = (params[name][0] for name in ("own", "common"))
+    state, params, robot = part.initial.copy(), part.constants["params"], part.constants["robot"]
+    rng, size = np.random.default_rng(1), state["shared"].size
+    per_motor, shared = (params[name][0] for name in ("motor_sigma", "shared_sigma"))
     for leg in rng.integers(0, 6, 60):
-        row = rng.normal(size=OWN + size + 1) / np.concatenate([own, common, [1.0]])
-        arrow_factor.add_row(state["information"][0, leg], state["shared"][0], row)
-    state["held_common"][0] += 0.3 * common * rng.uniform(0.5, 1.0, size)
-    state["held_own"][0] += 0.3 * own * rng.uniform(-1.0, 1.0, (6, OWN))
+        row = rng.normal(size=N_MOTOR + size + 1) / np.concatenate([per_motor, shared, [1.0]])
+        square_root_filter.add_row(state["motor_rows"][0, leg], state["shared_rows"][0], row)
+    state["bounded_shared"][0] += 0.3 * shared * rng.uniform(0.5, 1.0, size)
+    state["bounded_per_motor"][0] += 0.3 * per_motor * rng.uniform(-1.0, 1.0, (6, N_MOTOR))
     # Columns: own numbers of motor 1, of motor 2, ..., common ones.
-    dense = np.zeros((6 * OWN + size, 6 * OWN + size))
+    dense = np.zeros((6 * N_MOTOR + size, 6 * N_MOTOR + size))
     for leg in range(6):
-        place, rows = slice(OWN * leg, OWN * (leg + 1)), state["information"][0, leg]
-        dense[place, place], dense[place, 6 * OWN :] = rows[:, :OWN], rows[:, OWN:-1]
-    dense[6 * OWN :, 6 * OWN :] = state["shared"][0, :, :-1]
+        place, rows = slice(N_MOTOR * leg, N_MOTOR * (leg + 1)), state["motor_rows"][0, leg]
+        dense[place, place], dense[place, 6 * N_MOTOR :] = rows[:, :N_MOTOR], rows[:, N_MOTOR:-1]
+    dense[6 * N_MOTOR :, 6 * N_MOTOR :] = state["shared_rows"][0, :, :-1]
     covariance = np.linalg.inv(dense.T @ dense)
 
     def shown(change, noise_scale=1.0):
         at = state.copy()
         at["noise_scale"] = noise_scale
-        at["held_own"][0] += change[: 6 * OWN].reshape(6, OWN)
-        at["held_common"][0] += change[6 * OWN :]
-        show_first(params, bodies, at)
-        values = at["learnt"][0], at["learnt_center_of_mass"][0, :PLACE], at["learnt_joints"][0, :JOINT]
-        widths = at["learnt_half_width"][0], at["learnt_center_of_mass"][0, PLACE:], at["learnt_joints"][0, JOINT:]
-        return np.concatenate(values), np.concatenate(widths)
+        at["bounded_per_motor"][0] += change[: 6 * N_MOTOR].reshape(6, N_MOTOR)
+        at["bounded_shared"][0] += change[6 * N_MOTOR :]
+        first_intervals(params, robot, at)
+        center, joints = (
+            at[f"learnt_{name}"].view((float, size))[0] for name, size in (("center_of_mass", 6), ("joints", 4))
+        )
+        values, widths = (at[name].view((float, 20))[0] for name in ("learnt", "learnt_half_width"))
+        return np.r_[values, center[:3], joints[:2]], np.r_[widths, center[3:], joints[2:]]
 
-    steps = 1e-6 * np.concatenate([np.tile(own, 6), common])
+    steps = 1e-6 * np.concatenate([np.tile(per_motor, 6), shared])
     slopes = np.array([(shown(step)[0] - shown(-step)[0]) / (2.0 * step.sum()) for step in np.diag(steps)])
-    first = np.diag(np.concatenate([np.tile(own, 6), common]) ** 2)
+    first = np.diag(np.concatenate([np.tile(per_motor, 6), shared]) ** 2)
     if takes != "angle":
         slopes[:, 1] = 0.0  # Its commands do not show a delay.
     now, most = (np.einsum("ik,ij,jk->k", slopes, each, slopes) for each in (covariance, first))
@@ -202,13 +207,11 @@ def test_intervals_are_those_of_a_dense_covariance_and_at_most_what_the_first_on
 
 def rows_made(part, state, **changes):
     """The rows (6, n) of a sample that a state's blocks give."""
-    params, rows = part.constants["params"].copy(), np.zeros((6, OWN + state["common"].size + 1))
+    params, rows = part.constants["params"].copy(), np.zeros((6, N_MOTOR + state["shared"].size + 1))
     for name, value in changes.items():
         params[name] = value
-    robot, rest, joints = (part.constants[name] for name in ("robot", "rest", "joints"))
-    records = (each.view(np.recarray)[0] for each in (robot, rest, joints, params, Legs.new(), state))
-    robot, rest, joints, params, legs, state = records
-    assert law._rows(robot, rest, part.constants["heads"], joints, params, legs, state, rows)
+    numbers = *(part.constants[name] for name in ("robot", "rest", "joints")), params, Legs.new(), Sample.new(), state
+    assert law.sample_rows(*(each.view(np.recarray)[0] for each in numbers), rows)
     return rows
 
 
@@ -220,11 +223,14 @@ def test_a_sample_in_which_a_crank_rests_weighs_less_by_what_its_dry_friction_ma
     part = regression_part(options, context_of(scenario.replace({"model.friction": {"coulomb": DRY, "width": 0.001}})))
     (params,), state, rng = part.constants["params"], part.initial.copy(), np.random.default_rng(2)
     speeds = rng.choice([0.01, 0.039, 0.041, 0.5], (2 * law.HALF + 1, 6)) * rng.choice([-1.0, 1.0], 6)
-    state["sharp"][0, :, 0], state["doubt"] = speeds, rng.uniform(0.1, 1.0, 6)
-    state["own"][0, :, 2], state["common"][0, 3] = rng.uniform(-0.01, 0.01, 6), 0.03
+    state["unsmoothed"][0, :, 0], state["coulomb_uncertainty"] = speeds, rng.uniform(0.1, 1.0, 6)
+    state["per_motor"][0, :, 2], state["shared"][0, 3] = rng.uniform(-0.01, 0.01, 6), 0.03
     state["angles"][0] += 0.01 * np.arange(law.ROWS)[:, None]
     rows, whole = rows_made(part, state), rows_made(part, state, slowest=1e-9)
-    level = np.hypot(0.03 + state["own"][0, :, 2], state["doubt"][0] * np.hypot(params["common"][3], params["own"][2]))
+    level = np.hypot(
+        0.03 + state["per_motor"][0, :, 2],
+        state["coulomb_uncertainty"][0] * np.hypot(params["shared_sigma"][3], params["motor_sigma"][2]),
+    )
     rests = params["kernel"][0] @ (np.abs(speeds) < options.slowest)
     least = options.noise * params["limit"]
     np.testing.assert_allclose(rows, whole * (least / np.hypot(least, rests * level))[:, None], rtol=1e-12)
@@ -533,13 +539,13 @@ LOOK = load_scenario("reachy_nod").replace({"reference": LOOKS}).reference
 @pytest.mark.long
 def test_hidden_friction_of_ball_joints_is_found():
     part, state = learnt_of_a_model(JOINTS, ball_joints=True)
-    viscous, dry, *half_widths = state["learnt_joints"][0]
+    viscous, dry, *half_widths = state["learnt_joints"][0].tolist()
     assert viscous == pytest.approx(0.004, rel=0.1)
     assert dry == pytest.approx(0.003, rel=0.1)
     assert abs(viscous - 0.004) < half_widths[0]
     assert abs(dry - 0.003) < half_widths[1]
     # What stands in for the constant is the believed joints with these two numbers.
-    (stands,) = state["joints"].view(JOINTS_RECORD)[0]
+    stands = state["joints"][0]
     assert stands["viscous"] == pytest.approx(viscous, rel=0.05)
     np.testing.assert_array_equal(stands["platform"], [0, 0, 0, 0, 0, 1])
     assert set(part.outputs) - set(learnt_of_a_model(JOINTS)[0].outputs) == {"joints", "learnt_joints"}
@@ -549,8 +555,8 @@ def test_hidden_friction_of_ball_joints_is_found():
 def test_what_was_learnt_of_ball_joints_is_kept():
     _, state = learnt_of_a_model(JOINTS, ball_joints=True)
     scenario = servos(**{"model.friction.joints": JOINTS.to_dict() | {"viscous": 0.0, "coulomb": 0.0}})
-    joints = state["learnt_joints"][0]
-    known = {name: state[name][0] for name in ("learnt", "learnt_half_width", "learnt_joints")}
+    joints = state["learnt_joints"][0].tolist()
+    known = {name: state[name].view(float) for name in ("learnt", "learnt_half_width", "learnt_joints")}
     model = model_of(known, scenario.belief)
     kept = scenario.replace({"model": model}).belief.friction.joints
     assert (kept.viscous, kept.coulomb) == tuple(joints[:2])
