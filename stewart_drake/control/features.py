@@ -181,8 +181,8 @@ class TunerState(Record):
 
 @njit
 def _plausible(signal: Vector) -> bool:
-    for value in signal:  # noqa: SIM110 - numba knows no generators here
-        if not abs(value) < LARGEST_SIGNAL:
+    for k in range(len(signal)):
+        if not abs(signal[k]) < LARGEST_SIGNAL:
             return False
     return True
 

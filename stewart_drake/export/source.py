@@ -105,9 +105,9 @@ def scope_of(tree: ast.FunctionDef) -> tuple[dict[str, int], set[str]]:
                     deeper = inside | {node.target.id}
                 visit(node.body, (*path, 2 * k), deeper)
                 visit(node.orelse, (*path, 2 * k + 1), inside)
-            elif isinstance(node, ast.Assign):
+            elif isinstance(node, (ast.Assign, ast.AnnAssign)) and node.value is not None:
                 note(node.value, path, inside)
-                for target in node.targets:
+                for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
                     for part in target.elts if isinstance(target, ast.Tuple) else [target]:
                         note(part, path, inside, node.lineno if isinstance(part, ast.Name) else None)
             else:

@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Sequence
 
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.export.expressions import BINARY, Expressions
+from stewart_drake.export.expressions import BINARY, Expressions, last_name
 from stewart_drake.export.source import comment
 from stewart_drake.export.types import (
     Array,
@@ -117,11 +117,12 @@ class Statements(Expressions):
         self.emit("}")
 
     def _for(self, node: ast.For) -> None:
-        if not isinstance(node.target, ast.Name) or node.orelse or getattr(node.iter, "func", node).id != "range":
+        call = node.iter
+        if not isinstance(node.target, ast.Name) or not isinstance(call, ast.Call) or last_name(call.func) != "range":
             raise Untyped("a loop that is not over a `range`")
         if node.target.id in self.leaking:
             raise Untyped("a loop with a variable that is used outside of it; give that another name")
-        limits = [self.scalar(limit) for limit in node.iter.args]
+        limits = [self.scalar(limit) for limit in call.args]
         start, stop, step = (number(0), limits[0], number(1)) if len(limits) == 1 else (*limits, number(1))[:3]
         if step.value not in (1, -1):
             raise Untyped("a loop with another step than 1 or -1")

@@ -153,7 +153,6 @@ class DeadMotor(Section, key="motors.dead"):
     """[s] when it loses its torque."""
 
 
-@njit
 def within_limit(torque: np.ndarray, limit: float | np.ndarray) -> np.ndarray:
     """Torques [N m] limited to the effort limits of the motors; NaN stays NaN."""
     return np.minimum(np.maximum(torque, -limit), limit)
@@ -344,4 +343,4 @@ def limit_torque(limit: Vec6, command: Vec6, state: Torque) -> None:
     """Torques [N m] of motors without imperfections: the command, limited."""
     state = record(state)
     for i in range(6):
-        state.torque[i] = within_limit(command[i], limit[i])
+        state.torque[i] = np.minimum(np.maximum(command[i], -limit[i]), limit[i])

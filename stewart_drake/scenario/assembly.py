@@ -13,14 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
 from stewart_drake.base.keys import join_or
+from stewart_drake.base.records import Record, Vec6, record
 from stewart_drake.control.base import LEARNT_SIGNALS, TRACKING_ERROR, AdaptationOptions
 from stewart_drake.control.feedforward import lead_part
 from stewart_drake.control.friction_compensation import FrictionCompensation, standing_torque
 from stewart_drake.control.observer import SMALLEST_NOISE
 from stewart_drake.hardware.disturbances import total_wrench
-from stewart_drake.hardware.motors import delay_part, within_limit
+from stewart_drake.hardware.motors import Torque, delay_part
 from stewart_drake.loop.part import NOTHING, LoopContext, Part
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.safety import safety_part
@@ -354,8 +355,8 @@ def _written(parts: Sequence[Part], options: AdaptationOptions, laws: Sequence[P
 
 
 @njit
-def _add_torques(control: Any, disturbance_torque: Any, friction: Any, states: Any) -> None:
-    state = record(states)
+def _add_torques(control: Vec6, disturbance_torque: Vec6, friction: Vec6, state: Torque) -> None:
+    state = record(state)
     for i in range(6):
         state.torque[i] = control[i] + disturbance_torque[i] + friction[i]
 
@@ -366,14 +367,22 @@ _COMMAND = Part(
     {},
     {"control_torque": 6, "disturbance_torque": 6, "friction_torque": 6},
     ("torque",),
-    new_record(fields(torque=6)),
+    Torque.new(),
 )
 """The torque asked for: a controller's, what an observer adds, and what makes up for friction."""
 
 
+class NetTorque(Record):
+    """State of the torque that a command leaves for motion."""
+
+    net_torque: Vec6  # [N m]
+
+
 @njit
-def _store_net_torque(limit: Any, torque: Any, friction: Any, states: Any) -> None:
-    record(states).net_torque[:] = within_limit(torque, limit) - friction
+def _store_net_torque(limit: Vec6, torque: Vec6, friction: Vec6, state: NetTorque) -> None:
+    state = record(state)
+    for i in range(6):
+        state.net_torque[i] = np.minimum(np.maximum(torque[i], -limit[i]), limit[i]) - friction[i]
 
 
 def _net_torque_part(limit: np.ndarray, initial: np.ndarray) -> Part:
@@ -381,9 +390,15 @@ def _net_torque_part(limit: np.ndarray, initial: np.ndarray) -> Part:
 
     What the motors cannot give is cut by them, or by the safety layer, which has to see it.
     """
-    first, inputs = new_record(fields(net_torque=6), net_torque=initial), {"torque": 6, "friction_torque": 6}
+    first, inputs = NetTorque.new(net_torque=initial), {"torque": 6, "friction_torque": 6}
     part = Part("net_torque", _store_net_torque, {}, inputs, ("net_torque",), first, end_of_tick=True)
     return part._replace(parameters={"limit": limit})
+
+
+class Checked(Record):
+    """State of the check of commands."""
+
+    checked: Vec6  # In the command's unit.
 
 
 def _finite_tick(what: str, asked: np.ndarray, state: np.ndarray) -> None:
@@ -392,5 +407,5 @@ def _finite_tick(what: str, asked: np.ndarray, state: np.ndarray) -> None:
     state["checked"][0] = asked
 
 
-_FINITE = Part("finite", _finite_tick, {"what": "torque"}, {"command": 6}, ("checked",), new_record(fields(checked=6)))
+_FINITE = Part("finite", _finite_tick, {"what": "torque"}, {"command": 6}, ("checked",), Checked.new())
 """Ends a run whose commands, `what` they are, are no numbers, where there is no safety layer."""
