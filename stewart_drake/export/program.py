@@ -17,26 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.records import Record
+from stewart_drake.export import types as c
 from stewart_drake.export.expressions import FIELDS, RESERVED
 from stewart_drake.export.source import comment, field_comments, source_of
 from stewart_drake.export.statements import WIDTH, Statements
-from stewart_drake.export.types import (
-    ATOM,
-    Array,
-    Scalar,
-    Signature,
-    Struct,
-    StructType,
-    Untyped,
-    Value,
-    described,
-    number,
-    parameter,
-)
+from stewart_drake.export.types import Array, Struct, StructType, Untyped, Value, number
 
 TEMPLATES = Path(__file__).parent / "templates"
-_LETTERS = {"d": "double", "i": "int", "b": "bool"}
 _HELPERS = {
     re.findall(r"^static \w+ (\w+)", text, re.MULTILINE)[0]: text
     for text in (TEMPLATES / "helpers.c").read_text(encoding="utf-8").strip().split("\n\n")
@@ -47,47 +34,50 @@ class Program:
     """The laws that have been printed so far, and what they need."""
 
     def __init__(self) -> None:
-        self._functions: dict[str, str] = {}  # Texts, callees first.
+        self._defined: dict[str, Any] = {}  # Constants of the source by name.
+        self._types: dict[str, str] = {}  # Texts of structs by name, inner ones first.
         self._structs: dict[StructType, str] = {}
-        self._tables: dict[str, str] = {}  # Constant arrays and records by name.
-        self._signatures: dict[Any, Signature] = {}
-        self._names = {"initial", "signals", "signal_at", "run_parts", "end_parts", "has_room"}
-        self._owners: dict[str, Any] = {}
-        self._constants: dict[str, Any] = {}
+        self._tables: dict[str, str] = {}  # Texts of constant arrays and records by name.
         self._helpers: set[str] = set()
-        self._results: set[str] = set()
+        self._functions: dict[str, str] = {}  # Texts by name, callees first.
+        self._signatures: dict[Any, c.Signature] = {}
+        self._owners: dict[str, Any] = {}
 
     # --- what the source names ---
 
     def struct(self, of: StructType) -> str:
         """Name in C of a record's type: that of its class."""
-        if of not in self._structs:
-            for name in of.layout.names or ():
-                if of.layout[name].names:
-                    self.struct(StructType(of.kind.fields[name], of.layout[name]))
-            name = re.sub(r"(?<!^)(?=[A-Z])", "_", of.kind.__name__.strip("_")).lower()
-            names = name, f"{of.kind.__module__.rsplit('.')[-1]}_{name}", *(f"{name}_{n}" for n in range(2, 100))
-            self._structs[of] = next(name for name in names if name not in self._structs.values())
-        return self._structs[of]
+        if of in self._structs:
+            return self._structs[of]
+        comments, text = field_comments(of.kind), ""
+        for field in of.layout.names or ():
+            inner, sizes = of.inner(field), "".join(f"[{size}]" for size in of.layout[field].shape)
+            kind = f"struct {self.struct(inner)}" if inner else "double"
+            text += f"    {kind} {field}{sizes}; {comment(comments.get(field, ''))}".rstrip() + "\n"
+        name = re.sub(r"(?<!^)(?=[A-Z])", "_", of.kind.__name__.strip("_")).lower()
+        if name in self._types:
+            name = f"{of.kind.__module__.rsplit('.')[-1]}_{name}"
+        self._structs[of] = name = _free(name, self._types)
+        self._types[name] = f"{comment(of.kind.__doc__ or '')}struct {name} {{\n{text}}};"
+        return name
 
-    def struct_of(self, layout: np.dtype) -> StructType:
-        """The type of a record by the layout of its class."""
-        kinds: list[type[Record]] = [Record]
-        for kind in kinds:
-            if getattr(kind, "layout", None) is layout:
-                return StructType(kind, layout)
-            kinds += kind.__subclasses__()
-        raise Untyped("a record without a class; write `NAME.layout`")
+    def result(self, kinds: Sequence[str]) -> str:
+        """Type in C of what a function returns."""
+        if len(kinds) < 2:
+            return kinds[0] if kinds else "void"
+        name = f"result_{''.join(kind[0] for kind in kinds)}"
+        fields = "".join(f"    {kind} {field};\n" for kind, field in zip(kinds, FIELDS, strict=False))
+        self._types[name] = f"struct {name} {{\n{fields}}};"
+        return f"struct {name}"
 
-    def constant(self, names: Sequence[str], value: Any, module: str) -> Scalar:
-        """A constant of the source, under its own name."""
-        known = number(value)
+    def constant(self, names: Sequence[str], value: Any, module: str) -> c.Scalar:
+        """A constant of the source, under its name."""
+        known, name = number(value), "_".join(names).strip("_").upper()
         if known.text in ("INFINITY", "-INFINITY", "NAN", "true", "false") or value is np.pi:
             return known
-        name = "_".join(names).strip("_").upper()
-        for name in (name, f"{module.rsplit('.')[-1].upper()}_{name}"):
-            if self._constants.setdefault(name, known.value) == known.value:
-                return known._replace(text=name, binding=ATOM)
+        for text in (name, f"{module.rsplit('.')[-1].upper()}_{name}"):
+            if self._defined.setdefault(text, known.value) == known.value:
+                return known._replace(text=text, binding=c.ATOM)
         return known
 
     def table(self, hint: str, values: np.ndarray) -> Array:
@@ -105,80 +95,57 @@ class Program:
         for name, text in self._tables.items():
             if text == f"static const {kind} {name}{sizes} = {value};":
                 return name
-        name = self._free(hint, self._tables)
+        name = _free(hint, self._tables, self._functions)
         self._tables[name] = f"static const {kind} {name}{sizes} = {value};"
         return name
 
-    def _free(self, hint: str, *taken: Any) -> str:
-        names = hint, *(f"{hint}_{n}" for n in range(2, 100))
-        return next(name for name in names if not any(name in each for each in (self._names, *taken)))
-
     def helper(self, name: str) -> str:
         """A function that C may not have, to be printed."""
-        self._helpers.update({name} & _HELPERS.keys())
+        self._helpers |= {name} & _HELPERS.keys()
         return name
 
-    def result(self, kinds: Sequence[str]) -> str:
-        """Type in C of what a function returns."""
-        if len(kinds) < 2:
-            return kinds[0] if kinds else "void"
-        letters = "".join(kind[0] for kind in kinds)
-        self._results.add(letters)
-        return f"struct result_{letters}"
-
-    def function(self, function: Any, given: Sequence[Value]) -> tuple[Signature, tuple[Value, ...]]:
+    def function(self, function: Any, given: Sequence[Value]) -> tuple[c.Signature, tuple[Value, ...]]:
         """A function for arguments like these, printed if it has not been, and its parameters."""
         source, function = source_of(function), getattr(function, "py_func", function)
         arguments, printed = source.tree.args.args, Statements(self, function, source)
         if len(arguments) != len(given):
             raise Untyped(f"a call of `{function.__name__}` with {len(given)} arguments; give all of {len(arguments)}")
         parameters: tuple[Value, ...] = ()
+        free: list[tuple[int, ...]] = []
         for argument, value in zip(arguments, given, strict=True):
             if argument.arg not in source.types:
                 text = f"an argument without a type; write `{argument.arg}: Vec6`, `float` or the class of a record"
                 raise source.refusal(source.tree.lineno, f"def {function.__name__}", text)
-            fitting = parameter(printed.c_name(argument.arg), source.types[argument.arg], value)
+            fitting = c.parameter(printed.c_name(argument.arg), source.types[argument.arg], value)
             if fitting is None:
-                raise Untyped(f"`{described(value)}` where `{function.__name__}` takes `{ast.unparse(argument)}`")
+                text = f"`{c.described(value)}` where `{function.__name__}` takes `{ast.unparse(argument)}`"
+                raise Untyped(text)
             parameters += (fitting,)
-        types = [source.types[argument.arg] for argument in arguments]
+            if isinstance(value, Array) and source.types[argument.arg] is np.ndarray:
+                free.append(value.shape)
         key = function, parameters
         if key not in self._signatures:
-            free = [x.shape for x, kind in zip(parameters, types, strict=True) if kind is np.ndarray]
-            sizes = "".join(f"_{'x'.join(map(str, shape))}" for shape in dict.fromkeys(free))
             name = function.__name__.strip("_")
             if self._owners.setdefault(name, function) is not function or name in RESERVED:
                 name = f"{function.__module__.rsplit('.')[-1]}_{name}"
-            name = self._free(name + sizes)
-            self._names.add(name)
+            name += "".join(f"_{'x'.join(map(str, shape))}" for shape in dict.fromkeys(free))
+            name = _free(name, self._functions, self._tables)
             self._signatures[key], text = printed.text(name, parameters)
             self._functions[name] = text
         return self._signatures[key], parameters
 
-    # --- text ---
-
     def text(self) -> str:
         """All that has been printed, in an order that C takes."""
-        names = [f"#define {name} {number(value).text}" for name, value in self._constants.items()]
-        results = [
-            f"struct result_{letters} {{\n"
-            + "".join(f"    {_LETTERS[k]} {field};\n" for k, field in zip(letters, FIELDS, strict=False))
-            + "};"
-            for letters in sorted(self._results)
-        ]
-        structs = [self._declared(of, name) for of, name in self._structs.items()]
+        names = "\n".join(f"#define {name} {number(value).text}" for name, value in self._defined.items())
         helpers = [text for name, text in _HELPERS.items() if name in self._helpers]
-        blocks = ["\n".join(names), *results, *structs, *self._tables.values(), *helpers, *self._functions.values()]
+        blocks = [names, *self._types.values(), *self._tables.values(), *helpers, *self._functions.values()]
         return "\n\n".join(filter(None, blocks)) + "\n"
 
-    def _declared(self, of: StructType, name: str) -> str:
-        comments, fields = field_comments(of.kind), []
-        for field in of.layout.names or ():
-            kind = of.layout[field]
-            inner = f"struct {self.struct(StructType(of.kind.fields[field], kind))}" if kind.names else "double"
-            text = f"    {inner} {field}{''.join(f'[{size}]' for size in kind.shape)};"
-            fields.append(f"{text} {comment(comments.get(field, ''))}".rstrip())
-        return f"{comment(of.kind.__doc__ or '')}struct {name} {{\n" + "\n".join(fields) + "\n};"
+
+def _free(hint: str, *taken: Any) -> str:
+    """A name that none of these has, nor the templates."""
+    used = {"initial", "signals", "signal_at", "run_parts", "end_parts", "has_room"}.union(*taken)
+    return next(name for name in (hint, *(f"{hint}_{n}" for n in range(2, 100))) if name not in used)
 
 
 def braced(values: Any) -> str:

@@ -15,7 +15,7 @@ from stewart_drake.base.records import Record
 
 ATOM, UNARY, PRODUCT, SUM, RELATION, EQUALITY, CONJUNCTION, DISJUNCTION, CHOICE = range(9, 0, -1)
 """How strongly a C expression binds."""
-NUMBERS = {bool: "bool", int: "int", float: "double"}
+NUMBERS: dict[Any, str] = {bool: "bool", int: "int", float: "double"}
 """Types of numbers in C, the narrower ones first."""
 
 
@@ -36,43 +36,22 @@ class Scalar(NamedTuple):
         return self.text if self.binding >= binding else f"({self.text})"
 
 
-def number(value: Any) -> Scalar:
-    """A constant."""
-    if isinstance(value, (bool, np.bool_)):
-        return Scalar("bool", "true" if value else "false", ATOM, bool(value))
-    if isinstance(value, (int, np.integer)):
-        return Scalar("int", str(int(value)), ATOM if value >= 0 else UNARY, int(value))
-    value = float(value)
-    text = repr(value) if math.isfinite(value) else "NAN" if math.isnan(value) else "INFINITY"
-    if value == -math.inf:
-        text = "-INFINITY"
-    return Scalar("double", text, UNARY if text.startswith("-") else ATOM, value)
-
-
 class Array(NamedTuple):
-    """Rows of a C array.
+    """Rows of a C array."""
 
-    Attributes:
-        kind: Type of its numbers.
-        base: Text of the C array, or of a pointer.
-        shape: Its sizes.
-        start: Text of the index of its first row.
-        root: Name of the argument that it is a part of; "" for a local one, None for a constant.
-    """
-
-    kind: str
-    base: str
+    kind: str  # Type of its numbers.
+    base: str  # Text of the C array, or of a pointer.
     shape: tuple[int, ...]
-    start: str = "0"
-    root: str | None = ""
+    start: str = "0"  # Text of the index of its first row.
+    root: str | None = ""  # Argument that it is a part of; "" for a local one, None for a constant.
 
-    def at(self, index: str) -> Array:
+    def row(self, index: str) -> Array:
         """A row of it."""
         return self._replace(base=f"{self.base}[{added(self.start, index)}]", shape=self.shape[1:], start="0")
 
-    def rows(self, start: str, count: int) -> Array:
+    def rows(self, start: int, stop: int) -> Array:
         """A range of rows."""
-        return self._replace(start=added(self.start, start), shape=(count, *self.shape[1:]))
+        return self._replace(start=added(self.start, str(start)), shape=(stop - start, *self.shape[1:]))
 
     @property
     def pointer(self) -> str:
@@ -91,13 +70,17 @@ class StructType(NamedTuple):
     kind: type[Record]
     layout: np.dtype
 
+    def inner(self, name: str) -> StructType | None:
+        """The type of a field that is a record."""
+        return StructType(self.kind.fields[name], self.layout[name]) if self.layout[name].names else None
+
 
 class Struct(NamedTuple):
-    """A record: the text of a pointer to it; `root` as of `Array`."""
+    """A record."""
 
     of: StructType
-    pointer: str
-    root: str | None = ""
+    pointer: str  # Text of a pointer to it.
+    root: str | None = ""  # As of `Array`.
 
     @property
     def text(self) -> str:
@@ -108,11 +91,11 @@ class Struct(NamedTuple):
         """A number, an array or a record in it."""
         if name not in (self.of.layout.names or ()):
             raise Untyped(f"no field `{name}` of `{self.of.kind.__name__}`")
-        kind = self.of.layout[name]
         text = f"{self.pointer[1:]}.{name}" if self.pointer.startswith("&") else f"{self.pointer}->{name}"
-        if kind.names:
-            return Struct(StructType(self.of.kind.fields[name], kind), f"&{text}", self.root)
-        return Array("double", text, kind.shape, root=self.root) if kind.shape else Scalar("double", text)
+        inner, shape = self.of.inner(name), self.of.layout[name].shape
+        if inner:
+            return Struct(inner, f"&{text}", self.root)
+        return Array("double", text, shape, root=self.root) if shape else Scalar("double", text)
 
 
 class TupleType(NamedTuple):
@@ -129,15 +112,26 @@ class Constant(NamedTuple):
 
 
 class Local(NamedTuple):
-    """A new array or record that has no name yet; `source` is what it is filled with: 0, a copy, or nothing."""
+    """A new array or record that has no name yet."""
 
-    of: StructType | str
-    shape: tuple[int, ...] = ()
-    source: Array | Struct | None = None
+    of: Array | StructType
+    source: Array | Struct | None = None  # What it is a copy of.
     zeros: bool = False
 
 
 Value = Scalar | Array | Struct | TupleType | Constant | Local
+
+
+def number(value: Any) -> Scalar:
+    """A constant."""
+    if isinstance(value, (bool, np.bool_)):
+        return Scalar("bool", "true" if value else "false", ATOM, bool(value))
+    if isinstance(value, (int, np.integer)):
+        return Scalar("int", str(int(value)), ATOM if value >= 0 else UNARY, int(value))
+    value = float(value)
+    special = {math.inf: "INFINITY", -math.inf: "-INFINITY"}
+    text = "NAN" if math.isnan(value) else special.get(value, repr(value))
+    return Scalar("double", text, UNARY if text.startswith("-") else ATOM, value)
 
 
 def added(start: str, index: str) -> str:
@@ -149,18 +143,29 @@ def added(start: str, index: str) -> str:
 
 def wider(*kinds: str) -> str:
     """The type of number that takes all of these."""
-    order = [*NUMBERS.values()]
-    return order[max(map(order.index, kinds))]
+    return max(kinds, key=list(NUMBERS.values()).index)
 
 
-def struct_type(annotation: Any, layout: np.dtype) -> StructType:
-    """The type of a record with this dtype: the annotated class, or one that extends it."""
-    kinds = [annotation] if isinstance(annotation, type) and issubclass(annotation, Record) else []
+def described(value: Value) -> str:
+    """A value's type, for messages."""
+    if isinstance(value, Scalar):
+        return next((kind.__name__ for kind, text in NUMBERS.items() if text == value.kind), "None")
+    if isinstance(value, Array):
+        return f"array {value.shape}"
+    return (
+        value.of.kind.__name__ if isinstance(value, Struct) else "tuple" if isinstance(value, TupleType) else "object"
+    )
+
+
+def struct_type(layout: np.dtype, base: Any = Record) -> StructType:
+    """The type of a record by its dtype: that of a class, or one with its fields, which extends `base`."""
+    kinds = [base] if isinstance(base, type) and issubclass(base, Record) else []
     for kind in kinds:
-        if tuple(kind.fields) == layout.names:
-            return StructType(kind, layout)
         kinds += kind.__subclasses__()
-    raise Untyped(f"a record of {', '.join(layout.names or ())}; annotate it with its class")
+    same = [kind for kind in kinds if tuple(getattr(kind, "fields", ())) == layout.names]
+    if not same:
+        raise Untyped(f"a record of {', '.join((layout.names or ())[:3])}, ...; annotate it with its class")
+    return StructType(next((kind for kind in same if getattr(kind, "layout", None) is layout), same[0]), layout)
 
 
 def parameter(name: str, annotation: Any, given: Value) -> Value | None:
@@ -168,26 +173,17 @@ def parameter(name: str, annotation: Any, given: Value) -> Value | None:
 
     None where the argument does not fit.
     """
-    shape = get_args(annotation)[1] if get_origin(annotation) is Annotated else ()
     if isinstance(given, Scalar) and annotation in NUMBERS:
-        if wider(NUMBERS[annotation], given.kind) == NUMBERS[annotation]:
-            return Scalar(NUMBERS[annotation], name)
-    elif isinstance(given, Struct) and isinstance(annotation, type) and issubclass(given.of.kind, annotation):
+        kind = NUMBERS[annotation]
+        return Scalar(kind, name) if wider(kind, given.kind) == kind else None
+    if isinstance(given, Struct) and isinstance(annotation, type) and issubclass(given.of.kind, annotation):
         return Struct(given.of, name, name)
-    elif isinstance(given, Array):
-        sizes = given.shape if annotation is np.ndarray else shape
-        if tuple(m if isinstance(n, str) else n for n, m in zip(sizes, given.shape, strict=False)) == given.shape:
-            return Array(given.kind, name, given.shape, root=name)
+    if isinstance(given, Array):
+        sizes = get_args(annotation)[1] if get_origin(annotation) is Annotated else ()
+        sizes = tuple(m if isinstance(n, str) else n for n, m in zip(sizes, given.shape, strict=False))
+        fits = annotation is np.ndarray or sizes == given.shape
+        return Array(given.kind, name, given.shape, root=name) if fits else None
     return None
-
-
-def described(value: Value) -> str:
-    """A value's type as an annotation has it."""
-    if isinstance(value, Scalar):
-        return next(kind.__name__ for kind, text in NUMBERS.items() if text == value.kind)
-    if isinstance(value, Array):
-        return f"array {value.shape}"
-    return value.of.kind.__name__ if isinstance(value, Struct) else type(value).__name__
 
 
 def result_kinds(annotation: Any) -> tuple[str, ...]:

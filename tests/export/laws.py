@@ -61,7 +61,7 @@ def arrays(values: Vec6, state: LawState) -> None:
         for j in range(3):
             state.matrix[i, j] = values[i] * TABLE[j]
         column[2 - i, 0] = copy[i]
-    state.out[0] = total(copy) + total(copy[2:]) + total(state.matrix[-1])
+    state.out[0] = total(copy) + total(copy[2:]) + total(state.matrix[2])
     state.out[1] = last(column[:, 0]) + last(values[:3])
     reversed_into(column, state.out[3:])
     half = copy[3:]
