@@ -1,4 +1,4 @@
-"""Can this motion be done, how large may it be, and poses that can be: over the limits of `scenario.limits`."""
+"""Feasibility of motions within `scenario.limits`, largest amplitudes and scales, and random feasible poses."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ SEARCH_RTOL = 1e-4  # Relative width at which the searches for the largest ampli
 SAMPLES_PER_SECOND = 500.0
 _HALF_PERIOD_SAMPLES = 257
 _SCALE_STEPS = 16
-_DRAWN, _MOST_DRAWS = 4096, 500  # Poses of a box that are drawn at a time, and times at most.
+_DRAWN, _MOST_DRAWS = 4096, 500  # Poses drawn at a time, and most times.
 _WHOLE_TURN = 1e-3  # [rad] within which an angle counts as a number of whole turns.
 
 
 @dataclass(frozen=True)
 class FeasibilityReport:
-    """What `check_motion` found."""
+    """Result of `check_motion`."""
 
-    # The smallest margin to each limit that was checked, in the order of `limits.RULES`. Limits that need crank
-    # angles are checked where all legs reach; one that could be checked nowhere is absent.
+    # Smallest margins to the limits, in the order of `limits.RULES`. Limits on crank angles are checked where all legs
+    # reach; a limit that could be checked nowhere is absent.
     smallest: dict[str, LimitMargin]
     # The earliest broken limit, with the worst place at that instant; None if feasible.
     first_violation: LimitMargin | None
@@ -83,7 +83,7 @@ def check_motion(
 
 
 def refuse_turns(key: str, pose: np.ndarray, time: np.ndarray) -> None:
-    """Refuses poses (n, 6) turned by more than half a turn: no measurement of a pose says which turn it is in."""
+    """Rejects poses (n, 6) beyond half a turn, which no measurement of a pose can tell from those within."""
     size = np.abs(pose[:, :3])
     if not (size > math.pi * (1.0 + 1e-9)).any():
         return
@@ -134,7 +134,7 @@ def largest_amplitude(
     rest.
     """
     omega = 2.0 * math.pi * frequency_hz
-    # The speeds' sign changes no margin, so trough to peak stands for the whole period; then the same offsets at rest.
+    # The speeds' sign changes no margin, so trough to peak covers the whole period; then the same offsets at rest.
     phase = np.linspace(-math.pi / 2.0, math.pi / 2.0, _HALF_PERIOD_SAMPLES)
     along = np.eye(6)[axis]
     offset = np.tile(np.sin(phase), 2)[:, None] * along
@@ -167,14 +167,14 @@ def largest_scale(
     duration: float,
     gravity: float,
 ) -> float:
-    """Largest scale in [0, 1] for which it, and each smaller one of 16 steps, is feasible; to 1e-4."""
+    """Largest scale in [0, 1], to 1e-4, with all smaller ones of 16 steps feasible."""
     return largest_share(
         lambda scale: check_reference(robot, limits, make_reference(scale), duration, gravity).feasible
     )
 
 
 def largest_share(feasible: Callable[[float], bool]) -> float:
-    """Largest share in [0, 1] that is feasible, as is each smaller one of 16 steps; to 1e-4."""
+    """Largest share in [0, 1], to 1e-4, with all smaller ones of 16 steps feasible."""
     shares = np.linspace(0.0, 1.0, _SCALE_STEPS + 1).tolist()
     first = next((at for at, share in enumerate(shares) if not feasible(share)), None)
     if first is None:
@@ -183,7 +183,7 @@ def largest_share(feasible: Callable[[float], bool]) -> float:
 
 
 def bisect(feasible: Callable[[float], bool], low: float, high: float) -> float:
-    """The last feasible value met on the way to the boundary between `low`, feasible, and `high`, not."""
+    """Last feasible value of a bisection between `low`, feasible, and `high`, infeasible."""
     smallest = SEARCH_RTOL**2 * high
     while high - low > SEARCH_RTOL * high and high > smallest:
         middle = 0.5 * (low + high)
@@ -195,14 +195,14 @@ def bisect(feasible: Callable[[float], bool], low: float, high: float) -> float:
 
 
 class Region(NamedTuple):
-    """A box of poses: a name for tables, (6,) [rad, m] to either side of home, and the box in words."""
+    """A box of poses around home: name, half width (6,) [rad, m], description."""
 
     name: str
     half_width: tuple[float, ...]
     words: str
 
     def around(self, robot: RobotParameters) -> Region:
-        """The box of a robot, whose shifts grow with its size."""
+        """The box scaled to a robot: shifts are in proportion to its size."""
         size = robot.characteristic_length / PAPER.characteristic_length
         if size == 1.0:
             return self
@@ -215,7 +215,7 @@ NEAR = Region(
     (math.pi / 6.0,) * 3 + (0.06, 0.06, 0.05),
     "turns up to 30 deg about each axis, 60 mm in X and Y and 50 mm in Z to either side of home, all at once",
 )
-"""Where the controlled motions are: the paper's largest angle, the Z of (38), and room to the sides."""
+"""Box of the controlled motions: the paper's largest angle, the Z of (38), and room to the sides."""
 
 
 def sample_poses(
@@ -227,7 +227,7 @@ def sample_poses(
     limits: ReferenceLimits | None = None,
     gravity: float = STANDARD_GRAVITY,
 ) -> np.ndarray:
-    """Poses (count, 6) uniform over a box, in reach by `least_margin` and within `limits`; fewer where few are."""
+    """Random poses (count, 6) in a box, in reach by `least_margin` and within `limits`; fewer if few are."""
     kept, drawn = np.empty((0, 6)), 0
     while len(kept) < count and drawn < _MOST_DRAWS * _DRAWN:
         poses = robot.home_pose + rng.uniform(-1.0, 1.0, (_DRAWN, 6)) * region.half_width

@@ -1,8 +1,8 @@
-"""The sampled loop around poses at rest, broken at the six motors' torques: x+ = A x + B u, y = C x; u = y closes it.
+"""The sampled linear loop at poses at rest, opened at the six torques: x+ = A x + B u, y = C x; u = y closes it.
 
-The exact robot without friction, and the controller's side of a run by central differences; weights as at the start,
-nothing is learnt. What readings are late by counts with the delay of commands, in whole ticks: the loop is the same.
-`linearize` gives the loop at one pose, and the robot alone, for numpy and for python-control.
+The exact robot without friction, and the controller's side of a run by central differences, with the initial weights
+and without learning. The age of readings adds to the delay of commands, in whole ticks, with the same loop. `linearize`
+gives the loop at one pose, and the robot alone, for numpy and for python-control.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.assembly import control_side
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
-_STILL = 1e-7  # In SI units, by which a state may move in a tick where the loop stands still.
+_STILL = 1e-7  # [SI units] largest change of a state in a tick at an equilibrium.
 _NEWTON_STEPS = 8
 
 
@@ -40,7 +40,7 @@ class LinearLoops(NamedTuple):
     c: np.ndarray  # (m, 6, n) [N m].
     period: float  # [s].
     poses: np.ndarray  # (m, 6) [rad, m].
-    left_out: tuple[str, ...]  # What kept other poses out, a sentence each.
+    left_out: tuple[str, ...]  # Reasons why other poses are left out, one sentence per pose.
 
     @property
     def closed(self) -> np.ndarray:
@@ -49,7 +49,7 @@ class LinearLoops(NamedTuple):
 
 
 def poses_to_stand_at(scenario: Scenario, count: int, seed: int) -> np.ndarray:
-    """Poses (count, 6) [rad, m] of the box `NEAR`, scaled to the robot, at which a run of the scenario may rest."""
+    """Random poses (count, 6) [rad, m] of the box `NEAR`, scaled to the robot, within the limits of the scenario."""
     robot, rng = scenario.robot, np.random.default_rng(seed)
     box = NEAR.around(robot)
     return sample_poses(robot, box, count, rng, limits=scenario.limits, gravity=scenario.gravity)
@@ -58,20 +58,20 @@ def poses_to_stand_at(scenario: Scenario, count: int, seed: int) -> np.ndarray:
 def linear_loops(
     scenario: Scenario, poses: np.ndarray, progress: Callable[[float], None] = lambda _: None
 ) -> LinearLoops:
-    """The loops of a scenario at poses (m, 6) [rad, m]; a pose at which a part fails is left out.
+    """Loops of a scenario at poses (m, 6) [rad, m]; a pose at which a part fails is left out.
 
-    `progress` gets the number of poses that are done.
+    `progress` gets the number of finished poses.
     """
     period, results, kept, left_out = scenario.controller.period, [], [], []
     if scenario.reading_period != period:
         raise ConfigurationError("estimator.period", scenario.reading_period, "null, for a linear loop of one period")
     if not scenario.motors.by_torque:
-        # What stands between a command and its torque is no part of these matrices.
+        # The matrices do not include dynamics between a command and its torque.
         raise ConfigurationError("motors.kind", scenario.motors.kind, "motors that take torque, for a linear loop")
     if not scenario.controller.feedback:
         raise ConfigurationError("controller.kind", scenario.controller.kind, "one with feedback, for a linear loop")
-    # Without friction a robot stands where it is wanted; a safety layer would hide that a part fails.
-    changes: dict[str, Any] = {"safety": None, "model.friction": None, "adaptation": None}
+    # Without friction the robot rests at its target; a safety layer would hide the failure of a part.
+    changes: dict[str, object] = {"safety": None, "model.friction": None, "adaptation": None}
     if getattr(scenario.controller, "dead_band", 0.0) > 0.0:
         changes["controller.dead_band"] = 0.0
     scenario = scenario.replace(changes)
@@ -99,7 +99,7 @@ def linear_loops(
 
 
 class PlantAt(NamedTuple):
-    """The robot near poses at rest, of state pose and rate less those of the point."""
+    """Linear model of the robot at poses at rest; its state is the deviation of pose and rate."""
 
     a: np.ndarray
     b: np.ndarray
@@ -107,7 +107,7 @@ class PlantAt(NamedTuple):
 
 
 def plant_at(robots: Robot, poses: np.ndarray, gravity: float, period: float) -> PlantAt:
-    """The robot with its payload at poses (m, 6), under torques that are held over a period."""
+    """Linear model of a robot with its payload at poses (m, 6), with zero-order hold of the torques over a period."""
     torque, whole = static_torque(robots, poses, gravity), np.zeros((len(poses), 18, 18))
     whole[:, :6, 6:12], whole[:, 6:12, 12:] = np.eye(6), pose_acceleration_map(robots, poses)
     for k, way in enumerate(DIFFERENCE_STEP * np.eye(6)):
@@ -118,7 +118,7 @@ def plant_at(robots: Robot, poses: np.ndarray, gravity: float, period: float) ->
 
 
 def _sensed(size: int, robot: RobotParameters, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Exact readings (m, size) at poses (m, 6), angles of the cranks or pose and rate; derivative by pose and rate."""
+    """Exact readings (m, size) at poses (m, 6), crank angles or pose and rate; their derivatives by pose and rate."""
     if size == 12:
         rest = np.concatenate([poses, np.zeros_like(poses)], axis=-1)
         return rest, np.broadcast_to(np.eye(12), (len(poses), 12, 12))
@@ -127,9 +127,9 @@ def _sensed(size: int, robot: RobotParameters, poses: np.ndarray) -> tuple[np.nd
 
 
 class _ControllersSide:
-    """Estimator, controller and what belongs to them as one function of reading and memory, near a standstill.
+    """The controller's side as one function of reading and memory, near an equilibrium, with the initial weights.
 
-    The memory is what of the parts' states acts on later ticks. Weights are those of the start.
+    The memory is the part of the states that affects later torques.
     """
 
     def __init__(self, scenario: Scenario, reading: np.ndarray) -> None:
@@ -148,22 +148,22 @@ class _ControllersSide:
             self.runner.signal(source.signal)[:] = source.evaluate(np.zeros(1))[0]
         self.reading, self._memory = reading, self.runner.values[sum(outside.values()) :]
         self._reading, self._torque = self.runner.signal(loop.reading), self.runner.signal("torque")
-        # The first tick is another than those that follow.
+        # The first tick differs from later ones.
         self._tick(reading)
         self._start, self._active = self._memory.copy(), np.arange(len(self._memory))
 
     def choose(self, active: np.ndarray | None) -> np.ndarray:
-        """Takes these numbers of the states for its memory, or finds those that have a way to the torque."""
+        """Selects these elements of the states as the memory; with None it finds those that affect the torque."""
         self._active = self._leading() if active is None else active
         return self._active
 
     @property
     def memory(self) -> np.ndarray:
-        """(n,) at first."""
+        """(n,) initial value."""
         return self._start[self._active]
 
     def __call__(self, inputs: np.ndarray) -> np.ndarray:
-        """Memory (n,) and torque (6,) [N m] after a tick, of the reading and of the memory before it."""
+        """Memory (n,) and torque (6,) [N m] after a tick, from reading and memory before it."""
         self._memory[:] = self._start
         self._memory[self._active] = inputs[len(self.reading) :]
         self._tick(inputs[: len(self.reading)])
@@ -181,7 +181,7 @@ class _ControllersSide:
                 ahead, behind = (self(np.concatenate([self.reading, self._start + step])) for step in (way, -way))
                 columns.append(ahead - behind)
             except RunFailure:
-                # A flag, such as the side of a singularity.
+                # A flag, such as the sign of a determinant.
                 columns.append(np.zeros(n + 6))
         by = np.stack(columns, axis=-1)
         return np.flatnonzero(_observable(by[None, :n], by[None, n:]))
@@ -198,9 +198,9 @@ def _replaced(part: Part, signals: Mapping[str, np.ndarray]) -> dict[str, np.nda
 def _loop(
     robot: PlantAt, by_state: np.ndarray, side: _ControllersSide, delay: int, pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, C where the loop stands still, by Newton's method; a RunFailure where it does not.
+    """A, B, C at the equilibrium, by Newton's method; a RunFailure if there is none.
 
-    The state: the plant's, the memory of the controller's side, commands under way, newest first.
+    The state: the plant's, the memory of the controller's side, delayed commands, newest first.
     """
     x = np.concatenate([np.zeros(12), side.memory, np.tile(robot.torque, delay)])
     n, read, end = len(x), len(side.reading), 12 + len(side.memory)
@@ -218,7 +218,7 @@ def _loop(
             c[:, :end], acts = by[-6:], value[-6:]
         after[:12] += robot.b @ (acts - robot.torque)
         change = after - x
-        # An integral whose gain is zero need not stand still.
+        # An integral with zero gain may drift.
         observable = _observable(a[None], c[None])
         if np.abs(change[observable]).max() < _STILL:
             return a, b, c
@@ -232,7 +232,7 @@ def _loop(
 
 
 def _observable(a: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Which states (n,) have a way to the output at some pose: an integral with a gain of zero has none."""
+    """States (n,) that affect the output at some pose; an integral with zero gain does not."""
     observable, leads = (c != 0.0).any(axis=(0, 1)), (a != 0.0).any(axis=0)
     while True:
         more = observable | leads[observable].any(axis=0)
@@ -241,7 +241,7 @@ def _observable(a: np.ndarray, c: np.ndarray) -> np.ndarray:
         observable = more
 
 
-# --- one pose, for others ---
+# --- one pose ---
 
 
 class StateSpace(NamedTuple):
@@ -254,7 +254,7 @@ class StateSpace(NamedTuple):
     period: float
 
     def to_control(self) -> Any:
-        """The same as a `control.StateSpace` of python-control.
+        """Converts to a `control.StateSpace` of python-control.
 
         Raises:
             MissingPackageError: python-control is not installed.
@@ -266,14 +266,14 @@ class StateSpace(NamedTuple):
 
 
 class Linearization(NamedTuple):
-    """A scenario near a pose (6,) [rad, m] at rest.
+    """Linear models of a scenario at a pose (6,) [rad, m] at rest.
 
     Attributes:
         pose: The pose.
-        torque: (6,) [N m] that holds it.
-        plant: The robot: from torques [N m] less those that hold it to pose and rate (12,), Euler angles [rad] and
-            position [m], less those of the point.
-        loop: The whole loop, broken at the motors: from their torques to the torques that the controller then asks for.
+        torque: (6,) [N m] holding torque.
+        plant: The robot, from torques [N m] to pose and rate (12,), Euler angles [rad] and position [m], all as
+            deviations.
+        loop: The loop opened at the motors, from their torques to the commanded torques.
     """
 
     pose: np.ndarray
@@ -295,15 +295,15 @@ class Linearization(NamedTuple):
 
 
 def linearize(scenario: Scenario | str | Path, pose: ArrayLike | None = None) -> Linearization:
-    """The plant and the loop of a scenario near a pose.
+    """Linear models of the plant and the loop of a scenario at a pose.
 
     Args:
-        scenario: A scenario, its file or its name. Its robot, estimator and controller count, with the weights of the
-            start; friction, learning and a dead band are left out.
-        pose: (6,) [rad, m]; None takes that of the start.
+        scenario: A scenario, its file or its name: robot, estimator and controller with the initial weights, without
+            friction, learning and dead band.
+        pose: (6,) [rad, m]; None for the initial pose.
 
     Raises:
-        ConfigurationError: Not six finite numbers; a pose that cannot be held, or a part that has no linear form.
+        ConfigurationError: Not six finite numbers, no equilibrium at the pose, or a part without a linear form.
     """
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario)

@@ -1,14 +1,14 @@
-"""Margins of linear loops, broken at the six motors' torques: one motor at a time, and all at once.
+"""Margins of linear loops, opened at the six motors' torques: one motor at a time, and all at once.
 
-S = (I + L)^-1 and T = I - S. A motor i that gives f_i times what it is asked for leaves the loop stable for every f_i =
-(1 + d_i / 2) / (1 - d_i / 2) with complex |d_i| < alpha = 1 / max mu((S - T) / 2), the disk margin. Sources: Seiler,
-Packard, Gahinet, IEEE Control Systems 40(5), 2020, skew 0; for mu Packard, Doyle, Automatica 29, 1993.
+S = (I + L)^-1 and T = I - S. With torques multiplied by f_i the loop is stable for all f_i = (1 + d_i / 2) / (1 - d_i /
+2) with complex |d_i| < alpha = 1 / max mu((S - T) / 2), the disk margin. Sources: Seiler, Packard, Gahinet, IEEE
+Control Systems 40(5), 2020, skew 0; for mu Packard, Doyle, Automatica 29, 1993.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import matrix_balance, schur
@@ -16,38 +16,38 @@ from scipy.optimize import minimize
 
 from stewart_drake.analysis.linear_loop import LinearLoops
 
-_SLOWEST = 0.1  # Of the slowest closed-loop pole's frequency, where the grid begins; it ends at Nyquist's.
+_SLOWEST = 0.1  # Lowest frequency of the grid over that of the slowest closed-loop pole; the highest is Nyquist's.
 _SWEEPS = 5
-_POWER = 32.0  # Of the singular values whose sum stands for the largest one: that alone has corners.
+_POWER = 32.0  # Of the singular values, in a smooth approximation of the largest.
 HEADER = ("", "one motor: least", "5 %", "median", "all at once: least", "5 %", "median")
 
 
 class Margins(NamedTuple):
-    """Margins at m poses; each (m,), or (m, 6) for the motors one at a time; 0, gains 1, where a loop is unstable."""
+    """Margins at m poses, (m,), or (m, 6) for the motors one at a time; 0, gains 1, where a loop is unstable."""
 
     disk: np.ndarray  # [-] alpha.
-    gain_low: np.ndarray  # [-] factor down to which a motor's gain may fall.
-    gain_high: np.ndarray  # [-] factor up to which it may grow.
+    gain_low: np.ndarray  # [-] smallest factor of a motor's gain.
+    gain_high: np.ndarray  # [-] largest factor.
     phase: np.ndarray  # [rad].
-    delay: np.ndarray  # [s] more than the loop has already.
+    delay: np.ndarray  # [s] additional delay.
 
 
 class LoopMargins(NamedTuple):
-    """What is known of m loops."""
+    """Margins of m loops."""
 
     radius: np.ndarray  # (m,) spectral radius of the closed loop; stable below 1.
-    single: Margins  # One motor at a time, the others as they should be; gain, phase and delay are the classical ones.
-    all_at_once: Margins  # Each motor varies independently within the margin; all follow from the disk.
-    # (m,) [-] what the disk margin all at once is certainly not above; where it meets that of `all_at_once`, both are
-    # exact but for the grid.
+    single: Margins  # One motor at a time, the others nominal; gain, phase and delay are the classical ones.
+    all_at_once: Margins  # All motors vary independently within the margin; all follow from the disk.
+    # (m,) [-] upper bound of the disk margin all at once; where it equals that of `all_at_once`, both are exact up to
+    # the grid.
     not_above: np.ndarray
-    frequency: np.ndarray  # (m,) [rad/s] at which all at once is smallest.
+    frequency: np.ndarray  # (m,) [rad/s] of the smallest margin all at once.
     frequencies: np.ndarray  # (f,) [rad/s] of the grid.
-    curves: np.ndarray  # (m, f) [-] disk margin all at once at each frequency.
+    curves: np.ndarray  # (m, f) [-] disk margin all at once over frequency.
 
 
 def loop_margins(loops: LinearLoops, count: int = 300) -> LoopMargins:
-    """Margins of each of the loops, at so many frequencies, spaced evenly in their logarithm."""
+    """Margins of loops on a logarithmic grid of `count` frequencies."""
     poles = np.linalg.eigvals(loops.closed)
     radius = np.abs(poles).max(axis=-1)
     frequencies = _grid(poles, loops.period, count)
@@ -58,19 +58,19 @@ def loop_margins(loops: LinearLoops, count: int = 300) -> LoopMargins:
     stable = radius < 1.0
     none = np.array([0.0, 1.0, 1.0, 0.0, 0.0])
     one = Margins(*np.moveaxis(np.where(stable[:, None, None], single, none[:, None]), 1, 0))
-    every = Margins(*np.where(stable[:, None], together, none).T)
+    combined = Margins(*np.where(stable[:, None], together, none).T)
     not_above, curves = np.where(stable, not_above, 0.0), np.where(stable[:, None], curves, 0.0)
-    return LoopMargins(radius, one, every, not_above, frequencies[peak], frequencies, curves)
+    return LoopMargins(radius, one, combined, not_above, frequencies[peak], frequencies, curves)
 
 
 def gain_of_disk(disk: np.ndarray) -> np.ndarray:
-    """Largest factor of a disk (...); without end from alpha = 2 on. The smallest is its inverse."""
+    """Largest gain factor of a disk margin (...), infinite from alpha = 2 on. The smallest is its inverse."""
     with np.errstate(divide="ignore"):
         return np.where(disk < 2.0, (2.0 + disk) / (2.0 - disk), np.inf)
 
 
 def _of_loop(sensitivity: np.ndarray, frequencies: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, int, np.ndarray]:
-    """Fields of `Margins` (5, 6) one at a time, (5,) all at once, and of that `not_above`, peak and curve."""
+    """Fields of `Margins` (5, 6) one at a time, (5,) all at once, and `not_above`, index of the peak, curve."""
     matrices = sensitivity - 0.5 * np.eye(6)
     curve, logs, peak = _disks(matrices)
     disk, high = curve[peak], gain_of_disk(curve[peak])
@@ -90,7 +90,7 @@ def _grid(poles: np.ndarray, period: float, count: int) -> np.ndarray:
 
 def _sensitivity(closed: np.ndarray, b: np.ndarray, c: np.ndarray, points: np.ndarray) -> np.ndarray:
     """S (f, 6, 6) = I + C (z I - A - B C)^-1 B at points (f,) of the unit circle, by back substitution."""
-    # States of other units and sizes cost digits, unless they are scaled alike before.
+    # Balanced, because states of different units and sizes cost digits.
     scaled, (sizes, _) = matrix_balance(closed, permute=False, separate=True)
     triangle, turn = schur(scaled, output="complex")
     n = len(closed)
@@ -104,7 +104,7 @@ def _classical(sensitivity: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
     """Fields of `Margins` (5, 6) of single loops from their sensitivity (6, f)."""
     disk = 1.0 / np.abs(sensitivity - 0.5).max(axis=-1)
     loop = 1.0 / sensitivity - 1.0
-    # Between two points of the grid logarithms are taken as straight.
+    # Logarithms are linear between points of the grid.
     size = np.log(np.maximum(np.abs(loop), np.finfo(float).tiny))
     angle, place = np.angle(-loop), np.log(frequencies)
     bend = np.diff(angle, axis=-1)
@@ -116,7 +116,7 @@ def _classical(sensitivity: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
     rise = np.diff(size, axis=-1)
     unity = size[..., 1:] * size[..., :-1] <= 0.0
     share = np.where(unity, size[..., :-1] / np.where(rise == 0.0, 1.0, -rise), 0.0)
-    # The angle from -1, by which a lag turns the loop onto it: (0, 2 pi]; an advance is the other way round.
+    # Angle from -1, in (0, 2 pi]: the lag that moves the loop onto it; 2 pi less it for a lead.
     turned = np.where(np.abs(bend) < np.pi, bend, bend - 2.0 * np.pi * np.sign(bend))
     lag = np.mod(angle[..., :-1] + share * turned, 2.0 * np.pi)
     at = np.exp(place[:-1] + share * np.diff(place))
@@ -126,7 +126,7 @@ def _classical(sensitivity: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
 
 
 def _disks(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """Disk margin (f,), log D (f, 6), and the place of the peak of mu's upper bound, which is refined there."""
+    """Disk margin (f,), log D (f, 6), and the index of the peak of mu's upper bound, refined there."""
     logs = balanced(matrices)
     bound = upper_bound(matrices, logs)
     done = np.zeros(len(bound), dtype=bool)
@@ -137,9 +137,9 @@ def _disks(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
 
 
 def _lag(disks: np.ndarray, complementary: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    """Lag (f,) [rad] that all motors together bear, each up to that: of the disk, or of 1 + d with |d| < 1 / mu(T).
+    """Lag (f,) [rad] that all motors may have at once: that of the disk, or of 1 + d with |d| < 1 / mu(T).
 
-    S, T and their difference have the same elements off the diagonal, so one log D balances them all.
+    S, T and their difference have the same off-diagonal elements, so one log D balances them all.
     """
     size = upper_bound(complementary, logs)
     chord = np.arcsin(0.5 / np.maximum(size, 0.5))
@@ -147,7 +147,7 @@ def _lag(disks: np.ndarray, complementary: np.ndarray, logs: np.ndarray) -> np.n
 
 
 def balanced(matrices: np.ndarray) -> np.ndarray:
-    """Osborne's log D (..., n) (J. ACM 7, 1960), which makes the Frobenius norm of D M D^-1 small."""
+    """Log D (..., n) of Osborne (J. ACM 7, 1960), which reduces the Frobenius norm of D M D^-1."""
     n = matrices.shape[-1]
     squares = np.abs(matrices) ** 2 * (1.0 - np.eye(n)) + np.finfo(float).tiny
     logs = np.zeros(squares.shape[:-1])
@@ -161,7 +161,7 @@ def balanced(matrices: np.ndarray) -> np.ndarray:
 
 
 def refined(matrix: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    """The log D (n,) at which `upper_bound` of one matrix is smallest, from one near it; never worse."""
+    """Log D (n,) that minimises `upper_bound` of a matrix, from a start; never worse."""
 
     def smooth(d: np.ndarray) -> tuple[float, np.ndarray]:
         """log(sum sigma^2p) / 2p of D M D^-1, and its derivative by log D."""
@@ -176,12 +176,12 @@ def refined(matrix: np.ndarray, logs: np.ndarray) -> np.ndarray:
 
 
 def upper_bound(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    """sigma_max(D M D^-1) (...) of matrices (..., n, n) for log D (..., n); no mu is above it."""
+    """sigma_max(D M D^-1) (...) of matrices (..., n, n) for log D (..., n), an upper bound of mu."""
     return np.linalg.svd(_scaled(matrices, logs), compute_uv=False)[..., 0]
 
 
 def lower_bound(matrix: np.ndarray, logs: np.ndarray) -> float:
-    """Spectral radius of Q M (n, n), the larger of two unitary Q: identity, and left singular vector onto right."""
+    """Lower bound of mu: spectral radius of Q M, the larger of two unitary Q, identity and one by singular vectors."""
     left, _, right = np.linalg.svd(_scaled(matrix, logs))
     turn = np.exp(-1j * np.angle(right[0] * left[:, 0]))
     return float(max(np.abs(np.linalg.eigvals(turned)).max() for turned in (matrix, turn[:, None] * matrix)))
@@ -192,7 +192,7 @@ def _scaled(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
 
 
 def quantities(results: LoopMargins, period: float) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
-    """Each margin: its key, its name with unit, (m,) of the worst motor alone, (m,) of all at once; period [s]."""
+    """Margins: key, name with unit, (m,) of the worst single motor, (m,) of all at once; period [s]."""
     for key, name, field, scale in (
         ("disk", "disk margin [-]", "disk", 1.0),
         ("gain_low", "gain down to [-]", "gain_low", 1.0),
@@ -207,7 +207,7 @@ def quantities(results: LoopMargins, period: float) -> Iterator[tuple[str, str, 
 
 
 def spread(values: np.ndarray, most: bool) -> tuple[float, float, float]:
-    """The worst of values (m,), what all but 5 % reach, and the median; `most`: whether the largest is worst."""
+    """Worst of values (m,), their 5 % quantile, and the median; `most`: whether the largest is the worst."""
     worst, tail = (values.max(), 0.95) if most else (values.min(), 0.05)
     return float(worst), float(np.quantile(values, tail, method="inverted_cdf")), float(np.median(values))
 
@@ -237,13 +237,13 @@ def facts(loops: LinearLoops, results: LoopMargins) -> list[tuple[str, str]]:
 
 
 def gap(results: LoopMargins) -> float:
-    """[-] by how much disk margins all at once may be larger than stated, as a share; 0 where no loop is stable."""
+    """[-] largest relative gap between the bounds of the disk margin all at once; 0 if no loop is stable."""
     stable = results.radius < 1.0
     return float(np.max(results.not_above[stable] / results.all_at_once.disk[stable] - 1.0, initial=0.0))
 
 
-def document(loops: LinearLoops, results: LoopMargins) -> dict[str, Any]:
-    """All that `table` and `facts` say, as plain values; None for a margin without end."""
+def document(loops: LinearLoops, results: LoopMargins) -> dict[str, object]:
+    """The content of `table` and `facts` as plain values; None for an infinite margin."""
 
     def plain(values: np.ndarray, most: bool) -> list[float | None]:
         return [value if np.isfinite(value) else None for value in spread(values, most)]

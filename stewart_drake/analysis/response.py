@@ -1,4 +1,4 @@
-"""Responses of a loop, for a course and a first look: of the linear one over frequency, and figures of a step."""
+"""Frequency response of the linear loop, figures of a step response, and response to a sine."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from stewart_drake.scenario.scenario import Scenario
 
 
 class FrequencyResponse(NamedTuple):
-    """A loop, opened at the torques of the six motors, at f frequencies.
+    """Frequency response of a loop, opened at the torques of the six motors.
 
     Attributes:
         frequency: (f,) [Hz].
-        loop: (f, 6, 6) L [-], from torques to the torques that the controller asks for, with negative feedback.
-        sensitivity: (f, 6, 6) S = (I + L)^-1: what is left of a torque that disturbs.
+        loop: (f, 6, 6) L [-], from torques to commanded torques, with negative feedback.
+        sensitivity: (f, 6, 6) S = (I + L)^-1.
         complementary: (f, 6, 6) T = I - S.
     """
 
@@ -34,7 +34,7 @@ class FrequencyResponse(NamedTuple):
 
     @property
     def crossover(self) -> tuple[float, float]:
-        """Lowest and highest frequency [Hz] at which a gain of the loop falls below 1; NaN where none does."""
+        """Lowest and highest frequency [Hz] at which a gain of the loop falls below 1; NaN if none does."""
         gains = self.gains("loop")
         falls = (gains[:-1] >= 1.0) & (gains[1:] < 1.0)
         at = self.frequency[1:][falls.any(axis=1)]
@@ -51,7 +51,7 @@ class FrequencyResponse(NamedTuple):
 
 
 def frequency_response(system: StateSpace, frequency: ArrayLike) -> np.ndarray:
-    """C (z I - A)^-1 B + D (f, p, m) at z = exp(i 2 pi f T), of frequencies (f,) [Hz]."""
+    """C (z I - A)^-1 B + D (f, p, m) at z = exp(i 2 pi f T), for frequencies (f,) [Hz]."""
     points = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * system.period)
     resolvent = np.linalg.solve(points[:, None, None] * np.eye(len(system.a)) - system.a, system.b.astype(complex))
     return np.asarray(system.c @ resolvent + system.d)
@@ -60,30 +60,30 @@ def frequency_response(system: StateSpace, frequency: ArrayLike) -> np.ndarray:
 def bode(
     scenario: Scenario | str | Path, pose: ArrayLike | None = None, frequency: Sequence[float] | None = None
 ) -> FrequencyResponse:
-    """The frequency response of a scenario's loop near a pose, see `linearize`.
+    """Frequency response of a scenario's loop at a pose, see `linearize`.
 
     Args:
         scenario: A scenario, its file or its name.
-        pose: (6,) [rad, m]; None takes that of the start.
-        frequency: (f,) [Hz]; None takes 400 from 0.1 Hz to Nyquist's.
+        pose: (6,) [rad, m]; None for the initial pose.
+        frequency: (f,) [Hz]; None for 400 from 0.1 Hz to Nyquist's.
     """
     loop = linearize(scenario, pose).loop
     at = np.geomspace(0.1, 0.5 / loop.period, 400) if frequency is None else np.asarray(frequency, dtype=float)
-    # The loop is closed by u = y: L has the sign of negative feedback.
+    # The loop is closed by u = y, so the sign of L changes for negative feedback.
     gain = -frequency_response(loop, at)
     sensitivity = np.linalg.inv(np.eye(6) + gain)
     return FrequencyResponse(at, gain, sensitivity, np.eye(6) - sensitivity)
 
 
 class StepResponse(NamedTuple):
-    """How a coordinate of the platform goes to a wanted value.
+    """Step response of a coordinate of the platform.
 
     Attributes:
         time: (n,) [s].
-        value: (n,) [-] 0 at the start, 1 at the wanted value.
-        rise_time: [s] from 0.1 to 0.9 of the step; NaN where it is not reached.
-        overshoot: [-] what is highest, less 1; at least 0.
-        settling_time: [s] from when on it stays within 0.02; NaN where it does not.
+        value: (n,) [-] 0 at the start, 1 at the target.
+        rise_time: [s] from 0.1 to 0.9 of the step; NaN if it is not reached.
+        overshoot: [-] largest value less 1; at least 0.
+        settling_time: [s] until it remains within 0.02; NaN if it does not.
     """
 
     time: np.ndarray
@@ -96,7 +96,7 @@ class StepResponse(NamedTuple):
         return "\n".join(f"{name}: {value}" for name, value in self.rows())
 
     def rows(self) -> list[tuple[str, str]]:
-        """Figures as they are told."""
+        """Figures as rows of text."""
         end = self.time[-1] - self.time[0]
         rise, settling = (
             f"{value:.3f} s" if np.isfinite(value) else f"not reached in {end:g} s"
@@ -119,13 +119,13 @@ def step_figures(time: np.ndarray, value: np.ndarray) -> StepResponse:
 def sine_response(
     time: np.ndarray, reference: np.ndarray, response: np.ndarray, frequency: float
 ) -> tuple[complex, float]:
-    """Ratio of a response (n,) to a sine (n,) of `frequency` [Hz]: amplitude and, as its angle, phase.
+    """Complex ratio of a response (n,) to a sine (n,) of `frequency` [Hz], by least squares.
 
-    Also the RMS of what the least-squares fit leaves of the response, as a part of the RMS of the fitted sine.
+    Also the RMS of the residual over the RMS of the fitted sine.
     """
     angle = 2.0 * np.pi * frequency * np.asarray(time)
     basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=1)
     solution, *_ = np.linalg.lstsq(basis, np.stack([reference, response], axis=1), rcond=None)
-    wanted, actual = solution[0] + 1j * solution[1]
-    rest = response - basis @ solution[:, 1]
-    return complex(actual / wanted), float(np.sqrt(2.0 * np.mean(rest**2)) / abs(actual))
+    target, actual = solution[0] + 1j * solution[1]
+    residual = response - basis @ solution[:, 1]
+    return complex(actual / target), float(np.sqrt(2.0 * np.mean(residual**2)) / abs(actual))

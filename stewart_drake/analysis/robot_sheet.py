@@ -1,4 +1,4 @@
-"""The numbers of a robot in words: what its file says, leg by leg, and what follows from them at home."""
+"""Tables of a robot: the numbers of its file, its legs, and figures at the home pose."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _BODIES = (
 
 
 def robot_sheets(robot: RobotParameters) -> list[Sheet]:
-    """Masses and inertias, geometry of the legs, and what follows at the home pose."""
+    """Masses and inertias, geometry of the legs, and figures at the home pose."""
     bodies = []
     for name in _BODIES:
         text = " ".join((robot.__pydantic_fields__[name].description or "").split())

@@ -1,6 +1,6 @@
-"""Regions of poses over a grid: how much of space, or of all orientations, each limit leaves; and the ways out of them.
+"""Workspaces over a grid of positions or orientations: the regions that the limits leave, and their boundaries.
 
-What a pose takes up of a limit is its utilisation: 1 at the limit, above 1 outside; b / x for a lower bound b.
+The utilisation of a limit at a pose is 1 at the limit and above 1 outside; for a lower bound b it is b / x.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ LIMIT_NAMES = (
     *("reach", "transmission", "conditioning", "ball_swing", "universal_swing"),
     *("clearance", "torque", "euler_pitch", "crank_range"),
 )
-"""Limits that a pose at rest can break; those of `limits.RULES`, the swings of the two joints apart."""
+"""Limits of `limits.RULES` that a pose at rest can break, with one for the swing of either joint."""
 ALL_ANGLES = np.array([np.pi, 0.5 * np.pi, np.pi])
-"""[rad] roll, pitch and yaw, either way, that cover all orientations."""
+"""[rad] largest roll, pitch and yaw; together they cover all orientations."""
 OTHER_CENTERS: tuple[tuple[Kind, str, Vector6], ...] = (
     ("position", "roll 15 deg", (np.pi / 12.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
     ("position", "roll 30 deg", (np.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
@@ -42,17 +42,17 @@ OTHER_CENTERS: tuple[tuple[Kind, str, Vector6], ...] = (
     ("orientation", "Z {:.3g} mm higher", (0.0, 0.0, 0.0, 0.0, 0.0, 0.05)),
     ("orientation", "X {:.3g} mm further", (0.0, 0.0, 0.0, 0.1, 0.0, 0.0)),
 )
-"""Turned or moved from the centre; lengths are for the paper's robot."""
+"""Further centres, relative to the centre; lengths are for the paper's robot."""
 
-_LEAST = {"transmission", "conditioning", "clearance"}  # of which there must be at least so much
-_COARSE = 40**3  # cells to find the box of the poses in reach with
+_LEAST = {"transmission", "conditioning", "clearance"}  # Lower bounds.
+_COARSE = 40**3  # Cells of the search for the box of the poses in reach.
 _STEPS, _BISECTIONS = 64, 16
 
 
 def utilisation(
     robot: RobotParameters, limits: ReferenceLimits, pose: np.ndarray, measures: np.recarray
 ) -> dict[str, np.ndarray]:
-    """Part (n,) [-] of each limit that is on which poses (n, 6) at rest take up; NaN where a rod cannot span."""
+    """Utilisation (n,) [-] of the limits at poses (n, 6) at rest; NaN where a rod cannot span."""
     bounds = limit_bounds(robot, limits)
     if "joint_swing" in bounds:
         bounds["ball_swing"] = bounds["universal_swing"] = bounds["joint_swing"]
@@ -72,7 +72,7 @@ def utilisation(
 
 
 def governing_limit(use: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """The largest utilisation (n,) [-] and its place in `LIMIT_NAMES`; reach, where a rod cannot span."""
+    """Largest utilisation (n,) [-] and its index in `LIMIT_NAMES`; reach where a rod cannot span."""
     stack = np.stack(list(use.values()))
     unknown = np.isnan(stack).any(axis=0)
     stack[1:, unknown] = -np.inf
@@ -82,7 +82,7 @@ def governing_limit(use: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Cells of a box in three coordinates of the pose, `low` to `high` (3,); the others as in `center` (6,)."""
+    """Cells of a box in three coordinates of the pose, `low` to `high` (3,); the others are those of `center` (6,)."""
 
     coordinates: list[int]
     center: np.ndarray
@@ -102,14 +102,14 @@ class Grid:
 
     @cached_property
     def poses(self) -> np.ndarray:
-        """(n, 6) [rad, m] centres of the cells, the last coordinate running fastest."""
+        """(n, 6) [rad, m] centres of the cells; the last coordinate varies fastest."""
         poses = np.tile(self.center, (math.prod(self.counts), 1))
         poses[:, self.coordinates] = np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1).reshape(-1, 3)
         return poses
 
     @cached_property
     def cell_size(self) -> np.ndarray:
-        """(n,) product of a cell's sides; of orientations the share of all, 8 pi^2 with pitch of density cos(pitch)."""
+        """(n,) volumes [m^3], or shares of all orientations, with the measure cos(pitch) / (8 pi^2)."""
         if self.coordinates != COORDINATES["orientation"]:
             return np.full(math.prod(self.counts), float(np.prod(self.width)))
         roll, pitch, yaw = self.width
@@ -119,7 +119,7 @@ class Grid:
 
 
 def spanning_grid(robot: RobotParameters, kind: Kind, center: np.ndarray, samples: int) -> Grid:
-    """A grid of about `samples` nearly cubic cells over the poses around a centre (6,) at which all rods can span."""
+    """A grid of about `samples` nearly cubic cells over the poses around a centre (6,) that all rods can reach."""
     center = np.asarray(center, dtype=float)
     check_center(robot, center)
     if samples < 8:
@@ -135,7 +135,7 @@ def spanning_grid(robot: RobotParameters, kind: Kind, center: np.ndarray, sample
 
 
 def check_center(robot: RobotParameters, center: np.ndarray) -> None:
-    """Refuses what cannot be the centre of a workspace: no pose, angles beyond `ALL_ANGLES`, or out of reach."""
+    """Raises a ConfigurationError for a centre that is no pose, beyond `ALL_ANGLES` or out of reach."""
     if center.shape != (6,) or not np.isfinite(center).all() or (np.abs(center[:3]) > ALL_ANGLES).any():
         allowed = "six finite numbers, roll and yaw within +-pi, pitch within +-pi/2"
         raise ConfigurationError("center", center.tolist(), allowed)
@@ -144,10 +144,9 @@ def check_center(robot: RobotParameters, center: np.ndarray) -> None:
 
 
 def outer_box(robot: RobotParameters, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner (3,) [m] of a box around the positions in reach at the orientation of a `center` in reach.
+    """Lower and upper corner (3,) [m] of a box around the positions in reach at the orientation of a `center`.
 
-    Of these those on the centre's side of the shafts, where it is above or below them all: the rest is another
-    assembly.
+    If the centre is above all shafts, or below, only positions on its side: the others are another assembly.
     """
     about = robot.shaft_positions - robot.platform_joints @ rotation_matrix(center[:3]).T
     reach = (robot.crank_lengths + robot.rod_lengths)[:, None]
@@ -168,7 +167,7 @@ def _counts(size: np.ndarray, samples: int) -> tuple[int, int, int]:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """All cells of a grid against the limits: `POSE_MEASURES` records (n,) of their centres, and `utilisation`."""
+    """The cells of a grid: `POSE_MEASURES` records (n,) at their centres, and `utilisation` of the limits."""
 
     grid: Grid
     measures: np.recarray
@@ -184,16 +183,16 @@ class Survey:
 
     @cached_property
     def regular(self) -> np.ndarray:
-        """(n,) bool, in reach of the centre without passing a singularity of either kind, whatever the limits say."""
+        """(n,) bool, connected to the centre without a singularity of either kind, regardless of the limits."""
         return self._joined(self.spanning & (np.nan_to_num(self.measures.conditioning) > 0.0))
 
     @cached_property
     def connected(self) -> np.ndarray:
-        """(n,) bool, in reach of the centre without breaking a limit."""
+        """(n,) bool, connected to the centre within the limits."""
         return self._joined(self.feasible)
 
     def _joined(self, mask: np.ndarray) -> np.ndarray:
-        """The cells of a mask that are joined to the centre's through faces."""
+        """The cells of a mask that are connected to the centre's through faces."""
         from scipy.ndimage import label
 
         start = self.grid.center[self.grid.coordinates]
@@ -206,7 +205,7 @@ class Survey:
         return float(self.grid.cell_size[mask].sum())
 
     def bounding_box(self, mask: np.ndarray) -> np.ndarray | None:
-        """(2, 3) [rad] or [m] corners around the cells of a mask; None for none."""
+        """(2, 3) [rad] or [m] corners around the cells of a mask; None if it is empty."""
         if not mask.any():
             return None
         point = self.grid.poses[mask][:, self.grid.coordinates]
@@ -215,51 +214,51 @@ class Survey:
 
 
 def survey(robot: RobotParameters, limits: ReferenceLimits, grid: Grid, gravity: float = STANDARD_GRAVITY) -> Survey:
-    """Measures every cell of a grid."""
+    """Measures and utilisation of every cell of a grid."""
     measures = measure_poses(robot, grid.poses, gravity)
     return Survey(grid, measures, utilisation(robot, limits, grid.poses, measures))
 
 
-def way_out(
+def distances_to_limits(
     robot: RobotParameters,
     limits: ReferenceLimits,
     start: np.ndarray,
-    ways: np.ndarray,
+    directions: np.ndarray,
     steps: np.ndarray,
     gravity: float = STANDARD_GRAVITY,
     most: float = 1.0,
     bisections: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How far (m,) along ways (m, 6) no limit is taken up by more than `most`; which one (m,) then is, or -1."""
-    inner, outer = np.zeros(len(ways)), np.full(len(ways), steps[-1])
-    limit = np.full(len(ways), -1)
+    """Distances (m,) along directions (m, 6) to a utilisation of `most`, and the limits (m,), or -1."""
+    inner, outer = np.zeros(len(directions)), np.full(len(directions), steps[-1])
+    limit = np.full(len(directions), -1)
 
-    def look(rays: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """Moves the inner or the outer end of each of the rays to `radius`; the rays that were within."""
-        pose = start + radius[:, None] * ways[rays]
+    def probe(rays: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """Moves the inner or the outer end of rays to `radius`; returns the rays that are within there."""
+        pose = start + radius[:, None] * directions[rays]
         use, cause = governing_limit(utilisation(robot, limits, pose, measure_poses(robot, pose, gravity)))
         out = use > most
         outer[rays[out]], limit[rays[out]], inner[rays[~out]] = radius[out], cause[out], radius[~out]
         return rays[~out]
 
-    rays = np.arange(len(ways))
+    rays = np.arange(len(directions))
     for step in steps:
-        rays = look(rays, np.full(len(rays), step))
+        rays = probe(rays, np.full(len(rays), step))
     cut = np.flatnonzero(limit >= 0)
     for _ in range(bisections):
-        look(cut, 0.5 * (inner[cut] + outer[cut]))
+        probe(cut, 0.5 * (inner[cut] + outer[cut]))
     return inner, limit
 
 
 class Boundary(NamedTuple):
-    """Ways (m,) [m] or [rad] to the first broken limit, and its index in `LIMIT_NAMES`; -1 where there is none."""
+    """Distances (m,) [m] or [rad] to the first broken limit, and its index in `LIMIT_NAMES`, or -1."""
 
     radius: np.ndarray
     limit: np.ndarray
 
 
 def spread_directions(count: int) -> np.ndarray:
-    """Unit vectors (count, 3) on a Fibonacci lattice: equal steps of height, golden steps of angle."""
+    """Unit vectors (count, 3) on a Fibonacci lattice."""
     height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     angle = np.pi * (3.0 - math.sqrt(5.0)) * np.arange(count)
     level = np.sqrt(1.0 - height**2)
@@ -274,22 +273,22 @@ def boundary(
     directions: np.ndarray,
     gravity: float = STANDARD_GRAVITY,
 ) -> Boundary:
-    """Ways from a centre (6,) to the first broken limit, along unit vectors (m, 3): 64 steps, then bisection."""
+    """Distances from a centre (6,) to the first broken limit along unit vectors (m, 3): 64 steps, then bisection."""
     center = np.asarray(center, dtype=float)
     check_center(robot, center)
     longest = math.pi
     if kind == "position":
         longest = float(np.linalg.norm(np.abs(np.array(outer_box(robot, center)) - center[3:]).max(axis=0)))
-    ways = np.zeros((len(directions), 6))
-    ways[:, COORDINATES[kind]] = directions
+    rays = np.zeros((len(directions), 6))
+    rays[:, COORDINATES[kind]] = directions
     steps = longest * np.arange(_STEPS + 1) / _STEPS
-    return Boundary(*way_out(robot, limits, center, ways, steps, gravity, bisections=_BISECTIONS))
+    return Boundary(*distances_to_limits(robot, limits, center, rays, steps, gravity, bisections=_BISECTIONS))
 
 
 def slices(
     robot: RobotParameters, limits: ReferenceLimits, gravity: float, region: Survey, pixels: int
 ) -> list[Survey]:
-    """Five slices across the third coordinate of a survey and one along it, through what the limits leave."""
+    """Five slices across the third coordinate of a survey and one along it, through the region within the limits."""
     grid, middle = region.grid, region.grid.center[region.grid.coordinates]
     box = region.bounding_box(region.connected)
     if box is None:
@@ -320,23 +319,23 @@ def study_poses(
     directions: int,
     progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[dict[str, Any], dict[Kind, Survey]]:
-    """What the poses around a centre (6,) [rad, m] allow: plain numbers, and a survey of each of both workspaces.
+    """Workspaces around a centre (6,) [rad, m]: plain numbers, and surveys of positions and orientations.
 
-    Sizes are in m^3, or shares of all orientations; None of a centre that cannot be reached.
+    Sizes are in m^3, or shares of all orientations; None for a centre out of reach.
     """
     center = np.asarray(center, dtype=float)
 
     def surveyed(kind: Kind, center: np.ndarray, samples: int) -> Survey:
         return survey(robot, limits, spanning_grid(robot, kind, center, samples), gravity)
 
-    def ways(along: np.ndarray) -> dict[Kind, Boundary]:
+    def distances(along: np.ndarray) -> dict[Kind, Boundary]:
         return {kind: boundary(robot, limits, kind, center, along, gravity) for kind in KINDS}
 
     surveys: dict[Kind, Survey] = {}
     for kind in KINDS:
         surveys[kind] = surveyed(kind, center, samples)
         progress(0.3 * len(surveys))
-    boundaries, ends = ways(spread_directions(directions)), ways(np.concatenate([-np.eye(3), np.eye(3)]))
+    boundaries, ends = distances(spread_directions(directions)), distances(np.concatenate([-np.eye(3), np.eye(3)]))
     progress(0.8)
     others: dict[str, float | None] = {}
     for kind, words, for_paper in OTHER_CENTERS:
@@ -363,7 +362,7 @@ def study_poses(
     return numbers, surveys
 
 
-def _workspace(region: Survey, radius: np.ndarray, limit: np.ndarray) -> dict[str, Any]:
+def _workspace(region: Survey, radius: np.ndarray, limit: np.ndarray) -> dict[str, object]:
     box, within = region.bounding_box(region.connected), region.measures[region.connected]
     first = np.bincount(limit[limit >= 0], minlength=len(LIMIT_NAMES)) / len(limit)
     return {

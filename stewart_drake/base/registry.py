@@ -88,8 +88,8 @@ ADAPTATIONS = Family(
     own="control.base:UserAdaptation",
     methods=("parts",),
 )
-OWN_MONITORS = Family({}, own="safety.limits:UserMonitor", methods=("look",))
-"""Those of the user's own, under `safety.monitors`; the others stand in `safety.limits`."""
+OWN_MONITORS = Family({}, own="safety.options:UserMonitor", methods=("look",))
+"""Monitors of the user, under `safety.monitors`; the others are in `safety.options`."""
 OWN_METRICS = Family({}, own="logs.metrics:UserMetric", methods=("of",))
 """Those of the user's own, under `metrics`; the others stand in `logs.metrics`."""
 DISTURBANCES = Family(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from stewart_drake.base.config import Period, Section
 from stewart_drake.base.errors import Status, failure
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Record, TickResult, Vec6, Vec12, Vec18, record
-from stewart_drake.loop.part import LoopContext, Part
+from stewart_drake.loop.part import Kernel, LoopContext, Part
 from stewart_drake.loop.user_parts import UserParts
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, task_inertia
 from stewart_drake.mechanics.kinematics import twist_jacobian
@@ -230,7 +230,7 @@ def check_start(robot: RobotParameters, pose: np.ndarray) -> None:
 
 
 def controller_part(
-    kernel: Callable[..., Any], robot: RobotParameters, params: Record, state: type[Record], *scratch: type[Record]
+    kernel: Kernel, robot: RobotParameters, params: Record, state: type[Record], *scratch: type[Record]
 ) -> Part:
     """Part of a loop for a controller, with the outputs torque and, if its state has one, integral.
 
@@ -275,10 +275,9 @@ class Saturation(Record):
     clamp: float  # 1 where the integral waits while a motor is at its limit.
 
 
-def saturation_params(options: Any, robot: RobotParameters) -> dict[str, Any]:
-    """Fields `limit` and `clamp` of a controller's parameters, by its `saturation`."""
-    limit = np.inf if options.saturation == "none" else robot.effort_limits
-    return {"limit": limit, "clamp": options.saturation == "clamp"}
+def saturation_params(saturation: str, robot: RobotParameters) -> dict[str, object]:
+    """Fields `limit` and `clamp` of a controller's parameters, by its key `saturation`."""
+    return {"limit": np.inf if saturation == "none" else robot.effort_limits, "clamp": saturation == "clamp"}
 
 
 @njit

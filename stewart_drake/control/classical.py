@@ -47,7 +47,7 @@ class PidOptions(ControllerOptions):
 
     The default gains give heave at home the stiffness, damping and integral action of the exact-model LQI with weights
     4e5, 30, 4e7, 1 and a weight length of 0.11 m. With the inertia M of heave and J = d(theta)/dZ, an acceleration gain
-    k becomes k M / (6 J^2) at each crank. A scenario scales the gains to another robot by its M / sum J^2.
+    k becomes k M / (6 J^2) at a crank. A scenario scales the gains to another robot by its M / sum J^2.
 
     For a slow bus: inertia robot, feedforward motion, derivative difference and sticking. Only the reading is then fed
     back, not the rate or the disturbance of a model: at 100 Hz with a tick of delay, errors of the model are corrected
@@ -97,7 +97,7 @@ class PidOptions(ControllerOptions):
             by_difference=self.derivative == "difference",
             count=max(context.noise * np.sqrt(12.0), 1e-4),
             fade=np.exp(-self.period / FADE_TIME),
-            **saturation_params(self, robot),
+            **saturation_params(self.saturation, robot),
         )
         numbers = {"robot": robot_record(robot), "coulomb_uncertainty": np.ones(6), "params": params}
         part = controller_part(pid_tick, robot, params, PidState, Legs, Legs)
@@ -284,7 +284,9 @@ class ComputedTorqueOptions(ControllerOptions):
     integral z waits."""
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
-        params = ComputedTorqueParams.new(self, gravity=context.gravity, **saturation_params(self, context.robot))
+        params = ComputedTorqueParams.new(
+            self, gravity=context.gravity, **saturation_params(self.saturation, context.robot)
+        )
         return (controller_part(computed_torque_tick, context.robot, params, ComputedTorqueState, Legs),)
 
 

@@ -422,7 +422,7 @@ def lqi_part(
         feedforward=get_args(Feedforward).index(options.feedforward),
         at_reference=options.feedforward_at == "reference",
         back_share=min(1.0, options.period / options.reset_time) if options.saturation == "back_calculation" else 0.0,
-        **saturation_params(options, robot),
+        **saturation_params(options.saturation, robot),
     )
     part = controller_part(lqi_tick, robot, params, LqiState, Legs, Problem)
     part = part._replace(inputs={**part.inputs, "weights": weights}, statuses=_STATUSES)

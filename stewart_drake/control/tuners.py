@@ -29,10 +29,10 @@ Decades = Annotated[Real, Field(ge=-3.0, le=3.0)]
 
 
 class Tuner(Section, ABC, key="tuner"):
-    """What every tuner has."""
+    """Base of the options of tuners."""
 
     label: ClassVar[str] = "Weights, held fixed"
-    """What its weights are, for titles."""
+    """Source of the weights, for titles."""
     needs_observer: ClassVar[bool] = False
     """Whether it needs the innovations of an observer."""
     kind: str
@@ -50,28 +50,28 @@ class Tuner(Section, ABC, key="tuner"):
         """Weights at the start, as the controller takes them."""
 
     def density_part(self) -> Part:
-        """The densities in a loop; they are logged whether a network uses them or not."""
+        """The part of the densities, which are always logged."""
         return density_part(self.window, self.density)
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:  # noqa: ARG002 - nothing depends on it here
-        """What changes the weights in a loop; nothing where they stay."""
+        """The parts that change the weights; none if they are constant."""
         return ()
 
     def opened(self) -> Self:
-        """The same, with what its file holds, which is then read no more."""
+        """A copy with the content of its file, which is not read again."""
         return self
 
     def network(self) -> TunerNetwork | None:
-        """The network that it asks, or None where the weights stay."""
+        """Its network; None if the weights are constant."""
         return None
 
     def content(self) -> str | None:
-        """Text of the file that it depends on, or None where there is none."""
+        """Text of its file; None without one."""
         return None
 
 
 class PairTuner(Tuner):
-    """What tuners of omega_Q and omega_R have."""
+    """Base of tuners of omega_Q and omega_R."""
 
     kind: str
     omega_q: Positive = 1.0
@@ -85,17 +85,17 @@ class PairTuner(Tuner):
 
 
 class FixedTuner(PairTuner):
-    """Constant weights omega_Q and omega_R; densities are logged all the same."""
+    """Constant weights omega_Q and omega_R; densities are logged too."""
 
     knobs = (("omega_q", "weight Q"), ("omega_r", "weight R"))
     kind: Literal["fixed"] = "fixed"
 
 
 class BlockWeights(Tuner):
-    """What tuners of block weights have: Q = diag(q_pose I, q_rate I, q_integral I), R = r I.
+    """Base of tuners of block weights: Q = diag(q_pose I, q_rate I, q_integral I), R = r I.
 
-    The defaults are for the paper's robot. A scenario scales them to another robot by what a torque does there, so that
-    the loop is as fast. With a command delay above 5 ms the loop is slower in proportion.
+    The defaults are for the paper's robot. A scenario scales them to another robot by its acceleration per torque, so
+    that the loop is as fast. With a command delay above 5 ms the loop is slower in proportion.
     """
 
     kind: str
@@ -129,7 +129,7 @@ class PaperTuner(PairTuner):
     """File of a trained network, relative to the scenario file; null takes the package's."""
 
     def network(self) -> TunerNetwork:
-        """The network that it asks; refused where this kind of density, or the first weights, are new to it."""
+        """Its network; a ConfigurationError if it was not trained on this kind of density or the initial weights."""
         path = self.weights_file or TunerNetwork.shipped
         network = TunerNetwork.load(path)
         if network.density != self.density:
@@ -149,7 +149,7 @@ class PaperTuner(PairTuner):
 
 
 class SettingTuner(BlockWeights):
-    """What tuners of settings have; a setting is decades above these weights and `estimator.disturbance`.
+    """Base of tuners of settings, in decades above these weights and `estimator.disturbance`.
 
     They use the innovations of an observer, see `features`, and change its bandwidth too.
     """
@@ -159,7 +159,7 @@ class SettingTuner(BlockWeights):
 
     @abstractmethod
     def source(self) -> SettingSource:
-        """What chooses a setting."""
+        """Source of the settings."""
 
     @property
     def weights(self) -> tuple[float, ...]:

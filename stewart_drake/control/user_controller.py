@@ -135,10 +135,10 @@ def _call(
     state: ControlTorque,
 ) -> None:
     # Copies, which the function may keep or change.
-    pose, wanted = measurement.copy(), reference.copy()
+    pose, target = measurement.copy(), reference.copy()
     with guard:
         result = function(
-            Measurement(pose[:6], pose[6:]), Setpoint(wanted[:6], wanted[6:12], wanted[12:]), float(time[0])
+            Measurement(pose[:6], pose[6:]), Setpoint(target[:6], target[6:12], target[12:]), float(time[0])
         )
     name = getattr(function, "__qualname__", type(function).__qualname__)
     try:

@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.analysis.workspace import LIMIT_NAMES, way_out
+from stewart_drake.analysis.workspace import LIMIT_NAMES, distances_to_limits
 from stewart_drake.base.config import Positive, Section
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.tables import CRANK_ANGLES, POSE, column_name
@@ -165,7 +165,7 @@ def candidate_poses(
     for _ in range(_DRAWS):
         way = rng.standard_normal((count, 6)) * size
         way /= np.linalg.norm(way / size, axis=1, keepdims=True)
-        last, limit = way_out(robot, limits, home, way, _WAY, most=MARGIN)
+        last, limit = distances_to_limits(robot, limits, home, way, _WAY, most=MARGIN)
         if not last.any():
             got = f"a limit {LIMIT_NAMES[limit[0]]} that is broken on every line from home"
             raise ConfigurationError("limits", got, f"limits of which the home pose uses at most {MARGIN:g}")

@@ -23,7 +23,7 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import SMALLEST_SIZE
 
 if TYPE_CHECKING:
-    from stewart_drake.control.adaptation import Learnt
+    from stewart_drake.control.regression_records import Learnt
     from stewart_drake.hardware.presets import Preset
 
 _STREAM = 3  # Of random numbers, see `faults.tick_numbers`.

@@ -32,7 +32,7 @@ from stewart_drake.mechanics.kinematics_laws import (
 from stewart_drake.robot import RobotParameters
 
 if TYPE_CHECKING:
-    from stewart_drake.control.adaptation import Learnt
+    from stewart_drake.control.regression_records import Learnt
 
 POSITION_PRESETS, CURRENT_PRESETS = Presets("position"), Presets("current")
 MAX_STIFFNESS_NUMBER = 0.5

@@ -1,1 +1,1 @@
-"""What a loop is made of: parts, and what runs them."""
+"""Parts of a loop, and what runs them."""

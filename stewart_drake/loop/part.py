@@ -101,11 +101,11 @@ class Part(NamedTuple):
 
     def check_signal(self, name: str, kind: np.dtype) -> None:
         """Raises a ConfigurationError if a signal of that dtype does not fit a parameter."""
-        wanted = self.parameters[name]
-        fits = kind == wanted.dtype if kind.names else kind.base == np.float64
-        if not fits or kind.itemsize != wanted.nbytes:
+        expected = self.parameters[name]
+        fits = kind == expected.dtype if kind.names else kind.base == np.float64
+        if not fits or kind.itemsize != expected.nbytes:
             given = f"a record of {', '.join(kind.names)}" if kind.names else f"{math.prod(kind.shape)} of {kind.base}"
-            allowed = f"a signal of {wanted.nbytes // 8} numbers of float64"
+            allowed = f"a signal of {expected.nbytes // 8} numbers of float64"
             raise ConfigurationError(f"{self.name}.{name}", given, allowed)
 
     def size(self, field: str) -> int:
@@ -168,7 +168,7 @@ class BoundPart:
         signals: Mapping[str, np.ndarray] = NOTHING,
     ) -> None:
         self.part = part
-        self._scratch = tuple(np.zeros(1, getattr(kind, "layout", kind)) for kind in part.scratch)
+        self._scratch = tuple(kind.new() for kind in part.scratch)
         self._before = np.empty(part.initial.nbytes // 8)
         for name, array in signals.items():
             part.check_signal(name, np.dtype((array.dtype, array.shape)))

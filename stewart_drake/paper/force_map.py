@@ -1,4 +1,4 @@
-"""(7) to (18): the force map as printed and by statics, against torques that really hold and accelerate."""
+"""(7) to (18): the force map as printed and by statics, compared with accelerations of the multibody plant."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT, SMALLEST_SIZE
 
 SETTLING_STEPS = 14
-"""Plant steps before the acceleration is read. SAP's near-rigid loop closures give way by half a thousandth in the
-first step from rest and halve that in each further one."""
+"""Plant steps before the acceleration is read. SAP's near-rigid loop closures yield by 5e-4 in the first step, and by
+half as much in every further one."""
 _TORQUE_SHARE = 0.2
-MASSLESS = 1e-4  # Factor on the legs' masses and inertias of the plant that stands for massless legs
+MASSLESS = 1e-4  # Factor on masses and inertias of the legs in the plant with massless legs
 LEAST_MARGIN = 1e-3
-"""[-] poses keep this far from a crank's dead centre (transmission 0.04), where nothing is finite."""
+"""[-] distance of poses from a crank's dead centre (transmission 0.04), where nothing is finite."""
 MODELS = {
     "printed, p_i unrotated": "(9) to (18) to the letter",
     "printed": "the same with e_M from R^-1 p_i",
@@ -34,7 +34,7 @@ MODELS = {
     "statics, I in B": "and with the platform's inertia turned into B, as its moments are",
     "massless legs": "and with angular acceleration in place of Euler second derivatives: exact without legs",
 }
-"""The controller's model of M q'' = tau T, mended step by step."""
+"""The controller's model of M q'' = tau T, corrected step by step."""
 
 
 def light_legs(robot: RobotParameters, scale: float) -> RobotParameters:
@@ -44,7 +44,7 @@ def light_legs(robot: RobotParameters, scale: float) -> RobotParameters:
 
 
 def measured(robot: RobotParameters, poses: np.ndarray, gravity: float, steps: int = SETTLING_STEPS) -> np.ndarray:
-    """d(twist)/dt (n, 6, 6) per N m of each motor at rest, gained by Drake's plant in its last microsecond."""
+    """d(twist)/dt (n, 6, 6) at rest per N m of a motor, in the last microsecond of Drake's plant."""
     diagram, stewart = build_plant(robot, DrakeOptions(time_step=1e-6), gravity)
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
@@ -89,14 +89,14 @@ def predicted(robot: RobotParameters, poses: np.ndarray, model: str) -> np.ndarr
 
 
 def relative_error(robot: RobotParameters, model: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Error (n) [-] of an acceleration map, all directions of torque: RMS by RMS of the truth, angles by the lever."""
+    """Relative RMS error (n,) [-] of an acceleration map over all torques; angles times the characteristic length."""
     scale = np.repeat([robot.characteristic_length, 1.0], 3)[:, None]
-    error, size = (np.linalg.norm(scale * each, axis=(-2, -1)) for each in (model - truth, truth))
+    error, size = (np.linalg.norm(scale * values, axis=(-2, -1)) for values in (model - truth, truth))
     return np.asarray(error / size)
 
 
 def rod_force_per_torque(robot: RobotParameters, poses: np.ndarray, twist_map: np.ndarray) -> np.ndarray:
-    """|a| F_i / T_i (n, 6) [-] of massless legs: (15) says e_l.e_N, statics says 1 / (e_l.e_N)."""
+    """|a| F_i / T_i (n, 6) [-] of massless legs: e_l.e_N by (15), 1 / (e_l.e_N) by statics."""
     force = robot.platform_mass * np.swapaxes(twist_map[:, 3:], -1, -2)
     return np.asarray(robot.crank_lengths * np.sum(leg_geometry(robot, poses).e_l * force, axis=-1))
 

@@ -1,6 +1,6 @@
 """Fig. 7: the paper's tuner in the loop; (37), (38) and motions beyond its training.
 
-Deviation: the paper has one motion and one controller; here each motion is run under each of the weights as well.
+Deviation: the paper has one motion and one controller; here every motion is also run with fixed weights.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ from stewart_drake.training.paper_network import six
 CLAIMED = 45.0  # [%] improvement on average, of the later paper (doi 10.1177/10775463211019177).
 BEST_FIXED, MEAN_OF_NINE, ORACLE = "best fixed pair", "mean of the nine", "oracle"
 APART = 1e-10
-"""[rad, m] between starts that nobody could tell apart: where the loop is chaotic, one run is one sample."""
+"""[rad, m] between practically equal starts: a chaotic loop needs several samples."""
 MAIN, TUNER = "(37), (38)", "tuner"
-LIGHT, HEAVY = 0.02, 0.05  # [N m] dry friction of each motor.
+LIGHT, HEAVY = 0.02, 0.05  # [N m] dry friction of a motor.
 FIXED = {f"ratio {ratio:g}": ratio for ratio in RATIOS}
 Errors = Mapping[str, Mapping[str, float]]
 
 
 def unseen_trajectories() -> dict[str, tuple[SineReference, float]]:
-    """The eleven motions of trajectories.yaml and how long [s] to follow them; the second half counts."""
+    """The eleven motions of trajectories.yaml and their durations [s], the second half of which gives the error."""
     table = YAML(typ="safe", pure=True).load(
         files(__package__).joinpath("trajectories.yaml").read_text(encoding="utf-8")
     )
@@ -64,7 +64,7 @@ def unseen_trajectories() -> dict[str, tuple[SineReference, float]]:
 
 
 def baselines(errors: Errors) -> dict[str, list[float]]:
-    """Pose RMSE [mm] by trajectory of all that the tuner is measured against; the oracle knows the best beforehand."""
+    """Pose RMSE [mm] by trajectory of the baselines; the oracle takes the best fixed pair of a trajectory."""
     fixed = {name: [row[name] for row in errors.values()] for name in FIXED}
     best = min(FIXED, key=lambda name: float(np.mean(np.log(fixed[name]))))
     labels = [sum(np.isclose(q / r, ratio) for q, r in PAIRS) for ratio in RATIOS]
@@ -74,11 +74,11 @@ def baselines(errors: Errors) -> dict[str, list[float]]:
 
 
 def improvement(errors: Errors, baseline: Sequence[float]) -> dict[str, Any]:
-    """[%] how much smaller than a baseline's the tuner's RMSE is: each, on average, by geometric mean."""
+    """[%] reduction of the RMSE by the tuner against a baseline: by trajectory, mean, geometric mean."""
     share = np.array([row[TUNER] for row in errors.values()]) / baseline
-    each = 100.0 * (1.0 - share)
+    percent = 100.0 * (1.0 - share)
     typical = 100.0 * (1.0 - float(np.exp(np.mean(np.log(share)))))
-    return {"each": each.tolist(), "mean": float(each.mean()), "typical": typical}
+    return {"each": percent.tolist(), "mean": float(percent.mean()), "typical": typical}
 
 
 def reproduce(study: Reproduction) -> Result:

@@ -1,6 +1,6 @@
-"""II.C and (1) to (6): the multibody plant against mechanics; kinematics as meant, as Drake has it, and as printed.
+"""II.C and (1) to (6): the multibody plant against mechanics; kinematics as meant, by Drake, and as printed.
 
-Printed equations stand here with their misprints, in radians, for comparison, never for control.
+Printed equations keep their misprints here, in radians, for comparison only.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import crank_angles, crank_equation
 
 START = np.array([0.1, -0.05, 0.1, 0.01, -0.02, 0.01])
-"""[rad, m] from home: where a free motion starts, at rest."""
-TORQUE = np.array([0.2, 0.3, 0.25, 0.3, 0.2, 0.3])  # [N m] held constant meanwhile
+"""[rad, m] start of a free motion, relative to home, at rest."""
+TORQUE = np.array([0.2, 0.3, 0.25, 0.3, 0.2, 0.3])  # [N m] constant
 DURATION = 0.15
 BRANCHES = (-1, 1)
 SAME_ANGLE = SAME_POSE = 1e-6
-"""[rad, m] below this they are the same; next to a dead centre an acos keeps half the digits only."""
+"""[rad, m] tolerance of equality; next to a dead centre an acos has only half the digits."""
 
 
 def exact_motion(robot: RobotParameters, gravity: float) -> np.ndarray:
@@ -85,7 +85,7 @@ MISPRINTS = ("(3)", "(5)")
 
 
 def equation_at(robot: RobotParameters, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, C, each (..., 6) [m^2], that (6) does not give, for platform joints (..., 6, 3) [m] anywhere."""
+    """A, B, C (..., 6) [m^2] of (6), which the paper does not give, for platform joints (..., 6, 3) [m]."""
     directions = robot.crank_zero_directions, robot.crank_quarter_directions
     return crank_equation(joints - robot.shaft_positions, *directions, robot.crank_lengths, robot.rod_lengths)
 
@@ -97,7 +97,7 @@ def crank_angles_6(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
 
 
 def rod_spans(robot: RobotParameters, poses: np.ndarray) -> np.ndarray:
-    """Lengths (n, 6) [m] of rods by Drake's forward kinematics, crank angles by the closed form and poses set apart."""
+    """Lengths (n, 6) [m] of rods by Drake's forward kinematics at poses and the crank angles of the closed form."""
     stewart = build_plant(robot)[1]
     plant, spans = stewart.plant, np.empty(poses.shape)
     context, world, platform = plant.CreateDefaultContext(), plant.world_frame(), plant.GetFrameByName("platform")
@@ -112,16 +112,16 @@ def rod_spans(robot: RobotParameters, poses: np.ndarray) -> np.ndarray:
 
 
 def newton_outcome(robot: RobotParameters, poses: np.ndarray, guess: np.ndarray) -> dict[str, Any]:
-    """Numbers of poses (n, 6) that Newton's method finds back from `guess`: `same`, `other`, `failed`.
+    """Counts of poses (n, 6) for which Newton's method from `guess` finds the `same` pose, an `other`, or `failed`.
 
-    `other_across` are those of `other` beyond a parallel singularity; `error` [m] is shift plus turn times 1 m.
+    `other_across`: an other pose beyond a parallel singularity. `error` [m]: shift plus turn times 1 m.
     """
     legs = leg_geometry(robot, poses)
     solved = np.full(poses.shape, np.nan)
     for row, (angles, start) in enumerate(zip(legs.crank_angles, np.broadcast_to(guess, poses.shape), strict=True)):
         with suppress(ForwardKinematicsError):
             solved[row] = forward_kinematics(robot, angles, start)
-    # Frobenius' norm of the difference is sqrt 2 times a small turn.
+    # The Frobenius norm of the difference is sqrt(2) times a small turn.
     turn = np.linalg.norm(rotation_matrix(solved[:, :3]) - rotation_matrix(poses[:, :3]), axis=(-2, -1)) / np.sqrt(2.0)
     error = turn + np.linalg.norm(solved[:, 3:] - poses[:, 3:], axis=-1)
     across = np.linalg.det(rod_lines(legs)) * np.linalg.det(rod_lines(leg_geometry(robot, robot.home_pose))) < 0.0
@@ -132,7 +132,7 @@ def newton_outcome(robot: RobotParameters, poses: np.ndarray, guess: np.ndarray)
 
 
 def misprint_effect(robot: RobotParameters, poses: np.ndarray, misprint: str) -> tuple[np.ndarray, np.ndarray]:
-    """How far (...) [m] one of `MISPRINTS` misplaces a joint of the platform, and whether the rods could follow."""
+    """Displacement (...) [m] of a platform joint by one of `MISPRINTS`, and whether the rods could reach it."""
     joints = platform_joints(robot, poses, misprint)
     a, b, c = equation_at(robot, joints)
     shift = np.linalg.norm(joints - platform_joints(robot, poses), axis=-1).max(axis=-1)
@@ -140,14 +140,14 @@ def misprint_effect(robot: RobotParameters, poses: np.ndarray, misprint: str) ->
 
 
 def branch_of_6(robot: RobotParameters, poses: np.ndarray, sense: int = 1) -> dict[str, float]:
-    """Shares of the legs at poses (n, 6) where (6) gives branch `-1`, `1` or `neither`; and those with A > 0.
+    """Shares of the legs at poses (n, 6) at which (6) gives branch `-1`, `1` or `neither`, and with A > 0.
 
-    A `sense` of -1 counts crank angles the other way round.
+    With a `sense` of -1 crank angles have the opposite sign.
     """
     a, b, c = equation_at(robot, platform_joints(robot, poses))
     off = sense * crank_angles_6(a, sense * b, c) - np.array([crank_angles(a, b, c, branch) for branch in BRANCHES])
     hit = np.abs(np.angle(np.exp(1j * off))) < SAME_ANGLE
-    shares = {str(branch): float(each.mean()) for branch, each in zip(BRANCHES, hit, strict=True)}
+    shares = {str(branch): float(legs.mean()) for branch, legs in zip(BRANCHES, hit, strict=True)}
     return {**shares, "neither": float((~hit.any(axis=0)).mean()), "a_positive": float((a > 0.0).mean())}
 
 

@@ -1,4 +1,4 @@
-"""III.D: the data of the nine experiments, and what a 12-10-2 network can learn from it."""
+"""III.D: the data of the nine experiments, and the fit of a 12-10-2 network to it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from stewart_drake.training.paper_network import (
 )
 
 PAPER_AMPLITUDE = (np.pi / 6.0,) * 3 + (0.3,) * 3
-"""[rad, m] what section III.D names, for every frequency from 1 to 5 Hz."""
+"""[rad, m] of section III.D, for every frequency from 1 to 5 Hz."""
 PAPER_SAMPLES = 14_400
 SAME_DATA = 1e-6  # [-] difference of densities below which two runs count as one set of data
 LEARNT = 0.7
@@ -44,7 +44,7 @@ def run_distances(dataset: Dataset) -> np.ndarray:
 
 
 def best_possible_scores() -> Scores:
-    """R^2 over the nine pairs of an estimator that knows the ratio alone: equal ratios give equal data."""
+    """R^2 over the nine pairs of an estimator of the ratio alone: equal ratios give equal data."""
     labels = np.log10(PAIRS)
     _, group = np.unique(np.round(labels[:, 0] - labels[:, 1], 9), return_inverse=True)
     targets = (*labels.T, labels[:, 0] - labels[:, 1])
@@ -53,7 +53,7 @@ def best_possible_scores() -> Scores:
 
 
 def reproduce(study: Reproduction) -> Result:
-    base, own, window = study.base, study.base.tuner.density, study.base.tuner.window
+    base, density, window = study.base, study.base.tuner.density, study.base.tuner.window
     scenarios = experiment_scenarios(base, study.pick(SAMPLES_PER_RUN, 640))
     logs = list(study.run(dict(enumerate(scenarios))).values())
     rows, about = round(scenarios[0].duration / base.lqi.period), dataset_metadata(base, experiment_reference(base))
@@ -63,15 +63,15 @@ def reproduce(study: Reproduction) -> Result:
     results = {(kind, split): train_network(data[kind], replace(options, split=split)) for kind, split in trainings}
     if study.folder is not None:
         study.tuner_file = study.folder / "tuner.json"
-        results[own, "samples"].network.save(study.tuner_file)
+        results[density, "samples"].network.save(study.tuner_file)
     largest = np.array(feasible_amplitudes(base.robot, base.limits, base.gravity)[0])
     scores: dict[str, dict[str, Any]] = {}
     for (kind, split), result in results.items():
         of_sides = {side: {name: result.scores[f"{side} R^2 of log {name}"] for name in TARGETS} for side in SIDES}
-        # None where the target does not vary.
+        # None if the target is constant.
         scores[f"{kind} {split}"] = {
-            side: {name: score if np.isfinite(score) else None for name, score in each.items()}
-            for side, each in of_sides.items()
+            side: {name: score if np.isfinite(score) else None for name, score in row.items()}
+            for side, row in of_sides.items()
         }
     numbers = {
         "largest_amplitude": largest.tolist(),
@@ -79,9 +79,9 @@ def reproduce(study: Reproduction) -> Result:
         "scores": scores,
         "best_possible": best_possible_scores(),
     }
-    samples, sets = len(data[own].run), distinct(run_distances(data[own]), SAME_DATA)
+    samples, sets = len(data[density].run), distinct(run_distances(data[density]), SAME_DATA)
     kept, feasible = followed(logs), int(np.sum(largest >= PAPER_AMPLITUDE))
-    learnt = scores[f"{own} samples"]["validation"]
+    learnt = scores[f"{density} samples"]["validation"]
     claims = [
         Claim("III.D: samples", f"{PAPER_SAMPLES}", samples, "", None),
         Claim("III.D: experiments whose motion is followed", "9", kept, "of 9", kept == 9),

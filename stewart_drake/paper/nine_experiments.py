@@ -34,18 +34,18 @@ from stewart_drake.scenario.scenario import Scenario
 
 EQUAL_GAINS = 1e-10
 CONDITIONS = tuple(itertools.product((0.0, STANDARD_GRAVITY), ("none", "gravity", "platform")))
-FREE, BARE = (0.0, "none"), (STANDARD_GRAVITY, "none")  # No gravity; gravity, and (34) alone against it
+FREE, BARE = (0.0, "none"), (STANDARD_GRAVITY, "none")  # No gravity; gravity, with (34) alone
 
 
 def gains_along_reference(base: Scenario) -> np.ndarray:
-    """K of (31) of each of the nine pairs along (37), (38), for the controller of `base`; (9 poses, 9 pairs, 6, 18)."""
+    """K of (31) for the nine pairs along (37), (38), with the controller of `base`; (9 poses, 9 pairs, 6, 18)."""
     poses = paper_reference().evaluate(np.linspace(0.0, np.pi, 9))[0]
     maps = acceleration_map(base.belief.robot, poses, base.lqi.force_map)
     return np.array([[lqi_gain(b, base.lqi, np.array(pair)) for pair in PAIRS] for b in maps])
 
 
 def relative_distances(gains: np.ndarray) -> np.ndarray:
-    """Largest difference (p, p) [-] of two pairs' gains (n poses, p pairs, ...) as a share of their largest entry."""
+    """Largest difference (p, p) [-] of two pairs' gains (n poses, p pairs, ...), relative to their largest entry."""
     flat = gains.reshape(*gains.shape[:2], -1)
     largest = np.abs(flat).max(axis=-1)
     apart = np.abs(flat[:, :, None] - flat[:, None]).max(axis=-1)
@@ -53,7 +53,7 @@ def relative_distances(gains: np.ndarray) -> np.ndarray:
 
 
 def distinct(distances: np.ndarray, tolerance: float) -> int:
-    """Number of groups whose members are within `tolerance` of the group's first; distances (p, p)."""
+    """Number of groups: members are within `tolerance` of the first of a group; distances (p, p)."""
     firsts: list[int] = []
     for index in range(len(distances)):
         if all(distances[index, first] > tolerance for first in firsts):
@@ -62,12 +62,12 @@ def distinct(distances: np.ndarray, tolerance: float) -> int:
 
 
 def reproduce(study: Reproduction) -> Result:
-    # Quick: all nine pairs to 5 s where the paper stands, without gravity and feedforward; elsewhere fewer and shorter.
+    # Quick: all nine pairs to 5 s in the paper's case, without gravity and feedforward; otherwise fewer and shorter.
     pairs = dict.fromkeys(CONDITIONS, study.pick(PAIRS, [pair_of(ratio) for ratio in RATIOS[::2]]))
     pairs |= {FREE: PAIRS, BARE: study.pick(PAIRS, [pair_of(ratio) for ratio in RATIOS])}
     scenarios: dict[Any, Scenario] = {}
     for (gravity, feedforward), some in pairs.items():
-        # Without gravity its feedforward is zero: the same run as with none.
+        # Without gravity its feedforward is zero: the same run as without it.
         acting = "none" if gravity == 0.0 and feedforward == "gravity" else feedforward
         duration = study.pick(10.0, 5.2 if gravity == 0.0 and feedforward != "platform" else 3.2)
         for pair in some:
@@ -75,10 +75,10 @@ def reproduce(study: Reproduction) -> Result:
     for period, kind, ratio in itertools.product(study.pick((0.005, 0.001), (0.005,)), ("statics", "printed"), RATIOS):
         fall = paper_scenario(study.base, study.pick(10.0, 3.2), *BARE, pair_of(ratio))
         scenarios[period, kind, ratio] = fall.replace({"controller.period": period, "controller.force_map": kind})
-    every = study.run(scenarios)
-    runs = {condition: {pair: every[condition, pair] for pair in some} for condition, some in pairs.items()}
+    logs = study.run(scenarios)
+    runs = {condition: {pair: logs[condition, pair] for pair in some} for condition, some in pairs.items()}
     ends: dict[str, dict[str, float | None]] = {}
-    for (period, kind, ratio), log in ((key, log) for key, log in every.items() if len(key) == 3):
+    for (period, kind, ratio), log in ((key, log) for key, log in logs.items() if len(key) == 3):
         ends.setdefault(f"{period:g} {kind}", {})[f"ratio {ratio:g}"] = None if log.reached_end else log.end_time
     controllers = distinct(relative_distances(gains_along_reference(study.base)), EQUAL_GAINS)
     numbers = {

@@ -1,4 +1,4 @@
-"""The paper, claim by claim: what the claims share, a table of them all, and its comparison with the committed one."""
+"""The paper, claim by claim: common parts, a table of the claims, and its comparison with the committed one."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MODULES = (
     *("kinematics", "force_map", "state_space", "nine_experiments", "network", "in_the_loop"),
     *("sensitivity", "workspace"),
 )
-"""Of this package, in the paper's order; each has `reproduce(study) -> Result`."""
+"""Modules with `reproduce(study) -> Result`, in the paper's order."""
 SEED = 20_210_601
 PAIRS = tuple(itertools.product(OMEGAS, OMEGAS))
 RATIOS = (0.01, 0.1, 1.0, 10.0, 100.0)
@@ -44,17 +44,17 @@ ANNOUNCED = Region("announced", (math.pi / 6.0,) * 3 + (0.3,) * 3, "30 deg and 3
 WIDE = Region("wide", (*map(math.radians, (70.0, 70.0, 80.0)), 0.2, 0.2, 0.11), "as far as each coordinate goes alone")
 
 ROUNDING = 1e-10
-"""A number below this, unless it is a count, is rounding error. Processors differ in it, so its bound is shown."""
+"""Numbers below this, other than counts, are rounding errors, which depend on the processor; their bound is shown."""
 
 
 class Claim(NamedTuple):
-    """What the paper claims and says, what we find, and whether it holds; None where the paper says nothing."""
+    """A claim of the paper."""
 
     name: str
-    paper: str
+    paper: str  # The paper's value.
     ours: float
     unit: str
-    holds: bool | None
+    holds: bool | None  # None if the paper gives no value.
 
 
 class Result(NamedTuple):
@@ -65,7 +65,7 @@ class Result(NamedTuple):
 
 @dataclass(eq=False)
 class Reproduction:
-    """A reproduction under way; `tuner_file` are the weights that it has trained, `workers` 0 for none."""
+    """Settings of a reproduction; `tuner_file` has the weights that it has trained, `workers` is 0 for none."""
 
     quick: bool = False
     base: Scenario = field(default_factory=Scenario)
@@ -74,7 +74,7 @@ class Reproduction:
     workers: int | None = None
     progress: Callable[[float], None] = lambda _: None
 
-    def pick(self, full: Any, quick: Any) -> Any:
+    def pick(self, full: K, quick: K) -> K:
         return quick if self.quick else full
 
     def run(self, scenarios: Mapping[K, Scenario], check: bool = True) -> dict[K, SimulationLog]:
@@ -86,7 +86,7 @@ class Reproduction:
         return {key: logs[scenario] for key, scenario in scenarios.items()}
 
     def under_tuner(self, scenario: Scenario) -> Scenario:
-        """`scenario` with the network in the loop, from 1/1 as in section IV, densities as it was trained on."""
+        """`scenario` with the network in the loop, from 1/1 as in section IV, with the densities of its training."""
         network = load_network(self.tuner_file)
         file = str(self.tuner_file.absolute()) if self.tuner_file else None
         tuner = PaperTuner(density=network.density, window=network.window, weights_file=file)
@@ -98,7 +98,7 @@ def reproduce(
 ) -> dict[str, Result]:
     """All claims by module; with `out` numbers.json, the network and the figures go there."""
     results: dict[str, Result] = {}
-    import_torch()  # Where it is missing, this ends now, and not after minutes.
+    import_torch()  # Fails now if it is missing, and not after minutes.
     if out is not None:
         prepare_folder(out)
     with TemporaryDirectory() as scratch:
@@ -133,7 +133,7 @@ def _shown(value: float) -> str:
 
 
 def differences(claims: Iterable[Claim], size: str) -> list[str]:
-    """Where claims differ from the committed claims.csv, column `size` (quick or full), by more than its `within`."""
+    """Claims that differ from the committed claims.csv, column `size` (quick or full), by more than its `within`."""
     with files(__package__).joinpath("claims.csv").open(encoding="utf-8") as stream:
         table = {row["claim"]: (float(row[size]), float(row["within"])) for row in csv.DictReader(stream)}
     values = {claim.name: claim.ours for claim in claims}
@@ -186,22 +186,22 @@ def outcome(log: SimulationLog) -> str:
 
 
 def followed(logs: Iterable[SimulationLog]) -> int:
-    """How many of some runs are completed: a run that is lost comes to its end too, off its motion."""
+    """Number of completed runs; a lost run also reaches its end, off its motion."""
     return sum(log.status == "completed" for log in logs)
 
 
 NEAR_ZERO = 0.1
-"""Share of its largest value of the run below which an integral state is near zero."""
+"""Share of its largest value in the run below which an integral state counts as near zero."""
 
 
 def integral_share(log: SimulationLog) -> float:
-    """|z| at 5 s over its largest of the run, the larger of roll and Z; NaN where the run ended before."""
+    """|z| at 5 s over its largest in the run, the larger of roll and Z; NaN if the run ended before."""
     z, largest = run_metrics(log)["integral_at_5s"], np.abs(log["integral"]).max(axis=0)
     return math.nan if z is None else float(max(abs(z[axis]) / largest[axis] for axis in (0, 5)))
 
 
 def largest_integral(log: SimulationLog) -> float | None:
-    """Largest |z| at 5 s [rad s, m s]; None where the run ended before."""
+    """Largest |z| at 5 s [rad s, m s]; None if the run ended before."""
     z = run_metrics(log)["integral_at_5s"]
     return None if z is None else float(np.abs(z).max())
 

@@ -1,4 +1,4 @@
-"""The conclusion's sensitivity and robustness: (37), (38) against one change at a time; the steps are ours."""
+"""The conclusion's sensitivity and robustness: (37), (38) with one change at a time; the sizes are ours."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from stewart_drake.paper.reproduce import Claim, Reproduction, Result, outcome, 
 from stewart_drake.plotting.style import chart
 from stewart_drake.scenario.scenario import Scenario
 
-DURATION = 6.28  # [s] two periods of (37), (38): errors count over the second
-BLOWN_UP = 2.0  # Times the unchanged pose RMSE beyond which a run that completes counts as blown up
+DURATION = 6.28  # [s] two periods of (37), (38), the second of which gives the error
+BLOWN_UP = 2.0  # Factor on the pose RMSE beyond which a completed run counts as blown up
 QUICK = (
     ("masses", "-20 %"),
     ("masses", "+20 %"),
@@ -38,24 +38,24 @@ def scaled_network(network: TunerNetwork, omega_q: float = 1.0, omega_r: float =
     )
 
 
-def changes(base: Scenario, folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
-    """Factor and its new value -> keys of the scenario; bodies are those of the robot, not of the model."""
-    robot, believed = base.robot, {"model.robot": asdict(base.belief.robot)}
+def changes(base: Scenario, folder: Path) -> dict[tuple[str, str], dict[str, object]]:
+    """Factor and its new value -> keys of the scenario; bodies of the robot change, the model does not."""
+    robot, model = base.robot, {"model.robot": asdict(base.belief.robot)}
     network, window = base.tuner.network(), isinstance(base.tuner, PaperTuner)
 
-    def bodies(name: str, factor: float) -> dict[str, Any]:
+    def bodies(name: str, factor: float) -> dict[str, object]:
         keys = [f"{body}_{name}" for body in ("platform", "rod", "crank")]
-        return believed | {f"robot.{key}": (factor * np.array(getattr(robot, key))).tolist() for key in keys}
+        return model | {f"robot.{key}": (factor * np.array(getattr(robot, key))).tolist() for key in keys}
 
-    def weight(name: str, factor: float) -> dict[str, Any]:
+    def weight(name: str, factor: float) -> dict[str, object]:
         if network is None:
             return {f"tuner.{name}": factor * getattr(base.tuner, name)}
         path = folder / f"tuner-{name}-{factor:g}.json"
         scaled_network(network, **{name: factor}).save(path)
         return {"tuner.weights_file": str(path.absolute())}
 
-    def rods(step: float) -> dict[str, Any]:
-        return believed | {"robot.rod_length": (np.array(robot.rod_length) + 1e-3 * step).tolist()}
+    def rods(step: float) -> dict[str, object]:
+        return model | {"robot.rod_length": (np.array(robot.rod_length) + 1e-3 * step).tolist()}
 
     def percent(factor: float) -> str:
         return f"{100.0 * (factor - 1.0):+.0f} %"

@@ -7,6 +7,7 @@ import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from stewart_drake.analysis.feasibility import NEAR, sample_poses
@@ -32,7 +33,7 @@ from stewart_drake.robot import RobotParameters
 
 KINDS: tuple[ForceMapKind, ...] = ("printed", "statics")
 DEAD = 1e-6
-"""[-] a transmission below this is a dead centre found by bisection: it vanishes with the root of the distance."""
+"""[-] transmission of a dead centre that bisection has found: it vanishes with the root of the distance."""
 PERIODS = (1e-4, 1e-3, 5e-3, 2e-2, 0.1)  # [s] control periods that are compared; the paper gives none
 
 
@@ -50,10 +51,10 @@ class Singularity(NamedTuple):
 def first_singularity(robot: RobotParameters, direction: np.ndarray, most: float) -> Singularity | None:
     """The first of 400 poses on a ray where a crank is at its dead centre or the determinant of the rods vanishes."""
 
-    def margin(distance: Any) -> Any:
+    def margin(distance: ArrayLike) -> np.ndarray:
         return reach_margin(robot, robot.home_pose + np.multiply.outer(distance, direction)).min(axis=-1)
 
-    def determinant(distance: Any) -> Any:
+    def determinant(distance: ArrayLike) -> np.ndarray:
         return np.linalg.det(rod_lines(leg_geometry(robot, robot.home_pose + np.multiply.outer(distance, direction))))
 
     walk, end = np.linspace(0.0, most, 401), None
@@ -71,7 +72,7 @@ def first_singularity(robot: RobotParameters, direction: np.ndarray, most: float
 
 
 def matrices_21_22_24(tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A_bar, B_bar and C_bar entry by entry as (21), (22), (24) say, indices from 1; `tau` stands in B_bar's rows."""
+    """A_bar, B_bar and C_bar by the indices of (21), (22), (24), which begin at 1, with the rows of `tau` in B_bar."""
     a, b, c = np.zeros((12, 12)), np.zeros((12, 6)), np.zeros((6, 12))
     for k in range(1, 7):
         even, odd = 2 * k, 2 * k - 1
@@ -82,7 +83,7 @@ def matrices_21_22_24(tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def inputs_at(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind) -> np.ndarray | None:
-    """M^-1 tau (6, 6) at a pose, a transmission within rounding of zero put there; None where `statics` is infinite."""
+    """M^-1 tau (6, 6) at a pose, with a transmission near zero set to zero; None where `statics` is infinite."""
     legs = leg_geometry(robot, pose)
     transmission = np.where(np.abs(legs.transmission) < DEAD, 0.0, legs.transmission)
     if kind == "statics" and not transmission.all():
@@ -100,13 +101,13 @@ def stabilisability_rank(robot: RobotParameters, pose: np.ndarray, kind: ForceMa
 def _hautus(a: np.ndarray, b: np.ndarray) -> int:
     """Rank of [lambda I - A, B] at the only mode of (25), zero: (28); and with transposed matrices (29).
 
-    Deviation: the test concerns Re(lambda) >= 0; the print says lambda <= 0 and counts columns of B.
+    Deviation: the test is for Re(lambda) >= 0; the paper prints lambda <= 0 and counts columns of B.
     """
     return int(np.linalg.matrix_rank(np.hstack([-a, b])))
 
 
 def nonzero_columns(robot: RobotParameters, pose: np.ndarray) -> int:
-    """Columns of the printed B that are not zero, which the paper's text counts in place of the rank."""
+    """Nonzero columns of the printed B, which the paper counts in place of the rank."""
     return int(np.any(inputs_at(robot, pose, "printed") != 0.0, axis=0).sum())
 
 
@@ -133,12 +134,12 @@ def whole_gain(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> np
 
 
 def gain_without_discretisation(at_pose: np.ndarray, ratio: float) -> np.ndarray:
-    """K (6, 18) of the discrete (31) with the continuous A, B of (25) in it, as the paper's text has it."""
+    """K (6, 18) of the discrete (31) with the continuous A, B of (25), as in the paper's text."""
     return whole_gain(state_matrix(), input_matrix(at_pose), ratio * np.eye(STATES), np.eye(AXES))
 
 
 def decay_limit(weights: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> float:
-    """Slowest decay [rad/s] that remains however cheap the torque: stable roots of q_v p^4 - q_e p^2 + q_z."""
+    """Limit of the slowest decay [rad/s] for r -> 0: stable roots of q_v p^4 - q_e p^2 + q_z."""
     q_e, q_v, q_z = weights
     return float(np.sqrt(np.roots([q_v, -q_e, q_z]).astype(complex)).real.min())
 

@@ -1,4 +1,4 @@
-"""Abstract and section IV: the workspace of the states and the torques, which motions under the controller visit."""
+"""Abstract and section IV: states and torques of motions under the controller."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from stewart_drake.studies.visited import motion_numbers
 from stewart_drake.studies.workers import Workers
 
 LARGE_SPREAD = 1.5
-"""[-] factor between the largest torques of runs, beyond which the region is the motion's own."""
+"""[-] ratio of the largest torques of runs beyond which the region depends on the motion."""
 
 
 def reproduce(study: Reproduction) -> Result:

@@ -1,33 +1,49 @@
-"""The closed form: the robot in the six coordinates of its platform.
+"""The closed-form plant: the robot's dynamics in the six coordinates of its platform, compiled.
 
-`semi_implicit` steps as the `MultibodyPlant` does, of first order like SAP: accelerations at the step's beginning,
-friction and pose at its end. `rk4` is the classical Runge-Kutta method of order 4 on the same equations.
+`semi_implicit` is of first order, as Drake's SAP: accelerations at the beginning of a step, friction and pose at its
+end. `rk4` is the classical Runge-Kutta method of order 4 on the same equations.
 """
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from stewart_drake.base.errors import SingularPoseError
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Mat3, Mat6, Matrix, Record, Vec3, Vec6, Vec12, record
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import loads, task_inertia
-from stewart_drake.mechanics.friction import SWEEPS, implicit_torque, update_bristles
+from stewart_drake.mechanics.friction import SWEEPS, Bristles, Friction, implicit_torque, update_bristles
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry, pose_rate_to_twist
-from stewart_drake.mechanics.linear_algebra import copy_to, solve
+from stewart_drake.mechanics.kinematics_laws import Legs, Robot
+from stewart_drake.mechanics.linear_algebra import any_nonzero, copy_to, solve
 from stewart_drake.plant.model_files import HomeFrames, home_frames
 from stewart_drake.plant.plant_options import MechanismOptions, foreign_state
 from stewart_drake.robot import RobotParameters
 
-STATE = fields(pose=6, pose_rate=6, angles=6, crank_rate=6, twist=6, anchor=6, slip=6)
-"""What there is to know of the robot at an instant; first what is measured. pose: [rad, m], pitch in [-pi/2, pi/2].
-pose_rate: Euler rates and velocity [rad/s, m/s]. angles: of the cranks [rad], not wrapped. crank_rate: theirs [rad/s].
-twist: in B [rad/s, m/s]. anchor: of the bristles [rad]. slip: speed of the anchors in the step before [rad/s]."""
-PARAMS = fields(gravity=(), step=())  # [m/s^2], [s].
-FINER = 8  # Steps of `rk4` for one in which a motor with dry friction turns round or sticks.
+SUBSTEPS = 8
+"""Of `rk4` in a step in which a motor with dry friction reverses or sticks."""
+
+
+class ClosedFormState(Record):
+    """State of the plant; the first four fields are what a `Plant` measures."""
+
+    pose: Vec6  # [rad, m], pitch in [-pi/2, pi/2].
+    pose_rate: Vec6  # [rad/s, m/s] Euler rates and velocity.
+    angles: Vec6  # [rad] of the cranks, not wrapped.
+    crank_rate: Vec6  # [rad/s]
+    twist: Vec6  # [rad/s, m/s] in B.
+    bristles: Bristles
+
+
+class ClosedFormParams(Record):
+    """Parameters of the plant."""
+
+    gravity: float  # [m/s^2]
+    step: float  # [s]
 
 
 class ClosedFormOptions(MechanismOptions):
@@ -37,30 +53,30 @@ class ClosedFormOptions(MechanismOptions):
 
     kind: Literal["closed_form"] = "closed_form"
     integrator: Literal["semi_implicit", "rk4"] = "semi_implicit"
-    """How a step is taken: as Drake does, of first order, or by Runge-Kutta of order 4. Where a motor with dry friction
-    turns round or sticks, both are of first order."""
+    """Integration: semi-implicit of first order, as in Drake, or Runge-Kutta of order 4. When a motor with dry friction
+    reverses or sticks, both are of first order."""
 
     def make(self, robot: RobotParameters, gravity: float) -> ClosedForm:
         return ClosedForm(robot, self, gravity)
 
 
 class ClosedForm:
-    """The robot as a `Plant`; of the options count time step, friction and payload."""
+    """The robot as a `Plant`; it uses time step, friction and payload of the options."""
 
     def __init__(self, robot: RobotParameters, options: MechanismOptions, gravity: float) -> None:
-        self._robot, self._home, self._state = robot, home_frames(robot), np.zeros(1, STATE)
+        self._robot, self._home, self._state = robot, home_frames(robot), ClosedFormState.new()
         self._measured = self._state.view(np.float64)[:24]
-        params = new_record(PARAMS, gravity=gravity, step=on_grid(options.time_step))
-        # Other plants' options are stepped as Drake does.
+        params = ClosedFormParams.new(gravity=gravity, step=on_grid(options.time_step))
+        # With options of other plants too, semi-implicit.
         self._kernel = _rk4 if getattr(options, "integrator", "") == "rk4" else _semi_implicit
-        self._fixed = options.loaded(robot), options.friction_of(robot), params, laws.Legs.empty()
+        self._fixed = options.loaded(robot), options.friction_of(robot), params, Legs.empty()
 
     def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
-        """Begins at a pose (6,) and its rate (6,), friction without tension."""
+        """Begins at a pose (6,) and its rate (6,), with relaxed bristles."""
         angles, rates = crank_motion(self._robot, self._home, pose, pose_rate)
-        moving = {"pose": pose, "pose_rate": pose_rate, "angles": angles, "crank_rate": rates}
-        twist = pose_rate_to_twist(pose, pose_rate)
-        return self.restore(new_record(STATE, **moving, twist=twist, anchor=angles))
+        state = ClosedFormState.new(pose=pose, pose_rate=pose_rate, angles=angles, crank_rate=rates)
+        state["twist"], state["bristles"]["anchor"] = pose_rate_to_twist(pose, pose_rate), angles
+        return self.restore(state)
 
     def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         """A step; SingularPoseError at a dead centre."""
@@ -69,11 +85,11 @@ class ClosedForm:
             raise SingularPoseError("serial", self._state["pose"][0].copy(), margin, 0.0, leg)
         return self._measured
 
-    def save(self) -> np.ndarray:
+    def save(self) -> ClosedFormState:
         return self._state.copy()
 
-    def restore(self, state: np.ndarray) -> np.ndarray:
-        if getattr(state, "dtype", None) != STATE:
+    def restore(self, state: ClosedFormState) -> np.ndarray:
+        if getattr(state, "dtype", None) != ClosedFormState.layout:
             raise foreign_state(state, "a closed form")
         self._state[:] = state
         return self._measured
@@ -82,56 +98,77 @@ class ClosedForm:
 def crank_motion(
     robot: RobotParameters, home: HomeFrames, pose: np.ndarray, pose_rate: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Angles of the cranks [rad], within half a turn of home, and their rates [rad/s], (6,) of a pose and its rate."""
+    """Angles of the cranks (6,) [rad], within half a turn of home, and their rates (6,) [rad/s]."""
     angles = home.crank_angles + home.motor_angles(inverse_kinematics(robot, pose))
     return angles, crank_rates(robot, leg_geometry(robot, pose), pose, pose_rate)
 
 
 @njit
-def _accelerated(
-    robot: Any, legs: Any, twist: Any, gravity: float, torque: Any, wrench: Any, jacobian: Any, out: Any
+def _accelerations(
+    robot: Robot,
+    legs: Legs,
+    twist: Vec6,
+    gravity: float,
+    torque: Vec6,
+    wrench: Vec6,
+    jacobian: Mat6,
+    out: Matrix,
 ) -> None:
-    """Acceleration M^-1 (J' (torque - of_cranks) - load + wrench) in the last column; before it M^-1 J', if any."""
-    inertia, load, of_cranks, still, last = np.empty((6, 6)), np.empty(6), np.empty(6), np.zeros(6), out.shape[1] - 1
+    """Acceleration under torques and a wrench in the last column of `out` (6, 1 or 7), with M^-1 J' before it if 7."""
+    inertia, load, crank_torque, still, last = np.empty((6, 6)), np.empty(6), np.empty(6), np.zeros(6), out.shape[1] - 1
     task_inertia(robot, legs, inertia)
-    loads(robot, legs, twist, still, gravity, load, of_cranks)
+    loads(robot, legs, twist, still, gravity, load, crank_torque)
     laws.crank_jacobian(legs, jacobian)
     for k in range(6):
         out[k, last] = wrench[k] - load[k]
     for i in range(6):
-        given = torque[i] - of_cranks[i]
+        net = torque[i] - crank_torque[i]
         for k in range(6):
             if last == 6:
                 out[k, i] = jacobian[i, k]
-            out[k, last] += jacobian[i, k] * given
+            out[k, last] += jacobian[i, k] * net
     solve(inertia, out)
 
 
 @njit
-def _friction_torque(friction: Any, jacobian: Any, pushed: Any, step: float, state: Any, twist: Any, out: Any) -> None:
-    """Friction's torque (6,) at a step's end, viscous included, for the twist (6,) that there would be without it."""
+def _friction_torque(
+    friction: Friction,
+    jacobian: Mat6,
+    accelerations: Matrix,
+    step: float,
+    state: ClosedFormState,
+    twist: Vec6,
+    out: Vec6,
+) -> None:
+    """Friction torque at a step's end, viscous included, for the twist that there would be without it."""
     rates, mobility = np.zeros(6), np.zeros((6, 6))
     for i in range(6):
         for m in range(6):
             rates[i] += jacobian[i, m] * twist[m]
             for k in range(6):
-                mobility[i, k] += jacobian[i, m] * pushed[m, k]
-    implicit_torque(friction, state, state.angles, rates, mobility, step, SWEEPS, out)
+                mobility[i, k] += jacobian[i, m] * accelerations[m, k]
+    implicit_torque(friction, state.bristles, state.angles, rates, mobility, step, SWEEPS, out)
 
 
 @njit
-def _moved(rotation: Any, position: Any, turn: Any, shift: Any, pose: Any) -> None:
-    """The pose (6,) after a turn (3,) [rad], see `_turn`, and a shift (3,) [m]."""
-    turned = np.empty((3, 3))
+def _moved_pose(rotation: Mat3, position: Vec3, turn: Vec3, shift: Vec3, pose: Vec6) -> None:
+    """Pose after a turn [rad], see `_turn`, and a shift [m]."""
+    turned, axis, result = np.empty((3, 3)), np.empty(3), np.empty(3)
     for k in range(3):
-        _turn(rotation[:, k], turn, turned[:, k])
+        for i in range(3):
+            axis[i] = rotation[i, k]
+        _turn(axis, turn, result)
+        for i in range(3):
+            turned[i, k] = result[i]
         pose[3 + k] = position[k] + shift[k]
     laws.roll_pitch_yaw(turned, pose[:3])
 
 
 @njit
-def _arrive(robot: Any, friction: Any, legs: Any, step: float, pose: Any, twist: Any, state: Any) -> int:
-    """The state at a step's end; -1, or the leg that cannot span the pose there, and then the state is as it was."""
+def _end_step(
+    robot: Robot, friction: Friction, legs: Legs, step: float, pose: Vec6, twist: Vec6, state: ClosedFormState
+) -> int:
+    """Sets the state at a step's end; -1, or the leg that cannot span there, and then the state is not changed."""
     bad = laws.legs_at(robot, pose, legs)
     if bad >= 0:
         return bad
@@ -140,51 +177,65 @@ def _arrive(robot: Any, friction: Any, legs: Any, step: float, pose: Any, twist:
     laws.rate_of(pose, twist, state.pose_rate[:])
     laws.crank_rates(legs, twist, state.crank_rate[:])
     for i in range(6):
-        ahead = np.arctan2(legs.sine[i], legs.cosine[i]) - state.angles[i]
-        state.angles[i] += ahead - 2.0 * np.pi * np.rint(ahead / (2.0 * np.pi))
-    update_bristles(friction, state.angles[:], step, state.anchor[:], state.slip[:])
+        change = np.arctan2(legs.sine[i], legs.cosine[i]) - state.angles[i]
+        state.angles[i] += change - 2.0 * np.pi * np.rint(change / (2.0 * np.pi))
+    update_bristles(friction, state.angles[:], step, state.bristles.anchor[:], state.bristles.slip[:])
     return -1
 
 
 @njit
-def _semi_implicit(robot: Any, friction: Any, params: Any, legs: Any, torque: Any, wrench: Any, state: Any) -> Any:
-    """One step of M(pose) d(twist)/dt + h = J' (T + friction) + wrench (6,) [N m, N], the push from outside about P.
+def _semi_implicit(
+    robot: Robot,
+    friction: Friction,
+    params: ClosedFormParams,
+    legs: Legs,
+    torque: Vec6,
+    wrench: Vec6,
+    state: ClosedFormState,
+) -> tuple[int, float]:
+    """One step of M(pose) d(twist)/dt + h = J' (T + friction) + wrench [N m, N], the external one about P.
 
-    Returns -1, or the leg that cannot span, and then the state is as it was; its margin.
+    Returns -1, or the leg that cannot span, and then the state is not changed; its margin.
     """
     robot, friction, params, legs, state = record(robot), record(friction), record(params), record(legs), record(state)
-    step, jacobian, pushed = params.step, np.empty((6, 6)), np.empty((6, 7))
+    step, jacobian, accelerations = params.step, np.empty((6, 6)), np.empty((6, 7))
+    twist, move, pose, friction_torque = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
     bad = laws.legs_at(robot, state.pose[:], legs)
     if bad >= 0:
         return bad, legs.reach_margin[bad]
-    _accelerated(robot, legs, state.twist[:], params.gravity, torque, wrench, jacobian, pushed)
-    twist, pose = state.twist + step * pushed[:, 6], np.empty(6)
-    if _has_friction(friction):
-        friction_torque = np.empty(6)
-        _friction_torque(friction, jacobian, pushed, step, state, twist, friction_torque)
+    _accelerations(robot, legs, state.twist[:], params.gravity, torque, wrench, jacobian, accelerations)
+    for k in range(6):
+        twist[k] = state.twist[k] + step * accelerations[k, 6]
+    if any_nonzero(friction.break_away[:]) or any_nonzero(friction.viscous[:]):
+        _friction_torque(friction, jacobian, accelerations, step, state, twist, friction_torque)
         for k in range(6):
             for i in range(6):
-                twist[k] += step * pushed[k, i] * friction_torque[i]
-    _moved(legs.rotation[:], state.pose[3:], step * twist[:3], step * twist[3:], pose)
-    bad = _arrive(robot, friction, legs, step, pose, twist, state)
+                twist[k] += step * accelerations[k, i] * friction_torque[i]
+    for k in range(6):
+        move[k] = step * twist[k]
+    _moved_pose(legs.rotation[:], state.pose[3:], move[:3], move[3:], pose)
+    bad = _end_step(robot, friction, legs, step, pose, twist, state)
     return bad, legs.reach_margin[max(bad, 0)]
 
 
 @njit
-def _has_friction(friction: Any) -> bool:
-    return (friction.break_away > 0.0).any() or (friction.viscous > 0.0).any()
-
-
-@njit
-def _rk4(robot: Any, friction: Any, params: Any, legs: Any, torque: Any, wrench: Any, state: Any) -> Any:
-    """`_semi_implicit` by Runge-Kutta of order 4, and by `FINER` steps where a motor with friction turns or sticks."""
-    before, step, dry = state.copy(), record(params).step, (record(friction).break_away > 0.0).any()
+def _rk4(
+    robot: Robot,
+    friction: Friction,
+    params: ClosedFormParams,
+    legs: Legs,
+    torque: Vec6,
+    wrench: Vec6,
+    state: ClosedFormState,
+) -> tuple[int, float]:
+    """`_semi_implicit` by Runge-Kutta of order 4, in `SUBSTEPS` if a motor with dry friction reverses or sticks."""
+    before, step, dry = state.copy(), record(params).step, any_nonzero(record(friction).break_away[:])
     bad, margin = _rk4_step(robot, friction, params, legs, torque, wrench, step, state)
-    if not dry or bad >= 0 or (before[0].crank_rate * state[0].crank_rate > 0.0).all():
+    if not dry or bad >= 0 or _keep_turning(record(before).crank_rate[:], record(state).crank_rate[:]):
         return bad, margin
     state[0] = before[0]
-    for _ in range(FINER):
-        bad, margin = _rk4_step(robot, friction, params, legs, torque, wrench, step / FINER, state)
+    for _ in range(SUBSTEPS):
+        bad, margin = _rk4_step(robot, friction, params, legs, torque, wrench, step / SUBSTEPS, state)
         if bad >= 0:
             state[0] = before[0]
             break
@@ -192,18 +243,36 @@ def _rk4(robot: Any, friction: Any, params: Any, legs: Any, torque: Any, wrench:
 
 
 @njit
-def _rk4_step(
-    robot: Any, friction: Any, params: Any, legs: Any, torque: Any, wrench: Any, step: float, state: Any
-) -> Any:
-    """A step of order 4 [s]: W. Kutta, Z. Math. Phys. 46 (1901) 435.
+def _keep_turning(before: Vec6, after: Vec6) -> bool:
+    """Whether no crank rests or has reversed."""
+    for i in range(6):  # noqa: SIM110 - numba knows no generators here
+        if not before[i] * after[i] > 0.0:
+            return False
+    return True
 
-    A turn is integrated in the coordinates of `_turn`. Dry friction is that of a semi-implicit step, and constant.
+
+@njit
+def _rk4_step(
+    robot: Robot,
+    friction: Friction,
+    params: ClosedFormParams,
+    legs: Legs,
+    torque: Vec6,
+    wrench: Vec6,
+    step: float,
+    state: ClosedFormState,
+) -> tuple[int, float]:
+    """A step [s] of order 4: W. Kutta, Z. Math. Phys. 46 (1901) 435.
+
+    Rotations are integrated in the coordinates of `_turn`. Dry friction is that of a semi-implicit step, and constant.
     """
     robot, friction, params, legs, state = record(robot), record(friction), record(params), record(legs), record(state)
     jacobian, acceleration = np.empty((6, 6)), np.empty((6, 1))
     # Turn, shift and change of the twist since the step's beginning, their rates in a stage, and the mean of these.
     change, rate, mean = np.zeros(12), np.empty(12), np.zeros(12)
-    given, twist, pose, start = torque.copy(), np.empty(6), state.pose.copy(), np.empty((3, 3))
+    held, applied, twist, pose, start = np.empty(6), np.empty(6), np.empty(6), np.empty(6), np.empty((3, 3))
+    copy_to(held, torque)
+    copy_to(pose, state.pose[:])
     for stage in range(4):
         bad = laws.legs_at(robot, pose, legs)
         if bad >= 0:
@@ -211,31 +280,32 @@ def _rk4_step(
         for k in range(6):
             twist[k] = state.twist[k] + change[6 + k]
         if stage == 0:
-            start[:] = legs.rotation
-            if _has_friction(friction):
-                _hold_dry_friction(robot, friction, params, legs, wrench, step, state, given)
-        with_viscous = given.copy()
-        _add_viscous(friction, legs, twist, with_viscous)
-        _accelerated(robot, legs, twist, params.gravity, with_viscous, wrench, jacobian, acceleration)
+            for k in range(3):
+                copy_to(start[k], legs.rotation[k])
+            if any_nonzero(friction.break_away[:]) or any_nonzero(friction.viscous[:]):
+                _add_dry_friction(robot, friction, params, legs, wrench, step, state, held)
+        copy_to(applied, held)
+        _add_viscous_friction(friction, legs, twist, applied)
+        _accelerations(robot, legs, twist, params.gravity, applied, wrench, jacobian, acceleration)
         _turn_rate(change[:3], twist[:3], rate[:3])
         for k in range(3):
             rate[3 + k] = twist[3 + k]
         for k in range(6):
             rate[6 + k] = acceleration[k, 0]
-        share, ahead = (2.0 if 0 < stage < 3 else 1.0) / 6.0, 0.5 if stage < 2 else 1.0
+        weight, ahead = (2.0 if 0 < stage < 3 else 1.0) / 6.0, 0.5 if stage < 2 else 1.0
         for k in range(12):
-            mean[k] += share * rate[k]
+            mean[k] += weight * rate[k]
             change[k] = step * (ahead * rate[k] if stage < 3 else mean[k])
-        _moved(start, state.pose[3:], change[:3], change[3:6], pose)
+        _moved_pose(start, state.pose[3:], change[:3], change[3:6], pose)
     for k in range(6):
         twist[k] = state.twist[k] + change[6 + k]
-    bad = _arrive(robot, friction, legs, step, pose, twist, state)
+    bad = _end_step(robot, friction, legs, step, pose, twist, state)
     return bad, legs.reach_margin[max(bad, 0)]
 
 
 @njit
-def _add_viscous(friction: Any, legs: Any, twist: Any, torque: Any) -> None:
-    """Adds to torques (6,) the viscous friction at a twist (6,)."""
+def _add_viscous_friction(friction: Friction, legs: Legs, twist: Vec6, torque: Vec6) -> None:
+    """Adds the viscous friction at a twist to torques."""
     for i in range(6):
         torque[i] -= (
             friction.viscous[i]
@@ -246,20 +316,28 @@ def _add_viscous(friction: Any, legs: Any, twist: Any, torque: Any) -> None:
 
 @njit
 def motion_rate(
-    robot: Any, friction: Any, gravity: float, legs: Any, motion: Any, torque: Any, wrench: Any, out: Any
-) -> Any:
-    """Time derivative (12,) of pose and rate (12,) in Euler angles, for other people's integrators.
+    robot: Robot,
+    friction: Friction,
+    gravity: float,
+    legs: Legs,
+    motion: Vec12,
+    torque: Vec6,
+    wrench: Vec6,
+    out: Vec12,
+) -> tuple[int, float]:
+    """Time derivative of pose and pose rate in Euler angles, with viscous friction only, for other integrators.
 
-    Of friction the viscous one counts. Returns leg and margin as `_semi_implicit`.
+    Returns leg and margin as `_semi_implicit`.
     """
     robot, friction, legs = record(robot), record(friction), record(legs)
-    twist, given, jacobian, acceleration = np.empty(6), torque.copy(), np.empty((6, 6)), np.empty((6, 1))
+    twist, applied, jacobian, acceleration = np.empty(6), np.empty(6), np.empty((6, 6)), np.empty((6, 1))
     bad = laws.legs_at(robot, motion[:6], legs)
     if bad >= 0:
         return bad, legs.reach_margin[bad]
     laws.twist_of(motion[:6], motion[6:], twist)
-    _add_viscous(friction, legs, twist, given)
-    _accelerated(robot, legs, twist, gravity, given, wrench, jacobian, acceleration)
+    copy_to(applied, torque)
+    _add_viscous_friction(friction, legs, twist, applied)
+    _accelerations(robot, legs, twist, gravity, applied, wrench, jacobian, acceleration)
     laws.euler_drift(motion[:3], motion[6:], out[6:9])
     for k in range(6):
         out[k] = motion[6 + k]
@@ -269,17 +347,25 @@ def motion_rate(
 
 
 @njit
-def _hold_dry_friction(
-    robot: Any, friction: Any, params: Any, legs: Any, wrench: Any, step: float, state: Any, torque: Any
+def _add_dry_friction(
+    robot: Robot,
+    friction: Friction,
+    params: ClosedFormParams,
+    legs: Legs,
+    wrench: Vec6,
+    step: float,
+    state: ClosedFormState,
+    torque: Vec6,
 ) -> None:
-    """Adds to torques (6,) the dry friction of a semi-implicit step: all of it less what is viscous at its end."""
-    jacobian, pushed = np.empty((6, 6)), np.empty((6, 7))
-    _accelerated(robot, legs, state.twist[:], params.gravity, torque, wrench, jacobian, pushed)
-    twist, friction_torque = state.twist + step * pushed[:, 6], np.empty(6)
-    _friction_torque(friction, jacobian, pushed, step, state, twist, friction_torque)
+    """Adds the dry friction of a semi-implicit step to torques: its friction without the viscous part at its end."""
+    jacobian, accelerations, twist, friction_torque = np.empty((6, 6)), np.empty((6, 7)), np.empty(6), np.empty(6)
+    _accelerations(robot, legs, state.twist[:], params.gravity, torque, wrench, jacobian, accelerations)
+    for k in range(6):
+        twist[k] = state.twist[k] + step * accelerations[k, 6]
+    _friction_torque(friction, jacobian, accelerations, step, state, twist, friction_torque)
     for i in range(6):
         for k in range(6):
-            twist[k] += step * pushed[k, i] * friction_torque[i]
+            twist[k] += step * accelerations[k, i] * friction_torque[i]
     for i in range(6):
         rate = 0.0
         for k in range(6):
@@ -288,9 +374,11 @@ def _hold_dry_friction(
 
 
 @njit
-def _turn(axis: Any, turn: Any, out: Any) -> None:
-    """An axis (3,) after a turn (3,) [rad]: by 2 atan(|turn| / 2) about it, a step of a quaternion of length one."""
-    half, inner, outer = 0.5 * turn, np.empty(3), np.empty(3)
+def _turn(axis: Vec3, turn: Vec3, out: Vec3) -> None:
+    """An axis after a turn [rad]: by 2 atan(|turn| / 2) about it, a step of a unit quaternion."""
+    half, inner, outer = np.empty(3), np.empty(3), np.empty(3)
+    for k in range(3):
+        half[k] = 0.5 * turn[k]
     scale = 2.0 / (1.0 + half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
     laws.cross(half, axis, inner)
     for k in range(3):
@@ -301,8 +389,8 @@ def _turn(axis: Any, turn: Any, out: Any) -> None:
 
 
 @njit
-def _turn_rate(turn: Any, omega: Any, out: Any) -> None:
-    """Rate (3,) [rad/s] of a turn of `_turn`, after which the angular velocity in B is omega (3,) [rad/s]."""
+def _turn_rate(turn: Vec3, omega: Vec3, out: Vec3) -> None:
+    """Rate [rad/s] of a turn of `_turn`, after which the angular velocity in B is omega [rad/s]."""
     across, along = np.empty(3), 0.25 * laws.dot(turn, omega)
     laws.cross(omega, turn, across)
     for k in range(3):

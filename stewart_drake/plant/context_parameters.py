@@ -1,4 +1,4 @@
-"""Numbers by name in the Context of a LeafSystem."""
+"""Numeric parameters by name in the Context of a LeafSystem."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from stewart_drake.base.errors import ConfigurationError, drake_guard
 from stewart_drake.base.keys import join_or
 
 _COUNTS = ("ahead", "age", "half")
-"""Fields of parts' records that are rows of their memory: compiled laws would write beside it."""
+"""Fields that count rows of a part's memory; another number would let a compiled law write outside of it."""
 
 
 class WithParameters:
-    """What a LeafSystem with records and arrays of float64 as numeric parameters inherits from."""
+    """Base of a LeafSystem whose numeric parameters are records and arrays of float64."""
 
     def declare_parameters(self: Any, values: Mapping[str, np.ndarray], vector: Any = BasicVector) -> Any:
-        """Declares what a Context begins with, by name, as one parameter of Drake's; `vector` is of its scalar.
+        """Declares parameters with their defaults as one numeric parameter of Drake's, a `vector` of its scalar type.
 
         Returns a record () with all of them, which `read_parameters` fills.
         """
@@ -40,24 +40,23 @@ class WithParameters:
 
     @checked
     def parameter(self: Any, context: Context, name: str) -> np.ndarray:
-        """A parameter, a record (1,) or an array, as a view to be read and written; `context` of the Diagram."""
+        """A parameter, a record (1,) or an array, as a view to read and write; `context` of the Diagram."""
         if name not in (names := self._parameters_read.dtype.names or ()):
             raise ConfigurationError("parameter", name, join_or(names) or "nothing: this system has none")
         with drake_guard("finding a parameter"):
             vector = self.GetMyMutableContextFromRoot(context).get_mutable_numeric_parameter(self._parameter_index)
-            parameter: np.ndarray = np.ndarray((), self._parameters_read.dtype, vector.get_mutable_value())[name]
-        return parameter
+            return np.asarray(np.ndarray((), self._parameters_read.dtype, vector.get_mutable_value())[name])
 
     def read_parameters(self: Any, context: Any) -> None:
-        """Fills the record with what is in a Context of the system; without derivatives."""
-        # A view that outlived its Context would keep Python's name for it, and pydrake give that to the next Context
-        # at this address.
+        """Fills the record with the values in a Context of the system; without derivatives."""
+        # A copy: pydrake would give the Python object of a view that outlives its Context to the next Context at this
+        # address.
         if self._parameter_index is not None:
             vector = context.get_numeric_parameter(self._parameter_index)
             is_plain = isinstance(vector, BasicVector)
             self._parameters_flat[:] = vector.value() if is_plain else ExtractValue(vector.CopyToVector()).ravel()
             for name, count, as_built in self._counts:
-                if (given := self._parameters_read[name][count]) != as_built:
+                if (value := self._parameters_read[name][count]) != as_built:
                     raise ConfigurationError(
-                        f"{name}.{count}", given[0], f"{as_built[0]:g}, which its part is built for"
+                        f"{name}.{count}", value[0], f"{as_built[0]:g}, which its part is built for"
                     )

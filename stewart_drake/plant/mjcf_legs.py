@@ -1,7 +1,7 @@
-"""The mechanism in an MJCF model: its six legs found by what is joined to what, its frames matched to a robot's.
+"""The mechanism in an MJCF model: finds its six legs by connectivity, and matches its frames to a robot's.
 
-A motor turns a crank; a passive joint leads on to a rod, another one to the platform. Passive joints are balls, hinges
-without a motor, and `connect` equalities; two hinges and a cross between them will do for one. Points and directions
+A motor turns a crank; a passive joint connects it to a rod, another one the rod to the platform. Passive joints are
+balls, hinges without a motor, and `connect` equalities; or two hinges with a cross between them. Points and directions
 are in the world, in the configuration of the file.
 """
 
@@ -21,8 +21,8 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
 ALLOWED = 1e-3
-"""[m] by which a model may be another robot than the one of the scenario."""
-_ALIKE = 1e-5  # [m] by which matches of legs must differ to be told apart by their fit.
+"""[m] largest misfit between a model and the scenario's robot."""
+_SAME_FIT = 1e-5  # [m] difference of fits below which they count as equal.
 _ORDERS = np.array(list(permutations(range(LEG_COUNT))))
 
 
@@ -42,22 +42,23 @@ class Legs(NamedTuple):
 
 
 def connect_ends(model: Any, data: Any, equality: int) -> list[tuple[int, np.ndarray]]:
-    """The two points that a `connect` holds together: body, and place in the world (3,) [m]."""
+    """The two points that a `connect` joins: body, and position in the world (3,) [m]."""
     ids = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
     if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
         return [
-            (int(model.site_bodyid[site]), _seen(data, model.site_bodyid[site], model.site_pos[site])) for site in ids
+            (int(model.site_bodyid[site]), _in_world(data, model.site_bodyid[site], model.site_pos[site]))
+            for site in ids
         ]
     places = model.eq_data[equality, :6].reshape(2, 3)
-    return [(body, _seen(data, body, place)) for body, place in zip(ids, places, strict=True)]
+    return [(body, _in_world(data, body, place)) for body, place in zip(ids, places, strict=True)]
 
 
-def _seen(data: Any, body: int, place: np.ndarray) -> np.ndarray:
+def _in_world(data: Any, body: int, place: np.ndarray) -> np.ndarray:
     return np.asarray(data.xpos[body] + data.xmat[body].reshape(3, 3) @ place)
 
 
 def rigid_roots(model: Any) -> np.ndarray:
-    """(nbody,) for each body the topmost one that it is rigidly fixed to; 0 for the world."""
+    """(nbody,) topmost body to which a body is rigidly fixed; 0 for the world."""
     roots = np.arange(model.nbody)
     for body in range(1, model.nbody):
         if model.body_jntnum[body] == 0:
@@ -66,22 +67,22 @@ def rigid_roots(model: Any) -> np.ndarray:
 
 
 def find_legs(model: Any, motors: Collection[int]) -> Legs | int:
-    """The six legs that motors (joints) drive; else how many legs the best platform has."""
+    """The six legs driven by motors (joints); else the number of legs of the best platform."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     root, driven = rigid_roots(model), {int(model.jnt_bodyid[joint]): joint for joint in motors}
-    # Body -> what leaves it: equality or None, where it leaves, body and place where it arrives.
+    # Body -> its passive joints: number, equality or None, position on the body, other body, position on that.
     leaving: dict[int, list[Any]] = {}
     for number, (equality, ends) in enumerate(_passive(model, data, driven)):
         for (body, near), (other, far) in (ends, ends[::-1]):
             leaving.setdefault(int(root[body]), []).append((number, equality, near, int(root[other]), far))
 
     def leg(first: Any) -> Any:
-        """Crank, bodies between, its tip, seat, equalities, length of the bodies between; None where there is none."""
+        """Crank, bodies between, its tip, seat, equalities, length of the bodies between; None if it is no leg."""
         number, equality, seat, body, place = first
         between, closures, length = [], [equality], 0.0
         while body not in driven:
-            onward = [each for each in leaving[body] if each[0] != number]
+            onward = [joint for joint in leaving[body] if joint[0] != number]
             if len(onward) != 1 or body in between or body == 0:
                 return None
             between.append(body)
@@ -91,28 +92,28 @@ def find_legs(model: Any, motors: Collection[int]) -> Legs | int:
             place = far
         return (body, between, place, seat, closures, length) if between else None
 
-    found = {body: [each for each in map(leg, first) if each] for body, first in leaving.items() if body not in driven}
-    platform = max(found, key=lambda body: len(found[body]), default=0)
-    legs = found.get(platform, [])
-    if len(legs) != LEG_COUNT or len({each[0] for each in legs}) != LEG_COUNT:
+    legs_of = {body: list(filter(None, map(leg, first))) for body, first in leaving.items() if body not in driven}
+    platform = max(legs_of, key=lambda body: len(legs_of[body]), default=0)
+    legs = legs_of.get(platform, [])
+    if len(legs) != LEG_COUNT or len({crank for crank, *_ in legs}) != LEG_COUNT:
         return len(legs)
     cranks, rods, tips, seats, closures, lengths = zip(*legs, strict=True)
     joints = [driven[crank] for crank in cranks]
     axes, anchors = data.xaxis[joints], data.xanchor[joints]
     centres = anchors + np.sum(axes * (np.array(tips) - anchors), axis=-1, keepdims=True) * axes
-    closing = [each for one in closures for each in one if each is not None]
-    found_points = centres, axes, np.array(tips), np.array(seats), np.array(lengths)
-    return Legs(joints, list(cranks), list(rods), platform, closing, *found_points)
+    equalities = [equality for leg in closures for equality in leg if equality is not None]
+    points = centres, axes, np.array(tips), np.array(seats), np.array(lengths)
+    return Legs(joints, list(cranks), list(rods), platform, equalities, *points)
 
 
 def _passive(model: Any, data: Any, driven: Collection[int]) -> Iterator[tuple[int | None, Any]]:
-    """Passive joints: the equality, None in the tree; both ends, body and place (3,) [m]."""
-    # Numbers: MuJoCo's own names are not equal to numpy's integers, which are equal to them.
+    """Passive joints: the equality, or None in the tree; both ends, body and position (3,) [m]."""
+    # As numbers: MuJoCo's enums compare unequal to numpy's integers.
     turning = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_HINGE)
     for body in range(1, model.nbody):
         first, count = model.body_jntadr[body], model.body_jntnum[body]
         if count and body not in driven and np.isin(model.jnt_type[first : first + count], turning).all():
-            yield None, [(each, data.xanchor[first].copy()) for each in (body, model.body_parentid[body])]
+            yield None, [(end, data.xanchor[first].copy()) for end in (body, model.body_parentid[body])]
     for equality in range(model.neq):
         if model.eq_type[equality] == mujoco.mjtEq.mjEQ_CONNECT and model.eq_active0[equality]:
             yield equality, connect_ends(model, data, equality)
@@ -120,12 +121,12 @@ def _passive(model: Any, data: Any, driven: Collection[int]) -> Iterator[tuple[i
 
 @dataclass(frozen=True)
 class Fit:
-    """How a model's legs and frames are a robot's."""
+    """Match of a model's legs and frames to a robot's."""
 
-    order: np.ndarray  # (6,) for each leg of the robot that of the model.
+    order: np.ndarray  # (6,) the model's leg for a leg of the robot.
     base: tuple[np.ndarray, np.ndarray]  # Rotation (3, 3) [-] and origin (3,) [m] of B in the world.
-    platform: tuple[np.ndarray, np.ndarray]  # Those of P, in the configuration of the file.
-    signs: np.ndarray  # (6,) [-] of the motors' axes, in the robot's order as what follows.
+    platform: tuple[np.ndarray, np.ndarray]  # The same of P, in the configuration of the file.
+    signs: np.ndarray  # (6,) [-] of the motors' axes, in the robot's order, as all that follows.
     angles: np.ndarray  # (6,) [rad] theta of the cranks in the configuration of the file, in any turn.
     residual: float  # [m] largest difference.
     worst: str  # Where it is.
@@ -134,8 +135,8 @@ class Fit:
 def fit_frames(robot: RobotParameters, legs: Legs) -> Fit:
     """Matches shafts and platform joints by least squares over all orders of the legs.
 
-    W. Kabsch, Acta Cryst. A32 (1976) 922. Of orders that fit alike, as those of a symmetric robot do, it takes that
-    with the platform nearest to its home pose, then that with the base nearest to the world's axes.
+    W. Kabsch, Acta Cryst. A32 (1976) 922. Of orders that fit equally, as those of a symmetric robot, it takes the one
+    with the platform nearest to its home pose, then the one with the base nearest to the world's axes.
     """
     base, base_at, base_error = _rigid(robot.shaft_positions, legs.centres)
     plate, plate_at, plate_error = _rigid(robot.platform_joints, legs.seats)
@@ -144,7 +145,7 @@ def fit_frames(robot: RobotParameters, legs: Legs) -> Fit:
     away = np.linalg.norm(np.einsum("nji,nj->ni", base, plate_at - base_at) - home[3:], axis=-1)
     size = np.linalg.norm(robot.shaft_positions - robot.shaft_positions.mean(axis=0), axis=-1).mean()
     near = np.trace(turned, axis1=1, axis2=2) - away / size + 0.1 * np.trace(base, axis1=1, axis2=2)
-    best = int(np.argmax(np.where(cost <= cost.min() + _ALIKE, near, -np.inf)))
+    best = int(np.argmax(np.where(cost <= cost.min() + _SAME_FIT, near, -np.inf)))
     order, rotation = _ORDERS[best], base[best]
     arm, axes = (legs.tips - legs.centres)[order] @ rotation, legs.axes[order] @ rotation
     along, up, of_robot = robot.crank_zero_directions, robot.crank_quarter_directions, -crank_lateral(robot)
@@ -164,7 +165,7 @@ def fit_frames(robot: RobotParameters, legs: Legs) -> Fit:
 
 
 def _rigid(robot: np.ndarray, model: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotations (n, 3, 3), shifts (n, 3) and mean square errors (n,) [m^2] of points (6, 3) to those in each order."""
+    """Rotations (n, 3, 3), shifts (n, 3) and mean square errors (n,) of points (6, 3) to all orders of others."""
     centre, to = robot.mean(axis=0), model.mean(axis=0)
     given, wanted = robot - centre, (model - to)[_ORDERS]
     u, s, vt = np.linalg.svd(np.einsum("nia,ib->nab", wanted, given))

@@ -30,22 +30,21 @@ _HOUSING_RADIUS = 3.6  # Of a motor, in multiples of the link radius: decoration
 
 @dataclass(frozen=True)
 class HomeFrames:
-    """Frames of cranks C_i and rods R_i at the home pose; at any other pose they turn with their links."""
+    """Frames of cranks C_i and rods R_i at the home pose; they move with their links."""
 
     crank_angles: np.ndarray  # (6,) [rad] theta_i at home.
-    # (6, 3, 3) [-] R_BC: x along the crank, z along which its tip moves, so the motor axis is -y.
-    crank_rotation: np.ndarray
+    crank_rotation: np.ndarray  # (6, 3, 3) R_BC: x along the crank, z along the motion of its tip; motor axis -y.
     crank_tips: np.ndarray  # (6, 3) [m] origins of the rod frames in B.
-    rod_rotation: np.ndarray  # (6, 3, 3) [-] R_BR: z along the rod, x the motor axis projected square to the rod.
-    stops: np.ndarray  # (6, 2) [rad] of the motors, from home, in the turn that holds it; infinite where there is none.
+    rod_rotation: np.ndarray  # (6, 3, 3) [-] R_BR: z along the rod, x the motor axis projected across the rod.
+    stops: np.ndarray  # (6, 2) [rad] of the motors, from home, in the turn that contains it; infinite without stops.
 
     @property
     def rod_in_crank(self) -> np.ndarray:
-        """(6, 3, 3) [-] R_CF: the rod joint's frame F, fixed in the crank, which is the rod's own frame at home."""
+        """(6, 3, 3) [-] R_CF: the rod joint's frame F, fixed in the crank, which is the rod's frame at home."""
         return np.swapaxes(self.crank_rotation, -1, -2) @ self.rod_rotation
 
     def motor_angles(self, crank_angles: np.ndarray) -> np.ndarray:
-        """Motor angles (..., 6) [rad], zero at home, of theta of any turn: within half a turn of the stops' middle."""
+        """Motor angles (..., 6) [rad], zero at home, of theta in any turn: within half a turn of the stops' middle."""
         middle = _middles(self.stops)
         off = crank_angles - self.crank_angles - middle
         return middle + np.arctan2(np.sin(off), np.cos(off))
@@ -57,7 +56,7 @@ def crank_lateral(robot: RobotParameters) -> np.ndarray:
 
 
 def crank_rotations(robot: RobotParameters, angles: np.ndarray) -> np.ndarray:
-    """R_BC (..., 6, 3, 3) [-] of cranks at theta (..., 6) [rad]: x along the crank, z along which its tip moves."""
+    """R_BC (..., 6, 3, 3) of cranks at theta (..., 6) [rad]: x along the crank, z along the motion of its tip."""
     cosine, sine = np.cos(angles)[..., None], np.sin(angles)[..., None]
     along, up = robot.crank_zero_directions, robot.crank_quarter_directions
     axes = cosine * along + sine * up, crank_lateral(robot), cosine * up - sine * along
@@ -65,7 +64,7 @@ def crank_rotations(robot: RobotParameters, angles: np.ndarray) -> np.ndarray:
 
 
 def rod_rotations(robot: RobotParameters, e_l: np.ndarray) -> np.ndarray:
-    """R_BR (..., 6, 3, 3) [-] of rods along e_l (..., 6, 3): z along it, x as near to the motor's axis as can be."""
+    """R_BR (..., 6, 3, 3) of rods along e_l (..., 6, 3): z along e_l, x the motor's axis projected across it."""
     lateral = crank_lateral(robot)
     along_motor = -lateral + np.sum(lateral * e_l, axis=-1, keepdims=True) * e_l
     x = along_motor / np.linalg.norm(along_motor, axis=-1, keepdims=True)
@@ -85,7 +84,7 @@ def home_frames(robot: RobotParameters) -> HomeFrames:
 
 
 def _middles(ranges: np.ndarray) -> np.ndarray:
-    """Middles (6,) of ranges (6, 2) [rad]; zero where there are no stops."""
+    """Middles (6,) of ranges (6, 2) [rad]; zero without stops."""
     return np.clip(ranges, -LARGEST_SIZE, LARGEST_SIZE).mean(axis=-1)
 
 
@@ -98,7 +97,7 @@ def sdf_text(
     name: str = "stewart",
     base: Sequence[Sequence[float]] | None = None,
 ) -> str:
-    """The robot as an SDF model for Drake's parser; pictures are written always.
+    """The robot as an SDF model for Drake's parser, always with visual geometry.
 
     Links `base` (welded to the world), `crank_0..5`, `rod_0..5`, `platform`; joints `motor_0..5` and `universal_0..5`
     or `ball_0..5`; six `drake:ball_constraint` close the loops. A universal joint has stops at -`joint_swing` and
@@ -109,10 +108,10 @@ def sdf_text(
     frames, radius = home_frames(robot), robot.link_radius
 
     def sides(z: float, place: Callable[..., Any] = lambda at, turn: (at, turn)) -> list[Any]:
-        """Where the six boxes of a disc stand."""
+        """Poses of the six boxes of a disc."""
         return [place((0.0, 0.0, z), (0.0, 0.0, side * math.pi / 6.0)) for side in range(6)]
 
-    # Of an upright crank R_BC = Rz(yaw) Ry(-theta): no rounding of a matrix on the way.
+    # Of an upright crank R_BC = Rz(yaw) Ry(-theta), exactly, without a matrix.
     crank_turns = [
         (0.0, -frames.crank_angles[leg], robot.crank_yaws[leg])
         if _upright(robot, leg)
@@ -136,13 +135,13 @@ def sdf_text(
         rod_turns=roll_pitch_yaw(frames.rod_rotation),
         housing_radius=_HOUSING_RADIUS * radius,
         housings=[_housing(robot, frames, leg) for leg in range(LEG_COUNT)],
-        # All of a link but two radii at either joint may collide.
+        # A link collides except within two radii of its joints.
         free_length=lambda span: max(span - 4.0 * radius, radius),
     )
 
 
 def on_platform(robot: RobotParameters, at: Any, turn: Any = (0.0, 0.0, 0.0)) -> tuple[Any, Any]:
-    """Position (3,) [m] and roll, pitch, yaw (3,) [rad] in the frame that poses tell of, of what has these in P."""
+    """Position (3,) [m] and roll, pitch, yaw (3,) [rad] given in P, in the frame of poses, which may be the tool's."""
     if robot.tool is None:
         return at, turn
     back = robot.tool_rotation.T
@@ -157,7 +156,7 @@ def _moments_and_products(robot: RobotParameters) -> tuple[np.ndarray, np.ndarra
 def write_sdf(
     robot: RobotParameters, path: str | Path, *, rod_joint: RodJoint = "universal", collision: bool = True
 ) -> None:
-    """Writes `sdf_text` to a file; a reader sees the old file or the new one, never a half.
+    """Writes `sdf_text` to a file, atomically.
 
     Raises:
         ConfigurationError: The folder is missing or not writable, or unknown `rod_joint`.
@@ -166,18 +165,16 @@ def write_sdf(
 
 
 def mjcf_text(robot: RobotParameters, gravity: float = STANDARD_GRAVITY, options: PlantOptions | None = None) -> str:
-    """The robot in MJCF: every body where the home pose has it, rods on two hinges, six `connect` that close the loops.
+    """The robot in MJCF: bodies at the home pose, rods on two hinges, six `connect` that close the loops.
 
-    MuJoCo's `connect` is a spring and damper on the gap r: here d^2 r/dt^2 = -r / h^2 - dr/dt / h, by which one Euler
-    step of length h closes a gap altogether. Its impedance is 0.9999 at most: a ten-thousandth of what would open the
-    loops is left to the spring, which has it at a gap of order h^2. Behind heavy rotors that is much in a single
-    acceleration, and little in the motion.
+    MuJoCo's `connect` is a spring and damper on the gap r: here d^2 r/dt^2 = -r / h^2 - dr/dt / h, so that one Euler
+    step of length h closes a gap. Its impedance is at most 0.9999: a ten-thousandth of the opening acceleration
+    remains, and leads to a gap of order h^2. With heavy rotors that is much in a single acceleration, but little in the
+    motion.
 
     Motors `motor_0..5` take torques [N m] within the effort limit; their joints are zero at home. Links are drawn, but
-    do not collide.
-
-    Of the options count `time_step`, `universal_damping` and the motors' friction, of which MuJoCo has no break-away
-    level. Gravity is in m/s^2 along -z.
+    do not collide. The options used are `time_step`, `universal_damping` and the motors' friction, without break-away
+    torque, which MuJoCo lacks. Gravity is in m/s^2 along -z.
     """
     options = DrakeOptions() if options is None else options
     frames, friction = home_frames(robot), options.friction_options
@@ -203,7 +200,7 @@ def _upright(robot: RobotParameters, leg: int) -> bool:
 
 
 def _housing(robot: RobotParameters, frames: HomeFrames, leg: int) -> dict[str, Any]:
-    """A motor's housing on its axis: centre (3,) [m], length [m], turn of z; those of a pair stand back to back."""
+    """A motor's housing on its axis: centre (3,) [m], length [m], turn of z; those of a pair are back to back."""
     r, axis, shaft = robot.link_radius, frames.crank_rotation[leg, :, 1], robot.shaft_positions[leg]
     partner = robot.shaft_positions[leg ^ 1] - shaft
     apart = float(partner @ axis)
@@ -221,7 +218,7 @@ def _housing(robot: RobotParameters, frames: HomeFrames, leg: int) -> dict[str, 
 
 
 def render(template: str, **values: Any) -> str:
-    """A text of the folder `templates`, in which `exact` and `short` write numbers."""
+    """Renders a template of the folder `templates`, in which `exact` and `short` write numbers."""
     return _environment().get_template(template).render(values)
 
 
@@ -244,11 +241,11 @@ def _environment() -> Environment:
 
 
 def _exact(*parts: Any) -> str:
-    """Shortest text that reads back as the same doubles; what is zero up to rounding is written as zero."""
+    """Shortest text that reads back as the same doubles; numbers below 1e-15 are written as zero."""
     values = np.concatenate([np.ravel(np.asarray(part, dtype=float)) for part in parts]).tolist()
     return " ".join(repr(0.0 if abs(value) < 1e-15 else value) for value in values)
 
 
 def _short(*parts: Any) -> str:
-    """Numbers of shapes, which need no more than seven digits."""
+    """Numbers of shapes, with seven digits."""
     return _exact([float(f"{value:.7g}") for part in parts for value in np.ravel(part)])

@@ -1,7 +1,7 @@
-"""MuJoCo as a plant: our own MJCF of the scenario's robot, or any other MJCF of a rotary Stewart platform.
+"""MuJoCo as a plant: the MJCF of the scenario's robot, or any other MJCF of a rotary Stewart platform.
 
-What is no part of the six legs is held where the file has it: a body's yaw, antennas. Geometry acts through mass alone:
-nothing collides. The model's actuators are taken away, and the motors' torques go to their joints.
+Joints outside of the six legs, such as a body's yaw or antennas, are fixed where the file has them. Geometry counts
+only for masses: nothing collides. The model's actuators are removed; torques act on the motors' joints.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import importlib.util
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -18,10 +19,12 @@ import numpy as np
 from stewart_drake.base.atomic_files import check_file
 from stewart_drake.base.config import Text, choices_text
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, installed_with, pose_text
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Mat3, Record, Vec3, Vec6, Vector, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_rate_to_twist, rotation_matrix
+from stewart_drake.mechanics.linear_algebra import all_finite
 from stewart_drake.plant.model_files import home_frames, mjcf_text
 from stewart_drake.plant.plant_options import MechanismOptions, foreign_state
 from stewart_drake.robot import RobotParameters
@@ -30,8 +33,8 @@ from stewart_drake.robot.robot_files import robot_model
 
 _MAX_BYTES = 10_000_000
 _CLOSED, _NOT_CLOSED, _ITERATIONS = 1e-12, 1e-9, 100
-"""[m] of the loops and the pose at which `initial` is content, and beyond which it gives up."""
-_NEAR = 3.0  # Of what a model may be off: from where on `initial` moves the motors too.
+"""Error [m] of loops and pose at which `initial` ends, above which it fails, and its largest number of steps."""
+_NEAR = 3.0  # Error, over the allowed misfit of a model, below which `initial` moves the motors too.
 _KEY = "plant.model_file"
 
 
@@ -62,7 +65,7 @@ class MujocoOptions(MechanismOptions):
     """[N m] dry (Coulomb) friction of each motor; null for the model's, none in our own."""
 
     def rules(self) -> None:
-        """Friction is said once, and without stiction; a model's keys need a model."""
+        """Friction is given once, and without stiction; a model's keys need a model."""
         for name in ("motor_friction", "motor_damping"):
             if self.friction is not None and getattr(self, name) is not None:
                 allowed = "null, because `friction` is given and has this value"
@@ -76,7 +79,7 @@ class MujocoOptions(MechanismOptions):
 
     @property
     def friction_options(self) -> FrictionOptions:
-        """Friction of the motors; of a model's the largest, for each motor."""
+        """Friction of the motors; of a model's, the largest."""
         if self.friction is not None:
             return self.friction
         dry, viscous = self.motor_friction, self.motor_damping
@@ -128,7 +131,7 @@ def _path(given: str) -> Path:
     name = re.split(r"[=<>~! ]", requirement)[0]
     if not name.isidentifier() or not inside:
         raise ConfigurationError(_KEY, given, "package:NAME/path of an MJCF in it, or package:NAME==VERSION/path")
-    # It is found, not imported.
+    # Not imported.
     spec = importlib.util.find_spec(name)
     if spec is None or not spec.submodule_search_locations:
         allowed = f"a file in the installed package {name}; pip install --no-deps {requirement}"
@@ -137,7 +140,7 @@ def _path(given: str) -> Path:
 
 
 class _File:
-    """A model as its file has it, but what is no part of the legs is held, and only masses are left of geometry."""
+    """The model of a file, reduced to the legs' joints, and to masses without geometry."""
 
     def __init__(self, options: MujocoOptions, text: str = "") -> None:
         with installed_with("stewart-drake[mujoco]"):
@@ -156,8 +159,8 @@ class _File:
                 allowed = f"six joints of {self.name}: {choices_text(name, known)}"
                 raise ConfigurationError("plant.motor_joints", name, allowed)
         hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE).tolist()
-        is_motor = [known[joint] in names if names else bool(self._actuators(model, joint)) for joint in hinges]
-        legs = mjcf_legs.find_legs(model, [joint for joint, is_one in zip(hinges, is_motor, strict=True) if is_one])
+        is_motor = (lambda joint: known[joint] in names) if names else partial(self._actuators, model)
+        legs = mjcf_legs.find_legs(model, [joint for joint in hinges if is_motor(joint)])
         if isinstance(legs, int):
             allowed = f"a model in which six motors each turn a crank with a rod to one platform, not {legs}"
             hint = "a motor is a hinge with an actuator, or one of plant.motor_joints"
@@ -166,32 +169,32 @@ class _File:
         self.limits = np.array([self._force_range(model, joint) for joint in legs.motors])
         passive = [joint for joint in range(model.njnt) if int(model.jnt_bodyid[joint]) in bodies]
         self.motors, self.passive = ([spec.joints[joint] for joint in some] for some in (legs.motors, passive))
-        self.closures = [spec.equalities[each] for each in legs.closures]
+        self.closures = [spec.equalities[closure] for closure in legs.closures]
         if options.motor_class is not None:
             self._take_class(options.motor_class)
         with self.reading():
             self._delete(
                 spec.actuators,
-                [each for each in spec.equalities if each.id not in legs.closures],
-                [each for each in spec.joints if each.id not in (*legs.motors, *passive)],
+                [equality for equality in spec.equalities if equality.id not in legs.closures],
+                [joint for joint in spec.joints if joint.id not in (*legs.motors, *passive)],
             )
             self.model = spec.compile()
 
     def _strip(self) -> None:
-        """Takes out geometry that has no part in the masses: its meshes need not be there. And what refers to it."""
+        """Removes geometry that does not count for masses, so that its meshes may be missing, and references to it."""
         spec = self.spec
         spec.compiler.fusestatic = False  # ids stay
         self._delete(spec.keys, spec.sensors, spec.pairs, spec.excludes, spec.tuples, spec.skins)
         if spec.compiler.inertiafromgeom != self.mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
-            self._delete([each for each in spec.geoms if each.parent.explicitinertial])
+            self._delete([geom for geom in spec.geoms if geom.parent.explicitinertial])
         for geom in spec.geoms:
             geom.material = ""
         used = {geom.meshname for geom in spec.geoms}
-        self._delete(spec.materials, spec.textures, [each for each in spec.meshes if each.name not in used])
+        self._delete(spec.materials, spec.textures, [mesh for mesh in spec.meshes if mesh.name not in used])
 
     def _delete(self, *groups: Any) -> None:
-        for each in [each for group in groups for each in group]:
-            self.spec.delete(each)
+        for element in [element for group in groups for element in group]:
+            self.spec.delete(element)
 
     def _actuators(self, model: Any, joint: int) -> list[int]:
         on_joint = int(self.mujoco.mjtTrn.mjTRN_JOINT), int(self.mujoco.mjtTrn.mjTRN_JOINTINPARENT)
@@ -199,26 +202,26 @@ class _File:
         return np.flatnonzero(found).tolist()
 
     def _force_range(self, model: Any, joint: int) -> tuple[float, float]:
-        """[N m] between which the model's actuators of a joint can drive it."""
+        """Lowest and highest torque [N m] of the model's actuators of a joint."""
         low, high = model.jnt_actfrcrange[joint] if model.jnt_actfrclimited[joint] else (-np.inf, np.inf)
-        for each in self._actuators(model, joint):
-            if model.actuator_forcelimited[each]:
-                ends = model.actuator_gear[each, 0] * model.actuator_forcerange[each]
+        for actuator in self._actuators(model, joint):
+            if model.actuator_forcelimited[actuator]:
+                ends = model.actuator_gear[actuator, 0] * model.actuator_forcerange[actuator]
                 low, high = max(low, ends.min()), min(high, ends.max())
         return float(low), float(high)
 
     def _take_class(self, name: str) -> None:
-        given = self.spec.find_default(name)
-        if given is None:
+        default = self.spec.find_default(name)
+        if default is None:
             known = re.findall(r'<default class="([^"]+)"', self.spec.to_xml()) or ["none"]
             raise ConfigurationError("plant.motor_class", name, f"a class of {self.name}: {choices_text(name, known)}")
         for joint in self.motors:
             for key in ("armature", "damping", "frictionloss"):
-                setattr(joint, key, getattr(given.joint, key))
-        self.limits[:] = given.actuator.forcerange if np.any(given.actuator.forcerange) else (-np.inf, np.inf)
+                setattr(joint, key, getattr(default.joint, key))
+        self.limits[:] = default.actuator.forcerange if np.any(default.actuator.forcerange) else (-np.inf, np.inf)
 
     def fit(self, robot: RobotParameters) -> Any:
-        """How its legs and frames are the robot's, a `mjcf_legs.Fit`."""
+        """Match of its legs and frames to the robot's, a `mjcf_legs.Fit`."""
         fit, most = self.mjcf_legs.fit_frames(robot, self.legs), self.mjcf_legs.ALLOWED
         if not fit.residual <= most:
             allowed = f"a model of `robot` within {1e3 * most:g} mm, not {1e3 * fit.residual:.4g} mm ({fit.worst})"
@@ -227,17 +230,23 @@ class _File:
 
     @contextmanager
     def reading(self) -> Iterator[None]:
-        """Says in a line what MuJoCo finds wrong with the file."""
+        """Turns an error of MuJoCo into one line."""
         try:
             yield
         except (ValueError, OSError) as error:
-            said = " ".join(str(error).split())
-            raise ConfigurationError(_KEY, self.name, f"an MJCF that MuJoCo reads ({said})") from None
+            message = " ".join(str(error).split())
+            raise ConfigurationError(_KEY, self.name, f"an MJCF that MuJoCo reads ({message})") from None
 
 
-_FRAMES = fields(base=(3, 3), origin=3, signs=6, angles=6, least=6, most=6)
-"""base: R_WB [-]. origin: of B in the world [m]. signs: of the motors' joints [-]. angles: theta of the cranks where
-their joints are zero [rad]. least, most: torques of the motors [N m]."""
+class ModelFrames(Record):
+    """Frames and motors of the model."""
+
+    base: Mat3  # R_WB
+    origin: Vec3  # [m] of B in the world.
+    signs: Vec6  # Of the motors' joints.
+    angles: Vec6  # [rad] theta of the cranks where their joints are zero.
+    low: Vec6  # [N m] lowest torques of the motors.
+    high: Vec6  # [N m] highest.
 
 
 class MujocoPlant:
@@ -251,18 +260,18 @@ class MujocoPlant:
         with file.reading():
             self._model = model = file.spec.compile()
         motors, self._site, self._body = np.array([file.motors[leg].id for leg in fit.order]), site.id, body.id
-        self._closures, self._data = [each.id for each in file.closures], self._mujoco.MjData(model)
+        self._closures, self._data = [closure.id for closure in file.closures], self._mujoco.MjData(model)
         self._at, self._rates = model.jnt_qposadr[motors], model.jnt_dofadr[motors]
         self._set_options(options, [joint.id for joint in file.passive], gravity)
-        self._signs, (least, most) = fit.signs, np.sort(fit.signs * file.limits[fit.order].T, axis=0)
-        # Theta at zero of the joints, in the turn that has home nearest to the middle of a joint's range.
+        self._signs, (low, high) = fit.signs, np.sort(fit.signs * file.limits[fit.order].T, axis=0)
+        # Theta at zero of the joints, in the turn in which home is nearest to the middle of a joint's range.
         at_zero = fit.angles - fit.signs * model.qpos0[self._at]
         middle = np.where(model.jnt_limited[motors], model.jnt_range[motors].mean(axis=1), model.qpos0[self._at])
         turns = (self._home.crank_angles - at_zero - fit.signs * middle) / (2.0 * np.pi)
         self._at_zero = at_zero + 2.0 * np.pi * np.round(turns)
-        places = {"base": self._base, "origin": self._origin, "signs": fit.signs, "angles": self._at_zero}
-        self._frames, self._measured = new_record(_FRAMES, **places, least=least, most=most), np.zeros(24)
-        # MuJoCo's own memory, where it stays.
+        frames = {"base": self._base, "origin": self._origin, "signs": fit.signs, "angles": self._at_zero}
+        self._frames, self._measured = ModelFrames.new(**frames, low=low, high=high), np.zeros(24)
+        # Views of MuJoCo's memory.
         data, self._motion = self._data, np.zeros(6)
         self._place = data.site_xpos[self._site]
         self._pushed = self._place, data.xipos[self._body], data.qfrc_applied, data.xfrc_applied[self._body]
@@ -275,14 +284,14 @@ class MujocoPlant:
     def _add_platform(
         self, file: _File, frame: tuple[np.ndarray, np.ndarray], options: MujocoOptions
     ) -> tuple[Any, Any]:
-        """The site P of a model, and its body, which gets the payload."""
+        """Adds site P to a model, and the payload to its body; returns both."""
         data, quaternion, (rotation, place) = self._mujoco.MjData(file.model), np.empty(4), frame
         self._mujoco.mj_kinematics(file.model, data)
-        body, own = file.spec.bodies[file.legs.platform], data.xmat[file.legs.platform].reshape(3, 3)
-        place = own.T @ (place - data.xpos[file.legs.platform])
-        self._mujoco.mju_mat2Quat(quaternion, (own.T @ rotation).ravel())
-        # One without mass too: states are then those of any payload.
-        load = body.add_body(pos=place + own.T @ rotation @ np.array(options.payload_position), ipos=np.zeros(3))
+        body, axes = file.spec.bodies[file.legs.platform], data.xmat[file.legs.platform].reshape(3, 3)
+        place = axes.T @ (place - data.xpos[file.legs.platform])
+        self._mujoco.mju_mat2Quat(quaternion, (axes.T @ rotation).ravel())
+        # Without mass too, so that states do not depend on the payload.
+        load = body.add_body(pos=place + axes.T @ rotation @ np.array(options.payload_position), ipos=np.zeros(3))
         load.mass, load.explicitinertial = options.payload_mass, True
         return body.add_site(pos=place, quat=quaternion), body
 
@@ -292,7 +301,7 @@ class MujocoPlant:
         model.opt.disableflags |= bits.mjDSBL_CONTACT | bits.mjDSBL_SENSOR
         of_passive = np.isin(model.dof_jntid, passive)
         # `dof_dampingpoly`, of higher powers of a rate, is not in every version.
-        damping = [each for each in ("dof_damping", "dof_dampingpoly") if hasattr(model, each)]
+        damping = [name for name in ("dof_damping", "dof_dampingpoly") if hasattr(model, name)]
         for name in ("dof_frictionloss", *damping):
             getattr(model, name)[of_passive] *= options.passive_friction
         model.dof_armature[of_passive] *= options.passive_armature
@@ -305,7 +314,7 @@ class MujocoPlant:
         self._mujoco.mj_setConst(model, self._data)
 
     def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
-        """Begins at a pose (6,) and its rate (6,), loops closed; RunFailure where the model cannot be there."""
+        """Begins at a pose (6,) and its rate (6,), loops closed; RunFailure if the model cannot reach the pose."""
         self._mujoco.mj_resetData(self._model, self._data)
         theta = self._home.crank_angles + self._home.motor_angles(inverse_kinematics(self._robot, pose))
         self._data.qpos[self._at] = self._signs * (theta - self._at_zero)
@@ -313,12 +322,12 @@ class MujocoPlant:
         turn, shift = pose_rate_to_twist(pose, pose_rate).reshape(2, 3) @ self._base.T
         wanted = np.concatenate([np.zeros(len(slope) - 6), shift, self._robot.characteristic_length * turn])
         self._data.qvel[:] = np.linalg.lstsq(slope, wanted, rcond=None)[0]
-        return self._arrived()
+        return self._measure()
 
     def _assemble(self, pose: np.ndarray) -> np.ndarray:
-        """Closes all loops at a pose (6,): Newton's method on the joints' positions; the slopes of `_gaps` there.
+        """Closes all loops at a pose (6,) by Newton's method on the joints' positions; returns the slopes of `_gaps`.
 
-        From afar the motors stay where the robot has them, so that no crank changes its branch.
+        Far from the solution the motors are fixed, so that no crank changes its branch.
         """
         for _ in range(_ITERATIONS):
             error, slope = self._gaps(pose)
@@ -335,7 +344,7 @@ class MujocoPlant:
         return slope
 
     def _gaps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gaps (n,) [m] of the loops, then of the pose from the one that is wanted; their slopes (n, nv)."""
+        """Gaps (n,) [m] of the loops, then the pose's distance from the target; their slopes (n, nv)."""
         mujoco, model, data, length = self._mujoco, self._model, self._data, self._robot.characteristic_length
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -346,33 +355,33 @@ class MujocoPlant:
                 mujoco.mj_jac(model, data, slope, None, place, body)
             gaps.append(ends[0][1] - ends[1][1])
             slopes.append(moved[0] - moved[1])
-        moved, own = np.zeros((2, 3, model.nv)), data.site_xmat[self._site].reshape(3, 3)
+        moved, axes = np.zeros((2, 3, model.nv)), data.site_xmat[self._site].reshape(3, 3)
         mujoco.mj_jacSite(model, data, *moved, self._site)
-        # Half the sum of the axes' cross products is the turn's sine: Newton needs no more.
-        turn = 0.5 * np.cross((self._base @ rotation_matrix(pose[:3])).T, own.T).sum(axis=0)
+        # Half the sum of the axes' cross products is the rotation vector to first order.
+        turn = 0.5 * np.cross((self._base @ rotation_matrix(pose[:3])).T, axes.T).sum(axis=0)
         gaps += [data.site_xpos[self._site] - self._origin - self._base @ pose[3:], length * turn]
         return np.concatenate(gaps), np.concatenate([*slopes, moved[0], length * moved[1]])
 
     def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
-        """A step; NotFiniteError where the simulation has blown up."""
+        """A step; NotFiniteError if the simulation has diverged."""
         mujoco, model, data = self._mujoco, self._model, self._data
-        _push(self._frames, torque, wrench, self._rates, *self._pushed)
-        # What `mj_step` does, but for checks that would write a file and begin anew.
+        _apply(self._frames, torque, wrench, self._rates, *self._pushed)
+        # As `mj_step`, without the checks that write a file and reset.
         mujoco.mj_fwdActuation(model, data)
         mujoco.mj_fwdAcceleration(model, data)
         mujoco.mj_fwdConstraint(model, data)
         self._integrate(model, data)
-        return self._arrived()
+        return self._measure()
 
     def _runge_kutta(self, model: Any, data: Any) -> None:
         self._mujoco.mj_RungeKutta(model, data, 4)
 
-    def _arrived(self) -> np.ndarray:
+    def _measure(self) -> np.ndarray:
         mujoco, model, data = self._mujoco, self._model, self._data
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, self._site, self._motion, 0)
-        if not _measure(self._frames, *self._moving, self._measured):
+        if not _measurement(self._frames, *self._moving, self._measured):
             raise NotFiniteError("MuJoCo's state", self._measured[:6])
         return self._measured
 
@@ -387,46 +396,67 @@ class MujocoPlant:
         if getattr(state, "shape", None) != (size := self._mujoco.mj_stateSize(self._model, kind),):
             raise foreign_state(state, f"a model of MuJoCo with {size} numbers")
         self._mujoco.mj_setState(self._model, self._data, state, kind)
-        return self._arrived()
+        return self._measure()
 
 
 @njit
-def _push(
-    frames: Any, torque: Any, wrench: Any, rates: Any, place: Any, centre: Any, applied: Any, pushed: Any
+def _apply(
+    frames: ModelFrames,
+    torque: Vec6,
+    wrench: Vec6,
+    joints: Vector,
+    position: Vec3,
+    centre: Vec3,
+    joint_torque: Vector,
+    body_force: Vec6,
 ) -> None:
-    """Torques (6,) of the motors at their joints, and a wrench (6,) about P's place at its body's centre of mass."""
-    frames = record(frames)
-    for i in range(6):
-        applied[rates[i]] = frames.signs[i] * min(max(torque[i], frames.least[i]), frames.most[i])
-    for i in range(3):
-        pushed[i], pushed[3 + i] = laws.dot(frames.base[i], wrench[3:]), laws.dot(frames.base[i], wrench[:3])
-    turning = np.empty(3)
-    laws.cross(place - centre, pushed[:3], turning)
-    for i in range(3):
-        pushed[3 + i] += turning[i]
+    """Sets MuJoCo's forces: torques of the motors, and a wrench about P, moved to its body's centre of mass.
 
-
-@njit
-def _measure(
-    frames: Any, place: Any, axes: Any, motion: Any, at: Any, angles: Any, rates: Any, speeds: Any, out: Any
-) -> bool:
-    """What is measured (24,), of P's place (3,), axes (9,) and velocities (6,) in the world and of the motors' joints.
-
-    False where that is not finite.
+    `joints` are the motors' places in `joint_torque`; positions are in the world.
     """
     frames = record(frames)
-    rotation, twist, finite = np.empty((3, 3)), np.empty(6), True
+    for i in range(6):
+        joint_torque[joints[i]] = frames.signs[i] * min(max(torque[i], frames.low[i]), frames.high[i])
+    arm, moment = np.empty(3), np.empty(3)
     for i in range(3):
-        along = frames.base[:, i]
+        body_force[i] = laws.dot(frames.base[i], wrench[3:])
+        body_force[3 + i] = laws.dot(frames.base[i], wrench[:3])
+        arm[i] = position[i] - centre[i]
+    laws.cross(arm, body_force[:3], moment)
+    for i in range(3):
+        body_force[3 + i] += moment[i]
+
+
+@njit
+def _measurement(
+    frames: ModelFrames,
+    position: Vec3,
+    axes: Vector,
+    velocity: Vec6,
+    joints: Vector,
+    angles: Vector,
+    rate_joints: Vector,
+    rates: Vector,
+    out: Vector,
+) -> bool:
+    """Measurement (24,) of a `Plant` from P's position, axes (9,) and velocities in the world, and the joints' motion.
+
+    `joints` and `rate_joints` are the motors' places in `angles` and `rates`. False if it is not finite.
+    """
+    frames = record(frames)
+    rotation, twist = np.empty((3, 3)), np.empty(6)
+    for i in range(3):
+        out[3 + i], twist[i], twist[3 + i] = 0.0, 0.0, 0.0
         for k in range(3):
-            rotation[i, k] = laws.dot(along, axes[k::3])
-        out[3 + i] = laws.dot(along, place) - laws.dot(along, frames.origin)
-        twist[i], twist[3 + i] = laws.dot(along, motion[:3]), laws.dot(along, motion[3:])
+            rotation[i, k] = 0.0
+            for m in range(3):
+                rotation[i, k] += frames.base[m, i] * axes[3 * m + k]
+            out[3 + i] += frames.base[k, i] * (position[k] - frames.origin[k])
+            twist[i] += frames.base[k, i] * velocity[k]
+            twist[3 + i] += frames.base[k, i] * velocity[3 + k]
     laws.roll_pitch_yaw(rotation, out[:3])
     laws.rate_of(out[:6], twist, out[6:12])
     for i in range(6):
-        out[12 + i] = frames.angles[i] + frames.signs[i] * angles[at[i]]
-        out[18 + i] = frames.signs[i] * speeds[rates[i]]
-    for i in range(24):
-        finite = finite and np.isfinite(out[i])
-    return finite
+        out[12 + i] = frames.angles[i] + frames.signs[i] * angles[joints[i]]
+        out[18 + i] = frames.signs[i] * rates[rate_joints[i]]
+    return all_finite(out)

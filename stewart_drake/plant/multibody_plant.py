@@ -1,7 +1,7 @@
 """The 14-body robot as a discrete SAP `MultibodyPlant`.
 
-Drake holds the loops closed by six ball constraints. Their gap grows with the square of the step, about 6e-7 m at 1 ms;
-the motion itself is first order in the step. Report `StewartRobot.loop_gap` with every run.
+Six ball constraints close the loops. Their gap grows with the square of the step, about 6e-7 m at 1 ms; the motion
+itself is first order in the step. Report `StewartRobot.loop_gap` with every run.
 """
 
 from __future__ import annotations
@@ -51,23 +51,23 @@ from stewart_drake.base.sampling import decimal, on_grid
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.plant.model_files import home_frames, sdf_text
 from stewart_drake.plant.plant_options import DrakeOptions, platform_damping_limit
-from stewart_drake.plant.servo_friction import Friction, add_servos, wire_friction
+from stewart_drake.plant.servo_friction import FrictionSystems, add_servos, wire_friction
 from stewart_drake.plant.state_map import StateIndices, StateMap
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
 _ONCE = 1e12
-"""[s] of the period of what happens once."""
+"""[s] period of an event that happens once."""
 
 
 class StewartRobot(StateMap):
-    """One robot in a `MultibodyPlant`, which may have other bodies and robots too; made by `add_robot` or `add_plant`.
+    """One robot in a `MultibodyPlant`, which may have other bodies and robots; made by `add_robot` or `add_plant`.
 
-    What needs the finished plant raises a ConfigurationError before `plant.Finalize()`.
+    Methods that need the finished plant raise a ConfigurationError before `plant.Finalize()`.
 
     Attributes:
         plant, instance: The multibody plant, and the model instance of the robot in it.
-        options, gravity: How its joints are, and gravity [m/s^2] as it was when the robot was added.
+        options, gravity: Options of its joints, and gravity [m/s^2] when the robot was added.
         scene_graph: The SceneGraph that `add_plant` made, or None.
     """
 
@@ -88,11 +88,11 @@ class StewartRobot(StateMap):
         self._base = base.rotation().matrix()
         self._law = options.friction_of(robot)
         self._start: list[np.ndarray] = []  # The default state of the robot, at rest and in motion, and its pose rate.
-        self._friction: Friction | None = None
+        self._friction: FrictionSystems | None = None
 
     @cached_property
     def indices(self) -> StateIndices:  # type: ignore[override]
-        """Where things are in a state of the plant."""
+        """Indices of the robot in a state of the plant."""
         self._finished()
         nq = self.plant.num_positions()
         motors = [self.joint(f"motor_{leg}") for leg in range(LEG_COUNT)]
@@ -117,7 +117,7 @@ class StewartRobot(StateMap):
 
     @property
     def torque_input_port(self) -> InputPort:
-        """(6,) [N m] motor torques, clipped to the effort limit; zero where left alone; motors that stick need it."""
+        """(6,) [N m] motor torques, clipped to the effort limit; zero if not connected, except with stiction."""
         self._finished()
         if self._friction is not None:
             return self._friction.torque
@@ -133,7 +133,7 @@ class StewartRobot(StateMap):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Drake's names of the entries of a state, with that of the model where there are several."""
+        """Drake's names of the entries of a state, with the name of the model if there are several."""
         several = self.plant.num_model_instances() > 3  # Beside the world's and the default one.
         return tuple(self.plant.GetStateNames(add_model_instance_prefix=several))
 
@@ -146,28 +146,28 @@ class StewartRobot(StateMap):
         return self.plant.GetFrameByName(name, self.instance)
 
     def connect_friction(self, builder: DiagramBuilder) -> None:
-        """Adds the systems by which motors stick, where they do; the plant is finalised and in the builder."""
+        """Adds the systems of stiction, if the motors have it; the plant is finalised and in the builder."""
         if self._friction is None and self._law["break_away"].any():
             self._finished()
             with drake_guard("connecting the friction"):
                 self._friction = wire_friction(builder, self, self._law)
 
     def set_default_state(self, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
-        """Makes `assemble(pose, pose_rate)` what a Context begins with, before the first one is made.
+        """Makes `assemble(pose, pose_rate)` the default state of a Context; before the first Context is made.
 
-        Drake has default positions alone. The rates come at `Simulator.Initialize`, where the robot is still in its
-        default positions and at rest, and nobody has called `set_state` or `put`. Where the platform alone is another,
-        by a random distribution of its joint, the loops are closed there too.
+        Drake has default positions only. The rates are set at `Simulator.Initialize`, if the robot is still at rest in
+        its default positions, and neither `set_state` nor `put` was called. If only the platform has been moved, by a
+        random distribution of its joint, the loops are closed there.
         """
         plant, mine, start = self.plant, self.indices.all(), self.assemble(pose, pose_rate)
-        positions, own = plant.GetDefaultPositions(), mine[mine < plant.num_positions()]
-        positions[own] = start[own]
+        positions, moved = plant.GetDefaultPositions(), mine[mine < plant.num_positions()]
+        positions[moved] = start[moved]
         with drake_guard("setting the default state"):
             plant.SetDefaultPositions(positions)
         if self._friction is not None:
-            self._friction.memory.configure_default_state(self._friction.without_tension(self.default))
+            self._friction.memory.configure_default_state(self._friction.relaxed(self.default))
         if not self._start:
-            begins = self._start  # An event that held this object would keep the plant for ever.
+            begins = self._start  # An event that refers to this object would keep the plant alive.
             still = self._still = plant.DeclareNumericParameter(BasicVector(np.ones(1)))
             states, is_leg = StateMap(self.robot, self.rod_joint), ~np.isin(mine, self._platform_index)
             states.indices, states.default = self.indices, self.default
@@ -197,9 +197,9 @@ class StewartRobot(StateMap):
 
     @checked
     def set_state(self, context: Context, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
-        """Puts the robot into `assemble(pose, pose_rate)`, friction without tension; `context` of the Diagram.
+        """Sets the robot's state to `assemble(pose, pose_rate)`, with relaxed bristles; `context` of the Diagram.
 
-        All else in the plant stays as it is.
+        The rest of the plant is not changed.
         """
         assembled, mine = self.assemble(pose, pose_rate), self.indices.all()
         with drake_guard("setting the plant's state"):
@@ -209,7 +209,7 @@ class StewartRobot(StateMap):
 
     @checked
     def put(self, context: Context, state: np.ndarray) -> None:
-        """Puts the plant into a state (nq + nv,), friction without tension; `context` as in `set_state`."""
+        """Sets the plant's state (nq + nv,), with relaxed bristles; `context` as in `set_state`."""
         state = self.checked(state)
         with drake_guard("setting the plant's state"):
             mine = self.plant.GetMyMutableContextFromRoot(context)
@@ -218,7 +218,7 @@ class StewartRobot(StateMap):
                 mine.get_mutable_numeric_parameter(self._still).SetAtIndex(0, 0.0)
             if self._friction is not None:
                 memory = self._friction.memory.GetMyMutableContextFromRoot(context)
-                memory.SetDiscreteState(self._friction.without_tension(state))
+                memory.SetDiscreteState(self._friction.relaxed(state))
 
     def _finished(self) -> None:
         if not self.plant.is_finalized():
@@ -235,7 +235,7 @@ def add_robot(
     base: RigidTransform | None = None,
     parser: Parser | None = None,
 ) -> StewartRobot:
-    """Adds a robot to a plant of yours that is not finalised yet, beside whatever else it has.
+    """Adds a robot to a plant of yours that is not finalised yet.
 
     The loops are closed by ball constraints, which need a discrete plant, and Drake's contact approximation kLagged,
     kSimilar or kSap. Gravity is the plant's.
@@ -244,8 +244,8 @@ def add_robot(
         plant: Receives the model; register it with a SceneGraph before, for pictures and contact.
         robot: Geometry and masses.
         options: Joints, friction, payload, and whether its links collide; the time step is the plant's.
-        model_instance: Name of its model instance, by which several robots differ.
-        base: X_WB, where the robot's base stands; None for the world's origin.
+        model_instance: Name of its model instance, different for every robot.
+        base: X_WB, pose of the robot's base; None for the world's origin.
         parser: A parser of this plant; None makes one.
 
     Raises:
@@ -286,7 +286,7 @@ def add_robot(
         )
         (instance,) = (Parser(plant) if parser is None else parser).AddModelsFromString(text, "sdf")
         added = StewartRobot(plant, instance, robot, options, base)
-        # Its coordinates are then pose and twist in B, wherever the base stands.
+        # Its coordinates are then pose and twist in B, wherever the base is.
         floating = QuaternionFloatingJoint("platform", added.frame("base"), added.frame("platform"))
         home = RollPitchYaw(robot.home_pose[:3]).ToRotationMatrix()
         plant.AddJoint(floating).SetDefaultPose(RigidTransform(home, robot.home_pose[3:]))
@@ -296,10 +296,10 @@ def add_robot(
         if law["break_away"].any():
             _ask_for_friction(plant, instance)
         if options.broken_rod is not None and options.break_step is not None:
-            closures = [each for each in plant.GetConstraintIds() if each not in others]
+            closures = [closure for closure in plant.GetConstraintIds() if closure not in others]
             _break(plant, closures[options.broken_rod.leg], options.break_step * plant.time_step())
         if options.payload_mass > 0.0:
-            # A body of its own, welded on: the robot's numbers stay those of `RobotParameters` and the SDF.
+            # A separate body, so that the robot's numbers stay those of `RobotParameters` and the SDF.
             point = SpatialInertia(options.payload_mass, np.zeros(3), UnitInertia(0.0, 0.0, 0.0))
             payload = plant.AddRigidBody("payload", instance, point)
             place = RigidTransform(np.array(options.payload_position))
@@ -328,7 +328,7 @@ def add_plant(
         options: Options of the plant; None takes the defaults.
         gravity: [m/s^2] magnitude, along -z.
         visuals: Register the geometry with a SceneGraph even where nothing collides, for visualisers and cameras.
-        before_finalize: Adds what else there shall be to the `plant` of the robot that it is given.
+        before_finalize: Adds further bodies to the `plant` of the robot that it is called with.
         name: Of the plant in the Diagram.
 
     Raises:
@@ -342,7 +342,7 @@ def add_plant(
     with drake_guard("building the plant"):
         plant = MultibodyPlant(on_grid(options.time_step))
         plant.set_name(name)
-        # A plant with sampled outputs steps in an unrestricted update, which costs a copy of all states.
+        # With sampled outputs the plant steps in an unrestricted update, which copies all states.
         plant.SetUseSampledOutputPorts(False)
         plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
         plant.set_contact_model(ContactModel.kPoint)
@@ -369,7 +369,7 @@ def build_plant(
     *,
     visuals: bool = False,
 ) -> tuple[Diagram, StewartRobot]:
-    """A Diagram that holds `add_plant` and nothing else, with its ports exported as `torque` and `state`."""
+    """A Diagram with only `add_plant`, whose ports are exported as `torque` and `state`."""
     builder = DiagramBuilder()
     stewart = add_plant(builder, robot, options, gravity, visuals=visuals)
     with drake_guard("building the plant"):
@@ -379,33 +379,33 @@ def build_plant(
 
 
 def _break(plant: MultibodyPlant, closure: Any, time: float) -> None:
-    """Takes a rod off the platform at a time [s], in every Context that passes it or begins beyond it."""
-    # An event that held the plant would keep it for ever.
-    there: Any = weakref.ref(plant)
+    """Disconnects a rod from the platform at a time [s], in every Context that reaches it or begins later."""
+    # An event that refers to the plant would keep it alive.
+    reference: Any = weakref.ref(plant)
 
     def set_closed(context: Context, _: State) -> None:
-        there().SetConstraintActiveStatus(context, closure, context.get_time() < time)
+        reference().SetConstraintActiveStatus(context, closure, context.get_time() < time)
 
     plant.DeclareInitializationUnrestrictedUpdateEvent(set_closed)
     plant.DeclarePeriodicUnrestrictedUpdateEvent(_ONCE, time, set_closed)
 
 
 def _ask_for_friction(plant: MultibodyPlant, instance: ModelInstanceIndex) -> None:
-    """Raises at `Simulator.Initialize` where motors stick and nothing is connected: Drake would let them slide."""
-    there: Any = weakref.ref(plant)
+    """Raises at `Simulator.Initialize` if motors with stiction are not connected: Drake would let them slide."""
+    reference: Any = weakref.ref(plant)
 
     def ask(context: Context, _: State) -> None:
-        if not there().get_desired_state_input_port(instance).HasValue(context):
+        if not reference().get_desired_state_input_port(instance).HasValue(context):
             raise ConfigurationError("friction", "motors that stick", "a call of connect_friction(builder) first")
 
     plant.DeclareInitializationUnrestrictedUpdateEvent(ask)
 
 
 def _add_damping(added: StewartRobot, viscous: np.ndarray) -> None:
-    """Damping in the tree's joints, which SAP takes implicitly, and in the loop closures, which are no joints.
+    """Adds damping to the tree's joints, implicit in SAP, and to the loop closures, which are not joints.
 
-    There a bushing without stiffness resists the rates of the platform's roll, pitch, yaw in the rod, zero at home.
-    Drake takes its torque from the state before the step; `MultibodyPlant.CalcPotentialEnergy` raises on such a plant.
+    At a closure a bushing without stiffness damps the rates of the platform's roll, pitch, yaw in the rod, zero at
+    home. It is explicit, and `MultibodyPlant.CalcPotentialEnergy` raises on such a plant.
     """
     plant, robot, options = added.plant, added.robot, added.options
     for leg in range(LEG_COUNT):

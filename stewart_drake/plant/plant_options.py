@@ -1,7 +1,4 @@
-"""What a simulated robot is to a loop, the options of Drake's, and plants of the user's own; a scenario needs no Drake.
-
-The closed form has its options beside it.
-"""
+"""Plants as a loop sees them, options of Drake's plant, and users' plants; this file does not import Drake."""
 
 from __future__ import annotations
 
@@ -9,12 +6,13 @@ import copy
 import dataclasses
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.code import UserCode
+from stewart_drake.base.code import CodePath, UserCode
 from stewart_drake.base.config import Flag, LegNumber, NotNegative, Real, Section
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.families import UserMade, imported
@@ -24,20 +22,17 @@ from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, 
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST_SIZE, Moderate
 
-MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.01  # [s] finer steps drown in rounding; coarser ones follow nothing.
+MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.01  # [s] limited by rounding, and by the motion.
 POSE, RATE, ANGLES, CRANK_RATES = (slice(start, start + 6) for start in range(0, 24, 6))
-"""Where things are in what a plant measures (24,): pose [rad, m], its rate, angles of the cranks [rad], their rates."""
+"""Places in the measurement (24,) of a plant: pose [rad, m], its rate, angles of the cranks [rad], their rates."""
 
 RodJoint = Literal["universal", "ball"]
-"""Joint between crank and rod. `ball` is the paper's topology; each rod then spins freely about its own axis."""
+"""Joint between crank and rod. `ball` is the paper's topology; rods then spin freely about their axes."""
 Place = Annotated[Real, Field(ge=-LARGEST_SIZE, le=LARGEST_SIZE)]
 
 
 class Plant(Protocol):
-    """A robot that is moved step by step. Each method but `save` returns what is measured (24,) then, see `POSE`.
-
-    The array may be the plant's own: it is good until the next call.
-    """
+    """A simulated robot. All methods but `save` return the measurement (24,), see `POSE`, valid until the next call."""
 
     def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
         """Begins at a pose (6,) [rad, m] with a rate (6,) [rad/s, m/s]."""
@@ -46,26 +41,26 @@ class Plant(Protocol):
         """Moves by one step under torques (6,) [N m] of the motors and a wrench (6,) [N m, N] about P."""
 
     def save(self) -> Any:
-        """A copy of its whole state, which means something to plants of its kind alone."""
+        """A copy of its state, for `restore` of a plant of the same kind."""
 
     def restore(self, state: Any) -> np.ndarray:
-        """Goes on from a state that was saved, by this plant or by another one of its kind; else ConfigurationError."""
+        """Sets a state that a plant of this kind saved; ConfigurationError for another one."""
 
 
-def foreign_state(state: Any, expected: str) -> ConfigurationError:
-    """The error of a plant that is to go on from a state of another kind."""
+def foreign_state(state: object, expected: str) -> ConfigurationError:
+    """The error of `restore` for a state of another kind of plant."""
     return ConfigurationError("state of a plant", getattr(state, "shape", type(state).__name__), f"that of {expected}")
 
 
 class PlantOptions(Section, ABC, key="plant"):
-    """Base of the options of plants; who runs a plant asks these, not which kind it is."""
+    """Base of the options of plants: all that is asked of any kind."""
 
     in_diagram: ClassVar[bool] = False
-    """How it runs: in a Diagram by Drake's Simulator, or stepped by the loop as a `Plant`."""
+    """Whether it runs in a Diagram by Drake's Simulator, or is stepped by the loop as a `Plant`."""
     compared_with: ClassVar[str | None] = None
-    """The kind that it is a fast replacement of; studies run one of their scenarios on that too."""
+    """The kind that it replaces for speed; studies run one of their scenarios on that kind too."""
     joints_rub: ClassVar[bool] = False
-    """Whether the rods' ball joints may rub in it."""
+    """Whether it can have friction in the rods' ball joints."""
     moved_keys: ClassVar[dict[str, str]] = {"engine": "plant.kind: drake, closed_form or module:Class"}
 
     kind: str
@@ -78,8 +73,8 @@ class PlantOptions(Section, ABC, key="plant"):
         """The plant, to be stepped; gravity in [m/s^2]."""
 
     @property
-    def code(self) -> Any:
-        """What of a user's code it runs, a `CodePath`; None for what comes with the package."""
+    def code(self) -> CodePath | None:
+        """The user's code that it runs; None for a kind of the package."""
         return None
 
     @property
@@ -88,8 +83,8 @@ class PlantOptions(Section, ABC, key="plant"):
         return 0.0
 
     @property
-    def rod_joint(self) -> Any:
-        """Joint between crank and rod, of pictures and files."""
+    def rod_joint(self) -> RodJoint:
+        """Joint between crank and rod, for pictures and files."""
         return "universal"
 
     @property
@@ -102,16 +97,16 @@ class PlantOptions(Section, ABC, key="plant"):
         return laws.robot_record(robot)
 
     def simulated(self, robot: RobotParameters) -> tuple[dict[str, Any], list[tuple[str, Any, str]]]:  # noqa: ARG002
-        """For people: keys of the robot with its own values, if it has some; what else it has, its value and unit."""
+        """For reports: keys of `robot` with its own values, if it has them; further facts: name, value, unit."""
         return {}, []
 
-    def braked(self, robot: RobotParameters) -> Any:  # noqa: ARG002
-        """The same with brakes that hold each crank of a robot by as much as its motor can; None where nobody knows."""
+    def braked(self, robot: RobotParameters) -> PlantOptions | None:  # noqa: ARG002
+        """The same with brakes that hold every crank with its motor's effort limit; None if not possible."""
         return None
 
     @property
     def friction_options(self) -> FrictionOptions:
-        """Friction of the motors, whichever keys it was given by."""
+        """Friction of the motors, given by whichever keys."""
         return FrictionOptions()
 
     def friction_of(self, robot: RobotParameters) -> Friction:
@@ -128,9 +123,9 @@ class MechanismOptions(PlantOptions):
     motor_friction: Moderate = 0.0
     """[N m] dry (Coulomb) friction of each motor, the same at rest and in motion. Short for `friction.coulomb`."""
     friction: FrictionOptions | None = None
-    """Friction of the motors with stiction, for each motor; null takes `motor_damping` and `motor_friction`."""
+    """Friction of the motors with stiction, motor by motor; null takes `motor_damping` and `motor_friction`."""
     payload_mass: Moderate = 0.0
-    """[kg] point mass on the platform that only the plant has; neither `robot` nor the controller knows it."""
+    """[kg] point mass on the platform of the plant only; neither `robot` nor the controller knows it."""
     payload_position: tuple[Place, Place, Place] = (0.0, 0.0, 0.0)
     """[m] position of the payload in the platform's frame P."""
 
@@ -139,7 +134,7 @@ class MechanismOptions(PlantOptions):
             if self.friction is not None and getattr(self, name) > 0.0:
                 raise ConfigurationError(name, getattr(self, name), "0, because `friction` is given and has this value")
 
-    def braked(self, robot: RobotParameters) -> Any:
+    def braked(self, robot: RobotParameters) -> PlantOptions:
         friction = FrictionOptions(coulomb=tuple(robot.effort_limits.tolist()))
         short = {name: self.__pydantic_fields__[name].default for name in ("motor_friction", "motor_damping")}
         return dataclasses.replace(self, **short, friction=friction)
@@ -174,34 +169,34 @@ class DrakeOptions(MechanismOptions):
     rod_joint: RodJoint = "universal"
     """Joint between crank and rod; `ball` is the paper's and leaves the rods' six spins uncontrolled."""
     collision: Flag = False
-    """Whether cranks, rods, platform and base collide; bodies that a joint connects never do."""
+    """Whether cranks, rods, platform and base collide; bodies connected by a joint never do."""
     universal_damping: Moderate = 0.0
     """[N m s/rad] viscous friction about each axis of the joints between crank and rod; implicit."""
     platform_joint_damping: Moderate = 0.0
-    """[N m s/rad] viscous friction of each ball joint between rod and platform; explicit, see `platform_damping_limit`.
-    It is isotropic near home only: at 45 deg of swing it is 0.6 to 3.4 times as large, by direction."""
+    """[N m s/rad] viscous friction of the ball joints between rods and platform; explicit, see
+    `platform_damping_limit`. It is isotropic only near home: at 45 deg of swing it is 0.6 to 3.4 times as large, by
+    direction."""
     broken_rod: BrokenRod | None = None
     """A rod that breaks during the run; null for none."""
 
     @property
     def break_step(self) -> int | None:
-        """The first step that begins when the rod breaks, or later; None where none breaks."""
-        # A time without end is never reached.
+        """The first step that begins when the rod breaks, or later; None if none breaks."""
         steps = math.inf if self.broken_rod is None else self.broken_rod.time / self.time_step
         return math.ceil(steps - 1e-6) if math.isfinite(steps) else None
 
     def make(self, robot: RobotParameters, gravity: float) -> Plant:
-        # By its name: it needs these options, and Drake, which takes seconds to import.
+        # Imported here: it imports these options, and Drake, which takes seconds.
         plant: Plant = imported("plant.stepped_plant:SteppedPlant")(robot, self, gravity)
         return plant
 
 
 def platform_damping_limit(robot: RobotParameters, options: DrakeOptions) -> float:
-    """Largest `platform_joint_damping` d [N m s/rad] that its explicit integration bears.
+    """Largest `platform_joint_damping` d [N m s/rad] for its explicit integration.
 
-    A ball that turns at w takes the power d w^2, and w^2 <= 2 (w_rod^2 + w_platform^2): no motion decays faster than d
-    max(2 / I_rod, 12 / I_platform). The limit makes that 1 / time_step, half of what is stable. I_rod is small about
-    the axis of a rod that may spin between two balls.
+    A ball that turns at w dissipates d w^2, and w^2 <= 2 (w_rod^2 + w_platform^2): no motion decays faster than d
+    max(2 / I_rod, 12 / I_platform). The limit makes that 1 / time_step, half of the stability limit. I_rod is small
+    about the axis of a rod that spins between two balls.
     """
     rod_inertia = min(robot.rod_inertia) if options.rod_joint == "ball" else robot.rod_inertia[0]
     fastest = max(2.0 / rod_inertia, 12.0 / robot.smallest_platform_inertia)
@@ -214,9 +209,9 @@ def platform_damping_limit(robot: RobotParameters, options: DrakeOptions) -> flo
 class UserPlantOptions(UserMade, PlantOptions, key="plant"):
     """Your own plant: `initial(pose, pose_rate)` begins, `step(torque, wrench)` moves it by one time step.
 
-    Both return pose [rad, m] and pose rate [rad/s, m/s] of the platform, (6,) each; where the cranks are then follows
-    from the robot's geometry. They may return the cranks' angles [rad] and rates [rad/s] too. torque (6,) is that of
-    the motors [N m], wrench (6,) the push from outside about P [N m, N]. A constructor that names `robot`, `gravity` or
+    Both return pose (6,) [rad, m] and pose rate (6,) [rad/s, m/s] of the platform; the motion of the cranks follows
+    from the robot's geometry. They may also return the cranks' angles [rad] and rates [rad/s]. torque (6,) is that of
+    the motors [N m], wrench (6,) the external one about P [N m, N]. A constructor that names `robot`, `gravity` or
     `time_step` gets them.
     """
 
@@ -231,7 +226,7 @@ class UserPlantOptions(UserMade, PlantOptions, key="plant"):
 
 
 class _UserPlant:
-    """The object of the user's as a `Plant`; what is saved of it is its attributes."""
+    """A user's object as a `Plant`; its attributes are its state."""
 
     def __init__(self, options: UserPlantOptions, robot: RobotParameters, plant: Any) -> None:
         self._options, self._robot, self._plant = options, robot, plant
@@ -254,10 +249,10 @@ class _UserPlant:
         self._measured[:] = measured
         return self._measured
 
-    def _ask(self, method: Any, *given: np.ndarray) -> np.ndarray:
+    def _ask(self, method: Callable[..., Any], *arguments: np.ndarray) -> np.ndarray:
         with self._guard:
-            # Copies: what it keeps or changes is its own.
-            result = method(*(vector.copy() for vector in given))
+            # Copies, which it may keep or change.
+            result = method(*(vector.copy() for vector in arguments))
         parts = [self._options.numbers(part) for part in result] if np.iterable(result) else []
         if [part.shape for part in parts] not in ([(6,)] * 2, [(6,)] * 4):
             raise self._options.refusal(", ".join(str(part.shape) for part in parts) or f"a {type(result).__name__}")

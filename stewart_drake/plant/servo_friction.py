@@ -1,9 +1,8 @@
-"""Motors that stick, in a `MultibodyPlant`: the servos, and the systems of a Diagram that feed them.
+"""Stiction of motors in a `MultibodyPlant`: servos, and the systems of a Diagram that drive them.
 
-Friction that sticks is servos on the anchors of bristles: a second actuator on each motor pulls its crank towards the
-anchor, implicitly, cut at its effort limit, break-away. The level in sliding lies below that: the rest, the Stribeck
-torque, is added as a plain force and taken off the servo before the cut, so that the two together pull as the bristle
-does.
+Every motor has a second actuator, a servo that pulls its crank towards the anchor of the bristle, implicitly; its
+effort limit is the break-away torque. The level in sliding is lower. The difference, the Stribeck torque, is added as
+an external force and subtracted from the servo's torque before the limit, so that both give the bristle's torque.
 """
 
 from __future__ import annotations
@@ -15,8 +14,9 @@ from pydrake.multibody.tree import PdControllerGains
 from pydrake.systems.framework import Context, DiagramBuilder, InputPort, LeafSystem, OutputPort, System
 from pydrake.systems.primitives import Adder, LinearSystem, MatrixGain, Multiplexer
 
-from stewart_drake.base.jit import njit, record
-from stewart_drake.mechanics.friction import level, update_bristles
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Vec12, Vec18, Vector, record
+from stewart_drake.mechanics.friction import Friction, level, update_bristles
 from stewart_drake.mechanics.linear_algebra import copy_to
 from stewart_drake.plant.context_parameters import WithParameters
 from stewart_drake.robot.leg import LEG_COUNT
@@ -25,25 +25,26 @@ if TYPE_CHECKING:
     from stewart_drake.plant.multibody_plant import StewartRobot
 
 
-class Friction(NamedTuple):
-    """Of motors that stick: the port of torques (6,), what remembers anchors and slips, and the cranks in a state."""
+class FrictionSystems(NamedTuple):
+    """The systems of motors with stiction."""
 
-    torque: InputPort
-    memory: LinearSystem
-    cranks: np.ndarray
+    torque: InputPort  # (6,) [N m]
+    memory: LinearSystem  # Anchors and slips.
+    cranks: np.ndarray  # (6,) places of the cranks' angles in a state of the plant.
 
-    def without_tension(self, state: np.ndarray) -> np.ndarray:
+    def relaxed(self, state: np.ndarray) -> np.ndarray:
+        """Memory (12,) of relaxed bristles in a state of the plant."""
         return np.append(state[self.cranks], np.zeros(LEG_COUNT))
 
 
 class MotorFriction(LeafSystem, WithParameters):
-    """What friction asks of the servos, from `plant_state` and `bristles` (12,): anchors [rad], slips [rad/s] before.
+    """Inputs of the servos from `plant_state` and `bristles` (12,): anchors [rad] and slips [rad/s] before the step.
 
-    The output `pull` (18,) has anchors, slips and stribeck_torque [N m] until the next step. The parameter `friction`
-    is a `FRICTION` record; its break_away and viscous count in the plant, where they are a motor's limit and damping.
+    The output `pull` (18,) has anchors, slips and Stribeck torques [N m] until the next step. The parameter `friction`
+    is a `Friction` record; break_away and viscous have their effect in the plant, as a motor's limit and damping.
     """
 
-    def __init__(self, robot: StewartRobot, friction: np.ndarray) -> None:
+    def __init__(self, robot: StewartRobot, friction: Friction) -> None:
         super().__init__()
         plant = robot.plant
         self._step, self.cranks = plant.time_step(), robot.indices.crank
@@ -60,34 +61,36 @@ class MotorFriction(LeafSystem, WithParameters):
 
 
 @njit
-def _servo_inputs(friction: Any, before: Any, state: Any, cranks: Any, step: float, out: Any) -> None:
-    """Anchors, slips and Stribeck torques (18,), break-away to level, of those before (12,) and the state now."""
-    friction = record(friction)
+def _servo_inputs(friction: Friction, before: Vec12, state: Vector, cranks: Vector, step: float, out: Vec18) -> None:
+    """Anchors, slips and Stribeck torques from anchors and slips before, and the cranks in the state of the plant."""
+    friction, angles = record(friction), np.empty(6)
+    for i in range(6):
+        angles[i] = state[cranks[i]]
     copy_to(out[:12], before)
-    update_bristles(friction, state[cranks], step, out[:6], out[6:12])
+    update_bristles(friction, angles, step, out[:6], out[6:12])
     for i in range(6):
         slip = out[6 + i]
         out[12 + i] = np.sign(slip) * (friction.break_away[i] - level(friction, i, slip))
 
 
-def add_servos(added: StewartRobot, law: np.ndarray) -> None:
-    """Of motors without dry friction none; before the plant is finalised."""
+def add_servos(added: StewartRobot, law: Friction) -> None:
+    """Adds a servo for every motor with dry friction; before the plant is finalised."""
     plant = added.plant
     for leg in np.flatnonzero(law["break_away"][0]).tolist():
         actuator = plant.AddJointActuator(f"friction_{leg}", added.joint(f"motor_{leg}"), law["break_away"][0, leg])
-        # Drake takes the rotor of a joint from its last actuator alone.
+        # Drake takes the rotor's inertia from the last actuator of a joint.
         motor = plant.GetJointActuatorByName(f"motor_{leg}", added.instance)
         actuator.set_default_rotor_inertia(motor.default_rotor_inertia())
         stiffness = law["stiffness"][0, leg]
         actuator.set_controller_gains(PdControllerGains(p=stiffness, d=stiffness * plant.time_step()))
 
 
-def wire_friction(builder: DiagramBuilder, robot: StewartRobot, law: np.ndarray) -> Friction:
-    """Feeds motors and servos of a finalised plant."""
+def wire_friction(builder: DiagramBuilder, robot: StewartRobot, law: Friction) -> FrictionSystems:
+    """Connects motors and servos of a finalised plant."""
     plant, instance = robot.plant, robot.instance
     model = plant.GetModelInstanceName(instance)
     prefix = "friction" if model == "stewart" else f"{model}_friction"
-    # What is remembered is stored by a system of Drake's: an update in Python right after the plant's step is slow.
+    # The memory is a system of Drake's: an update in Python right after the plant's step is slow.
     stored, sent = 2 * LEG_COUNT, 3 * LEG_COUNT
     store = LinearSystem(
         A=np.zeros((stored, stored)), B=np.eye(stored, sent), C=np.eye(stored), D=[], time_period=plant.time_step()
@@ -111,7 +114,7 @@ def wire_friction(builder: DiagramBuilder, robot: StewartRobot, law: np.ndarray)
     builder.Connect(friction.pull, both.get_input_port(1))
     for name, matrix, source, target in (
         ("torque", torque, both.get_output_port(), plant.get_actuation_input_port(instance)),
-        # A desired state left unconnected would disarm the servos without a word.
+        # An unconnected desired state would silently disarm the servos.
         ("anchor", desired, friction.pull, plant.get_desired_state_input_port(instance)),
         ("relief", force, friction.pull, plant.get_applied_generalized_force_input_port()),
     ):
@@ -119,13 +122,13 @@ def wire_friction(builder: DiagramBuilder, robot: StewartRobot, law: np.ndarray)
         builder.Connect(source, gain.get_input_port())
         connect_besides(builder, gain.get_output_port(), target, Adder(2, len(matrix)))
 
-    wired = Friction(both.get_input_port(0), memory, friction.cranks)
-    memory.configure_default_state(wired.without_tension(robot.default))
-    return wired
+    systems = FrictionSystems(both.get_input_port(0), memory, friction.cranks)
+    memory.configure_default_state(systems.relaxed(robot.default))
+    return systems
 
 
 def connect_besides(builder: DiagramBuilder, source: OutputPort, target: InputPort, both: System) -> None:
-    """Connects a port, beside what it is connected to already, if it is: `both` adds two signals then."""
+    """Connects a port; `both` adds the signal to the one that is connected already."""
     if before := builder.connection_map().get((target.get_system(), target.get_index())):
         other = before[0].get_output_port(before[1])
         builder.AddSystem(both)

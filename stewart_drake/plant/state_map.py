@@ -1,16 +1,17 @@
-"""The state of Drake's plant of one robot: composed at a pose, and read."""
+"""States of Drake's plant of one robot: assembled from a pose, and read."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stewart_drake.base.errors import ConfigurationError, SingularPoseError
 from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Matrix, Vec12
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.kinematics import cross, leg_geometry, pose_rate_to_twist, quaternion, rotation_matrix
 from stewart_drake.mechanics.singularities import ASSEMBLED
@@ -21,7 +22,7 @@ from stewart_drake.robot import RobotParameters
 
 @dataclass(frozen=True, eq=False)
 class StateIndices:
-    """Where things of the robot are in a state [positions; velocities] of the plant, which may have more."""
+    """Indices of the robot in a state [positions; velocities] of the plant, which may have other bodies."""
 
     crank: np.ndarray  # (6,) motor angles, zero at home.
     rod: np.ndarray  # (6, 2 or 3) angles of the joints between crank and rod.
@@ -32,14 +33,14 @@ class StateIndices:
     twist: np.ndarray  # (6,) w_BP, v_BP of the platform, both in B.
 
     def all(self) -> np.ndarray:
-        """Indices of all that is the robot's."""
+        """All indices of the robot."""
         return np.concatenate([array.ravel() for array in vars(self).values()])
 
 
 class StateMap:
-    """The state of one robot, read and composed; vectorised over leading axes.
+    """States of one robot, with any leading axes.
 
-    A subclass has `indices`, and the state (n,) `default` of a plant, of which the robot's part is replaced.
+    A subclass has `indices`, and a plant's state (n,) `default`, in which the robot's entries are replaced.
     """
 
     indices: StateIndices
@@ -67,7 +68,7 @@ class StateMap:
     def assemble(self, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> np.ndarray:
         """State (..., nq + nv) of the plant with the closed robot at a pose [rad, m], moving, rods not spinning.
 
-        In closed form; what else the plant has is as by default.
+        In closed form; the rest of the plant is in its default state.
 
         Raises:
             UnreachablePoseError: A rod cannot span.
@@ -115,7 +116,7 @@ class StateMap:
         return state
 
     def checked(self, state: ArrayLike) -> np.ndarray:
-        """States as an array; those of another plant raise a ConfigurationError where their size tells it."""
+        """States as an array; ConfigurationError if their size is that of another plant."""
         state = np.asarray(state, dtype=float)
         if state.shape[-1:] != (self.size,):
             raise ConfigurationError("state", f"an array of shape {state.shape}", f"(..., {self.size}) of this plant")
@@ -128,8 +129,8 @@ class StateMap:
         _platform_motion(platform.reshape(-1, 13), pose.reshape(-1, 6), rate.reshape(-1, 6))
         return pose, rate
 
-    def read_pose(self, state: np.ndarray, out: np.ndarray) -> None:
-        """As `pose_and_rate`, of one state (nq + nv,) into (12,), in a third of the time."""
+    def read_pose(self, state: np.ndarray, out: Vec12) -> None:
+        """`pose_and_rate` of one state (nq + nv,) into (12,), in a third of the time."""
         _platform_motion(state[self._platform_index][None], out[None, :6], out[None, 6:])
 
     def crank_state(self, state: np.ndarray) -> np.ndarray:
@@ -137,7 +138,7 @@ class StateMap:
         return self.checked(state)[..., self._crank_index] + self._crank_zero
 
     def measure(self, state: np.ndarray) -> np.ndarray:
-        """What a `Plant` measures (..., 24) in states."""
+        """Measurement (..., 24) of a `Plant` in states."""
         return np.concatenate([*self.pose_and_rate(state), self.crank_state(state)], axis=-1)
 
     def crank_angles(self, state: np.ndarray) -> np.ndarray:
@@ -145,7 +146,7 @@ class StateMap:
         return self.checked(state)[..., self.indices.crank] + self._home.crank_angles
 
     def rod_directions(self, state: np.ndarray) -> np.ndarray:
-        """Unit vectors e_l (..., 6, 3) [-] along the rods, from the crank up, wherever their far ends are."""
+        """Unit vectors e_l (..., 6, 3) [-] along the rods, from the crank up, from the joint angles at the crank."""
         state = self.checked(state)
         crank, lateral, e_n = np.moveaxis(crank_rotations(self.robot, self.crank_angles(state)), -1, 0)
         angles = state[..., self.indices.rod]
@@ -158,7 +159,7 @@ class StateMap:
         return np.asarray(x[..., None] * crank + y[..., None] * lateral + z[..., None] * e_n)
 
     def loop_gap(self, state: np.ndarray) -> np.ndarray:
-        """Distance (..., 6) [m] between each rod's end and its joint on the platform; constraints keep it near zero."""
+        """Distance (..., 6) [m] between a rod's end and its joint on the platform; constraints keep it near zero."""
         crank = crank_rotations(self.robot, self.crank_angles(state))[..., 0]
         lengths = self.robot.crank_lengths[:, None], self.robot.rod_lengths[:, None]
         end = self.robot.shaft_positions + lengths[0] * crank + lengths[1] * self.rod_directions(state)
@@ -168,15 +169,15 @@ class StateMap:
 
 
 def _refuse_small(kind: Literal["serial", "rod_joint"], margins: np.ndarray, pose: np.ndarray) -> None:
-    """Raises a SingularPoseError where a margin (..., 6) of a leg is next to nothing."""
+    """Raises a SingularPoseError where a margin (..., 6) of a leg is almost zero."""
     if margins.min(initial=1.0) < ASSEMBLED:
         at = np.unravel_index(int(margins.argmin()), margins.shape)
         raise SingularPoseError(kind, pose[at[:-1]], float(margins[at]), ASSEMBLED, int(at[-1]))
 
 
 @njit
-def _platform_motion(states: Any, poses: Any, rates: Any) -> None:
-    """Poses and their rates (n, 6) of quaternion, position and twist (n, 13)."""
+def _platform_motion(states: Matrix, poses: Matrix, rates: Matrix) -> None:
+    """Poses (n, 6) and their rates (n, 6) from quaternion, position and twist (n, 13)."""
     for n in range(len(states)):
         laws.quaternion_angles(states[n, :4], poses[n, :3])
         for k in range(3):

@@ -13,7 +13,7 @@ from stewart_drake.robot import RobotParameters
 
 
 class SteppedPlant:
-    """The `MultibodyPlant` as a `Plant`, for a loop that is not a Diagram: a step at a call."""
+    """The `MultibodyPlant` as a `Plant`."""
 
     def __init__(self, robot: RobotParameters, options: DrakeOptions, gravity: float) -> None:
         self._diagram, self._stewart = build_plant(robot, options, gravity)
@@ -22,7 +22,7 @@ class SteppedPlant:
         self._begin()
 
     def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
-        """Begins at a pose (6,) and its rate (6,), friction without tension, all rods whole."""
+        """Begins at a pose (6,) and its rate (6,), with relaxed bristles and no broken rod."""
         self._begin()
         self._stewart.set_state(self._context, pose, pose_rate)
         return self._measure()
@@ -37,23 +37,22 @@ class SteppedPlant:
         return self._measure()
 
     def save(self) -> tuple[int, list[np.ndarray]]:
-        """Steps done, and the discrete state of the Diagram: of the plant, and of its friction where it has some."""
+        """Steps done, and the discrete state of the Diagram: of the plant, and of its friction if it has any."""
         state = self._context.get_discrete_state()
         return self._steps, [np.array(state.get_vector(k).value()) for k in range(state.num_groups())]
 
     def restore(self, state: tuple[int, list[np.ndarray]]) -> np.ndarray:
-        own = [len(group) for group in self.save()[1]]
-        given = [len(group) for group in state[1]] if isinstance(state, tuple) else []
-        if given[:1] != own[:1]:
-            raise foreign_state(state, f"a MultibodyPlant with {own[0]} numbers")
+        sizes = [len(group) for group in self.save()[1]]
+        if not isinstance(state, tuple) or [len(group) for group in state[1]][:1] != sizes[:1]:
+            raise foreign_state(state, f"a MultibodyPlant with {sizes[0]} numbers")
         self._begin()
         self._steps, groups = state
         with drake_guard("going on from a state"):
             self._context.SetTime(self._steps * self._period)
             self._simulator.Initialize()
             self._stewart.put(self._context, groups[0])
-            # Friction that was not there before begins without tension.
-            for k, values in enumerate(groups[: len(own)]):
+            # Bristles that were not saved begin relaxed.
+            for k, values in enumerate(groups[: len(sizes)]):
                 self._context.SetDiscreteState(k, values)
         return self._measure()
 

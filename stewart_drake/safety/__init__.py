@@ -1,16 +1,31 @@
-"""What stands between any controller and the motors: monitors, and a reaction in levels.
+"""The safety layer between any controller and the motors: monitors, and a reaction in levels.
 
-Levels: `hold` repeats the last good command for as long as its budget lasts, and alone is left again by itself; `ramp`
-leads to the torque that carries the robot's weight where it stands, damped; `safe_hold` stays there; then the run ends.
-Torque and torque-rate limits with a named stop are libfranka's habit (`limitRate`).
+Levels: `hold` repeats the last good command for as long as its budget lasts, and is the only one that ends by itself;
+`ramp` leads to the torque that carries the robot's weight where it is, damped; `safe_hold` keeps that torque; then the
+run ends. Torque and torque-rate limits with a named stop follow libfranka (`limitRate`).
 """
 
 from stewart_drake.safety.layer import HOLD, LEVELS, NONE, NOT_THERE, RAMP, SAFE_HOLD, first_trip, safety_part
-from stewart_drake.safety.limits import MONITORS, SafetyInputs, SafetyOptions, refuse_motion, refuse_start, sample_times
+from stewart_drake.safety.limits import refuse_motion, refuse_start, sample_times
+from stewart_drake.safety.options import MONITORS, SafetyInputs, SafetyOptions
 from stewart_drake.safety.stillness import Stillness, first_standstill, standstill_text
 
 __all__ = [
-    "HOLD", "LEVELS", "MONITORS", "NONE", "NOT_THERE", "RAMP", "SAFE_HOLD", "SafetyInputs",
-    "SafetyOptions", "Stillness", "first_standstill", "first_trip", "refuse_motion", "refuse_start", "safety_part",
-    "sample_times", "standstill_text",
-]  # fmt: skip
+    "HOLD",
+    "LEVELS",
+    "MONITORS",
+    "NONE",
+    "NOT_THERE",
+    "RAMP",
+    "SAFE_HOLD",
+    "SafetyInputs",
+    "SafetyOptions",
+    "Stillness",
+    "first_standstill",
+    "first_trip",
+    "refuse_motion",
+    "refuse_start",
+    "safety_part",
+    "sample_times",
+    "standstill_text",
+]

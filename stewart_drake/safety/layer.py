@@ -1,55 +1,110 @@
-"""A tick of the safety layer, compiled: its monitors, its levels and reactions, and the part of a loop."""
+"""A tick of the safety layer, compiled: monitors, levels and reactions; and the part of a loop."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from stewart_drake.base.errors import FAILURES, SafetyStop
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Record, Vec2, Vec6, Vec12, Vec18, record
 from stewart_drake.loop.part import HEALTHY, LoopContext, Part
-from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import static_torque
-from stewart_drake.mechanics.friction import FRICTION
-from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
+from stewart_drake.mechanics.friction import Friction
+from stewart_drake.mechanics.kinematics_laws import Legs, Robot, robot_record
+from stewart_drake.mechanics.linear_algebra import all_finite, any_nonzero, copy_to, set_to, solve
 from stewart_drake.mechanics.singularities import WEIGHT_TRUSTED
-from stewart_drake.safety import limits
-from stewart_drake.safety.limits import MEANINGS, MONITORS, NO_TRIP, OBSERVED, SafetyInputs, SafetyOptions
+from stewart_drake.safety.limits import (
+    AT_LIMIT_TIME,
+    RUNAWAY_TIME,
+    SUSPECT_HOLD,
+    TOO_FAST_TIME,
+    Observed,
+    SafetyParams,
+    broken,
+    first_least,
+    observe,
+    safety_params,
+)
+from stewart_drake.safety.options import (
+    COMMAND,
+    CONTROLLER,
+    DEADLINE,
+    MEANINGS,
+    MEASUREMENT,
+    MONITORS,
+    NO_TRIP,
+    NOT_MOVING,
+    READING,
+    SENSOR,
+    TORQUE_LIMIT,
+    TORQUE_RATE,
+    UNEXPLAINED,
+    SafetyInputs,
+    SafetyOptions,
+)
 from stewart_drake.safety.residual import (
     MOTOR_WEAK,
     READING_WRONG,
-    RESIDUAL,
+    ResidualState,
     is_unexplained,
     mark_suspects,
     motor_torques,
     speeds_to_stop,
     update_residual,
 )
-from stewart_drake.safety.stillness import FROZEN, REPEATED, STANDS, STILLNESS, cranks_at, watch
+from stewart_drake.safety.stillness import FROZEN, LEAST_REPEATS, STANDING, StillState, cranks_at, watch
 
 LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
-ABSURD = 10.0  # A command of so many times the limit is an error of the controller and no wish for torque.
+IMPLAUSIBLE = 10.0  # Times the torque limit: a larger command is an error of the controller.
 REFILL = 0.05  # Ticks of the budget of holding that a good tick gives back: a fault that flickers uses it up too.
 _ROUNDING = 1e-9
+CONTINUE, BLIND, RUNAWAY, HOLD_OVER = range(4)  # How a tick ends; but for CONTINUE the run is over.
 
-_STATE = np.dtype([*fields(
-    torque=6, safety=3, good=6, weight=6, hold_used=(), at_limit=(), too_fast=(), since=(), assembly_sign=(),
-    ticks=(), first=5, worst=(), command=6, unexplained_ticks=(), fast=(),
-).descr, *RESIDUAL.descr, *STILLNESS.descr])  # fmt: skip
-"""torque: for the motors [N m]. safety: numbers of level in `LEVELS` and monitor in `MONITORS`, leg or -1. good: last
-good command, one that no limit touched [N m]. weight: last torque that carried the robot's weight [N m]. hold_used:
-ticks of holding, less what good ones gave back; while stopping, ticks without a measurement. at_limit, too_fast,
-unexplained_ticks, fast: ticks at the torque limit, of commands that jumped, of residuals that were too large, and of a
-stop that runs away, less good ones. since: ticks of ramp and safe hold. assembly_sign: sign of the rods' determinant at
-the start, 0 before the first tick. ticks: done. first: monitor, level, leg, tick and cause in `FAILURES` of the first
-trip, zeros before. worst: highest level so far. command: that of the last tick, if it was finite [N m]. The rest: see
-`RESIDUAL` and `STILLNESS`."""
 
-GOES_ON, BLIND, RUNAWAY, HOLD_OVER = range(4)  # How a tick ends: in the last three the run is over.
+class SafetyStatus(Record):
+    """State of the layer as it is logged."""
+
+    level: float  # Number in `LEVELS`.
+    monitor: float  # Number in `MONITORS`.
+    leg: float  # -1 for none.
+
+
+class Trip(Record):
+    """The first trip of a run, zeros before."""
+
+    monitor: float
+    level: float
+    leg: float  # -1 for none.
+    tick: float
+    cause: float  # Number in `FAILURES`, from 1; 0 for none.
+
+
+class SafetyState(Record):
+    """State of the safety layer. Counts of bad ticks are less those of good ones."""
+
+    torque: Vec6  # [N m] for the motors.
+    safety: SafetyStatus
+    good: Vec6  # [N m] last command that no limit touched.
+    weight: Vec6  # [N m] last torque that carried the robot's weight.
+    hold_used: float  # Ticks of holding, less those given back; while stopping, ticks without a measurement.
+    at_limit: float  # Ticks at the torque limit.
+    too_fast: float  # Ticks of commands that jumped.
+    unexplained_ticks: float  # Ticks of residuals that were too large.
+    runaway_ticks: float  # Ticks of a stop in which a crank turned too fast.
+    stop_ticks: float  # Of ramp and safe hold.
+    assembly_sign: float  # Sign of the rods' determinant at the start, 0 before the first tick.
+    ticks: float  # Done.
+    first: Trip
+    worst: float  # Highest level so far.
+    command: Vec6  # [N m] of the last tick in which it was finite.
+    residual: ResidualState
+    still: StillState
+
 
 NOT_THERE = {
     "age": np.zeros(1),
@@ -58,7 +113,7 @@ NOT_THERE = {
     "angles": np.full(6, np.nan),
     "pose_reading": np.full(12, np.nan),
 }
-"""What stands at a port for which a loop has no signal."""
+"""Inputs in loops that have no signal for a port."""
 
 
 @njit
@@ -67,77 +122,85 @@ def _whole(value: float) -> int:
 
 
 @njit
-def _unusable(params: Any, command: Any, is_measured: bool, age: float, sensor: Any, controller: Any) -> Any:
-    """What is wrong with this tick's messages, not their contents: monitor or `NO_TRIP`, leg or -1, cause or 0."""
+def _unusable(
+    params: SafetyParams, command: Vec6, is_measured: bool, age: float, sensor: Vec2, controller: Vec2
+) -> tuple[int, int, int]:
+    """What is wrong with the messages of a tick, not their contents: monitor or `NO_TRIP`, leg or -1, cause or 0."""
     if not is_measured:
-        return limits.MEASUREMENT, -1, 0
+        return MEASUREMENT, -1, 0
     if sensor[0] != 0.0:
-        return limits.SENSOR, _whole(sensor[1]), _whole(sensor[0])
+        return SENSOR, _whole(sensor[1]), _whole(sensor[0])
     if controller[0] != 0.0:
-        return limits.CONTROLLER, _whole(controller[1]), _whole(controller[0])
+        return CONTROLLER, _whole(controller[1]), _whole(controller[0])
     largest, leg = 0.0, 0
     for i in range(6):
         if not np.isfinite(command[i]):
-            return limits.COMMAND, i, 0
+            return COMMAND, i, 0
         share = abs(command[i]) / params.torque_limit[i]
         if share > largest:
             largest, leg = share, i
     if not age <= params.deadline:
-        return limits.DEADLINE, -1, 0
-    if largest > ABSURD:
-        return limits.TORQUE_LIMIT, leg, 0
+        return DEADLINE, -1, 0
+    if largest > IMPLAUSIBLE:
+        return TORQUE_LIMIT, leg, 0
     return NO_TRIP, -1, 0
 
 
 @njit
 def _tick(
-    robot: Any, friction: Any, friction_unknown: Any, params: Any, user_trip: Any, command: Any, measurement: Any,
-    reference: Any, age: Any, sensor: Any, controller: Any, angles: Any, pose_reading: Any, legs: Any,
-    observed: Any, state: Any,
-) -> Any:  # fmt: skip
-    """One tick; `user_trip` (2,): a user's monitor that trips, and its leg.
+    robot: Robot,
+    friction: Friction,
+    friction_unknown: Friction,
+    params: SafetyParams,
+    user_trip: Vec2,
+    command: Vec6,
+    measurement: Vec12,
+    reference: Vec18,
+    age: np.ndarray,
+    sensor: Vec2,
+    controller: Vec2,
+    angles: Vec6,
+    pose_reading: Vec12,
+    legs: Legs,
+    observed: Observed,
+    state: SafetyState,
+) -> tuple[int, float]:
+    """One tick; `user_trip` has the number of a user's monitor that trips, 0 for none, and its leg.
 
-    Returns GOES_ON, BLIND, RUNAWAY or HOLD_OVER, and the speed of the fastest crank.
+    Returns:
+        CONTINUE, BLIND, RUNAWAY or HOLD_OVER; speed of the fastest crank [rad/s].
     """
-    robot, friction, params, legs, observed, state = (
-        record(robot), record(friction), record(params), record(legs), record(observed), record(state),
-    )  # fmt: skip
-    pose, rate, wanted = measurement[:6], measurement[6:], reference[:6]
-    read = pose_reading[:6] if pose_reading[0] == pose_reading[0] else pose
+    robot, friction, params = record(robot), record(friction), record(params)
+    legs, observed, state = record(legs), record(observed), record(state)
+    read, residual = pose_reading[:6] if pose_reading[0] == pose_reading[0] else measurement[:6], state.residual
+    is_first, torque = state.ticks == 0.0, state.torque[:]
     update_residual(
-        robot, friction, record(friction_unknown), params, angles, read, state.torque, state.ticks == 0.0, state, legs
+        robot, friction, record(friction_unknown), params.residual, angles, read, torque, is_first, residual, legs
     )
-    unexplained = is_unexplained(params, state)
+    unexplained = is_unexplained(params.residual, residual)
     state.unexplained_ticks = _counted(state.unexplained_ticks, unexplained)
     cranks = angles.copy()
-    if state.encoders == 0.0:
+    if residual.encoders == 0.0:
         cranks_at(robot, read, legs, cranks)
-    still, standing = watch(robot, params, cranks, wanted, legs, state)
+    still, standing = watch(robot, params.still, cranks, reference[:6], legs, state.still)
     state.ticks += 1.0
-    is_measured = all_finite(rate) and all_finite(pose + params.horizon * rate)
+    is_measured = _is_finite(params, measurement)
     is_observed = is_measured and sensor[0] == 0.0
     if is_observed:
-        limits.observe(robot, params, pose, rate, wanted, state.assembly_sign, legs, observed)
-        if state.assembly_sign == 0.0:
-            state.assembly_sign = observed.assembly_sign
-        trusted = observed.transmission.min() > WEIGHT_TRUSTED.transmission
-        trusted = trusted and abs(observed.conditioning) > WEIGHT_TRUSTED.conditioning
-        torque = np.empty(6)
-        if trusted and static_torque(robot, legs, params.gravity, torque):
-            copy_to(state.weight[:], torque)
-    if state.safety[0] >= RAMP:
+        _observe(robot, params, measurement, reference, legs, observed, state)
+    if state.safety.level >= RAMP:
         return _stop(params, is_observed, unexplained, angles, state)
+    # No impact repeats readings to the last bit while the reference moves.
+    blind = state.still.repeats >= LEAST_REPEATS
     monitor, level, leg, cause = NO_TRIP, RAMP, -1, 0
     if is_observed:
-        monitor, leg = limits.broken(observed)
-    # No blow repeats readings to the last bit while the reference moves.
-    blind = state.moved >= REPEATED
+        monitor, leg = broken(observed)
     if monitor == NO_TRIP and blind and (unexplained or still == FROZEN):
-        monitor = limits.READING
-    if monitor == NO_TRIP and state.unexplained_ticks > params.blow:
-        monitor = limits.UNEXPLAINED
-    if monitor == NO_TRIP and still == STANDS:
-        monitor, leg = limits.NOT_MOVING, standing
+        monitor = READING
+    if monitor == NO_TRIP and state.unexplained_ticks > params.impact:
+        monitor = UNEXPLAINED
+    if monitor == NO_TRIP and still == STANDING:
+        monitor, leg = NOT_MOVING, standing
     if monitor == NO_TRIP:
         level = HOLD
         monitor, leg, cause = _unusable(params, command, is_measured, age[0], sensor, controller)
@@ -148,26 +211,72 @@ def _tick(
         else:
             monitor, leg = _pass_on(params, command, state)
     if monitor == NO_TRIP:
-        return GOES_ON, 0.0
-    # Holds where that may still be done, else begins to ramp.
+        return CONTINUE, 0.0
+    level = _react(params, monitor, level, leg, cause, blind, unexplained, state)
+    if level == RAMP:
+        return _stop(params, is_observed, unexplained, angles, state)
+    _approach(params, state.good[:], state)
+    return CONTINUE, 0.0
+
+
+@njit
+def _is_finite(params: SafetyParams, measurement: Vec12) -> bool:
+    """Whether a measurement, and its pose extrapolated by the horizon, is finite."""
+    finite = all_finite(measurement[6:])
+    for k in range(6):
+        finite = finite and np.isfinite(measurement[k] + params.horizon * measurement[6 + k])
+    return finite
+
+
+@njit
+def _observe(
+    robot: Robot,
+    params: SafetyParams,
+    measurement: Vec12,
+    reference: Vec18,
+    legs: Legs,
+    observed: Observed,
+    state: SafetyState,
+) -> None:
+    """Margins of a measurement, and the torque of the robot's weight where it can be trusted."""
+    observe(robot, params, measurement[:6], measurement[6:], reference[:6], state.assembly_sign, legs, observed)
+    if state.assembly_sign == 0.0:
+        state.assembly_sign = observed.assembly_sign
+    trusted, torque = abs(observed.conditioning) > WEIGHT_TRUSTED.conditioning, np.empty(6)
+    for i in range(6):
+        trusted = trusted and observed.transmission[i] > WEIGHT_TRUSTED.transmission
+    if trusted and static_torque(robot, legs, params.gravity, torque):
+        copy_to(state.weight[:], torque)
+
+
+@njit
+def _react(
+    params: SafetyParams,
+    monitor: int,
+    level: int,
+    leg: int,
+    cause: int,
+    blind: bool,
+    unexplained: bool,
+    state: SafetyState,
+) -> int:
+    """Notes a trip; the level of the reaction: HOLD as long as the budget lasts, else RAMP."""
+    residual = state.residual
     state.hold_used += 1.0
     if level == HOLD and state.hold_used > params.budget:
         level = RAMP
     if level == RAMP:
         if blind:
-            state.suspect[:] = READING_WRONG
+            set_to(residual.suspect[:], READING_WRONG)
         else:
-            suspect = mark_suspects(state, leg if monitor == limits.SENSOR else -1, unexplained)
+            suspect = mark_suspects(residual, leg if monitor == SENSOR else -1, unexplained)
             leg = suspect if suspect >= 0 else leg
-    state.safety[0], state.safety[1], state.safety[2] = level, monitor, leg
+    state.safety.level, state.safety.monitor, state.safety.leg = level, monitor, leg
     state.worst = max(state.worst, float(level))
-    if state.first[0] == 0.0:
-        first = state.first
-        first[0], first[1], first[2], first[3], first[4] = monitor, level, leg, state.ticks - 1.0, cause
-    if level == RAMP:
-        return _stop(params, is_observed, unexplained, angles, state)
-    copy_to(state.torque[:], _rate_limited(params, state.good[:], state))
-    return GOES_ON, 0.0
+    first = state.first
+    if first.monitor == 0.0:
+        first.monitor, first.level, first.leg, first.tick, first.cause = monitor, level, leg, state.ticks - 1.0, cause
+    return level
 
 
 @njit
@@ -176,80 +285,99 @@ def _counted(ticks: float, bad: bool) -> float:
 
 
 @njit
-def _pass_on(params: Any, command: Any, state: Any) -> tuple[int, int]:
-    """Passes a command on within the limits; a monitor that finds this has gone on for too long, and its leg."""
-    size, change, limit = np.abs(command), np.abs(command - state.command), params.torque_limit
-    full = (size >= limit * (1.0 - _ROUNDING)).any()
-    steep = (change > _largest_change(params, state) * (1.0 + _ROUNDING)).any()
+def _pass_on(params: SafetyParams, command: Vec6, state: SafetyState) -> tuple[int, int]:
+    """Passes a command on within the limits; the monitor that trips where this has lasted too long, and its leg."""
+    largest_change, limit = _largest_change(params, state), params.torque_limit
+    torque, spare, steadiness, full, steep = np.empty(6), np.empty(6), np.empty(6), False, False
+    for i in range(6):
+        size, change = abs(command[i]), abs(command[i] - state.command[i])
+        full = full or size >= limit[i] * (1.0 - _ROUNDING)
+        steep = steep or change > largest_change * (1.0 + _ROUNDING)
+        spare[i], steadiness[i] = -size / limit[i], -change
+        torque[i] = min(max(command[i], -limit[i]), limit[i])
     state.at_limit, state.too_fast = _counted(state.at_limit, full), _counted(state.too_fast, steep)
     copy_to(state.command[:], command)
-    if state.at_limit * params.period > limits.AT_LIMIT_TIME + _ROUNDING:
-        return limits.TORQUE_LIMIT, limits.first_least(-size / limit)
-    if state.too_fast * params.period > limits.TOO_FAST_TIME + _ROUNDING:
-        return limits.TORQUE_RATE, limits.first_least(-change)
-    # Led after it, a command that chatters would leave a mean torque that nobody asked for.
-    torque = state.good.copy() if steep else np.minimum(np.maximum(command, -limit), limit)
-    led = _rate_limited(params, torque, state)
-    if not (full or steep) and (led == torque).all():
+    if state.at_limit * params.period > AT_LIMIT_TIME + _ROUNDING:
+        return TORQUE_LIMIT, first_least(spare)
+    if state.too_fast * params.period > TOO_FAST_TIME + _ROUNDING:
+        return TORQUE_RATE, first_least(steadiness)
+    if steep:
+        # To approach a command that chatters would leave a mean torque that nobody asked for.
+        copy_to(torque, state.good)
+    reached = _approach(params, torque, state)
+    if reached and not (full or steep):
         copy_to(state.good[:], torque)
-    copy_to(state.torque[:], led)
-    state.safety[0], state.safety[1], state.safety[2] = NONE, NO_TRIP, -1.0
+    state.safety.level, state.safety.monitor, state.safety.leg = NONE, NO_TRIP, -1.0
     state.hold_used = max(0.0, state.hold_used - REFILL)
     return NO_TRIP, -1
 
 
 @njit
-def _largest_change(params: Any, state: Any) -> float:
+def _largest_change(params: SafetyParams, state: SafetyState) -> float:
     """[N m] from one tick to the next."""
     return np.inf if state.ticks <= 1.0 else params.torque_change
 
 
 @njit
-def _rate_limited(params: Any, torque: Any, state: Any) -> Any:
-    """Torques (6,) [N m] towards those wanted; to the last bit those, where nothing limits the change."""
-    led, bound = np.empty(6), _largest_change(params, state)
+def _approach(params: SafetyParams, torque: Vec6, state: SafetyState) -> bool:
+    """Moves the torques of the motors towards those wanted, at the largest rate; True where they are reached."""
+    bound, reached = _largest_change(params, state), True
     for i in range(6):
-        ahead = torque[i] - state.torque[i]
-        led[i] = state.torque[i] + min(max(ahead, -bound), bound) if abs(ahead) > bound else torque[i]
-    return led
+        before = state.torque[i]
+        change = torque[i] - before
+        state.torque[i] = before + min(max(change, -bound), bound) if abs(change) > bound else torque[i]
+        reached = reached and state.torque[i] == torque[i]
+    return reached
 
 
 @njit
-def _stop(params: Any, is_observed: bool, unexplained: bool, angles: Any, state: Any) -> Any:
+def _stop(
+    params: SafetyParams, is_observed: bool, unexplained: bool, angles: Vec6, state: SafetyState
+) -> tuple[int, float]:
     """Ramp and safe hold: from the last good command to the weight's torque, damped from the first tick on.
 
-    All ways of moving die away alike, in `params.stopping`. A leg whose reading is suspect is damped by the speed that
-    torques alone say it has. That is good for a short time, as is a robot with a motor that fails.
+    All modes decay with the time constant `params.stopping`. A leg with a suspect reading is damped by the speed that
+    torques alone give. That is good for a short time, as it is for a robot with a faulty motor.
     """
-    state.since += 1.0
-    if not state.suspect.any():
-        leg = mark_suspects(state, -1, unexplained)
-        state.safety[2] = leg if state.safety[2] < 0.0 else state.safety[2]
-    is_seen = is_observed or np.isfinite(angles).sum() >= 5
+    state.stop_ticks += 1.0
+    residual, readings = state.residual, 0
+    if not any_nonzero(residual.suspect[:]):
+        leg = mark_suspects(residual, -1, unexplained)
+        state.safety.leg = leg if state.safety.leg < 0.0 else state.safety.leg
+    for i in range(6):
+        readings += 1 if np.isfinite(angles[i]) else 0
+    is_seen = is_observed or readings >= 5
     if not is_seen and state.hold_used >= params.budget:
-        # Nobody can hold this robot without seeing it: an open loop falls over within half a second.
+        # This robot cannot be held without a measurement: in open loop it falls within half a second.
         return BLIND, 0.0
-    brake, elapsed, limit = np.zeros((6, 1)), state.since * params.period, params.most_torque
-    fastest = speeds_to_stop(params, state, brake[:, 0])
-    state.fast = _counted(state.fast, fastest > params.most_speed)
-    if state.fast * params.period > limits.RUNAWAY_TIME + _ROUNDING:
+    speeds, brake, wanted, elapsed = np.empty(6), np.empty((6, 1)), np.empty(6), state.stop_ticks * params.period
+    fastest = speeds_to_stop(params.residual, residual, speeds)
+    state.runaway_ticks = _counted(state.runaway_ticks, fastest > params.most_speed)
+    if state.runaway_ticks * params.period > RUNAWAY_TIME + _ROUNDING:
         return RUNAWAY, fastest
-    is_whole = not state.suspect.any()
+    is_whole = not any_nonzero(residual.suspect[:])
     hold = params.ramp_time + params.safe_hold_time if is_whole else params.suspect_hold_time
     if elapsed > hold + _ROUNDING:
         return HOLD_OVER, 0.0
-    # A command that came from a wrong reading is not led on. The inertia of the cranks makes a torque of a speed.
+    # A command that followed a wrong reading is not continued. The inertia of the cranks turns a speed into a torque.
     share = min(1.0, elapsed / params.ramp_time) if is_whole else 1.0
-    wanted = (1.0 - share) * state.good + share * state.weight
-    if is_seen and solve(state.mobility.copy(), brake) != 0.0 and all_finite(brake[:, 0]):
-        # Of a crank that may have lost its rod nothing says how much it bears.
-        wanted -= np.where(state.suspect == MOTOR_WEAK, 0.0, brake[:, 0]) / params.stopping
-    motor_torques(state, wanted)
-    copy_to(state.torque[:], _rate_limited(params, np.minimum(np.maximum(wanted, -limit), limit), state))
-    state.safety[0] = SAFE_HOLD if elapsed >= params.ramp_time else RAMP
-    state.worst = max(state.worst, state.safety[0])
+    for i in range(6):
+        brake[i, 0], wanted[i] = speeds[i], (1.0 - share) * state.good[i] + share * state.weight[i]
+    braked = is_seen and solve(residual.mobility.copy(), brake) != 0.0
+    for i in range(6):
+        braked = braked and np.isfinite(brake[i, 0])
+    for i in range(6):
+        # A crank that may have lost its rod tells nothing about its load.
+        if braked and residual.suspect[i] != MOTOR_WEAK:
+            wanted[i] -= brake[i, 0] / params.stopping
+    motor_torques(residual, wanted)
+    for i in range(6):
+        wanted[i] = min(max(wanted[i], -params.most_torque[i]), params.most_torque[i])
+    _approach(params, wanted, state)
+    state.safety.level = SAFE_HOLD if elapsed >= params.ramp_time else RAMP
+    state.worst = max(state.worst, state.safety.level)
     state.hold_used = 0.0 if is_seen else state.hold_used + 1.0
-    return GOES_ON, 0.0
+    return CONTINUE, 0.0
 
 
 def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
@@ -257,28 +385,37 @@ def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
 
     Where the very first command is bad, `context.initial_torque` is held.
     """
-    robot, period = context.robot, context.period
-    params = limits.params_of(robot, options, context.gravity, period, context.noise)
-    torques = dict.fromkeys(("torque", "good", "weight", "command", "sent"), context.initial_torque)
-    unread = dict.fromkeys(("angles", "poses"), np.nan)
-    first = new_record(_STATE, **torques, **unread, safety=(NONE, NO_TRIP, -1.0))
+    robot, period, torque = context.robot, context.period, context.initial_torque
+    params = safety_params(robot, options, context.gravity, period, context.noise)
+    first = SafetyState.new(
+        torque=torque,
+        good=torque,
+        weight=torque,
+        command=torque,
+        safety=SafetyStatus.new(level=NONE, monitor=NO_TRIP, leg=-1.0),
+        residual=ResidualState.new(angles=np.nan, poses=np.nan, sent_torques=torque),
+    )
     kernel: Any = _tick
-    numbers = {"robot": laws.robot_record(robot), "friction": context.friction.record()}
-    numbers["friction_unknown"] = np.zeros(1, FRICTION)
+    numbers = {"robot": robot_record(robot), "friction": context.friction.record(), "friction_unknown": Friction.new()}
     constants: dict[str, Any] = {"user_trip": np.zeros(2)}
     if options.monitors:
         kernel, constants = _tick_with_monitors, {**constants, "options": options}
     inputs = {"command": 6, "measurement": 12, "reference": 18}
     inputs |= {name: len(value) for name, value in NOT_THERE.items()}
     error = partial(_stopped, options, period)
-    part = Part("safety", kernel, constants, inputs, ("torque", "safety"), first, (laws.Legs, OBSERVED), error=error)
+    part = Part("safety", kernel, constants, inputs, ("torque", "safety"), first, (Legs, Observed), error=error)
     return part._replace(connections=NOT_THERE, parameters={**numbers, "params": params})
 
 
 def _tick_with_monitors(
-    robot: np.ndarray, friction: np.ndarray, friction_unknown: np.ndarray, params: np.ndarray,
-    user_trip: np.ndarray, options: SafetyOptions, *arguments: np.ndarray,
-) -> Any:  # fmt: skip
+    robot: Robot,
+    friction: Friction,
+    friction_unknown: Friction,
+    params: SafetyParams,
+    user_trip: Vec2,
+    options: SafetyOptions,
+    *arguments: Any,
+) -> tuple[int, float]:
     """`_tick` with the first of a user's monitors that trips, if any."""
     command, measured, wanted, age, sensor, controller, *_ = arguments
     user_trip[:] = 0.0
@@ -287,14 +424,14 @@ def _tick_with_monitors(
         inputs = SafetyInputs(command, measured[:6], measured[6:], wanted[:6], float(age[0]), *health)
         trip = options.first_user_trip(inputs)
         user_trip[:] = user_trip if trip is None else trip
-    return cast(Any, _tick)(robot, friction, friction_unknown, params, user_trip, *arguments)
+    return _tick(robot, friction, friction_unknown, params, user_trip, *arguments)
 
 
 def _stopped(options: SafetyOptions, period: float, result: Any, arguments: Mapping[str, Any]) -> SafetyStop:
     (status, fastest), state = result, arguments["state"]
-    names, (_, monitor, leg) = options.monitor_names, state["safety"][0]
-    name = names[int(monitor)]
-    longest = limits.SUSPECT_HOLD if state["suspect"].any() else np.inf
+    names, status_now = options.monitor_names, state["safety"][0]
+    name, leg = names[int(status_now["monitor"])], status_now["leg"]
+    longest = SUSPECT_HOLD if state["residual"]["suspect"].any() else np.inf
     what = {
         BLIND: "stopped: no measurement to hold the robot by",
         RUNAWAY: f"stopping, but a crank turns at {fastest:.3g} rad/s",
@@ -302,18 +439,18 @@ def _stopped(options: SafetyOptions, period: float, result: Any, arguments: Mapp
     }[status]
     text = "; ".join(filter(None, (MEANINGS.get(name), what)))
     if status != HOLD_OVER:
-        state["safety"][0, 0] = state["worst"] = END
+        state["safety"]["level"] = state["worst"] = END
     return SafetyStop(name, f"{name}: {text}", int(leg) if leg >= 0.0 else None, first_trip(state, period, names))
 
 
 def first_trip(state: np.ndarray, period: float, names: Sequence[str] = MONITORS) -> dict[str, Any] | None:
-    """What the layer's last state has to tell of a run of ticks of a period [s]; None where no monitor tripped.
+    """The first trip by the layer's state after ticks of a period [s]; None where no monitor tripped.
 
     monitor, level, time [s], leg, cause of the first trip; worst, the highest level; last, the level now; stopped, the
-    trip for which the robot was taken from its controller for good, or None.
+    trip after which the controller no longer was in charge, or None.
     """
     now: Any = state[0]
-    monitor, level, leg, tick, cause = now["first"]
+    monitor, level, leg, tick, cause = now["first"].item()
     if monitor == 0.0:
         return None
 
@@ -321,12 +458,12 @@ def first_trip(state: np.ndarray, period: float, names: Sequence[str] = MONITORS
         time = round(float(tick) * period, 9)
         return {"monitor": names[int(monitor)], "time": time, "leg": int(leg) if leg >= 0.0 else None}
 
-    last, by, at = now["safety"]
+    last, by, at = now["safety"].item()
     return {
         **trip(monitor, tick, leg),
         "level": LEVELS[int(level)],
         "cause": FAILURES[int(cause) - 1] if cause > 0.0 else None,
         "worst": LEVELS[int(now["worst"])],
         "last": LEVELS[int(last)],
-        "stopped": trip(by, now["ticks"] - now["since"], at) if last >= RAMP else None,
+        "stopped": trip(by, now["ticks"] - now["stop_ticks"], at) if last >= RAMP else None,
     }

@@ -1,6 +1,6 @@
-"""Settings and tuners in the same situations: their runs, their costs over those of the best fixed setting, and a page.
+"""Benchmark of settings and tuners in the same situations: runs, costs relative to the best fixed setting, and a page.
 
-A candidate changes the scenario of a case; a cell is a kind of situations with a robot, and each counts alike.
+A candidate changes the scenario of a case. A cell is a kind of situations with a robot; all cells have the same weight.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from stewart_drake.training.situations import HELD_OUT, KINDS, ROBOTS, Case, Cha
 
 SHIPPED = PACKAGE / "weights" / "baselines.yaml"
 MEASURED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
-"""Figures of a run that its cost is made of, whatever the scales."""
+"""Figures of a run that make up its cost at any scales."""
 MIN_COST = 1e-3
-"""A smaller cost counts as this: encoders that never change make a cost of nothing, and a ratio to it means nothing."""
+"""Floor of a cost: encoders that never change give zero cost, and a ratio to it has no meaning."""
 LOWEST, HIGHEST = np.array([-0.05, -0.8, -2.2, -2.2]), np.array([0.5, 0.7, 0.1, 1.0])
-"""Box of settings (4,) for searches and for policies that are trained. The shipped policy has a smaller one, which
-docs/results/tuner_safety.md has tried."""
+"""Box of settings (4,) for searches and training. The shipped policy has a smaller one, see
+docs/results/tuner_safety.md."""
 ROUGH = ("load jump", "pushes", "blows", "saturation", "stiction")
-"""Kinds in which a stiff loop is worth most."""
-DIGITS = 3  # Of a setting: what is run is what is written down
+"""Kinds in which a stiff loop helps most."""
+DIGITS = 3  # Of a setting, in runs and in files
 BEST_FIXED, ORACLE = "best fixed", "oracle of each kind"
-STAYS = ("best of each robot", "stiff", "default", "best of the nine pairs")
-"""What else stays as it is in all kinds, or for a robot."""
+OTHER_FIXED = ("best of each robot", "stiff", "default", "best of the nine pairs")
+"""Other fixed settings, for all kinds or for a robot."""
 NEVER_WORSE = 1.05
-"""[-] upper end that a policy's J over that of each of these should not exceed in any kind."""
+"""[-] bound of the upper end of a policy's J relative to these, in every kind."""
 
 PlantKind = Literal["drake", "closed_form"]
 Numbers = tuple[Real, Real, Real, Real]
@@ -65,14 +65,14 @@ class Baselines(Section, key=""):
     """The best over `ROUGH` kinds alone."""
     best_of_robot: dict[Text, Numbers]
     best_of_kind: dict[Text, dict[Text, Numbers]]
-    """Robot -> kind -> the best for it, also of kinds that nothing is trained on: what knowing the kind is worth."""
+    """Robot -> kind -> the best for it, also for kinds without training: the value of knowing the kind."""
     pair: dict[Text, tuple[Real, Real]]
     """Robot -> the best of the paper's nine pairs."""
     schedule: dict[Text, Any]
     costs: dict[Text, dict[Text, dict[Text, Real]]]
-    """Robot -> kind -> geometric mean of J over the seeds: each row of the verdict that nothing is trained for."""
+    """Robot -> kind -> geometric mean of J over the seeds, for rows without training."""
     evaluations: dict[Text, Real]
-    """Points in each search, and seeds of each kind."""
+    """Points of the searches, and seeds of the kinds."""
 
     @classmethod
     def load(cls, path: Path = SHIPPED) -> Baselines:
@@ -84,7 +84,7 @@ def always(changes: Changes) -> Candidate:
 
 
 def with_setting(setting: Sequence[float] | np.ndarray) -> Candidate:
-    """A setting (4,) that stays, in decades above the default, see `control.policy`."""
+    """A fixed setting (4,), in decades above the default, see `control.policy`."""
     decades = np.round(np.asarray(setting, dtype=float), DIGITS)
 
     def changes(_: Case, scenario: Scenario) -> Changes:
@@ -103,7 +103,7 @@ def with_pair(pair: Sequence[float], setting: Sequence[float] | np.ndarray) -> C
 
 
 def fixed_rows(baselines: Baselines) -> dict[str, Candidate]:
-    """What stays as it is in all kinds, by name: a policy is not to be worse than any of them in any kind."""
+    """Fixed settings by name, which a policy should not exceed in any kind."""
     of_robot, pair = baselines.best_of_robot, baselines.pair
     rows: list[Candidate] = [
         with_setting(baselines.best),
@@ -112,17 +112,17 @@ def fixed_rows(baselines: Baselines) -> dict[str, Candidate]:
         with_setting(np.zeros(len(NAMES))),
         lambda case, base: with_pair(pair[case.robot], baselines.best)(case, base),
     ]
-    return dict(zip((BEST_FIXED, *STAYS), rows, strict=True))
+    return dict(zip((BEST_FIXED, *OTHER_FIXED), rows, strict=True))
 
 
 def oracle(baselines: Baselines) -> Candidate:
-    """What knowing the kind is worth."""
+    """The best fixed setting for the kind."""
     of_kind = baselines.best_of_kind
     return lambda case, base: with_setting(of_kind[case.robot][case.kind])(case, base)
 
 
 def candidates(baselines: Baselines, policy: Changes) -> dict[str, Candidate]:
-    """Those of a verdict by name: best fixed, the policy, the schedule, what else stays, the paper's, an oracle."""
+    """Candidates by name: best fixed, the policy, the schedule, other fixed settings, the paper's tuner, an oracle."""
     fixed = fixed_rows(baselines)
     best = fixed.pop(BEST_FIXED)
     return {
@@ -163,7 +163,7 @@ def log_cost(row: Row, scales: CostScales) -> float:
 
 
 def candidate_trial(plant: PlantKind, candidate: Candidate, case: Case, name: str = "") -> Trial:
-    """Known by what is run; of a network its weights count, whatever its file is called."""
+    """A run; its key depends on the case, the changes and the weights of a network, not on file names."""
     scenario = situation(*case[:3])
     changes = {**candidate(case, scenario), "plant.kind": plant, "log_period": None}
     section = TUNERS.resolve(tuner) if (tuner := changes.get("tuner")) else None
@@ -173,12 +173,12 @@ def candidate_trial(plant: PlantKind, candidate: Candidate, case: Case, name: st
     return Trial(key, scenario.to_dict(), changes, labels, measure_parts, simulate_unchecked)
 
 
-def _work(plant: PlantKind) -> dict[str, Any]:
+def _work(plant: PlantKind) -> dict[str, object]:
     return {"benchmark": plant, "measured": MEASURED}
 
 
 class Benchmark(RowStore):
-    """Runs of candidates, as a search asks for them; with the further arguments of `RowStore`."""
+    """Runs of candidates for a search; with the further arguments of `RowStore`."""
 
     def __init__(self, folder: Path, plant: PlantKind, *more: Any, **options: Any) -> None:
         super().__init__(folder, identity(_work(plant)), *more, **options)
@@ -202,14 +202,14 @@ class Estimate(NamedTuple):
 
 
 def estimate(logs: Sequence[np.ndarray], kind: Literal["mean", "median"] = "mean") -> Estimate:
-    """Of logarithms (n,) by cell: geometric mean over the cells of those in them, or median of all runs.
+    """Geometric mean over cells, or median over all runs, of logarithms (n,) by cell.
 
-    The interval is a percentile bootstrap's over the runs in each cell.
+    The interval is a percentile bootstrap over the runs within the cells.
     """
-    # Half a second of import.
+    # The import takes half a second.
     from scipy.stats import bootstrap
 
-    def statistic(*runs: np.ndarray, axis: int = -1) -> Any:
+    def statistic(*runs: np.ndarray, axis: int = -1) -> np.ndarray:
         if kind == "median":
             return np.median(np.concatenate(runs, axis=axis), axis=axis)
         return np.mean([cell.mean(axis=axis) for cell in runs], axis=0)
@@ -235,14 +235,14 @@ COLUMNS = (
 
 
 def costs_apart(row: Row) -> dict[str, float]:
-    """J of a run, that of its errors and that of its changes of torque."""
+    """J of a run, of its errors alone and of its torque changes alone."""
     changes, errors = {"torque_change_rms": 0.0}, {"rmse_norm_deg": 0.0, "rmse_norm_mm": 0.0}
     left_out: dict[str, Row] = {"cost": {}, "error": changes, "change": errors}
     return {name: math.exp(log_cost({**row, **without}, CostScales())) for name, without in left_out.items()}
 
 
 class Evaluation(Experiment):
-    """Candidates in cases; `BEST_FIXED` is among them, and the one after it is set against all others."""
+    """Candidates in cases: `BEST_FIXED`, and the first other one, which is compared with all others."""
 
     def rows(self, run: RunTrials) -> list[Row]:
         rows = [{**row, **costs_apart(row)} for row in run(self.trials)]
@@ -280,30 +280,30 @@ class Evaluation(Experiment):
             *([f"J of `{first}` over that of", markdown_table(["", *rest], pairwise)] if rest else []),
             "By kind: J of the best fixed setting (geometric mean), then ratios (geometric mean with interval).",
             markdown_table(["kind", "robot", BEST_FIXED, *others], by_kind),
-            *_never_worse(table, first, [name for name in STAYS if name in others]),
+            *_never_worse(table, first, [name for name in OTHER_FIXED if name in others]),
         ]
         return "\n\n".join(lines) + "\n"
 
 
-def _never_worse(table: Sequence[Row], first: str, stay: Sequence[str]) -> list[str]:
-    """A table of errors and changes of torque apart, and of the first candidate over each that stays, by kind."""
-    if not stay:
+def _never_worse(table: Sequence[Row], first: str, fixed: Sequence[str]) -> list[str]:
+    """Tables by kind: errors and torque changes alone, and the first candidate relative to the fixed settings."""
+    if not fixed:
         return []
     cells = list(grouped([row for row in table if row["candidate"] == BEST_FIXED], "kind", "robot"))
     apart = [ratios(table, first, key=key) for key in ("error", "change")]
-    over = {name: ratios(table, first, over=name) for name in (BEST_FIXED, *stay)}
+    over = {name: ratios(table, first, over=name) for name in (BEST_FIXED, *fixed)}
     lines, kept = [], 0
     for at, (kind, robot) in enumerate(cells):
         found = {name: estimate(logs[at : at + 1]) for name, logs in over.items()}
         worst = max(found, key=lambda name: found[name].high)
         kept += found[worst].high <= NEVER_WORSE
         shown = [estimate(logs[at : at + 1]) for logs in apart]
-        lines.append([kind, robot, *shown, *(found[name] for name in stay), f"{found[worst].high:.2f}, {worst}"])
+        lines.append([kind, robot, *shown, *(found[name] for name in fixed), f"{found[worst].high:.2f}, {worst}"])
     return [
         f"`{first}` by kind: errors and changes of torque apart, over those of `{BEST_FIXED}`; then its J over that of "
         f"what stays, and the highest upper end of these and of `{BEST_FIXED}`. It is at most {NEVER_WORSE:g} in "
         f"{kept} of {len(cells)}.",
-        markdown_table(["kind", "robot", "error", "change of torque", *stay, "highest upper end"], lines),
+        markdown_table(["kind", "robot", "error", "change of torque", *fixed, "highest upper end"], lines),
     ]
 
 
@@ -314,7 +314,7 @@ def ratios(
     over: str = BEST_FIXED,
     key: str = "cost",
 ) -> list[np.ndarray]:
-    """Logarithms of J, or of a part, of a candidate over that of another, an array for each cell that counts."""
+    """Log of J, or of a part, of a candidate relative to another, one array per cell."""
     costs = grouped(rows, "candidate", "kind", "robot")
     logs = {names: np.log([row[key] for row in group]) for names, group in costs.items()}
     cells = [cell for candidate, *cell in costs if candidate == name]
@@ -334,7 +334,7 @@ def evaluation(candidates: Mapping[str, Candidate], seeds: int, plant: PlantKind
 
 
 def write_picture(rows: Sequence[Row], folder: Path) -> None:
-    # matplotlib takes a second to load.
+    # The import takes a second.
     from stewart_drake.plotting import save_figure
     from stewart_drake.plotting.study_plots import plot_costs
 

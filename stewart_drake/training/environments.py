@@ -22,13 +22,14 @@ from stewart_drake.scenario.stepped_loop import SteppedLoop
 from stewart_drake.training.policy_training import FunctionSource, tuned_by
 from stewart_drake.training.situations import TRAINING, kinds_of, situation
 
+Info = dict[str, Any]  # As in gymnasium.
 with installed_with("stewart-drake[gym]"):
     import gymnasium
     from gymnasium import spaces
 
 
 class _Episode:
-    """One run on the fast engine, a decision at a time."""
+    """One run on the fast engine, from decision to decision."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario, self.loop = scenario, SteppedLoop(scenario)
@@ -36,21 +37,21 @@ class _Episode:
         self.loop.begin()
         self.end = round(scenario.duration / self._step)
         self._before = np.zeros(6)
-        self._answer()
+        self._run_parts()
 
     def advance(self, steps: int) -> tuple[float, float, float]:
-        """RMS rotation error [deg], position error [mm] and change of a torque in a millisecond [N m] of some steps."""
+        """Runs some steps: RMS rotation error [deg], position error [mm] and torque change in a millisecond [N m]."""
         squares = np.zeros(3)
         for _ in range(steps):
             self.loop.move()
-            self._answer()
+            self._run_parts()
             change = 1e-3 / self._step * (self.loop.torque - self._before)
             error = self.error
             squares += np.sum(error[:3] ** 2), np.sum(error[3:] ** 2), np.mean(change**2)
         rotation, position, change_rms = np.sqrt(squares / steps)
         return float(np.degrees(rotation)), float(1e3 * position), float(change_rms)
 
-    def _answer(self) -> None:
+    def _run_parts(self) -> None:
         self._before[:] = self.loop.torque
         self.loop.run_parts()
 
@@ -66,13 +67,13 @@ class _Episode:
 
 
 class _Environment(gymnasium.Env[np.ndarray, np.ndarray]):
-    """What both have: episodes, and a reward of 1 / (1 + log10(1 + J)) a decision, J the cost of its steps."""
+    """Base: episodes, and a reward of 1 / (1 + log10(1 + J)) for a decision, J the cost of its steps."""
 
     interval: float
     episode: _Episode
 
-    def _decide(self) -> tuple[float, bool, bool, dict[str, Any]]:
-        """Reward, whether the robot can no longer go on, whether the time is over, and figures."""
+    def _decide(self) -> tuple[float, bool, bool, Info]:
+        """Reward, terminated (the run failed), truncated (the time is over), and figures."""
         scenario = self.episode.scenario
         steps = max(1, round(self.interval / scenario.plant.time_step))
         try:
@@ -87,17 +88,17 @@ class _Environment(gymnasium.Env[np.ndarray, np.ndarray]):
 class TrackEnvironment(_Environment):
     """The policy is the controller: torques that follow a motion.
 
-    Action: (6,) in [-1, 1], torques as a share of `authority` times the motors' limit, held for `interval`. The
-    torques that the motion itself needs, by inverse dynamics of the reference, are added. Observation: (24,) arcsinh of
-    errors of pose [deg, mm] and rate [deg/s, cm/s], and of the reference's rate and acceleration [10 deg/s^2, dm/s^2].
-    An episode begins off the motion by up to `offset`.
+    Action: (6,) in [-1, 1], torques relative to `authority` times the motors' limit, held for `interval`; inverse
+    dynamics of the reference is added. Observation: (24,) arcsinh of errors of pose [deg, mm] and rate [deg/s, cm/s],
+    and of the reference's rate and acceleration [10 deg/s^2, dm/s^2]. An episode begins off the motion by up to
+    `offset`.
 
     Args:
-        scenario: A scenario, its file or its name; its own controller is not used.
+        scenario: A scenario, its file or its name; its controller is not used.
         duration: [s] of an episode.
         interval: [s] between two actions.
         authority: [-] share of the motors' limit.
-        offset: [deg, mm] of the first pose, largest of each axis.
+        offset: [deg, mm] of the first pose, largest of any axis.
     """
 
     def __init__(
@@ -109,7 +110,7 @@ class TrackEnvironment(_Environment):
         offset: tuple[float, float] = (0.5, 1.0),
     ) -> None:
         loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-        # One tick a step of the plant; whoever decides sees what is.
+        # One tick per step of the plant, and exact measurements.
         plain = {"estimator": {}, "sensors": {}, "controller": {"kind": self._torque}, "plant.kind": "closed_form"}
         self._scenario = loaded.replace({**plain, "duration": duration, "safety": None, "model.friction": None})
         times = times_of(np.arange(round(duration / loaded.plant.time_step) + 2), loaded.plant.time_step)
@@ -120,9 +121,7 @@ class TrackEnvironment(_Environment):
         self.action_space = spaces.Box(-1.0, 1.0, (6,), np.float32)
         self.observation_space = spaces.Box(-20.0, 20.0, (24,), np.float32)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[np.ndarray, Info]:
         """A new episode."""
         super().reset(seed=seed, options=options)
         offset = (self.np_random.uniform(-1.0, 1.0, 6) * self._offset).tolist()
@@ -130,7 +129,7 @@ class TrackEnvironment(_Environment):
         self.episode = _Episode(self._scenario.replace({"initial_offset": offset}))
         return self._observe(), {}
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, Info]:
         """Holds an action for `interval`."""
         self._action[:] = np.clip(action, -1.0, 1.0)
         reward, failed, over, figures = self._decide()
@@ -162,8 +161,8 @@ class TuneEnvironment(_Environment):
     """The policy tunes the regulator of a loop with an observer, as `tuner: policy` does.
 
     Action: (4,) in [-1, 1], the setting (speed, damping, integral, disturbance) within the box of the shipped policy; 0
-    is its best fixed one. Observation: (13,) features, see `control.features`. An episode is a situation that the seed
-    draws: a push, a payload, noise, another motion. What matters comes in its second half.
+    is the best fixed setting. Observation: (13,) features, see `control.features`. An episode is a random situation by
+    the seed: a push, a payload, noise, another motion. Its event is in the second half.
 
     Args:
         robots: Of `training.situations`.
@@ -176,10 +175,8 @@ class TuneEnvironment(_Environment):
         self.action_space = spaces.Box(-1.0, 1.0, (4,), np.float32)
         self.observation_space = spaces.Box(-30.0, 30.0, (len(FEATURES),), np.float32)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Another situation."""
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[np.ndarray, Info]:
+        """A new situation."""
         super().reset(seed=seed, options=options)
         robot = str(self.np_random.choice(list(self._robots)))
         kind = str(self.np_random.choice(kinds_of(robot, trained=True)))
@@ -189,8 +186,8 @@ class TuneEnvironment(_Environment):
         self.episode = _Episode(tuned_by(source, drawn.replace({"plant.kind": "closed_form"})))
         return self._observe(), {"situation": drawn.name}
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Holds a setting for `interval`; it moves there by a small share in a tick."""
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, Info]:
+        """Holds a setting for `interval`; the tuner moves towards it by a small step per tick."""
         width = np.where(action < 0.0, self.policy.below, self.policy.above)
         self._target[:] = self.policy.centre + width * np.clip(action, -1.0, 1.0)
         reward, failed, over, figures = self._decide()

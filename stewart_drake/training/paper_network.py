@@ -1,12 +1,9 @@
-"""The paper's tuner, section III.D: its training data from nine experiments, and back-propagation for the network.
-
-torch is imported where it trains, and nowhere else.
-"""
+"""The paper's tuner, section III.D: training data from nine experiments, and training of the network with torch."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -32,14 +29,14 @@ from stewart_drake.studies.runs import simulate
 from stewart_drake.studies.workers import Workers, run_all
 
 OMEGAS = (0.1, 1.0, 10.0)
-FREQUENCIES = (1.0, 2.0, 3.0, 4.0, 5.0)  # [Hz] one burst each, in every experiment
+FREQUENCIES = (1.0, 2.0, 3.0, 4.0, 5.0)  # [Hz] of the bursts in every experiment
 PHASES = tuple(np.pi / 3.0 * k for k in range(6))
-"""[rad] of the six axes: sixty degrees apart, so that they do not peak together."""
+"""[rad] of the six axes: 60 degrees apart, so that their peaks are not simultaneous."""
 SHARE = 0.8
-"""Share of the largest feasible amplitudes that is used: at the whole of it the weaker of the nine pairs overshoot into
-a crank's dead centre."""
+"""Share of the largest feasible amplitudes; with all of it the weaker of the nine pairs overshoot into a crank's dead
+centre."""
 SAMPLES_PER_RUN = 1600
-BURST = 1.6  # [s] of each frequency: 320 samples of 5 ms
+BURST = 1.6  # [s] per frequency: 320 samples of 5 ms
 COLUMNS = ("time", "run", *(f"density_{i}" for i in range(12)), "omega_q", "omega_r")
 _VERSION = 2
 _MOST_BYTES, _MOST_ROWS = 500_000_000, 10_000_000
@@ -47,13 +44,13 @@ _MOST_BYTES, _MOST_ROWS = 500_000_000, 10_000_000
 
 @dataclass(frozen=True)
 class Dataset:
-    """Densities (n, 12) [-] of errors and torques, the weights (n, 2) in force, experiment and time (n,) [s] in it."""
+    """Training data of n ticks."""
 
-    inputs: np.ndarray
-    outputs: np.ndarray
-    run: np.ndarray
-    time: np.ndarray
-    metadata: dict[str, Any] = field(default_factory=dict)
+    inputs: np.ndarray  # (n, 12) [-] densities of errors and torques.
+    outputs: np.ndarray  # (n, 2) weights omega_Q, omega_R.
+    run: np.ndarray  # (n,) experiment.
+    time: np.ndarray  # (n,) [s] within the experiment.
+    metadata: dict[str, Any] = field(default_factory=dict)  # Of the experiments, see `dataset_metadata`.
 
     def digest(self) -> str:
         content = hashlib.sha256()
@@ -87,7 +84,7 @@ def load_dataset(path: str | Path) -> Dataset:
 def feasible_amplitudes(
     robot: RobotParameters, limits: ReferenceLimits, gravity: float
 ) -> tuple[tuple[Vector6, ...], tuple[Vector6, ...]]:
-    """Largest feasible amplitudes (n_f, 6) [rad, m] at `FREQUENCIES`: of each axis alone, and of all at once."""
+    """Largest feasible amplitudes (n_f, 6) [rad, m] at `FREQUENCIES`: of single axes, and of all axes at once."""
     alone = tuple(six(row) for row in amplitude_table(robot, limits, FREQUENCIES, gravity))
     together = []
     for frequency, single in zip(FREQUENCIES, alone, strict=True):
@@ -107,7 +104,7 @@ def experiment_reference(base: Scenario) -> SineBurstsReference:
     _, together = feasible_amplitudes(base.robot, base.limits, base.gravity)
     if not np.all(np.array(together) > 0.0):
         raise ConfigurationError("limits", base.limits, "limits within which the robot can move from its home pose")
-    # To whole microradians and micrometres, downwards: rounding errors of the search then leave the data as it is.
+    # Rounded down to whole microradians and micrometres, so that rounding errors of the search do not change the data.
     amplitude = tuple(six(np.floor(1e6 * SHARE * np.array(row)) / 1e6) for row in together)
     return _bursts(base.robot, FREQUENCIES, amplitude)
 
@@ -121,7 +118,7 @@ def _bursts(
 
 
 def experiment_scenarios(base: Scenario, samples: int = SAMPLES_PER_RUN) -> list[Scenario]:
-    """The nine experiments of so many ticks: every pair of `OMEGAS` held fixed, on `experiment_reference`."""
+    """The nine experiments: every pair of `OMEGAS`, held fixed, on `experiment_reference`."""
     kept = {name: getattr(base, name) for name in ("gravity", "robot", "model", "plant", "limits")}
     kept |= {"reference": experiment_reference(base), "controller": base.lqi, "duration": samples * base.lqi.period}
     kind, window = base.tuner.density, base.tuner.window
@@ -130,9 +127,9 @@ def experiment_scenarios(base: Scenario, samples: int = SAMPLES_PER_RUN) -> list
 
 
 def dataset_from_logs(
-    logs: Sequence[SimulationLog], samples: int, kind: DensityKind, window: int, metadata: dict[str, Any]
+    logs: Sequence[SimulationLog], samples: int, kind: DensityKind, window: int, metadata: dict[str, object]
 ) -> Dataset:
-    """Densities of logged errors and torques, a row a tick, a log per experiment; a RunFailure where a log is short."""
+    """Densities of logged errors and torques, one row per tick; a RunFailure if a log is too short."""
     inputs, outputs = [], []
     for index, log in enumerate(logs):
         if not log.reached_end or len(log.time) < samples:
@@ -147,7 +144,7 @@ def dataset_from_logs(
     return Dataset(np.concatenate(inputs), np.concatenate(outputs), run, times, metadata)
 
 
-def dataset_metadata(base: Scenario, reference: SineBurstsReference) -> dict[str, Any]:
+def dataset_metadata(base: Scenario, reference: SineBurstsReference) -> dict[str, object]:
     return {
         "sample_time": base.lqi.period,
         "density": base.tuner.density,
@@ -169,7 +166,7 @@ def collect_dataset(
     samples: int = SAMPLES_PER_RUN,
     workers: Workers | None = None,
 ) -> Dataset:
-    """Runs the nine experiments with the kind of density and window of `base`; `progress` gets the number done."""
+    """Runs the nine experiments with the density and window of `base`; `progress` gets the number done."""
     base = Scenario() if base is None else base
     scenarios = experiment_scenarios(base, samples)
     logs = run_all(simulate, [(scenario,) for scenario in scenarios], workers or Workers(0), progress)
@@ -177,13 +174,13 @@ def collect_dataset(
     return dataset_from_logs(logs, samples, base.tuner.density, base.tuner.window, metadata)
 
 
-def six(values: Any) -> Vector6:
+def six(values: Iterable[float]) -> Vector6:
     a, b, c, d, e, f = (float(v) for v in values)
     return a, b, c, d, e, f
 
 
 def r_squared(target: np.ndarray, predicted: np.ndarray) -> float:
-    """1 - residual / total sum of squares; NaN where the target does not vary."""
+    """1 - residual / total sum of squares; NaN if the target is constant."""
     total = float(np.sum((target - target.mean()) ** 2))
     return 1.0 - float(np.sum((target - predicted) ** 2)) / total if total > 0.0 else float("nan")
 
@@ -202,7 +199,7 @@ class TrainingOptions(Section, key="training"):
     training_share: Fraction = 0.7
     """Share of the samples (or runs) for training; the rest validates. 0.7 in the paper."""
     split: Split = "samples"
-    """samples: at random, as in the paper; neighbours in time leak into each other. runs: whole experiments."""
+    """samples: at random, as in the paper; neighbours in time are then in both sets. runs: whole experiments."""
 
 
 @dataclass(frozen=True)
@@ -231,7 +228,7 @@ def split_samples(dataset: Dataset, options: TrainingOptions) -> np.ndarray:
 
 
 def import_torch() -> Any:
-    """torch; an error in one line where it is not installed."""
+    """torch, or an error of one line if it is not installed."""
     with installed_with("stewart-drake[train]", "everything but the training of the paper's network works without it"):
         import torch
     return torch
@@ -240,13 +237,13 @@ def import_torch() -> Any:
 def train_network(
     dataset: Dataset, options: TrainingOptions | None = None, progress: Callable[[float], None] = lambda _: None
 ) -> TrainingResult:
-    """Trains the tuner; the same data, options and torch give the same network to the last bit."""
+    """Trains the tuner; the same data, options and torch give the same network, bit by bit."""
     torch, options = import_torch(), TrainingOptions() if options is None else options
     training = split_samples(dataset, options)
     target = np.log10(dataset.outputs)
     mean, scale = dataset.inputs[training].mean(axis=0), dataset.inputs[training].std(axis=0)
     scale = np.where(scale > 1e-9, scale, 1.0)
-    # One thread and double precision: sums are then taken in one order, and the result repeats to the bit.
+    # One thread and double precision give one order of summation, and so reproducible results.
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -282,7 +279,7 @@ def train_network(
             "options": options.to_dict(),
             "torch": torch.__version__,
             "numpy": np.__version__,
-            # JSON has no NaN, which is the score of a target that does not vary.
+            # JSON has no NaN, the score of a constant target.
             "scores": {name: score if np.isfinite(score) else None for name, score in scores.items()},
             "data": {k: v for k, v in dataset.metadata.items() if k != "scenario"},
         }
@@ -298,7 +295,7 @@ def _descend(
     options: TrainingOptions,
     progress: Callable[[float], None],
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Weights and biases of both layers after so many epochs of Adam, and losses (epochs, 2) of both sides."""
+    """Weights and biases of both layers after training with Adam, and losses (epochs, 2) in training and validation."""
     generator = torch.Generator().manual_seed(options.seed)
     hidden = torch.nn.Linear(INPUTS, HIDDEN, dtype=torch.float64)
     output = torch.nn.Linear(HIDDEN, OUTPUTS, dtype=torch.float64)
@@ -308,12 +305,12 @@ def _descend(
             bound = layer.in_features**-0.5
             layer.weight.uniform_(-bound, bound, generator=generator)
             layer.bias.uniform_(-bound, bound, generator=generator)
-    given, wanted, mask = (torch.from_numpy(array) for array in (inputs, target, training))
+    features, targets, mask = (torch.from_numpy(array) for array in (inputs, target, training))
     optimiser = torch.optim.Adam(network.parameters(), lr=options.learning_rate)
     losses = np.empty((options.epochs, 2))
     for epoch in range(options.epochs):
         optimiser.zero_grad()
-        squared = (network(given) - wanted) ** 2
+        squared = (network(features) - targets) ** 2
         loss = squared[mask].mean()
         loss.backward()
         optimiser.step()

@@ -1,6 +1,6 @@
 """Training of the policy by an evolution strategy: whole runs on the fast engine, on all cores.
 
-It minimises the mean of log J over situations; all kinds of situations count alike.
+It minimises the mean of log J over situations; all kinds of situations have the same weight.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stewart_drake.base.atomic_files import MAX_FILE_BYTES, checksum, read_checked, seal, unseal, write_atomically
 from stewart_drake.base.errors import ConfigurationError
@@ -47,21 +48,25 @@ from stewart_drake.training.situations import ROBOTS, TRAINING, VALIDATION, Case
 
 HIDDEN = 16
 WEIGHTS = HIDDEN * len(FEATURES) + HIDDEN + SIZE * HIDDEN + SIZE
-"""Numbers of a network, flat: hidden layer and its biases, output layer and its biases."""
-FAR = 1e5  # Ends of the features' range while nothing is known of it
+"""Size of the flat vector of a network: hidden layer and its biases, output layer and its biases."""
+FAR = 1e5  # Limits of the features before their range is known
 SPREAD = 0.1
-LEARNING_RATE = 0.03  # Of Adam at first; it falls to a tenth along half a cosine
+LEARNING_RATE = 0.03  # Of Adam at the start; it falls to a tenth along half a cosine
 FAIRNESS = 10.0
-"""What a kind counts for more in which the policy is worse than a row that stays, times the logarithm of how much."""
-MORE = {"reachy_mini": 2}  # Times as many situations in a generation, of a robot whose runs are short
-VALIDATED = 5  # [generations] between two looks at the validation situations
-_SKIPPED, _SAMPLED = 30, 10  # [ticks] before the first features that are kept, and between them
+"""Extra weight of a kind in which the policy is worse than a fixed setting, per unit of log J."""
+MORE = {"reachy_mini": 2}  # Times as many situations in a generation, for a robot with short runs
+VALIDATED = 5  # [generations] between two validations
+_SKIPPED, _SAMPLED = 30, 10  # [ticks] before the first sample of features, and between samples
 
 
 def policy_of(
-    weights: np.ndarray, centre: np.ndarray, mean: Any = 0.0, scale: Any = 1.0, ends: Any = (-FAR, FAR)
+    weights: np.ndarray,
+    centre: np.ndarray,
+    mean: ArrayLike = 0.0,
+    scale: ArrayLike = 1.0,
+    ends: np.ndarray | tuple[float, float] = (-FAR, FAR),
 ) -> Policy:
-    """A policy of flat weights (`WEIGHTS`,); zeros stay at the centre (4,); mean, scale (13,), ends (2, 13)."""
+    """A policy from flat weights (`WEIGHTS`,); zeros give the centre (4,). Mean, scale (13,), range (2, 13)."""
     parts = np.split(weights, np.cumsum([HIDDEN * len(FEATURES), HIDDEN, SIZE * HIDDEN]))
     mean, scale, low, high = (np.broadcast_to(values, len(FEATURES)) for values in (mean, scale, *ends))
     return Policy(
@@ -80,19 +85,20 @@ def policy_of(
 
 
 def episode_cost(source: SettingSource, case: Case) -> float:
-    """Logarithm of what a run of a policy on the fast engine costs, at the kappa of the case."""
+    """Log of the cost of a run of a policy on the fast engine, at the kappa of the case."""
     log = simulate_unchecked(tuned_by(source, fast_scenario(case), case.kappa))
     return log_cost({"status": log.status, **measure_parts(log)}, CostScales().at(case.kappa))
 
 
 def fixed_cost(candidate: Candidate, case: Case) -> float:
-    """Likewise, of something that stays as it is."""
+    """Log of the cost of a run with a fixed setting."""
     scenario = fast_scenario(case)
     log = simulate_unchecked(scenario.replace(candidate(case, scenario)))
     return log_cost({"status": log.status, **measure_parts(log)}, CostScales().at(case.kappa))
 
 
 def episode_features(policy: Policy, case: Case) -> np.ndarray:
+    """Features (n, 13) of a run of a policy."""
     rows, params = [], record(policy.params())
 
     def choose(features: np.ndarray, setting: np.ndarray) -> float:
@@ -112,7 +118,7 @@ def fast_scenario(case: Case) -> Scenario:
 
 
 class GivenTuner(PolicyTuner):
-    """A tuner that has its source of settings already, in the place of a policy file."""
+    """A tuner with a source of settings in place of a policy file."""
 
     adapts: ClassVar[bool] = False
 
@@ -126,7 +132,7 @@ def tuned_by(source: SettingSource, scenario: Scenario, kappa: float = 0.0) -> S
 
 
 class FunctionSource:
-    """Settings in the box of a policy by `choose(features, setting)`, which fills (4,) and returns its confidence."""
+    """Settings in the box of a policy by `choose(features, setting)`, which fills the setting; gives a confidence."""
 
     def __init__(self, policy: Policy, choose: Callable[[np.ndarray, np.ndarray], float]) -> None:
         self.centre, self.width, self.params, self._choose = policy.centre, policy.width, policy.params, choose
@@ -150,9 +156,9 @@ class FunctionSource:
 
 @dataclass(frozen=True)
 class PolicyOptions:
-    """How to train: a generation has `situations` of each kind and robot, times `MORE`, of a `pool` of them.
+    """Options: a generation has `situations` per kind and robot, times `MORE`, out of a `pool`.
 
-    `start` is the file of a policy to begin with; else it is random, at the centre.
+    `start` is the file of an initial policy; without one it is random, at the centre.
     """
 
     seed: int = 0
@@ -166,23 +172,20 @@ class PolicyOptions:
 
 @dataclass
 class State:
-    """Log J of the rows that stay (m, n) in the pool and in validation, the centre first; features (13,); the network.
+    """State of a training."""
 
-    `least` is the objective on validation of the weights `best`; `history` (g, 3) has the mean of log J over that at
-    the centre, and the objective.
-    """
-
-    fixed: np.ndarray
-    validated: np.ndarray
-    mean: np.ndarray
-    scale: np.ndarray
+    fixed: np.ndarray  # (m, n) log J of the fixed settings in the pool, the centre first.
+    validated: np.ndarray  # (m, n) log J of the fixed settings in validation.
+    mean: np.ndarray  # (13,) of the features.
+    scale: np.ndarray  # (13,) of the features.
     weights: np.ndarray
-    moments: np.ndarray
-    best: np.ndarray
-    least: float = 1e9
+    moments: np.ndarray  # (2, n) of Adam.
+    best: np.ndarray  # Weights with the least objective in validation.
+    least: float = 1e9  # That objective.
     generation: int = 0
     seconds: float = 0.0
     history: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    """Generation, mean of log J relative to the centre, and objective of the validations."""
 
     def save(self, file: Path, identity: str) -> None:
         values = {name: np.asarray(value).tolist() for name, value in vars(self).items()}
@@ -207,7 +210,7 @@ class Training:
         cells = [cell for robot in options.robots for cell in cells_for(robot, trained=True)]
         pool = cases_of(cells, TRAINING[: options.pool])
         rng = np.random.default_rng(options.seed)
-        # Half of the pool has a smoothness (kappa) of its own.
+        # Half of the pool has a random smoothness (kappa).
         kappas = np.where(rng.random(len(pool)) < 0.5, rng.uniform(-1.0, 1.0, len(pool)), 0.0)
         self.pool = [case._replace(kappa=float(kappa)) for case, kappa in zip(pool, kappas, strict=True)]
         self.validation = cases_of(cells, VALIDATION[: options.validation])
@@ -216,16 +219,16 @@ class Training:
         self.identity = checksum({**subject, "start": self._start and self._start.content()})
 
     def begin(self) -> State:
-        """Costs of what stays, and the statistics of the features at the centre and at settings about it."""
+        """Costs of the fixed settings, and statistics of the features at and around the centre."""
         rng = np.random.default_rng([self.options.seed, 1])
         weights = np.zeros(WEIGHTS)
-        stays = policy_of(weights, self.centre)
+        at_centre = policy_of(weights, self.centre)
         fixed, validated = (self._fixed(cases) for cases in (self.pool, self.validation))
         runs = []
         for places in cells_of(self.pool).values():
             for place in places[:4]:
                 weights[-SIZE:] = rng.uniform(-1.5, 1.5, SIZE)
-                runs += [(stays, self.pool[place]), (policy_of(weights, self.centre), self.pool[place])]
+                runs += [(at_centre, self.pool[place]), (policy_of(weights, self.centre), self.pool[place])]
         found = np.concatenate(run_all(episode_features, runs, self._workers))
         if (start := self._start) is not None:
             weights = self._like(start, found)
@@ -238,7 +241,7 @@ class Training:
         return State(fixed, validated, found.mean(axis=0), scale, weights, np.zeros((2, WEIGHTS)), best=weights)
 
     def _like(self, start: Policy, features: np.ndarray) -> np.ndarray:
-        """Weights that choose nearly the settings of another policy, in this box, for features (n, 13)."""
+        """Weights that approximate the settings of another policy, in this box, at features (n, 13)."""
         inside = (np.clip(features, -LARGEST_FEATURE, LARGEST_FEATURE) - start.input_mean) / start.input_scale
         hidden = np.tanh(inside @ start.hidden_weights.T + start.hidden_bias)
         output = np.tanh(hidden @ start.output_weights.T + start.output_bias)
@@ -249,7 +252,7 @@ class Training:
         return np.concatenate([start.hidden_weights.ravel(), start.hidden_bias, layer[:, :-1].ravel(), layer[:, -1]])
 
     def step(self, state: State) -> State:
-        """One more generation: each situation twice, with weights on opposite sides of the present ones."""
+        """One generation: every situation twice, with weights on opposite sides of the present ones."""
         began, at = time.perf_counter(), dataclasses.replace(state)
         chosen = self._batch(at.generation)
         rng = np.random.default_rng([self.options.seed, 2, at.generation])
@@ -269,12 +272,12 @@ class Training:
         return at
 
     def finish(self, state: State) -> Policy:
-        """The best policy, with the range of its features on the pool, and its card."""
+        """The best policy, with the range of its features on the pool, and its provenance."""
         policy = self.policy(state, state.best)
         runs = [(policy, case) for case in self.pool]
         found = np.concatenate(run_all(episode_features, runs, self._workers))
         ends = np.stack([found.min(axis=0), found.max(axis=0)])
-        # All of kappa was drawn, if not to its very ends.
+        # Kappa was drawn from its whole range.
         ends[:, FEATURES.index("kappa")] = -1.0, 1.0
         policy = policy_of(state.best, self.centre, state.mean, state.scale, ends)
         return dataclasses.replace(policy, provenance=self._card(state, self.validate(state, policy)))
@@ -300,9 +303,9 @@ class Training:
         return np.concatenate(chosen)
 
     def _shares(self, chosen: np.ndarray, ratio: np.ndarray) -> np.ndarray:
-        """What each case counts: each kind alike, but more where the policy is worse than a row that stays.
+        """Weights of the cases: equal by kind, larger where the policy is worse than a fixed setting.
 
-        `ratio` (m, n): log J over that of each row. So the gradient is that of `_objective`.
+        `ratio` (m, n): log J relative to the fixed settings. They give the gradient of `_objective`.
         """
         share = np.zeros(len(chosen))
         cells = cells_of([self.pool[place] for place in chosen])
@@ -310,8 +313,8 @@ class Training:
             share[places] = (1.0 + FAIRNESS * _behind(ratio[:, places])) / (len(places) * len(cells))
         return share
 
-    def _card(self, state: State, ratio: np.ndarray) -> dict[str, Any]:
-        """Where a policy comes from; `ratio` as `validate` gives it."""
+    def _card(self, state: State, ratio: np.ndarray) -> dict[str, object]:
+        """Provenance of a policy, with the result of `validate`."""
         cells = {f"{robot}: {kind}": places for (kind, robot), places in cells_of(self.validation).items()}
         kinds = {name: ratio[0, places].mean() for name, places in cells.items()}
         behind = {name: ratio[:, places].mean(axis=1).max() for name, places in cells.items()}
@@ -334,12 +337,12 @@ class Training:
 
 
 def _behind(ratio: np.ndarray) -> float:
-    """How far a kind is above the best of the rows that stay, by log J over those of each (m, n); 0 where below."""
+    """Excess of a kind over the best fixed setting, from log J relative to the settings (m, n); 0 if below."""
     return max(0.0, float(ratio.mean(axis=1).max()))
 
 
 def _objective(ratio: np.ndarray, cases: Sequence[Case]) -> float:
-    """Mean over the kinds of log J over that at the centre, and of the square of how far behind it is."""
+    """Mean over the kinds of log J relative to the centre, plus a penalty on the square of `_behind`."""
     behind = [_behind(ratio[:, places]) for places in cells_of(cases).values()]
     return float(mean_over_cells(ratio[0], cases) + 0.5 * FAIRNESS * np.mean(np.square(behind)))
 
@@ -360,11 +363,11 @@ def train_policy(
     tell: Callable[[float, str], None] = lambda *_: None,
     workers: Workers | None = None,
 ) -> Policy:
-    """Trains; the same options give the same policy, however many processes there are and wherever it was interrupted.
+    """Trains; the same options give the same policy for any number of processes and after any interruption.
 
-    `file` is written after each generation and gone on from, where it is there; removed at the end.
+    `file` is written after every generation, and read to continue; removed at the end.
     """
-    # Worn out by nothing: without Drake a process stays small, and it knows its situations.
+    # No replacement of workers: without Drake a process stays small, and it caches its situations.
     training = Training(options, workers or Workers(os.cpu_count(), worn=None))
     if file is not None and file.exists():
         state = State.load(file, training.identity)

@@ -1,6 +1,6 @@
-"""Runs on which tuners are searched, trained and assessed: kinds of situations, drawn by kind, robot and seed.
+"""Random situations for search, training and tests of tuners, by kind, robot and seed.
 
-What matters comes in a run's second half, of which its cost is made.
+The event is in a run's second half, which gives its cost.
 """
 
 from __future__ import annotations
@@ -21,9 +21,8 @@ from stewart_drake.runs.checks import check_scenario, plant_report
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 TRAINING, VALIDATION, HELD_OUT = (range(first, first + 10**6) for first in (0, 10**6, 3 * 10**6))
-"""Seeds: of what is searched and trained on, of what is chosen by, and of what is assessed by. Earlier policies
-were assessed on those from 2e6 on."""
-_TRIES = 50  # Draws of a situation until the robot can do its motion; nearly all can at once
+"""Seeds for search and training, for selection, and for the test. Those from 2e6 on tested earlier policies."""
+_TRIES = 50  # Draws of a situation until its motion is feasible; nearly all first draws are
 
 Changes = dict[str, Any]
 
@@ -37,28 +36,24 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True)
 class Template:
-    """A robot in a run of a duration [s], before anything is drawn.
-
-    `viscous` [N m s/rad] is its motors' friction, `beyond` [N m] dry friction that nobody believes, lowest and highest;
-    `push` [-] the size of pushes beside those of the paper's robot.
-    """
+    """A robot and its scenario before random changes."""
 
     scenario: str
     changes: Changes
-    duration: float
-    viscous: float
-    beyond: tuple[float, float]
-    push: float
+    duration: float  # [s]
+    viscous: float  # [N m s/rad] friction of the motors.
+    beyond: tuple[float, float]  # [N m] lowest and highest dry friction that the model does not have.
+    push: float  # [-] size of pushes relative to those on the paper's robot.
 
     @cached_property
     def base(self) -> Scenario:
-        """The scenario before anything is drawn, with the default setting of the loop."""
-        # How large an error is beside its motion, the cost of a run says here.
+        """The scenario before random changes, with the default setting of the loop."""
+        # No limit on the error relative to the motion: the cost covers it.
         common = {"duration": self.duration, "tuner": "block", "safety": None, "bounds.error_ratio": None}
         return load_scenario(self.scenario).replace({**common, "adaptation": "regression", **self.changes})
 
 
-# Its counts alone would not change at rest.
+# Without noise the counts would not change at rest.
 _REACHY: Changes = {"sensors.noise": 3e-4}
 ROBOTS = {
     "paper": Template("exact_breathing", {}, 1.8, 0.0, (0.04, 0.1), 1.0),
@@ -77,7 +72,7 @@ class Draw:
         return float(low * (high / low) ** self.rng.random())
 
     def time(self, low: float, high: float) -> float:
-        """[s] by shares of the run, on a millisecond."""
+        """[s] within shares of the run, in whole milliseconds."""
         return round(self.template.duration * float(self.rng.uniform(low, high)), 3)
 
     def place(self, share: float) -> np.ndarray:
@@ -86,12 +81,12 @@ class Draw:
         return self.robot.home_pose + share * half_width * self.rng.uniform(-1.0, 1.0, 6)
 
     def size(self, rotation: tuple[float, float], shift: tuple[float, float]) -> np.ndarray:
-        """(6,) [rad, m] a rotation and a shift, each of a length between the two, for the paper's robot, any way."""
+        """(6,) [rad, m] a rotation and a shift in random directions, of sizes in ranges for the paper's robot."""
         parts = (self.between(*rotation), self.length * self.between(*shift))
         return np.concatenate([self._direction() * part for part in parts])
 
     def wrench(self, moment: tuple[float, float], force: tuple[float, float]) -> list[float]:
-        """(6,) [N m, N] or these times s, as `size`."""
+        """(6,) [N m, N], or an impulse, likewise."""
         moments = self._torque * self._direction() * self.between(*moment)
         forces = self._torque / self.length * self._direction() * self.between(*force)
         return [*moments.tolist(), *forces.tolist()]
@@ -108,7 +103,7 @@ def _wave(
     share: float = 0.2,
     phases: int = 1,
 ) -> Callable[[Draw], Changes]:
-    """Sines about a place, on all axes, of one phase or six; sizes as `Draw.size`, frequency [Hz]."""
+    """Sines around a pose on all axes, of one phase or six; sizes as in `Draw.size`, frequency [Hz]."""
 
     def reference(draw: Draw) -> Changes:
         phase = np.resize(draw.rng.uniform(0.0, 2.0 * math.pi, phases), 6).tolist()
@@ -214,7 +209,7 @@ def _coarse(draw: Draw) -> Changes:
 
 
 def _bursts(draw: Draw, before: bool, after: bool) -> Changes:
-    """A motion that begins or ends midway; between bursts the platform rests."""
+    """A motion that begins or ends midway, with the platform at rest before or after."""
     size = draw.size((0.01, 0.06), (0.002, 0.01)) if draw.robot == PAPER else draw.size((0.04, 0.15), (0.002, 0.01))
     frequency = draw.between(1.0, 3.0) if draw.robot == PAPER else draw.between(0.5, 1.5)
     reference = {
@@ -235,15 +230,15 @@ def _load_comes(draw: Draw) -> Changes:
 
 
 def _saturating(draw: Draw) -> Changes:
-    """Sines for which the motors need from 80 to 105 % of their torque, friction included."""
+    """Sines that need 80 to 105 % of the motors' torque, friction included."""
     changes, share = _strong(draw), draw.between(0.8, 1.05)
     amplitude = np.array(changes["reference"]["amplitude"])
     for _ in range(4):
         torque = plant_report(draw.template.base.replace(changes)).smallest.get("plant_torque")
         if torque is None:
-            # Out of reach, and so refused.
+            # Out of reach; the check of the scenario rejects it.
             break
-        # Nearly in proportion: inertia and viscous friction are most of it.
+        # Nearly proportional: mostly inertia and viscous friction.
         amplitude *= share / (1.0 - torque.margin / torque.bound)
         changes = {"reference": {**changes["reference"], "amplitude": amplitude.tolist()}}
     return changes
@@ -266,7 +261,7 @@ _mixture = _any_of(
 
 @dataclass(frozen=True)
 class Kind:
-    """How a situation is drawn, for which robots, and whether tuners are made on it or see it only when assessed."""
+    """Random changes, robots, and whether tuners are trained on the kind or only tested."""
 
     draw: Callable[[Draw], Changes]
     robots: tuple[str, ...] = ("paper",)
@@ -299,13 +294,13 @@ KINDS = {
 
 
 def kinds_of(robot: str, trained: bool | None = None) -> list[str]:
-    """Names of the kinds for a robot; of those that are trained on, of the others, or, with None, of all."""
+    """Names of the kinds for a robot: for training, for tests only, or, with None, all."""
     return [name for name, kind in KINDS.items() if robot in kind.robots and trained in (None, kind.trained)]
 
 
 @lru_cache(maxsize=4096)
 def situation(kind: str, robot: str, seed: int) -> Scenario:
-    """A run that the robot can do, the same for the same arguments; with the default setting, on Drake's plant."""
+    """A feasible run, the same for the same arguments; with the default setting, on Drake's plant."""
     if kind not in kinds_of(robot):
         raise ConfigurationError("kind", kind, f"one of {', '.join(kinds_of(robot))}, for {robot}")
     template = ROBOTS[robot]

@@ -8,7 +8,7 @@ from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry, pose_r
 from stewart_drake.mechanics.kinematics_laws import QUICK, Legs, robot_record
 from stewart_drake.mechanics.singularities import CONTROLLED, MONITORED, PLANNED, WEIGHT_TRUSTED, measure_pose
 from stewart_drake.safety import SafetyOptions
-from stewart_drake.safety.limits import OBSERVED
+from stewart_drake.safety.limits import Observed
 from stewart_drake.scenario.limits import ReferenceLimits
 
 
@@ -18,7 +18,7 @@ def _measure(robot, pose, twist, enough, legs, out):
 
 
 def measured(robot, pose, twist, enough=np.inf):
-    out = np.full((1, OBSERVED.itemsize // 8), np.nan).view(OBSERVED)[0]
+    out = np.full((1, Observed.layout.itemsize // 8), np.nan).view(Observed.layout)[0]
     return _measure(robot_record(robot), pose, twist, enough, Legs.empty(), out), out[0]
 
 

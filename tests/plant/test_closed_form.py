@@ -8,7 +8,7 @@ from strategies import UNEQUAL
 from stewart_drake.base.errors import ConfigurationError, SingularPoseError
 from stewart_drake.mechanics.dynamics import forward_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
-from stewart_drake.plant.closed_form import STATE, ClosedForm, ClosedFormOptions
+from stewart_drake.plant.closed_form import ClosedForm, ClosedFormOptions, ClosedFormState
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.scenario import Scenario
 
@@ -25,7 +25,7 @@ MOVING = np.array([0.3, -0.2, 0.4, 0.03, -0.02, 0.05])
 
 def stepped(chain, torque, count, push=NO_PUSH):
     """States (count,)."""
-    rows = np.empty(count, STATE)
+    rows = np.empty(count, ClosedFormState.layout)
     for row in range(count):
         chain.step(torque, push)
         rows[row] = chain.save()[0]

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from stewart_drake.runs.simulation import run
-from stewart_drake.safety.residual import _rub
+from stewart_drake.safety.residual import apply_dry_friction
 from stewart_drake.scenario.scenario import load_scenario
 from stewart_drake.studies.faults import FAULTS, base, stopped_at, travel
 
@@ -82,11 +82,11 @@ def test_friction_of_six_cranks_takes_as_much_speed_as_it_can(seed, coulomb):
     most = 0.001 * coulomb * rng.uniform(0.0, 1.0, 6) + 1e-15
     energy = before @ np.linalg.solve(mobility, before)
     rub, speed = np.zeros(6), before.copy()
-    _rub(most, mobility, speed, rub)
+    apply_dry_friction(most, 1.0, mobility, speed, rub)
     assert speed @ np.linalg.solve(mobility, speed) <= energy * (1.0 + 1e-9)
     for _ in range(300):
         speed = before.copy()
-        _rub(most, mobility, speed, rub)
+        apply_dry_friction(most, 1.0, mobility, speed, rub)
     # The least energy that impulses within their bounds leave.
     lower = np.linalg.cholesky(mobility)
     best = lsq_linear(lower.T, -np.linalg.solve(lower, before), (-most, most), tol=1e-14)

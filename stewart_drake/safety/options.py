@@ -1,0 +1,169 @@
+"""Options of the safety layer, its monitors, and monitors of the user."""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from stewart_drake.base.config import Fraction, Natural, NotNegative, Positive, PositivePair, Section
+from stewart_drake.base.families import UserMade
+from stewart_drake.base.registry import OWN_MONITORS
+from stewart_drake.mechanics.singularities import MONITORED
+from stewart_drake.robot.robot_scale import LENGTH, TORQUE
+from stewart_drake.safety.stillness import FROZEN_AFTER, TRAVEL_SHARE
+
+MONITORS = (
+    "none",
+    "measurement_not_finite",
+    "sensor_failed",
+    "controller_failed",
+    "command_not_finite",
+    "deadline",
+    "workspace",
+    "serial_singularity",
+    "parallel_singularity",
+    "crank_speed",
+    "following_error",
+    "torque_limit",
+    "torque_rate",
+    "innovation",
+    "reading_stuck",
+    "unexplained_torque",
+    "not_moving",
+)
+"""Stable names of the monitors, by their number in the log: new ones come last. `innovation` is in old logs alone."""
+(
+    NO_TRIP,
+    MEASUREMENT,
+    SENSOR,
+    CONTROLLER,
+    COMMAND,
+    DEADLINE,
+    WORKSPACE,
+    SERIAL,
+    PARALLEL,
+    CRANK_SPEED,
+    FOLLOWING,
+    TORQUE_LIMIT,
+    TORQUE_RATE,
+    INNOVATION,
+    READING,
+    UNEXPLAINED,
+    NOT_MOVING,
+) = range(len(MONITORS))
+"""Their numbers."""
+MEANINGS = {
+    "reading_stuck": "a sensor repeats itself, or no crank moves at all",
+    "not_moving": "a crank stands, or its reading does, while its reference moves",
+    "unexplained_torque": "a reading or a motor is wrong, or load and friction exceed safety.unexplained_torque",
+}
+"""More about a monitor, for the message of a run that it ends."""
+
+HOLD_TIME = 0.03  # [s] for which the last good command is repeated at most.
+
+
+class SafetyOptions(Section, key="safety"):
+    """Limits and reactions of the safety layer; null switches a limit off.
+
+    The defaults are assumptions of this project: wide enough for every motion within `limits`, and tighter than what
+    the controllers themselves can bear. Default lengths and torques scale with the robot's characteristic length and
+    effort limit.
+    """
+
+    deadline: Annotated[Natural, Field(le=1000)] | None = 2
+    """[ticks] longest time without a new command; a constant `command_delay` does not count."""
+    unexplained_torque: Fraction | None = 0.2
+    """[-] share of each motor's limit by which torques may differ from inverse dynamics of the readings: what payload,
+    pushes and friction that is not compensated take. A fifth of it counts where the difference is that of one
+    leg alone, two fifths where it is that of two; a blow of 5 ms passes. It detects wrong readings and motors.
+    Friction that is believed comes on top, and with `adaptation` what is not known of it yet."""
+    frozen: Positive | None = FROZEN_AFTER
+    """[rad] travel of a crank's reference after which readings are frozen that have all repeated to the last bit."""
+    standstill: Fraction | None = TRAVEL_SHARE
+    """[-] share of its reference's travel in the last second that a crank must have moved by. Travel within 0.03 rad,
+    which play and friction take, does not count; a reference that moves by less is not compared."""
+    torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
+    """[-] largest command as a fraction of the motors' limit; commands are cut there. They may be there or beyond for
+    0.1 s in sum."""
+    torque_rate: Annotated[Positive | None, TORQUE] = 4000.0
+    """[N m/s] largest rate of a motor's torque. A command that jumps further is replaced by the last good one, for up
+    to 10 ms in sum; the next good command is approached at this rate."""
+    workspace: Annotated[PositivePair | None, LENGTH] = (1.2, 0.12)
+    """[rad, m] largest distance from the home pose: angle of the rotation, and distance of P."""
+    transmission: Fraction | None = MONITORED.transmission
+    """[-] smallest distance |e_l . e_N| of a crank from its dead centre (serial singularity), where it is 0."""
+    conditioning: Fraction | None = MONITORED.conditioning
+    """[-] smallest distance from a parallel singularity: sigma_min / sigma_max of the rods' lines, without crossing
+    zero."""
+    horizon: NotNegative = 0.01
+    """[s] prediction horizon of `workspace`, `transmission` and `conditioning`: the pose is extrapolated at its
+    measured rate."""
+    crank_speed: Positive | None = 15.0
+    """[rad/s] largest measured crank speed |theta'|."""
+    following_error: Annotated[PositivePair | None, LENGTH] = (0.1, 0.02)
+    """[rad, m] largest following error, to the reference: angle of the rotation, and distance of P."""
+    hold_ticks: Annotated[Natural, Field(le=20)] = 20
+    """[ticks] longest repetition of the last good command, up to 20 ticks and 30 ms."""
+    ramp_time: Positive = 0.02
+    """[s] time from the last good command to the safe hold; short, for that command may have been wrong for a while."""
+    safe_hold_time: Positive = 0.5
+    """[s] duration of a safe hold, after which the run ends; a stop with a suspect leg ends after 40 ms."""
+    monitors: tuple[Annotated[Any, OWN_MONITORS], ...] = ()
+    """Your own monitors, each a class by its import path, see `UserMonitor`."""
+
+    @property
+    def monitor_names(self) -> tuple[str, ...]:
+        """By their numbers in the log, those of `monitors` last."""
+        return (*MONITORS, *(getattr(monitor, "name", monitor.kind) for monitor in self.monitors))
+
+    def budget(self, period: float) -> int:
+        """Ticks of a period [s] that may be held."""
+        return min(self.hold_ticks, math.floor(HOLD_TIME / period + 1e-6))
+
+    def first_user_trip(self, inputs: SafetyInputs) -> tuple[int, int] | None:
+        """Number and leg of the first of `monitors` that trips; None for none."""
+        for index, monitor in enumerate(self.monitors):
+            leg = monitor.look(inputs)
+            if leg is not None:
+                return len(MONITORS) + index, leg
+        return None
+
+
+class SafetyInputs(NamedTuple):
+    """Input of a monitor of the user."""
+
+    command: np.ndarray  # (6,) [N m].
+    pose: np.ndarray  # (6,) [rad, m] measured.
+    pose_rate: np.ndarray  # (6,) [rad/s, m/s] measured.
+    reference: np.ndarray  # (6,) [rad, m] its pose.
+    age: float = 0.0  # [ticks] of the command.
+    # What is wrong with the estimator, see `errors.FAILURES`, and its leg or -1.
+    sensor: tuple[float, float] = (0.0, -1.0)
+    controller: tuple[float, float] = (0.0, -1.0)  # What is wrong with the controller, likewise.
+
+
+class UserMonitor(UserMade, key="safety.monitors"):
+    """Your own safety monitor: `look(inputs)` is called once a tick.
+
+    It gets `SafetyInputs` with a finite measurement. It returns the leg with a fault, -1 for the robot as a whole, None
+    for no fault. If it reports a fault and no other monitor trips, the safety layer takes over from the controller.
+    """
+
+    asked = "look(inputs) returns a leg, -1 or None"
+
+    @property
+    def name(self) -> str:
+        return self.code.name
+
+    def look(self, inputs: SafetyInputs) -> int | None:
+        leg = self.made.look(inputs)
+        if leg is None:
+            return None
+        number = isinstance(leg, (int, float, np.number)) and not isinstance(leg, bool)
+        if not number or leg not in range(-1, 6):
+            raise self.refusal(reprlib.repr(leg))
+        return int(leg)
