@@ -27,7 +27,7 @@ from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.kinematics_laws import OK, SERIAL, Legs
 from stewart_drake.mechanics.linear_algebra import all_finite
 from stewart_drake.plant.closed_form import ClosedForm, _rk4, _semi_implicit
-from stewart_drake.scenario.assembly import context_of, control_side, way_to_motors
+from stewart_drake.scenario.assembly import command_path, context_of, control_side
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
 
@@ -69,7 +69,7 @@ def plant_part(scenario: Scenario) -> Part:
 def robot_files(scenario: Scenario, name: str) -> dict[str, str]:
     """Header and source of the robot with its motors, by name."""
     step, first = scenario.plant.time_step, scenario.motors.initial_command(context_of(scenario, split=True))
-    parts = way_to_motors(scenario, "command", first, step, bus=False)
+    parts = command_path(scenario, "command", first, step, bus=False)
     outside = {"time": 1, "command": 6, "wrench": 6, "crank_state": 12}
     loop = LoopSource([*parts, plant_part(scenario)], outside, {}, step, step, {})
     words = {"NAME": name, "UPPER": name.upper(), "SCENARIO": scenario.name, "VERSION": __version__}

@@ -1,14 +1,14 @@
-"""From a scenario to its loop: the ordered list of parts, and what they are connected by.
+"""From a scenario to its loop: the ordered list of parts, and the signals between them.
 
-The order is that in which signals run within a tick: sensors, estimator, controller, what is added to its torque,
-densities, delay, link, safety layer, motors; then, late, what acts from the next tick on. Each kind of sensor,
-estimator, controller and tuner gives its own parts, see `LoopContext`; nothing here knows how many kinds there are.
+The order is that in which signals run within a tick: sensors, estimator, controller, torques added to its own,
+densities, delay, link, safety layer, motors; at last the parts that act from the next tick on. Every kind of sensor,
+estimator, controller and tuner gives its parts, see `LoopContext`; this file does not know the kinds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from stewart_drake.control.feedforward import lead_part
 from stewart_drake.control.friction_compensation import FrictionCompensation, standing_torque
 from stewart_drake.control.observer import SMALLEST_NOISE
 from stewart_drake.hardware.disturbances import total_wrench
-from stewart_drake.hardware.motors import Torque, delay_part
+from stewart_drake.hardware.motors import delay_part
 from stewart_drake.loop.part import NOTHING, LoopContext, Part
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.safety import safety_part
@@ -29,7 +29,7 @@ from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
 
 Signal = str | np.ndarray
-"""Name of a signal, or numbers that stand in its place."""
+"""Name of a signal, or constant numbers in its place."""
 
 
 class Source(NamedTuple):
@@ -41,15 +41,15 @@ class Source(NamedTuple):
 
 
 class ControlSide(NamedTuple):
-    """What runs on the computer beside a robot, from a reading to the torque that is asked for."""
+    """The parts that run on the robot's computer, from a reading to the commanded torque."""
 
     context: LoopContext
     parts: tuple[Part, ...]  # In order.
     at_end: tuple[Part, ...]  # Those that run at the end of a tick.
     # `reference` (18,), and where an observer looks ahead `reference_ahead` (18,).
     sources: tuple[Source, ...]
-    reading: str  # Name of what it reads.
-    torque: str  # Name of the signal (6,) [N m] that it asks for.
+    reading: str  # Name of the reading.
+    torque: str  # Name of the signal (6,) [N m] of the commanded torque.
     command: str  # Name of the signal (6,) that goes to the motors, which is that torque where they take one.
     unit: str  # Of that command.
     initial_command: np.ndarray  # (6,) until the first one arrives.
@@ -73,11 +73,11 @@ class Loop(NamedTuple):
     sources: tuple[Source, ...]  # Those of the controller's side, and with disturbances `wrench` (6,).
     torque: str  # Name of the signal (6,) [N m] that the motors give the plant.
     logged: Mapping[str, str | np.ndarray]  # As of `ControlSide`.
-    inputs: Mapping[str, np.ndarray] = NOTHING  # Signals that somebody else writes, with what they are at first.
+    inputs: Mapping[str, np.ndarray] = NOTHING  # Signals from outside, with their first values.
 
 
 def loop_of(scenario: Scenario, split: bool = False) -> Loop:
-    """The loop of a scenario: sensors, the controller's side, and what carries its command to the motors.
+    """The loop of a scenario: sensors, the controller's side, and the path of its command to the motors.
 
     With `split` an LQI takes the compiled solution of its Riccati equation in any case. Raises as `control_side`.
     """
@@ -86,7 +86,7 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
     pushes, logged = _pushes(scenario), dict(side.logged)
     if pushes:
         logged["disturbance"] = "wrench"
-    way = way_to_motors(scenario, side.command, side.initial_command, side.context.period, side.safety)
+    way = command_path(scenario, side.command, side.initial_command, side.context.period, side.safety)
     logged["torque_applied"] = "motor_torque"
     if side.safety is not None:
         logged["safety"] = "safety"
@@ -100,7 +100,7 @@ def machine_side(scenario: Scenario) -> Loop:
     """
     sensors, step = sensor_parts(scenario), scenario.plant.time_step
     first = scenario.belief.motors.initial_command(context_of(scenario, split=True))
-    way = [part._replace(end_of_tick=True) for part in way_to_motors(scenario, "command", first, step)]
+    way = [part._replace(end_of_tick=True) for part in command_path(scenario, "command", first, step)]
     reading = {"reading": "reading" if sensors else "plant_pose"}
     return Loop((*sensors, *way), _pushes(scenario), "motor_torque", reading, {"command": first})
 
@@ -111,7 +111,7 @@ def _pushes(scenario: Scenario) -> tuple[Source, ...]:
 
 
 def sensor_parts(scenario: Scenario) -> list[Part]:
-    """What makes the signal `reading`; nothing where that is the pose of the plant itself."""
+    """Parts that make the signal `reading`; none where that is the pose of the plant."""
     period, step = scenario.reading_period, scenario.plant.time_step
     parts = [part._replace(period=period) for part in scenario.sensors.parts(period)]
     if (steps := round(scenario.sensors.delay / step)) == 0:
@@ -134,10 +134,10 @@ def sensor_parts(scenario: Scenario) -> list[Part]:
     return [*delays, *(part.connected(**each) for part, each in zip(parts, moved, strict=True))]
 
 
-def way_to_motors(
+def command_path(
     scenario: Scenario, command: str, first: np.ndarray, period: float, safety: Part | None = None, bus: bool = True
 ) -> list[Part]:
-    """Delay, link, safety layer and motors: from the signal `command` (6,), new in each period [s], to `motor_torque`.
+    """Delay, link, safety layer and motors: from the signal `command` (6,), new in every period [s], to `motor_torque`.
 
     Until the first command arrives it is `first` (6,). Without `bus` there are the motors alone, with their dead time.
     """
@@ -178,7 +178,7 @@ def control_side(options: ControlOptions, split: bool = False, reading: str = "r
 
 
 def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
-    """What the parts of the controller's side are made for; `split` as in `loop_of`."""
+    """Robot, clock and neighbours for the parts of the controller's side; `split` as in `loop_of`."""
     belief, tuner = options.belief, options.tuner.opened()
     period, expected = options.controller.period, options.estimator.disturbance_density
     pose, rate = options.start()
@@ -204,9 +204,9 @@ def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
 
 
 def wire(options: ControlOptions, context: LoopContext, reading: str = "reading") -> ControlSide:
-    """Parts of the controller's side in the order in which signals run within a tick, then those of its end.
+    """Parts of the controller's side in the order of signals within a tick, then those of its end.
 
-    A variable with the name of a signal is the name by which parts find it, or an array where nobody gives it.
+    A variable called like a signal holds the signal's name, or an array where no part gives that signal.
     """
     robot, motors, safety, adaptation = context.robot, context.motors, options.safety, options.adaptation
     logged: dict[str, Signal] = {"reference": "reference"}
@@ -214,7 +214,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
         logged["reading" if context.reading == 6 else "pose_reading"] = reading
 
     def tolerant(part: Part, health: str) -> Part:
-        """A part whose failing ticks the safety layer hears of, where there is one."""
+        """A part that reports failed ticks to the safety layer, where there is one."""
         if safety is None or part.system is not None:
             return part
         return part._replace(outputs=(*part.outputs, "health"), fault_tolerant=True).named(health=health)
@@ -240,7 +240,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
     if observed:
         logged["innovation"] = "innovation"
 
-    # Controller, and the tracking error. One without feedback has neither measurement nor what an observer finds.
+    # Controller, and the tracking error. A controller without feedback uses neither measurement nor disturbance.
     controller, lead = options.controller, []
     error_inputs = {"measurement": "predicted" if observed else measurement, "reference": reference}
     law_inputs: dict[str, Signal] = dict(error_inputs)
@@ -266,7 +266,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
         "integral": "integral" if "integral" in law.outputs else np.zeros(6),
     }
 
-    # What is added to its torque: against friction, and against what an observer cannot explain.
+    # Torques added to that of the controller: against friction, and against an observed disturbance.
     corrected, friction = observed and controller.feedback, options.belief.friction
     added: dict[str, Signal] = {"friction_torque": np.zeros(6), "disturbance_torque": np.zeros(6)}
     additions, end = [], []
@@ -281,17 +281,17 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
     if observed:
         end.append(_net_torque_part(robot.effort_limits, context.initial_torque).connected(**added))
 
-    # What the motors must be told to give that torque.
+    # Command with which the motors give that torque.
     inverse = [part.connected(**law_inputs) for part in motors.inverse_parts(context)]
     if inverse and safety is not None:
-        # It stands behind the link, and looks at torques.
+        # The layer is behind the link, and its limits are torques.
         allowed = f"motors that take torque [N m], with a safety layer; these take {motors.takes} [{motors.unit}]"
         raise ConfigurationError("motors.kind", motors.kind, allowed)
     command = "command" if inverse else "torque"
     if inverse:
         logged[f"commanded_{motors.takes}"] = command
 
-    # Densities and tuner, of a controller that takes weights; the tuner may tell an observer what to expect.
+    # Densities and tuner, for a controller with weights; the tuner may set the disturbance that an observer expects.
     density = []
     if "weights" in law.inputs:
         density = [context.tuner.density_part()]
@@ -305,7 +305,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
 
     parts = [*estimator, *lead, tracking_error, tolerant(law, "controller_health"), *additions, *inverse, *density]
 
-    # Safety layer: it gets the command that arrives at the motors.
+    # Safety layer: its input is the command that arrives at the motors.
     layer = []
     if safety is not None:
         seen = {"measurement": measurement}
@@ -316,7 +316,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
         seen |= {signal: signal for part in parts if (signal := part.signal("health")) != "health"}
         layer = [safety_part(safety, context).connected(**seen).named(torque="safe_torque")]
 
-    # What learns while it runs writes parameters of all these.
+    # Adaptive laws write parameters of all these parts.
     if adaptation is not None:
         at = law_inputs | {"reading": reading, "command": command}
         laws = [part.connected(**at)._replace(end_of_tick=True) for part in adaptation.parts(context)]
@@ -332,7 +332,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
 
 
 def _written(parts: Sequence[Part], options: AdaptationOptions, laws: Sequence[Part]) -> list[Part]:
-    """The parts, with what adaptive laws find in the places of the parameters that `options.writes` lists."""
+    """The parts, with outputs of adaptive laws as the parameters that `options.writes` lists."""
     changed, is_of_use = {part.name: part for part in parts}, False
     known = sorted(f"{part.name}.{parameter}" for part in parts for parameter in part.parameters)
     listed = (
@@ -351,14 +351,26 @@ def _written(parts: Sequence[Part], options: AdaptationOptions, laws: Sequence[P
     return list(changed.values())
 
 
-# --- parts that no room has ---
+# --- small parts ---
+
+
+class _Torque(Record):
+    torque: Vec6  # [N m]
+
+
+class _NetTorque(Record):
+    net_torque: Vec6  # [N m]
+
+
+class _Checked(Record):
+    checked: Vec6
 
 
 @njit
-def _add_torques(control: Vec6, disturbance_torque: Vec6, friction: Vec6, state: Torque) -> None:
-    state = record(state)
+def _add_torques(control: Vec6, disturbance_torque: Vec6, friction: Vec6, state: _Torque) -> None:
+    torque = record(state).torque
     for i in range(6):
-        state.torque[i] = control[i] + disturbance_torque[i] + friction[i]
+        torque[i] = control[i] + disturbance_torque[i] + friction[i]
 
 
 _COMMAND = Part(
@@ -367,45 +379,33 @@ _COMMAND = Part(
     {},
     {"control_torque": 6, "disturbance_torque": 6, "friction_torque": 6},
     ("torque",),
-    Torque.new(),
+    _Torque.new(),
 )
-"""The torque asked for: a controller's, what an observer adds, and what makes up for friction."""
-
-
-class NetTorque(Record):
-    """State of the torque that a command leaves for motion."""
-
-    net_torque: Vec6  # [N m]
+"""The commanded torque: of the controller, against an observed disturbance, and against friction."""
 
 
 @njit
-def _store_net_torque(limit: Vec6, torque: Vec6, friction: Vec6, state: NetTorque) -> None:
-    state = record(state)
+def _store_net_torque(limit: Vec6, torque: Vec6, friction: Vec6, state: _NetTorque) -> None:
+    net_torque = record(state).net_torque
     for i in range(6):
-        state.net_torque[i] = np.minimum(np.maximum(torque[i], -limit[i]), limit[i]) - friction[i]
+        net_torque[i] = min(max(torque[i], -limit[i]), limit[i]) - friction[i]
 
 
 def _net_torque_part(limit: np.ndarray, initial: np.ndarray) -> Part:
-    """The command of a tick less what friction takes of it, for the observer at the next one.
+    """The command of a tick less its part against friction, for the observer at the next tick.
 
-    What the motors cannot give is cut by them, or by the safety layer, which has to see it.
+    The motors cut it at their limit, or the safety layer does, which has to see it.
     """
-    first, inputs = NetTorque.new(net_torque=initial), {"torque": 6, "friction_torque": 6}
+    first, inputs = _NetTorque.new(net_torque=initial), {"torque": 6, "friction_torque": 6}
     part = Part("net_torque", _store_net_torque, {}, inputs, ("net_torque",), first, end_of_tick=True)
     return part._replace(parameters={"limit": limit})
 
 
-class Checked(Record):
-    """State of the check of commands."""
-
-    checked: Vec6  # In the command's unit.
-
-
-def _finite_tick(what: str, asked: np.ndarray, state: np.ndarray) -> None:
-    if not np.isfinite(asked).all():
-        raise NotFiniteError(what, asked.copy())
-    state["checked"][0] = asked
+def _finite_tick(what: str, command: Vec6, state: _Checked) -> None:
+    if not np.isfinite(command).all():
+        raise NotFiniteError(what, command.copy())
+    state["checked"][0] = command
 
 
-_FINITE = Part("finite", _finite_tick, {"what": "torque"}, {"command": 6}, ("checked",), Checked.new())
-"""Ends a run whose commands, `what` they are, are no numbers, where there is no safety layer."""
+_FINITE = Part("finite", _finite_tick, {"what": "torque"}, {"command": 6}, ("checked",), _Checked.new())
+"""Ends a run with commands, `what` of the motors, that are not finite, where there is no safety layer."""

@@ -1,8 +1,9 @@
-"""What a motion must keep to, and how far a pose or a motion is from each limit: one compiled law, on all cores.
+"""Limits on a motion, and margins of poses and motions to them: one compiled law, on all cores.
 
-A margin is positive inside, in the limit's own unit. A motion is checked at its samples; beyond them, a sign change of
-the rods' determinant, a parallel singularity jumped over, counts as broken `conditioning`. `transmission` |e_l . e_N|
-is zero where a crank is at its dead centre (serial), `conditioning` where the rods' lines lose rank (parallel).
+A margin is positive inside, in the unit of the limit. A motion is checked at its samples; between them, a sign change
+of the rods' determinant, a parallel singularity that was crossed, counts as broken `conditioning`. `transmission`
+|e_l . e_N| is zero where a crank is at its dead centre (serial), `conditioning` where the rods' lines lose rank
+(parallel).
 """
 
 from __future__ import annotations
@@ -19,18 +20,14 @@ from pydantic import Field
 
 from stewart_drake.base.config import Positive, Section
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.base.jit import fields, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Mat6, Matrix, Vec3, Vec6, Vector, record
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.dynamics_laws import loads, twists_of_motion
 from stewart_drake.mechanics.kinematics import over_rows
-from stewart_drake.mechanics.kinematics_laws import (
-    LEGS,
-    cross,
-    dot,
-    robot_record,
-    turned,
-)
-from stewart_drake.mechanics.singularities import PLANNED, measure_pose
+from stewart_drake.mechanics.kinematics_laws import LEGS, Legs, Robot, cross, dot, robot_record, turned
+from stewart_drake.mechanics.linear_algebra import set_to
+from stewart_drake.mechanics.singularities import PLANNED, PoseMeasures, measure_pose
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import JOINT_SWING
 from stewart_drake.robot.robot_scale import LENGTH
@@ -133,7 +130,7 @@ class LimitMargin:
 
     @property
     def value(self) -> float:
-        """What is limited, in `unit`; for what has a sign or a length its size."""
+        """The limited quantity in `unit`; its size where it has a sign or is a vector."""
         return self.bound + self.margin if ">=" in RULES[self.limit][1] else self.bound - self.margin
 
     @property
@@ -177,17 +174,17 @@ def limit_margins(
 
 
 SLACK = 0.01
-"""Share of a limit, or [rad] of a stop, by which a motion that was made may be beyond it: a small error of following is
-no excursion."""
+"""Share of a limit, or [rad] of a stop, by which the motion of a run may exceed it: a small tracking error is no
+excursion."""
 
 
 def longest_excursion(
     robot: RobotParameters, limits: ReferenceLimits, time: np.ndarray, pose: np.ndarray, pose_rate: np.ndarray
 ) -> tuple[LimitMargin, float, float] | None:
-    """Of a motion (n, 6) that was made: its worst margin to the limit that it was beyond most of the time.
+    """For a motion (n, 6) of a run: its worst margin to the limit that was broken most of the time.
 
-    With the share of the time, and when [s] that began; None for a motion within its limits. Torques are those of the
-    motors, and of the reach of what was reached `transmission` tells.
+    Also the share of that time, and its begin [s]; None for a motion within its limits. Torques and `reach` do not
+    count: the motors limit the ones, and what was reached is within reach.
     """
     bounds, excursions = limit_bounds(robot, limits), {}
     for limit, margins in limit_margins(robot, limits, pose, pose_rate, np.zeros_like(pose), 0.0).items():
@@ -196,18 +193,22 @@ def longest_excursion(
             row, column = np.unravel_index(np.nanargmin(margins), margins.shape)
             worst = LimitMargin(limit, bounds[limit], margins[row, column], time[row], *PLACES[limit][column])
             excursions[limit] = worst, float(beyond.mean()), float(time[beyond.argmax()])
-    return max(excursions.values(), key=lambda each: each[1], default=None)
+    return max(excursions.values(), key=lambda excursion: excursion[1], default=None)
 
 
-MEASURES = fields(
-    reach_margin=6, transmission=6, conditioning=(), assembly_sign=(), speed=6,
-    rod=(12, 3), angle=6, distance=60, torque=6, force=(), moment=(),
-)  # fmt: skip
-"""Measures at a pose and motion, NaN where a rod cannot span, but for `reach_margin`. That, transmission, conditioning,
-assembly_sign and |speed| are those of `measure_pose`. rod: directions of the rods in P, then along crank, lateral axis
-and e_N of their cranks. angle: of the cranks [rad]. distance: between the surfaces of links of different legs, in the
-order of `PLACES`, negative where they overlap [m]. torque: |motor torque| [N m]. force, moment: see `strength` [N],
-[N m]. Exactly at a singularity speed and torque are infinite."""
+class Measures(PoseMeasures):
+    """Measures of a pose in motion; NaN, but for `reach_margin`, where a rod cannot span.
+
+    Exactly at a singularity speeds, which have no sign here, and torques are infinite.
+    """
+
+    rod: Annotated[np.ndarray, (12, 3)]  # Directions of the rods in P; then in their cranks: along, lateral, e_N.
+    angle: Vec6  # [rad] of the cranks.
+    distance: Annotated[np.ndarray, (60,)]  # [m] between surfaces of links, by `PLACES`; negative where they overlap.
+    torque: Vec6  # [N m] size of the motor torque.
+    force: float  # [N], see `strength`.
+    moment: float  # [N m]
+
 
 POSE_MEASURES = (
     *("reach_margin", "transmission", "conditioning", "ball_swing", "universal_swing", "stroke", "clearance"),
@@ -216,7 +217,7 @@ POSE_MEASURES = (
 """Measures at a pose at rest, NaN where a rod cannot span, but for `reach_margin`. reach_margin, transmission: the
 smallest of a leg. conditioning: negative where the lines' determinant has not the sign that it has at home; zero at a
 parallel singularity. ball_swing, universal_swing: the largest [rad]. stroke: largest distance of a crank from the
-middle of its range, as a part of half of it; 0 of a robot without stops. clearance: smallest distance of the surfaces
+middle of its range, over half of it; 0 of a robot without stops. clearance: smallest distance of the surfaces
 of links of different legs [m]. holding_torque: the largest [N m]. force, moment: see `strength` [N], [N m]."""
 
 _BLOCK = 1 << 16  # poses whose measures are kept at a time
@@ -225,9 +226,9 @@ _BLOCK = 1 << 16  # poses whose measures are kept at a time
 def measure(
     robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray, pose_acceleration: np.ndarray, gravity: float
 ) -> np.ndarray:
-    """`MEASURES` records (n,) of a motion (n, 6)."""
+    """`Measures` records (n,) of a motion (n, 6)."""
     motion = [np.array(rows, dtype=float, order="C") for rows in (pose, pose_rate, pose_acceleration)]
-    measures = np.full((len(motion[0]), MEASURES.itemsize // 8), np.nan).view(MEASURES)[:, 0]
+    measures = np.full((len(motion[0]), Measures.layout.itemsize // 8), np.nan).view(Measures.layout)[:, 0]
     over_rows(_measure, (robot_record(robot), float(gravity), 2.0 * robot.link_radius), (*motion, measures))
     return measures
 
@@ -278,8 +279,11 @@ def _stroke(robot: RobotParameters, measures: np.ndarray) -> tuple[np.ndarray, n
 
 
 @njit
-def _rod_directions(legs: Any, out: Any) -> None:
-    lateral, to_platform = np.empty(3), np.ascontiguousarray(legs.rotation.T)
+def _rod_directions(legs: Legs, out: Matrix) -> None:
+    lateral, to_platform = np.empty(3), np.empty((3, 3))
+    for i in range(3):
+        for k in range(3):
+            to_platform[i, k] = legs.rotation[k, i]
     for i in range(6):
         turned(to_platform, legs.e_l[i], out[i])
         cross(legs.e_n[i], legs.crank[i], lateral)
@@ -288,8 +292,11 @@ def _rod_directions(legs: Any, out: Any) -> None:
 
 
 @njit
-def segment_distance(start: Any, way: Any, other_start: Any, other_way: Any) -> float:
-    """Distance [m] between segments of start and way (3,): Ericson, Real-Time Collision Detection (2005), 5.1.9."""
+def segment_distance(start: Vec3, way: Vec3, other_start: Vec3, other_way: Vec3) -> float:
+    """Distance [m] between two segments, by start and vector to the end: Ericson, Real-Time Collision Detection (2005).
+
+    Section 5.1.9.
+    """
     uu, uv, vv, ur, vr = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(3):
         u, v, r = way[k], other_way[k], start[k] - other_start[k]
@@ -298,7 +305,7 @@ def segment_distance(start: Any, way: Any, other_start: Any, other_way: Any) -> 
         vv += v * v
         ur += u * r
         vr += v * r
-    # Of parallel segments any s will do to start with: t follows from it, and s once more from the clamped t.
+    # For parallel segments any s serves as a start: t follows from it, and s again from the clamped t.
     s, tiny, determinant = 0.0, 2.2250738585072014e-308, uu * vv - uv * uv
     if determinant > 2.220446049250313e-16 * uu * vv:
         s = min(1.0, max(0.0, (uv * vr - ur * vv) / determinant))
@@ -312,8 +319,8 @@ def segment_distance(start: Any, way: Any, other_start: Any, other_way: Any) -> 
 
 
 @njit
-def _link_distances(robot: Any, legs: Any, apart: float, out: Any) -> None:
-    """Fills `MEASURES.distance`: cranks, then rods, in pairs, less `apart` [m]."""
+def _link_distances(robot: Robot, legs: Legs, thickness: float, out: Vector) -> None:
+    """Fills `Measures.distance`: distances of axes of cranks, then rods, in pairs, less the links' thickness [m]."""
     start, way = np.empty((12, 3)), np.empty((12, 3))
     for i in range(6):
         for k in range(3):
@@ -324,22 +331,24 @@ def _link_distances(robot: Any, legs: Any, apart: float, out: Any) -> None:
     for i in range(12):
         for j in range(i + 1, 12):
             if j != i + 6:
-                out[pair] = segment_distance(start[i], way[i], start[j], way[j]) - apart
+                out[pair] = segment_distance(start[i], way[i], start[j], way[j]) - thickness
                 pair += 1
 
 
 @njit
-def strength(legs: Any, inverse: Any, torque: Any, limit: Any) -> Any:
-    """Largest force [N] and moment [N m] that can be exerted in every direction, each without the other.
+def strength(legs: Legs, inverse: Mat6, torque: Vec6, limit: Vec6) -> tuple[float, float]:
+    """Largest force [N] and largest moment [N m] that can be exerted in every direction, without the other one.
 
     To exert the wrench w the motors need T = t + A w, with t the holding torque and A the inverse of the map tau of
     (18), `statics`. Over all forces of size r the term of motor i runs from -r |a_i| to r |a_i|, a_i the three entries
     of row i of A that belong to the force (or to the moment): the largest r is min_i (T_max - |t_i|) / |a_i|, and zero
     where the weight alone is too much.
     """
-    force, moment = np.inf, np.inf
+    force, moment, row = np.inf, np.inf, np.empty(6)
     for i in range(6):
-        spare, size, row = limit[i] - torque[i], abs(legs.lever[i]), inverse[:, i].copy()
+        spare, size = limit[i] - torque[i], abs(legs.lever[i])
+        for k in range(6):
+            row[k] = inverse[k, i]
         if not spare > 0.0:
             return 0.0, 0.0
         force = min(force, spare / (size * np.sqrt(dot(row[3:], row[3:]))))
@@ -348,25 +357,33 @@ def strength(legs: Any, inverse: Any, torque: Any, limit: Any) -> Any:
 
 
 @njit
-def _measure(robot: Any, gravity: float, apart: float, poses: Any, rates: Any, accelerations: Any, out: Any) -> None:
-    """Fills `MEASURES` records, which are NaN before."""
-    robot, store, inverse = record(robot), np.empty(1, LEGS), np.empty((6, 6))
+def _measure(
+    robot: Robot, gravity: float, thickness: float, poses: Matrix, rates: Matrix, accelerations: Matrix, out: Measures
+) -> None:
+    """Fills `Measures` records (n,), which are NaN before."""
+    robot, inverse = record(robot), np.empty((6, 6))
+    memory: Any = np.empty(1, LEGS)
     twist, twist_rate, wrench, of_cranks = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
     for n in range(len(poses)):
-        legs, m = record(store), record(out[n : n + 1])
+        row: Any = out[n : n + 1]
+        legs: Legs = record(memory)
+        m: Measures = record(row)
         twists_of_motion(poses[n], rates[n], accelerations[n], twist, twist_rate)
-        inverse[:] = 0.0
         for i in range(6):
-            inverse[i, i] = 1.0
+            for k in range(6):
+                inverse[i, k] = 1.0 if i == k else 0.0
         if not measure_pose(robot, poses[n], twist, 1e-14, np.inf, legs, inverse, m):
-            m.transmission[:] = np.nan
+            set_to(m.transmission[:], np.nan)
             continue
         _rod_directions(legs, m.rod[:])
-        _link_distances(robot, legs, apart, m.distance[:])
+        _link_distances(robot, legs, thickness, m.distance[:])
+        singular = m.assembly_sign == 0.0
         for i in range(6):
             m.angle[i] = np.arctan2(legs.sine[i], legs.cosine[i])
-        if m.assembly_sign == 0.0 or m.transmission.min() == 0.0:
-            m.speed[:], m.torque[:] = np.inf, np.inf
+            singular = singular or m.transmission[i] == 0.0
+        if singular:
+            set_to(m.speed[:], np.inf)
+            set_to(m.torque[:], np.inf)
             m.force, m.moment = 0.0, 0.0
             continue
         loads(robot, legs, twist, twist_rate, gravity, wrench, of_cranks)
