@@ -64,7 +64,7 @@ class Expressions:
         self.scope, self.leaking = scope_of(source.tree)
         nodes = list(ast.walk(source.tree))
         self.avoided = RESERVED | {last_name(node.func).strip("_") for node in nodes if isinstance(node, ast.Call)}
-        self.taken = self.avoided | {self.c_name(node.id) for node in nodes if isinstance(node, ast.Name)}
+        self.taken = {self.c_name(node.id) for node in nodes if isinstance(node, ast.Name)} | self.avoided
 
     # --- names and lines ---
 

@@ -119,7 +119,7 @@ class LoopSource:
         """The call of a part's kernel, and what follows from its status."""
         source = source_of(part.kernel)
         types = [source.types.get(argument.arg) for argument in source.tree.args.args]
-        state = self._record(part.name, struct_type(types[-1], part.initial.dtype), part.initial)
+        state = self._record(part.name, struct_type(part.initial.dtype, types[-1]), part.initial)
         arguments = [self._leading(part, *each) for each in zip(part.leading.items(), types, strict=False)]
         arguments += [self._input(part, name) for name in part.inputs]
         for n, kind in enumerate(part.scratch):
@@ -145,7 +145,7 @@ class LoopSource:
         for status, ending in part.statuses.items():
             causes[status], of_leg[status] = failure_code(ending.reason), ending.of_leg
         tables = [self.program.table(f"{part.name}_{name}", x) for name, x in (("causes", causes), ("of_leg", of_leg))]
-        cause, has_leg = (table.at("result.first").base for table in tables)
+        cause, has_leg = (table.row("result.first").base for table in tables)
         leg = f"{has_leg} ? result.second : -1" if signature.result[1:2] == ("int",) else "-1"
         lines += [f"    {place}[0] = {cause};", f"    {place}[1] = {leg};"]
         return [*lines, f"    return {0 if part.fault_tolerant else k + 1};"]
@@ -157,7 +157,7 @@ class LoopSource:
             return number(value)
         if not isinstance(value, np.ndarray):
             raise Untyped(f"the constant `{name}`, a Python object")
-        of = struct_type(annotation, value.dtype) if value.dtype.names else None
+        of = struct_type(value.dtype, annotation) if value.dtype.names else None
         if name in part.connections:
             pointer = self.signals[str(part.connections[name])].array.pointer
             return (
