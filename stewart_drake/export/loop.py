@@ -106,49 +106,45 @@ class LoopSource:
 
     def _add(self, k: int, part: Part) -> None:
         try:
-            lines = self._lines(k, part)
+            source = source_of(part.kernel)
         except Untyped as error:
-            try:
-                source = source_of(part.kernel)
-            except Untyped:
-                raise ConfigurationError(part.name, str(part.kernel), f"{ALLOWED}; this is {error}") from None
+            raise ConfigurationError(part.name, str(part.kernel), f"{ALLOWED}; this is {error}") from None
+        try:
+            lines = self._lines(k, part, [source.types.get(argument.arg) for argument in source.tree.args.args])
+        except Untyped as error:
             raise source.refusal(source.tree.lineno, source.tree.name, str(error)) from None
         self._runs.append(f"static int run_{part.name}(struct loop *loop)\n{{\n" + "\n".join(lines) + "\n}")
 
-    def _lines(self, k: int, part: Part) -> list[str]:
-        """The call of a part's kernel, and what follows from its status."""
-        source = source_of(part.kernel)
-        types = [source.types.get(argument.arg) for argument in source.tree.args.args]
-        state = self._record(part.name, struct_type(part.initial.dtype, types[-1]), part.initial)
-        arguments = [self._leading(part, *each) for each in zip(part.leading.items(), types, strict=False)]
+    def _lines(self, k: int, part: Part, types: Sequence[Any]) -> list[str]:
+        """The call of a part's kernel, whose arguments have these types, and what follows from its status."""
+        of = struct_type(part.initial.dtype, types[-1])
+        arguments = [self._leading(part, *leading) for leading in zip(part.leading.items(), types, strict=False)]
         arguments += [self._input(part, name) for name in part.inputs]
         for n, kind in enumerate(part.scratch):
             name = f"{part.name}_scratch_{n}" if n else f"{part.name}_scratch"
             arguments.append(self._record(name, StructType(kind, kind.layout), kind.new()))
-        signature, _ = self.program.function(part.kernel, [*arguments, state])
-        texts = [x.text if isinstance(x, Scalar) else x.pointer for x in (*arguments, state)]
-        call = f"{signature.name}({', '.join(texts)})"
+        arguments.append(self._record(part.name, of, part.initial))
+        signature, _ = self.program.function(part.kernel, arguments)
+        call = f"{signature.name}({', '.join(x.text if isinstance(x, Scalar) else x.pointer for x in arguments)})"
         if not signature.result:
             return [wrapped(f"    {call};"), "    return 0;"]
-        lines = [f"    const struct {self.program.struct(state.of)} before = loop->{part.name};"]
-        lines = lines if part.fault_tolerant else []
-        lines.append(wrapped(f"    const {self.program.result(signature.result)} result = {call};"))
-        place = f"loop->{part.name}.health" if part.fault_tolerant else "loop->failure"
-        healthy = [f"        {place}[{n}] = {value};" for n, value in enumerate(HEALTHY) if part.fault_tolerant]
-        lines += ["    if (result.first == 0) {", *healthy, "        return 0;", "    }"]
+        lines, target, undo, healthy = [], "loop->failure", [], []
         if part.fault_tolerant:
-            lines += [
-                "    /* The state is as it was; the safety layer gets the cause. */",
-                f"    loop->{part.name} = before;",
-            ]
+            target = f"loop->{part.name}.health"
+            lines = [f"    const struct {self.program.struct(of)} before = loop->{part.name};"]
+            healthy = [f"        {target}[{n}] = {value};" for n, value in enumerate(HEALTHY)]
+            note = "/* The state is as it was; the safety layer gets the cause. */"
+            undo = [f"    {note}", f"    loop->{part.name} = before;"]
+        lines.append(wrapped(f"    const {self.program.result(signature.result)} result = {call};"))
+        lines += ["    if (result.first == 0) {", *healthy, "        return 0;", "    }", *undo]
         causes, of_leg = np.ones(_STATUSES, dtype=int), np.zeros(_STATUSES, dtype=int)
         for status, ending in part.statuses.items():
             causes[status], of_leg[status] = failure_code(ending.reason), ending.of_leg
-        tables = [self.program.table(f"{part.name}_{name}", x) for name, x in (("causes", causes), ("of_leg", of_leg))]
-        cause, has_leg = (table.row("result.first").base for table in tables)
-        leg = f"{has_leg} ? result.second : -1" if signature.result[1:2] == ("int",) else "-1"
-        lines += [f"    {place}[0] = {cause};", f"    {place}[1] = {leg};"]
-        return [*lines, f"    return {0 if part.fault_tolerant else k + 1};"]
+        lines.append(f"    {target}[0] = {self.program.table(f'{part.name}_causes', causes).base}[result.first];")
+        leg = "-1"
+        if signature.result[1] == "int":
+            leg = f"{self.program.table(f'{part.name}_of_leg', of_leg).base}[result.first] ? result.second : -1"
+        return [*lines, f"    {target}[1] = {leg};", f"    return {0 if part.fault_tolerant else k + 1};"]
 
     def _leading(self, part: Part, item: tuple[str, Any], annotation: Any) -> Any:
         """A parameter or a constant as an argument."""
@@ -157,20 +153,19 @@ class LoopSource:
             return number(value)
         if not isinstance(value, np.ndarray):
             raise Untyped(f"the constant `{name}`, a Python object")
-        of = struct_type(value.dtype, annotation) if value.dtype.names else None
+        is_variable = f"{part.name}.{name}" in self._variable
+        if value.dtype.names:
+            of = struct_type(value.dtype, annotation)
+            if name in part.connections:
+                pointer = self.signals[str(part.connections[name])].array.pointer
+                return Struct(of, f"((const struct {self.program.struct(of)} *){pointer})", None)
+            return self._record(member, of, value) if is_variable else self.program.constant_record(member, value, of)
         if name in part.connections:
-            pointer = self.signals[str(part.connections[name])].array.pointer
-            return (
-                Struct(of, f"((const struct {self.program.struct(of)} *){pointer})", None)
-                if of
-                else self._input(part, name)
-            )
-        if f"{part.name}.{name}" in self._variable:
-            if of:
-                return self._record(member, of, value)
+            return self._input(part, name)
+        if is_variable:
             self._member(member, f"double {member}[{value.size}]", value)
             return Signal(f"loop->{member}", 0, value.size).array
-        return self.program.constant_record(member, value, of) if of else self.program.table(member, value)
+        return self.program.table(member, value)
 
     def _input(self, part: Part, name: str) -> Array:
         source = "time" if name == "time" else part.source(name)

@@ -203,7 +203,10 @@ class Statements(Expressions):
             self.values[name] = value._replace(base=text, start="0")
         elif isinstance(value, Local):
             self.values[name] = self.made(value, text)
-        elif isinstance(value, TupleType) and {item.kind for item in value.items} == {"double"} and not value.call:
+        elif isinstance(value, TupleType) and value.call:
+            self.taken.discard(text)
+            self.values[name] = TupleType(self.named(value, text))
+        elif isinstance(value, TupleType):
             self.emit(f"const double {text}[] = {{{', '.join(item.text for item in value.items)}}};")
             self.values[name] = Array("double", text, (len(value.items),), root=None)
         else:

@@ -114,6 +114,9 @@ def several(values: Vec6, state: LawState) -> None:
         state.out[3] = 2.0
     else:
         state.out[3] = 3.0
+    both = counted(state)
+    if both[1] == 1:
+        state.out[4] = both[0] + TABLE[0]
     while True:
         state.out[5] += 1.0
         if state.out[5] > abs(values[5]):
@@ -127,6 +130,12 @@ def largest(values: Vec6) -> tuple[float, int]:
         if values[k] > best:
             best, at = values[k], k
     return best, at
+
+
+@njit
+def counted(state: LawState) -> tuple[float, int]:
+    state.count += 1.0
+    return state.count, 1
 
 
 @njit
@@ -151,11 +160,6 @@ def longer(state: Longer) -> None:
     for k in range(len(state.rows)):
         state.rows[k, 1] = state.rows[k, 0] + state.inner.out[k]
     counted(state.inner)
-
-
-@njit
-def counted(inner: LawState) -> None:
-    inner.count += 1.0
 
 
 # --- refused ---------------------------------------------------------------------------------------------------------
